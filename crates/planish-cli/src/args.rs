@@ -1,0 +1,283 @@
+//! The arguments, and how they become the library's types. Defaults live in the library: options here are `Option`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand, ValueEnum};
+use planish::io::Encoding;
+use planish::{Camera, Engine, Outputs, Radius, SmoothParams};
+
+/// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
+#[derive(Parser)]
+#[command(version, about, after_help = "Start with `planish demo`, then `planish smooth your.pcd smooth.pcd`.")]
+pub struct Args {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Simulate a noisy depth frame, smooth it, and show the difference
+    Demo(DemoArgs),
+    /// Smooth a file, or every frame of a folder
+    Smooth(SmoothArgs),
+    /// Say what a file holds
+    Info(InfoArgs),
+    /// Draw the relief of an organized cloud
+    Render(RenderArgs),
+}
+
+#[derive(clap::Args)]
+pub struct DemoArgs {
+    /// Folder for raw.pcd, smoothed.pcd and before-after.png
+    #[arg(long, value_name = "DIR", default_value = "planish-demo")]
+    pub out: PathBuf,
+    /// Which scene and which noise
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+}
+
+#[derive(clap::Args)]
+pub struct SmoothArgs {
+    /// A cloud (.pcd, .ply, .npy), a depth image (.png, .tiff, .npy), or a folder of them
+    pub input: PathBuf,
+    /// The file or folder to write; depth in and .png, .tiff or .npy out gives depth
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    /// Fields to add to the points, separated by commas
+    #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
+    pub fields: Vec<FieldArg>,
+    /// How the points of a .pcd or .ply are stored
+    #[arg(long, value_enum)]
+    pub encoding: Option<EncodingArg>,
+    /// File type for a folder of results, when it is not that of the input
+    #[arg(long, value_name = "EXTENSION")]
+    pub format: Option<String>,
+    /// Smooth the loaded frame this many times, for timing
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub repeat: u32,
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct InfoArgs {
+    /// The file
+    pub file: PathBuf,
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct RenderArgs {
+    /// An organized cloud, or a depth image with --camera
+    pub file: PathBuf,
+    /// The picture to write: relief, and beside it the colours if there are any
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FieldArg {
+    /// normal_x, normal_y, normal_z
+    Normals,
+    /// Surface variation
+    Curvature,
+    /// What became of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3
+    Status,
+    /// Nothing (the default)
+    None,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum EncodingArg {
+    Ascii,
+    Binary,
+    Compressed,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum EngineArg {
+    Auto,
+    Cpu,
+    Gpu,
+    Reference,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum PresetArg {
+    /// What the library recommends
+    Default,
+    /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3
+    Paper,
+}
+
+/// How to smooth; what is not given is taken from the preset.
+#[derive(clap::Args)]
+pub struct SmoothingArgs {
+    /// A named setting; the options below change single values of it
+    #[arg(long, value_enum)]
+    pub preset: Option<PresetArg>,
+    /// Half width of the window: (2K+1)² candidates, K from 1 to 7
+    #[arg(long, value_name = "K")]
+    pub window: Option<u32>,
+    /// Distance between candidates in pixels, 1 to 8
+    #[arg(long, value_name = "S")]
+    pub stride: Option<u32>,
+    /// Radius of a neighbourhood in metres, or `sensor`: growing with distance as the sensor's noise does
+    #[arg(long, value_name = "METRES|sensor", allow_negative_numbers = true)]
+    pub radius: Option<RadiusArg>,
+    /// Degree of the surface: 1 plane, 2 or 3 polynomial
+    #[arg(long, value_name = "D")]
+    pub degree: Option<u32>,
+    /// Bandwidth of the Gaussian weights in metres; else the radius
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    pub bandwidth: Option<f32>,
+    /// Which engine computes; one asked for by name never falls back to another
+    #[arg(long, value_enum, default_value = "auto")]
+    pub engine: EngineArg,
+    /// Threads of the CPU engines; else one for each core
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+}
+
+#[derive(Clone, Copy)]
+pub enum RadiusArg {
+    Sensor,
+    Metres(f32),
+}
+
+impl std::str::FromStr for RadiusArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "sensor" => Ok(Self::Sensor),
+            number => number.parse().map(Self::Metres).map_err(|_| "metres, as 0.03, or the word sensor".to_owned()),
+        }
+    }
+}
+
+/// fx, fy, cx, cy in pixels.
+#[derive(Clone, Copy)]
+pub struct Intrinsics([f64; 4]);
+
+impl std::str::FromStr for Intrinsics {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+        numbers.and_then(|numbers| numbers.try_into().ok()).map(Self).ok_or_else(|| "4 numbers: FX,FY,CX,CY".to_owned())
+    }
+}
+
+#[derive(clap::Args)]
+pub struct CameraArgs {
+    /// Intrinsics of the depth camera in pixels
+    #[arg(long, value_name = "FX,FY,CX,CY", conflicts_with = "camera_file")]
+    pub camera: Option<Intrinsics>,
+    /// Intrinsics as JSON: fx, fy, cx, cy, or Open3D's intrinsic_matrix
+    #[arg(long, value_name = "FILE.json")]
+    pub camera_file: Option<PathBuf>,
+    /// Depth units in a metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM
+    #[arg(long, value_name = "UNITS_PER_METRE")]
+    pub depth_scale: Option<f64>,
+}
+
+impl SmoothingArgs {
+    /// Whether the user chose the radius.
+    pub fn has_radius(&self) -> bool {
+        self.radius.is_some() || matches!(self.preset, Some(PresetArg::Paper))
+    }
+
+    pub fn params(&self) -> Result<SmoothParams> {
+        let mut params = match self.preset {
+            None | Some(PresetArg::Default) => SmoothParams::default(),
+            Some(PresetArg::Paper) => SmoothParams::paper(),
+        };
+        params.window = self.window.unwrap_or(params.window);
+        params.stride = self.stride.unwrap_or(params.stride);
+        params.degree = self.degree.unwrap_or(params.degree);
+        params.bandwidth_m = self.bandwidth.or(params.bandwidth_m);
+        match self.radius {
+            None => {}
+            Some(RadiusArg::Sensor) => params.radius = Radius::KINECT_V1,
+            Some(RadiusArg::Metres(radius_m)) => params.radius = Radius::Fixed { radius_m },
+        }
+        params.validate()?;
+        Ok(params)
+    }
+
+    pub fn engine(&self) -> Engine {
+        match self.engine {
+            EngineArg::Auto => Engine::Auto,
+            EngineArg::Cpu => Engine::Cpu,
+            EngineArg::Gpu => Engine::Gpu,
+            EngineArg::Reference => Engine::Reference,
+        }
+    }
+}
+
+impl SmoothArgs {
+    pub fn outputs(&self) -> Outputs {
+        let wants = |field| self.fields.contains(&field);
+        Outputs {
+            normals: wants(FieldArg::Normals),
+            curvature: wants(FieldArg::Curvature),
+            status: wants(FieldArg::Status),
+            neighbours: false,
+        }
+    }
+
+    pub fn encoding(&self) -> Encoding {
+        match self.encoding {
+            None | Some(EncodingArg::Binary) => Encoding::Binary,
+            Some(EncodingArg::Ascii) => Encoding::Ascii,
+            Some(EncodingArg::Compressed) => Encoding::BinaryCompressed,
+        }
+    }
+}
+
+impl CameraArgs {
+    /// The camera for frames of this shape; `None` if the user gave none.
+    pub fn camera(&self, (width, height): (usize, usize)) -> Result<Option<Camera>> {
+        let mut camera = match (&self.camera, &self.camera_file) {
+            (Some(Intrinsics([fx, fy, cx, cy])), _) => {
+                Camera { width, height, fx: *fx, fy: *fy, cx: *cx, cy: *cy, ..Camera::kinect_v1() }
+            }
+            (None, Some(file)) => read_camera(file, (width, height))?,
+            (None, None) => return Ok(None),
+        };
+        if let Some(scale) = self.depth_scale {
+            camera.depth_units_per_metre = scale;
+        }
+        camera.validate()?;
+        Ok(Some(camera))
+    }
+
+    /// The camera, which a depth image cannot do without.
+    pub fn required(&self, shape: (usize, usize), file: &Path) -> Result<Camera> {
+        let (width, height) = shape;
+        self.camera(shape)?.with_context(|| {
+            format!(
+                "{}: a depth image of {width}x{height} needs its camera: add --camera FX,FY,CX,CY or --camera-file \
+                 FILE.json, and --depth-scale if a unit is not a millimetre (Kinect v1: --camera 525,525,319.5,239.5)",
+                file.display()
+            )
+        })
+    }
+}
+
+fn read_camera(file: &Path, shape: (usize, usize)) -> Result<Camera> {
+    let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
+    Camera::from_json(&text, shape).with_context(|| file.display().to_string())
+}

@@ -1,0 +1,88 @@
+//! `planish demo`: a simulated frame, smoothed, against its truth.
+
+use std::fs;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use planish::evaluate::{Errors, errors, flat_pixels};
+use planish::io::{Encoding, write_cloud, write_rgb_png};
+use planish::render::{difference_normals, error_map, relief, side_by_side, stacked};
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{Camera, Error, Outputs, Smoothed, Smoother, SmootherOptions, Xyz};
+
+use super::ms_since;
+use crate::args::DemoArgs;
+
+/// Only pixels this far from every edge count as flat.
+const FLAT_MARGIN_PX: usize = 6;
+/// Full colour in the error maps.
+const ERROR_SCALE_M: f32 = 0.005;
+const TIMED_RUNS: usize = 5;
+
+pub fn run(args: &DemoArgs) -> Result<ExitCode> {
+    let camera = Camera::kinect_v1();
+    let (scene, pose) = Scene::tabletop(args.seed);
+    let truth = scene.render(&camera, &pose);
+    let frame =
+        KinectSimulator::new(KinectNoise::default(), camera, args.seed).frame(&truth, 0).map_err(Error::from)?;
+    let raw = frame.deproject().map_err(Error::from)?;
+
+    let options = SmootherOptions {
+        engine: args.smoothing.engine(),
+        outputs: Outputs { normals: true, ..Outputs::POINTS },
+        threads: args.smoothing.threads,
+    };
+    let mut smoother = Smoother::open_with(args.smoothing.params()?, options, (camera.width, camera.height))?;
+    let mut smoothed = Smoothed::default();
+    let mut times_ms: Vec<f64> = Vec::new();
+    for _ in 0..TIMED_RUNS {
+        let start = Instant::now();
+        smoother.smooth(&frame, &mut smoothed)?;
+        times_ms.push(ms_since(start));
+    }
+    times_ms.sort_by(f64::total_cmp);
+
+    fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    write_cloud(&args.out.join("raw.pcd"), &raw, Encoding::Binary)?;
+    let mut result = raw.clone();
+    result.points.apply(&smoothed, options.outputs).map_err(Error::from)?;
+    write_cloud(&args.out.join("smoothed.pcd"), &result, Encoding::Binary)?;
+
+    let bumps = |points: &Xyz| difference_normals(camera.width, camera.height, points);
+    let (raw_normals, smoothed_bumps) = (bumps(raw.positions()), bumps(&smoothed.points));
+    let reliefs = [&raw_normals, &smoothed_bumps].map(|normals| relief(camera.width, camera.height, normals));
+    let maps = [raw.positions(), &smoothed.points].map(|points| error_map(&truth, points, ERROR_SCALE_M));
+    let picture = args.out.join("before-after.png");
+    write_rgb_png(&picture, &stacked(side_by_side(&reliefs), &side_by_side(&maps)))?;
+
+    let flat = flat_pixels(&truth, FLAT_MARGIN_PX);
+    println!("A simulated Kinect frame, {}x{}, against its truth (flat surfaces):\n", camera.width, camera.height);
+    println!("  range          pixels   distance to the surface (RMS)     mean error of the normal");
+    let normals = smoothed.normals.as_ref().unwrap_or(&raw_normals);
+    for (near, far) in [(0.5, 1.5), (1.5, 2.5), (2.5, 4.2)] {
+        let selected = |i: usize| flat[i] && (near..far).contains(&truth.points.z[i]);
+        let before = errors(&truth, raw.positions(), &raw_normals, selected);
+        let after = errors(&truth, &smoothed.points, normals, selected);
+        print_row(near, far, before, after);
+    }
+    println!("\n  engine {}, {:.1} ms a frame", smoother.engine().name(), times_ms[TIMED_RUNS / 2]);
+    println!("  {}: relief above, error below (white 0, colour 5 mm), before and after", picture.display());
+    println!("  raw.pcd and smoothed.pcd are in {}", args.out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn print_row(near: f32, far: f32, before: Errors, after: Errors) {
+    if before.pixels == 0 {
+        return;
+    }
+    println!(
+        "  {near:.1} to {far:.1} m  {:>7}   {:6.2} mm -> {:5.2} mm  ({:3.0} %)     {:5.1}° -> {:4.1}°",
+        after.pixels,
+        1e3 * before.rms_m,
+        1e3 * after.rms_m,
+        100.0 * after.rms_m / before.rms_m,
+        before.mean_normal_deg,
+        after.mean_normal_deg,
+    );
+}

@@ -1,0 +1,44 @@
+//! The commands, one file each.
+
+pub mod demo;
+pub mod info;
+pub mod render;
+pub mod smooth;
+
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+use planish::OrganizedCloud;
+use planish::io::{Contents, deproject_metres};
+use planish::{DepthFrame, Error};
+
+use crate::args::CameraArgs;
+
+/// Milliseconds since `start`.
+fn ms_since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+/// The organized cloud that a file holds, deprojecting depth with the camera given.
+fn organized(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<OrganizedCloud> {
+    let shape = contents.shape();
+    match contents {
+        Contents::Organized(mut cloud) => {
+            cloud.camera = camera.camera(shape)?;
+            Ok(cloud)
+        }
+        Contents::Depth(image) => {
+            let frame = DepthFrame::new(camera.required(shape, file)?, image).map_err(Error::from)?;
+            Ok(frame.deproject().map_err(Error::from)?)
+        }
+        Contents::DepthMetres { depth_m, .. } => {
+            Ok(deproject_metres(camera.required(shape, file)?, &depth_m).map_err(Error::from)?)
+        }
+        Contents::Points(cloud) => bail!(
+            "{}: {} points that are not organized (HEIGHT is 1); an organized cloud or a depth image is needed",
+            file.display(),
+            cloud.len()
+        ),
+    }
+}

@@ -1,0 +1,327 @@
+//! `planish smooth`: one file, or every frame of a folder.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use planish::io::{self, CloudRef, Contents, Format};
+use planish::{
+    Camera, DepthFrame, Engine, Error, Frame, OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams, Smoothed,
+    Smoother, SmootherOptions, estimate_radius_m, smooth_points,
+};
+use serde::Serialize;
+
+use super::{ms_since, organized};
+use crate::args::SmoothArgs;
+
+/// What is said of one frame.
+#[derive(Serialize)]
+struct Report {
+    input: PathBuf,
+    output: PathBuf,
+    engine: &'static str,
+    width: usize,
+    height: usize,
+    points_in: usize,
+    status: StatusCounts,
+    read_ms: f64,
+    smooth_ms: SmoothTimes,
+    write_ms: f64,
+}
+
+#[derive(Serialize)]
+struct StatusCounts {
+    hole: usize,
+    too_few: usize,
+    degenerate: usize,
+    plane: usize,
+    polynomial: usize,
+}
+
+#[derive(Serialize)]
+struct SmoothTimes {
+    median: f64,
+    p99: f64,
+    runs: usize,
+}
+
+#[derive(Serialize)]
+struct Failure {
+    input: PathBuf,
+    error: String,
+}
+
+#[derive(Serialize)]
+struct FolderReport {
+    frames: Vec<Report>,
+    failed: Vec<Failure>,
+}
+
+pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
+    let params = args.smoothing.params()?;
+    let mut worker = Worker { args, params, open: None, smoothed: Smoothed::default() };
+    if args.input.is_dir() {
+        return run_folder(&mut worker);
+    }
+    let report = worker.smooth_file(&args.input, &args.output)?;
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        print_report(&report);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
+    let args = worker.args;
+    let mut inputs: Vec<PathBuf> = fs::read_dir(&args.input)
+        .and_then(|entries| entries.map(|entry| entry.map(|entry| entry.path())).collect())
+        .with_context(|| format!("cannot list the folder {}", args.input.display()))?;
+    inputs.retain(|path| path.is_file() && Format::of_extension(path).is_some());
+    inputs.sort();
+    if inputs.is_empty() {
+        bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
+    }
+    if args.output.is_file() {
+        bail!("{}: is a file; a folder of frames is written to a folder", args.output.display());
+    }
+    fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
+    let same = |a: &Path, b: &Path| a.canonicalize().ok().is_some_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    if same(&args.input, &args.output) {
+        bail!("input and output are the same folder: give another one, so that no frame is overwritten");
+    }
+
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
+    // Hidden by itself where standard error is not a terminal.
+    let progress = ProgressBar::new(inputs.len() as u64).with_style(style);
+    let mut report = FolderReport { frames: Vec::new(), failed: Vec::new() };
+    for input in inputs {
+        let name = PathBuf::from(input.file_name().unwrap_or_default());
+        let name = match &args.format {
+            Some(extension) => name.with_extension(extension.trim_start_matches('.')),
+            None => name,
+        };
+        match worker.smooth_file(&input, &args.output.join(name)) {
+            Ok(frame) => report.frames.push(frame),
+            Err(error) => {
+                let error = format!("{error:#}");
+                progress.suspend(|| eprintln!("error: {error}"));
+                report.failed.push(Failure { input, error });
+            }
+        }
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        println!("{} frames smoothed, {} failed", report.frames.len(), report.failed.len());
+    }
+    Ok(if report.failed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+fn print_report(report: &Report) {
+    let Report { status, smooth_ms, .. } = report;
+    println!("{} -> {}", report.input.display(), report.output.display());
+    println!("  {} x {}, {} points, engine {}", report.width, report.height, report.points_in, report.engine);
+    println!(
+        "  smoothed {} ({} by plane), on a line {}, too few neighbours {}, holes {}",
+        status.plane + status.polynomial,
+        status.plane,
+        status.degenerate,
+        status.too_few,
+        status.hole
+    );
+    let runs = if smooth_ms.runs > 1 {
+        format!(" (median of {}, p99 {:.2})", smooth_ms.runs, smooth_ms.p99)
+    } else {
+        String::new()
+    };
+    println!(
+        "  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms",
+        report.read_ms, smooth_ms.median, report.write_ms
+    );
+}
+
+/// Smooths file after file, keeping the engine open while the shape stays.
+struct Worker<'a> {
+    args: &'a SmoothArgs,
+    params: SmoothParams,
+    open: Option<(Smoother, (usize, usize))>,
+    smoothed: Smoothed,
+}
+
+/// What is written, once the input has been smoothed.
+enum Output {
+    Organized(OrganizedCloud),
+    Points(PointCloud),
+    /// Depth as raw values, or in metres if the input was.
+    Depth {
+        camera: Camera,
+        in_metres: bool,
+    },
+}
+
+impl Worker<'_> {
+    fn smooth_file(&mut self, input: &Path, output: &Path) -> Result<Report> {
+        let start = Instant::now();
+        let (format, contents) = io::read(input)?;
+        let read_ms = ms_since(start);
+        let (width, height) = contents.shape();
+
+        let (mut result, points_in, times_ms, engine) = match contents {
+            Contents::Points(cloud) => {
+                let (times_ms, engine) = self.smooth_general(input, &cloud)?;
+                let points_in = cloud.valid_points();
+                (Output::Points(cloud), points_in, times_ms, engine)
+            }
+            contents => self.smooth_organized(input, output, contents)?,
+        };
+        let written_format = Format::of_extension(output);
+        match &mut result {
+            Output::Organized(cloud) => self.apply(&mut cloud.points, format, written_format)?,
+            Output::Points(cloud) => self.apply(cloud, format, written_format)?,
+            Output::Depth { .. } => {}
+        }
+
+        let start = Instant::now();
+        self.write(output, &result)?;
+        Ok(Report {
+            input: input.to_path_buf(),
+            output: output.to_path_buf(),
+            engine: engine.name(),
+            width,
+            height,
+            points_in,
+            status: self.status_counts(),
+            read_ms,
+            smooth_ms: times_ms,
+            write_ms: ms_since(start),
+        })
+    }
+
+    /// Smooths an organized cloud or a depth image.
+    fn smooth_organized(
+        &mut self,
+        input: &Path,
+        output: &Path,
+        contents: Contents,
+    ) -> Result<(Output, usize, SmoothTimes, Engine)> {
+        let shape = contents.shape();
+        let in_metres = matches!(contents, Contents::DepthMetres { .. });
+        let depth_out = match Format::of_extension(output) {
+            Some(Format::DepthPng | Format::DepthTiff) => true,
+            Some(Format::Npy) => contents.is_depth(),
+            _ => false,
+        };
+        let mut outputs = Outputs { status: true, ..self.args.outputs() };
+        outputs.normals |= depth_out;
+        // A raw depth image goes to the engine as it is.
+        let depth = match &contents {
+            Contents::Depth(image) => {
+                Some(DepthFrame::new(self.args.camera.required(shape, input)?, image.clone()).map_err(Error::from)?)
+            }
+            _ => None,
+        };
+        let cloud = organized(contents, &self.args.camera, input)?;
+        let frame = depth.as_ref().map_or(Frame::Cloud(&cloud), Frame::Depth);
+
+        self.open(shape, outputs)?;
+        let (smoother, _) = self.open.as_mut().context("no engine is open")?;
+        let mut times_ms = Vec::new();
+        for _ in 0..self.args.repeat {
+            let start = Instant::now();
+            smoother.smooth(frame, &mut self.smoothed)?;
+            times_ms.push(ms_since(start));
+        }
+        let engine = smoother.engine();
+        let points_in = cloud.points.valid_points();
+        let result = if depth_out {
+            let camera = cloud.camera.with_context(|| {
+                format!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display())
+            })?;
+            Output::Depth { camera, in_metres }
+        } else {
+            Output::Organized(cloud)
+        };
+        Ok((result, points_in, summarize(times_ms), engine))
+    }
+
+    fn smooth_general(&mut self, input: &Path, cloud: &PointCloud) -> Result<(SmoothTimes, Engine)> {
+        let mut params = self.params;
+        match self.args.smoothing.engine() {
+            Engine::Auto | Engine::Reference => {}
+            engine => bail!(
+                "{}: the points are not organized; only --engine reference smooths those, not {}",
+                input.display(),
+                engine.name()
+            ),
+        }
+        if !self.args.smoothing.has_radius() {
+            let radius_m = estimate_radius_m(cloud).with_context(|| {
+                format!("{}: no radius can be estimated from these points: add --radius METRES", input.display())
+            })?;
+            eprintln!("{}: not organized; radius {radius_m:.4} m from the spacing of the points", input.display());
+            params.radius = Radius::Fixed { radius_m };
+        }
+        let outputs = Outputs { status: true, ..self.args.outputs() };
+        let mut times_ms = Vec::new();
+        for _ in 0..self.args.repeat {
+            let start = Instant::now();
+            smooth_points(cloud, params, outputs, self.args.smoothing.threads, &mut self.smoothed)?;
+            times_ms.push(ms_since(start));
+        }
+        Ok((summarize(times_ms), Engine::Reference))
+    }
+
+    fn open(&mut self, shape: (usize, usize), outputs: Outputs) -> Result<()> {
+        if self.open.as_ref().is_none_or(|(_, open)| *open != shape) {
+            let options =
+                SmootherOptions { engine: self.args.smoothing.engine(), outputs, threads: self.args.smoothing.threads };
+            self.open = Some((Smoother::open_with(self.params, options, shape)?, shape));
+        }
+        Ok(())
+    }
+
+    /// Puts the result into the cloud, with its colour as the format to write has it.
+    fn apply(&self, cloud: &mut PointCloud, read: Format, written: Option<Format>) -> Result<()> {
+        cloud.apply(&self.smoothed, self.args.outputs()).map_err(Error::from)?;
+        match written {
+            Some(Format::Ply) if read != Format::Ply => cloud.unpack_colour(),
+            Some(Format::Pcd) if read == Format::Ply => cloud.pack_colour(),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn write(&self, output: &Path, result: &Output) -> Result<()> {
+        let encoding = self.args.encoding();
+        match result {
+            Output::Organized(cloud) => io::write_cloud(output, CloudRef::Organized(cloud), encoding)?,
+            Output::Points(cloud) => io::write_cloud(output, CloudRef::Points(cloud), encoding)?,
+            Output::Depth { camera, in_metres: true } if Format::of_extension(output) == Some(Format::Npy) => {
+                let depth_m = self.smoothed.to_depth_m(camera).map_err(Error::from)?;
+                io::write_depth_metres(output, camera.width, &depth_m)?;
+            }
+            Output::Depth { camera, .. } => {
+                io::write_depth(output, &self.smoothed.to_depth(camera).map_err(Error::from)?)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn status_counts(&self) -> StatusCounts {
+        let [hole, too_few, degenerate, plane, quadratic, cubic] = self.smoothed.status_counts().unwrap_or_default();
+        StatusCounts { hole, too_few, degenerate, plane, polynomial: quadratic + cubic }
+    }
+}
+
+fn summarize(mut times_ms: Vec<f64>) -> SmoothTimes {
+    times_ms.sort_by(f64::total_cmp);
+    let runs = times_ms.len();
+    let at = |share: f64| times_ms[((runs as f64 * share) as usize).min(runs - 1)];
+    SmoothTimes { median: at(0.5), p99: at(0.99), runs }
+}

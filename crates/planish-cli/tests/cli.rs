@@ -1,0 +1,223 @@
+//! The command as people and scripts run it: a process with arguments, exit codes, files and JSON.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use planish::io::{self, Contents, Encoding};
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{AttributeValues, Camera, DepthFrame, DepthImage, OrganizedCloud};
+use serde_json::Value;
+
+fn planish(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish")).args(arguments).output().expect("the command starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs the command, which must succeed, and gives its standard output.
+fn ok(arguments: &[&str]) -> String {
+    let output = planish(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// Runs the command, which must fail with exit code 2 and without a panic, and gives its standard error.
+fn refused(arguments: &[&str]) -> String {
+    let output = planish(arguments);
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    stderr
+}
+
+fn small_frame(seed: u64) -> DepthFrame {
+    let camera = Camera { width: 160, height: 120, fx: 131.25, fy: 131.25, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() };
+    let (scene, pose) = Scene::tabletop(seed);
+    let truth = scene.render(&camera, &pose);
+    KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).unwrap()
+}
+
+const CAMERA: &str = "131.25,131.25,79.5,59.5";
+
+/// A folder with `frame.pcd`, an organized cloud with colour.
+fn with_frame() -> (tempfile::TempDir, OrganizedCloud, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = small_frame(1).deproject().unwrap();
+    let path = folder.path().join("frame.pcd");
+    io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+    (folder, cloud, path)
+}
+
+fn str(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn demo_halves_the_error_and_writes_its_three_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let stdout = ok(&["demo", "--out", str(&out), "--seed", "3"]);
+    let row = stdout.lines().find(|line| line.contains("0.5 to 1.5 m")).unwrap();
+    let percent: f64 = row.split(['(', '%']).nth(1).unwrap().trim().parse().unwrap();
+    assert!((5.0..50.0).contains(&percent), "{row}");
+    for file in ["raw.pcd", "smoothed.pcd"] {
+        let (_, contents) = io::read(&out.join(file)).unwrap();
+        assert_eq!(contents.shape(), (640, 480));
+    }
+    let picture = fs::read(out.join("before-after.png")).unwrap();
+    assert!(picture.starts_with(b"\x89PNG") && picture.len() > 100_000);
+}
+
+#[test]
+fn smooth_keeps_grid_holes_and_colour_and_reports_in_json() {
+    let (folder, input, path) = with_frame();
+    let output = folder.path().join("smooth.pcd");
+    let stdout = ok(&["smooth", str(&path), str(&output), "--preset", "paper", "--json", "--repeat", "3"]);
+    let report: Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!((report["width"].as_u64(), report["height"].as_u64()), (Some(160), Some(120)));
+    assert_eq!(report["points_in"].as_u64(), Some(input.points.valid_points() as u64));
+    assert_eq!(report["smooth_ms"]["runs"].as_u64(), Some(3));
+    assert!(report["smooth_ms"]["median"].as_f64().unwrap() > 0.0);
+    assert!(report["read_ms"].as_f64().unwrap() > 0.0 && report["write_ms"].as_f64().unwrap() > 0.0);
+    let status = report["status"].as_object().unwrap();
+    let names: Vec<&str> = status.keys().map(String::as_str).collect();
+    assert_eq!(names.len(), 5);
+    let sum: u64 =
+        ["hole", "too_few", "degenerate", "plane", "polynomial"].iter().map(|n| status[*n].as_u64().unwrap()).sum();
+    assert_eq!(sum, 160 * 120);
+    assert!(["auto", ""].iter().all(|name| report["engine"] != *name));
+
+    let smoothed = OrganizedCloud::read(&output).unwrap();
+    assert_eq!((smoothed.width(), smoothed.height()), (160, 120));
+    assert_eq!(smoothed.points.rgb(), input.points.rgb());
+    assert_eq!(smoothed.points.attributes.len(), 1, "no fields but those of the input");
+    let (mut moved, too_few) = (0, status["too_few"].as_u64().unwrap() as usize);
+    for (p, q) in input.positions().iter().zip(smoothed.positions().iter()) {
+        assert!(p[2].is_finite() || q[2].is_nan());
+        moved += usize::from(p != q && q[2].is_finite());
+    }
+    assert!(moved > 5000, "{moved}");
+    assert_eq!(smoothed.points.valid_points() + too_few, input.points.valid_points());
+}
+
+#[test]
+fn fields_are_added_when_asked_for() {
+    let (folder, _, path) = with_frame();
+    let output = folder.path().join("fields.pcd");
+    ok(&["smooth", str(&path), str(&output), "--fields", "normals,curvature,status"]);
+    let cloud = OrganizedCloud::read(&output).unwrap();
+    let names: Vec<&str> = cloud.points.attributes.iter().map(|a| a.name.as_str()).collect();
+    assert_eq!(names, ["rgb", "normal_x", "normal_y", "normal_z", "curvature", "status"]);
+    let AttributeValues::U8(status) = &cloud.points.attribute("status").unwrap().values else { panic!("status") };
+    assert!(status.contains(&0) && status.contains(&4));
+}
+
+#[test]
+fn depth_in_gives_depth_out_and_points_when_the_name_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = small_frame(2);
+    let image = DepthImage { width: 160, height: 120, raw: frame.raw.clone() };
+    let path = |name: &str| folder.path().join(name);
+    for (input, output) in [("in.png", "out.png"), ("in.tiff", "out.tiff"), ("in.npy", "out.npy")] {
+        io::write_depth(&path(input), &image).unwrap();
+        ok(&["smooth", str(&path(input)), str(&path(output)), "--camera", CAMERA]);
+        let Contents::Depth(smoothed) = io::read(&path(output)).unwrap().1 else { panic!("{output} is not depth") };
+        let close = image.raw.iter().zip(&smoothed.raw).filter(|(a, b)| **a != 0 && a.abs_diff(**b) < 60).count();
+        let valid = image.raw.iter().filter(|raw| **raw != 0).count();
+        assert!(close * 100 > valid * 95, "{close} of {valid}");
+        assert!(image.raw.iter().zip(&smoothed.raw).all(|(a, b)| *a != 0 || *b == 0));
+        assert_ne!(image.raw, smoothed.raw);
+    }
+    fs::write(path("camera.json"), r#"{"fx":131.25,"fy":131.25,"cx":79.5,"cy":59.5,"width":160,"height":120}"#)
+        .unwrap();
+    ok(&["smooth", str(&path("in.png")), str(&path("points.ply")), "--camera-file", str(&path("camera.json"))]);
+    assert_eq!(OrganizedCloud::read(&path("points.ply")).unwrap().width(), 160);
+    ok(&["smooth", str(&path("points.ply")), str(&path("points.npy"))]);
+    assert_eq!(OrganizedCloud::read(&path("points.npy")).unwrap().height(), 120);
+    assert!(refused(&["smooth", str(&path("in.png")), str(&path("x.pcd"))]).contains("--camera"));
+}
+
+#[test]
+fn general_clouds_are_smoothed_with_a_radius_from_their_spacing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("points.ply"), folder.path().join("smooth.ply"));
+    let cloud = small_frame(1).deproject().unwrap().points;
+    io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
+    let result = planish(&["smooth", str(&input), str(&output)]);
+    assert!(result.status.success() && text(&result.stderr).contains("radius"));
+    let Contents::Points(smoothed) = io::read(&output).unwrap().1 else { panic!("points") };
+    assert_eq!(smoothed.len(), cloud.len());
+}
+
+#[test]
+fn a_folder_goes_on_after_a_bad_file_and_says_so_at_the_end() {
+    let (folder, _, path) = with_frame();
+    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
+    fs::create_dir(&input).unwrap();
+    for name in ["a.pcd", "c.pcd"] {
+        fs::copy(&path, input.join(name)).unwrap();
+    }
+    fs::write(input.join("b.pcd"), "no cloud").unwrap();
+    fs::write(input.join("notes.txt"), "not a frame").unwrap();
+    let result = planish(&["smooth", str(&input), str(&output), "--json"]);
+    assert_eq!(result.status.code(), Some(1));
+    let report: Value = serde_json::from_slice(&result.stdout).unwrap();
+    assert_eq!((report["frames"].as_array().unwrap().len(), report["failed"].as_array().unwrap().len()), (2, 1));
+    assert!(report["failed"][0]["input"].as_str().unwrap().ends_with("b.pcd"));
+    assert!(text(&result.stderr).contains("b.pcd"));
+    let mut names: Vec<_> = fs::read_dir(&output).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["a.pcd", "c.pcd"]);
+    assert!(refused(&["smooth", str(&input), str(&input)]).contains("same folder"));
+}
+
+#[test]
+fn info_and_render_tell_what_a_file_holds() {
+    let (folder, input, path) = with_frame();
+    let info: Value = serde_json::from_str(&ok(&["info", str(&path), "--json"])).unwrap();
+    assert_eq!(info["format"], "PCD");
+    assert_eq!(info["organized"], true);
+    assert_eq!(info["valid_points"].as_u64(), Some(input.points.valid_points() as u64));
+    assert_eq!(info["fields"][3], "rgb:F4");
+    assert!((info["pixel_pitch_at_1m"].as_f64().unwrap() * 131.25 - 1.0).abs() < 1e-3);
+    assert!(ok(&["info", str(&path)]).contains("organized cloud"));
+    let picture = folder.path().join("relief.png");
+    ok(&["render", str(&path), str(&picture)]);
+    let header = fs::read(&picture).unwrap();
+    // Relief and colours beside each other with a line of 4 pixels.
+    assert_eq!(u32::from_be_bytes(header[16..20].try_into().unwrap()), 2 * 160 + 4);
+}
+
+#[test]
+fn bad_arguments_and_bad_input_are_refused_with_exit_code_2() {
+    let (folder, _, path) = with_frame();
+    let output = folder.path().join("never.pcd");
+    let smooth = |more: &[&str]| refused(&[&["smooth", str(&path), str(&output)], more].concat());
+    assert!(smooth(&["--window", "9"]).contains("window = 9 is not allowed: 1 to 7"));
+    assert!(smooth(&["--radius", "-1"]).contains("radius"));
+    assert!(smooth(&["--degree", "5"]).contains("degree = 5"));
+    assert!(smooth(&["--threads", "0"]).contains("threads = 0"));
+    assert!(smooth(&["--camera", "1,2,3"]).contains("FX,FY,CX,CY"));
+    assert!(refused(&["smooth", "missing.pcd", str(&output)]).contains("missing.pcd"));
+    let damaged = folder.path().join("damaged.pcd");
+    fs::write(&damaged, &fs::read(&path).unwrap()[..5000]).unwrap();
+    let message = refused(&["smooth", str(&damaged), str(&output)]);
+    assert!(message.contains("damaged.pcd") && message.contains("cut short"), "{message}");
+    assert_eq!(message.matches("cut short").count(), 1, "said once: {message}");
+    assert!(refused(&["info", str(&damaged)]).contains("cut short"));
+    assert!(refused(&["smooth", str(&path), str(&folder.path().join("none/x.pcd"))]).contains("does not exist"));
+    assert!(refused(&["smooth", str(&path), str(&folder.path().join("x.png"))]).contains("--camera"));
+    assert!(!output.exists());
+}
+
+#[test]
+fn engines_that_are_not_there_say_so() {
+    let (folder, _, path) = with_frame();
+    let output = folder.path().join("never.pcd");
+    let message = refused(&["smooth", str(&path), str(&output), "--engine", "gpu"]);
+    assert!(message.contains("gpu"), "{message}");
+    assert!(!output.exists());
+}

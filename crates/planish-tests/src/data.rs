@@ -1,0 +1,70 @@
+//! Real frames, where they are present: a folder `shared/data` beside the checkout. Nothing of it is in the project.
+
+use std::path::{Path, PathBuf};
+
+use planish::io::{self, Contents};
+use planish::{Camera, DepthFrame, OrganizedCloud};
+
+/// The folder of real data; prints SKIP and is `None` where it is absent.
+pub fn folder(test: &str) -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    if folder.is_dir() {
+        Some(folder)
+    } else {
+        println!("SKIP {test}: no real data at {}", folder.display());
+        None
+    }
+}
+
+/// A real frame under a short name.
+pub struct RealFrame {
+    /// Its file.
+    pub name: &'static str,
+    /// The cloud; depth images are deprojected.
+    pub cloud: OrganizedCloud,
+}
+
+fn primesense(depth_units_per_metre: f64) -> Camera {
+    Camera { depth_units_per_metre, ..Camera::kinect_v1() }
+}
+
+/// Every kind of real frame: Kinect clouds far and near, and depth images of four sensors and data sets.
+///
+/// # Panics
+/// If a file cannot be read: data that are present must be whole.
+pub fn real_frames(test: &str) -> Vec<RealFrame> {
+    let Some(folder) = folder(test) else { return Vec::new() };
+    let clouds = [
+        "kinect/office1.pcd",
+        "kinect/milk_cartoon_all_small_clorox.pcd",
+        "kinect/capture0001.pcd",
+        "kinect/region_growing_rgb_tutorial.pcd",
+    ];
+    let icl = Camera { fx: 481.2, fy: 480.0, ..primesense(5000.0) };
+    // The RealSense's intrinsics are not known; these are a D435's at 640x480.
+    let realsense = Camera { fx: 615.0, fy: 615.0, cx: 320.0, cy: 240.0, ..primesense(1000.0) };
+    let depths = [
+        ("tum/TUM_depth.png", primesense(5000.0)),
+        ("redwood/depth/00000.png", primesense(1000.0)),
+        ("icl/depth_1.png", icl),
+        ("realsense/0.png", realsense),
+    ];
+    let cloud =
+        |name: &'static str| RealFrame { name, cloud: OrganizedCloud::read(&folder.join(name)).expect("a whole file") };
+    let depth = |(name, camera): (&'static str, Camera)| {
+        let frame = DepthFrame::read(&folder.join(name), camera).expect("a whole file");
+        RealFrame { name, cloud: frame.deproject().expect("a valid frame") }
+    };
+    clouds.map(cloud).into_iter().chain(depths.map(depth)).collect()
+}
+
+/// Reads a file of the data folder that must be a general cloud.
+///
+/// # Panics
+/// If it cannot be read or is something else.
+pub fn general_cloud(folder: &Path, name: &str) -> planish::PointCloud {
+    match io::read(&folder.join(name)).expect("a whole file").1 {
+        Contents::Points(cloud) => cloud,
+        _ => panic!("{name} is not a general cloud"),
+    }
+}

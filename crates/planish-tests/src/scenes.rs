@@ -1,0 +1,84 @@
+//! The synthetic clouds of the tests, each written once and run on every engine.
+
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{Camera, OrganizedCloud, Xyz};
+
+/// A cloud under a name.
+pub struct TestScene {
+    /// What is said of it when a test fails.
+    pub name: &'static str,
+    /// The cloud.
+    pub cloud: OrganizedCloud,
+}
+
+/// A camera with the Kinect's field of view and a quarter of its resolution in each direction, for quick tests.
+pub fn small_camera() -> Camera {
+    Camera { width: 160, height: 120, fx: 131.25, fy: 131.25, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() }
+}
+
+/// A grid of points by their pixel.
+///
+/// # Panics
+/// If the shape is not allowed.
+pub fn grid(width: usize, height: usize, point: impl Fn(usize, usize) -> [f32; 3]) -> OrganizedCloud {
+    let positions: Xyz = (0..width * height).map(|i| point(i % width, i / width)).collect();
+    OrganizedCloud::from_positions(width, height, positions).expect("an allowed shape")
+}
+
+/// A noisy simulated frame of a scene.
+pub fn simulated(seed: u64, room: bool, camera: Camera) -> OrganizedCloud {
+    let (scene, pose) = if room { Scene::room(seed) } else { Scene::tabletop(seed) };
+    let truth = scene.render(&camera, &pose);
+    let frame = KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).expect("one camera");
+    frame.deproject().expect("a valid frame")
+}
+
+/// A surface z(x, y) around (0, 0), one point every `spacing_m`, as seen along z.
+pub fn height_field(side: usize, spacing_m: f64, z: impl Fn(f64, f64) -> f64) -> OrganizedCloud {
+    let middle = (side - 1) as f64 / 2.0;
+    grid(side, side, |u, v| {
+        let (x, y) = ((u as f64 - middle) * spacing_m, (v as f64 - middle) * spacing_m);
+        [x as f32, y as f32, z(x, y) as f32]
+    })
+}
+
+/// Clouds that engines stumble over: holes everywhere, lines, steps, extreme shapes and numbers.
+pub fn nasty_scenes() -> Vec<TestScene> {
+    let nan = [f32::NAN; 3];
+    let wall = |u: usize, v: usize| [0.004 * u as f32, 0.004 * v as f32, 2.0];
+    let scene = |name, cloud| TestScene { name, cloud };
+    vec![
+        scene("flat wall", grid(50, 40, wall)),
+        scene("all holes", grid(33, 21, |_, _| nan)),
+        scene("one pixel", grid(1, 1, wall)),
+        scene("one row", grid(77, 1, wall)),
+        scene("one column", grid(1, 77, wall)),
+        scene("smaller than the window", grid(5, 3, wall)),
+        scene("checkerboard of holes", grid(41, 37, |u, v| if (u + v) % 2 == 0 { nan } else { wall(u, v) })),
+        scene("lonely points", grid(60, 60, |u, v| if u % 9 == 0 && v % 9 == 0 { wall(u, v) } else { nan })),
+        scene("every point the same", grid(20, 20, |_, _| [0.1, 0.2, 1.0])),
+        scene(
+            "a step",
+            grid(50, 40, |u, v| if u < 25 { wall(u, v) } else { [0.002 * u as f32, 0.002 * v as f32, 1.0] }),
+        ),
+        scene(
+            "infinities",
+            grid(40, 30, |u, v| match (u * 31 + v * 17) % 13 {
+                0 => [f32::INFINITY, 0.0, 1.0],
+                1 => [0.0, f32::NEG_INFINITY, f32::NAN],
+                _ => wall(u, v),
+            }),
+        ),
+        scene(
+            "huge coordinates",
+            grid(40, 30, |u, v| match (u * 31 + v * 17) % 13 {
+                0 => [1e30, -1e30, 1e30],
+                1 => [3e38, 3e38, 3e38],
+                _ => wall(u, v),
+            }),
+        ),
+        scene("denormal coordinates", grid(40, 30, |u, v| [1e-40 * u as f32, 1e-40 * v as f32, 1e-39])),
+        scene("behind the sensor", grid(40, 30, |u, v| [0.004 * u as f32, 0.004 * v as f32, -2.0])),
+        scene("zeros as holes", grid(40, 30, |u, v| if v % 3 == 0 { [0.0; 3] } else { wall(u, v) })),
+    ]
+}

@@ -1,0 +1,367 @@
+//! Every format there and back, and PCD against another implementation both ways.
+
+use std::fs;
+use std::path::Path;
+
+use pcd_rs::{DataKind, DynReader, DynRecord, Field as OracleField, WriterInit};
+use planish::io::{self, Contents, Encoding, Format};
+use planish::{
+    Attribute, AttributeValues, Camera, DepthFrame, DepthImage, OrganizedCloud, PointCloud, PositionColumns, Xyz,
+};
+use planish_tests::data::{folder, general_cloud};
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+/// Any f32 that is not NaN, since those differ from themselves; NaN is tested by its bits elsewhere.
+fn real() -> impl Strategy<Value = f32> {
+    prop_oneof![any::<f32>().prop_filter("NaN", |x| !x.is_nan()), Just(f32::INFINITY), -10f32..10.0, Just(0.0)]
+}
+
+fn values(len: usize) -> impl Strategy<Value = AttributeValues> {
+    prop_oneof![
+        vec(any::<i8>(), len).prop_map(Into::into),
+        vec(any::<u8>(), len).prop_map(Into::into),
+        vec(any::<i16>(), len).prop_map(Into::into),
+        vec(any::<u16>(), len).prop_map(Into::into),
+        vec(any::<i32>(), len).prop_map(Into::into),
+        vec(any::<u32>(), len).prop_map(Into::into),
+        vec(any::<i64>(), len).prop_map(Into::into),
+        vec(any::<u64>(), len).prop_map(Into::into),
+        vec(real(), len).prop_map(Into::into),
+        vec(any::<f64>().prop_filter("NaN", |x| !x.is_nan()), len).prop_map(Into::into),
+    ]
+}
+
+fn attributes(points: usize) -> impl Strategy<Value = Vec<Attribute>> {
+    let attribute =
+        (prop_oneof![Just("_".to_owned()), "[a-w][a-z_]{2,8}"], 1usize..4).prop_flat_map(move |(name, count)| {
+            values(points * count).prop_map(move |values| Attribute { name: name.clone(), count, values })
+        });
+    vec(attribute, 0..4).prop_map(|mut attributes| {
+        // Names are told apart by their place, padding is not.
+        for (k, attribute) in attributes.iter_mut().enumerate().filter(|(_, a)| a.name != "_") {
+            attribute.name.push_str(&k.to_string());
+        }
+        attributes
+    })
+}
+
+/// A general cloud or a grid, with any fields before, between and after x, y and z.
+fn cloud() -> impl Strategy<Value = OrganizedCloud> {
+    (1usize..9, 2usize..6).prop_flat_map(|(width, height)| {
+        let n = width * height;
+        (vec([real(), real(), real()], n), attributes(n), any::<[f32; 7]>(), any::<u64>()).prop_map(
+            move |(points, attributes, viewpoint, places)| {
+                let columns = attributes.len() + 3;
+                let mut free: Vec<usize> = (0..columns).collect();
+                let index = [0, 1, 2].map(|axis| free.remove((places >> (8 * axis)) as usize % free.len()));
+                let points = PointCloud {
+                    attributes,
+                    position_columns: PositionColumns { index, double: false },
+                    viewpoint: viewpoint.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 }),
+                    ..PointCloud::new(points.into_iter().collect::<Xyz>())
+                };
+                OrganizedCloud::new(width, height, points).unwrap()
+            },
+        )
+    })
+}
+
+fn organized(path: &Path) -> OrganizedCloud {
+    match io::read(path).unwrap().1 {
+        Contents::Organized(cloud) => cloud,
+        other => panic!("not organized: {other:?}"),
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn pcd_keeps_every_field_type_count_order_and_the_viewpoint(cloud in cloud()) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cloud.pcd");
+        for encoding in [Encoding::Ascii, Encoding::Binary, Encoding::BinaryCompressed] {
+            io::write_cloud(&path, &cloud, encoding).unwrap();
+            prop_assert_eq!(&organized(&path), &cloud);
+        }
+    }
+
+    #[test]
+    fn ply_keeps_every_scalar_field_it_can_hold(mut cloud in cloud()) {
+        // No padding, no 64-bit integers, one value a property, and no viewpoint.
+        cloud.points.attributes.retain(|a| {
+            a.name != "_" && a.count == 1 && !matches!(a.values, AttributeValues::I64(_) | AttributeValues::U64(_))
+        });
+        cloud.points.position_columns.index = [0, 1, 2];
+        cloud.points.viewpoint = planish::IDENTITY_VIEWPOINT;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cloud.ply");
+        for encoding in [Encoding::Ascii, Encoding::Binary] {
+            io::write_cloud(&path, &cloud, encoding).unwrap();
+            prop_assert_eq!(&organized(&path), &cloud);
+        }
+    }
+
+    #[test]
+    fn depth_images_are_lossless(width in 1usize..20, height in 1usize..20, seed in any::<u16>()) {
+        let raw = (0..width * height).map(|i| (i as u16).wrapping_mul(seed)).collect();
+        let image = DepthImage { width, height, raw };
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["depth.png", "depth.tiff", "depth.npy"] {
+            let path = folder.path().join(name);
+            io::write_depth(&path, &image).unwrap();
+            prop_assert_eq!(io::read(&path).unwrap().1, Contents::Depth(image.clone()));
+        }
+    }
+
+    #[test]
+    fn npy_points_are_lossless(points in vec([real(), real(), real()], 12)) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points.npy");
+        let general = PointCloud::new(points.iter().copied().collect());
+        io::write_cloud(&path, &general, Encoding::Binary).unwrap();
+        prop_assert_eq!(io::read(&path).unwrap().1, Contents::Points(general.clone()));
+        let grid = OrganizedCloud::new(4, 3, general).unwrap();
+        io::write_cloud(&path, &grid, Encoding::Binary).unwrap();
+        prop_assert_eq!(organized(&path), grid);
+    }
+
+    #[test]
+    fn lzf_is_lossless(data in vec(prop_oneof![Just(0u8), 0u8..4, any::<u8>()], 0..3000)) {
+        let stream = io::pcd::lzf::compress(&data);
+        prop_assert!(stream.len() <= data.len() + data.len() / 32 + 1);
+        prop_assert_eq!(io::pcd::lzf::decompress(&stream, data.len()).unwrap(), data);
+    }
+
+    #[test]
+    fn lzf_survives_any_bytes(stream in vec(any::<u8>(), 0..200), size in 0usize..5000) {
+        let _ = io::pcd::lzf::decompress(&stream, size);
+    }
+}
+
+#[test]
+fn packed_colours_and_holes_keep_their_bits_in_every_pcd_encoding() {
+    // Opaque colours are NaN as floats; 0x00000001 is denormal.
+    let colours = [0xffff_0000u32, 0xff80_40c0, 0x00ff_8040, 1, 0];
+    let mut points = PointCloud::new(Xyz::filled(5, f32::NAN));
+    points.set_attribute("rgb", colours.map(f32::from_bits).to_vec());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("colour.pcd");
+    for encoding in [Encoding::Ascii, Encoding::Binary, Encoding::BinaryCompressed] {
+        io::write_cloud(&path, &points, encoding).unwrap();
+        let Contents::Points(read) = io::read(&path).unwrap().1 else { panic!("points") };
+        let bits: Vec<u32> = match &read.attribute("rgb").unwrap().values {
+            AttributeValues::F32(values) => values.iter().map(|v| v.to_bits()).collect(),
+            AttributeValues::U32(values) => values.clone(),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(bits, colours, "{encoding:?}");
+        assert!((0..5).all(|i| !read.positions.is_finite(i)));
+    }
+}
+
+#[test]
+fn coordinates_in_f64_far_from_the_origin_keep_their_millimetres() {
+    let header = "VERSION 0.7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n";
+    let body = "637000.123 5800000.456 120.5\n637001.127 5800001.459 121.25\n";
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("far.pcd");
+    fs::write(&path, format!("{header}{body}")).unwrap();
+    let (format, contents) = io::read(&path).unwrap();
+    assert_eq!(format, Format::Pcd);
+    let Contents::Points(cloud) = &contents else { panic!("points") };
+    assert_eq!(cloud.origin_m, [637_000.0, 5_800_000.0, 0.0]);
+    assert!((cloud.positions.x[0] - 0.123).abs() < 1e-6);
+    for name in ["again.pcd", "again.ply"] {
+        let again = folder.path().join(name);
+        io::write_cloud(&again, cloud, Encoding::Binary).unwrap();
+        assert_eq!(io::read(&again).unwrap().1, contents);
+    }
+}
+
+#[test]
+fn formats_are_told_by_content_before_extension() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = DepthImage { width: 3, height: 2, raw: vec![1, 2, 3, 4, 5, 6] };
+    let png = folder.path().join("depth.png");
+    io::write_depth(&png, &image).unwrap();
+    let misnamed = folder.path().join("depth.pcd");
+    fs::rename(&png, &misnamed).unwrap();
+    assert_eq!(io::read(&misnamed).unwrap(), (Format::DepthPng, Contents::Depth(image)));
+}
+
+#[test]
+fn numpys_own_files_are_read() {
+    // As numpy.save writes a float64 array of shape (2, 3) and a float32 depth of shape (2, 2).
+    let npy = |descr: &str, shape: &str, data: Vec<u8>| {
+        let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+        while (header.len() + 11) % 64 != 0 {
+            header.push(' ');
+        }
+        header.push('\n');
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.bytes());
+        bytes.extend(data);
+        bytes
+    };
+    let points: Vec<u8> = [1.0f64, 2.0, 3.0, 4.0, 5.0, 6.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let (_, contents) = io::decode(&npy("<f8", "(2, 3)", points), None).unwrap();
+    let expected = PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
+    assert_eq!(contents, Contents::Points(expected));
+    let depth: Vec<u8> = [1.5f32, 0.0, 2.5, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let (_, contents) = io::decode(&npy("<f4", "(2, 2)", depth), None).unwrap();
+    let Contents::DepthMetres { width, height, depth_m } = contents else { panic!("depth in metres") };
+    let camera = Camera { width, height, fx: 2.0, fy: 2.0, cx: 0.5, cy: 0.5, ..Camera::kinect_v1() };
+    let cloud = io::deproject_metres(camera, &depth_m).unwrap();
+    assert_eq!(cloud.positions().get(2), [-0.25 * 2.5, 0.25 * 2.5, 2.5]);
+    assert!(!cloud.positions().is_finite(1));
+    assert!(io::decode(&npy("<f4", "(9, 9999999999)", vec![0; 16]), None).is_err());
+    assert!(io::decode(&npy("<i4", "(2, 2)", vec![0; 16]), None).is_err());
+}
+
+#[test]
+fn a_ply_range_grid_puts_vertices_on_their_pixels() {
+    let text = "ply\nformat ascii 1.0\nobj_info num_cols 2\nobj_info num_rows 2\nelement vertex 2\nproperty float x\n\
+                property float y\nproperty float z\nproperty uchar red\nelement range_grid 4\n\
+                property list uchar int vertex_indices\nend_header\n0 0 1 10\n1 1 2 20\n1 1\n0\n0\n1 0\n";
+    let (_, contents) = io::decode(text.as_bytes(), None).unwrap();
+    let Contents::Organized(cloud) = contents else { panic!("organized") };
+    assert_eq!((cloud.width(), cloud.height()), (2, 2));
+    assert_eq!(cloud.positions().get(0), [1.0, 1.0, 2.0]);
+    assert_eq!(cloud.positions().get(3), [0.0, 0.0, 1.0]);
+    assert!(!cloud.positions().is_finite(1) && !cloud.positions().is_finite(2));
+    assert_eq!(cloud.points.attribute("red").unwrap().values, AttributeValues::U8(vec![20, 0, 0, 10]));
+}
+
+/// The record as the other implementation has it, for comparison by bits.
+fn oracle_bits(record: &DynRecord) -> Vec<u64> {
+    let field = |field: &OracleField| -> Vec<u64> {
+        match field {
+            OracleField::I8(v) => v.iter().map(|&x| x as u64).collect(),
+            OracleField::I16(v) => v.iter().map(|&x| x as u64).collect(),
+            OracleField::I32(v) => v.iter().map(|&x| x as u64).collect(),
+            OracleField::U8(v) => v.iter().map(|&x| u64::from(x)).collect(),
+            OracleField::U16(v) => v.iter().map(|&x| u64::from(x)).collect(),
+            OracleField::U32(v) => v.iter().map(|&x| u64::from(x)).collect(),
+            OracleField::F32(v) => v.iter().map(|x| u64::from(x.to_bits())).collect(),
+            OracleField::F64(v) => v.iter().map(|x| x.to_bits()).collect(),
+            other => panic!("a field type the test does not write: {other:?}"),
+        }
+    };
+    record.0.iter().flat_map(field).collect()
+}
+
+fn sample_cloud() -> OrganizedCloud {
+    let n = 12;
+    let mut points = PointCloud::new((0..n).map(|i| [i as f32 * 0.1, -0.5, f32::from_bits(0x3f80_0000 + i)]).collect());
+    points.positions.set(5, [f32::NAN; 3]);
+    points.set_attribute("intensity", (0..n).map(|i| i as f32).collect::<Vec<_>>());
+    points.set_attribute("ring", (0..n).map(|i| i as u16).collect::<Vec<_>>());
+    points.set_attribute("t", (0..n).map(|i| f64::from(i) * 1e-3).collect::<Vec<_>>());
+    let histogram =
+        Attribute { name: "h".into(), count: 3, values: (0..3 * n).map(|i| i as i32 - 9).collect::<Vec<_>>().into() };
+    points.attributes.push(histogram);
+    OrganizedCloud::new(4, 3, points).unwrap()
+}
+
+#[test]
+fn another_implementation_reads_what_planish_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("ours.pcd");
+    let cloud = sample_cloud();
+    for encoding in [Encoding::Ascii, Encoding::Binary, Encoding::BinaryCompressed] {
+        io::write_cloud(&path, &cloud, encoding).unwrap();
+        let reader = DynReader::open(&path).unwrap();
+        assert_eq!((reader.meta().width, reader.meta().height), (4, 3));
+        let names: Vec<_> = reader.meta().field_defs.iter().map(|def| def.name.clone()).collect();
+        assert_eq!(names, ["x", "y", "z", "intensity", "ring", "t", "h"]);
+        for (i, record) in reader.enumerate() {
+            let bits = oracle_bits(&record.unwrap());
+            let p = cloud.positions().get(i);
+            let (ring, h) = (i as u64, 3 * i as i64 - 9);
+            let mut expected: Vec<u64> = p.iter().map(|v| u64::from(v.to_bits())).collect();
+            expected.extend([u64::from((i as f32).to_bits()), ring, (i as f64 * 1e-3).to_bits()]);
+            expected.extend([h, h + 1, h + 2].map(|v| v as u64));
+            assert_eq!(bits, expected, "{encoding:?}, point {i}");
+        }
+    }
+}
+
+#[test]
+fn planish_reads_what_another_implementation_writes() {
+    use pcd_rs::{Schema, ValueKind};
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("theirs.pcd");
+    for data_kind in [DataKind::Ascii, DataKind::Binary] {
+        let schema = Schema::from_iter([
+            ("x", ValueKind::F32, 1),
+            ("y", ValueKind::F32, 1),
+            ("z", ValueKind::F32, 1),
+            ("ring", ValueKind::U16, 1),
+            ("h", ValueKind::I32, 3),
+        ]);
+        let init = WriterInit {
+            width: 3,
+            height: 2,
+            viewpoint: Default::default(),
+            data_kind,
+            schema: Some(schema),
+            version: None,
+        };
+        let mut writer = init.create::<DynRecord, _>(&path).unwrap();
+        for i in 0..6 {
+            let point = DynRecord(vec![
+                OracleField::F32(vec![i as f32 * 0.1]),
+                OracleField::F32(vec![0.5]),
+                OracleField::F32(vec![if i == 4 { f32::NAN } else { 1.0 }]),
+                OracleField::U16(vec![i as u16]),
+                OracleField::I32(vec![i, -i, 7]),
+            ]);
+            writer.push(&point).unwrap();
+        }
+        writer.finish().unwrap();
+        let cloud = organized(&path);
+        assert_eq!((cloud.width(), cloud.height(), cloud.points.valid_points()), (3, 2, 5));
+        assert_eq!(cloud.positions().get(3), [0.3f32.max(3.0 * 0.1), 0.5, 1.0]);
+        assert_eq!(cloud.points.attribute("ring").unwrap().values, AttributeValues::U16((0..6).collect()));
+        let h = cloud.points.attribute("h").unwrap();
+        assert_eq!(h.count, 3);
+        assert_eq!(h.values, AttributeValues::I32((0..6).flat_map(|i| [i, -i, 7]).collect()));
+    }
+}
+
+#[test]
+fn real_pcd_files_survive_the_way_there_and_back() {
+    let Some(data) = folder("real PCD files") else { return };
+    let temporary = tempfile::tempdir().unwrap();
+    let path = temporary.path().join("copy.pcd");
+    for name in ["kinect/office1.pcd", "kinect/milk_cartoon_all_small_clorox.pcd", "kinect/capture0001.pcd"] {
+        let cloud = OrganizedCloud::read(&data.join(name)).unwrap();
+        for encoding in [Encoding::Binary, Encoding::BinaryCompressed] {
+            io::write_cloud(&path, &cloud, encoding).unwrap();
+            let copy = organized(&path);
+            let bits =
+                |cloud: &OrganizedCloud| cloud.positions().iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>();
+            assert_eq!(bits(&copy), bits(&cloud), "{name}");
+            assert_eq!(copy.points.rgb(), cloud.points.rgb(), "{name}");
+        }
+    }
+    let bunny = general_cloud(&data, "unorganized/bun0.pcd");
+    io::write_cloud(&path, &bunny, Encoding::Ascii).unwrap();
+    assert_eq!(io::read(&path).unwrap().1, Contents::Points(bunny));
+}
+
+#[test]
+fn the_same_kinect_frame_as_tiff_and_as_pcd_is_the_same_cloud() {
+    let Some(data) = folder("TIFF against PCD") else { return };
+    let cloud = OrganizedCloud::read(&data.join("kinect/frame_20121214T142255.814212.pcd")).unwrap();
+    let tiff = data.join("kinect/frame_20121214T142255.814212_depth.tiff");
+    let depth = DepthFrame::read(&tiff, Camera::kinect_v1()).unwrap().deproject().unwrap();
+    for (i, (p, q)) in cloud.positions().iter().zip(depth.positions().iter()).enumerate() {
+        assert_eq!(cloud.positions().is_finite(i), depth.positions().is_finite(i));
+        // The driver has its own principal point; z is the same.
+        assert!(p[2].is_nan() || (p[2] - q[2]).abs() < 1e-6, "{p:?} {q:?}");
+    }
+}

@@ -1,0 +1,178 @@
+//! Files that lie: every one is refused with words that say what is wrong, without a panic or a huge allocation.
+
+use std::fs;
+
+use planish::io::{self, Encoding, Format};
+use planish::{DepthImage, PointCloud, Xyz};
+use proptest::prelude::*;
+
+fn error(bytes: &[u8], format: Format) -> String {
+    io::decode(bytes, Some(format)).expect_err("a refusal").to_string()
+}
+
+/// A valid header in which single lines are replaced.
+fn pcd(changes: &[(&str, &str)], body: &str) -> Vec<u8> {
+    let mut text = String::from("# .PCD v0.7\n");
+    let defaults = [
+        ("VERSION", "0.7"),
+        ("FIELDS", "x y z"),
+        ("SIZE", "4 4 4"),
+        ("TYPE", "F F F"),
+        ("COUNT", "1 1 1"),
+        ("WIDTH", "2"),
+        ("HEIGHT", "1"),
+        ("VIEWPOINT", "0 0 0 1 0 0 0"),
+        ("POINTS", "2"),
+        ("DATA", "ascii"),
+    ];
+    for (key, value) in defaults {
+        let value = changes.iter().find(|(changed, _)| *changed == key).map_or(value, |(_, value)| value);
+        text.push_str(&format!("{key} {value}\n"));
+    }
+    (text + body).into_bytes()
+}
+
+#[test]
+fn lying_pcd_headers_are_refused_with_a_reason() {
+    let body = "1 2 3\n4 5 6\n";
+    assert!(io::decode(&pcd(&[], body), None).is_ok());
+    type Changes<'a> = &'a [(&'a str, &'a str)];
+    let cases: [(Changes<'_>, &str, &str); 22] = [
+        (&[("POINTS", "1000000000000000000")], body, "POINTS is 1000000000000000000, but WIDTH x HEIGHT is 2 x 1"),
+        (&[("POINTS", "1000000000000000000"), ("WIDTH", "1000000000000000000")], body, "more than the 2^28"),
+        (&[("POINTS", "200000000"), ("WIDTH", "200000000")], body, "cut short"),
+        (&[("POINTS", "200000000"), ("WIDTH", "200000000"), ("DATA", "binary")], body, "cut short"),
+        (&[("POINTS", "3")], body, "POINTS is 3, but WIDTH x HEIGHT is 2 x 1 = 2"),
+        (&[("WIDTH", "18446744073709551615"), ("HEIGHT", "18446744073709551615")], body, "more than the 2^28"),
+        (&[("SIZE", "3 4 4")], body, "field x has TYPE F and SIZE 3"),
+        (&[("SIZE", "2 4 4")], body, "F has 4 or 8"),
+        (&[("SIZE", "4 4")], body, "SIZE has 2 entries for 3 FIELDS"),
+        (&[("TYPE", "F F Q")], body, "field z has TYPE Q"),
+        (&[("COUNT", "1 1 0")], body, "field z has COUNT 0"),
+        (&[("COUNT", "1 1 9999999999")], body, "COUNT 9999999999"),
+        (&[("COUNT", "1 1 -1")], body, "COUNT -1 should be one whole number"),
+        (&[("FIELDS", "x y w")], body, "no field z"),
+        (&[("FIELDS", "")], body, "no FIELDS"),
+        (&[("WIDTH", "two")], body, "WIDTH two should be one whole number"),
+        (&[("VIEWPOINT", "0 0 0")], body, "should be 7 numbers"),
+        (&[("VERSION", "0.5")], body, "version 0.5"),
+        (&[("DATA", "zip")], body, "DATA zip is not known"),
+        (&[], "1.0 2.0 3.0\n4.0 5.0\n", "3 values are needed, here are fewer"),
+        (&[], "1 2 3\n4 5 6 7\n", "here are more"),
+        (&[], "1 2 3\n4 five 6\n", "\"five\" is no value of field y"),
+    ];
+    for (changes, body, expected) in cases {
+        let message = error(&pcd(changes, body), Format::Pcd);
+        assert!(message.contains(expected), "{changes:?}: {message}");
+    }
+}
+
+#[test]
+fn lying_compressed_sizes_are_refused() {
+    let sizes = |compressed: u32, size: u32, data: &[u8]| {
+        let mut bytes = pcd(&[("DATA", "binary_compressed")], "");
+        bytes.extend(compressed.to_le_bytes());
+        bytes.extend(size.to_le_bytes());
+        bytes.extend(data);
+        error(&bytes, Format::Pcd)
+    };
+    assert!(sizes(9, 25, &[0; 9]).contains("hold 25 bytes, but 2 points of 12 bytes"));
+    assert!(sizes(1000, 24, &[0; 9]).contains("1000 compressed bytes are announced, 9 are there"));
+    assert!(sizes(u32::MAX, 24, &[0; 9]).contains("cut short"));
+    assert!(sizes(2, 24, &[0, 7]).contains("less than the announced"));
+    assert!(error(&pcd(&[("DATA", "binary_compressed")], "abc"), Format::Pcd).contains("sizes"));
+    let huge = [("DATA", "binary_compressed"), ("WIDTH", "268435456"), ("POINTS", "268435456")];
+    let mut bytes = pcd(&huge, "");
+    bytes.extend([2, 0, 0, 0, 0, 0, 0, 0xc0, 0, 7]);
+    assert!(io::decode(&bytes, None).is_err());
+}
+
+#[test]
+fn files_that_are_something_else_are_refused() {
+    assert!(error(b"", Format::Pcd).contains("empty"));
+    assert!(error(b"hello world, this is no cloud\n", Format::Pcd).contains("no entry of a PCD header"));
+    assert!(error(&[0xff; 100_000], Format::Pcd).contains("no end"));
+    assert!(error(b"ply\nformat ascii 1.0\nelement face 0\nend_header\n", Format::Ply).contains("vertex"));
+    assert!(error(b"ply\nnonsense\n", Format::Ply).contains("PLY"));
+    let million = b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000000\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    assert!(error(million, Format::Ply).contains("cut short"));
+    let grid = b"ply\nformat ascii 1.0\nobj_info num_cols 5\nobj_info num_rows 5\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n";
+    assert!(error(grid, Format::Ply).contains("5 x 5"));
+    assert!(error(b"\x89PNG\r\n\x1a\n....", Format::DepthPng).contains("damaged PNG"));
+    assert!(error(b"II*\0....", Format::DepthTiff).contains("damaged TIFF"));
+    assert!(error(b"\x93NUMPY\x01\x00\xff\xff", Format::Npy).contains("damaged NPY"));
+    let nothing = io::decode(b"just words", None).unwrap_err().to_string();
+    assert!(nothing.contains("none of PCD, PLY"), "{nothing}");
+}
+
+/// Valid files of every kind, to be damaged.
+fn samples() -> Vec<(Format, Vec<u8>)> {
+    let folder = tempfile::tempdir().unwrap();
+    let mut cloud = PointCloud::new((0..40).map(|i| [i as f32, 1.0, 2.0]).collect::<Xyz>());
+    cloud.set_attribute("rgb", vec![1.0f32; 40]);
+    let image = DepthImage { width: 8, height: 5, raw: (0..40).collect() };
+    let mut files = Vec::new();
+    let mut keep = |name: &str, format| {
+        files.push((format, fs::read(folder.path().join(name)).unwrap()));
+    };
+    for (name, encoding) in
+        [("a.pcd", Encoding::Ascii), ("b.pcd", Encoding::Binary), ("c.pcd", Encoding::BinaryCompressed)]
+    {
+        io::write_cloud(&folder.path().join(name), &cloud, encoding).unwrap();
+        keep(name, Format::Pcd);
+    }
+    for (name, encoding) in [("a.ply", Encoding::Ascii), ("b.ply", Encoding::Binary)] {
+        io::write_cloud(&folder.path().join(name), &cloud, encoding).unwrap();
+        keep(name, Format::Ply);
+    }
+    io::write_cloud(&folder.path().join("a.npy"), &cloud, Encoding::Binary).unwrap();
+    keep("a.npy", Format::Npy);
+    for (name, format) in [("d.png", Format::DepthPng), ("d.tiff", Format::DepthTiff), ("d.npy", Format::Npy)] {
+        io::write_depth(&folder.path().join(name), &image).unwrap();
+        keep(name, format);
+    }
+    files
+}
+
+#[test]
+fn every_truncation_of_every_format_is_an_error_or_whole() {
+    for (format, bytes) in samples() {
+        for end in 0..bytes.len() {
+            // Text may lose its last newline, or digits of its last number, and still be whole.
+            let cut = io::decode(&bytes[..end], Some(format));
+            assert!(cut.is_err() || end + 12 >= bytes.len(), "{format:?} cut at {end} of {}", bytes.len());
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn damaged_files_never_panic(sample in 0usize..9, hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6)) {
+        let (format, mut bytes) = samples().swap_remove(sample);
+        for (index, value) in hits {
+            let at = index.index(bytes.len());
+            bytes[at] = value;
+        }
+        let _ = io::decode(&bytes, Some(format));
+    }
+}
+
+#[test]
+fn writing_where_nothing_can_be_written_says_so_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = PointCloud::new(Xyz::filled(3, 1.0));
+    let write = |name: &str| io::write_cloud(&folder.path().join(name), &cloud, Encoding::Binary);
+    assert!(write("missing/cloud.pcd").unwrap_err().to_string().contains("does not exist"));
+    assert!(write("cloud.xyz").unwrap_err().to_string().contains("end the name in .pcd"));
+    assert!(write("cloud.png").unwrap_err().to_string().contains("depth, not points"));
+    fs::create_dir(folder.path().join("taken.pcd")).unwrap();
+    assert!(write("taken.pcd").unwrap_err().to_string().contains("folder has this name"));
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only the folder is there");
+
+    let mut uneven = cloud.clone();
+    uneven.set_attribute("intensity", vec![1.0f32; 2]);
+    let error = io::write_cloud(&folder.path().join("uneven.pcd"), &uneven, Encoding::Binary).unwrap_err();
+    assert!(error.to_string().contains("intensity has 2 values where 3"), "{error}");
+}

@@ -1,0 +1,129 @@
+//! The reference engine against PCL's own test values, the invariants, and real frames.
+
+use planish::{Engine, Outputs, Radius, SmoothParams, Smoothed, Smoother, SmootherOptions, smooth_points};
+use planish_tests::data::{folder, general_cloud, real_frames};
+use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
+use planish_tests::tolerances::assert_invariants;
+
+fn smooth(cloud: &planish::OrganizedCloud, params: SmoothParams, threads: usize) -> Smoothed {
+    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: Some(threads) };
+    let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height())).unwrap();
+    let mut smoothed = Smoothed::default();
+    smoother.smooth(cloud, &mut smoothed).unwrap();
+    smoothed
+}
+
+/// r(z) of section 3, written once more for the check.
+fn radius_m(cloud: &planish::OrganizedCloud, params: SmoothParams) -> impl Fn(f64) -> f64 {
+    let pitch = cloud.pixel_pitch_at_1m().unwrap_or(1.0 / 525.0);
+    move |z| match params.radius {
+        Radius::Fixed { radius_m } => f64::from(radius_m),
+        Radius::Sensor { depth_step_at_1m } => {
+            let reach = f64::from(params.window * params.stride);
+            (1.5 * reach * z.abs() * pitch).max(4.0 * f64::from(depth_step_at_1m) * z * z)
+        }
+    }
+}
+
+#[test]
+fn general_mode_gives_the_values_of_pcls_own_test() {
+    let Some(folder) = folder("bun0") else { return };
+    let cloud = general_cloud(&folder, "unorganized/bun0.pcd");
+    let radius = Radius::Fixed { radius_m: 0.03 };
+    let params = SmoothParams { radius, degree: 2, bandwidth_m: Some(0.03), ..SmoothParams::paper() };
+    let mut smoothed = Smoothed::default();
+    smooth_points(&cloud, params, Outputs::ALL, None, &mut smoothed).unwrap();
+    assert_eq!(smoothed.points.len(), 397);
+    let normal = smoothed.normals.unwrap().get(0).map(f32::abs);
+    let curvature = smoothed.curvature.unwrap()[0];
+    let found = [smoothed.points.get(0), normal].concat();
+    let expected = [0.005417, 0.113463, 0.040715, 0.111894, 0.594906, 0.795969];
+    for (value, expected) in found.iter().zip(expected) {
+        assert!((value - expected).abs() < 1e-3, "{found:?}");
+    }
+    assert!((curvature - 0.012019).abs() < 1e-3, "{curvature}");
+}
+
+#[test]
+fn invariants_hold_on_nasty_clouds_whatever_the_threads() {
+    let corners = [
+        SmoothParams::paper(),
+        SmoothParams::default(),
+        SmoothParams { window: 7, stride: 8, ..SmoothParams::default() },
+        SmoothParams { window: 1, degree: 2, ..SmoothParams::paper() },
+        SmoothParams { radius: Radius::Fixed { radius_m: 1e-6 }, ..SmoothParams::paper() },
+        SmoothParams { radius: Radius::Fixed { radius_m: 1e3 }, bandwidth_m: Some(1e-3), ..SmoothParams::paper() },
+    ];
+    for scene in nasty_scenes() {
+        for params in corners {
+            let one = smooth(&scene.cloud, params, 1);
+            assert_invariants(&scene.cloud, &one, radius_m(&scene.cloud, params), scene.name);
+            let three = smooth(&scene.cloud, params, 3);
+            // By text, since NaN differs from NaN.
+            assert_eq!(format!("{one:?}"), format!("{three:?}"), "{}", scene.name);
+        }
+    }
+}
+
+#[test]
+fn invariants_hold_on_simulated_frames() {
+    for (seed, room) in [(1, false), (2, true)] {
+        let cloud = simulated(seed, room, small_camera());
+        for params in [SmoothParams::paper(), SmoothParams::default()] {
+            assert_invariants(&cloud, &smooth(&cloud, params, 2), radius_m(&cloud, params), "simulated");
+        }
+    }
+}
+
+#[test]
+fn invariants_hold_on_real_frames() {
+    for frame in real_frames("reference on real frames") {
+        for params in [SmoothParams::paper(), SmoothParams::default()] {
+            let smoothed = smooth(&frame.cloud, params, 2);
+            assert_invariants(&frame.cloud, &smoothed, radius_m(&frame.cloud, params), frame.name);
+        }
+    }
+}
+
+#[test]
+fn a_frame_of_another_shape_is_refused_with_both_shapes() {
+    let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Reference, (50, 40)).unwrap();
+    let cloud = simulated(1, false, small_camera());
+    let error = smoother.smooth(&cloud, &mut Smoothed::default()).unwrap_err().to_string();
+    assert!(error.contains("160x120") && error.contains("50x40"), "{error}");
+}
+
+#[test]
+fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
+    use planish::simulate::{DVec3, KinectNoise, KinectSimulator, Pose, Scene, Shape};
+    let camera = small_camera();
+    let normal = DVec3::new(0.8, 0.0, -0.6);
+    let scene = Scene { objects: vec![Shape::Plane { point: DVec3::new(0.0, 0.0, 1.2), normal }] };
+    let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
+    // Independent noise: this is about geometry, not about what a small window can remove.
+    let noise = KinectNoise {
+        dropout_incidence_deg: 89.0,
+        fixed_pattern_rms: 0.0,
+        temporal_rms: 0.6,
+        ..KinectNoise::default()
+    };
+    let frame = KinectSimulator::new(noise, camera, 3).frame(&truth, 0).unwrap();
+    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: None };
+    let mut smoothed = Smoothed::default();
+    let mut smoother = Smoother::open_with(SmoothParams::default(), options, (160, 120)).unwrap();
+    smoother.smooth(&frame, &mut smoothed).unwrap();
+
+    // RMS of z against the true z along the ray of each pixel, away from the border and not too grazing.
+    let rms = |z: &[f32]| {
+        let inner = (0..z.len())
+            .filter(|&i| truth.points.z[i] < 1.6)
+            .filter(|i| (15..145).contains(&(i % 160)) && (15..105).contains(&(i / 160)));
+        let errors: Vec<f64> = inner.map(|i| f64::from(z[i] - truth.points.z[i])).filter(|e| e.is_finite()).collect();
+        (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt()
+    };
+    let raw = frame.deproject().unwrap();
+    let along_ray = smoothed.to_depth_m(&camera).unwrap();
+    assert!(rms(&along_ray) < 0.5 * rms(&raw.positions().z), "{} {}", rms(&along_ray), rms(&raw.positions().z));
+    // The points' own z undershoots the correction on a wall at 53°.
+    assert!(rms(&along_ray) < 0.8 * rms(&smoothed.points.z), "{} {}", rms(&along_ray), rms(&smoothed.points.z));
+}

@@ -1,0 +1,97 @@
+//! Colour: PCL packs it into one 4-byte field (`rgb`, `rgba`), PLY has `red`, `green`, `blue` (and `alpha`).
+
+use crate::cloud::{Attribute, AttributeValues, PointCloud};
+
+const CHANNELS: [&str; 4] = ["red", "green", "blue", "alpha"];
+
+/// The bits of a packed colour field: 0xAARRGGBB for each point.
+fn packed(attribute: &Attribute) -> Option<Vec<u32>> {
+    if attribute.count != 1 {
+        return None;
+    }
+    match &attribute.values {
+        AttributeValues::F32(values) => Some(values.iter().map(|value| value.to_bits()).collect()),
+        AttributeValues::U32(values) => Some(values.clone()),
+        AttributeValues::I32(values) => Some(values.iter().map(|&value| value as u32).collect()),
+        _ => None,
+    }
+}
+
+impl PointCloud {
+    /// The index of the packed colour field and its bits.
+    fn packed_colour(&self) -> Option<(usize, Vec<u32>)> {
+        let index = self.attributes.iter().position(|a| a.name == "rgb" || a.name == "rgba")?;
+        Some((index, packed(&self.attributes[index])?))
+    }
+
+    /// Red, green and blue of each point, however the cloud has them; `None` if it has no colour.
+    pub fn rgb(&self) -> Option<Vec<[u8; 3]>> {
+        if let Some((_, packed)) = self.packed_colour() {
+            return Some(packed.iter().map(|bits| [(bits >> 16) as u8, (bits >> 8) as u8, *bits as u8]).collect());
+        }
+        let [r, g, b] = [0, 1, 2].map(|channel| self.channel(channel));
+        Some(r?.iter().zip(g?).zip(b?).map(|((&r, &g), &b)| [r, g, b]).collect())
+    }
+
+    fn channel(&self, channel: usize) -> Option<&Vec<u8>> {
+        match self.attribute(CHANNELS[channel])? {
+            Attribute { count: 1, values: AttributeValues::U8(values), .. } => Some(values),
+            _ => None,
+        }
+    }
+
+    /// Replaces a packed colour by the fields `red`, `green`, `blue`, as PLY files have them; `rgba` gives `alpha` too.
+    pub fn unpack_colour(&mut self) {
+        let Some((index, packed)) = self.packed_colour() else { return };
+        let channels = if self.attributes[index].name == "rgba" { 4 } else { 3 };
+        let shifts = [16, 8, 0, 24];
+        let channel = |k: usize| Attribute {
+            name: CHANNELS[k].to_owned(),
+            count: 1,
+            values: packed.iter().map(|bits| (bits >> shifts[k]) as u8).collect::<Vec<u8>>().into(),
+        };
+        self.attributes.splice(index..=index, (0..channels).map(channel));
+    }
+
+    /// Replaces the fields `red`, `green`, `blue` by PCL's packed `rgb`, or with `alpha` by `rgba`.
+    pub fn pack_colour(&mut self) {
+        let Some(index) = self.attributes.iter().position(|a| a.name == "red") else { return };
+        let Some(rgb) = self.rgb() else { return };
+        let alpha = self.channel(3).cloned();
+        let bits = |i: usize| u32::from_be_bytes([alpha.as_ref().map_or(0, |a| a[i]), rgb[i][0], rgb[i][1], rgb[i][2]]);
+        let bits = (0..rgb.len()).map(bits);
+        let packed = if alpha.is_some() {
+            Attribute { name: "rgba".into(), count: 1, values: bits.collect::<Vec<u32>>().into() }
+        } else {
+            Attribute { name: "rgb".into(), count: 1, values: bits.map(f32::from_bits).collect::<Vec<f32>>().into() }
+        };
+        self.attributes[index] = packed;
+        self.attributes.retain(|a| !CHANNELS.contains(&a.name.as_str()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::Xyz;
+
+    #[test]
+    fn packed_and_separate_colours_convert_both_ways_in_place() {
+        for (name, values) in [
+            ("rgb", AttributeValues::F32(vec![f32::from_bits(0x00ff_8001), f32::from_bits(0x0000_0203)])),
+            ("rgba", AttributeValues::U32(vec![0xffff_8001, 0x8000_0203])),
+        ] {
+            let mut cloud = PointCloud::new(Xyz::filled(2, 1.0));
+            cloud.set_attribute(name, values);
+            cloud.set_attribute("label", vec![7u16, 8]);
+            let original = cloud.clone();
+            assert_eq!(cloud.rgb().unwrap(), [[255, 128, 1], [0, 2, 3]]);
+            cloud.unpack_colour();
+            assert_eq!(cloud.attribute("green").unwrap().values, AttributeValues::U8(vec![128, 2]));
+            assert_eq!(cloud.attributes.last().unwrap().name, "label");
+            assert_eq!(cloud.rgb(), original.rgb());
+            cloud.pack_colour();
+            assert_eq!(cloud, original);
+        }
+    }
+}

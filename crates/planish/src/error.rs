@@ -1,0 +1,136 @@
+//! The errors, by whose fault they are: the caller's parameters, the frame's shape, the machine's engine, or a file.
+//!
+//! A pixel that cannot be smoothed is never an error: it has a [`Status`](crate::Status).
+
+use std::path::{Path, PathBuf};
+
+/// A parameter outside its range.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{field} = {value} is not allowed: {allowed}")]
+pub struct ParamError {
+    /// The field of the parameter struct, as it is spelled in code.
+    pub field: &'static str,
+    /// The value it was given.
+    pub value: String,
+    /// What it may be.
+    pub allowed: &'static str,
+}
+
+/// A frame that cannot be what it says it is.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum FrameError {
+    /// A frame has other dimensions than the smoother was opened for.
+    #[error(
+        "the frame is {frame_width}x{frame_height}, but the smoother was opened for {width}x{height}: open another one"
+    )]
+    ShapeMismatch {
+        /// Width of the frame in pixels.
+        frame_width: usize,
+        /// Height of the frame in pixels.
+        frame_height: usize,
+        /// Width the smoother was opened for.
+        width: usize,
+        /// Height the smoother was opened for.
+        height: usize,
+    },
+    /// A width or height of zero, or more pixels than can be addressed.
+    #[error("a frame of {width}x{height} pixels is not allowed: {allowed}")]
+    BadShape {
+        /// Width in pixels.
+        width: usize,
+        /// Height in pixels.
+        height: usize,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// A buffer whose length does not follow from the shape.
+    #[error("{what} has {len} values where {expected} are needed")]
+    LengthMismatch {
+        /// Which buffer.
+        what: String,
+        /// The length it has.
+        len: usize,
+        /// The length it should have.
+        expected: usize,
+    },
+    /// Something needs a camera and there is none.
+    #[error("{what} needs the camera's intrinsics (fx, fy, cx, cy), and none are known")]
+    MissingCamera {
+        /// What needs it.
+        what: &'static str,
+    },
+    /// Camera intrinsics that describe no camera.
+    #[error("camera: {0}")]
+    BadCamera(ParamError),
+}
+
+/// An engine that cannot be had, or that failed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum EngineError {
+    /// The engine is not in this build or not on this machine.
+    #[error("engine {engine} is not available: {reason}")]
+    Unavailable {
+        /// The engine that was asked for.
+        engine: &'static str,
+        /// Why it is not there, and what would help.
+        reason: String,
+    },
+    /// The pool of threads could not be started.
+    #[error("cannot start {threads} threads: {reason}")]
+    Threads {
+        /// How many were asked for.
+        threads: usize,
+        /// What the system said.
+        reason: String,
+    },
+}
+
+/// What is wrong with a file, without its name.
+#[derive(Debug, thiserror::Error)]
+pub enum FormatError {
+    /// The operating system could not read or write it.
+    #[error(transparent)]
+    Os(#[from] std::io::Error),
+    /// The contents contradict the format. The text says what is wrong and what would be right.
+    #[error("{0}")]
+    Malformed(String),
+    /// A legitimate file that planish cannot use. The text says why and what can be used.
+    #[error("{0}")]
+    Unsupported(String),
+    /// The contents make no frame.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+}
+
+/// A file that could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {problem}", path.display())]
+pub struct IoError {
+    /// The file.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub problem: FormatError,
+}
+
+impl IoError {
+    pub(crate) fn at(path: &Path) -> impl FnOnce(FormatError) -> Self + '_ {
+        move |problem| Self { path: path.to_path_buf(), problem }
+    }
+}
+
+/// Any error of planish.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A parameter outside its range.
+    #[error(transparent)]
+    Param(#[from] ParamError),
+    /// A frame that cannot be used.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// An engine that cannot be had, or that failed.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// A file that could not be read or written.
+    #[error(transparent)]
+    Io(#[from] IoError),
+}

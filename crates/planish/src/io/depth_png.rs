@@ -1,0 +1,35 @@
+//! 16-bit grayscale PNG as a depth image.
+
+use std::io::Cursor;
+
+use crate::cloud::validate_shape;
+use crate::error::FormatError;
+use crate::frame::DepthImage;
+
+pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
+    let malformed = |error: png::DecodingError| FormatError::Malformed(format!("damaged PNG: {error}"));
+    let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(malformed)?;
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    let kind = (reader.info().color_type, reader.info().bit_depth);
+    if kind != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
+        return Err(FormatError::Unsupported(format!(
+            "a PNG of {:?}, {} bits: a depth image is 16-bit grayscale",
+            kind.0, kind.1 as u8
+        )));
+    }
+    validate_shape(width, height)?;
+    let size = reader.output_buffer_size().unwrap_or(usize::MAX);
+    // Deflate reaches 1 : 1032 at the most.
+    if size / 1100 > bytes.len() {
+        return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
+    }
+    let mut buffer = vec![0; size];
+    reader.next_frame(&mut buffer).map_err(malformed)?;
+    let raw = buffer.chunks_exact(2).map(|bytes| u16::from_be_bytes([bytes[0], bytes[1]])).collect();
+    Ok(DepthImage { width, height, raw })
+}
+
+pub(super) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
+    let bytes: Vec<u8> = image.raw.iter().flat_map(|raw| raw.to_be_bytes()).collect();
+    super::rgb_png::encode(image.width, image.height, png::ColorType::Grayscale, png::BitDepth::Sixteen, &bytes)
+}

@@ -1,0 +1,38 @@
+//! 16-bit grayscale TIFF as a depth image.
+
+use std::io::Cursor;
+
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::encoder::{Compression, TiffEncoder, colortype};
+use tiff::{ColorType, TiffError};
+
+use crate::cloud::validate_shape;
+use crate::error::FormatError;
+use crate::frame::DepthImage;
+
+pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
+    let malformed = |error: TiffError| FormatError::Malformed(format!("damaged TIFF: {error}"));
+    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(malformed)?.with_limits(Limits::default());
+    let (width, height) = decoder.dimensions().map_err(malformed)?;
+    let (width, height) = (width as usize, height as usize);
+    let kind = decoder.colortype().map_err(malformed)?;
+    if kind != ColorType::Gray(16) {
+        return Err(FormatError::Unsupported(format!("a TIFF of {kind:?}: a depth image is 16-bit grayscale")));
+    }
+    validate_shape(width, height)?;
+    match decoder.read_image().map_err(malformed)? {
+        DecodingResult::U16(raw) if raw.len() == width * height => Ok(DepthImage { width, height, raw }),
+        _ => Err(FormatError::Unsupported("the TIFF's samples are not unsigned 16-bit integers".into())),
+    }
+}
+
+pub(super) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
+    let (width, height) = (image.width, image.height);
+    let failed = |error: TiffError| FormatError::Unsupported(format!("no TIFF of {width}x{height}: {error}"));
+    let mut bytes = Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut bytes)
+        .map_err(failed)?
+        .with_compression(Compression::Deflate(tiff::encoder::DeflateLevel::Fast));
+    encoder.write_image::<colortype::Gray16>(width as u32, height as u32, &image.raw).map_err(failed)?;
+    Ok(bytes.into_inner())
+}

@@ -1,0 +1,315 @@
+//! Files: what they hold, and how they are written so that nothing is lost and nothing is left half-written.
+//!
+//! A format is told by its contents first, then by the file's extension. Every reader checks what a header claims against
+//! the bytes that are there before it allocates.
+
+mod columns;
+mod depth_png;
+mod depth_tiff;
+mod npy;
+pub mod pcd;
+mod ply;
+mod rgb_png;
+mod text;
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+use crate::camera::Camera;
+use crate::cloud::{OrganizedCloud, PointCloud, Xyz};
+use crate::error::{FormatError, FrameError, IoError};
+use crate::frame::{DepthFrame, DepthImage};
+
+pub use pcd::Encoding;
+pub use rgb_png::{RgbImage, write_rgb_png};
+
+type Result<T> = std::result::Result<T, FormatError>;
+
+/// The file formats.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// The point cloud library's PCD v0.7.
+    Pcd,
+    /// Stanford's PLY.
+    Ply,
+    /// A 16-bit grayscale PNG of depth.
+    DepthPng,
+    /// A 16-bit grayscale TIFF of depth.
+    DepthTiff,
+    /// A NumPy array of depth or points.
+    Npy,
+}
+
+impl Format {
+    /// The name people use.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pcd => "PCD",
+            Self::Ply => "PLY",
+            Self::DepthPng => "PNG",
+            Self::DepthTiff => "TIFF",
+            Self::Npy => "NPY",
+        }
+    }
+
+    /// The format that a file's extension announces.
+    pub fn of_extension(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+            "pcd" => Some(Self::Pcd),
+            "ply" => Some(Self::Ply),
+            "png" => Some(Self::DepthPng),
+            "tif" | "tiff" => Some(Self::DepthTiff),
+            "npy" => Some(Self::Npy),
+            _ => None,
+        }
+    }
+
+    /// The format that the first bytes of a file show.
+    fn of_contents(bytes: &[u8]) -> Option<Self> {
+        let starts = |magic: &[u8]| bytes.starts_with(magic);
+        if starts(b"ply\n") || starts(b"ply\r") {
+            Some(Self::Ply)
+        } else if starts(b"\x89PNG\r\n\x1a\n") {
+            Some(Self::DepthPng)
+        } else if starts(b"II*\0") || starts(b"MM\0*") {
+            Some(Self::DepthTiff)
+        } else if starts(b"\x93NUMPY") {
+            Some(Self::Npy)
+        } else if starts(b"# .PCD") || starts(b"VERSION") || starts(b"FIELDS") {
+            Some(Self::Pcd)
+        } else {
+            None
+        }
+    }
+
+    fn of_output(path: &Path) -> Result<Self> {
+        Self::of_extension(path).ok_or_else(|| {
+            FormatError::Unsupported(
+                "cannot tell the format to write: end the name in .pcd, .ply, .png, .tiff or .npy".into(),
+            )
+        })
+    }
+}
+
+/// What a file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Contents {
+    /// A 16-bit depth image; it needs a camera to become points.
+    Depth(DepthImage),
+    /// Depth in metres; it needs a camera to become points.
+    DepthMetres {
+        /// Width in pixels.
+        width: usize,
+        /// Height in pixels.
+        height: usize,
+        /// Depth in metres, row by row; holes are not finite, 0 or negative.
+        depth_m: Vec<f32>,
+    },
+    /// Points on a pixel grid.
+    Organized(OrganizedCloud),
+    /// Points in any order.
+    Points(PointCloud),
+}
+
+impl Contents {
+    /// Width and height in pixels; the number of points and 1 for a general cloud.
+    pub fn shape(&self) -> (usize, usize) {
+        match self {
+            Self::Depth(image) => (image.width, image.height),
+            Self::DepthMetres { width, height, .. } => (*width, *height),
+            Self::Organized(cloud) => (cloud.width(), cloud.height()),
+            Self::Points(cloud) => (cloud.len(), 1),
+        }
+    }
+
+    /// Whether it is depth and needs a camera.
+    pub fn is_depth(&self) -> bool {
+        matches!(self, Self::Depth(_) | Self::DepthMetres { .. })
+    }
+}
+
+/// Puts depth in metres and its camera together to an organized cloud.
+pub fn deproject_metres(camera: Camera, depth_m: &[f32]) -> std::result::Result<OrganizedCloud, FrameError> {
+    camera.validate()?;
+    let (rays_x, rays_y) = (camera.rays_x(), camera.rays_y());
+    let point = |(i, &z): (usize, &f32)| {
+        let z = if z > 0.0 { z } else { f32::NAN };
+        [rays_x[i % camera.width] * z, rays_y[(i / camera.width) % camera.height] * z, z]
+    };
+    let positions: Xyz = depth_m.iter().enumerate().map(point).collect();
+    let mut cloud = OrganizedCloud::from_positions(camera.width, camera.height, positions)?;
+    cloud.camera = Some(camera);
+    Ok(cloud)
+}
+
+/// Reads a file of any format.
+pub fn read(path: &Path) -> std::result::Result<(Format, Contents), IoError> {
+    read_bytes(path).map_err(IoError::at(path))
+}
+
+fn read_bytes(path: &Path) -> Result<(Format, Contents)> {
+    let bytes = fs::read(path)?;
+    decode(&bytes, Format::of_extension(path))
+}
+
+/// Reads a file's contents; `announced` is the format that its name announces, used where the contents do not tell.
+pub fn decode(bytes: &[u8], announced: Option<Format>) -> Result<(Format, Contents)> {
+    if bytes.is_empty() {
+        return Err(FormatError::Malformed("the file is empty".into()));
+    }
+    let format = Format::of_contents(bytes).or(announced).ok_or_else(|| {
+        FormatError::Unsupported(
+            "not a point cloud or depth image: it is none of PCD, PLY, 16-bit PNG or TIFF, NPY".into(),
+        )
+    })?;
+    let contents = match format {
+        Format::Pcd => organized_if_grid(pcd::decode(bytes)?),
+        Format::Ply => organized_if_grid(ply::decode(bytes)?),
+        Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes)?)),
+        Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes)?)),
+        Format::Npy => npy::decode(bytes),
+    }?;
+    Ok((format, contents))
+}
+
+/// A cloud with the grid its file states; a height of 1 means none.
+pub(crate) struct Gridded {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) points: PointCloud,
+}
+
+fn organized_if_grid(gridded: Gridded) -> Result<Contents> {
+    let Gridded { width, height, points } = gridded;
+    if height > 1 {
+        Ok(Contents::Organized(OrganizedCloud::new(width, height, points)?))
+    } else {
+        Ok(Contents::Points(points))
+    }
+}
+
+/// A cloud to write: on a grid or not.
+#[derive(Debug, Clone, Copy)]
+pub enum CloudRef<'a> {
+    /// Points on a pixel grid.
+    Organized(&'a OrganizedCloud),
+    /// Points in any order.
+    Points(&'a PointCloud),
+}
+
+impl<'a> CloudRef<'a> {
+    fn points(self) -> &'a PointCloud {
+        match self {
+            Self::Organized(cloud) => &cloud.points,
+            Self::Points(points) => points,
+        }
+    }
+
+    /// Width and height as files state them.
+    fn grid(self) -> (usize, usize) {
+        match self {
+            Self::Organized(cloud) => (cloud.width(), cloud.height()),
+            Self::Points(points) => (points.len(), 1),
+        }
+    }
+}
+
+impl<'a> From<&'a OrganizedCloud> for CloudRef<'a> {
+    fn from(cloud: &'a OrganizedCloud) -> Self {
+        Self::Organized(cloud)
+    }
+}
+
+impl<'a> From<&'a PointCloud> for CloudRef<'a> {
+    fn from(cloud: &'a PointCloud) -> Self {
+        Self::Points(cloud)
+    }
+}
+
+/// Writes a cloud in the format of the path's extension: PCD, PLY or NPY (positions alone).
+pub fn write_cloud<'a>(
+    path: &Path,
+    cloud: impl Into<CloudRef<'a>>,
+    encoding: Encoding,
+) -> std::result::Result<(), IoError> {
+    let cloud = cloud.into();
+    let encode = || {
+        cloud.points().validate()?;
+        match Format::of_output(path)? {
+            Format::Pcd => pcd::encode(cloud, encoding),
+            Format::Ply => ply::encode(cloud, encoding),
+            Format::Npy => npy::encode_points(cloud),
+            Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
+                "an image holds depth, not points: end the name in .pcd, .ply or .npy".into(),
+            )),
+        }
+    };
+    encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+}
+
+/// Writes a depth image in the format of the path's extension: 16-bit PNG, TIFF or NPY.
+pub fn write_depth(path: &Path, image: &DepthImage) -> std::result::Result<(), IoError> {
+    let encode = || match Format::of_output(path)? {
+        Format::DepthPng => depth_png::encode(image),
+        Format::DepthTiff => depth_tiff::encode(image),
+        Format::Npy => npy::encode_depth(image),
+        Format::Pcd | Format::Ply => Err(FormatError::Unsupported(
+            "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),
+        )),
+    };
+    encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+}
+
+/// Writes depth in metres as a NumPy array of f32, [height, width].
+pub fn write_depth_metres(path: &Path, width: usize, depth_m: &[f32]) -> std::result::Result<(), IoError> {
+    npy::encode_depth_metres(width, depth_m).and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+}
+
+/// Writes a file so that it is there whole or not at all: under another name beside it, then renamed.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    if !folder.is_dir() {
+        return Err(FormatError::Unsupported(format!("the folder {} does not exist", folder.display())));
+    }
+    if path.is_dir() {
+        return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
+    }
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".planish-").suffix(".tmp");
+    #[cfg(unix)]
+    {
+        // As any new file: what the process's umask leaves of it.
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(fs::Permissions::from_mode(0o666));
+    }
+    let mut file = builder.tempfile_in(folder)?;
+    file.write_all(bytes)?;
+    file.persist(path).map_err(|error| error.error)?;
+    Ok(())
+}
+
+impl DepthFrame {
+    /// Reads a 16-bit depth image (PNG, TIFF or NPY) and puts it together with its camera.
+    pub fn read(path: &Path, camera: Camera) -> std::result::Result<Self, IoError> {
+        let frame = || match read_bytes(path)?.1 {
+            Contents::Depth(image) => Ok(Self::new(camera, image)?),
+            _ => Err(FormatError::Unsupported("not a 16-bit depth image".into())),
+        };
+        frame().map_err(IoError::at(path))
+    }
+}
+
+impl OrganizedCloud {
+    /// Reads an organized cloud (PCD, PLY or NPY).
+    pub fn read(path: &Path) -> std::result::Result<Self, IoError> {
+        let cloud = || match read_bytes(path)?.1 {
+            Contents::Organized(cloud) => Ok(cloud),
+            _ => Err(FormatError::Unsupported("not an organized cloud".into())),
+        };
+        cloud().map_err(IoError::at(path))
+    }
+}

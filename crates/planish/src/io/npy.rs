@@ -1,0 +1,93 @@
+//! NumPy arrays: depth as [H, W] of u16 (raw) or f32 (metres), points as [H, W, 3] or [N, 3] of f32 or f64 (metres).
+
+use npyz::{AutoSerialize, DType, NpyFile, Order, TypeChar, WriterBuilder};
+
+use super::{CloudRef, Contents, organized_if_grid};
+use crate::cloud::{PointCloud, validate_shape};
+use crate::error::FormatError;
+use crate::frame::DepthImage;
+use crate::io::Gridded;
+
+const LAYOUTS: &str = "depth is [H, W] of u16 or f32 (metres), points are [H, W, 3] or [N, 3] of f32";
+
+pub(super) fn decode(bytes: &[u8]) -> Result<Contents, FormatError> {
+    let file = NpyFile::new(bytes).map_err(|error| FormatError::Malformed(format!("damaged NPY: {error}")))?;
+    let unsupported = |what: String| Err(FormatError::Unsupported(format!("an array of {what}: {LAYOUTS}")));
+    let DType::Plain(kind) = file.dtype() else { return unsupported("records".into()) };
+    let (kind, size) = (kind.type_char(), kind.size_field());
+    let shape: Vec<usize> = file.shape().iter().map(|&n| usize::try_from(n).unwrap_or(usize::MAX)).collect();
+    if file.order() != Order::C {
+        return unsupported("Fortran order (save numpy.ascontiguousarray of it)".into());
+    }
+    let available = bytes.len() as u64;
+    let needed = shape.iter().try_fold(size, |product, &n| product.checked_mul(n as u64));
+    if needed.is_none_or(|needed| needed > available) {
+        return Err(FormatError::Malformed(format!("the file is cut short: its header announces the shape {shape:?}")));
+    }
+    let read = |error: std::io::Error| FormatError::Malformed(format!("damaged NPY: {error}"));
+    match (shape[..].to_vec().as_slice(), kind, size) {
+        (&[height, width], TypeChar::Uint, 2) => {
+            validate_shape(width, height)?;
+            Ok(Contents::Depth(DepthImage { width, height, raw: file.into_vec().map_err(read)? }))
+        }
+        (&[n, 3], TypeChar::Float, _) => points(n, 1, floats(file, size)?),
+        (&[height, width], TypeChar::Float, 4 | 8) => {
+            validate_shape(width, height)?;
+            let depth_m = floats(file, size)?;
+            Ok(Contents::DepthMetres { width, height, depth_m })
+        }
+        (&[height, width, 3], TypeChar::Float, _) => {
+            validate_shape(width, height)?;
+            points(width, height, floats(file, size)?)
+        }
+        _ => unsupported(format!("shape {shape:?} and type {kind:?} of {size} bytes")),
+    }
+}
+
+/// The values as f32, whether the file has f32 or f64.
+fn floats(file: NpyFile<&[u8]>, size: u64) -> Result<Vec<f32>, FormatError> {
+    let read = |error: std::io::Error| FormatError::Malformed(format!("damaged NPY: {error}"));
+    match size {
+        4 => file.into_vec().map_err(read),
+        8 => Ok(file.into_vec::<f64>().map_err(read)?.into_iter().map(|value| value as f32).collect()),
+        _ => Err(FormatError::Unsupported(format!("floats of {size} bytes: {LAYOUTS}"))),
+    }
+}
+
+fn points(width: usize, height: usize, values: Vec<f32>) -> Result<Contents, FormatError> {
+    let positions = values.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+    organized_if_grid(Gridded { width, height, points: PointCloud::new(positions) })
+}
+
+fn encode<T: AutoSerialize + Copy>(shape: &[u64], values: impl Iterator<Item = T>) -> Result<Vec<u8>, FormatError> {
+    let mut bytes = Vec::new();
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd()?;
+    writer.extend(values)?;
+    writer.finish()?;
+    Ok(bytes)
+}
+
+/// Positions alone, [H, W, 3] or [N, 3]; far clouds as f64 so that nothing is lost.
+pub(super) fn encode_points(cloud: CloudRef<'_>) -> Result<Vec<u8>, FormatError> {
+    let (width, height) = cloud.grid();
+    let shape = match cloud {
+        CloudRef::Organized(_) => vec![height as u64, width as u64, 3],
+        CloudRef::Points(_) => vec![width as u64, 3],
+    };
+    let (positions, origin) = (&cloud.points().positions, cloud.points().origin_m);
+    if origin == [0.0; 3] {
+        encode(&shape, positions.iter().flatten())
+    } else {
+        let far = |p: [f32; 3]| [0, 1, 2].map(|axis| origin[axis] + f64::from(p[axis]));
+        encode(&shape, positions.iter().flat_map(far))
+    }
+}
+
+pub(super) fn encode_depth(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
+    encode(&[image.height as u64, image.width as u64], image.raw.iter().copied())
+}
+
+pub(super) fn encode_depth_metres(width: usize, depth_m: &[f32]) -> Result<Vec<u8>, FormatError> {
+    let height = depth_m.len() / width.max(1);
+    encode(&[height as u64, width as u64], depth_m.iter().copied())
+}

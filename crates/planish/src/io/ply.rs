@@ -1,0 +1,310 @@
+//! PLY, ascii and binary: the vertices with all their properties. Faces and other elements are not read.
+//!
+//! A grid is stated as by range scanners and PCL: `obj_info num_cols W` and `obj_info num_rows H`, with a vertex for every
+//! pixel, or with an element `range_grid` that says which pixels have one.
+
+use ply_rs_bw::parser::{Parser, Reader};
+use ply_rs_bw::ply::{
+    Addable, ElementDef, Encoding as PlyEncoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyDef,
+    PropertyType, ScalarType,
+};
+use ply_rs_bw::writer::Writer;
+
+use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
+use super::{CloudRef, Encoding, Gridded, text};
+use crate::cloud::{Attribute, AttributeValues, MAX_PIXELS};
+use crate::error::FormatError;
+
+/// A vertex or grid cell as it is read: its values in the order of the properties.
+#[derive(Default)]
+struct Record(Vec<Property>);
+
+impl PropertyAccess for Record {
+    fn new() -> Self {
+        Self::default()
+    }
+
+    fn set_property(&mut self, _name: &str, property: Property) -> PropertyAccessResult {
+        self.0.push(property);
+        PropertyAccessResult::Set
+    }
+}
+
+fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
+    Err(FormatError::Malformed(text.into()))
+}
+
+pub(super) fn decode(bytes: &[u8]) -> Result<Gridded, FormatError> {
+    let mut reader = Reader::new(bytes);
+    let header = Parser::<Record>::new().read_header(&mut reader).map_err(damaged)?;
+    let Some(vertex) = header.elements.get("vertex") else { return malformed("the PLY has no element vertex") };
+    for element in header.elements.values() {
+        check_size(element, bytes.len())?;
+    }
+    let mut columns = empty_columns(vertex)?;
+    let cells = match header.encoding {
+        PlyEncoding::Ascii => read_text(&header, reader.into_inner(), &mut columns)?,
+        _ => read_binary(&header, &mut reader, &mut columns)?,
+    };
+    let (width, height) = match (info(&header, "num_cols"), info(&header, "num_rows"), cells) {
+        (Some(width), Some(height), _) if width.checked_mul(height) == Some(vertex.count) => (width, height),
+        (Some(width), Some(height), Some(cells)) => {
+            if width.checked_mul(height) != Some(cells.len()) {
+                return malformed(format!("num_cols x num_rows is {width} x {height}, range_grid has {}", cells.len()));
+            }
+            columns = columns.into_iter().map(|column| spread(column, &cells)).collect::<Result<_, _>>()?;
+            (width, height)
+        }
+        (Some(width), Some(height), None) => {
+            return malformed(format!(
+                "num_cols x num_rows is {width} x {height}, but there are {} vertices and no range_grid",
+                vertex.count
+            ));
+        }
+        _ => (vertex.count, 1),
+    };
+    Ok(Gridded { width, height, points: cloud_from_columns(columns)? })
+}
+
+fn damaged(error: impl Into<std::io::Error>) -> FormatError {
+    FormatError::Malformed(format!("damaged PLY: {}", error.into()))
+}
+
+/// The vertex of each pixel, if there is an element `range_grid`.
+type Cells = Option<Vec<Option<usize>>>;
+
+/// The elements up to the last one of interest: what lies behind it does not matter.
+fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef)> {
+    let last = header.elements.keys().rposition(|name| name == "vertex" || name == "range_grid").unwrap_or(0);
+    header.elements.iter().map(|(name, element)| (name.as_str(), element)).take(last + 1)
+}
+
+/// Reads a text body by itself: the library's grammar knows neither `nan` nor `inf`, and a hole is written so.
+fn read_text(header: &Header, body: &[u8], columns: &mut [Attribute]) -> Result<Cells, FormatError> {
+    let mut body = text::Body::new(body)?;
+    let mut cells = None;
+    for (name, element) in elements_to_read(header) {
+        let mut line =
+            || body.line().ok_or_else(|| FormatError::Malformed(format!("the file ends within element {name}")));
+        match name {
+            "vertex" => body.read(columns, element.count)?,
+            "range_grid" => {
+                let cell = |(_, line): (usize, &str)| {
+                    let words: Option<Vec<usize>> =
+                        line.split_ascii_whitespace().map(|word| word.parse().ok()).collect();
+                    cell_of(words.as_deref().and_then(<[usize]>::split_first).map(|(_, indices)| indices))
+                };
+                cells = Some((0..element.count).map(|_| cell(line()?)).collect::<Result<_, _>>()?);
+            }
+            _ => {
+                for _ in 0..element.count {
+                    line()?;
+                }
+            }
+        }
+    }
+    Ok(cells)
+}
+
+fn read_binary(header: &Header, reader: &mut Reader<&[u8]>, columns: &mut [Attribute]) -> Result<Cells, FormatError> {
+    let parser = Parser::<Record>::new();
+    let mut cells = None;
+    for (name, element) in elements_to_read(header) {
+        let records = parser.read_payload_for_element(reader, element, header).map_err(damaged)?;
+        match name {
+            "vertex" => records.into_iter().try_for_each(|record| push(columns, record))?,
+            "range_grid" => {
+                let cell = |record: &Record| {
+                    let indices = record.0.first().and_then(Property::to_u32_list);
+                    let indices: Option<Vec<usize>> = indices.map(|list| list.iter().map(|&i| i as usize).collect());
+                    cell_of(indices.as_deref())
+                };
+                cells = Some(records.iter().map(cell).collect::<Result<_, _>>()?);
+            }
+            _ => {}
+        }
+    }
+    Ok(cells)
+}
+
+/// A cell of the grid lists no or one vertex.
+fn cell_of(indices: Option<&[usize]>) -> Result<Option<usize>, FormatError> {
+    match indices {
+        Some([]) => Ok(None),
+        Some([index]) => Ok(Some(*index)),
+        _ => malformed("range_grid should list no or one vertex for each pixel"),
+    }
+}
+
+/// The number in a line `obj_info key number`.
+fn info(header: &Header, key: &str) -> Option<usize> {
+    let number = |line: &String| line.trim().strip_prefix(key)?.trim().parse().ok();
+    header.obj_infos.iter().find_map(number)
+}
+
+/// Refuses counts that the file cannot hold, before anything is allocated for them.
+fn check_size(element: &ElementDef, file_bytes: usize) -> Result<(), FormatError> {
+    if element.count > MAX_PIXELS || element.count > file_bytes {
+        return malformed(format!(
+            "the file is cut short: {} of element {} are announced in {file_bytes} bytes",
+            element.count, element.name
+        ));
+    }
+    Ok(())
+}
+
+fn empty_columns(vertex: &ElementDef) -> Result<Vec<Attribute>, FormatError> {
+    let column = |(name, property): (&String, &PropertyDef)| {
+        let values = match property.data_type {
+            PropertyType::Scalar(ScalarType::Char) => AttributeValues::I8(Vec::new()),
+            PropertyType::Scalar(ScalarType::UChar) => AttributeValues::U8(Vec::new()),
+            PropertyType::Scalar(ScalarType::Short) => AttributeValues::I16(Vec::new()),
+            PropertyType::Scalar(ScalarType::UShort) => AttributeValues::U16(Vec::new()),
+            PropertyType::Scalar(ScalarType::Int) => AttributeValues::I32(Vec::new()),
+            PropertyType::Scalar(ScalarType::UInt) => AttributeValues::U32(Vec::new()),
+            PropertyType::Scalar(ScalarType::Float) => AttributeValues::F32(Vec::new()),
+            PropertyType::Scalar(ScalarType::Double) => AttributeValues::F64(Vec::new()),
+            PropertyType::List(..) => {
+                return Err(FormatError::Unsupported(format!(
+                    "the vertex property {name} is a list; only scalars are read"
+                )));
+            }
+        };
+        Ok(Attribute { name: name.clone(), count: 1, values })
+    };
+    vertex.properties.iter().map(column).collect()
+}
+
+fn push(columns: &mut [Attribute], record: Record) -> Result<(), FormatError> {
+    if record.0.len() != columns.len() {
+        return malformed("damaged PLY: a vertex lacks properties");
+    }
+    for (column, value) in columns.iter_mut().zip(record.0) {
+        match (&mut column.values, value) {
+            (AttributeValues::I8(values), Property::Char(value)) => values.push(value),
+            (AttributeValues::U8(values), Property::UChar(value)) => values.push(value),
+            (AttributeValues::I16(values), Property::Short(value)) => values.push(value),
+            (AttributeValues::U16(values), Property::UShort(value)) => values.push(value),
+            (AttributeValues::I32(values), Property::Int(value)) => values.push(value),
+            (AttributeValues::U32(values), Property::UInt(value)) => values.push(value),
+            (AttributeValues::F32(values), Property::Float(value)) => values.push(value),
+            (AttributeValues::F64(values), Property::Double(value)) => values.push(value),
+            (_, value) => return malformed(format!("damaged PLY: {value:?} in property {}", column.name)),
+        }
+    }
+    Ok(())
+}
+
+/// Puts the values of the vertices on the grid.
+fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, FormatError> {
+    fn on_grid<T: Copy>(values: &[T], hole: T, cells: &[Option<usize>]) -> Result<Vec<T>, FormatError> {
+        let value = |cell: &Option<usize>| cell.map_or(Some(hole), |index| values.get(index).copied());
+        let found: Option<Vec<T>> = cells.iter().map(value).collect();
+        found.ok_or_else(|| FormatError::Malformed("range_grid names a vertex that is not there".into()))
+    }
+    let values = match &column.values {
+        AttributeValues::F32(values) => on_grid(values, f32::NAN, cells)?.into(),
+        AttributeValues::F64(values) => on_grid(values, f64::NAN, cells)?.into(),
+        values => with_values!(values, values => on_grid(values, Default::default(), cells)?.into()),
+    };
+    Ok(Attribute { values, ..column })
+}
+
+/// A vertex as it is written: a row of the columns. `Default` exists because the trait demands a constructor.
+#[derive(Default)]
+struct Row<'a> {
+    columns: &'a [Attribute],
+    index: usize,
+}
+
+macro_rules! get {
+    ($($method:ident $variant:ident $scalar:ty;)*) => {$(
+        fn $method(&self, name: &str) -> Option<$scalar> {
+            match &self.columns.iter().find(|column| column.name == name)?.values {
+                AttributeValues::$variant(values) => values.get(self.index).copied(),
+                _ => None,
+            }
+        }
+    )*};
+}
+
+impl PropertyAccess for Row<'_> {
+    fn new() -> Self {
+        Self::default()
+    }
+
+    get! {
+        get_char I8 i8;
+        get_uchar U8 u8;
+        get_short I16 i16;
+        get_ushort U16 u16;
+        get_int I32 i32;
+        get_uint U32 u32;
+        get_float F32 f32;
+        get_double F64 f64;
+    }
+}
+
+pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
+    let columns: Vec<Attribute> = columns_from_cloud(cloud.points()).into_iter().flat_map(ply_columns).collect();
+    let mut vertex = ElementDef::new("vertex".into());
+    vertex.count = cloud.points().len();
+    for column in &columns {
+        let scalar = match column.values {
+            AttributeValues::I8(_) => ScalarType::Char,
+            AttributeValues::U8(_) => ScalarType::UChar,
+            AttributeValues::I16(_) => ScalarType::Short,
+            AttributeValues::U16(_) => ScalarType::UShort,
+            AttributeValues::I32(_) => ScalarType::Int,
+            AttributeValues::U32(_) => ScalarType::UInt,
+            AttributeValues::F32(_) => ScalarType::Float,
+            AttributeValues::F64(_) | AttributeValues::I64(_) | AttributeValues::U64(_) => ScalarType::Double,
+        };
+        vertex.properties.add(PropertyDef::new(column.name.clone(), PropertyType::Scalar(scalar)));
+    }
+    if vertex.properties.len() != columns.len() {
+        return Err(FormatError::Unsupported("two fields have the same name; PLY allows each once".into()));
+    }
+    let mut header = Header::new();
+    header.encoding = match encoding {
+        Encoding::Ascii => PlyEncoding::Ascii,
+        Encoding::Binary | Encoding::BinaryCompressed => PlyEncoding::BinaryLittleEndian,
+    };
+    if let CloudRef::Organized(cloud) = cloud {
+        header.obj_infos = vec![format!("num_cols {}", cloud.width()), format!("num_rows {}", cloud.height())];
+    }
+    header.elements.add(vertex);
+    let writer = Writer::<Row<'_>>::new();
+    let mut bytes = Vec::new();
+    writer.write_header(&mut bytes, &header)?;
+    let points = cloud.points().len();
+    if header.encoding == PlyEncoding::Ascii {
+        text::write(&columns, points, &mut bytes);
+    } else {
+        let rows: Vec<Row<'_>> = (0..points).map(|index| Row { columns: &columns, index }).collect();
+        writer.write_payload_of_element(&mut bytes, &rows, &header.elements["vertex"], &header)?;
+    }
+    Ok(bytes)
+}
+
+/// What PLY can hold of a column: one property a value, no padding, no 64-bit integers.
+fn ply_columns(column: Attribute) -> Vec<Attribute> {
+    if column.name == "_" {
+        return Vec::new();
+    }
+    let count = column.count;
+    let values = match column.values {
+        AttributeValues::I64(values) => values.iter().map(|&v| v as f64).collect::<Vec<_>>().into(),
+        AttributeValues::U64(values) => values.iter().map(|&v| v as f64).collect::<Vec<_>>().into(),
+        values => values,
+    };
+    if count == 1 {
+        return vec![Attribute { values, ..column }];
+    }
+    let part = |k: usize| {
+        let values =
+            with_values!(&values, values => values.iter().skip(k).step_by(count).copied().collect::<Vec<_>>().into());
+        Attribute { name: format!("{}_{k}", column.name), count: 1, values }
+    };
+    (0..count).map(part).collect()
+}

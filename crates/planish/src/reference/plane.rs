@@ -1,0 +1,47 @@
+//! The plane of a neighbourhood by principal component analysis (docs/method.md, section 4).
+//!
+//! All lengths in metres, relative to the point p being smoothed: no cancellation far from the origin.
+
+use glam::{DMat3, DVec3};
+
+use super::eigen::symmetric_eigen;
+
+/// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
+const DEGENERATE_RATIO: f64 = 1e-4;
+
+/// The plane, in coordinates relative to p.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plane {
+    /// Unit normal, towards the sensor.
+    pub normal: DVec3,
+    /// Foot of p on the plane: o - p = (c·n) n.
+    pub foot: DVec3,
+    /// Variance along the largest principal axis, l2, in m².
+    pub largest_variance: f64,
+    /// l0/(l0+l1+l2).
+    pub curvature: f64,
+}
+
+/// Fits the plane to the neighbours `offsets` = q - p; `None` if they lie on a line. `from_sensor` is p as the sensor
+/// sees it.
+pub(super) fn fit(offsets: &[DVec3], from_sensor: DVec3) -> Option<Plane> {
+    let n = offsets.len() as f64;
+    let centroid = offsets.iter().sum::<DVec3>() / n;
+    let mut covariance = DMat3::ZERO;
+    for &offset in offsets {
+        let d = offset - centroid;
+        covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+    }
+    covariance *= 1.0 / n;
+    let ([l0, l1, l2], [axis, ..]) = symmetric_eigen(covariance);
+    if l1 <= DEGENERATE_RATIO * l2 {
+        return None;
+    }
+    let normal = if axis.dot(from_sensor) > 0.0 { -axis } else { axis };
+    Some(Plane {
+        normal,
+        foot: centroid.dot(normal) * normal,
+        largest_variance: l2,
+        curvature: l0.max(0.0) / (l0 + l1 + l2),
+    })
+}

@@ -1,0 +1,90 @@
+//! The weighted polynomial over the plane (docs/method.md, section 5). Metres, relative to p.
+
+use glam::DVec3;
+
+use super::plane::Plane;
+use super::solve::solve;
+
+/// The height of the surface over the plane, f(a, b), by its value and slopes at the foot of p.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Polynomial {
+    /// The degree that the number of neighbours allowed: 2 or 3.
+    pub degree: u32,
+    /// Height over the foot along the normal, c_00, in metres.
+    pub height: f64,
+    /// Gradient at the foot as a vector in the plane, (c_10 u + c_01 v)/h: metres in a metre.
+    pub gradient: DVec3,
+}
+
+/// Number of coefficients of a polynomial of degree d in two variables: 3, 6, 10.
+fn coefficient_count(degree: u32) -> usize {
+    ((degree + 1) * (degree + 2) / 2) as usize
+}
+
+/// The exponents (i, j) of the monomials a^i b^j up to a degree, ordered by degree: 1, a, b, a², ab, b², a³, ...
+fn monomials(degree: u32) -> impl Iterator<Item = (u32, u32)> {
+    (0..=degree).flat_map(|total| (0..=total).map(move |j| (total - j, j)))
+}
+
+/// Two unit vectors that complete the unit vector n to an orthonormal frame (Duff et al. 2017), as every engine does:
+/// which unknowns are dropped depends on the frame.
+pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
+    let sign = 1f64.copysign(n.z);
+    let a = -1.0 / (sign + n.z);
+    let b = n.x * n.y * a;
+    (DVec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), DVec3::new(b, sign + n.y * n.y * a, -n.y))
+}
+
+/// Fits the polynomial of the highest degree, up to `degree`, that the neighbours can carry; `None` if that is 1, the
+/// plane itself.
+pub(super) fn fit(
+    offsets: &[DVec3],
+    plane: &Plane,
+    radius_m: f64,
+    bandwidth_m: f64,
+    degree: u32,
+) -> Option<Polynomial> {
+    let degree = (2..=degree).rev().find(|&d| coefficient_count(d) <= offsets.len())?;
+    let (u, v) = tangents(plane.normal);
+    let h = radius_m.min(2.0 * plane.largest_variance.sqrt());
+
+    let m = coefficient_count(degree);
+    let mut normal_matrix = vec![vec![0.0; m]; m];
+    let mut right_side = vec![0.0; m];
+    for &offset in offsets {
+        let x = offset - plane.foot;
+        let (a, b, f) = (x.dot(u) / h, x.dot(v) / h, x.dot(plane.normal));
+        let w = (-x.length_squared() / (bandwidth_m * bandwidth_m)).exp();
+        let powers: Vec<f64> = monomials(degree).map(|(i, j)| a.powi(i as i32) * b.powi(j as i32)).collect();
+        for (row, power) in powers.iter().enumerate() {
+            for (column, other) in powers.iter().enumerate() {
+                normal_matrix[row][column] += w * power * other;
+            }
+            right_side[row] += w * power * f;
+        }
+    }
+    let c = solve(&normal_matrix, &right_side);
+    Some(Polynomial { degree, height: c[0], gradient: (c[1] * u + c[2] * v) / h })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn monomials_are_ordered_by_degree() {
+        let expected = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
+        assert_eq!(monomials(3).collect::<Vec<_>>(), expected);
+        assert_eq!([1, 2, 3].map(coefficient_count), [3, 6, 10]);
+    }
+
+    #[test]
+    fn tangents_complete_an_orthonormal_frame() {
+        for n in [DVec3::Z, -DVec3::Z, DVec3::X, -DVec3::Y, DVec3::new(0.3, -0.5, -0.2).normalize()] {
+            let (u, v) = tangents(n);
+            for product in [u.dot(v), u.dot(n), v.dot(n), u.length() - 1.0, v.length() - 1.0] {
+                assert!(product.abs() < 1e-15);
+            }
+        }
+    }
+}

@@ -1,0 +1,333 @@
+//! What a Kinect v1 makes of a noise-free image: each part of its noise is a parameter.
+//!
+//! Noise lives in disparity: D = 1/(step z) in units of one disparity step, so that an error of one unit is
+//! step * z² metres of depth (Khoshelham & Elberink 2012). A pixel's disparity gets a fixed pattern that is correlated
+//! over a few pixels (most of the error of a single frame: averaging frames does not remove it), temporal noise, and is
+//! rounded. Around steps of the surface the sensor looks past the edge, mixes both sides, and cannot see what its
+//! projector does not light. Output: u16 millimetres, 0 for no measurement.
+
+use rayon::prelude::*;
+
+use super::random::Random;
+use super::scene::{NO_OBJECT, Truth};
+use crate::camera::Camera;
+use crate::error::FrameError;
+use crate::frame::DepthFrame;
+use crate::params::KINECT_V1_DEPTH_STEP_AT_1M;
+
+/// The parts of the noise. The default is a Kinect v1; [`KinectNoise::NONE`] rounds to millimetres and nothing else.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KinectNoise {
+    /// One disparity unit as depth at 1 m, in metres; it grows with z². 0 leaves the depth unquantized.
+    pub depth_step_at_1m: f64,
+    /// RMS of the fixed pattern in disparity units.
+    pub fixed_pattern_rms: f64,
+    /// Distance in pixels at which the fixed pattern's correlation has fallen to 1/e.
+    pub fixed_pattern_correlation_px: f64,
+    /// RMS of the noise from frame to frame in disparity units.
+    pub temporal_rms: f64,
+    /// Standard deviation in pixels by which a pixel at a step looks beside its ray.
+    pub edge_jitter_px: f64,
+    /// Probability that a pixel at a step floats between the two surfaces.
+    pub flying_pixel_probability: f64,
+    /// Distance between camera and projector in metres, projector to the right; 0 casts no shadow.
+    pub projector_baseline_m: f64,
+    /// Angle of incidence in degrees at which measurements begin to drop out; all are lost at 90°.
+    pub dropout_incidence_deg: f64,
+    /// Nearest depth that is measured, in metres.
+    pub min_range_m: f64,
+    /// Farthest depth that is measured, in metres.
+    pub max_range_m: f64,
+}
+
+impl Default for KinectNoise {
+    fn default() -> Self {
+        Self {
+            depth_step_at_1m: f64::from(KINECT_V1_DEPTH_STEP_AT_1M),
+            fixed_pattern_rms: 0.5,
+            fixed_pattern_correlation_px: 2.5,
+            temporal_rms: 0.3,
+            edge_jitter_px: 0.8,
+            flying_pixel_probability: 0.15,
+            projector_baseline_m: 0.075,
+            dropout_incidence_deg: 70.0,
+            min_range_m: 0.5,
+            max_range_m: 5.0,
+        }
+    }
+}
+
+impl KinectNoise {
+    /// No noise at all.
+    pub const NONE: Self = Self {
+        depth_step_at_1m: 0.0,
+        fixed_pattern_rms: 0.0,
+        fixed_pattern_correlation_px: 1.0,
+        temporal_rms: 0.0,
+        edge_jitter_px: 0.0,
+        flying_pixel_probability: 0.0,
+        projector_baseline_m: 0.0,
+        dropout_incidence_deg: 90.0,
+        min_range_m: 0.0,
+        max_range_m: f64::INFINITY,
+    };
+}
+
+/// Turns noise-free images of one camera into depth frames.
+pub struct KinectSimulator {
+    noise: KinectNoise,
+    camera: Camera,
+    seed: u64,
+    /// Disparity units, one a pixel: the same in every frame.
+    fixed_pattern: Vec<f32>,
+}
+
+const STREAM_FIXED_PATTERN: u64 = 3;
+const STREAM_FRAME: u64 = 4;
+
+impl KinectSimulator {
+    /// A sensor with its own fixed pattern, given by the seed.
+    pub fn new(noise: KinectNoise, camera: Camera, seed: u64) -> Self {
+        Self { noise, camera, seed, fixed_pattern: fixed_pattern(&noise, &camera, seed) }
+    }
+
+    /// Frame number `index` of what `truth` shows: frames differ in the temporal noise alone.
+    ///
+    /// Refuses a truth that was rendered with a camera of another size.
+    pub fn frame(&self, truth: &Truth, index: u64) -> Result<DepthFrame, FrameError> {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let (frame_width, frame_height) = (truth.camera.width, truth.camera.height);
+        if (frame_width, frame_height) != (width, height) {
+            return Err(FrameError::ShapeMismatch { frame_width, frame_height, width, height });
+        }
+        let mut raw = vec![0; width * height];
+        raw.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
+            let stream = STREAM_FRAME + (index * height as u64 + v as u64);
+            self.simulate_row(truth, v, &mut Random::new(self.seed, stream), row);
+        });
+        Ok(DepthFrame { camera: self.camera, raw, rgb: Some(colours(truth)), timestamp_s: None })
+    }
+
+    fn simulate_row(&self, truth: &Truth, v: usize, random: &mut Random, row: &mut [u16]) {
+        let shadow = self.shadow(truth, v);
+        for (u, raw) in row.iter_mut().enumerate() {
+            let i = v * self.camera.width + u;
+            // Drawn for every pixel, so that a pixel's noise does not depend on what its neighbours show.
+            let (temporal, jitter_u, jitter_v) = (random.normal(), random.normal(), random.normal());
+            let (drop_chance, fly_chance, fly_at) = (random.uniform(), random.uniform(), random.uniform());
+            if shadow[u] || drop_chance < self.dropout_probability(truth.incidence_cosine(i)) {
+                continue;
+            }
+            let mut depth_m = f64::from(truth.points.z[i]);
+            if let Some(other) = self.beyond_step(truth, u, v, jitter_u, jitter_v) {
+                depth_m = other;
+            }
+            if fly_chance < self.noise.flying_pixel_probability
+                && let Some(other) = step_neighbour(truth, u, v)
+            {
+                depth_m += fly_at * (other - depth_m);
+            }
+            *raw = self.measure(depth_m, f64::from(self.fixed_pattern[i]) + self.noise.temporal_rms * temporal);
+        }
+    }
+
+    /// A depth with an error in disparity units, quantized, limited to the range; 0 if nothing is measured.
+    fn measure(&self, depth_m: f64, disparity_error: f64) -> u16 {
+        let step = self.noise.depth_step_at_1m;
+        let measured =
+            if step > 0.0 { 1.0 / (step * (1.0 / (step * depth_m) + disparity_error).round()) } else { depth_m };
+        let in_range = measured >= self.noise.min_range_m && measured <= self.noise.max_range_m;
+        if in_range { self.camera.raw_depth(measured as f32) } else { 0 }
+    }
+
+    /// The pixels of row v that the projector does not light. Going away from the projector, light that starts further
+    /// left must also arrive further left; where something nearer already took that light, there is shadow.
+    fn shadow(&self, truth: &Truth, v: usize) -> Vec<bool> {
+        let width = self.camera.width;
+        let shift = self.noise.projector_baseline_m * self.camera.fx;
+        let mut shadow = vec![false; width];
+        let mut leftmost = f64::INFINITY;
+        for u in (0..width).rev() {
+            let in_projector = u as f64 - shift / f64::from(truth.points.z[v * width + u]);
+            // The image of one surface may fold by a fraction of a pixel where it is steep.
+            shadow[u] = shift > 0.0 && in_projector > leftmost + 1.0;
+            leftmost = leftmost.min(in_projector);
+        }
+        shadow
+    }
+
+    /// 0 up to the dropout angle, then rising to 1 at 90°. 1 where there is no surface.
+    fn dropout_probability(&self, incidence_cosine: f64) -> f64 {
+        if incidence_cosine.is_nan() {
+            return 1.0;
+        }
+        let angle_deg = incidence_cosine.clamp(0.0, 1.0).acos().to_degrees();
+        let start = self.noise.dropout_incidence_deg;
+        if angle_deg <= start { 0.0 } else { ((angle_deg - start) / (90.0 - start)).min(1.0) }
+    }
+
+    /// The depth beside the ray, if that lies beyond a step.
+    fn beyond_step(&self, truth: &Truth, u: usize, v: usize, jitter_u: f64, jitter_v: f64) -> Option<f64> {
+        let moved = |at: usize, by: f64, size: usize| {
+            (at as f64 + self.noise.edge_jitter_px * by).round().clamp(0.0, size as f64 - 1.0) as usize
+        };
+        let (width, height) = (self.camera.width, self.camera.height);
+        let (i, j) = (v * width + u, moved(v, jitter_v, height) * width + moved(u, jitter_u, width));
+        (truth.is_step(i, j) && truth.objects[j] != NO_OBJECT).then(|| f64::from(truth.points.z[j]))
+    }
+}
+
+/// The depth of a neighbouring pixel across a step, if there is one.
+fn step_neighbour(truth: &Truth, u: usize, v: usize) -> Option<f64> {
+    let (width, height) = (truth.camera.width, truth.camera.height);
+    let i = v * width + u;
+    let neighbours = [
+        (u > 0).then(|| i - 1),
+        (u + 1 < width).then(|| i + 1),
+        (v > 0).then(|| i - width),
+        (v + 1 < height).then(|| i + width),
+    ];
+    neighbours
+        .into_iter()
+        .flatten()
+        .find(|&j| truth.objects[j] != NO_OBJECT && truth.is_step(i, j))
+        .map(|j| f64::from(truth.points.z[j]))
+}
+
+/// White noise through a Gaussian: a Gaussian of deviation s leaves a correlation of exp(-d²/4s²).
+fn fixed_pattern(noise: &KinectNoise, camera: &Camera, seed: u64) -> Vec<f32> {
+    let (width, height) = (camera.width, camera.height);
+    let sigma = (noise.fixed_pattern_correlation_px / 2.0).max(0.1);
+    let reach = (4.0 * sigma).ceil() as isize;
+    let weights: Vec<f64> = (-reach..=reach).map(|d| (-0.5 * (d as f64 / sigma).powi(2)).exp()).collect();
+    // The variance of a weighted sum of independent values is the sum of the squared weights.
+    let norm = 1.0 / weights.iter().map(|w| w * w).sum::<f64>().sqrt();
+    let mut random = Random::new(seed, STREAM_FIXED_PATTERN);
+    let white: Vec<f64> = (0..width * height).map(|_| random.normal()).collect();
+    let at = |values: &[f64], u: isize, v: isize| {
+        // Wrapping around keeps the variance the same at the border.
+        values[v.rem_euclid(height as isize) as usize * width + u.rem_euclid(width as isize) as usize]
+    };
+    let blur = |values: Vec<f64>, du: isize, dv: isize| -> Vec<f64> {
+        (0..width * height)
+            .into_par_iter()
+            .map(|i| {
+                let (u, v) = ((i % width) as isize, (i / width) as isize);
+                let sum = |(d, w): (isize, &f64)| w * at(&values, u + d * du, v + d * dv);
+                norm * (-reach..).zip(&weights).map(sum).sum::<f64>()
+            })
+            .collect()
+    };
+    blur(blur(white, 1, 0), 0, 1).into_iter().map(|x| (noise.fixed_pattern_rms * x) as f32).collect()
+}
+
+/// A colour for each object, shaded by the angle of incidence, 3 bytes a pixel.
+fn colours(truth: &Truth) -> Vec<u8> {
+    const PALETTE: [[f64; 3]; 8] = [
+        [150.0, 140.0, 130.0],
+        [190.0, 195.0, 200.0],
+        [160.0, 110.0, 70.0],
+        [200.0, 70.0, 60.0],
+        [70.0, 130.0, 180.0],
+        [90.0, 160.0, 80.0],
+        [220.0, 180.0, 60.0],
+        [150.0, 90.0, 160.0],
+    ];
+    let colour = |i: usize| {
+        let id = truth.objects[i];
+        let shade = 0.35 + 0.65 * truth.incidence_cosine(i);
+        let palette = PALETTE[usize::from(id) % PALETTE.len()];
+        palette.map(|c| if id == NO_OBJECT { 0 } else { (c * shade) as u8 })
+    };
+    (0..truth.objects.len()).flat_map(colour).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Pose, Scene, Shape};
+    use super::*;
+    use glam::DVec3;
+
+    fn wall(distance_m: f64) -> (Truth, Camera) {
+        let camera = Camera::kinect_v1();
+        let plane = Shape::Plane { point: DVec3::new(0.0, 0.0, distance_m), normal: DVec3::Z };
+        let scene = Scene { objects: vec![plane] };
+        (scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0)), camera)
+    }
+
+    /// Depth errors in metres over the whole wall.
+    fn errors(frame: &DepthFrame, distance_m: f64) -> Vec<f64> {
+        frame.raw.iter().map(|&raw| f64::from(frame.camera.depth_m(raw)) - distance_m).collect()
+    }
+
+    fn rms(values: &[f64]) -> f64 {
+        (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
+    }
+
+    #[test]
+    fn without_noise_only_the_millimetre_remains() {
+        let (truth, camera) = wall(1.2344);
+        let frame = KinectSimulator::new(KinectNoise::NONE, camera, 1).frame(&truth, 0).unwrap();
+        assert!(frame.raw.iter().all(|&raw| raw == 1234));
+    }
+
+    #[test]
+    fn the_error_has_the_size_and_the_correlation_that_the_parameters_say() {
+        let (truth, camera) = wall(2.0);
+        let noise = KinectNoise { projector_baseline_m: 0.0, ..KinectNoise::default() };
+        let simulator = KinectSimulator::new(noise, camera, 5);
+        let frame = errors(&simulator.frame(&truth, 0).unwrap(), 2.0);
+        // Fixed pattern, temporal noise and rounding (1/12 unit²) are independent.
+        let unit = noise.depth_step_at_1m * 4.0;
+        let expected = unit * (0.25f64 + 0.09 + 1.0 / 12.0).sqrt();
+        assert!((rms(&frame) / expected - 1.0).abs() < 0.05, "{} {expected}", rms(&frame));
+
+        let correlation = |lag: usize| {
+            let pairs = frame.chunks(640).flat_map(|row| row.iter().zip(&row[lag..]));
+            let (sum, n) = pairs.fold((0.0, 0), |(sum, n), (a, b)| (sum + a * b, n + 1));
+            sum / f64::from(n) / rms(&frame).powi(2)
+        };
+        // A real tripod sequence has 0.65, 0.50, 0.35 and 0.18 at 1, 2, 3 and 5 pixels.
+        assert!((0.4..0.7).contains(&correlation(1)), "{}", correlation(1));
+        assert!((0.2..0.5).contains(&correlation(2)), "{}", correlation(2));
+        assert!(correlation(5) < 0.1, "{}", correlation(5));
+
+        // The fixed pattern stays when frames are averaged.
+        let mut mean = vec![0.0; frame.len()];
+        for index in 0..20 {
+            for (m, error) in mean.iter_mut().zip(errors(&simulator.frame(&truth, index).unwrap(), 2.0)) {
+                *m += error / 20.0;
+            }
+        }
+        assert!(rms(&mean) > 0.7 * rms(&frame));
+    }
+
+    #[test]
+    fn frames_repeat_by_seed_and_index() {
+        let (truth, camera) = wall(1.0);
+        let simulator = |seed| KinectSimulator::new(KinectNoise::default(), camera, seed);
+        assert_eq!(simulator(3).frame(&truth, 7).unwrap(), simulator(3).frame(&truth, 7).unwrap());
+        assert_ne!(simulator(3).frame(&truth, 7).unwrap().raw, simulator(3).frame(&truth, 8).unwrap().raw);
+        assert_ne!(simulator(3).frame(&truth, 7).unwrap().raw, simulator(4).frame(&truth, 7).unwrap().raw);
+    }
+
+    #[test]
+    fn an_object_casts_a_shadow_on_its_left_and_steps_have_flying_pixels() {
+        let camera = Camera::kinect_v1();
+        let scene = Scene {
+            objects: vec![
+                Shape::Plane { point: DVec3::new(0.0, 0.0, 2.0), normal: DVec3::Z },
+                Shape::Sphere { centre: DVec3::new(0.0, 0.0, 1.0), radius_m: 0.1 },
+            ],
+        };
+        let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
+        let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).unwrap();
+        let row = &frame.raw[240 * 640..241 * 640];
+        // The disparities of 1 m and 2 m differ by 0.075 * 525 / 2, 20 pixels.
+        let holes = |range: std::ops::Range<usize>| row[range].iter().filter(|&&raw| raw == 0).count();
+        assert!(holes(230..275) >= 15, "{}", holes(230..275));
+        assert!(holes(380..420) <= 2, "{}", holes(380..420));
+        let floating = frame.raw.iter().filter(|&&raw| (1150..1850).contains(&raw)).count();
+        assert!(floating > 10, "{floating}");
+    }
+}

@@ -1,0 +1,27 @@
+//! Frames with known truth: seeded scenes, ray-cast without noise, and a model of the Kinect v1's noise on top.
+//!
+//! The noise is correlated from pixel to pixel, quantized, and grows with z², as that of the real sensor: filters look
+//! far better on independent noise than they are.
+//!
+//! ```
+//! use planish::Camera;
+//! use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+//!
+//! let camera = Camera { width: 160, height: 120, fx: 131.0, fy: 131.0, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() };
+//! let (scene, pose) = Scene::tabletop(1);
+//! let truth = scene.render(&camera, &pose);
+//! let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).unwrap();
+//! assert_eq!(frame.raw.len(), 160 * 120);
+//! ```
+
+mod kinect;
+mod random;
+mod scene;
+mod scenes;
+
+/// The linear algebra of scenes and poses.
+pub use glam::{DMat3, DVec3};
+pub use kinect::{KinectNoise, KinectSimulator};
+#[cfg(test)]
+pub(crate) use random::Random;
+pub use scene::{NO_OBJECT, Pose, Scene, Shape, Truth};

@@ -1,0 +1,74 @@
+//! The seeded scenes: a table with objects seen by a camera over it, and a room.
+
+use glam::{DMat3, DVec3};
+
+use super::random::Random;
+use super::scene::{Pose, Scene, Shape};
+
+/// Height of the table over the floor, and of the camera over the table, in metres.
+const TABLE_HEIGHT_M: f64 = 0.75;
+const CAMERA_OVER_TABLE_M: f64 = 0.45;
+
+impl Scene {
+    /// A table at 0.6 to 1.5 m with spheres, boxes and cylinders on it, in front of a wall; the camera looks down on it.
+    pub fn tabletop(seed: u64) -> (Self, Pose) {
+        let mut random = Random::new(seed, 1);
+        let floor_y = TABLE_HEIGHT_M + CAMERA_OVER_TABLE_M;
+        let table_y = CAMERA_OVER_TABLE_M;
+        let yaw = random.between(-0.15, 0.15);
+        let mut objects = vec![
+            Shape::Plane { point: DVec3::new(0.0, floor_y, 0.0), normal: DVec3::Y },
+            Shape::Plane {
+                point: DVec3::new(0.0, 0.0, random.between(2.2, 2.8)),
+                normal: DMat3::from_rotation_y(yaw) * DVec3::Z,
+            },
+            Shape::Cuboid {
+                centre: DVec3::new(0.0, table_y + 0.02, 1.05),
+                half_extent_m: DVec3::new(0.7, 0.02, 0.45),
+                world_from_box: DMat3::from_rotation_y(random.between(-0.1, 0.1)),
+            },
+        ];
+        // One object in each cell of a 4 x 2 grid, so that they neither touch nor hide each other much.
+        for cell in 0..8 {
+            let x = -0.45 + 0.3 * f64::from(cell % 4) + random.between(-0.05, 0.05);
+            let z = 0.85 + 0.32 * f64::from(cell / 4) + random.between(-0.05, 0.05);
+            objects.push(standing_object(&mut random, DVec3::new(x, table_y, z), 1.0));
+        }
+        let pose = Pose::looking(DVec3::ZERO, random.between(-0.05, 0.05), random.between(0.45, 0.55));
+        (Self { objects }, pose)
+    }
+
+    /// A room of 4 m with boxes, pillars and balls at 1.2 to 3.5 m, seen by a camera at 1.2 m height.
+    pub fn room(seed: u64) -> (Self, Pose) {
+        let mut random = Random::new(seed, 2);
+        let floor_y = 1.2;
+        let mut objects = vec![
+            Shape::Plane { point: DVec3::new(0.0, floor_y, 0.0), normal: DVec3::Y },
+            Shape::Plane { point: DVec3::new(0.0, 0.0, random.between(3.6, 4.2)), normal: DVec3::Z },
+            Shape::Plane { point: DVec3::new(random.between(-2.2, -1.6), 0.0, 0.0), normal: DVec3::X },
+            Shape::Plane { point: DVec3::new(random.between(1.6, 2.2), 0.0, 0.0), normal: DVec3::X },
+        ];
+        for cell in 0..6 {
+            let x = -1.0 + f64::from(cell % 3) + random.between(-0.2, 0.2);
+            let z = 1.8 + 1.1 * f64::from(cell / 3) + random.between(-0.3, 0.3);
+            objects.push(standing_object(&mut random, DVec3::new(x, floor_y, z), 4.0));
+        }
+        (Self { objects }, Pose::looking(DVec3::ZERO, random.between(-0.2, 0.2), random.between(0.1, 0.25)))
+    }
+}
+
+/// A sphere, box or cylinder that stands on `base`, some centimetres large times `scale`.
+fn standing_object(random: &mut Random, base: DVec3, scale: f64) -> Shape {
+    let radius_m = scale * random.between(0.05, 0.08);
+    let half_height_m = scale * random.between(0.05, 0.11);
+    let above = |height: f64| base - DVec3::new(0.0, height, 0.0);
+    match random.uniform() {
+        kind if kind < 0.35 => Shape::Sphere { centre: above(radius_m), radius_m },
+        kind if kind < 0.7 => Shape::Cuboid {
+            centre: above(half_height_m),
+            half_extent_m: DVec3::new(radius_m, half_height_m, scale * random.between(0.04, 0.07)),
+            world_from_box: DMat3::from_rotation_y(random.between(-0.8, 0.8)),
+        },
+        _ => Shape::Cylinder { centre: above(half_height_m), axis: DVec3::Y, radius_m, half_height_m },
+    }
+}

@@ -1,0 +1,32 @@
+//! Where parallel work runs: the process's own pool, or one of a given size.
+
+use std::sync::Arc;
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::error::EngineError;
+
+/// A pool of threads, or rayon's global one.
+#[derive(Clone)]
+pub(crate) struct Threads(Option<Arc<ThreadPool>>);
+
+impl Threads {
+    /// `None` is one thread for each core, shared by the whole process.
+    pub(crate) fn open(threads: Option<usize>) -> Result<Self, EngineError> {
+        let Some(threads) = threads else { return Ok(Self(None)) };
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|i| format!("planish-{i}"))
+            .build()
+            .map_err(|error| EngineError::Threads { threads, reason: error.to_string() })?;
+        Ok(Self(Some(Arc::new(pool))))
+    }
+
+    /// Runs `work` with its parallel iterators on this pool.
+    pub(crate) fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        match &self.0 {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
+    }
+}
