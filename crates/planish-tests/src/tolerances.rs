@@ -7,52 +7,76 @@ use planish::{OrganizedCloud, Smoothed};
 pub const EQUAL_STATUS: f64 = 0.9999;
 
 /// Most positions: f32 rounding of coordinates up to 5 m (half an ulp is 2.4e-7 m) and of the sums over a window.
+/// Rounding is relative: both figures grow with a range over [`RANGE_M`] and a radius over [`RADIUS_M`].
 pub const POSITION_999_M: f64 = 5e-6;
+
+/// The range up to which the tolerances hold as they are.
+pub const RANGE_M: f64 = 5.0;
+
+/// The radius of a neighbourhood up to which the tolerances hold as they are.
+pub const RADIUS_M: f64 = 0.25;
 
 /// Nearly all positions: a neighbour within rounding of the gate, or a pivot within rounding of being dropped.
 pub const POSITION_9999_M: f64 = 2e-5;
 
-/// How far one result is from the reference's.
-#[derive(Debug, Clone, Copy)]
+/// How far results are from the reference's, gathered over one or more frames.
+#[derive(Debug, Clone, Default)]
 pub struct Agreement {
-    /// Share of pixels with equal status.
-    pub equal_status: f64,
-    /// 99.9th percentile of the distance of positions with equal status, in metres.
-    pub position_999_m: f64,
-    /// 99.99th percentile.
-    pub position_9999_m: f64,
-    /// Largest distance.
-    pub position_max_m: f64,
+    pixels: usize,
+    equal: usize,
+    distances_m: Vec<f64>,
 }
 
-/// Compares a result with the reference's; both need the status.
-///
-/// # Panics
-/// If either has no status.
-pub fn agreement(result: &Smoothed, reference: &Smoothed) -> Agreement {
-    let (status, expected) = (result.status.as_ref().expect("status"), reference.status.as_ref().expect("status"));
-    assert_eq!(status.len(), expected.len());
-    let mut distances = Vec::new();
-    let mut equal = 0usize;
-    for i in (0..status.len()).filter(|&i| status[i] == expected[i]) {
-        equal += 1;
-        if expected[i].has_point() {
-            let (a, b) = (result.points.get(i), reference.points.get(i));
-            let square: f64 = (0..3).map(|k| (f64::from(a[k]) - f64::from(b[k])).powi(2)).sum();
-            // A NaN would vanish in a sort by partial order; count it as infinitely far.
-            distances.push(if square.is_nan() { f64::INFINITY } else { square.sqrt() });
+impl Agreement {
+    /// Adds a frame; both results need the status. Distances are scaled to a range of [`RANGE_M`] and a radius of
+    /// [`RADIUS_M`] where theirs are larger.
+    ///
+    /// # Panics
+    /// If either has no status.
+    pub fn add(&mut self, result: &Smoothed, reference: &Smoothed, radius_m: impl Fn(f64) -> f64) {
+        let (status, expected) = (result.status.as_ref().expect("status"), reference.status.as_ref().expect("status"));
+        assert_eq!(status.len(), expected.len());
+        self.pixels += status.len();
+        for i in (0..status.len()).filter(|&i| status[i] == expected[i]) {
+            self.equal += 1;
+            if expected[i].has_point() {
+                let (a, b) = (result.points.get(i), reference.points.get(i));
+                let square: f64 = (0..3).map(|k| (f64::from(a[k]) - f64::from(b[k])).powi(2)).sum();
+                let z = f64::from(b[2]).abs();
+                let scale = 1f64.max(z / RANGE_M).max(radius_m(z) / RADIUS_M);
+                // A NaN is infinitely far.
+                self.distances_m.push(if square.is_nan() { f64::INFINITY } else { square.sqrt() / scale });
+            }
         }
     }
-    distances.sort_by(f64::total_cmp);
-    let at = |share: f64| {
-        let last = distances.len().checked_sub(1);
-        last.map_or(0.0, |last| distances[((distances.len() as f64 * share) as usize).min(last)])
-    };
-    Agreement {
-        equal_status: equal as f64 / status.len() as f64,
-        position_999_m: at(0.999),
-        position_9999_m: at(0.9999),
-        position_max_m: at(1.0),
+
+    /// Share of pixels with equal status.
+    pub fn equal_status(&self) -> f64 {
+        self.equal as f64 / self.pixels as f64
+    }
+
+    /// The distance that this share of the positions with equal status keeps, in metres.
+    pub fn position_m(&mut self, share: f64) -> f64 {
+        self.distances_m.sort_by(f64::total_cmp);
+        let place = (self.distances_m.len() as f64 * share) as usize;
+        self.distances_m.get(place).or(self.distances_m.last()).copied().unwrap_or(0.0)
+    }
+
+    /// What breaks section 9, each in words.
+    pub fn misses(mut self) -> Vec<String> {
+        // Of a small cloud a single pixel is more than the share that may differ.
+        let one_pixel = 1.0 / self.pixels as f64;
+        let mut misses = Vec::new();
+        if self.equal_status() < EQUAL_STATUS - one_pixel {
+            misses.push(format!("status equal on {}", self.equal_status()));
+        }
+        for (share, tolerance_m) in [(0.999, POSITION_999_M), (0.9999, POSITION_9999_M)] {
+            let found_m = self.position_m(share);
+            if found_m > tolerance_m {
+                misses.push(format!("{} % within {found_m:e} m instead of {tolerance_m:e} m", 100.0 * share));
+            }
+        }
+        misses
     }
 }
 

@@ -7,7 +7,7 @@ use planish::{
 use planish_tests::scenes::{grid, height_field};
 
 fn smooth(cloud: &OrganizedCloud, params: SmoothParams) -> Smoothed {
-    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: None };
+    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: None, simd: None };
     let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height())).unwrap();
     let mut smoothed = Smoothed::default();
     smoother.smooth(cloud, &mut smoothed).unwrap();

@@ -6,7 +6,8 @@ use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
 use planish_tests::tolerances::assert_invariants;
 
 fn smooth(cloud: &planish::OrganizedCloud, params: SmoothParams, threads: usize) -> Smoothed {
-    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: Some(threads) };
+    let options =
+        SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: Some(threads), simd: None };
     let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height())).unwrap();
     let mut smoothed = Smoothed::default();
     smoother.smooth(cloud, &mut smoothed).unwrap();
@@ -108,7 +109,7 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
         ..KinectNoise::default()
     };
     let frame = KinectSimulator::new(noise, camera, 3).frame(&truth, 0).unwrap();
-    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: None };
+    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: None, simd: None };
     let mut smoothed = Smoothed::default();
     let mut smoother = Smoother::open_with(SmoothParams::default(), options, (160, 120)).unwrap();
     smoother.smooth(&frame, &mut smoothed).unwrap();

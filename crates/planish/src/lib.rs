@@ -17,6 +17,7 @@
 mod camera;
 mod cloud;
 mod colour;
+mod cpu;
 mod error;
 pub mod evaluate;
 mod frame;
@@ -34,6 +35,7 @@ pub use camera::{Camera, SATURATED_DEPTH};
 pub use cloud::{
     Attribute, AttributeValues, IDENTITY_VIEWPOINT, MAX_PIXELS, OrganizedCloud, PointCloud, PositionColumns, Xyz,
 };
+pub use cpu::SimdLevel;
 pub use error::{EngineError, Error, FormatError, FrameError, IoError, ParamError};
 pub use frame::{DepthFrame, DepthImage, Frame};
 pub use params::{KINECT_V1_DEPTH_STEP_AT_1M, Radius, SmoothParams};

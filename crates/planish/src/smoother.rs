@@ -1,6 +1,7 @@
 //! The front door: open an engine once for a frame shape, then smooth any number of frames.
 
 use crate::cloud::{PointCloud, validate_shape};
+use crate::cpu::{Cpu, SimdLevel};
 use crate::error::{EngineError, Error, FrameError, ParamError};
 use crate::frame::Frame;
 use crate::params::{Radius, SmoothParams};
@@ -42,6 +43,8 @@ pub struct SmootherOptions {
     pub outputs: Outputs,
     /// How many threads the CPU engines use; `None` is one for each core.
     pub threads: Option<usize>,
+    /// Which instruction set the CPU engine uses; `None` is the widest of this machine.
+    pub simd: Option<SimdLevel>,
 }
 
 /// An open engine with its buffers, for frames of one shape.
@@ -65,6 +68,7 @@ pub struct Smoother {
 }
 
 enum EngineState {
+    Cpu(Cpu),
     Reference(Reference),
 }
 
@@ -85,11 +89,11 @@ impl Smoother {
             Err(EngineError::Unavailable { engine: options.engine.name(), reason: reason.to_owned() }.into())
         };
         let engine = match options.engine {
-            Engine::Auto | Engine::Reference => {
-                EngineState::Reference(Reference::open(params, options.outputs, options.threads)?)
+            Engine::Auto | Engine::Cpu => {
+                EngineState::Cpu(Cpu::open(params, options.outputs, options.threads, options.simd, shape)?)
             }
-            Engine::Cpu => return unavailable("it is not built yet; use auto or reference"),
-            Engine::Gpu => return unavailable("it is not built yet; use auto or reference"),
+            Engine::Reference => EngineState::Reference(Reference::open(params, options.outputs, options.threads)?),
+            Engine::Gpu => return unavailable("it is not built yet; use auto, cpu or reference"),
         };
         Ok(Self { shape, engine })
     }
@@ -97,6 +101,7 @@ impl Smoother {
     /// The engine that is open: what `Auto` chose.
     pub fn engine(&self) -> Engine {
         match self.engine {
+            EngineState::Cpu(_) => Engine::Cpu,
             EngineState::Reference(_) => Engine::Reference,
         }
     }
@@ -111,6 +116,7 @@ impl Smoother {
         }
         frame.validate()?;
         match &mut self.engine {
+            EngineState::Cpu(cpu) => cpu.smooth(frame, out),
             EngineState::Reference(reference) => reference.smooth(frame, out),
         }
     }

@@ -32,6 +32,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
         engine: args.smoothing.engine(),
         outputs: Outputs { normals: true, ..Outputs::POINTS },
         threads: args.smoothing.threads,
+        ..SmootherOptions::default()
     };
     let mut smoother = Smoother::open_with(args.smoothing.params()?, options, (camera.width, camera.height))?;
     let mut smoothed = Smoothed::default();

@@ -279,8 +279,12 @@ impl Worker<'_> {
 
     fn open(&mut self, shape: (usize, usize), outputs: Outputs) -> Result<()> {
         if self.open.as_ref().is_none_or(|(_, open)| *open != shape) {
-            let options =
-                SmootherOptions { engine: self.args.smoothing.engine(), outputs, threads: self.args.smoothing.threads };
+            let options = SmootherOptions {
+                engine: self.args.smoothing.engine(),
+                outputs,
+                threads: self.args.smoothing.threads,
+                simd: None,
+            };
             self.open = Some((Smoother::open_with(self.params, options, shape)?, shape));
         }
         Ok(())

@@ -1,0 +1,148 @@
+//! The smallest eigenvector of a symmetric 3x3 matrix in every lane (docs/method.md, section 4), in f32.
+//!
+//! The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half their
+//! digits, so each lane first solves for the root that stands alone: the smallest where the points lie on a plane, the
+//! largest where they lie along a line. In the second case the other two come from the matrix restricted to the plane
+//! across the line (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). Errors are then a few ulp of the
+//! largest eigenvalue, as those of the matrix itself. A zero matrix gives zeros and some unit vector.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
+
+use super::math::cos_third_acos;
+use super::vector::{Mask, Vec3, splat};
+
+/// A symmetric matrix for each lane.
+pub(super) struct Symmetric<S: Simd> {
+    pub(super) xx: S::f32s,
+    pub(super) xy: S::f32s,
+    pub(super) xz: S::f32s,
+    pub(super) yy: S::f32s,
+    pub(super) yz: S::f32s,
+    pub(super) zz: S::f32s,
+}
+
+impl<S: Simd> Symmetric<S> {
+    #[inline(always)]
+    fn rows(&self) -> [Vec3<S>; 3] {
+        [
+            Vec3::new(self.xx, self.xy, self.xz),
+            Vec3::new(self.xy, self.yy, self.yz),
+            Vec3::new(self.xz, self.yz, self.zz),
+        ]
+    }
+
+    #[inline(always)]
+    fn times(&self, v: Vec3<S>) -> Vec3<S> {
+        let [x, y, z] = self.rows();
+        Vec3::new(x.dot(v), y.dot(v), z.dot(v))
+    }
+}
+
+/// Eigenvalues in ascending order and the unit eigenvector of the smallest.
+pub(super) struct Smallest<S: Simd> {
+    pub(super) values: [S::f32s; 3],
+    pub(super) vector: Vec3<S>,
+}
+
+/// Where det(B)/2 is beyond this, the largest root stands alone by far and the smaller two are close.
+const LINE_LIKE: f32 = 0.9;
+
+#[inline(always)]
+pub(super) fn smallest_eigenvector<S: Simd>(simd: S, m: &Symmetric<S>) -> Smallest<S> {
+    let (zero, one, tiny) = (splat(simd, 0.0), splat(simd, 1.0), splat(simd, f32::MIN_POSITIVE));
+
+    // M = mean I + p B with det(B)/2 = cos(3 phi).
+    let trace = m.xx + m.yy + m.zz;
+    let mean = trace * splat(simd, 1.0 / 3.0);
+    let (dx, dy, dz) = (m.xx - mean, m.yy - mean, m.zz - mean);
+    let off = m.xy.mul_add(m.xy, m.xz.mul_add(m.xz, m.yz * m.yz));
+    let diagonal = dx.mul_add(dx, dy.mul_add(dy, dz * dz));
+    let p = ((diagonal + off + off) * splat(simd, 1.0 / 6.0)).sqrt();
+    let inverse_p = one / p.max(tiny);
+    let (bx, by, bz) = (dx * inverse_p, dy * inverse_p, dz * inverse_p);
+    let (bxy, bxz, byz) = (m.xy * inverse_p, m.xz * inverse_p, m.yz * inverse_p);
+    let det =
+        bx.mul_add(minor(by, bz, byz, byz), bxz.mul_add(minor(bxy, byz, by, bxz), -(bxy * minor(bxy, bz, byz, bxz))));
+    let half_det = (det * splat(simd, 0.5)).max(splat(simd, -1.0)).min(one);
+
+    // The root that stands alone, in units of p around the mean: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
+    let line_like: Mask<S> = half_det.simd_gt(splat(simd, LINE_LIKE));
+    let sign = line_like.select(one, splat(simd, -1.0));
+    let alone = mean + (sign + sign) * p * cos_third_acos(simd, half_det * sign);
+    let axis = null_vector(simd, m, alone);
+
+    // The other two have this sum and this product.
+    let rest = trace - alone;
+    let minors = minor(m.xx, m.yy, m.xy, m.xy) + minor(m.xx, m.zz, m.xz, m.xz) + minor(m.yy, m.zz, m.yz, m.yz);
+    let half = rest * splat(simd, 0.5);
+    let spread = minor(half, half, one, minors - alone * rest).max(zero).sqrt();
+    let plane_like = Smallest { values: [alone, half - spread, half + spread], vector: axis };
+    if !line_like.any_true() {
+        return plane_like;
+    }
+    let across = across_line(simd, m, axis);
+    Smallest {
+        values: [
+            line_like.select(across.values[0], plane_like.values[0]),
+            line_like.select(across.values[1], plane_like.values[1]),
+            line_like.select(alone, plane_like.values[2]),
+        ],
+        vector: across.vector.or(line_like, axis),
+    }
+}
+
+/// a b - c d.
+#[inline(always)]
+fn minor<V: SimdFloat<S>, S: Simd>(a: V, b: V, c: V, d: V) -> V {
+    a.mul_add(b, -(c * d))
+}
+
+/// A unit vector that M - value I takes to zero: the longest cross product of two of its rows.
+#[inline(always)]
+fn null_vector<S: Simd>(simd: S, m: &Symmetric<S>, value: S::f32s) -> Vec3<S> {
+    let shifted = Symmetric { xx: m.xx - value, yy: m.yy - value, zz: m.zz - value, ..*m };
+    let [x, y, z] = shifted.rows();
+    let (a, b, c) = (x.cross(y), x.cross(z), y.cross(z));
+    let (a2, b2, c2) = (a.dot(a), b.dot(b), c.dot(c));
+    let b_longer: Mask<S> = b2.simd_gt(a2);
+    let (longest, square) = (b.or(b_longer, a), b2.max(a2));
+    let c_longer: Mask<S> = c2.simd_gt(square);
+    let (longest, square) = (c.or(c_longer, longest), c2.max(square));
+    // Products of four small variances may leave the range of f32; such a neighbourhood is a point, any vector will do.
+    let usable: Mask<S> = square.simd_gt(splat(simd, f32::MIN_POSITIVE));
+    let zero = splat(simd, 0.0);
+    let one = splat(simd, 1.0);
+    longest.scale(one / usable.select(square, one).sqrt()).or(usable, Vec3::new(zero, zero, one))
+}
+
+/// Two unit vectors that complete n to an orthonormal frame (Duff et al. 2017), as in the reference.
+#[inline(always)]
+pub(super) fn tangents<S: Simd>(simd: S, n: Vec3<S>) -> (Vec3<S>, Vec3<S>) {
+    let one = splat(simd, 1.0);
+    let sign = one.copysign(n.z);
+    let a = -(one / (sign + n.z));
+    let b = n.x * n.y * a;
+    let u = Vec3::new((sign * n.x * n.x).mul_add(a, one), sign * b, -(sign * n.x));
+    let v = Vec3::new(b, (n.y * n.y).mul_add(a, sign), -n.y);
+    (u, v)
+}
+
+/// The smaller two eigenvalues, from M restricted to the plane across `axis`, the eigenvector of the largest.
+#[inline(always)]
+fn across_line<S: Simd>(simd: S, m: &Symmetric<S>, axis: Vec3<S>) -> Smallest<S> {
+    let (u, v) = tangents(simd, axis);
+    let (mu, mv) = (m.times(u), m.times(v));
+    let (uu, uv, vv) = (u.dot(mu), u.dot(mv), v.dot(mv));
+    let (half_sum, half_difference) = ((uu + vv) * splat(simd, 0.5), (uu - vv) * splat(simd, 0.5));
+    let spread = half_difference.mul_add(half_difference, uv * uv).sqrt();
+    // The eigenvector of the smaller one, by the longer of the two rows' normals.
+    let reach = half_difference.abs() + spread;
+    let u_larger: Mask<S> = half_difference.simd_ge(splat(simd, 0.0));
+    let (a, b) = (u_larger.select(uv, -reach), u_larger.select(-reach, uv));
+    let square = a.mul_add(a, b * b);
+    let usable: Mask<S> = square.simd_gt(splat(simd, f32::MIN_POSITIVE));
+    let scale = splat(simd, 1.0) / usable.select(square, splat(simd, 1.0)).sqrt();
+    let vector = u.scale(a * scale).add_scaled(b * scale, v).or(usable, u);
+    let smaller = half_sum - spread;
+    Smallest { values: [smaller, half_sum + spread, half_sum + spread], vector }
+}

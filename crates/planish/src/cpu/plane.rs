@@ -1,0 +1,58 @@
+//! The plane of a neighbourhood by principal component analysis (docs/method.md, section 4).
+//!
+//! Metres, relative to the point p being smoothed.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
+
+use super::eigen::{Symmetric, smallest_eigenvector};
+use super::vector::{Mask, Vec3, splat};
+use super::window::Sums;
+
+/// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
+const DEGENERATE_RATIO: f32 = 1e-4;
+
+pub(super) struct Plane<S: Simd> {
+    /// Unit normal, towards the sensor.
+    pub(super) normal: Vec3<S>,
+    /// c·n: the foot of p on the plane is this times the normal.
+    pub(super) height: S::f32s,
+    /// l2, in m².
+    pub(super) largest_variance: S::f32s,
+    /// l0/(l0+l1+l2).
+    pub(super) curvature: S::f32s,
+    /// The neighbours lie on a line; the rest means nothing.
+    pub(super) degenerate: Mask<S>,
+}
+
+#[inline(always)]
+pub(super) fn fit<S: Simd>(simd: S, p: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
+    let inverse_n = splat(simd, 1.0) / sums.n.max(splat(simd, 1.0));
+    let c = sums.e.scale(inverse_n);
+    let matrix = Symmetric {
+        xx: covariance(sums.xx, inverse_n, c.x, c.x),
+        xy: covariance(sums.xy, inverse_n, c.x, c.y),
+        xz: covariance(sums.xz, inverse_n, c.x, c.z),
+        yy: covariance(sums.yy, inverse_n, c.y, c.y),
+        yz: covariance(sums.yz, inverse_n, c.y, c.z),
+        zz: covariance(sums.zz, inverse_n, c.z, c.z),
+    };
+    let eigen = smallest_eigenvector(simd, &matrix);
+    let [l0, l1, l2] = eigen.values;
+    let degenerate = l1.simd_le(l2 * splat(simd, DEGENERATE_RATIO));
+    let away: Mask<S> = eigen.vector.dot(p).simd_gt(splat(simd, 0.0));
+    let normal = eigen.vector.scale(away.select(splat(simd, -1.0), splat(simd, 1.0)));
+    let total = (l0 + l1 + l2).max(splat(simd, f32::MIN_POSITIVE));
+    Plane {
+        normal,
+        height: c.dot(normal),
+        largest_variance: l2,
+        curvature: l0.max(splat(simd, 0.0)) / total,
+        degenerate,
+    }
+}
+
+/// Mean of a product less the product of the means. All are of the size of the neighbourhood, so little cancels.
+#[inline(always)]
+fn covariance<V: SimdFloat<S>, S: Simd>(product_sum: V, inverse_n: V, mean_a: V, mean_b: V) -> V {
+    product_sum.mul_add(inverse_n, -(mean_a * mean_b))
+}

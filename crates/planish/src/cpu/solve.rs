@@ -1,0 +1,86 @@
+//! The normal equations by LDL^T, dropping unknowns that the neighbours do not support (docs/method.md, section 6).
+//!
+//! Lanes whose neighbours are too few for degree 3 drop its unknowns: since the order is by degree, what remains is the
+//! solution of degree 2.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
+
+use super::polynomial::Moments;
+use super::unroll::unroll;
+use super::vector::{Mask, splat};
+
+/// A pivot at or below this share of its own diagonal entry is not supported.
+const PIVOT_RATIO: f32 = 1e-2;
+
+/// The exponents (i, j) of the monomials a^i b^j, ordered by degree.
+const MONOMIALS: [(usize, usize); 10] =
+    [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
+
+/// Number of coefficients of a polynomial of degree D in two variables.
+pub(super) const fn coefficient_count(degree: usize) -> usize {
+    (degree + 1) * (degree + 2) / 2
+}
+
+/// c_00, c_10 and c_01 in the units of the moments.
+#[inline(always)]
+pub(super) fn solve<S: Simd, const D: usize>(simd: S, moments: &Moments<S>, n: S::f32s) -> [S::f32s; 3] {
+    let zero = splat(simd, 0.0);
+    let count = coefficient_count(D);
+    let carries_cubic: Mask<S> = n.simd_ge(splat(simd, coefficient_count(3) as f32));
+    // L below the diagonal, its columns times their pivots, and the inverse pivots; a dropped unknown has zeros.
+    let mut l = [[zero; 10]; 10];
+    let mut scaled = [[zero; 10]; 10];
+    let mut inverse = [zero; 10];
+    let mut y = [zero; 10];
+    unroll!(J in 10 {
+        if J < count {
+            let diagonal = entry::<S, D>(moments, J, J);
+            let mut pivot = diagonal;
+            let mut right = moments.t::<D>(MONOMIALS[J].0, MONOMIALS[J].1);
+            unroll!(K in 10 {
+                if K < J {
+                    pivot = (-l[J][K]).mul_add(scaled[J][K], pivot);
+                    right = (-l[J][K]).mul_add(y[K], right);
+                }
+            });
+            y[J] = right;
+            let mut supported: Mask<S> = pivot.simd_gt(diagonal * splat(simd, PIVOT_RATIO));
+            if D == 3 && J >= coefficient_count(2) {
+                supported = supported & carries_cubic;
+            }
+            inverse[J] = supported.select(splat(simd, 1.0) / pivot, zero);
+            unroll!(I in 10 {
+                if I > J && I < count {
+                    let mut value = entry::<S, D>(moments, I, J);
+                    unroll!(K in 10 {
+                        if K < J {
+                            value = (-l[I][K]).mul_add(scaled[J][K], value);
+                        }
+                    });
+                    scaled[I][J] = value;
+                    l[I][J] = value * inverse[J];
+                }
+            });
+        }
+    });
+    let mut c = [zero; 10];
+    unroll!(R in 10 {
+        const J: usize = 9 - R;
+        if J < count {
+            c[J] = y[J] * inverse[J];
+            unroll!(I in 10 {
+                if I > J && I < count {
+                    c[J] = (-l[I][J]).mul_add(c[I], c[J]);
+                }
+            });
+        }
+    });
+    [c[0], c[1], c[2]]
+}
+
+/// Entry (i, j) of the normal matrix.
+#[inline(always)]
+fn entry<S: Simd, const D: usize>(moments: &Moments<S>, i: usize, j: usize) -> S::f32s {
+    let ((ai, bi), (aj, bj)) = (MONOMIALS[i], MONOMIALS[j]);
+    moments.m::<D>(ai + aj, bi + bj)
+}

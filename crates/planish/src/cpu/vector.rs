@@ -1,0 +1,82 @@
+//! Points in space, one for each lane.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
+
+/// The mask that belongs to the f32 vector of a SIMD level.
+pub(super) type Mask<S> = <<S as Simd>::f32s as SimdBase<S>>::Mask;
+
+/// One value in every lane.
+#[inline(always)]
+pub(super) fn splat<S: Simd>(simd: S, value: f32) -> S::f32s {
+    S::f32s::splat(simd, value)
+}
+
+/// A vector in space for each lane.
+pub(super) struct Vec3<S: Simd> {
+    pub(super) x: S::f32s,
+    pub(super) y: S::f32s,
+    pub(super) z: S::f32s,
+}
+
+impl<S: Simd> Clone for Vec3<S> {
+    #[inline(always)]
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<S: Simd> Copy for Vec3<S> {}
+
+impl<S: Simd> Vec3<S> {
+    #[inline(always)]
+    pub(super) fn new(x: S::f32s, y: S::f32s, z: S::f32s) -> Self {
+        Self { x, y, z }
+    }
+
+    #[inline(always)]
+    pub(super) fn splat(simd: S, value: f32) -> Self {
+        let value = splat(simd, value);
+        Self::new(value, value, value)
+    }
+
+    #[inline(always)]
+    pub(super) fn dot(self, other: Self) -> S::f32s {
+        self.x.mul_add(other.x, self.y.mul_add(other.y, self.z * other.z))
+    }
+
+    #[inline(always)]
+    pub(super) fn cross(self, other: Self) -> Self {
+        Self::new(
+            self.y.mul_add(other.z, -(self.z * other.y)),
+            self.z.mul_add(other.x, -(self.x * other.z)),
+            self.x.mul_add(other.y, -(self.y * other.x)),
+        )
+    }
+
+    #[inline(always)]
+    pub(super) fn scale(self, factor: S::f32s) -> Self {
+        Self::new(self.x * factor, self.y * factor, self.z * factor)
+    }
+
+    #[inline(always)]
+    pub(super) fn add(self, other: Self) -> Self {
+        Self::new(self.x + other.x, self.y + other.y, self.z + other.z)
+    }
+
+    #[inline(always)]
+    pub(super) fn sub(self, other: Self) -> Self {
+        Self::new(self.x - other.x, self.y - other.y, self.z - other.z)
+    }
+
+    /// self + factor * other.
+    #[inline(always)]
+    pub(super) fn add_scaled(self, factor: S::f32s, other: Self) -> Self {
+        Self::new(factor.mul_add(other.x, self.x), factor.mul_add(other.y, self.y), factor.mul_add(other.z, self.z))
+    }
+
+    /// `self` where the mask is true, else `other`.
+    #[inline(always)]
+    pub(super) fn or(self, mask: Mask<S>, other: Self) -> Self {
+        Self::new(mask.select(self.x, other.x), mask.select(self.y, other.y), mask.select(self.z, other.z))
+    }
+}

@@ -1,0 +1,127 @@
+//! The neighbours of a vector of pixels: a strided window and a gate on distance (docs/method.md, sections 2 and 3).
+//!
+//! Offsets e = q - p in metres. A hole or an infinity anywhere fails the gate by comparison: NaN is not within, nor is an
+//! infinite distance. A hole has no neighbours at all, not even itself.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
+
+use super::Kernel;
+use super::planes::Planes;
+use super::vector::{Mask, Vec3, splat};
+
+/// Most candidates a window has: 15 x 15.
+pub(super) const MAX_CANDIDATES: usize = 225;
+
+/// The candidates around a vector of pixels.
+#[derive(Clone, Copy)]
+pub(super) struct Window<'a> {
+    planes: &'a Planes,
+    /// Index of the first candidate of the first lane.
+    first: usize,
+    side: usize,
+    stride: usize,
+}
+
+/// Sums over the neighbours, relative to p.
+pub(super) struct Sums<S: Simd> {
+    pub(super) n: S::f32s,
+    pub(super) e: Vec3<S>,
+    pub(super) xx: S::f32s,
+    pub(super) xy: S::f32s,
+    pub(super) xz: S::f32s,
+    pub(super) yy: S::f32s,
+    pub(super) yz: S::f32s,
+    pub(super) zz: S::f32s,
+}
+
+impl<'a> Window<'a> {
+    /// The window around the pixels from (u, v) on.
+    #[inline(always)]
+    pub(super) fn at(planes: &'a Planes, kernel: &Kernel, u: usize, v: usize) -> Self {
+        Self { planes, first: v * planes.row_len + u, side: kernel.side, stride: kernel.stride }
+    }
+
+    /// The points of the centre pixels themselves.
+    #[inline(always)]
+    pub(super) fn centre<S: Simd>(&self, simd: S) -> Vec3<S> {
+        let half = self.side / 2 * self.stride;
+        self.load(simd, self.first + half * self.planes.row_len + half)
+    }
+
+    #[inline(always)]
+    fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
+        let lanes = at..at + S::f32s::LEN;
+        Vec3::new(
+            S::f32s::from_slice(simd, &self.planes.x[lanes.clone()]),
+            S::f32s::from_slice(simd, &self.planes.y[lanes.clone()]),
+            S::f32s::from_slice(simd, &self.planes.z[lanes]),
+        )
+    }
+
+    /// Runs over all candidates in row order.
+    #[inline(always)]
+    fn for_each<S: Simd>(&self, simd: S, mut visit: impl FnMut(usize, Vec3<S>)) {
+        let mut index = 0;
+        for row in 0..self.side {
+            let start = self.first + row * self.stride * self.planes.row_len;
+            for column in 0..self.side {
+                visit(index, self.load(simd, start + column * self.stride));
+                index += 1;
+            }
+        }
+    }
+
+    /// First pass: which candidates are neighbours (a bit for each lane, kept in `gates`), and their sums.
+    #[inline(always)]
+    pub(super) fn sums<S: Simd>(
+        &self,
+        simd: S,
+        p: Vec3<S>,
+        radius: S::f32s,
+        gates: &mut [u16; MAX_CANDIDATES],
+    ) -> Sums<S> {
+        let zero = splat(simd, 0.0);
+        let one = splat(simd, 1.0);
+        let radius_squared = radius * radius;
+        let mut sums =
+            Sums { n: zero, e: Vec3::splat(simd, 0.0), xx: zero, xy: zero, xz: zero, yy: zero, yz: zero, zz: zero };
+        self.for_each(
+            simd,
+            #[inline(always)]
+            |index, q| {
+                let e = q.sub(p);
+                let gate: Mask<S> = e.dot(e).simd_le(radius_squared);
+                gates[index] = gate.to_bitmask() as u16;
+                let e = e.or(gate, Vec3::splat(simd, 0.0));
+                sums.n += gate.select(one, zero);
+                sums.e = sums.e.add(e);
+                sums.xx = e.x.mul_add(e.x, sums.xx);
+                sums.xy = e.x.mul_add(e.y, sums.xy);
+                sums.xz = e.x.mul_add(e.z, sums.xz);
+                sums.yy = e.y.mul_add(e.y, sums.yy);
+                sums.yz = e.y.mul_add(e.z, sums.yz);
+                sums.zz = e.z.mul_add(e.z, sums.zz);
+            },
+        );
+        sums
+    }
+
+    /// Second pass: every neighbour's offset, zero where the candidate is none, and the gate.
+    #[inline(always)]
+    pub(super) fn neighbours<S: Simd>(
+        &self,
+        simd: S,
+        p: Vec3<S>,
+        gates: &[u16; MAX_CANDIDATES],
+        mut visit: impl FnMut(Vec3<S>, Mask<S>),
+    ) {
+        self.for_each(
+            simd,
+            #[inline(always)]
+            |index, q| {
+                let gate = Mask::<S>::from_bitmask(simd, u64::from(gates[index]));
+                visit(q.sub(p).or(gate, Vec3::splat(simd, 0.0)), gate);
+            },
+        );
+    }
+}
