@@ -305,13 +305,18 @@ impl OrganizedCloud {
     /// In a pinhole image X/Z grows by exactly 1/fx from a pixel to its right neighbour, whatever the surface; the median
     /// of that difference over a sample of the rows is the estimate. `None` if no two neighbours are valid.
     pub fn pixel_pitch_at_1m(&self) -> Option<f64> {
+        self.estimate_pitch(&mut Vec::new())
+    }
+
+    /// The same with room for the sample, which is kept for the next frame.
+    pub(crate) fn estimate_pitch(&self, pitches: &mut Vec<f64>) -> Option<f64> {
         if let Some(camera) = self.camera {
             return Some(1.0 / camera.fx);
         }
-        const SAMPLED_ROWS: usize = 64;
+        const SAMPLED_ROWS: usize = 16;
         let step = self.height.div_ceil(SAMPLED_ROWS);
         let positions = self.positions();
-        let mut pitches = Vec::new();
+        pitches.clear();
         for row in (0..self.height).step_by(step) {
             for i in row * self.width..(row + 1) * self.width - 1 {
                 let tangent = |j: usize| f64::from(positions.x[j]) / f64::from(positions.z[j]);

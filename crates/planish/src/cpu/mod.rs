@@ -28,6 +28,7 @@ use crate::params::{Radius, SmoothParams};
 use crate::smoothed::{Outputs, Smoothed};
 use crate::threads::Threads;
 use planes::Planes;
+use polynomial::Terms;
 use rows::Rows;
 use vector::{Mask, splat};
 use window::{MAX_CANDIDATES, Window};
@@ -35,7 +36,7 @@ use window::{MAX_CANDIDATES, Window};
 pub use level::SimdLevel;
 
 /// Rows of one task: enough that a task costs nothing beside them, few enough that threads end together.
-const ROWS_A_TASK: usize = 8;
+const ROWS_A_TASK: usize = 4;
 
 /// What a kernel needs to know of the parameters.
 struct Kernel {
@@ -56,12 +57,13 @@ struct RadiusRule {
 }
 
 impl RadiusRule {
-    fn new(params: &SmoothParams, pitch_at_1m: f64) -> Self {
+    /// `pitches` is room for the estimate of the pixel pitch, kept from frame to frame.
+    fn new(params: &SmoothParams, frame: Frame<'_>, pitches: &mut Vec<f64>) -> Self {
         match params.radius {
             Radius::Fixed { radius_m } => Self { constant: radius_m, linear: 0.0, quadratic: 0.0 },
             Radius::Sensor { depth_step_at_1m } => Self {
                 constant: 0.0,
-                linear: (1.5 * f64::from(params.window * params.stride) * pitch_at_1m) as f32,
+                linear: (1.5 * f64::from(params.window * params.stride) * frame.pixel_pitch_at_1m(pitches)) as f32,
                 quadratic: 4.0 * depth_step_at_1m,
             },
         }
@@ -86,6 +88,7 @@ pub(crate) struct Cpu {
     /// `None` runs on the calling thread.
     threads: Option<Threads>,
     planes: Planes,
+    pitches: Vec<f64>,
 }
 
 impl Cpu {
@@ -105,7 +108,14 @@ impl Cpu {
             })?,
         };
         let threads = if threads == Some(1) { None } else { Some(Threads::open(threads)?) };
-        Ok(Self { params, outputs, level, threads, planes: Planes::new(shape.0, shape.1, params.reach_px()) })
+        Ok(Self {
+            params,
+            outputs,
+            level,
+            threads,
+            planes: Planes::new(shape.0, shape.1, params.reach_px()),
+            pitches: Vec::new(),
+        })
     }
 
     pub(crate) fn smooth(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
@@ -115,7 +125,7 @@ impl Cpu {
             side: 2 * self.params.window as usize + 1,
             stride: self.params.stride as usize,
             degree: self.params.degree,
-            radius: RadiusRule::new(&self.params, frame.pixel_pitch_at_1m()),
+            radius: RadiusRule::new(&self.params, frame, &mut self.pitches),
             bandwidth_m: self.params.bandwidth_m,
         };
         let (planes, level) = (&mut self.planes, self.level);
@@ -157,13 +167,20 @@ fn smooth_rows(level: Level, planes: &Planes, kernel: &Kernel, mut rows: Rows<'_
 
 #[inline(always)]
 fn smooth_rows_simd<S: Simd, const D: usize>(simd: S, planes: &Planes, kernel: &Kernel, rows: &mut Rows<'_>) {
-    let mut gates = [0; MAX_CANDIDATES];
+    let mut scratch = Scratch { gates: [0; MAX_CANDIDATES], terms: Terms::new(simd) };
     for row in 0..rows.count() {
         for u in (0..rows.width).step_by(S::f32s::LEN) {
             let window = Window::at(planes, kernel, u, rows.first + row);
-            smooth_vector::<S, D>(simd, kernel, &window, &mut gates, rows, row, u);
+            smooth_vector::<S, D>(simd, kernel, &window, &mut scratch, rows, row, u);
         }
     }
+}
+
+/// What a task keeps from vector to vector, so that it is not cleared for each.
+struct Scratch<S: Simd> {
+    /// A bit for each lane of each candidate: whether it is a neighbour.
+    gates: [u16; MAX_CANDIDATES],
+    terms: Terms<S>,
 }
 
 /// Sections 2 to 7 for one vector of pixels.
@@ -172,7 +189,7 @@ fn smooth_vector<S: Simd, const D: usize>(
     simd: S,
     kernel: &Kernel,
     window: &Window<'_>,
-    gates: &mut [u16; MAX_CANDIDATES],
+    scratch: &mut Scratch<S>,
     rows: &mut Rows<'_>,
     row: usize,
     u: usize,
@@ -189,19 +206,20 @@ fn smooth_vector<S: Simd, const D: usize>(
         return;
     }
     let radius = kernel.radius.at(simd, p.z);
-    let sums = window.sums(simd, p, radius, gates);
+    let sums = window.sums(simd, p, radius, &mut scratch.gates);
     let plane = plane::fit(simd, p, &sums);
     let projected = if D == 1 {
-        project::project::<S, D>(simd, p, &plane, None, radius, sums.n)
+        project::project::<S, D>(simd, p, &plane, None, radius, sums.n, rows.has_normals())
     } else {
         let bandwidth = kernel.bandwidth_m.map_or(
             radius,
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
-        let fit = polynomial::moments::<S, D>(simd, window, p, gates, &plane, radius, bandwidth);
+        let fit =
+            polynomial::moments::<S, D>(simd, window, p, &scratch.gates, &plane, radius, bandwidth, &mut scratch.terms);
         let c = solve::solve::<S, D>(simd, &fit.moments, sums.n);
-        project::project::<S, D>(simd, p, &plane, Some((&fit, c)), radius, sums.n)
+        project::project::<S, D>(simd, p, &plane, Some((&fit, c)), radius, sums.n, rows.has_normals())
     };
-    rows.store(row, u, &projected, &plane, sums.n);
+    rows.store(simd, row, u, &projected, &plane, sums.n);
 }

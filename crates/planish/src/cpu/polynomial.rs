@@ -4,6 +4,8 @@
 //! T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and b: one fused
 //! multiply-add each, and plain additions for j = 0.
 
+use std::ops::Range;
+
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::eigen::tangents;
@@ -25,6 +27,21 @@ struct Frame<S: Simd> {
     f_offset: S::f32s,
     /// The weight is 2^-(in_plane (a² + b²) + f²).
     in_plane: S::f32s,
+}
+
+/// Candidates whose terms are kept at once: their four values for each stay in the first-level cache.
+const CHUNK: usize = 64;
+
+/// What each candidate contributes: weight (0 if it is no neighbour) and coordinates.
+///
+/// Computing these first and summing them afterwards, in loops of their own, is a third faster than one loop over all:
+/// that one has so many operations a candidate that the processor's scheduler holds not even two candidates at once, and
+/// waits for the chain of exponential and powers.
+pub(super) struct Terms<S: Simd> {
+    w: [S::f32s; CHUNK],
+    a: [S::f32s; CHUNK],
+    b: [S::f32s; CHUNK],
+    f: [S::f32s; CHUNK],
 }
 
 pub(super) struct Moments<S: Simd> {
@@ -62,6 +79,7 @@ pub(super) struct Fit<S: Simd> {
 }
 
 /// Second pass over the window: accumulates the moments of degree D.
+#[allow(clippy::too_many_arguments)]
 #[inline(always)]
 pub(super) fn moments<S: Simd, const D: usize>(
     simd: S,
@@ -71,10 +89,11 @@ pub(super) fn moments<S: Simd, const D: usize>(
     plane: &Plane<S>,
     radius: S::f32s,
     bandwidth: S::f32s,
+    terms: &mut Terms<S>,
 ) -> Fit<S> {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let (u, v) = tangents(simd, plane.normal);
-    let extent = plane.largest_variance.max(zero).sqrt();
+    let extent = plane.variances[2].max(zero).sqrt();
     let h = radius.min(extent + extent).max(splat(simd, f32::MIN_POSITIVE));
     let inverse_h = one / h;
     // f is measured in units in which f² is its share of the exponent: exp(-x²) = 2^(-x² log2 e).
@@ -89,47 +108,103 @@ pub(super) fn moments<S: Simd, const D: usize>(
         in_plane: h_scaled * h_scaled,
     };
     let mut moments = Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
-    window.neighbours(
-        simd,
-        p,
-        gates,
-        #[inline(always)]
-        |e, gate| {
-            let a = e.dot(frame.a_axis);
-            let b = e.dot(frame.b_axis);
-            let f = e.dot(frame.f_axis) - frame.f_offset;
-            let (a2, b2) = (a * a, b * b);
-            let exponent = (a2 + b2).mul_add(frame.in_plane, f * f);
-            let w = gate.select(exp2(simd, -exponent), zero);
-            accumulate::<S, D>(&mut moments, w, a, [one, b, b2, b2 * b, b2 * b2, b2 * b2 * b, b2 * b * (b2 * b)], f);
-        },
-    );
+    let rows_at_once = (CHUNK / window.side).max(1);
+    let mut rows = 0..rows_at_once.min(window.side);
+    while !rows.is_empty() {
+        let len = rows.len() * window.side;
+        terms.fill(simd, window, &p, gates, rows.clone(), &frame);
+        // The rows of moments that fit the registers together.
+        if D == 3 {
+            accumulate::<S, D, 0, 2, 0, 1>(&mut moments, terms, len);
+            accumulate::<S, D, 2, 7, 1, 7>(&mut moments, terms, len);
+        } else {
+            accumulate::<S, D, 0, 7, 0, 7>(&mut moments, terms, len);
+        }
+        rows = rows.end..(rows.end + rows_at_once).min(window.side);
+    }
     Fit { moments, a_axis: frame.a_axis, b_axis: frame.b_axis, metres: one / per_metre }
 }
 
+impl<S: Simd> Terms<S> {
+    #[inline(always)]
+    pub(super) fn new(simd: S) -> Self {
+        let zeros = [splat(simd, 0.0); CHUNK];
+        Self { w: zeros, a: zeros, b: zeros, f: zeros }
+    }
+
+    /// The terms of the candidates in some rows of the window.
+    ///
+    /// Not inlined: the sums, which live in registers before and after, would be moved around in its loop.
+    #[inline(never)]
+    fn fill(
+        &mut self,
+        simd: S,
+        window: &Window<'_>,
+        p: &Vec3<S>,
+        gates: &[u16; MAX_CANDIDATES],
+        rows: Range<usize>,
+        frame: &Frame<S>,
+    ) {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                let (p, zero) = (*p, splat(simd, 0.0));
+                let mut at = 0;
+                window.neighbours(
+                    simd,
+                    p,
+                    gates,
+                    rows,
+                    #[inline(always)]
+                    |e, gate| {
+                        let a = e.dot(frame.a_axis);
+                        let b = e.dot(frame.b_axis);
+                        let f = e.dot(frame.f_axis) - frame.f_offset;
+                        let exponent = a.mul_add(a, b * b).mul_add(frame.in_plane, f * f);
+                        self.w[at] = gate.select(exp2(simd, -exponent), zero);
+                        (self.a[at], self.b[at], self.f[at]) = (a, b, f);
+                        at += 1;
+                    },
+                );
+            },
+        );
+    }
+}
+
+/// Adds the first `len` terms to the moments M_ij with M0 <= i < M1 and T_ij with T0 <= i < T1.
 #[inline(always)]
-fn accumulate<S: Simd, const D: usize>(moments: &mut Moments<S>, w: S::f32s, a: S::f32s, b: [S::f32s; 7], f: S::f32s) {
-    let mut wa = w;
-    unroll!(I in 7 {
-        if I <= 2 * D {
-            let m = &mut moments.m;
-            m[place(2 * D, I, 0)] += wa;
-            unroll!(J in 7 {
-                if J > 0 && I + J <= 2 * D {
-                    m[place(2 * D, I, J)] = wa.mul_add(b[J], m[place(2 * D, I, J)]);
-                }
-            });
-        }
-        if I <= D {
-            let wf = wa * f;
-            let t = &mut moments.t;
-            t[place(D, I, 0)] += wf;
-            unroll!(J in 7 {
-                if J > 0 && I + J <= D {
-                    t[place(D, I, J)] = wf.mul_add(b[J], t[place(D, I, J)]);
-                }
-            });
-        }
-        wa = wa * a;
-    });
+fn accumulate<S: Simd, const D: usize, const M0: usize, const M1: usize, const T0: usize, const T1: usize>(
+    moments: &mut Moments<S>,
+    terms: &Terms<S>,
+    len: usize,
+) {
+    // Local, so that what is summed stays in registers through the loop.
+    let (mut m, mut t) = (moments.m, moments.t);
+    let terms = terms.w[..len].iter().zip(&terms.a[..len]).zip(&terms.b[..len]).zip(&terms.f[..len]);
+    for (((&w, &a), &b), &f) in terms {
+        let (a2, b2) = (a * a, b * b);
+        let (wa, wa2, b3, b4) = (w * a, w * a2, b2 * b, b2 * b2);
+        let b_powers = [b, b, b2, b3, b4, b4 * b, b3 * b3];
+        let wa_powers = [w, wa, wa2, wa * a2, wa2 * a2, wa * a2 * a2, wa2 * a2 * a2];
+        unroll!(I in 7 {
+            if M0 <= I && I < M1 && I <= 2 * D {
+                m[place(2 * D, I, 0)] += wa_powers[I];
+                unroll!(J in 7 {
+                    if J > 0 && I + J <= 2 * D {
+                        m[place(2 * D, I, J)] = wa_powers[I].mul_add(b_powers[J], m[place(2 * D, I, J)]);
+                    }
+                });
+            }
+            if T0 <= I && I < T1 && I <= D {
+                let wf = wa_powers[I] * f;
+                t[place(D, I, 0)] += wf;
+                unroll!(J in 7 {
+                    if J > 0 && I + J <= D {
+                        t[place(D, I, J)] = wf.mul_add(b_powers[J], t[place(D, I, J)]);
+                    }
+                });
+            }
+        });
+    }
+    (moments.m, moments.t) = (m, t);
 }

@@ -9,6 +9,7 @@ use super::vector::{Mask, Vec3, splat};
 
 pub(super) struct Projected<S: Simd> {
     pub(super) point: Vec3<S>,
+    /// The plane's where the normal is not wanted.
     pub(super) normal: Vec3<S>,
     /// Codes of [`crate::Status`], as numbers.
     pub(super) status: S::f32s,
@@ -23,6 +24,7 @@ pub(super) fn project<S: Simd, const D: usize>(
     fit: Option<(&Fit<S>, [S::f32s; 3])>,
     radius: S::f32s,
     n: S::f32s,
+    wants_normal: bool,
 ) -> Projected<S> {
     let mut moved = plane.height;
     let mut normal = plane.normal;
@@ -33,14 +35,16 @@ pub(super) fn project<S: Simd, const D: usize>(
         let within: Mask<S> = (surface * surface).simd_le(radius * radius);
         let on_surface = within & n.simd_ge(splat(simd, coefficient_count(2) as f32));
         moved = on_surface.select(surface, moved);
-        let tilted = plane
-            .normal
-            .add_scaled(-(slope_a * fit.metres), fit.a_axis)
-            .add_scaled(-(slope_b * fit.metres), fit.b_axis);
-        let length = tilted.dot(tilted).sqrt();
-        let away: Mask<S> = tilted.dot(p).simd_gt(splat(simd, 0.0));
-        let scale = away.select(splat(simd, -1.0), splat(simd, 1.0)) / length;
-        normal = tilted.scale(scale).or(on_surface, normal);
+        if wants_normal {
+            let tilted = plane
+                .normal
+                .add_scaled(-(slope_a * fit.metres), fit.a_axis)
+                .add_scaled(-(slope_b * fit.metres), fit.b_axis);
+            let length = tilted.dot(tilted).sqrt();
+            let away: Mask<S> = tilted.dot(p).simd_gt(splat(simd, 0.0));
+            let scale = away.select(splat(simd, -1.0), splat(simd, 1.0)) / length;
+            normal = tilted.scale(scale).or(on_surface, normal);
+        }
         let cubic: Mask<S> = n.simd_ge(splat(simd, coefficient_count(3) as f32));
         let degree = if D == 3 { cubic.select(splat(simd, 5.0), splat(simd, 4.0)) } else { splat(simd, 4.0) };
         status = on_surface.select(degree, status);

@@ -1,10 +1,16 @@
 //! The rows of a result: split between tasks, written a vector at a time.
 
-use fearless_simd::{Simd, SimdBase};
+use fearless_simd::{Simd, SimdBase, SimdFloat};
 
 use super::plane::Plane;
 use super::project::Projected;
 use crate::smoothed::{Smoothed, Status};
+
+/// Status by code, with room for every 3-bit index: no code needs a check.
+const STATUS: [Status; 8] = {
+    let [hole, few, line, plane, quadratic, cubic] = Status::ALL;
+    [hole, few, line, plane, quadratic, cubic, hole, hole]
+};
 
 /// Some rows of every output that is wanted.
 pub(super) struct Rows<'a> {
@@ -52,6 +58,11 @@ impl<'a> Rows<'a> {
         }
     }
 
+    /// Whether normals are wanted.
+    pub(super) fn has_normals(&self) -> bool {
+        self.normals.is_some()
+    }
+
     pub(super) fn count(&self) -> usize {
         self.points[0].len() / self.width
     }
@@ -90,6 +101,7 @@ impl<'a> Rows<'a> {
     #[inline(always)]
     pub(super) fn store<S: Simd>(
         &mut self,
+        simd: S,
         row: usize,
         u: usize,
         projected: &Projected<S>,
@@ -109,7 +121,7 @@ impl<'a> Rows<'a> {
         }
         if let Some(curvature) = &mut self.curvature {
             let out = &mut curvature[at.clone()];
-            put(plane.curvature, out);
+            put(plane.curvature(simd), out);
             // A normal and a curvature are there together; their lanes are told by the status.
             for (value, &status) in out.iter_mut().zip(projected.status.as_slice()) {
                 if status < 3.0 {
@@ -118,13 +130,15 @@ impl<'a> Rows<'a> {
             }
         }
         if let Some(status) = &mut self.status {
-            for (out, &code) in status[at.clone()].iter_mut().zip(projected.status.as_slice()) {
-                *out = Status::ALL[(code as usize).min(5)];
+            let codes: S::i32s = projected.status.to_int();
+            for (out, &code) in status[at.clone()].iter_mut().zip(codes.as_slice()) {
+                *out = STATUS[code as usize & 7];
             }
         }
         if let Some(neighbours) = &mut self.neighbours {
-            for (out, &n) in neighbours[at].iter_mut().zip(n.as_slice()) {
-                *out = n as u32;
+            let counts: S::u32s = n.to_int();
+            for (out, &n) in neighbours[at].iter_mut().zip(counts.as_slice()) {
+                *out = n;
             }
         }
     }

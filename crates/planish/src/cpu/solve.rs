@@ -22,6 +22,8 @@ pub(super) const fn coefficient_count(degree: usize) -> usize {
 }
 
 /// c_00, c_10 and c_01 in the units of the moments.
+// In the copies of the loops whose conditions are false, values are set that nothing reads.
+#[allow(unused_assignments)]
 #[inline(always)]
 pub(super) fn solve<S: Simd, const D: usize>(simd: S, moments: &Moments<S>, n: S::f32s) -> [S::f32s; 3] {
     let zero = splat(simd, 0.0);
@@ -68,7 +70,9 @@ pub(super) fn solve<S: Simd, const D: usize>(simd: S, moments: &Moments<S>, n: S
         const J: usize = 9 - R;
         if J < count {
             c[J] = y[J] * inverse[J];
-            unroll!(I in 10 {
+            // The latest c last, so that as little as possible waits for it.
+            unroll!(Q in 10 {
+                const I: usize = 9 - Q;
                 if I > J && I < count {
                     c[J] = (-l[I][J]).mul_add(c[I], c[J]);
                 }

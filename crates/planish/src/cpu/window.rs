@@ -3,6 +3,8 @@
 //! Offsets e = q - p in metres. A hole or an infinity anywhere fails the gate by comparison: NaN is not within, nor is an
 //! infinite distance. A hole has no neighbours at all, not even itself.
 
+use std::ops::Range;
+
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::Kernel;
@@ -18,7 +20,7 @@ pub(super) struct Window<'a> {
     planes: &'a Planes,
     /// Index of the first candidate of the first lane.
     first: usize,
-    side: usize,
+    pub(super) side: usize,
     stride: usize,
 }
 
@@ -58,11 +60,11 @@ impl<'a> Window<'a> {
         )
     }
 
-    /// Runs over all candidates in row order.
+    /// Runs over the candidates of some rows of the window, in row order.
     #[inline(always)]
-    fn for_each<S: Simd>(&self, simd: S, mut visit: impl FnMut(usize, Vec3<S>)) {
-        let mut index = 0;
-        for row in 0..self.side {
+    fn for_each<S: Simd>(&self, simd: S, rows: Range<usize>, mut visit: impl FnMut(usize, Vec3<S>)) {
+        let mut index = rows.start * self.side;
+        for row in rows {
             let start = self.first + row * self.stride * self.planes.row_len;
             for column in 0..self.side {
                 visit(index, self.load(simd, start + column * self.stride));
@@ -87,6 +89,7 @@ impl<'a> Window<'a> {
             Sums { n: zero, e: Vec3::splat(simd, 0.0), xx: zero, xy: zero, xz: zero, yy: zero, yz: zero, zz: zero };
         self.for_each(
             simd,
+            0..self.side,
             #[inline(always)]
             |index, q| {
                 let e = q.sub(p);
@@ -106,17 +109,19 @@ impl<'a> Window<'a> {
         sums
     }
 
-    /// Second pass: every neighbour's offset, zero where the candidate is none, and the gate.
+    /// Second pass: the offset of every candidate in some rows of the window, zero where it is no neighbour, and the gate.
     #[inline(always)]
     pub(super) fn neighbours<S: Simd>(
         &self,
         simd: S,
         p: Vec3<S>,
         gates: &[u16; MAX_CANDIDATES],
+        rows: Range<usize>,
         mut visit: impl FnMut(Vec3<S>, Mask<S>),
     ) {
         self.for_each(
             simd,
+            rows,
             #[inline(always)]
             |index, q| {
                 let gate = Mask::<S>::from_bitmask(simd, u64::from(gates[index]));

@@ -68,7 +68,7 @@ impl Reference {
     }
 
     pub(crate) fn smooth(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
-        let pitch_at_1m = frame.pixel_pitch_at_1m();
+        let pitch_at_1m = frame.pixel_pitch_at_1m(&mut Vec::new());
         let deprojected;
         let cloud = match frame {
             Frame::Cloud(cloud) => cloud,
