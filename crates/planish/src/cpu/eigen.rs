@@ -49,43 +49,55 @@ const LINE_LIKE: f32 = 0.9;
 
 #[inline(always)]
 pub(super) fn smallest_eigenvector<S: Simd>(simd: S, m: &Symmetric<S>) -> Smallest<S> {
-    let (zero, one, tiny) = (splat(simd, 0.0), splat(simd, 1.0), splat(simd, f32::MIN_POSITIVE));
+    let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
 
-    // M = mean I + p B with det(B)/2 = cos(3 phi).
-    let trace = m.xx + m.yy + m.zz;
-    let mean = trace * splat(simd, 1.0 / 3.0);
+    // M = mean I + p B: B has trace 0, eigenvalues between -2 and 2, and the characteristic polynomial x³ - 3x - det(B).
+    let mean = (m.xx + m.yy + m.zz) * splat(simd, 1.0 / 3.0);
     let (dx, dy, dz) = (m.xx - mean, m.yy - mean, m.zz - mean);
     let off = m.xy.mul_add(m.xy, m.xz.mul_add(m.xz, m.yz * m.yz));
     let diagonal = dx.mul_add(dx, dy.mul_add(dy, dz * dz));
     let p = ((diagonal + off + off) * splat(simd, 1.0 / 6.0)).sqrt();
-    let inverse_p = one / p.max(tiny);
-    let (bx, by, bz) = (dx * inverse_p, dy * inverse_p, dz * inverse_p);
-    let (bxy, bxz, byz) = (m.xy * inverse_p, m.xz * inverse_p, m.yz * inverse_p);
-    let det =
-        bx.mul_add(minor(by, bz, byz, byz), bxz.mul_add(minor(bxy, byz, by, bxz), -(bxy * minor(bxy, bz, byz, bxz))));
+    let inverse_p = one / p.max(splat(simd, f32::MIN_POSITIVE));
+    let b: Symmetric<S> = Symmetric {
+        xx: dx * inverse_p,
+        xy: m.xy * inverse_p,
+        xz: m.xz * inverse_p,
+        yy: dy * inverse_p,
+        yz: m.yz * inverse_p,
+        zz: dz * inverse_p,
+    };
+    let det = b.xx.mul_add(
+        minor::<S>(b.yy, b.zz, b.yz, b.yz),
+        b.xz.mul_add(minor::<S>(b.xy, b.yz, b.yy, b.xz), -(b.xy * minor::<S>(b.xy, b.zz, b.yz, b.xz))),
+    );
     let half_det = (det * splat(simd, 0.5)).max(splat(simd, -1.0)).min(one);
 
-    // The root that stands alone, in units of p around the mean: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
+    // The root that stands alone: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
     let line_like: Mask<S> = half_det.simd_gt(splat(simd, LINE_LIKE));
     let sign = line_like.select(one, splat(simd, -1.0));
-    let alone = mean + (sign + sign) * p * cos_third_acos(simd, half_det * sign);
-    let axis = null_vector(simd, m, alone);
+    let half_alone = sign * cos_third_acos(simd, half_det * sign);
+    let axis = null_vector(simd, &b, half_alone + half_alone);
 
-    // The other two have this sum and this product.
-    let rest = trace - alone;
-    let minors = minor(m.xx, m.yy, m.xy, m.xy) + minor(m.xx, m.zz, m.xz, m.xz) + minor(m.yy, m.zz, m.yz, m.yz);
-    let half = rest * splat(simd, 0.5);
-    let spread = minor(half, half, one, minors - alone * rest).max(zero).sqrt();
-    let plane_like = Smallest { values: [alone, half - spread, half + spread], vector: axis };
+    // The other two lie around minus half of it, sqrt(3) sin apart from there.
+    let spread = (splat(simd, 3.0) * minor::<S>(one, one, half_alone, half_alone)).max(zero).sqrt();
+    let value = [half_alone + half_alone, -half_alone - spread, -half_alone + spread];
+    let plane_like = Smallest {
+        values: value.map(
+            #[inline(always)]
+            |x| p.mul_add(x, mean),
+        ),
+        vector: axis,
+    };
     if !line_like.any_true() {
         return plane_like;
     }
-    let across = across_line(simd, m, axis);
+    let across = across_line(simd, &b, axis);
+    let [alone, lower, upper] = plane_like.values;
     Smallest {
         values: [
-            line_like.select(across.values[0], plane_like.values[0]),
-            line_like.select(across.values[1], plane_like.values[1]),
-            line_like.select(alone, plane_like.values[2]),
+            line_like.select(p.mul_add(across.values[0], mean), alone),
+            line_like.select(p.mul_add(across.values[1], mean), lower),
+            line_like.select(alone, upper),
         ],
         vector: across.vector.or(line_like, axis),
     }
@@ -93,11 +105,11 @@ pub(super) fn smallest_eigenvector<S: Simd>(simd: S, m: &Symmetric<S>) -> Smalle
 
 /// a b - c d.
 #[inline(always)]
-fn minor<V: SimdFloat<S>, S: Simd>(a: V, b: V, c: V, d: V) -> V {
+fn minor<S: Simd>(a: S::f32s, b: S::f32s, c: S::f32s, d: S::f32s) -> S::f32s {
     a.mul_add(b, -(c * d))
 }
 
-/// A unit vector that M - value I takes to zero: the longest cross product of two of its rows.
+/// A unit vector that B - value I takes to zero: the longest cross product of two of its rows.
 #[inline(always)]
 fn null_vector<S: Simd>(simd: S, m: &Symmetric<S>, value: S::f32s) -> Vec3<S> {
     let shifted = Symmetric { xx: m.xx - value, yy: m.yy - value, zz: m.zz - value, ..*m };
@@ -108,7 +120,7 @@ fn null_vector<S: Simd>(simd: S, m: &Symmetric<S>, value: S::f32s) -> Vec3<S> {
     let (longest, square) = (b.or(b_longer, a), b2.max(a2));
     let c_longer: Mask<S> = c2.simd_gt(square);
     let (longest, square) = (c.or(c_longer, longest), c2.max(square));
-    // Products of four small variances may leave the range of f32; such a neighbourhood is a point, any vector will do.
+    // A zero matrix has no direction; any will do.
     let usable: Mask<S> = square.simd_gt(splat(simd, f32::MIN_POSITIVE));
     let zero = splat(simd, 0.0);
     let one = splat(simd, 1.0);
@@ -127,7 +139,7 @@ pub(super) fn tangents<S: Simd>(simd: S, n: Vec3<S>) -> (Vec3<S>, Vec3<S>) {
     (u, v)
 }
 
-/// The smaller two eigenvalues, from M restricted to the plane across `axis`, the eigenvector of the largest.
+/// The smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
 #[inline(always)]
 fn across_line<S: Simd>(simd: S, m: &Symmetric<S>, axis: Vec3<S>) -> Smallest<S> {
     let (u, v) = tangents(simd, axis);

@@ -36,7 +36,7 @@ use window::{MAX_CANDIDATES, Window};
 pub use level::SimdLevel;
 
 /// Rows of one task: enough that a task costs nothing beside them, few enough that threads end together.
-const ROWS_A_TASK: usize = 4;
+const ROWS_A_TASK: usize = 8;
 
 /// What a kernel needs to know of the parameters.
 struct Kernel {

@@ -55,6 +55,24 @@ const fn place(degree: usize, i: usize, j: usize) -> usize {
 }
 
 impl<S: Simd> Moments<S> {
+    /// Moments given by M_ij and T_ij.
+    #[cfg(test)]
+    pub(super) fn from_fn<const D: usize>(
+        simd: S,
+        m: impl Fn(usize, usize) -> S::f32s,
+        t: impl Fn(usize, usize) -> S::f32s,
+    ) -> Self {
+        let zero = splat(simd, 0.0);
+        let mut moments = Self { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
+        for (i, j) in (0..=2 * D).flat_map(|i| (0..=2 * D - i).map(move |j| (i, j))) {
+            moments.m[place(2 * D, i, j)] = m(i, j);
+            if i + j <= D {
+                moments.t[place(D, i, j)] = t(i, j);
+            }
+        }
+        moments
+    }
+
     /// M_ij of a fit of degree D.
     #[inline(always)]
     pub(super) fn m<const D: usize>(&self, i: usize, j: usize) -> S::f32s {

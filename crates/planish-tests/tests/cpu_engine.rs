@@ -1,0 +1,164 @@
+//! What the CPU engine promises beside its numbers: the same bits whatever the threads, nothing allocated once it runs,
+//! depth frames as clouds, and only the outputs that were asked for.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{
+    Camera, DepthFrame, Engine, OrganizedCloud, Outputs, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
+};
+use planish_tests::engines::TestEngine;
+use planish_tests::scenes::{grid, nasty_scenes, simulated, small_camera};
+
+/// The system's allocator, counting.
+struct Counting;
+
+static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn frame(camera: Camera) -> DepthFrame {
+    let (scene, pose) = Scene::tabletop(4);
+    let truth = scene.render(&camera, &pose);
+    KinectSimulator::new(KinectNoise::default(), camera, 4).frame(&truth, 0).unwrap()
+}
+
+/// All results as bits, so that NaN equals NaN.
+fn bits(smoothed: &Smoothed) -> Vec<u32> {
+    let normals = smoothed.normals.as_ref().unwrap();
+    let planes = [&smoothed.points.x, &smoothed.points.y, &smoothed.points.z, &normals.x, &normals.y, &normals.z];
+    let planes = planes.into_iter().chain(smoothed.curvature.as_ref()).flatten().map(|v| v.to_bits());
+    let status = smoothed.status.as_ref().unwrap().iter().map(|&s| s as u32);
+    planes.chain(status).chain(smoothed.neighbours.as_ref().unwrap().iter().copied()).collect()
+}
+
+/// Counts what one after the other of these tests allocates; others must not run meanwhile.
+static ALONE: std::sync::Mutex<()> = std::sync::Mutex::new(());
+
+#[test]
+fn threads_and_runs_change_no_bit() {
+    let _alone = ALONE.lock();
+    let mut clouds: Vec<OrganizedCloud> = nasty_scenes().into_iter().map(|scene| scene.cloud).collect();
+    clouds.push(simulated(3, false, small_camera()));
+    for cloud in &clouds {
+        for params in [SmoothParams::paper(), SmoothParams::default()] {
+            let with = |threads| TestEngine { engine: Engine::Cpu, threads, simd: None }.smooth(cloud, params);
+            let one = bits(&with(Some(1)));
+            for threads in [Some(1), Some(2), Some(3), Some(7), None] {
+                assert_eq!(bits(&with(threads)), one, "{threads:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn nothing_is_allocated_after_the_first_frame() {
+    let _alone = ALONE.lock();
+    let depth = frame(small_camera());
+    let cloud = depth.deproject().unwrap();
+    // A cloud without a camera has its pixel pitch estimated for every frame.
+    let mut bare = cloud.clone();
+    bare.camera = None;
+    for (threads, allowed) in [(1, 0), (2, FRAMES / 50)] {
+        for outputs in [Outputs::POINTS, Outputs::ALL] {
+            let options = SmootherOptions { engine: Engine::Cpu, outputs, threads: Some(threads), simd: None };
+            let mut smoother = Smoother::open_with(SmoothParams::default(), options, (160, 120)).unwrap();
+            let mut smoothed = Smoothed::default();
+            let mut run = |smoothed: &mut Smoothed| {
+                smoother.smooth(&depth, smoothed).unwrap();
+                smoother.smooth(&cloud, smoothed).unwrap();
+                smoother.smooth(&bare, smoothed).unwrap();
+            };
+            run(&mut smoothed);
+            let before = ALLOCATIONS.load(Ordering::Relaxed);
+            for _ in 0..FRAMES / 3 {
+                run(&mut smoothed);
+            }
+            let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
+            // With more than one thread, rayon's queue of jobs takes a block for every 63 of them.
+            assert!(allocations <= allowed, "{allocations} allocations in {FRAMES} frames on {threads} threads");
+        }
+    }
+}
+
+const FRAMES: usize = 300;
+
+#[test]
+fn a_depth_frame_gives_the_bits_of_its_cloud() {
+    let _alone = ALONE.lock();
+    let mut depth = frame(small_camera());
+    depth.raw[777] = planish::SATURATED_DEPTH;
+    let cloud = depth.deproject().unwrap();
+    for engine in [TestEngine::cpu(SimdLevel::best()), TestEngine::REFERENCE] {
+        for params in [SmoothParams::paper(), SmoothParams::default()] {
+            assert_eq!(bits(&engine.smooth(&depth, params)), bits(&engine.smooth(&cloud, params)));
+        }
+    }
+}
+
+#[test]
+fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
+    let _alone = ALONE.lock();
+    let cloud = simulated(3, true, small_camera());
+    let all = TestEngine::cpu(SimdLevel::best()).smooth(&cloud, SmoothParams::default());
+    let mut smoothed = Smoothed::default();
+    for bits in 0..16u32 {
+        let wants = |bit: u32| bits & bit != 0;
+        let outputs = Outputs { normals: wants(1), curvature: wants(2), status: wants(4), neighbours: wants(8) };
+        let options = SmootherOptions { engine: Engine::Cpu, outputs, threads: None, simd: None };
+        let mut smoother = Smoother::open_with(SmoothParams::default(), options, (160, 120)).unwrap();
+        // The same result struct each time: what is not asked for goes away.
+        smoother.smooth(&cloud, &mut smoothed).unwrap();
+        assert_eq!(format!("{:?}", smoothed.points), format!("{:?}", all.points));
+        let expected = |wanted: bool, text: String| if wanted { text } else { "None".to_owned() };
+        assert_eq!(format!("{:?}", smoothed.normals), expected(outputs.normals, format!("{:?}", all.normals)));
+        assert_eq!(format!("{:?}", smoothed.curvature), expected(outputs.curvature, format!("{:?}", all.curvature)));
+        assert_eq!(format!("{:?}", smoothed.status), expected(outputs.status, format!("{:?}", all.status)));
+        assert_eq!(format!("{:?}", smoothed.neighbours), expected(outputs.neighbours, format!("{:?}", all.neighbours)));
+    }
+}
+
+#[test]
+fn widths_around_the_lane_counts_lose_no_pixel() {
+    let _alone = ALONE.lock();
+    for width in [1, 2, 3, 4, 5, 7, 8, 9, 15, 16, 17, 31, 33] {
+        let cloud = grid(width, 9, |u, v| [0.003 * u as f32, 0.003 * v as f32, 1.0 + 0.0001 * ((u * v) % 5) as f32]);
+        let reference = TestEngine::REFERENCE.smooth(&cloud, SmoothParams::paper());
+        for level in SimdLevel::available() {
+            let result = TestEngine::cpu(level).smooth(&cloud, SmoothParams::paper());
+            assert_eq!(result.status, reference.status, "width {width}, {}", level.name());
+            for (p, q) in result.points.iter().zip(reference.points.iter()) {
+                assert!(
+                    (0..3).all(|k| p[k].is_nan() == q[k].is_nan() && (p[k].is_nan() || (p[k] - q[k]).abs() < 2e-6))
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_level_that_the_machine_lacks_and_zero_threads_are_refused() {
+    let open = |simd, threads| {
+        let options = SmootherOptions { engine: Engine::Cpu, threads, simd, ..SmootherOptions::default() };
+        Smoother::open_with(SmoothParams::paper(), options, (4, 4)).map(|_| ())
+    };
+    let missing = SimdLevel::ALL.into_iter().find(|level| SimdLevel::available().all(|have| have != *level)).unwrap();
+    assert!(open(Some(missing), None).unwrap_err().to_string().contains(missing.name()));
+    assert!(open(None, Some(0)).unwrap_err().to_string().contains("threads = 0"));
+}
