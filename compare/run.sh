@@ -1,0 +1,54 @@
+#!/usr/bin/env bash
+# PCL, Open3D and planish on the same frames in one run: see README.md beside this.
+set -euo pipefail
+[ $# -ge 1 ] || { echo "usage: $0 FRAME.pcd [FRAME.pcd ..]" >&2; exit 2; }
+here=$(cd "$(dirname "$0")" && pwd)
+project=$(dirname "$here")
+work=$project/target/compare
+radius=0.03
+threads=2
+mkdir -p "$work"
+
+if ! dpkg -s libpcl-dev >/dev/null 2>&1; then
+  apt-get update -qq && apt-get install -y -qq libpcl-dev g++ pkg-config >/dev/null
+fi
+if [ ! -x "$work/venv/bin/python" ]; then
+  python3 -m venv "$work/venv"
+  "$work/venv/bin/pip" -q install open3d-cpu==0.20.0
+fi
+# No -march: Debian's library is built without, and PCL's alignment follows the flag.
+# shellcheck disable=SC2046
+g++ -O3 -fopenmp -w "$here/pcl_mls.cpp" -o "$work/pcl_mls" \
+  $(pkg-config --cflags pcl_surface pcl_search pcl_filters pcl_io eigen3) -I/usr/include \
+  -lpcl_surface -lpcl_search -lpcl_kdtree -lpcl_filters -lpcl_io -lpcl_common -lboost_system
+cargo build --release --quiet --manifest-path "$project/Cargo.toml"
+
+planish() { # FILE ENGINE RUNS: milliseconds and points
+  "$project/target/release/planish" smooth "$1" "$work/out.pcd" --preset paper --engine "$2" --threads $threads \
+    --repeat "$3" --json | python3 -c '
+import json, sys
+report = json.load(sys.stdin)
+status = report["status"]
+print(report["smooth_ms"]["median"], status["degenerate"] + status["plane"] + status["polynomial"])'
+}
+
+echo "$(grep -m1 'model name' /proc/cpuinfo | cut -d: -f2 | xargs), $(nproc) cores, $threads threads, radius $radius m"
+for frame in "$@"; do
+  echo
+  echo "$(basename "$frame")"
+  echo
+  echo "| system | ms, median | points out | times planish cpu |"
+  echo "|---|---|---|---|"
+  read -r base base_points <<<"$(planish "$frame" cpu 101)"
+  row() { # NAME MS POINTS
+    awk -v name="$1" -v ms="$2" -v points="$3" -v base="$base" \
+      'BEGIN { printf "| %s | %.1f | %d | %.1f |\n", name, ms, points, ms / base }'
+  }
+  row "PCL MovingLeastSquares, degree 3, k-d tree" $("$work/pcl_mls" "$frame" $radius 3 $threads 3)
+  row "Open3D smooth_mls (plane), all neighbours" \
+    $(OMP_NUM_THREADS=$threads "$work/venv/bin/python" "$here/open3d_mls.py" "$frame" $radius 4096 3)
+  row "Open3D smooth_mls (plane), max_nn 30" \
+    $(OMP_NUM_THREADS=$threads "$work/venv/bin/python" "$here/open3d_mls.py" "$frame" $radius 30 3)
+  row "planish reference (f64)" $(planish "$frame" reference 5)
+  row "planish cpu" "$base" "$base_points"
+done

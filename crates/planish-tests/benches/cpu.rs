@@ -1,0 +1,109 @@
+//! The CPU engine over windows, strides, degrees, threads, SIMD levels, outputs and frame sizes, on simulated frames.
+//!
+//! `cargo bench -p planish-tests --bench cpu`, on a quiet machine. Every setting's result is held against the reference
+//! before it is timed.
+
+use divan::Bencher;
+use divan::counter::ItemsCount;
+use planish::{
+    Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
+};
+use planish_tests::engines::{TestEngine, radius_m};
+use planish_tests::scenes::simulated;
+use planish_tests::tolerances::Agreement;
+
+fn main() {
+    divan::main();
+}
+
+/// A Kinect's field of view at another resolution.
+fn camera((width, height): (usize, usize)) -> Camera {
+    let scale = width as f64 / 640.0;
+    let (cx, cy) = ((width - 1) as f64 / 2.0, (height - 1) as f64 / 2.0);
+    Camera { width, height, fx: 525.0 * scale, fy: 525.0 * scale, cx, cy, ..Camera::kinect_v1() }
+}
+
+fn frame() -> OrganizedCloud {
+    simulated(1, true, camera((640, 480)))
+}
+
+fn options(threads: usize) -> SmootherOptions {
+    SmootherOptions { engine: Engine::Cpu, threads: Some(threads), ..SmootherOptions::default() }
+}
+
+/// Times one setting, points an iteration as its count, once its result agrees with the reference.
+fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: SmoothParams, options: SmootherOptions) {
+    let engine = TestEngine { engine: options.engine, threads: options.threads, simd: options.simd };
+    let mut agreement = Agreement::default();
+    let reference = TestEngine::REFERENCE.smooth(cloud, params);
+    agreement.add(&engine.smooth(cloud, params), &reference, radius_m(cloud, params));
+    let misses = agreement.misses();
+    assert!(misses.is_empty(), "a wrong result is not timed: {misses:?}");
+
+    let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height())).expect("an engine");
+    let mut smoothed = Smoothed::default();
+    bencher
+        .counter(ItemsCount::new(cloud.points.valid_points()))
+        .bench_local(|| smoother.smooth(cloud, &mut smoothed).expect("a result"));
+}
+
+#[divan::bench(args = [1, 2, 3, 4, 5, 6, 7], sample_count = 20)]
+fn window(bencher: Bencher<'_, '_>, window: u32) {
+    time(bencher, &frame(), SmoothParams { window, ..SmoothParams::paper() }, options(2));
+}
+
+#[divan::bench(args = [1, 2, 3, 8], sample_count = 20)]
+fn stride(bencher: Bencher<'_, '_>, stride: u32) {
+    time(bencher, &frame(), SmoothParams { stride, ..SmoothParams::default() }, options(2));
+}
+
+#[divan::bench(args = [1, 2, 3], sample_count = 20)]
+fn degree(bencher: Bencher<'_, '_>, degree: u32) {
+    time(bencher, &frame(), SmoothParams { degree, ..SmoothParams::paper() }, options(2));
+}
+
+#[divan::bench(args = [1, 2], sample_count = 20)]
+fn threads(bencher: Bencher<'_, '_>, threads: usize) {
+    time(bencher, &frame(), SmoothParams::paper(), options(threads));
+}
+
+#[divan::bench(args = SimdLevel::available().map(SimdLevel::name), sample_count = 20)]
+fn simd(bencher: Bencher<'_, '_>, name: &str) {
+    let simd = SimdLevel::available().find(|level| level.name() == name);
+    time(bencher, &frame(), SmoothParams::paper(), SmootherOptions { simd, ..options(2) });
+}
+
+#[divan::bench(args = [(320, 240), (640, 480), (1280, 720), (1920, 1080)], sample_count = 10)]
+fn size(bencher: Bencher<'_, '_>, shape: (usize, usize)) {
+    time(bencher, &simulated(1, true, camera(shape)), SmoothParams::default(), options(2));
+}
+
+#[divan::bench(args = ["points", "normals", "curvature", "status", "neighbours", "all"], sample_count = 20)]
+fn outputs(bencher: Bencher<'_, '_>, name: &str) {
+    let wants = |output| name == output || name == "all";
+    let outputs = Outputs {
+        normals: wants("normals"),
+        curvature: wants("curvature"),
+        status: wants("status"),
+        neighbours: wants("neighbours"),
+    };
+    time(bencher, &frame(), SmoothParams::paper(), SmootherOptions { outputs, ..options(1) });
+}
+
+#[divan::bench(sample_count = 20)]
+fn depth_frame(bencher: Bencher<'_, '_>) {
+    use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+    let camera = camera((640, 480));
+    let (scene, pose) = Scene::room(1);
+    let truth = scene.render(&camera, &pose);
+    let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).expect("one camera");
+    let params = SmoothParams { radius: Radius::KINECT_V1, ..SmoothParams::paper() };
+    let mut smoother = Smoother::open_with(params, options(2), (640, 480)).expect("an engine");
+    let mut smoothed = Smoothed::default();
+    let reference = TestEngine::REFERENCE.smooth(&frame, params);
+    let mut agreement = Agreement::default();
+    let cloud = frame.deproject().expect("a valid frame");
+    agreement.add(&TestEngine::cpu(SimdLevel::best()).smooth(&frame, params), &reference, radius_m(&cloud, params));
+    assert!(agreement.misses().is_empty(), "a wrong result is not timed");
+    bencher.bench_local(|| smoother.smooth(&frame, &mut smoothed).expect("a result"));
+}
