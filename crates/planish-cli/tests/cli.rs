@@ -214,6 +214,30 @@ fn bad_arguments_and_bad_input_are_refused_with_exit_code_2() {
 }
 
 #[test]
+fn engines_agree_and_threads_change_no_byte() {
+    let (folder, _, path) = with_frame();
+    let run = |name: &str, more: &[&str]| {
+        let output = folder.path().join(name);
+        let stdout = ok(&[&["smooth", str(&path), str(&output), "--json"], more].concat());
+        let report: Value = serde_json::from_str(&stdout).unwrap();
+        (report["engine"].as_str().unwrap().to_owned(), fs::read(&output).unwrap(), output)
+    };
+    let (auto, auto_bytes, _) = run("auto.pcd", &[]);
+    let (cpu, one, cpu_path) = run("one.pcd", &["--engine", "cpu", "--threads", "1"]);
+    let (_, three, _) = run("three.pcd", &["--engine", "cpu", "--threads", "3"]);
+    assert_eq!((auto.as_str(), cpu.as_str()), ("cpu", "cpu"));
+    assert!(one == three && one == auto_bytes);
+    let (reference, _, reference_path) = run("reference.pcd", &["--engine", "reference"]);
+    assert_eq!(reference, "reference");
+    let (fast, slow) = (OrganizedCloud::read(&cpu_path).unwrap(), OrganizedCloud::read(&reference_path).unwrap());
+    let far = fast.positions().iter().zip(slow.positions().iter()).filter(|(p, q)| {
+        let off = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f32>().sqrt();
+        p[2].is_nan() != q[2].is_nan() || off > 2e-5
+    });
+    assert!(far.count() <= 2);
+}
+
+#[test]
 fn engines_that_are_not_there_say_so() {
     let (folder, _, path) = with_frame();
     let output = folder.path().join("never.pcd");

@@ -68,7 +68,7 @@ pub struct Smoother {
 }
 
 enum EngineState {
-    Cpu(Cpu),
+    Cpu(Box<Cpu>),
     Reference(Reference),
 }
 
@@ -90,7 +90,7 @@ impl Smoother {
         };
         let engine = match options.engine {
             Engine::Auto | Engine::Cpu => {
-                EngineState::Cpu(Cpu::open(params, options.outputs, options.threads, options.simd, shape)?)
+                EngineState::Cpu(Box::new(Cpu::open(params, options.outputs, options.threads, options.simd, shape)?))
             }
             Engine::Reference => EngineState::Reference(Reference::open(params, options.outputs, options.threads)?),
             Engine::Gpu => return unavailable("it is not built yet; use auto, cpu or reference"),

@@ -36,7 +36,7 @@ pub(super) fn cos_third_acos<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let p = p.mul_add(magnitude, splat(simd, -0.050_174_303));
     let p = p.mul_add(magnitude, splat(simd, 0.088_978_99));
     let p = p.mul_add(magnitude, splat(simd, -0.214_598_8));
-    let p = p.mul_add(magnitude, splat(simd, 1.570_796_3));
+    let p = p.mul_add(magnitude, splat(simd, std::f32::consts::FRAC_PI_2));
     let acute = (splat(simd, 1.0) - magnitude).max(splat(simd, 0.0)).sqrt() * p;
     let angle = x.simd_lt(splat(simd, 0.0)).select(splat(simd, std::f32::consts::PI) - acute, acute);
     // cos on [0, pi/3] by its series in the square: the next term is below 2e-8.

@@ -5,6 +5,9 @@
 //! goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]. A pixel's result depends on
 //! its window alone, so threads change nothing; lanes are independent, so neither does a pixel's place in its vector.
 
+// A condition on constants in a loop written out is always true or always false in each copy.
+#![allow(clippy::absurd_extreme_comparisons)]
+
 mod eigen;
 mod level;
 mod math;
@@ -30,7 +33,7 @@ use crate::threads::Threads;
 use planes::Planes;
 use polynomial::Terms;
 use rows::Rows;
-use vector::{Mask, splat};
+use vector::{Mask, Vec3, splat};
 use window::{MAX_CANDIDATES, Window};
 
 pub use level::SimdLevel;
@@ -196,9 +199,9 @@ fn smooth_vector<S: Simd, const D: usize>(
 ) {
     let p = window.centre(simd);
     let all_holes = {
-        // x - x is 0 for what is finite, NaN for what is not.
-        let finite = (p.x - p.x) + (p.y - p.y) + (p.z - p.z);
-        let valid: Mask<S> = finite.simd_eq(splat(simd, 0.0));
+        // Times 0 is 0 for what is finite, NaN for what is not.
+        let zero = splat(simd, 0.0);
+        let valid: Mask<S> = p.scale(zero).dot(Vec3::splat(simd, 1.0)).simd_eq(zero);
         !valid.any_true()
     };
     if all_holes {
@@ -216,8 +219,7 @@ fn smooth_vector<S: Simd, const D: usize>(
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
-        let fit =
-            polynomial::moments::<S, D>(simd, window, p, &scratch.gates, &plane, radius, bandwidth, &mut scratch.terms);
+        let fit = polynomial::moments::<S, D>(simd, window, p, &scratch.gates, &plane, bandwidth, &mut scratch.terms);
         let c = solve::solve::<S, D>(simd, &fit.moments, sums.n);
         project::project::<S, D>(simd, p, &plane, Some((&fit, c)), radius, sums.n, rows.has_normals())
     };

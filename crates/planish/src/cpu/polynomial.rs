@@ -1,12 +1,14 @@
 //! The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //!
-//! With a, b the in-plane coordinates over h and f the height over the plane: M_ij = sum w a^i b^j for i + j <= 2 D, and
+//! The weight is 2^-(a² + b² + f²), with a, b the in-plane coordinates and f the height over the plane, all in units of the
+//! bandwidth over sqrt(log2 e). The reference takes h for a and b; the unit changes neither the polynomial nor what is
+//! dropped, since a pivot scales as its diagonal does, and this one saves a multiplication. Moments: M_ij = sum w a^i b^j for i + j <= 2 D, and
 //! T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and b: one fused
 //! multiply-add each, and plain additions for j = 0.
 
 use std::ops::Range;
 
-use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
+use fearless_simd::{Select, Simd, SimdFloat};
 
 use super::eigen::tangents;
 use super::math::exp2;
@@ -25,8 +27,6 @@ struct Frame<S: Simd> {
     b_axis: Vec3<S>,
     f_axis: Vec3<S>,
     f_offset: S::f32s,
-    /// The weight is 2^-(in_plane (a² + b²) + f²).
-    in_plane: S::f32s,
 }
 
 /// Candidates whose terms are kept at once: their four values for each stay in the first-level cache.
@@ -89,10 +89,10 @@ impl<S: Simd> Moments<S> {
 /// The moments, and what turns coefficients back to metres.
 pub(super) struct Fit<S: Simd> {
     pub(super) moments: Moments<S>,
-    /// In-plane axes, unit vectors over h.
+    /// In-plane axes, unit vectors in units of a metre.
     pub(super) a_axis: Vec3<S>,
     pub(super) b_axis: Vec3<S>,
-    /// Metres in a unit of f.
+    /// Metres in a unit of a, b and f.
     pub(super) metres: S::f32s,
 }
 
@@ -105,25 +105,19 @@ pub(super) fn moments<S: Simd, const D: usize>(
     p: Vec3<S>,
     gates: &[u16; MAX_CANDIDATES],
     plane: &Plane<S>,
-    radius: S::f32s,
     bandwidth: S::f32s,
     terms: &mut Terms<S>,
 ) -> Fit<S> {
-    let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+    let zero = splat(simd, 0.0);
     let (u, v) = tangents(simd, plane.normal);
-    let extent = plane.variances[2].max(zero).sqrt();
-    let h = radius.min(extent + extent).max(splat(simd, f32::MIN_POSITIVE));
-    let inverse_h = one / h;
-    // f is measured in units in which f² is its share of the exponent: exp(-x²) = 2^(-x² log2 e).
+    // Lengths are measured in units in which the exponent is a² + b² + f²: exp(-x²) = 2^(-x² log2 e).
     const SQRT_LOG2_E: f32 = 1.201_122_4;
     let per_metre = splat(simd, SQRT_LOG2_E) / bandwidth;
-    let h_scaled = h * per_metre;
     let frame = Frame {
-        a_axis: u.scale(inverse_h),
-        b_axis: v.scale(inverse_h),
+        a_axis: u.scale(per_metre),
+        b_axis: v.scale(per_metre),
         f_axis: plane.normal.scale(per_metre),
         f_offset: plane.height * per_metre,
-        in_plane: h_scaled * h_scaled,
     };
     let mut moments = Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
     let rows_at_once = (CHUNK / window.side).max(1);
@@ -140,7 +134,7 @@ pub(super) fn moments<S: Simd, const D: usize>(
         }
         rows = rows.end..(rows.end + rows_at_once).min(window.side);
     }
-    Fit { moments, a_axis: frame.a_axis, b_axis: frame.b_axis, metres: one / per_metre }
+    Fit { moments, a_axis: frame.a_axis, b_axis: frame.b_axis, metres: splat(simd, 1.0) / per_metre }
 }
 
 impl<S: Simd> Terms<S> {
@@ -178,7 +172,7 @@ impl<S: Simd> Terms<S> {
                         let a = e.dot(frame.a_axis);
                         let b = e.dot(frame.b_axis);
                         let f = e.dot(frame.f_axis) - frame.f_offset;
-                        let exponent = a.mul_add(a, b * b).mul_add(frame.in_plane, f * f);
+                        let exponent = a.mul_add(a, b.mul_add(b, f * f));
                         self.w[at] = gate.select(exp2(simd, -exponent), zero);
                         (self.a[at], self.b[at], self.f[at]) = (a, b, f);
                         at += 1;

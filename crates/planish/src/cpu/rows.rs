@@ -25,23 +25,12 @@ pub(super) struct Rows<'a> {
 }
 
 fn split<'a, T, const N: usize>(planes: [&'a mut [T]; N], at: usize) -> ([&'a mut [T]; N], [&'a mut [T]; N]) {
+    let mut before: [&'a mut [T]; N] = std::array::from_fn(|_| Default::default());
     let mut after: [&'a mut [T]; N] = std::array::from_fn(|_| Default::default());
-    let before = std::array::from_fn(|_| Default::default());
-    let mut before: [&'a mut [T]; N] = before;
     for (k, plane) in planes.into_iter().enumerate() {
         (before[k], after[k]) = plane.split_at_mut(at);
     }
     (before, after)
-}
-
-fn split_option<'a, T, const N: usize>(
-    planes: Option<[&'a mut [T]; N]>,
-    at: usize,
-) -> (Option<[&'a mut [T]; N]>, Option<[&'a mut [T]; N]>) {
-    match planes.map(|planes| split(planes, at)) {
-        Some((before, after)) => (Some(before), Some(after)),
-        None => (None, None),
-    }
 }
 
 impl<'a> Rows<'a> {
@@ -70,29 +59,21 @@ impl<'a> Rows<'a> {
     pub(super) fn split_at(self, rows: usize) -> (Self, Self) {
         let at = rows * self.width;
         let (points, points_after) = split(self.points, at);
-        let (normals, normals_after) = split_option(self.normals, at);
-        let (curvature, curvature_after) = split_option(self.curvature.map(|c| [c]), at);
-        let (status, status_after) = split_option(self.status.map(|s| [s]), at);
-        let (neighbours, neighbours_after) = split_option(self.neighbours.map(|n| [n]), at);
+        let (normals, normals_after) = self.normals.map(|planes| split(planes, at)).unzip();
+        let (curvature, curvature_after) = self.curvature.map(|plane| plane.split_at_mut(at)).unzip();
+        let (status, status_after) = self.status.map(|plane| plane.split_at_mut(at)).unzip();
+        let (neighbours, neighbours_after) = self.neighbours.map(|plane| plane.split_at_mut(at)).unzip();
         let (first, width) = (self.first, self.width);
         (
-            Rows {
-                first,
-                width,
-                points,
-                normals,
-                curvature: curvature.map(|[c]| c),
-                status: status.map(|[s]| s),
-                neighbours: neighbours.map(|[n]| n),
-            },
+            Rows { first, width, points, normals, curvature, status, neighbours },
             Rows {
                 first: first + rows,
                 width,
                 points: points_after,
                 normals: normals_after,
-                curvature: curvature_after.map(|[c]| c),
-                status: status_after.map(|[s]| s),
-                neighbours: neighbours_after.map(|[n]| n),
+                curvature: curvature_after,
+                status: status_after,
+                neighbours: neighbours_after,
             },
         )
     }

@@ -48,7 +48,7 @@ pub(super) fn solve<S: Simd, const D: usize>(simd: S, moments: &Moments<S>, n: S
             y[J] = right;
             let mut supported: Mask<S> = pivot.simd_gt(diagonal * splat(simd, PIVOT_RATIO));
             if D == 3 && J >= coefficient_count(2) {
-                supported = supported & carries_cubic;
+                supported &= carries_cubic;
             }
             inverse[J] = supported.select(splat(simd, 1.0) / pivot, zero);
             unroll!(I in 10 {
