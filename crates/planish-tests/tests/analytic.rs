@@ -1,17 +1,11 @@
 //! Surfaces whose smooth form is known exactly, through the reference engine.
 
-use planish::{
-    Engine, OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams, Smoothed, Smoother, SmootherOptions, Status,
-    Xyz, smooth_points,
-};
+use planish::{OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams, Smoothed, Status, Xyz, smooth_points};
+use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, height_field};
 
 fn smooth(cloud: &OrganizedCloud, params: SmoothParams) -> Smoothed {
-    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: None, simd: None };
-    let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height())).unwrap();
-    let mut smoothed = Smoothed::default();
-    smoother.smooth(cloud, &mut smoothed).unwrap();
-    smoothed
+    TestEngine::REFERENCE.smooth(cloud, params)
 }
 
 fn params(degree: u32) -> SmoothParams {

@@ -1,29 +1,13 @@
 //! The reference engine against PCL's own test values, the invariants, and real frames.
 
-use planish::{Engine, Outputs, Radius, SmoothParams, Smoothed, Smoother, SmootherOptions, smooth_points};
+use planish::{Engine, Outputs, Radius, SmoothParams, Smoothed, Smoother, smooth_points};
 use planish_tests::data::{folder, general_cloud, real_frames};
+use planish_tests::engines::{TestEngine, radius_m};
 use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
 use planish_tests::tolerances::assert_invariants;
 
 fn smooth(cloud: &planish::OrganizedCloud, params: SmoothParams, threads: usize) -> Smoothed {
-    let options =
-        SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: Some(threads), simd: None };
-    let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height())).unwrap();
-    let mut smoothed = Smoothed::default();
-    smoother.smooth(cloud, &mut smoothed).unwrap();
-    smoothed
-}
-
-/// r(z) of section 3, written once more for the check.
-fn radius_m(cloud: &planish::OrganizedCloud, params: SmoothParams) -> impl Fn(f64) -> f64 {
-    let pitch = cloud.pixel_pitch_at_1m().unwrap_or(1.0 / 525.0);
-    move |z| match params.radius {
-        Radius::Fixed { radius_m } => f64::from(radius_m),
-        Radius::Sensor { depth_step_at_1m } => {
-            let reach = f64::from(params.window * params.stride);
-            (1.5 * reach * z.abs() * pitch).max(4.0 * f64::from(depth_step_at_1m) * z * z)
-        }
-    }
+    TestEngine { threads: Some(threads), ..TestEngine::REFERENCE }.smooth(cloud, params)
 }
 
 #[test]
@@ -109,10 +93,7 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
         ..KinectNoise::default()
     };
     let frame = KinectSimulator::new(noise, camera, 3).frame(&truth, 0).unwrap();
-    let options = SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, threads: None, simd: None };
-    let mut smoothed = Smoothed::default();
-    let mut smoother = Smoother::open_with(SmoothParams::default(), options, (160, 120)).unwrap();
-    smoother.smooth(&frame, &mut smoothed).unwrap();
+    let smoothed = TestEngine::REFERENCE.smooth(&frame, SmoothParams::default());
 
     // RMS of z against the true z along the ray of each pixel, away from the border and not too grazing.
     let rms = |z: &[f32]| {
