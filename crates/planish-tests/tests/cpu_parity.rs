@@ -1,7 +1,7 @@
 //! The CPU engine against the f64 reference, at every SIMD level of this machine (docs/method.md, section 9).
 
 use planish::{OrganizedCloud, Radius, SimdLevel, SmoothParams, Smoothed};
-use planish_tests::data::real_frames;
+use planish_tests::data::{real_frames, skip};
 use planish_tests::engines::{TestEngine, parameter_grid, radius_m};
 use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
 use planish_tests::tolerances::{Agreement, assert_invariants};
@@ -35,7 +35,7 @@ fn every_level_of_this_machine_is_tested() {
     let names: Vec<_> = SimdLevel::available().map(SimdLevel::name).collect();
     println!("SIMD levels: {}", names.join(" "));
     for level in SimdLevel::ALL.into_iter().filter(|level| !names.contains(&level.name())) {
-        println!("SKIP {}: not on this machine", level.name());
+        skip(&format!("SIMD level {}: not on this machine", level.name()));
     }
     assert!(names.contains(&SimdLevel::best().name()));
 }
