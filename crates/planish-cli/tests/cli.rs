@@ -175,6 +175,33 @@ fn a_folder_goes_on_after_a_bad_file_and_says_so_at_the_end() {
 }
 
 #[test]
+fn a_folder_of_clouds_and_depth_images_gives_each_what_it_gets_alone() {
+    // The engine stays open between frames of one shape: what the first did not need the second must still get.
+    let (folder, _, path) = with_frame();
+    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
+    fs::create_dir(&input).unwrap();
+    fs::copy(&path, input.join("a.pcd")).unwrap();
+    let image = DepthImage { width: 160, height: 120, raw: small_frame(2).raw };
+    io::write_depth(&input.join("b.png"), &image).unwrap();
+    ok(&["smooth", str(&input), str(&output), "--camera", CAMERA]);
+    let alone = folder.path().join("alone.png");
+    ok(&["smooth", str(&input.join("b.png")), str(&alone), "--camera", CAMERA]);
+    assert_eq!(io::read(&output.join("b.png")).unwrap(), io::read(&alone).unwrap());
+}
+
+#[test]
+fn two_frames_that_would_take_one_name_are_refused_before_anything_is_written() {
+    let (folder, _, path) = with_frame();
+    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
+    fs::create_dir(&input).unwrap();
+    fs::copy(&path, input.join("a.pcd")).unwrap();
+    fs::copy(&path, input.join("a.ply")).unwrap();
+    let message = refused(&["smooth", str(&input), str(&output), "--format", "ply"]);
+    assert!(message.contains("a.pcd") && message.contains("a.ply"), "{message}");
+    assert_eq!(fs::read_dir(&output).unwrap().count(), 0);
+}
+
+#[test]
 fn info_and_render_tell_what_a_file_holds() {
     let (folder, input, path) = with_frame();
     let info: Value = serde_json::from_str(&ok(&["info", str(&path), "--json"])).unwrap();

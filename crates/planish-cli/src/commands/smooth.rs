@@ -1,5 +1,6 @@
 //! `planish smooth`: one file, or every frame of a folder.
 
+use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -94,17 +95,25 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
         bail!("input and output are the same folder: give another one, so that no frame is overwritten");
     }
 
+    let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
+    let mut seen = HashMap::new();
+    for (input, output) in inputs.iter().zip(&outputs) {
+        if let Some(other) = seen.insert(output, input) {
+            bail!(
+                "{} and {} would both be written to {}: smooth them into different folders",
+                other.display(),
+                input.display(),
+                output.display()
+            );
+        }
+    }
+
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
     // Hidden by itself where standard error is not a terminal.
     let progress = ProgressBar::new(inputs.len() as u64).with_style(style);
     let mut report = FolderReport { frames: Vec::new(), failed: Vec::new() };
-    for input in inputs {
-        let name = PathBuf::from(input.file_name().unwrap_or_default());
-        let name = match &args.format {
-            Some(extension) => name.with_extension(extension.trim_start_matches('.')),
-            None => name,
-        };
-        match worker.smooth_file(&input, &args.output.join(name)) {
+    for (input, output) in inputs.into_iter().zip(outputs) {
+        match worker.smooth_file(&input, &output) {
             Ok(frame) => report.frames.push(frame),
             Err(error) => {
                 let error = format!("{error:#}");
@@ -121,6 +130,15 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
         println!("{} frames smoothed, {} failed", report.frames.len(), report.failed.len());
     }
     Ok(if report.failed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+/// Where a frame of the input folder is written.
+fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
+    let path = args.output.join(input.file_name().unwrap_or_default());
+    match &args.format {
+        Some(extension) => path.with_extension(extension.trim_start_matches('.')),
+        None => path,
+    }
 }
 
 fn print_report(report: &Report) {
@@ -146,11 +164,11 @@ fn print_report(report: &Report) {
     );
 }
 
-/// Smooths file after file, keeping the engine open while the shape stays.
+/// Smooths file after file, keeping the engine open while the shape and the outputs stay.
 struct Worker<'a> {
     args: &'a SmoothArgs,
     params: SmoothParams,
-    open: Option<(Smoother, (usize, usize))>,
+    open: Option<(Smoother, (usize, usize), Outputs)>,
     smoothed: Smoothed,
 }
 
@@ -230,7 +248,7 @@ impl Worker<'_> {
         let frame = depth.as_ref().map_or(Frame::Cloud(&cloud), Frame::Depth);
 
         self.open(shape, outputs)?;
-        let (smoother, _) = self.open.as_mut().context("no engine is open")?;
+        let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
         let mut times_ms = Vec::new();
         for _ in 0..self.args.repeat {
             let start = Instant::now();
@@ -278,14 +296,14 @@ impl Worker<'_> {
     }
 
     fn open(&mut self, shape: (usize, usize), outputs: Outputs) -> Result<()> {
-        if self.open.as_ref().is_none_or(|(_, open)| *open != shape) {
+        if self.open.as_ref().is_none_or(|(_, open, has)| (*open, *has) != (shape, outputs)) {
             let options = SmootherOptions {
                 engine: self.args.smoothing.engine(),
                 outputs,
                 threads: self.args.smoothing.threads,
                 simd: None,
             };
-            self.open = Some((Smoother::open_with(self.params, options, shape)?, shape));
+            self.open = Some((Smoother::open_with(self.params, options, shape)?, shape, outputs));
         }
         Ok(())
     }
