@@ -3,10 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand, ValueEnum};
 use planish::io::Encoding;
-use planish::{Camera, Engine, Outputs, Radius, SmoothParams};
+use planish::{Camera, Engine, GpuOptions, Outputs, Radius, SmoothParams, SmootherOptions};
 
 /// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
 #[derive(Parser)]
@@ -26,6 +26,10 @@ pub enum Command {
     Info(InfoArgs),
     /// Draw the relief of an organized cloud
     Render(RenderArgs),
+    /// Say what this machine computes with: instruction sets, GPUs, and what `auto` takes
+    Devices(DevicesArgs),
+    /// Measure the engines, each result held against the reference first
+    Bench(BenchArgs),
 }
 
 #[derive(clap::Args)]
@@ -84,6 +88,41 @@ pub struct RenderArgs {
     pub output: PathBuf,
     #[command(flatten)]
     pub camera: CameraArgs,
+}
+
+#[derive(clap::Args)]
+pub struct DevicesArgs {
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct BenchArgs {
+    #[command(subcommand)]
+    pub what: BenchCommand,
+}
+
+#[derive(Subcommand)]
+pub enum BenchCommand {
+    /// The GPU engine: its kernels, one frame at a time, frames in flight, batches
+    Gpu(BenchGpuArgs),
+}
+
+#[derive(clap::Args)]
+pub struct BenchGpuArgs {
+    /// A frame: an organized cloud of a camera at 640x480 with a focal length of 525; else a simulated one
+    #[arg(long, value_name = "FILE")]
+    pub input: Option<PathBuf>,
+    /// Which GPU, by its index or part of its name (see `planish devices`); else the first real one
+    #[arg(long, value_name = "NAME|INDEX")]
+    pub adapter: Option<String>,
+    /// Frames for each figure
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(2..))]
+    pub runs: u32,
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -145,6 +184,9 @@ pub struct SmoothingArgs {
     /// Which engine computes; one asked for by name never falls back to another
     #[arg(long, value_enum, default_value = "auto")]
     pub engine: EngineArg,
+    /// Which GPU with --engine gpu, by its index or part of its name (see `planish devices`); else the first real one
+    #[arg(long, value_name = "NAME|INDEX")]
+    pub adapter: Option<String>,
     /// Threads of the CPU engines; else one for each core
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
@@ -225,6 +267,15 @@ impl SmoothingArgs {
             EngineArg::Reference => Engine::Reference,
         }
     }
+
+    /// What a smoother is opened with.
+    pub fn options(&self, outputs: Outputs) -> Result<SmootherOptions> {
+        if self.adapter.is_some() && self.engine() != Engine::Gpu {
+            bail!("--adapter chooses among GPUs: it needs --engine gpu");
+        }
+        let gpu = GpuOptions { adapter: self.adapter.clone(), ..GpuOptions::default() };
+        Ok(SmootherOptions { engine: self.engine(), outputs, threads: self.threads, gpu, ..SmootherOptions::default() })
+    }
 }
 
 impl SmoothArgs {
@@ -234,7 +285,7 @@ impl SmoothArgs {
             normals: wants(FieldArg::Normals),
             curvature: wants(FieldArg::Curvature),
             status: wants(FieldArg::Status),
-            neighbours: false,
+            ..Outputs::POINTS
         }
     }
 

@@ -5,12 +5,12 @@
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
+use planish::agreement::{Agreement, radius_m};
 use planish::{
     Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
 };
-use planish_tests::engines::{TestEngine, radius_m};
+use planish_tests::engines::TestEngine;
 use planish_tests::scenes::simulated;
-use planish_tests::tolerances::Agreement;
 
 fn main() {
     divan::main();
@@ -33,14 +33,15 @@ fn options(threads: usize) -> SmootherOptions {
 
 /// Times one setting, points an iteration as its count, once its result agrees with the reference.
 fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: SmoothParams, options: SmootherOptions) {
-    let engine = TestEngine { engine: options.engine, threads: options.threads, simd: options.simd };
+    let engine =
+        TestEngine { threads: options.threads, simd: options.simd, engine: options.engine, ..TestEngine::REFERENCE };
     let mut agreement = Agreement::default();
     let reference = TestEngine::REFERENCE.smooth(cloud, params);
     agreement.add(&engine.smooth(cloud, params), &reference, radius_m(cloud, params));
     let misses = agreement.misses();
     assert!(misses.is_empty(), "a wrong result is not timed: {misses:?}");
 
-    let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height())).expect("an engine");
+    let mut smoother = Smoother::open_with(params, &options, (cloud.width(), cloud.height())).expect("an engine");
     let mut smoothed = Smoothed::default();
     bencher
         .counter(ItemsCount::new(cloud.points.valid_points()))
@@ -82,6 +83,8 @@ fn size(bencher: Bencher<'_, '_>, shape: (usize, usize)) {
 fn outputs(bencher: Bencher<'_, '_>, name: &str) {
     let wants = |output| name == output || name == "all";
     let outputs = Outputs {
+        points: true,
+        depth: false,
         normals: wants("normals"),
         curvature: wants("curvature"),
         status: wants("status"),
@@ -98,7 +101,7 @@ fn depth_frame(bencher: Bencher<'_, '_>) {
     let truth = scene.render(&camera, &pose);
     let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).expect("one camera");
     let params = SmoothParams { radius: Radius::KINECT_V1, ..SmoothParams::paper() };
-    let mut smoother = Smoother::open_with(params, options(2), (640, 480)).expect("an engine");
+    let mut smoother = Smoother::open_with(params, &options(2), (640, 480)).expect("an engine");
     let mut smoothed = Smoothed::default();
     let reference = TestEngine::REFERENCE.smooth(&frame, params);
     let mut agreement = Agreement::default();

@@ -7,12 +7,12 @@
 use std::path::Path;
 use std::time::Instant;
 
+use planish::agreement::{Agreement, radius_m};
 use planish::{
     Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
 };
-use planish_tests::engines::{TestEngine, radius_m};
+use planish_tests::engines::TestEngine;
 use planish_tests::scenes::simulated;
-use planish_tests::tolerances::Agreement;
 
 const RUNS: usize = 41;
 
@@ -64,8 +64,14 @@ fn median_ms(
     threads: usize,
     outputs: Outputs,
 ) -> Result<f64, planish::Error> {
-    let options = SmootherOptions { engine: Engine::Cpu, outputs, threads: Some(threads), simd: Some(level) };
-    let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height()))?;
+    let options = SmootherOptions {
+        engine: Engine::Cpu,
+        outputs,
+        threads: Some(threads),
+        simd: Some(level),
+        ..SmootherOptions::default()
+    };
+    let mut smoother = Smoother::open_with(params, &options, (cloud.width(), cloud.height()))?;
     let mut smoothed = Smoothed::default();
     let mut times = Vec::new();
     for _ in 0..RUNS {

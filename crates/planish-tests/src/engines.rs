@@ -1,7 +1,10 @@
 //! Running an engine on a cloud, and the grid of parameters that engines are compared on.
 
+use std::sync::{Mutex, OnceLock};
+
 use planish::{
-    Engine, Frame, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
+    Engine, Frame, GpuAdapter, GpuOptions, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother,
+    SmootherOptions, auto_choice, gpu_adapters,
 };
 
 /// An engine with the choices that must not change its result by more than the tolerances.
@@ -13,15 +16,44 @@ pub struct TestEngine {
     pub threads: Option<usize>,
     /// Instruction set of the CPU engine.
     pub simd: Option<SimdLevel>,
+    /// Whether the shader of the GPU engine checks bounds.
+    pub bounds_checks: bool,
 }
 
 impl TestEngine {
     /// The oracle.
-    pub const REFERENCE: Self = Self { engine: Engine::Reference, threads: None, simd: None };
+    pub const REFERENCE: Self = Self { engine: Engine::Reference, threads: None, simd: None, bounds_checks: true };
 
     /// The CPU engine at one instruction set.
     pub fn cpu(simd: SimdLevel) -> Self {
-        Self { engine: Engine::Cpu, threads: None, simd: Some(simd) }
+        Self { engine: Engine::Cpu, simd: Some(simd), ..Self::REFERENCE }
+    }
+
+    /// The GPU engine on the adapter of the tests.
+    pub fn gpu(bounds_checks: bool) -> Self {
+        Self { engine: Engine::Gpu, bounds_checks, ..Self::REFERENCE }
+    }
+
+    /// What a smoother for this engine is opened with.
+    ///
+    /// # Panics
+    /// If the GPU engine is wanted and does not open.
+    pub fn options(self, outputs: Outputs) -> SmootherOptions {
+        let options = self.plain_options(outputs);
+        if self.engine == Engine::Gpu {
+            // Kept open, so that what the device has compiled for one test is there for the next.
+            static KEPT: OnceLock<Mutex<Smoother>> = OnceLock::new();
+            KEPT.get_or_init(|| {
+                Mutex::new(Smoother::open_with(SmoothParams::paper(), &options, (1, 1)).expect("the GPU engine"))
+            });
+        }
+        options
+    }
+
+    fn plain_options(self, outputs: Outputs) -> SmootherOptions {
+        let adapter = test_adapter().map(|adapter| adapter.index.to_string());
+        let gpu = GpuOptions { adapter, bounds_checks: self.bounds_checks, ..GpuOptions::default() };
+        SmootherOptions { engine: self.engine, outputs, threads: self.threads, simd: self.simd, gpu }
     }
 
     /// Smooths a frame with all outputs.
@@ -29,26 +61,39 @@ impl TestEngine {
     /// # Panics
     /// If the engine fails.
     pub fn smooth<'a>(self, frame: impl Into<Frame<'a>>, params: SmoothParams) -> Smoothed {
+        self.smooth_to(frame, params, Outputs::ALL)
+    }
+
+    /// Smooths a frame with some outputs.
+    ///
+    /// # Panics
+    /// If the engine fails.
+    pub fn smooth_to<'a>(self, frame: impl Into<Frame<'a>>, params: SmoothParams, outputs: Outputs) -> Smoothed {
         let frame = frame.into();
-        let options =
-            SmootherOptions { engine: self.engine, outputs: Outputs::ALL, threads: self.threads, simd: self.simd };
-        let mut smoother = Smoother::open_with(params, options, frame.shape()).expect("an engine");
+        let mut smoother = Smoother::open_with(params, &self.options(outputs), frame.shape()).expect("an engine");
         let mut smoothed = Smoothed::default();
         smoother.smooth(frame, &mut smoothed).expect("a result");
         smoothed
     }
 }
 
-/// r(z) of docs/method.md, section 3, written once more for the checks.
-pub fn radius_m(cloud: &OrganizedCloud, params: SmoothParams) -> impl Fn(f64) -> f64 {
-    let pitch = cloud.pixel_pitch_at_1m().unwrap_or(1.0 / 525.0);
-    move |z| match params.radius {
-        Radius::Fixed { radius_m } => f64::from(radius_m),
-        Radius::Sensor { depth_step_at_1m } => {
-            let reach = f64::from(params.window * params.stride);
-            (1.5 * reach * z.abs() * pitch).max(4.0 * f64::from(depth_step_at_1m) * z * z)
-        }
-    }
+/// The adapter that the GPU engine is tested on: the one that `Auto` takes, else the first, be it software. `None` where
+/// there is no adapter.
+///
+/// # Panics
+/// If there is none and the environment's PLANISH_REQUIRE_GPU says that there must be.
+pub fn test_adapter() -> Option<&'static GpuAdapter> {
+    static ADAPTER: OnceLock<Option<GpuAdapter>> = OnceLock::new();
+    let adapter = ADAPTER.get_or_init(|| {
+        let adapters = gpu_adapters();
+        let reason = auto_choice(&adapters).1;
+        adapters.iter().find(|adapter| reason.contains(&adapter.name)).or(adapters.first()).cloned()
+    });
+    assert!(
+        adapter.is_some() || std::env::var_os("PLANISH_REQUIRE_GPU").is_none(),
+        "no GPU adapter, and one is required"
+    );
+    adapter.as_ref()
 }
 
 /// The corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 3, degrees 1 to 3, both

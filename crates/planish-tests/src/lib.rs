@@ -2,5 +2,6 @@
 
 pub mod data;
 pub mod engines;
+pub mod parity;
 pub mod scenes;
 pub mod tolerances;

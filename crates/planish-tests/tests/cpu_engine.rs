@@ -58,7 +58,8 @@ fn threads_and_runs_change_no_bit() {
     clouds.push(simulated(3, false, small_camera()));
     for cloud in &clouds {
         for params in [SmoothParams::paper(), SmoothParams::default()] {
-            let with = |threads| TestEngine { engine: Engine::Cpu, threads, simd: None }.smooth(cloud, params);
+            let with =
+                |threads| TestEngine { engine: Engine::Cpu, threads, ..TestEngine::REFERENCE }.smooth(cloud, params);
             let one = bits(&with(Some(1)));
             for threads in [Some(1), Some(2), Some(3), Some(7), None] {
                 assert_eq!(bits(&with(threads)), one, "{threads:?}");
@@ -77,8 +78,9 @@ fn nothing_is_allocated_after_the_first_frame() {
     bare.camera = None;
     for (threads, allowed) in [(1, 0), (2, FRAMES / 50)] {
         for outputs in [Outputs::POINTS, Outputs::ALL] {
-            let options = SmootherOptions { engine: Engine::Cpu, outputs, threads: Some(threads), simd: None };
-            let mut smoother = Smoother::open_with(SmoothParams::default(), options, (160, 120)).unwrap();
+            let options =
+                SmootherOptions { engine: Engine::Cpu, outputs, threads: Some(threads), ..SmootherOptions::default() };
+            let mut smoother = Smoother::open_with(SmoothParams::default(), &options, (160, 120)).unwrap();
             let mut smoothed = Smoothed::default();
             let mut run = |smoothed: &mut Smoothed| {
                 smoother.smooth(&depth, smoothed).unwrap();
@@ -120,9 +122,15 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
     let mut smoothed = Smoothed::default();
     for bits in 0..16u32 {
         let wants = |bit: u32| bits & bit != 0;
-        let outputs = Outputs { normals: wants(1), curvature: wants(2), status: wants(4), neighbours: wants(8) };
-        let options = SmootherOptions { engine: Engine::Cpu, outputs, threads: None, simd: None };
-        let mut smoother = Smoother::open_with(SmoothParams::default(), options, (160, 120)).unwrap();
+        let outputs = Outputs {
+            normals: wants(1),
+            curvature: wants(2),
+            status: wants(4),
+            neighbours: wants(8),
+            ..Outputs::POINTS
+        };
+        let options = SmootherOptions { engine: Engine::Cpu, outputs, ..SmootherOptions::default() };
+        let mut smoother = Smoother::open_with(SmoothParams::default(), &options, (160, 120)).unwrap();
         // The same result struct each time: what is not asked for goes away.
         smoother.smooth(&cloud, &mut smoothed).unwrap();
         assert_eq!(format!("{:?}", smoothed.points), format!("{:?}", all.points));
@@ -156,7 +164,7 @@ fn widths_around_the_lane_counts_lose_no_pixel() {
 fn a_level_that_the_machine_lacks_and_zero_threads_are_refused() {
     let open = |simd, threads| {
         let options = SmootherOptions { engine: Engine::Cpu, threads, simd, ..SmootherOptions::default() };
-        Smoother::open_with(SmoothParams::paper(), options, (4, 4)).map(|_| ())
+        Smoother::open_with(SmoothParams::paper(), &options, (4, 4)).map(|_| ())
     };
     let missing = SimdLevel::ALL.into_iter().find(|level| SimdLevel::available().all(|have| have != *level)).unwrap();
     assert!(open(Some(missing), None).unwrap_err().to_string().contains(missing.name()));

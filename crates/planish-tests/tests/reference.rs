@@ -1,8 +1,9 @@
 //! The reference engine against PCL's own test values, the invariants, and real frames.
 
+use planish::agreement::radius_m;
 use planish::{Engine, Outputs, Radius, SmoothParams, Smoothed, Smoother, smooth_points};
 use planish_tests::data::{folder, general_cloud, real_frames};
-use planish_tests::engines::{TestEngine, radius_m};
+use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
 use planish_tests::tolerances::assert_invariants;
 

@@ -123,6 +123,22 @@ impl Camera {
     }
 }
 
+/// The factors of deprojection, kept while the camera stays the same.
+#[derive(Default)]
+pub(crate) struct Rays {
+    camera: Option<Camera>,
+    pub(crate) x: Vec<f32>,
+    pub(crate) y: Vec<f32>,
+}
+
+impl Rays {
+    pub(crate) fn set(&mut self, camera: &Camera) {
+        if self.camera.as_ref() != Some(camera) {
+            *self = Self { camera: Some(*camera), x: camera.rays_x(), y: camera.rays_y() };
+        }
+    }
+}
+
 const CAMERA_FILE_HELP: &str =
     "it holds {\"fx\":..,\"fy\":..,\"cx\":..,\"cy\":..} or Open3D's \"intrinsic_matrix\" of 9 numbers";
 

@@ -75,6 +75,52 @@ pub enum EngineError {
         /// Why it is not there, and what would help.
         reason: String,
     },
+    /// A frame, or a batch of them, that is larger than the device can take.
+    #[error(
+        "the GPU {device} allows {what} of {allowed}, and this needs {needed}: smooth smaller frames or use the CPU engine"
+    )]
+    Limit {
+        /// The device's name.
+        device: String,
+        /// Which limit.
+        what: &'static str,
+        /// What the device allows.
+        allowed: u64,
+        /// What is needed.
+        needed: u64,
+    },
+    /// The device has no memory left.
+    #[error("the GPU {device} has not the {bytes} bytes of memory that are needed: {reason}")]
+    OutOfMemory {
+        /// The device's name.
+        device: String,
+        /// How many bytes were asked for.
+        bytes: u64,
+        /// What the driver said.
+        reason: String,
+    },
+    /// The device is gone: reset, unplugged or hung. Frames in flight are lost; open another smoother.
+    #[error("the GPU {device} was lost: {reason}; open the smoother again")]
+    Lost {
+        /// The device's name.
+        device: String,
+        /// What the driver said.
+        reason: String,
+    },
+    /// The driver refused what it should have accepted.
+    #[error("the GPU {device} failed: {reason}")]
+    Device {
+        /// The device's name.
+        device: String,
+        /// What the driver said.
+        reason: String,
+    },
+    /// As many frames are in flight as may be: receive one first.
+    #[error("{in_flight} frames are in flight, as many as may be: receive one before the next is submitted")]
+    Full {
+        /// How many are in flight.
+        in_flight: usize,
+    },
     /// The pool of threads could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {

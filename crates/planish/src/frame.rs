@@ -100,6 +100,14 @@ impl Frame<'_> {
         }
     }
 
+    /// The camera, where it is known.
+    pub fn camera(&self) -> Option<&Camera> {
+        match self {
+            Self::Depth(frame) => Some(&frame.camera),
+            Self::Cloud(cloud) => cloud.camera.as_ref(),
+        }
+    }
+
     /// Metres between neighbouring pixels at 1 m (1/fx): known, estimated, or that of a Kinect v1. `pitches` is working
     /// room for the estimate.
     pub(crate) fn pixel_pitch_at_1m(&self, pitches: &mut Vec<f64>) -> f64 {

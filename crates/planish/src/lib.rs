@@ -14,15 +14,20 @@
     clippy::print_stderr
 )]
 
+pub mod agreement;
 mod camera;
 mod cloud;
 mod colour;
 mod cpu;
+mod devices;
 mod error;
 pub mod evaluate;
 mod frame;
+#[cfg(feature = "gpu")]
+mod gpu;
 pub mod io;
 mod params;
+mod radius;
 mod reference;
 pub mod render;
 pub mod simulate;
@@ -30,15 +35,18 @@ mod smoothed;
 mod smoother;
 mod threads;
 mod unorganized;
+mod view;
 
 pub use camera::{Camera, SATURATED_DEPTH};
 pub use cloud::{
     Attribute, AttributeValues, IDENTITY_VIEWPOINT, MAX_PIXELS, OrganizedCloud, PointCloud, PositionColumns, Xyz,
 };
 pub use cpu::SimdLevel;
+pub use devices::{AdapterKind, FrameTimings, GpuAdapter, GpuOptions, Transfer, auto_choice, gpu_adapters};
 pub use error::{EngineError, Error, FormatError, FrameError, IoError, ParamError};
 pub use frame::{DepthFrame, DepthImage, Frame};
 pub use params::{KINECT_V1_DEPTH_STEP_AT_1M, Radius, SmoothParams};
 pub use smoothed::{Outputs, Smoothed, Status};
 pub use smoother::{Engine, Smoother, SmootherOptions, smooth_points};
 pub use unorganized::estimate_radius_m;
+pub use view::SmoothedView;

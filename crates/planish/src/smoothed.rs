@@ -61,9 +61,13 @@ impl Ord for Status {
     }
 }
 
-/// Which results are wanted beside the points; each costs a little time and memory.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Which results are wanted; each costs a little time and memory, and on a GPU its share of the way back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Outputs {
+    /// The smoothed points.
+    pub points: bool,
+    /// The smoothed surface as raw depth values (docs/method.md, section 7); the frame's camera must be known.
+    pub depth: bool,
     /// Unit normals, towards the sensor.
     pub normals: bool,
     /// Surface variation l0/(l0+l1+l2), as PCL has it.
@@ -76,9 +80,12 @@ pub struct Outputs {
 
 impl Outputs {
     /// Points and nothing else.
-    pub const POINTS: Self = Self { normals: false, curvature: false, status: false, neighbours: false };
-    /// Everything there is.
-    pub const ALL: Self = Self { normals: true, curvature: true, status: true, neighbours: true };
+    pub const POINTS: Self =
+        Self { points: true, depth: false, normals: false, curvature: false, status: false, neighbours: false };
+    /// Depth and nothing else.
+    pub const DEPTH: Self = Self { points: false, depth: true, ..Self::POINTS };
+    /// Everything that every frame has: all but depth, which needs a camera.
+    pub const ALL: Self = Self { normals: true, curvature: true, status: true, neighbours: true, ..Self::POINTS };
 }
 
 impl Default for Outputs {
@@ -95,8 +102,10 @@ pub struct Smoothed {
     pub width: usize,
     /// Height in pixels; 1 for a general cloud.
     pub height: usize,
-    /// The points in metres, NaN for holes.
+    /// The points in metres, NaN for holes; empty if they were not asked for.
     pub points: Xyz,
+    /// Raw depth values of the smoothed surface, 0 for holes.
+    pub depth: Option<Vec<u16>>,
     /// Unit normals towards the sensor; NaN where there is none.
     pub normals: Option<Xyz>,
     /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
@@ -112,11 +121,40 @@ impl Smoothed {
     pub(crate) fn prepare(&mut self, width: usize, height: usize, outputs: Outputs) {
         let len = width * height;
         (self.width, self.height) = (width, height);
-        resize(&mut self.points, len);
+        resize(&mut self.points, if outputs.points { len } else { 0 });
+        keep(&mut self.depth, outputs.depth, |values| values.resize(len, 0));
         keep(&mut self.normals, outputs.normals, |normals| resize(normals, len));
         keep(&mut self.curvature, outputs.curvature, |values| values.resize(len, 0.0));
         keep(&mut self.status, outputs.status, |values| values.resize(len, Status::Hole));
         keep(&mut self.neighbours, outputs.neighbours, |values| values.resize(len, 0));
+    }
+
+    /// Takes the outputs that are wanted over from a result with points and normals, leaving buffers to reuse, and makes the
+    /// depth from them if that is wanted.
+    pub(crate) fn take_over(
+        &mut self,
+        from: &mut Self,
+        outputs: Outputs,
+        camera: Option<&Camera>,
+    ) -> Result<(), FrameError> {
+        self.prepare(from.width, from.height, outputs);
+        if outputs.depth {
+            let camera = camera.ok_or(FrameError::MissingCamera { what: "depth as an output" })?;
+            let depth_m = from.to_depth_m(camera)?;
+            for (raw, depth_m) in self.depth.iter_mut().flatten().zip(depth_m) {
+                *raw = camera.raw_depth(depth_m);
+            }
+        }
+        if outputs.points {
+            std::mem::swap(&mut self.points, &mut from.points);
+        }
+        if outputs.normals {
+            std::mem::swap(&mut self.normals, &mut from.normals);
+        }
+        std::mem::swap(&mut self.curvature, &mut from.curvature);
+        std::mem::swap(&mut self.status, &mut from.status);
+        std::mem::swap(&mut self.neighbours, &mut from.neighbours);
+        Ok(())
     }
 
     /// How many pixels have each status, in the order of [`Status::ALL`]; `None` if the status was not asked for.
@@ -165,7 +203,7 @@ impl Smoothed {
 }
 
 /// Below this cosine of the angle of incidence (over 78°) the tangent plane tells less than the point itself.
-const GRAZING_COSINE: f32 = 0.2;
+pub(crate) const GRAZING_COSINE: f32 = 0.2;
 
 fn resize(planes: &mut Xyz, len: usize) {
     for plane in [&mut planes.x, &mut planes.y, &mut planes.z] {

@@ -1,22 +1,26 @@
 //! The front door: open an engine once for a frame shape, then smooth any number of frames.
 
+use std::collections::VecDeque;
+
 use crate::cloud::{PointCloud, validate_shape};
 use crate::cpu::{Cpu, SimdLevel};
+use crate::devices::{FrameTimings, GpuOptions, auto_choice, gpu_adapters};
 use crate::error::{EngineError, Error, FrameError, ParamError};
 use crate::frame::Frame;
 use crate::params::{Radius, SmoothParams};
 use crate::reference::{Reference, smooth_general};
 use crate::smoothed::{Outputs, Smoothed};
+use crate::view::SmoothedView;
 
 /// Which implementation computes the result. All agree within docs/method.md, section 9.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Engine {
-    /// The fastest engine of this build on this machine; [`Smoother::engine`] says which.
+    /// A real GPU if there is one, else the CPU; [`Smoother::engine`] says which.
     #[default]
     Auto,
     /// f32 SIMD on the CPU.
     Cpu,
-    /// A GPU through wgpu.
+    /// f32 on a GPU through wgpu, in builds with the feature `gpu`.
     Gpu,
     /// f64, written to be read: the oracle of the others.
     Reference,
@@ -35,19 +39,23 @@ impl Engine {
 }
 
 /// How to open a smoother, beside the parameters of the method.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SmootherOptions {
     /// Which engine. One that is asked for by name never falls back to another.
     pub engine: Engine,
-    /// Which results to compute beside the points.
+    /// Which results to compute.
     pub outputs: Outputs,
     /// How many threads the CPU engines use; `None` is one for each core.
     pub threads: Option<usize>,
     /// Which instruction set the CPU engine uses; `None` is the widest of this machine.
     pub simd: Option<SimdLevel>,
+    /// How to open the GPU engine.
+    pub gpu: GpuOptions,
 }
 
 /// An open engine with its buffers, for frames of one shape.
+///
+/// One frame at a time:
 ///
 /// ```
 /// use planish::{Engine, OrganizedCloud, SmoothParams, Smoothed, Smoother, Xyz};
@@ -62,64 +70,296 @@ pub struct SmootherOptions {
 /// # Ok(())
 /// # }
 /// ```
+///
+/// Frames in flight, so that a GPU computes one while the next goes up and the last comes back; results are received in the
+/// order of submission:
+///
+/// ```
+/// # use planish::{Engine, OrganizedCloud, SmoothParams, Smoothed, Smoother, Xyz};
+/// # fn main() -> Result<(), planish::Error> {
+/// # let plane: Xyz = (0..64 * 48).map(|i| [0.002 * (i % 64) as f32, 0.002 * (i / 64) as f32, 1.0]).collect();
+/// # let frames = vec![OrganizedCloud::from_positions(64, 48, plane)?; 5];
+/// # let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Auto, (64, 48))?;
+/// let mut spare = Vec::new();
+/// let mut use_result = |smoothed: &Smoothed| assert_eq!(smoothed.points.len(), 64 * 48);
+/// for frame in &frames {
+///     if smoother.in_flight() == smoother.max_in_flight() {
+///         if let Some(result) = smoother.receive()? {
+///             let smoothed = result.into_smoothed();
+///             use_result(&smoothed);
+///             spare.push(smoothed);
+///         }
+///     }
+///     smoother.submit(frame, spare.pop().unwrap_or_default())?;
+/// }
+/// while let Some(result) = smoother.receive()? {
+///     use_result(&result.into_smoothed());
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct Smoother {
     shape: (usize, usize),
+    outputs: Outputs,
     engine: EngineState,
+    chosen_because: Option<String>,
 }
 
 enum EngineState {
+    Host(Box<Host>),
+    #[cfg(feature = "gpu")]
+    Gpu(Box<crate::gpu::Gpu>),
+}
+
+/// An engine of the CPU, which computes where it is called.
+struct Host {
+    engine: HostEngine,
+    /// Points and normals, where the outputs are made from them afterwards.
+    scratch: Option<Smoothed>,
+    submitted: VecDeque<Smoothed>,
+}
+
+enum HostEngine {
     Cpu(Box<Cpu>),
     Reference(Reference),
 }
 
+/// How many results an engine of the CPU keeps for who submits first and receives later.
+const HOST_SLOTS: usize = 3;
+
 impl Smoother {
     /// Validates the parameters and opens an engine for frames of `shape` (width, height), with points as its only output.
     pub fn open(params: SmoothParams, engine: Engine, shape: (usize, usize)) -> Result<Self, Error> {
-        Self::open_with(params, SmootherOptions { engine, ..SmootherOptions::default() }, shape)
+        Self::open_with(params, &SmootherOptions { engine, ..SmootherOptions::default() }, shape)
     }
 
     /// The same with everything chosen by the caller.
-    pub fn open_with(params: SmoothParams, options: SmootherOptions, shape: (usize, usize)) -> Result<Self, Error> {
+    ///
+    /// Memory is had and kernels are compiled here. `Auto` chooses here and never later; a GPU that cannot be opened for these
+    /// frames leaves it with the CPU.
+    pub fn open_with(params: SmoothParams, options: &SmootherOptions, shape: (usize, usize)) -> Result<Self, Error> {
         params.validate()?;
         validate_shape(shape.0, shape.1)?;
-        if options.threads == Some(0) {
-            return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" }.into());
-        }
-        let unavailable = |reason: &str| {
-            Err(EngineError::Unavailable { engine: options.engine.name(), reason: reason.to_owned() }.into())
+        let positive = |field, value| match value {
+            0 => Err(ParamError { field, value: "0".into(), allowed: "1 or more" }),
+            _ => Ok(()),
         };
+        positive("threads", options.threads.unwrap_or(1))?;
+        positive("slots", options.gpu.slots)?;
+        let mut chosen_because = None;
         let engine = match options.engine {
-            Engine::Auto | Engine::Cpu => {
-                EngineState::Cpu(Box::new(Cpu::open(params, options.outputs, options.threads, options.simd, shape)?))
+            Engine::Auto => {
+                let (engine, reason) = open_auto(params, options, shape)?;
+                chosen_because = Some(reason);
+                engine
             }
-            Engine::Reference => EngineState::Reference(Reference::open(params, options.outputs, options.threads)?),
-            Engine::Gpu => return unavailable("it is not built yet; use auto, cpu or reference"),
+            Engine::Gpu => open_gpu(params, options, shape)?,
+            host => open_host(host, params, options, shape)?,
         };
-        Ok(Self { shape, engine })
+        Ok(Self { shape, outputs: options.outputs, engine, chosen_because })
     }
 
     /// The engine that is open: what `Auto` chose.
     pub fn engine(&self) -> Engine {
-        match self.engine {
-            EngineState::Cpu(_) => Engine::Cpu,
-            EngineState::Reference(_) => Engine::Reference,
+        match &self.engine {
+            EngineState::Host(host) => match host.engine {
+                HostEngine::Cpu(_) => Engine::Cpu,
+                HostEngine::Reference(_) => Engine::Reference,
+            },
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(_) => Engine::Gpu,
         }
+    }
+
+    /// The name of the GPU, if this is the GPU engine.
+    pub fn gpu_name(&self) -> Option<&str> {
+        match &self.engine {
+            EngineState::Host(_) => None,
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => Some(gpu.device_name()),
+        }
+    }
+
+    /// Why `Auto` chose as it did; `None` if the engine was asked for by name.
+    pub fn chosen_because(&self) -> Option<&str> {
+        self.chosen_because.as_deref()
     }
 
     /// Smooths one frame into `out`, whose buffers are reused. Refuses a frame of another shape than the one opened for.
     pub fn smooth<'a>(&mut self, frame: impl Into<Frame<'a>>, out: &mut Smoothed) -> Result<(), Error> {
-        let frame = frame.into();
+        let frame = self.admit(frame.into())?;
+        match &mut self.engine {
+            EngineState::Host(host) => host.smooth(frame, self.outputs, out),
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => gpu.smooth(frame, out),
+        }
+    }
+
+    /// Smooths several frames, of one camera or of several with the same shape: on a GPU in as few submissions as fit.
+    ///
+    /// `out` has a result for each frame, whose buffers are reused.
+    pub fn smooth_batch(&mut self, frames: &[Frame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
+        if frames.len() != out.len() {
+            let (len, expected) = (out.len(), frames.len());
+            return Err(FrameError::LengthMismatch { what: "the results of a batch".into(), len, expected }.into());
+        }
+        for &frame in frames {
+            self.admit(frame)?;
+        }
+        match &mut self.engine {
+            EngineState::Host(host) => {
+                frames.iter().zip(out).try_for_each(|(&frame, out)| host.smooth(frame, self.outputs, out))
+            }
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => gpu.smooth_batch(frames, out),
+        }
+    }
+
+    /// Where the time of the last [`smooth`](Self::smooth) or [`smooth_batch`](Self::smooth_batch) went on a GPU, if
+    /// [`GpuOptions::timestamps`] were asked for.
+    pub fn timings(&self) -> Option<FrameTimings> {
+        match &self.engine {
+            EngineState::Host(_) => None,
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => gpu.timings(),
+        }
+    }
+
+    /// Sends a frame on its way, and its result to `buffer`; [`receive`](Self::receive) gives it back filled.
+    ///
+    /// On a GPU the frame has been copied when this returns, and the result is copied out by another thread. The engines of the
+    /// CPU compute the frame here.
+    pub fn submit<'a>(&mut self, frame: impl Into<Frame<'a>>, buffer: Smoothed) -> Result<(), Error> {
+        self.submit_to(frame.into(), Some(buffer))
+    }
+
+    /// The same with the result left where the device puts it, to be read there: nothing is copied.
+    pub fn submit_in_place<'a>(&mut self, frame: impl Into<Frame<'a>>) -> Result<(), Error> {
+        self.submit_to(frame.into(), None)
+    }
+
+    fn submit_to(&mut self, frame: Frame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
+        let frame = self.admit(frame)?;
+        match &mut self.engine {
+            EngineState::Host(host) => {
+                let in_flight = host.submitted.len();
+                if in_flight >= HOST_SLOTS {
+                    return Err(EngineError::Full { in_flight }.into());
+                }
+                let mut smoothed = buffer.unwrap_or_default();
+                host.smooth(frame, self.outputs, &mut smoothed)?;
+                host.submitted.push_back(smoothed);
+                Ok(())
+            }
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => gpu.submit(frame, buffer),
+        }
+    }
+
+    /// Waits for the oldest frame in flight; `None` if there is none.
+    pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        match &mut self.engine {
+            EngineState::Host(host) => {
+                Ok(host.submitted.pop_front().map(|smoothed| SmoothedView::owned(smoothed, None)))
+            }
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => gpu.receive(),
+        }
+    }
+
+    /// How many frames were submitted and not received.
+    pub fn in_flight(&self) -> usize {
+        match &self.engine {
+            EngineState::Host(host) => host.submitted.len(),
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => gpu.in_flight(),
+        }
+    }
+
+    /// How many frames can be; one more is an [`EngineError::Full`].
+    pub fn max_in_flight(&self) -> usize {
+        match &self.engine {
+            EngineState::Host(_) => HOST_SLOTS,
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => gpu.max_in_flight(),
+        }
+    }
+
+    /// Refuses a frame that is not what it says, or of another shape.
+    fn admit<'a>(&self, frame: Frame<'a>) -> Result<Frame<'a>, FrameError> {
         let (width, height) = self.shape;
         let (frame_width, frame_height) = frame.shape();
         if (frame_width, frame_height) != self.shape {
-            return Err(FrameError::ShapeMismatch { frame_width, frame_height, width, height }.into());
+            return Err(FrameError::ShapeMismatch { frame_width, frame_height, width, height });
         }
         frame.validate()?;
-        match &mut self.engine {
-            EngineState::Cpu(cpu) => cpu.smooth(frame, out),
-            EngineState::Reference(reference) => reference.smooth(frame, out),
+        if self.outputs.depth && frame.camera().is_none() {
+            return Err(FrameError::MissingCamera { what: "depth as an output" });
+        }
+        Ok(frame)
+    }
+}
+
+impl Host {
+    fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs, out: &mut Smoothed) -> Result<(), Error> {
+        let Self { engine, scratch, .. } = self;
+        let mut run = |out: &mut Smoothed| match engine {
+            HostEngine::Cpu(cpu) => cpu.smooth(frame, out),
+            HostEngine::Reference(reference) => reference.smooth(frame, out),
+        };
+        match scratch {
+            None => run(out),
+            Some(scratch) => {
+                run(scratch)?;
+                Ok(out.take_over(scratch, outputs, frame.camera())?)
+            }
         }
     }
+}
+
+fn open_host(
+    engine: Engine,
+    params: SmoothParams,
+    options: &SmootherOptions,
+    shape: (usize, usize),
+) -> Result<EngineState, Error> {
+    let SmootherOptions { outputs, threads, simd, .. } = *options;
+    // These engines compute points, and depth is made from points and normals.
+    let computed = Outputs { points: true, depth: false, normals: outputs.normals || outputs.depth, ..outputs };
+    let engine = match engine {
+        Engine::Reference => HostEngine::Reference(Reference::open(params, computed, threads)?),
+        _ => HostEngine::Cpu(Box::new(Cpu::open(params, computed, threads, simd, shape)?)),
+    };
+    let scratch = (computed != outputs).then(Smoothed::default);
+    Ok(EngineState::Host(Box::new(Host { engine, scratch, submitted: VecDeque::new() })))
+}
+
+#[cfg(feature = "gpu")]
+fn open_gpu(params: SmoothParams, options: &SmootherOptions, shape: (usize, usize)) -> Result<EngineState, Error> {
+    Ok(EngineState::Gpu(Box::new(crate::gpu::Gpu::open(params, options.outputs, &options.gpu, shape)?)))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn open_gpu(_: SmoothParams, _: &SmootherOptions, _: (usize, usize)) -> Result<EngineState, Error> {
+    let reason = "this build is without it; build with the feature gpu, or use auto, cpu or reference".to_owned();
+    Err(EngineError::Unavailable { engine: "gpu", reason }.into())
+}
+
+/// A real GPU if there is one and it opens; else the CPU.
+fn open_auto(
+    params: SmoothParams,
+    options: &SmootherOptions,
+    shape: (usize, usize),
+) -> Result<(EngineState, String), Error> {
+    let (engine, mut reason) = auto_choice(&gpu_adapters());
+    if engine == Engine::Gpu {
+        let gpu = GpuOptions { adapter: None, ..options.gpu.clone() };
+        match open_gpu(params, &SmootherOptions { gpu, ..options.clone() }, shape) {
+            Ok(gpu) => return Ok((gpu, reason)),
+            Err(error) => reason = format!("{reason}, but {error}"),
+        }
+    }
+    Ok((open_host(Engine::Cpu, params, options, shape)?, reason))
 }
 
 /// Smooths a general cloud: all points within the radius are neighbours (docs/method.md, section 8).

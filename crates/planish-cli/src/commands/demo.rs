@@ -9,7 +9,7 @@ use planish::evaluate::{Errors, errors, flat_pixels};
 use planish::io::{Encoding, write_cloud, write_rgb_png};
 use planish::render::{difference_normals, error_map, relief, side_by_side, stacked};
 use planish::simulate::{KinectNoise, KinectSimulator, Scene};
-use planish::{Camera, Error, Outputs, Smoothed, Smoother, SmootherOptions, Xyz};
+use planish::{Camera, Error, Outputs, Smoothed, Smoother, Xyz};
 
 use super::ms_since;
 use crate::args::DemoArgs;
@@ -28,13 +28,8 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
         KinectSimulator::new(KinectNoise::default(), camera, args.seed).frame(&truth, 0).map_err(Error::from)?;
     let raw = frame.deproject().map_err(Error::from)?;
 
-    let options = SmootherOptions {
-        engine: args.smoothing.engine(),
-        outputs: Outputs { normals: true, ..Outputs::POINTS },
-        threads: args.smoothing.threads,
-        ..SmootherOptions::default()
-    };
-    let mut smoother = Smoother::open_with(args.smoothing.params()?, options, (camera.width, camera.height))?;
+    let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
+    let mut smoother = Smoother::open_with(args.smoothing.params()?, &options, (camera.width, camera.height))?;
     let mut smoothed = Smoothed::default();
     let mut times_ms: Vec<f64> = Vec::new();
     for _ in 0..TIMED_RUNS {

@@ -1,6 +1,8 @@
 //! The commands, one file each.
 
+pub mod bench;
 pub mod demo;
+pub mod devices;
 pub mod info;
 pub mod render;
 pub mod smooth;

@@ -10,8 +10,8 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::{self, CloudRef, Contents, Format};
 use planish::{
-    Camera, DepthFrame, Engine, Error, Frame, OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams, Smoothed,
-    Smoother, SmootherOptions, estimate_radius_m, smooth_points,
+    Camera, DepthFrame, DepthImage, Engine, Error, Frame, OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams,
+    Smoothed, Smoother, estimate_radius_m, smooth_points,
 };
 use serde::Serialize;
 
@@ -24,6 +24,8 @@ struct Report {
     input: PathBuf,
     output: PathBuf,
     engine: &'static str,
+    /// The GPU's name.
+    adapter: Option<String>,
     width: usize,
     height: usize,
     points_in: usize,
@@ -144,7 +146,8 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
 fn print_report(report: &Report) {
     let Report { status, smooth_ms, .. } = report;
     println!("{} -> {}", report.input.display(), report.output.display());
-    println!("  {} x {}, {} points, engine {}", report.width, report.height, report.points_in, report.engine);
+    let adapter = report.adapter.as_ref().map_or(String::new(), |name| format!(" ({name})"));
+    println!("  {} x {}, {} points, engine {}{adapter}", report.width, report.height, report.points_in, report.engine);
     println!(
         "  smoothed {} ({} by plane), on a line {}, too few neighbours {}, holes {}",
         status.plane + status.polynomial,
@@ -211,6 +214,7 @@ impl Worker<'_> {
             input: input.to_path_buf(),
             output: output.to_path_buf(),
             engine: engine.name(),
+            adapter: self.adapter(engine),
             width,
             height,
             points_in,
@@ -236,7 +240,12 @@ impl Worker<'_> {
             _ => false,
         };
         let mut outputs = Outputs { status: true, ..self.args.outputs() };
-        outputs.normals |= depth_out;
+        // Depth in metres is made from points and normals; raw depth by the engine, which then gives nothing else.
+        if depth_out && in_metres {
+            outputs.normals = true;
+        } else if depth_out {
+            outputs = Outputs { status: true, ..Outputs::DEPTH };
+        }
         // A raw depth image goes to the engine as it is.
         let depth = match &contents {
             Contents::Depth(image) => {
@@ -246,6 +255,11 @@ impl Worker<'_> {
         };
         let cloud = organized(contents, &self.args.camera, input)?;
         let frame = depth.as_ref().map_or(Frame::Cloud(&cloud), Frame::Depth);
+        let depth_camera = match cloud.camera {
+            _ if !depth_out => None,
+            None => bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display()),
+            camera => camera,
+        };
 
         self.open(shape, outputs)?;
         let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
@@ -257,13 +271,9 @@ impl Worker<'_> {
         }
         let engine = smoother.engine();
         let points_in = cloud.points.valid_points();
-        let result = if depth_out {
-            let camera = cloud.camera.with_context(|| {
-                format!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display())
-            })?;
-            Output::Depth { camera, in_metres }
-        } else {
-            Output::Organized(cloud)
+        let result = match depth_camera {
+            Some(camera) => Output::Depth { camera, in_metres },
+            None => Output::Organized(cloud),
         };
         Ok((result, points_in, summarize(times_ms), engine))
     }
@@ -295,15 +305,16 @@ impl Worker<'_> {
         Ok((summarize(times_ms), Engine::Reference))
     }
 
+    /// The GPU's name, where that is the engine.
+    fn adapter(&self, engine: Engine) -> Option<String> {
+        let (smoother, ..) = self.open.as_ref().filter(|_| engine == Engine::Gpu)?;
+        smoother.gpu_name().map(str::to_owned)
+    }
+
     fn open(&mut self, shape: (usize, usize), outputs: Outputs) -> Result<()> {
         if self.open.as_ref().is_none_or(|(_, open, has)| (*open, *has) != (shape, outputs)) {
-            let options = SmootherOptions {
-                engine: self.args.smoothing.engine(),
-                outputs,
-                threads: self.args.smoothing.threads,
-                simd: None,
-            };
-            self.open = Some((Smoother::open_with(self.params, options, shape)?, shape, outputs));
+            let options = self.args.smoothing.options(outputs)?;
+            self.open = Some((Smoother::open_with(self.params, &options, shape)?, shape, outputs));
         }
         Ok(())
     }
@@ -329,7 +340,11 @@ impl Worker<'_> {
                 io::write_depth_metres(output, camera.width, &depth_m)?;
             }
             Output::Depth { camera, .. } => {
-                io::write_depth(output, &self.smoothed.to_depth(camera).map_err(Error::from)?)?;
+                let image = match &self.smoothed.depth {
+                    Some(raw) => DepthImage { width: camera.width, height: camera.height, raw: raw.clone() },
+                    None => self.smoothed.to_depth(camera).map_err(Error::from)?,
+                };
+                io::write_depth(output, &image)?;
             }
         }
         Ok(())

@@ -27,7 +27,8 @@ use fearless_simd::{Level, Simd, SimdBase, SimdMask, dispatch};
 
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
-use crate::params::{Radius, SmoothParams};
+use crate::params::SmoothParams;
+use crate::radius::{MAX_RADIUS_M, RadiusRule};
 use crate::smoothed::{Outputs, Smoothed};
 use crate::threads::Threads;
 use planes::Planes;
@@ -51,27 +52,7 @@ struct Kernel {
     bandwidth_m: Option<f32>,
 }
 
-/// r(z) = constant + max(linear |z|, quadratic z²): both rules of section 3.
-#[derive(Clone, Copy)]
-struct RadiusRule {
-    constant: f32,
-    linear: f32,
-    quadratic: f32,
-}
-
 impl RadiusRule {
-    /// `pitches` is room for the estimate of the pixel pitch, kept from frame to frame.
-    fn new(params: &SmoothParams, frame: Frame<'_>, pitches: &mut Vec<f64>) -> Self {
-        match params.radius {
-            Radius::Fixed { radius_m } => Self { constant: radius_m, linear: 0.0, quadratic: 0.0 },
-            Radius::Sensor { depth_step_at_1m } => Self {
-                constant: 0.0,
-                linear: (1.5 * f64::from(params.window * params.stride) * frame.pixel_pitch_at_1m(pitches)) as f32,
-                quadratic: 4.0 * depth_step_at_1m,
-            },
-        }
-    }
-
     #[inline(always)]
     fn at<S: Simd>(&self, simd: S, z: S::f32s) -> S::f32s {
         let grown = (z.abs() * splat(simd, self.linear)).max(z * z * splat(simd, self.quadratic));
@@ -79,9 +60,6 @@ impl RadiusRule {
         (splat(simd, self.constant) + grown).min(splat(simd, MAX_RADIUS_M))
     }
 }
-
-/// A radius beyond this makes no difference to any scene, and its square is far from the end of f32.
-const MAX_RADIUS_M: f32 = 1e6;
 
 /// The CPU engine with its buffers.
 pub(crate) struct Cpu {

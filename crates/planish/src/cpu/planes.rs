@@ -9,8 +9,9 @@ use std::ops::Range;
 
 use rayon::join;
 
+use crate::camera::Rays;
 use crate::cloud::Xyz;
-use crate::frame::{DepthFrame, Frame};
+use crate::frame::Frame;
 
 /// The widest vector of f32 that any SIMD level has.
 pub(super) const MAX_LANES: usize = 16;
@@ -29,14 +30,6 @@ pub(super) struct Planes {
     /// Border in pixels: window times stride.
     reach: usize,
     rays: Rays,
-}
-
-/// The factors of deprojection, kept while the camera stays the same.
-#[derive(Default)]
-struct Rays {
-    camera: Option<crate::camera::Camera>,
-    x: Vec<f32>,
-    y: Vec<f32>,
 }
 
 /// Rows of the three planes, image rows only, starting with one image row.
@@ -78,7 +71,7 @@ impl Planes {
                 });
             }
             Frame::Depth(depth) => {
-                self.rays.set(depth);
+                self.rays.set(&depth.camera);
                 let rays = &self.rays;
                 fill_rows(rows, row_len, parallel, &|v, x, y, z| {
                     let columns = reach..reach + width;
@@ -87,14 +80,6 @@ impl Planes {
                     deproject_row(raw, depth.camera.metres_per_unit(), &rays.x, rays.y[v], x, y, z);
                 });
             }
-        }
-    }
-}
-
-impl Rays {
-    fn set(&mut self, depth: &DepthFrame) {
-        if self.camera != Some(depth.camera) {
-            *self = Self { camera: Some(depth.camera), x: depth.camera.rays_x(), y: depth.camera.rays_y() };
         }
     }
 }

@@ -1,0 +1,342 @@
+//! `planish bench gpu`: kernels by time stamps of the device, frames by the host's clock.
+
+use std::hint::black_box;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+use planish::agreement::{Agreement, radius_m};
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{
+    Camera, DepthFrame, DepthImage, Engine, Error, Frame, GpuOptions, OrganizedCloud, Outputs, Radius, SmoothParams,
+    Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer,
+};
+use serde::Serialize;
+
+use super::Spread;
+use crate::args::BenchGpuArgs;
+
+const KINECT_SHAPE: (usize, usize) = (640, 480);
+/// Frames before the first that is timed.
+const WARM_UP: u32 = 20;
+
+#[derive(Serialize)]
+struct Report {
+    adapter: String,
+    input: String,
+    frames: u32,
+    kernels: Vec<KernelRow>,
+    one_at_a_time: Vec<LatencyRow>,
+    in_flight: Vec<ThroughputRow>,
+    batches: Vec<BatchRow>,
+    /// From a device that is open to a smoother: kernel compiled, memory had.
+    open_ms: f64,
+    first_frame_ms: f64,
+}
+
+#[derive(Serialize)]
+struct KernelRow {
+    window: u32,
+    stride: u32,
+    degree: u32,
+    kernel_us: Spread,
+    /// The same with the shader's checks of bounds on.
+    checked_kernel_us: Spread,
+}
+
+#[derive(Serialize)]
+struct LatencyRow {
+    what: &'static str,
+    transfer: String,
+    microseconds: Spread,
+}
+
+#[derive(Serialize)]
+struct ThroughputRow {
+    what: &'static str,
+    transfer: String,
+    slots: usize,
+    frames_per_second: f64,
+}
+
+#[derive(Serialize)]
+struct BatchRow {
+    frames: usize,
+    kernel_us: f64,
+    kernel_us_a_frame: f64,
+}
+
+/// How a result is taken.
+#[derive(Clone, Copy, PartialEq)]
+enum Take {
+    PointsInPlace,
+    PointsCopied,
+    DepthInPlace,
+}
+
+impl Take {
+    const ALL: [Self; 3] = [Self::PointsInPlace, Self::PointsCopied, Self::DepthInPlace];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::PointsInPlace => "depth to points, read in place",
+            Self::PointsCopied => "depth to points, copied out",
+            Self::DepthInPlace => "depth to depth, read in place",
+        }
+    }
+
+    fn outputs(self) -> Outputs {
+        if self == Self::DepthInPlace { Outputs::DEPTH } else { Outputs::POINTS }
+    }
+
+    /// Looks at a result, so that it is there.
+    fn touch(view: &SmoothedView) {
+        black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
+        black_box(view.depth_rows().map(|rows| rows[rows.len() / 2][0]));
+    }
+}
+
+struct Bench<'a> {
+    args: &'a BenchGpuArgs,
+    depth: DepthFrame,
+    cloud: OrganizedCloud,
+}
+
+pub fn run(args: &BenchGpuArgs) -> Result<ExitCode> {
+    let (input, depth) = frame(args)?;
+    let cloud = depth.deproject().map_err(Error::from)?;
+    let bench = Bench { args, depth, cloud };
+    let paper = SmoothParams::paper();
+    let start = Instant::now();
+    let mut smoother = bench.open(paper, |_| ())?;
+    let open_ms = 1e3 * start.elapsed().as_secs_f64();
+    let start = Instant::now();
+    smoother.smooth(&bench.depth, &mut Smoothed::default())?;
+    let first_frame_ms = 1e3 * start.elapsed().as_secs_f64();
+
+    let report = Report {
+        adapter: smoother.gpu_name().unwrap_or_default().to_owned(),
+        input,
+        frames: args.runs,
+        kernels: bench.kernels()?,
+        one_at_a_time: bench.one_at_a_time()?,
+        in_flight: bench.in_flight()?,
+        batches: bench.batches()?,
+        open_ms,
+        first_frame_ms,
+    };
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        print_text(&report);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The frame of a file, or a simulated one, as a Kinect's depth.
+fn frame(args: &BenchGpuArgs) -> Result<(String, DepthFrame)> {
+    let camera = Camera::kinect_v1();
+    let Some(path) = &args.input else {
+        let (scene, pose) = Scene::room(1);
+        let truth = scene.render(&camera, &pose);
+        let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).map_err(Error::from)?;
+        return Ok(("a simulated room".to_owned(), frame));
+    };
+    let cloud = OrganizedCloud::read(path).map_err(Error::from)?;
+    let (width, height) = (cloud.width(), cloud.height());
+    if (width, height) != KINECT_SHAPE {
+        bail!("{}: {width}x{height}; the benchmark takes frames of 640x480", path.display());
+    }
+    let raw = cloud.positions().z.iter().map(|&z| camera.raw_depth(z)).collect();
+    let frame = DepthFrame::new(camera, DepthImage { width, height, raw }).map_err(Error::from)?;
+    Ok((path.display().to_string(), frame))
+}
+
+impl Bench<'_> {
+    fn open(&self, params: SmoothParams, change: impl FnOnce(&mut SmootherOptions)) -> Result<Smoother> {
+        let gpu = GpuOptions { adapter: self.args.adapter.clone(), bounds_checks: false, ..GpuOptions::default() };
+        let mut options = SmootherOptions { engine: Engine::Gpu, gpu, ..SmootherOptions::default() };
+        change(&mut options);
+        Ok(Smoother::open_with(params, &options, KINECT_SHAPE)?)
+    }
+
+    /// Holds a setting's result against the reference's.
+    fn check(&self, params: SmoothParams, reference: &Smoothed, bounds_checks: bool) -> Result<()> {
+        for frame in [Frame::from(&self.depth), Frame::from(&self.cloud)] {
+            let mut smoothed = Smoothed::default();
+            let mut smoother = self.open(params, |options| {
+                options.outputs = Outputs::ALL;
+                options.gpu.bounds_checks = bounds_checks;
+            })?;
+            smoother.smooth(frame, &mut smoothed)?;
+            let mut agreement = Agreement::default();
+            agreement.add(&smoothed, reference, radius_m(&self.cloud, params));
+            let misses = agreement.misses();
+            if !misses.is_empty() {
+                bail!("a wrong result is not timed: {params:?}: {}", misses.join("; "));
+            }
+        }
+        Ok(())
+    }
+
+    fn kernels(&self) -> Result<Vec<KernelRow>> {
+        let fixed = Radius::Fixed { radius_m: 0.03 };
+        let settings = [
+            (3, 1, 3, fixed),
+            (3, 3, 2, Radius::KINECT_V1),
+            (5, 1, 3, fixed),
+            (7, 1, 3, fixed),
+            (1, 1, 2, fixed),
+            (3, 1, 1, fixed),
+        ];
+        let row = |(window, stride, degree, radius)| {
+            let params = SmoothParams { window, stride, radius, degree, bandwidth_m: None };
+            let mut reference = Smoothed::default();
+            let options =
+                SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, ..SmootherOptions::default() };
+            Smoother::open_with(params, &options, KINECT_SHAPE)?.smooth(&self.depth, &mut reference)?;
+            let time = |bounds_checks| {
+                self.check(params, &reference, bounds_checks)?;
+                let mut smoother = self.open(params, |options| {
+                    options.gpu.transfer = Transfer::Staged;
+                    options.gpu.timestamps = true;
+                    options.gpu.bounds_checks = bounds_checks;
+                })?;
+                let mut one = || -> Result<f64> {
+                    smoother.submit_in_place(&self.depth)?;
+                    let timings = smoother.receive()?.and_then(|view| view.timings());
+                    Ok(timings.map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
+                };
+                (0..WARM_UP).try_for_each(|_| one().map(drop))?;
+                Ok::<_, anyhow::Error>(Spread::of((0..self.args.runs).map(|_| one()).collect::<Result<_>>()?))
+            };
+            Ok(KernelRow { window, stride, degree, kernel_us: time(false)?, checked_kernel_us: time(true)? })
+        };
+        settings.into_iter().map(row).collect()
+    }
+
+    /// From depth in the host's memory to the result in the host's memory, waiting for each frame.
+    fn one_at_a_time(&self) -> Result<Vec<LatencyRow>> {
+        let mut rows = Vec::new();
+        for transfer in [Transfer::Staged, Transfer::Direct] {
+            for take in Take::ALL {
+                let mut smoother = self.open(SmoothParams::paper(), |options| {
+                    options.outputs = take.outputs();
+                    options.gpu.transfer = transfer;
+                })?;
+                let mut smoothed = Smoothed::default();
+                let mut one = || -> Result<f64> {
+                    let start = Instant::now();
+                    if take == Take::PointsCopied {
+                        smoother.smooth(&self.depth, &mut smoothed)?;
+                    } else {
+                        smoother.submit_in_place(&self.depth)?;
+                        smoother.receive()?.iter().for_each(Take::touch);
+                    }
+                    Ok(1e6 * start.elapsed().as_secs_f64())
+                };
+                (0..WARM_UP).try_for_each(|_| one().map(drop))?;
+                let times = (0..self.args.runs).map(|_| one()).collect::<Result<_>>()?;
+                rows.push(LatencyRow {
+                    what: take.name(),
+                    transfer: format!("{transfer:?}").to_lowercase(),
+                    microseconds: Spread::of(times),
+                });
+            }
+        }
+        Ok(rows)
+    }
+
+    /// Frames a second with as many in flight as there are slots.
+    fn in_flight(&self) -> Result<Vec<ThroughputRow>> {
+        let mut rows = Vec::new();
+        for transfer in [Transfer::Staged, Transfer::Direct] {
+            for take in Take::ALL {
+                for slots in [2, 3, 4] {
+                    let mut smoother = self.open(SmoothParams::paper(), |options| {
+                        options.outputs = take.outputs();
+                        options.gpu.transfer = transfer;
+                        options.gpu.slots = slots;
+                    })?;
+                    let mut spare = Vec::new();
+                    let timed = 5 * self.args.runs;
+                    let mut start = Instant::now();
+                    for i in 0..WARM_UP + timed {
+                        if i == WARM_UP {
+                            start = Instant::now();
+                        }
+                        if smoother.in_flight() == slots
+                            && let Some(view) = smoother.receive()?
+                        {
+                            Take::touch(&view);
+                            if take == Take::PointsCopied {
+                                spare.push(view.into_smoothed());
+                            }
+                        }
+                        if take == Take::PointsCopied {
+                            smoother.submit(&self.depth, spare.pop().unwrap_or_default())?;
+                        } else {
+                            smoother.submit_in_place(&self.depth)?;
+                        }
+                    }
+                    while smoother.receive()?.is_some() {}
+                    rows.push(ThroughputRow {
+                        what: take.name(),
+                        transfer: format!("{transfer:?}").to_lowercase(),
+                        slots,
+                        frames_per_second: f64::from(timed) / start.elapsed().as_secs_f64(),
+                    });
+                }
+            }
+        }
+        Ok(rows)
+    }
+
+    fn batches(&self) -> Result<Vec<BatchRow>> {
+        let mut smoother = self.open(SmoothParams::paper(), |options| {
+            options.gpu.transfer = Transfer::Staged;
+            options.gpu.timestamps = true;
+        })?;
+        let row = |count: usize| {
+            let frames = vec![Frame::from(&self.depth); count];
+            let mut out = vec![Smoothed::default(); count];
+            let mut one = || -> Result<f64> {
+                smoother.smooth_batch(&frames, &mut out)?;
+                Ok(smoother.timings().map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
+            };
+            one()?;
+            let runs = (self.args.runs / count as u32).max(10);
+            let kernel_us = Spread::of((0..runs).map(|_| one()).collect::<Result<_>>()?).median;
+            Ok(BatchRow { frames: count, kernel_us, kernel_us_a_frame: kernel_us / count as f64 })
+        };
+        [1, 2, 6, 16, 64].into_iter().map(row).collect()
+    }
+}
+
+fn print_text(report: &Report) {
+    println!("{}, {}, 640x480, medians of {} frames", report.adapter, report.input, report.frames);
+    println!(
+        "every setting agrees with the reference; a smoother opens in {:.0} ms, its first frame takes {:.2} ms",
+        report.open_ms, report.first_frame_ms
+    );
+    println!("\n| window, stride, degree | kernel, µs (p5 to p95) | with bounds checks, µs |\n|---|---|---|");
+    for row in &report.kernels {
+        let Spread { p5, median, p95, .. } = row.kernel_us;
+        println!(
+            "| {}, {}, {} | {median:.1} ({p5:.1} to {p95:.1}) | {:.1} |",
+            row.window, row.stride, row.degree, row.checked_kernel_us.median
+        );
+    }
+    println!("\n| one frame at a time | transfer | p50, µs | p99, µs |\n|---|---|---|---|");
+    for LatencyRow { what, transfer, microseconds } in &report.one_at_a_time {
+        println!("| {what} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
+    }
+    println!("\n| frames in flight | transfer | slots | frames a second |\n|---|---|---|---|");
+    for ThroughputRow { what, transfer, slots, frames_per_second } in &report.in_flight {
+        println!("| {what} | {transfer} | {slots} | {frames_per_second:.0} |");
+    }
+    println!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
+    for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {
+        println!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
+    }
+}

@@ -1,0 +1,105 @@
+//! The comparison that every fast engine passes: against the f64 reference over the grid of parameters, on simulated, real and
+//! nasty clouds (docs/method.md, section 9).
+
+use planish::agreement::{Agreement, radius_m};
+use planish::{OrganizedCloud, Radius, SmoothParams, Smoothed};
+
+use crate::data::real_frames;
+use crate::engines::{TestEngine, parameter_grid};
+use crate::scenes::{nasty_scenes, simulated, small_camera};
+use crate::tolerances::assert_invariants;
+
+/// An engine under a name.
+pub type Subject = (String, TestEngine);
+
+/// Runs every engine and the reference on all clouds with each setting; says what section 9 misses.
+fn compare(name: &str, clouds: &[OrganizedCloud], grid: &[SmoothParams], subjects: &[Subject]) -> Vec<String> {
+    let mut misses = Vec::new();
+    for &params in grid {
+        let references: Vec<Smoothed> =
+            clouds.iter().map(|cloud| TestEngine::REFERENCE.smooth(cloud, params)).collect();
+        for (subject, engine) in subjects {
+            let what = format!("{name}, {subject}, {params:?}");
+            let mut agreement = Agreement::default();
+            for (cloud, reference) in clouds.iter().zip(&references) {
+                let result = engine.smooth(cloud, params);
+                assert_invariants(cloud, &result, radius_m(cloud, params), &what);
+                agreement.add(&result, reference, radius_m(cloud, params));
+            }
+            misses.extend(agreement.misses().into_iter().map(|miss| format!("{what}: {miss}")));
+        }
+    }
+    misses
+}
+
+fn assert_none(misses: &[String]) {
+    assert!(misses.is_empty(), "{} misses:\n{}", misses.len(), misses.join("\n"));
+}
+
+/// Two simulated frames, over the whole grid.
+///
+/// # Panics
+/// If an engine does not agree.
+pub fn simulated_frames_agree(subjects: &[Subject]) {
+    let clouds = [(1, false), (2, true)].map(|(seed, room)| simulated(seed, room, small_camera()));
+    assert_none(&compare("simulated", &clouds, &parameter_grid(), subjects));
+}
+
+/// The real frames: each with the usual settings, and the grid dealt out among them.
+///
+/// # Panics
+/// If an engine does not agree.
+pub fn real_frames_agree(subjects: &[Subject], test: &str) {
+    let usual = [
+        SmoothParams::paper(),
+        SmoothParams::default(),
+        SmoothParams { window: 1, degree: 2, ..SmoothParams::paper() },
+    ];
+    let grid = parameter_grid();
+    let frames = real_frames(test);
+    let (mut misses, count) = (Vec::new(), frames.len());
+    for (i, frame) in frames.into_iter().enumerate() {
+        let settings: Vec<_> = usual.iter().chain(grid.iter().skip(i).step_by(count)).copied().collect();
+        misses.extend(compare(frame.name, &[frame.cloud], &settings, subjects));
+    }
+    assert_none(&misses);
+}
+
+/// Clouds that engines stumble over, at the corners of the parameters: the rules hold.
+///
+/// # Panics
+/// If they do not.
+pub fn nasty_clouds_keep_the_invariants(subjects: &[Subject]) {
+    let corners = [
+        SmoothParams::paper(),
+        SmoothParams::default(),
+        SmoothParams { window: 7, stride: 8, ..SmoothParams::default() },
+        SmoothParams { window: 1, degree: 1, ..SmoothParams::paper() },
+        SmoothParams { radius: Radius::Fixed { radius_m: 1e-6 }, ..SmoothParams::paper() },
+        SmoothParams { radius: Radius::Fixed { radius_m: 1e3 }, bandwidth_m: Some(1e-3), ..SmoothParams::paper() },
+        SmoothParams { radius: Radius::Fixed { radius_m: 1e3 }, bandwidth_m: Some(1e3), ..SmoothParams::paper() },
+    ];
+    for scene in nasty_scenes() {
+        for params in corners {
+            for (subject, engine) in subjects {
+                let what = format!("{}, {subject}, {params:?}", scene.name);
+                let result = engine.smooth(&scene.cloud, params);
+                assert_invariants(&scene.cloud, &result, radius_m(&scene.cloud, params), &what);
+            }
+        }
+    }
+}
+
+/// The same clouds but those whose numbers are at the ends of f32: results agree too.
+///
+/// # Panics
+/// If they do not.
+pub fn ordinary_small_clouds_agree(subjects: &[Subject]) {
+    let mut misses = Vec::new();
+    let skipped = ["denormal coordinates", "huge coordinates"];
+    for scene in nasty_scenes().iter().filter(|scene| !skipped.contains(&scene.name)) {
+        let settings = [SmoothParams::paper(), SmoothParams::default()];
+        misses.extend(compare(scene.name, std::slice::from_ref(&scene.cloud), &settings, subjects));
+    }
+    assert_none(&misses);
+}

@@ -1,0 +1,290 @@
+//! The promises of the GPU engine beside parity: order, batches, views, outputs, refusals. On lavapipe or a real GPU.
+
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{
+    AdapterKind, Camera, DepthFrame, Engine, EngineError, Error, Frame, FrameError, GpuAdapter, GpuOptions, Outputs,
+    SmoothParams, Smoothed, Smoother, SmootherOptions, Transfer, auto_choice, gpu_adapters,
+};
+use planish_tests::data::skip;
+use planish_tests::engines::{TestEngine, test_adapter};
+use planish_tests::scenes::{grid, small_camera};
+
+const SHAPE: (usize, usize) = (160, 120);
+const EVERYTHING: Outputs = Outputs { depth: true, ..Outputs::ALL };
+
+/// The adapter of the tests; says SKIP where there is none.
+fn adapter(test: &str) -> Option<&'static GpuAdapter> {
+    let adapter = test_adapter();
+    if adapter.is_none() {
+        skip(&format!("{test}: no GPU adapter"));
+    }
+    adapter
+}
+
+fn open(params: SmoothParams, change: impl FnOnce(&mut SmootherOptions)) -> Result<Smoother, Error> {
+    let mut options = TestEngine::gpu(true).options(Outputs::ALL);
+    change(&mut options);
+    Smoother::open_with(params, &options, SHAPE)
+}
+
+fn frame(seed: u64) -> DepthFrame {
+    let camera = small_camera();
+    let (scene, pose) = Scene::tabletop(seed);
+    let truth = scene.render(&camera, &pose);
+    KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).unwrap()
+}
+
+/// NaN equals NaN as text.
+fn text(smoothed: &Smoothed) -> String {
+    format!("{smoothed:?}")
+}
+
+fn one_by_one(frames: &[Frame<'_>], params: SmoothParams) -> Vec<String> {
+    let mut smoother = open(params, |_| ()).unwrap();
+    let mut smoothed = Smoothed::default();
+    let mut smooth = |&frame: &Frame<'_>| {
+        smoother.smooth(frame, &mut smoothed).unwrap();
+        text(&smoothed)
+    };
+    frames.iter().map(&mut smooth).collect()
+}
+
+#[test]
+fn frames_in_flight_come_back_in_order() {
+    if adapter("frames in flight").is_none() {
+        return;
+    }
+    let depths: Vec<_> = (0..4).map(frame).collect();
+    let clouds: Vec<_> = depths.iter().map(|depth| depth.deproject().unwrap()).collect();
+    // Depth and points by turns, copied and in place by turns.
+    let frames: Vec<Frame<'_>> =
+        depths.iter().zip(&clouds).flat_map(|(d, c)| [Frame::from(d), Frame::from(c)]).collect();
+    let expected = one_by_one(&frames, SmoothParams::default());
+    for transfer in [Transfer::Staged, Transfer::Auto] {
+        let mut smoother = open(SmoothParams::default(), |options| options.gpu.transfer = transfer).unwrap();
+        assert!(smoother.receive().unwrap().is_none());
+        let mut found = Vec::new();
+        for (i, &frame) in frames.iter().enumerate() {
+            if smoother.in_flight() == smoother.max_in_flight() {
+                let full = smoother.submit_in_place(frame).unwrap_err();
+                assert!(matches!(full, Error::Engine(EngineError::Full { in_flight: 3 })), "{full}");
+                found.push(text(&smoother.receive().unwrap().unwrap().into_smoothed()));
+            }
+            match i % 3 {
+                0 => smoother.submit_in_place(frame).unwrap(),
+                _ => smoother.submit(frame, Smoothed::default()).unwrap(),
+            }
+        }
+        while let Some(result) = smoother.receive().unwrap() {
+            found.push(text(&result.into_smoothed()));
+        }
+        assert!(found == expected, "{transfer:?}");
+    }
+}
+
+#[test]
+fn views_stay_what_they_are_while_frames_go_on_and_on_other_threads() {
+    if adapter("views").is_none() {
+        return;
+    }
+    let depths: Vec<_> = (0..5).map(frame).collect();
+    let frames: Vec<Frame<'_>> = depths.iter().map(Frame::from).collect();
+    let expected = one_by_one(&frames, SmoothParams::paper());
+    let mut smoother = open(SmoothParams::paper(), |options| options.outputs.depth = true).unwrap();
+    let mut views = Vec::new();
+    for &frame in &frames {
+        smoother.submit_in_place(frame).unwrap();
+        views.push(smoother.receive().unwrap().unwrap());
+    }
+    let readers = views.into_iter().map(|view| {
+        std::thread::spawn(move || {
+            let mut copy = Smoothed::default();
+            view.copy_to(&mut copy);
+            let [x, y, z] = view.points().unwrap();
+            let nan = |v: &f32| v.to_bits();
+            assert!(x.iter().map(nan).eq(copy.points.x.iter().map(nan)));
+            assert!(y.iter().map(nan).eq(copy.points.y.iter().map(nan)));
+            assert!(z.iter().map(nan).eq(copy.points.z.iter().map(nan)));
+            assert_eq!(view.shape(), SHAPE);
+            assert_eq!(view.status(), copy.status);
+            assert_eq!(view.depth_rows().unwrap().concat(), *copy.depth.as_ref().unwrap());
+            assert!(view.curvature().unwrap().iter().map(nan).eq(copy.curvature.iter().flatten().map(nan)));
+            assert!(view.normals().unwrap()[2].iter().map(nan).eq(copy.normals.as_ref().unwrap().z.iter().map(nan)));
+            drop(view);
+            copy.depth = None;
+            text(&copy)
+        })
+    });
+    let readers: Vec<_> = readers.collect();
+    drop(smoother);
+    let found: Vec<_> = readers.into_iter().map(|reader| reader.join().unwrap()).collect();
+    assert!(found == expected);
+}
+
+#[test]
+fn a_batch_gives_what_its_frames_give() {
+    if adapter("batches").is_none() {
+        return;
+    }
+    let mut depths: Vec<_> = (0..5).map(frame).collect();
+    // Another camera of the same shape, another unit.
+    depths[1].camera = Camera { fx: 140.0, depth_units_per_metre: 900.0, ..depths[1].camera };
+    let cloud = depths[2].deproject().unwrap();
+    let mut frames: Vec<Frame<'_>> = depths.iter().map(Frame::from).collect();
+    frames.insert(3, Frame::from(&cloud));
+    let expected = one_by_one(&frames, SmoothParams::default());
+    let mut smoother = open(SmoothParams::default(), |_| ()).unwrap();
+    let mut out = vec![Smoothed::default(); frames.len()];
+    for _ in 0..2 {
+        smoother.smooth_batch(&frames, &mut out).unwrap();
+        assert!(out.iter().map(text).eq(expected.iter().cloned()));
+    }
+    smoother.smooth_batch(&[], &mut []).unwrap();
+    let error = smoother.smooth_batch(&frames, &mut out[1..]).unwrap_err();
+    assert!(matches!(error, Error::Frame(FrameError::LengthMismatch { .. })), "{error}");
+}
+
+#[test]
+fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
+    if adapter("outputs").is_none() {
+        return;
+    }
+    let depth = frame(3);
+    let all = TestEngine::gpu(true).smooth_to(&depth, SmoothParams::default(), EVERYTHING);
+    let mut smoothed = Smoothed::default();
+    for bits in (1..64u32).filter(|bits| bits.count_ones() <= 2 || bits % 7 == 0) {
+        let wants = |bit: u32| bits & bit != 0;
+        let outputs = Outputs {
+            points: wants(1),
+            depth: wants(2),
+            normals: wants(4),
+            curvature: wants(8),
+            status: wants(16),
+            neighbours: wants(32),
+        };
+        let mut smoother = open(SmoothParams::default(), |options| options.outputs = outputs).unwrap();
+        smoother.smooth(&depth, &mut smoothed).unwrap();
+        let mut expected = all.clone();
+        expected.points = if outputs.points { expected.points } else { Default::default() };
+        expected.depth = expected.depth.filter(|_| outputs.depth);
+        expected.normals = expected.normals.filter(|_| outputs.normals);
+        expected.curvature = expected.curvature.filter(|_| outputs.curvature);
+        expected.status = expected.status.filter(|_| outputs.status);
+        expected.neighbours = expected.neighbours.filter(|_| outputs.neighbours);
+        assert!(text(&smoothed) == text(&expected), "{outputs:?}");
+    }
+}
+
+#[test]
+fn shapes_around_the_tile_lose_no_pixel() {
+    if adapter("shapes").is_none() {
+        return;
+    }
+    let params = SmoothParams { stride: 2, ..SmoothParams::paper() };
+    for (width, height) in [(1, 1), (1, 9), (2, 7), (3, 5), (31, 3), (32, 4), (33, 17), (63, 8), (65, 9)] {
+        let z = |u: usize, v: usize| 1.0 + 0.0001 * ((u * v) % 5) as f32;
+        let mut cloud = grid(width, height, |u, v| [0.003 * u as f32 * z(u, v), 0.003 * v as f32 * z(u, v), z(u, v)]);
+        cloud.camera =
+            Some(Camera { width, height, fx: 1.0 / 0.003, fy: 1.0 / 0.003, cx: 0.0, cy: 0.0, ..Camera::kinect_v1() });
+        let [found, expected] =
+            [TestEngine::gpu(true), TestEngine::REFERENCE].map(|engine| engine.smooth_to(&cloud, params, EVERYTHING));
+        assert_eq!(found.status, expected.status, "{width}x{height}");
+        assert_eq!(found.neighbours, expected.neighbours, "{width}x{height}");
+        let (found_raw, expected_raw) = (found.depth.unwrap(), expected.depth.unwrap());
+        assert!(found_raw.iter().zip(&expected_raw).all(|(a, b)| a.abs_diff(*b) <= 1), "{width}x{height}");
+        for (p, q) in found.points.iter().zip(expected.points.iter()) {
+            assert!((0..3).all(|k| p[k].is_nan() == q[k].is_nan() && (p[k].is_nan() || (p[k] - q[k]).abs() < 2e-6)));
+        }
+    }
+}
+
+#[test]
+fn time_stamps_say_where_the_time_went() {
+    if adapter("time stamps").is_none() {
+        return;
+    }
+    let depth = frame(1);
+    let mut smoother = open(SmoothParams::paper(), |options| options.gpu.timestamps = true).unwrap();
+    let mut smoothed = Smoothed::default();
+    smoother.smooth(&depth, &mut smoothed).unwrap();
+    assert!(smoother.timings().unwrap().kernel.as_nanos() > 1000);
+    smoother.submit_in_place(&depth).unwrap();
+    assert!(smoother.receive().unwrap().unwrap().timings().unwrap().kernel.as_nanos() > 1000);
+    let mut off = open(SmoothParams::paper(), |_| ()).unwrap();
+    off.smooth(&depth, &mut smoothed).unwrap();
+    assert!(off.timings().is_none());
+}
+
+#[test]
+fn what_cannot_be_is_refused_with_a_reason() {
+    let unknown = SmootherOptions {
+        engine: Engine::Gpu,
+        gpu: GpuOptions { adapter: Some("no such card".into()), ..GpuOptions::default() },
+        ..SmootherOptions::default()
+    };
+    let error = Smoother::open_with(SmoothParams::paper(), &unknown, SHAPE).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("no such card") || error.contains("no adapter was found"), "{error}");
+    if adapter("refusals").is_none() {
+        return;
+    }
+    let error = open(SmoothParams::paper(), |options| options.gpu.slots = 0).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("slots = 0"), "{error}");
+    // One row of more workgroups than any device has.
+    let error =
+        Smoother::open_with(SmoothParams::paper(), &TestEngine::gpu(true).options(Outputs::POINTS), (1 << 26, 1))
+            .map(|_| ())
+            .unwrap_err();
+    let is_limit = matches!(&error, Error::Engine(EngineError::Limit { needed, allowed, .. }) if needed > allowed);
+    assert!(is_limit, "{error}");
+    let mut smoother = open(SmoothParams::paper(), |options| options.outputs = Outputs::DEPTH).unwrap();
+    let bare = grid(SHAPE.0, SHAPE.1, |u, v| [u as f32, v as f32, 1.0]);
+    let error = smoother.submit(&bare, Smoothed::default()).unwrap_err().to_string();
+    assert!(error.contains("intrinsics"), "{error}");
+    let error = smoother.submit_in_place(&grid(3, 3, |_, _| [0.0; 3])).unwrap_err().to_string();
+    assert!(error.contains("3x3") && error.contains("160x120"), "{error}");
+}
+
+#[test]
+fn auto_takes_a_real_gpu_or_the_cpu_and_says_why() {
+    let adapters = gpu_adapters();
+    let has_gpu = adapters
+        .iter()
+        .any(|a| matches!(a.kind, AdapterKind::Discrete | AdapterKind::Integrated | AdapterKind::Virtual));
+    let (engine, reason) = auto_choice(&adapters);
+    assert_eq!(engine == Engine::Gpu, has_gpu, "{reason}");
+    let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Auto, SHAPE).unwrap();
+    assert_eq!(smoother.engine(), engine);
+    assert_eq!(smoother.chosen_because(), Some(reason.as_str()));
+    let mut smoothed = Smoothed::default();
+    smoother.smooth(&frame(1), &mut smoothed).unwrap();
+    assert_eq!(smoothed.points.len(), SHAPE.0 * SHAPE.1);
+    if !has_gpu {
+        let error = Smoother::open(SmoothParams::paper(), Engine::Gpu, SHAPE).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("adapter"), "{error}");
+    }
+}
+
+#[test]
+fn the_cpu_engine_keeps_the_same_order_and_limit() {
+    let depths: Vec<_> = (0..4).map(frame).collect();
+    let mut smoother = Smoother::open(SmoothParams::default(), Engine::Cpu, SHAPE).unwrap();
+    let mut expected = Vec::new();
+    for depth in &depths[..3] {
+        let mut smoothed = Smoothed::default();
+        smoother.smooth(depth, &mut smoothed).unwrap();
+        expected.push(text(&smoothed));
+        smoother.submit(depth, Smoothed::default()).unwrap();
+    }
+    assert!(smoother.submit(&depths[3], Smoothed::default()).is_err());
+    for expected in expected {
+        assert!(text(&smoother.receive().unwrap().unwrap().into_smoothed()) == expected);
+    }
+    assert_eq!(smoother.in_flight(), 0);
+}
+
+#[test]
+fn smoothers_and_views_go_to_other_threads() {
+    fn is_send<T: Send>() {}
+    is_send::<Smoother>();
+    is_send::<planish::SmoothedView>();
+}

@@ -1,0 +1,94 @@
+//! The GPU engine against the f64 reference (docs/method.md, section 9), on the adapter that
+//! [`test_adapter`](planish_tests::engines::test_adapter) takes: a real GPU, else lavapipe.
+
+use planish::agreement::{Agreement, radius_m};
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{DepthFrame, Outputs, SmoothParams};
+use planish_tests::data::skip;
+use planish_tests::engines::{TestEngine, test_adapter};
+use planish_tests::parity::{self, Subject};
+use planish_tests::scenes::small_camera;
+
+/// The engine with the shader's checks of bounds on and off; nothing where there is no adapter.
+fn both_builds(test: &str) -> Vec<Subject> {
+    match test_adapter() {
+        None => {
+            skip(&format!("{test}: no GPU adapter"));
+            Vec::new()
+        }
+        Some(adapter) => {
+            let subject = |checks| (format!("{}, checks {checks}", adapter.name), TestEngine::gpu(checks));
+            vec![subject(true), subject(false)]
+        }
+    }
+}
+
+#[test]
+fn simulated_frames_agree_over_the_whole_grid() {
+    parity::simulated_frames_agree(&both_builds("the GPU engine on simulated frames"));
+}
+
+#[test]
+fn real_frames_agree() {
+    // With the checks off alone: they cost a software adapter minutes, and the simulated frames compare both.
+    let subjects = both_builds("the GPU engine on real frames");
+    parity::real_frames_agree(subjects.get(1..).unwrap_or_default(), "the GPU engine on real frames");
+}
+
+#[test]
+fn nasty_clouds_keep_the_invariants() {
+    parity::nasty_clouds_keep_the_invariants(&both_builds("the GPU engine on nasty clouds"));
+}
+
+#[test]
+fn ordinary_small_clouds_agree_too() {
+    parity::ordinary_small_clouds_agree(&both_builds("the GPU engine on small clouds"));
+}
+
+fn frame(seed: u64) -> DepthFrame {
+    let camera = small_camera();
+    let (scene, pose) = Scene::tabletop(seed);
+    let truth = scene.render(&camera, &pose);
+    KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).unwrap()
+}
+
+#[test]
+fn the_shaders_checks_of_bounds_change_no_bit() {
+    for pair in both_builds("bounds checks").chunks(2) {
+        for params in
+            [SmoothParams::paper(), SmoothParams::default(), SmoothParams { degree: 1, ..SmoothParams::paper() }]
+        {
+            let [checked, unchecked] = [&pair[0], &pair[1]].map(|(_, engine)| engine.smooth(&frame(3), params));
+            assert_eq!(format!("{checked:?}"), format!("{unchecked:?}"));
+        }
+    }
+}
+
+#[test]
+fn a_depth_frame_gives_what_its_cloud_gives() {
+    for (subject, engine) in both_builds("depth frames") {
+        let mut depth = frame(4);
+        depth.raw[777] = planish::SATURATED_DEPTH;
+        let cloud = depth.deproject().unwrap();
+        for params in [SmoothParams::paper(), SmoothParams::default()] {
+            let mut agreement = Agreement::default();
+            agreement.add(&engine.smooth(&depth, params), &engine.smooth(&cloud, params), radius_m(&cloud, params));
+            assert_eq!(agreement.equal_status(), 1.0, "{subject}");
+            assert_eq!(agreement.position_m(1.0), 0.0, "{subject}");
+        }
+    }
+}
+
+#[test]
+fn depth_out_is_the_references_to_the_unit() {
+    for (subject, engine) in both_builds("depth as an output") {
+        let depth = frame(5);
+        for params in [SmoothParams::paper(), SmoothParams::default()] {
+            let raw = |engine: TestEngine| engine.smooth_to(&depth, params, Outputs::DEPTH).depth.unwrap();
+            let (found, expected) = (raw(engine), raw(TestEngine::REFERENCE));
+            let differ: Vec<_> = found.iter().zip(&expected).filter(|(a, b)| a != b).collect();
+            assert!(differ.len() * 1000 < found.len(), "{subject}: {} of {}", differ.len(), found.len());
+            assert!(differ.iter().all(|(a, b)| a.abs_diff(**b) <= 1), "{subject}: {differ:?}");
+        }
+    }
+}

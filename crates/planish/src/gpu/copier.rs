@@ -1,0 +1,72 @@
+//! The thread that waits for frames in flight and copies their results out, so that the one that submits need not.
+
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{self, JoinHandle};
+
+use super::Flight;
+use super::device::GpuDevice;
+use crate::devices::FrameTimings;
+use crate::error::EngineError;
+use crate::smoothed::Smoothed;
+
+type Result = std::result::Result<(Smoothed, Option<FrameTimings>), EngineError>;
+
+struct Job {
+    flight: Flight,
+    buffer: Smoothed,
+    done: Sender<Result>,
+}
+
+/// The thread; dropping this waits until it has done the jobs that it has.
+pub(super) struct Copier {
+    /// Dropped before the thread is waited for.
+    jobs: Option<Sender<Box<Job>>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// A result that is being copied.
+pub(super) struct Copied(Receiver<Result>);
+
+impl Copier {
+    pub(super) fn start() -> std::result::Result<Self, EngineError> {
+        let (jobs, queue) = channel::<Box<Job>>();
+        let work = move || {
+            for job in queue {
+                let Job { flight, mut buffer, done } = *job;
+                let result = flight.land().map(|view| {
+                    view.copy_to(0, &mut buffer);
+                    (buffer, view.timings())
+                });
+                // Nobody waits where the smoother was dropped.
+                let _ = done.send(result);
+            }
+        };
+        let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
+        let thread = thread::Builder::new().name("planish-copy".into()).spawn(work).map_err(failed)?;
+        Ok(Self { jobs: Some(jobs), thread: Some(thread) })
+    }
+
+    /// Copies the result of a submission into a buffer, once it is there.
+    pub(super) fn copy(&self, flight: Flight, buffer: Smoothed) -> Copied {
+        let (done, result) = channel();
+        // Without the thread nobody sends, and waiting for the result says so.
+        if let Some(jobs) = &self.jobs {
+            let _ = jobs.send(Box::new(Job { flight, buffer, done }));
+        }
+        Copied(result)
+    }
+}
+
+impl Drop for Copier {
+    fn drop(&mut self) {
+        self.jobs = None;
+        // A thread that panicked has nothing left to do.
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+impl Copied {
+    pub(super) fn wait(self, gpu: &GpuDevice) -> Result {
+        self.0.recv().unwrap_or_else(|_| Err(gpu.failed("the thread that copies results is gone")))
+    }
+}

@@ -1,0 +1,279 @@
+//! The device: which adapters there are, opening one, its kernels, and its loss.
+//!
+//! A device is shared by all smoothers of the process that ask for its adapter, and closed with the last of them. Its faults
+//! are kept: once lost, every call says so, and the next smoother opens a fresh one.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::time::{Duration, Instant};
+
+use super::kernel::{ENTRY_POINT, KernelKey};
+use crate::devices::{AdapterKind, GpuAdapter};
+use crate::error::EngineError;
+
+/// A device that has not answered for so long will not.
+pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// How long to ask a device that fails whether it is lost.
+const LOSS_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// How long a thread looks again and again before it sleeps: most frames are done by then, and waking up from sleep costs 30
+/// to 60 µs. The software adapter needs the CPU for itself.
+const SPIN: Duration = Duration::from_millis(1);
+
+/// Locks whether or not another thread panicked while it held the lock: what the locks here guard is whole at any time.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+pub(super) struct GpuDevice {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) name: String,
+    pub(super) limits: wgpu::Limits,
+    pub(super) features: wgpu::Features,
+    pub(super) bind_group_layout: wgpu::BindGroupLayout,
+    pipeline_layout: wgpu::PipelineLayout,
+    kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
+    fault: Arc<Mutex<Option<EngineError>>>,
+    spin: Duration,
+}
+
+/// The adapters of this machine, in the order of their indices. They are looked for once: asking the drivers takes longer than
+/// opening a device.
+fn adapters() -> &'static [wgpu::Adapter] {
+    static ADAPTERS: OnceLock<Vec<wgpu::Adapter>> = OnceLock::new();
+    ADAPTERS.get_or_init(|| {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+            flags: wgpu::InstanceFlags::empty(),
+            ..wgpu::InstanceDescriptor::new_without_display_handle()
+        });
+        pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
+    })
+}
+
+fn describe(index: usize, info: &wgpu::AdapterInfo) -> GpuAdapter {
+    let kind = match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => AdapterKind::Discrete,
+        wgpu::DeviceType::IntegratedGpu => AdapterKind::Integrated,
+        wgpu::DeviceType::VirtualGpu => AdapterKind::Virtual,
+        wgpu::DeviceType::Cpu => AdapterKind::Software,
+        wgpu::DeviceType::Other => AdapterKind::Other,
+    };
+    GpuAdapter {
+        index,
+        name: info.name.clone(),
+        kind,
+        backend: info.backend.to_str().to_owned(),
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+    }
+}
+
+/// What [`crate::gpu_adapters`] lists.
+pub(crate) fn list() -> Vec<GpuAdapter> {
+    adapters().iter().enumerate().map(|(index, adapter)| describe(index, &adapter.get_info())).collect()
+}
+
+/// The open devices by the index of their adapter.
+static OPEN: Mutex<Vec<(usize, Weak<GpuDevice>)>> = Mutex::new(Vec::new());
+
+/// A device that nobody else shares, to be lost on purpose.
+#[cfg(test)]
+pub(super) fn open_alone(chosen: &GpuAdapter) -> Result<GpuDevice, EngineError> {
+    GpuDevice::open_adapter(&adapters()[chosen.index], &chosen.name)
+}
+
+impl GpuDevice {
+    /// Opens the adapter of that index, or shares the device that is open.
+    pub(super) fn open(chosen: &GpuAdapter) -> Result<Arc<Self>, EngineError> {
+        let mut open = lock(&OPEN);
+        open.retain(|(_, device)| device.strong_count() > 0);
+        let shared = open.iter().filter(|(index, _)| *index == chosen.index).find_map(|(_, device)| device.upgrade());
+        if let Some(device) = shared.filter(|device| device.check().is_ok()) {
+            return Ok(device);
+        }
+        let adapter = adapters().get(chosen.index).ok_or_else(|| EngineError::Unavailable {
+            engine: "gpu",
+            reason: format!("the adapter {} is gone", chosen.name),
+        })?;
+        let device = Arc::new(Self::open_adapter(adapter, &chosen.name)?);
+        open.push((chosen.index, Arc::downgrade(&device)));
+        Ok(device)
+    }
+
+    fn open_adapter(adapter: &wgpu::Adapter, name: &str) -> Result<Self, EngineError> {
+        let useful = wgpu::Features::TIMESTAMP_QUERY
+            | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS
+            | wgpu::Features::MAPPABLE_PRIMARY_BUFFERS;
+        let features = adapter.features() & useful;
+        let limits = adapter.limits();
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("planish"),
+            required_features: features,
+            required_limits: limits.clone(),
+            ..Default::default()
+        }))
+        .map_err(|error| EngineError::Unavailable {
+            engine: "gpu",
+            reason: format!("the adapter {name} cannot be opened: {error}"),
+        })?;
+
+        let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+        let fault = Arc::new(Mutex::new(None));
+        let (lost, failed) = (Arc::clone(&fault), Arc::clone(&fault));
+        let device_name = name.to_owned();
+        device.set_device_lost_callback(move |reason, message| {
+            // Whatever else went wrong, went wrong because of it.
+            let mut fault = lock(&lost);
+            if !matches!(*fault, Some(EngineError::Lost { .. })) {
+                let reason = format!("{message} ({reason:?})");
+                *fault = Some(EngineError::Lost { device: device_name.clone(), reason });
+            }
+        });
+        let device_name = name.to_owned();
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            // The first error is the cause of the others.
+            lock(&failed)
+                .get_or_insert_with(|| EngineError::Device { device: device_name.clone(), reason: error.to_string() });
+        }));
+
+        let storage = |read_only| wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Storage { read_only },
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
+        let uniform = wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
+        let entries: Vec<_> = [uniform, storage(true), storage(false)]
+            .into_iter()
+            .zip(0..)
+            .map(|(ty, binding)| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty,
+                count: None,
+            })
+            .collect();
+        let bind_group_layout =
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&bind_group_layout)],
+            immediate_size: 0,
+        });
+        Ok(Self {
+            device,
+            queue,
+            name: name.to_owned(),
+            limits,
+            features,
+            bind_group_layout,
+            pipeline_layout,
+            kernels: Mutex::default(),
+            fault,
+            spin: if is_software { Duration::ZERO } else { SPIN },
+        })
+    }
+
+    /// The fault of this device, if it has one.
+    pub(super) fn check(&self) -> Result<(), EngineError> {
+        let fault = lock(&self.fault).clone();
+        match fault {
+            None => Ok(()),
+            Some(lost @ EngineError::Lost { .. }) => Err(lost),
+            Some(error) => Err(self.loss().unwrap_or(error)),
+        }
+    }
+
+    /// What is behind something that failed: the device's fault, or else the failure itself.
+    pub(super) fn failed(&self, what: impl ToString) -> EngineError {
+        let failure = || EngineError::Device { device: self.name.clone(), reason: what.to_string() };
+        self.loss().or_else(|| self.check().err()).unwrap_or_else(failure)
+    }
+
+    /// The loss of the device, which is told only to who asks, and when it has nothing more to do.
+    fn loss(&self) -> Option<EngineError> {
+        let _ = self.device.poll(wgpu::PollType::Wait { submission_index: None, timeout: Some(LOSS_TIMEOUT) });
+        lock(&self.fault).clone().filter(|fault| matches!(fault, EngineError::Lost { .. }))
+    }
+
+    /// Runs what allocates `bytes` on the device; its errors are returned instead of kept.
+    pub(super) fn allocate<T>(&self, bytes: u64, work: impl FnOnce() -> T) -> Result<T, EngineError> {
+        self.check()?;
+        let invalid = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let result = work();
+        let memory = pollster::block_on(memory.pop());
+        let invalid = pollster::block_on(invalid.pop());
+        let device = || self.name.clone();
+        match (memory, invalid) {
+            (Some(error), _) => Err(EngineError::OutOfMemory { device: device(), bytes, reason: error.to_string() }),
+            (None, Some(error)) => Err(self.failed(error)),
+            (None, None) => Ok(result),
+        }
+    }
+
+    /// The compiled kernel, from those compiled before if it is there.
+    pub(super) fn kernel(&self, key: KernelKey) -> Result<wgpu::ComputePipeline, EngineError> {
+        let mut kernels = lock(&self.kernels);
+        if let Some(kernel) = kernels.get(&key) {
+            return Ok(kernel.clone());
+        }
+        let kernel = self.allocate(0, || {
+            let source = wgpu::ShaderModuleDescriptor {
+                label: Some("smooth"),
+                source: wgpu::ShaderSource::Wgsl(key.wgsl().into()),
+            };
+            let checks = if key.bounds_checks {
+                wgpu::ShaderRuntimeChecks::checked()
+            } else {
+                wgpu::ShaderRuntimeChecks::unchecked()
+            };
+            // SAFETY: every index into a buffer is derived from the layout that the buffers are sized by, and compared with
+            // the frame's width and height before; loops end after a constant number of rounds; no divisor is zero. The
+            // tests run every kernel with the checks on as well, and compare.
+            let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
+            self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some("smooth"),
+                layout: Some(&self.pipeline_layout),
+                module: &module,
+                entry_point: Some(ENTRY_POINT),
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    // All of it is written before it is read.
+                    zero_initialize_workgroup_memory: false,
+                    ..Default::default()
+                },
+                cache: None,
+            })
+        })?;
+        kernels.insert(key, kernel.clone());
+        Ok(kernel)
+    }
+
+    /// Waits until a submission has run and its buffers are mapped.
+    pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), EngineError> {
+        let spin_until = Instant::now() + self.spin;
+        while Instant::now() < spin_until {
+            let look =
+                wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: Some(Duration::ZERO) };
+            match self.device.poll(look) {
+                Ok(_) => return self.check(),
+                Err(wgpu::PollError::Timeout) => std::hint::spin_loop(),
+                Err(error) => return Err(self.failed(error)),
+            }
+        }
+        let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(TIMEOUT) };
+        match self.device.poll(wait) {
+            Ok(_) => self.check(),
+            Err(wgpu::PollError::Timeout) => {
+                let reason = format!("it has not answered for {} s", TIMEOUT.as_secs());
+                let lost = EngineError::Lost { device: self.name.clone(), reason };
+                Err(lock(&self.fault).get_or_insert(lost).clone())
+            }
+            Err(error) => Err(self.failed(error)),
+        }
+    }
+}

@@ -1,0 +1,180 @@
+//! The text of a kernel: the shader files with their constants, and the sums and the solve written out for a degree.
+//!
+//! Indices into arrays of moments would put them into memory, so each moment is a variable of its own, and the statements over
+//! them are written here (docs/method.md, sections 5 and 6): what `unroll!` does for the CPU engine.
+
+use std::fmt::Write;
+
+use super::layout::{InputKind, constants};
+use crate::params::SmoothParams;
+use crate::smoothed::Outputs;
+
+/// The entry point.
+pub(super) const ENTRY_POINT: &str = "smooth_frames";
+
+/// A pivot at or below this share of its own diagonal entry is not supported.
+const PIVOT_RATIO: f32 = 1e-2;
+
+/// The exponents (i, j) of the monomials a^i b^j, ordered by degree.
+const MONOMIALS: [(usize, usize); 10] =
+    [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
+
+/// Everything that is compiled into a kernel; what is not here may differ from frame to frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) struct KernelKey {
+    pub(super) window: u32,
+    pub(super) stride: u32,
+    pub(super) degree: u32,
+    pub(super) kind: InputKind,
+    pub(super) outputs: Outputs,
+    /// Whether every access to memory is checked against its bounds.
+    pub(super) bounds_checks: bool,
+    /// Whether the candidates of a tile fit workgroup memory.
+    pub(super) tiled: bool,
+}
+
+/// Columns and rows of pixels that one workgroup smooths, one a thread: rows of 32, so that a store is a whole line of 128
+/// bytes (over the bus, narrower ones cost a tenth of the frames), and for degree 3, whose moments fill the registers, half as
+/// many threads.
+const fn tile_of(degree: u32) -> [usize; 2] {
+    if degree == 3 { [32, 4] } else { [32, 8] }
+}
+
+impl KernelKey {
+    /// The kernel for these parameters on a device with so much workgroup memory.
+    pub(super) fn new(
+        params: &SmoothParams,
+        kind: InputKind,
+        outputs: Outputs,
+        bounds_checks: bool,
+        workgroup_bytes: usize,
+    ) -> Self {
+        let SmoothParams { window, stride, degree, .. } = *params;
+        let [tile_width, tile_height] = tile_of(degree);
+        let tile_bytes = 12 * (tile_width + 2 * params.reach_px()) * (tile_height + 2 * window as usize);
+        let codes_bytes = 4 * tile_width * tile_height;
+        let tiled = tile_bytes + codes_bytes <= workgroup_bytes;
+        Self { window, stride, degree, kind, outputs, bounds_checks, tiled }
+    }
+
+    /// Workgroups for a frame, across and down: each has the rows of a tile, `stride` apart.
+    pub(super) fn workgroups(&self, (width, height): (usize, usize)) -> [usize; 2] {
+        let [tile_width, tile_height] = tile_of(self.degree);
+        let stride = self.stride as usize;
+        [width.div_ceil(tile_width), height.div_ceil(tile_height * stride) * stride]
+    }
+
+    /// The WGSL of this kernel.
+    pub(super) fn wgsl(&self) -> String {
+        let mut text = constants(self.kind, self.outputs);
+        let Self { window, stride, degree, .. } = self;
+        let [tile_width, tile_height] = tile_of(*degree);
+        let _ = writeln!(text, "const TILE_WIDTH: u32 = {tile_width}u;");
+        let _ = writeln!(text, "const TILE_HEIGHT: u32 = {tile_height}u;");
+        let _ = writeln!(text, "const WINDOW: u32 = {window}u;");
+        let _ = writeln!(text, "const STRIDE: u32 = {stride}u;");
+        let _ = writeln!(text, "const DEGREE: u32 = {degree}u;");
+        text += include_str!("shaders/input.wgsl");
+        text += if self.tiled {
+            include_str!("shaders/window_tiled.wgsl")
+        } else {
+            include_str!("shaders/window_untiled.wgsl")
+        };
+        text += include_str!("shaders/window.wgsl");
+        text += include_str!("shaders/eigen.wgsl");
+        text += include_str!("shaders/plane.wgsl");
+        text += include_str!("shaders/project_plane.wgsl");
+        if self.degree == 1 {
+            text += include_str!("shaders/surface_plane.wgsl");
+        } else {
+            let degree = self.degree as usize;
+            text += &moments_struct(degree);
+            text += &include_str!("shaders/polynomial.wgsl").replace("SUM_MOMENTS", &moment_sums(degree));
+            text += &solve(degree);
+            text += include_str!("shaders/project_polynomial.wgsl");
+        }
+        text += include_str!("shaders/output.wgsl");
+        text += include_str!("shaders/smooth.wgsl");
+        text
+    }
+}
+
+/// Number of coefficients of a polynomial of a degree in two variables.
+const fn coefficient_count(degree: usize) -> usize {
+    (degree + 1) * (degree + 2) / 2
+}
+
+/// The exponents with i + j <= degree.
+fn exponents(degree: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..=degree).flat_map(move |i| (0..=degree - i).map(move |j| (i, j)))
+}
+
+/// `struct Moments`: a variable for each m_ij and t_ij.
+pub(super) fn moments_struct(degree: usize) -> String {
+    let m = exponents(2 * degree).map(|(i, j)| format!("    m{i}{j}: f32,\n"));
+    let t = exponents(degree).map(|(i, j)| format!("    t{i}{j}: f32,\n"));
+    format!("struct Moments {{\n{}}}\n", m.chain(t).collect::<String>())
+}
+
+/// Adds one candidate, given by w, a, b and f, to the moments s.
+fn moment_sums(degree: usize) -> String {
+    let mut text = String::from("let wa0 = w;\nlet wa1 = w * a;\nlet a2 = a * a;\nlet b1 = b;\nlet b2 = b * b;\n");
+    for i in 2..2 * degree {
+        let _ = writeln!(text, "let wa{i} = wa{} * a2;", i - 2);
+    }
+    for j in 3..=2 * degree {
+        let _ = writeln!(text, "let b{j} = b{} * b{};", j / 2, j - j / 2);
+    }
+    for (i, j) in exponents(2 * degree) {
+        let _ = match j {
+            0 if i == 2 * degree => writeln!(text, "s.m{i}0 = fma(wa{}, a2, s.m{i}0);", i - 2),
+            0 => writeln!(text, "s.m{i}0 += wa{i};"),
+            _ => writeln!(text, "s.m{i}{j} = fma(wa{i}, b{j}, s.m{i}{j});"),
+        };
+    }
+    for (i, j) in exponents(degree) {
+        let _ = match j {
+            0 if i == degree => writeln!(text, "s.t{i}0 = fma(wa{i}, f, s.t{i}0);"),
+            0 => writeln!(text, "let wf{i} = wa{i} * f;\ns.t{i}0 += wf{i};"),
+            _ => writeln!(text, "s.t{i}{j} = fma(wf{i}, b{j}, s.t{i}{j});"),
+        };
+    }
+    text
+}
+
+/// `fn solve`: c_00, c_10 and c_01 by LDL^T, dropping unknowns that the neighbours do not support.
+///
+/// Neighbours too few for degree 3 drop its unknowns: since the order is by degree, what remains is the solution of degree 2.
+pub(super) fn solve(degree: usize) -> String {
+    let count = coefficient_count(degree);
+    let entry =
+        |i: usize, j: usize| format!("s.m{}{}", MONOMIALS[i].0 + MONOMIALS[j].0, MONOMIALS[i].1 + MONOMIALS[j].1);
+    let mut text = String::from("fn solve(s: Moments, n: f32) -> vec3<f32> {\n");
+    for (j, (a, b)) in MONOMIALS.into_iter().enumerate().take(count) {
+        let diagonal = entry(j, j);
+        let _ = writeln!(text, "var pivot{j} = {diagonal};\nvar y{j} = s.t{a}{b};");
+        for k in 0..j {
+            let _ = writeln!(text, "pivot{j} = fma(-l{j}_{k}, d{j}_{k}, pivot{j});");
+            let _ = writeln!(text, "y{j} = fma(-l{j}_{k}, y{k}, y{j});");
+        }
+        let carried = if j >= coefficient_count(2) { " && n >= 10.0" } else { "" };
+        let supported = format!("pivot{j} > {diagonal} * {PIVOT_RATIO:?}{carried}");
+        let _ = writeln!(text, "let inverse{j} = select(0.0, 1.0 / pivot{j}, {supported});");
+        // Column j of L, and of L times its pivots.
+        for i in j + 1..count {
+            let _ = writeln!(text, "var d{i}_{j} = {};", entry(i, j));
+            for k in 0..j {
+                let _ = writeln!(text, "d{i}_{j} = fma(-l{i}_{k}, d{j}_{k}, d{i}_{j});");
+            }
+            let _ = writeln!(text, "let l{i}_{j} = d{i}_{j} * inverse{j};");
+        }
+    }
+    for j in (0..count).rev() {
+        let _ = writeln!(text, "var c{j} = y{j} * inverse{j};");
+        for i in (j + 1..count).rev() {
+            let _ = writeln!(text, "c{j} = fma(-l{i}_{j}, c{i}, c{j});");
+        }
+    }
+    text += "return vec3<f32>(c0, c1, c2);\n}\n";
+    text
+}

@@ -1,0 +1,294 @@
+//! The GPU engine: docs/method.md in f32, one pixel a thread, through wgpu: Vulkan, Metal or DirectX 12.
+//!
+//! One kernel a setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) goes from depth or points to the
+//! outputs that are wanted; [`layout`] is the one description of what goes up and comes back. A [`slot::Slot`] has the buffers
+//! of one frame or batch in flight. Results are read where the device put them ([`view`]) or copied out, for frames in flight
+//! by a thread of its own ([`copier`]).
+
+mod copier;
+mod device;
+mod kernel;
+mod layout;
+mod slot;
+#[cfg(test)]
+mod tests;
+mod view;
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
+
+use rayon::prelude::*;
+
+use crate::camera::Rays;
+use crate::devices::{FrameTimings, GpuAdapter, GpuOptions, Transfer, choose};
+use crate::error::{EngineError, Error, FrameError};
+use crate::frame::Frame;
+use crate::params::SmoothParams;
+use crate::smoothed::{Outputs, Smoothed};
+use crate::view::SmoothedView;
+use copier::{Copied, Copier};
+use device::{GpuDevice, lock};
+use kernel::KernelKey;
+use layout::{InputKind, Layout};
+use slot::Slot;
+pub(crate) use view::MappedView;
+
+/// The adapters of this machine.
+pub(crate) fn adapters() -> Vec<GpuAdapter> {
+    device::list()
+}
+
+/// Slots that wait for their next frames; views give theirs back from any thread.
+type FreeSlots = Arc<Mutex<Vec<Slot>>>;
+
+/// A submission on its way through the device.
+struct Flight {
+    gpu: Arc<GpuDevice>,
+    slot: Slot,
+    submission: wgpu::SubmissionIndex,
+    free: FreeSlots,
+}
+
+impl Flight {
+    /// Waits for the result.
+    fn land(self) -> Result<MappedView, EngineError> {
+        self.gpu.wait(self.submission.clone())?;
+        self.slot.wait_mapped(&self.gpu)?;
+        MappedView::new(self)
+    }
+}
+
+/// A frame that was submitted, by how its result is wanted.
+enum Pending {
+    InPlace(Box<Flight>),
+    Copied(Copied),
+}
+
+/// The GPU engine with its buffers.
+pub(crate) struct Gpu {
+    gpu: Arc<GpuDevice>,
+    params: SmoothParams,
+    outputs: Outputs,
+    options: GpuOptions,
+    shape: (usize, usize),
+    free: FreeSlots,
+    rays: Rays,
+    pitches: Vec<f64>,
+    pending: VecDeque<Pending>,
+    copier: Option<Copier>,
+    timings: Option<FrameTimings>,
+}
+
+impl Gpu {
+    pub(crate) fn open(
+        params: SmoothParams,
+        outputs: Outputs,
+        options: &GpuOptions,
+        shape: (usize, usize),
+    ) -> Result<Self, EngineError> {
+        let adapters = adapters();
+        let gpu = GpuDevice::open(choose(&adapters, options.adapter.as_deref())?)?;
+        let mut options = options.clone();
+        let lacks = |reason: &str| EngineError::Unavailable {
+            engine: "gpu",
+            reason: format!("the adapter {} {reason}", gpu.name),
+        };
+        let needed = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
+        if options.timestamps && !gpu.features.contains(needed) {
+            return Err(lacks("takes no time stamps"));
+        }
+        let direct = gpu.features.contains(wgpu::Features::MAPPABLE_PRIMARY_BUFFERS);
+        options.transfer = match options.transfer {
+            Transfer::Direct if !direct => return Err(lacks("cannot compute in the host's memory")),
+            Transfer::Auto if direct => Transfer::Direct,
+            Transfer::Auto => Transfer::Staged,
+            chosen => chosen,
+        };
+        let engine = Self {
+            gpu,
+            params,
+            outputs,
+            options,
+            shape,
+            free: Arc::default(),
+            rays: Rays::default(),
+            pitches: Vec::new(),
+            pending: VecDeque::new(),
+            copier: None,
+            timings: None,
+        };
+        // What a frame will need is had now: the memory that a lack of would be told only later, and the kernel.
+        let layout = engine.layout(InputKind::Depth);
+        engine.check_limits(layout, 1)?;
+        let slot = engine.slot(layout, 1)?;
+        lock(&engine.free).push(slot);
+        engine.gpu.kernel(engine.kernel_key(InputKind::Depth))?;
+        Ok(engine)
+    }
+
+    /// The adapter's name.
+    pub(crate) fn device_name(&self) -> &str {
+        &self.gpu.name
+    }
+
+    pub(crate) fn smooth(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
+        let view = self.launch(&[frame])?.land()?;
+        self.timings = view.timings();
+        view.copy_to(0, out);
+        Ok(())
+    }
+
+    /// The times on the device of the last call of `smooth` or `smooth_batch`.
+    pub(crate) fn timings(&self) -> Option<FrameTimings> {
+        self.timings
+    }
+
+    /// Smooths many frames, as many in one submission as the device takes.
+    pub(crate) fn smooth_batch(&mut self, frames: &[Frame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
+        let (mut done, mut timings) = (0, None::<FrameTimings>);
+        while let Some(&first) = frames.get(done) {
+            let kind = kind_of(first);
+            let most = self.frames_at_once(self.layout(kind)).max(1);
+            let count = frames[done..].iter().take(most).take_while(|&&frame| kind_of(frame) == kind).count();
+            let view = self.launch(&frames[done..done + count])?.land()?;
+            out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_to(i, out));
+            if let (Some(sum), Some(more)) = (&mut timings, view.timings()) {
+                sum.upload += more.upload;
+                sum.kernel += more.kernel;
+                sum.readback += more.readback;
+            } else {
+                timings = view.timings();
+            }
+            done += count;
+        }
+        self.timings = timings;
+        Ok(())
+    }
+
+    /// Sends a frame on its way; its result is received in the order of submission. With a buffer the result is copied there
+    /// by another thread as soon as it is there, without one it stays where it is.
+    pub(crate) fn submit(&mut self, frame: Frame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
+        let in_flight = self.pending.len();
+        if in_flight >= self.options.slots {
+            return Err(EngineError::Full { in_flight }.into());
+        }
+        let flight = self.launch(&[frame])?;
+        self.pending.push_back(match buffer {
+            None => Pending::InPlace(Box::new(flight)),
+            Some(buffer) => {
+                let copier = match &self.copier {
+                    Some(copier) => copier,
+                    None => self.copier.insert(Copier::start()?),
+                };
+                Pending::Copied(copier.copy(flight, buffer))
+            }
+        });
+        Ok(())
+    }
+
+    /// The result of the oldest frame in flight; `None` if there is none.
+    pub(crate) fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        match self.pending.pop_front() {
+            None => Ok(None),
+            Some(Pending::InPlace(flight)) => Ok(Some(SmoothedView::mapped(flight.land()?))),
+            Some(Pending::Copied(copied)) => {
+                let (smoothed, timings) = copied.wait(&self.gpu)?;
+                Ok(Some(SmoothedView::owned(smoothed, timings)))
+            }
+        }
+    }
+
+    pub(crate) fn in_flight(&self) -> usize {
+        self.pending.len()
+    }
+
+    pub(crate) fn max_in_flight(&self) -> usize {
+        self.options.slots
+    }
+
+    fn layout(&self, kind: InputKind) -> Layout {
+        let (width, height) = self.shape;
+        Layout { width, height, kind, outputs: self.outputs }
+    }
+
+    fn kernel_key(&self, kind: InputKind) -> KernelKey {
+        let workgroup_bytes = self.gpu.limits.max_compute_workgroup_storage_size as usize;
+        KernelKey::new(&self.params, kind, self.outputs, self.options.bounds_checks, workgroup_bytes)
+    }
+
+    /// Bytes that one buffer of the device may have.
+    fn buffer_limit(&self) -> u64 {
+        let limits = &self.gpu.limits;
+        limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
+    }
+
+    /// Bytes of the larger buffer of a frame.
+    fn frame_bytes(layout: Layout) -> u64 {
+        4 * layout.input_words().max(layout.output_words()) as u64
+    }
+
+    /// How many frames a submission can have.
+    fn frames_at_once(&self, layout: Layout) -> usize {
+        let groups = self.gpu.limits.max_compute_workgroups_per_dimension;
+        (self.buffer_limit() / Self::frame_bytes(layout)).min(u64::from(groups)) as usize
+    }
+
+    /// Refuses frames of a layout that the device cannot take.
+    fn check_limits(&self, layout: Layout, frames: usize) -> Result<(), EngineError> {
+        let limits = [
+            ("bytes in a buffer", self.buffer_limit(), Self::frame_bytes(layout) * frames as u64),
+            (
+                "workgroups across or down",
+                u64::from(self.gpu.limits.max_compute_workgroups_per_dimension),
+                self.kernel_key(layout.kind).workgroups(self.shape).into_iter().max().unwrap_or(0) as u64,
+            ),
+        ];
+        match limits.into_iter().find(|(_, allowed, needed)| needed > allowed) {
+            None => Ok(()),
+            Some((what, allowed, needed)) => {
+                Err(EngineError::Limit { device: self.gpu.name.clone(), what, allowed, needed })
+            }
+        }
+    }
+
+    /// A free slot for so many frames of a layout, or a new one.
+    fn slot(&self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
+        let mut free = lock(&self.free);
+        match free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
+            Some(at) => Ok(free.swap_remove(at)),
+            None => {
+                // One batch at a time: slots of other sizes are not kept.
+                free.retain(|slot| slot.frames == 1);
+                Slot::new(&self.gpu, layout, frames, self.options.transfer, self.options.timestamps)
+            }
+        }
+    }
+
+    /// Writes frames of one kind into a slot and submits it.
+    fn launch(&mut self, frames: &[Frame<'_>]) -> Result<Flight, Error> {
+        let Some(&first) = frames.first() else {
+            return Err(FrameError::LengthMismatch { what: "a batch".into(), len: 0, expected: 1 }.into());
+        };
+        if self.outputs.depth && frames.iter().any(|frame| frame.camera().is_none()) {
+            return Err(FrameError::MissingCamera { what: "depth as an output" }.into());
+        }
+        self.gpu.check()?;
+        let kind = kind_of(first);
+        let layout = self.layout(kind);
+        self.check_limits(layout, frames.len())?;
+        let key = self.kernel_key(kind);
+        let kernel = self.gpu.kernel(key)?;
+        let mut slot = self.slot(layout, frames.len())?;
+        slot.write(&self.gpu, frames, &self.params, &mut self.rays, &mut self.pitches)?;
+        let submission = slot.submit(&self.gpu, &kernel, key.workgroups(self.shape));
+        self.gpu.check()?;
+        Ok(Flight { gpu: Arc::clone(&self.gpu), slot, submission, free: Arc::clone(&self.free) })
+    }
+}
+
+fn kind_of(frame: Frame<'_>) -> InputKind {
+    match frame {
+        Frame::Depth(_) => InputKind::Depth,
+        Frame::Cloud(_) => InputKind::Points,
+    }
+}

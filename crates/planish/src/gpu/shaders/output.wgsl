@@ -1,0 +1,93 @@
+// The result as it is read back: planes of words for numbers, rows of packed bytes and half words for codes (layout.rs).
+//
+// NaN is written by its bits and never computed. Packed rows start at whole words, so a row of a tile is whole words too.
+
+const NAN_BITS: u32 = 0x7fc00000u;
+
+struct Result {
+    point: vec3<u32>,
+    normal: vec3<u32>,
+    curvature: u32,
+    // Status in the low byte, the number of neighbours in the next, raw depth in the upper half.
+    codes: u32,
+}
+
+var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
+
+fn no_result(status: u32, n: u32) -> Result {
+    return Result(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, status | (n << 8u));
+}
+
+// What the camera would have measured: where the pixel's ray meets the tangent plane, in raw units.
+fn raw_depth_of(frame: u32, pixel: vec2<u32>, projected: Projected) -> u32 {
+    let rays = frame * batch.input_words + HEADER_WORDS;
+    let ray = vec3<f32>(bitcast<f32>(input[rays + pixel.x]), bitcast<f32>(input[rays + batch.width + pixel.y]), 1.0);
+    let along = dot(ray, projected.normal);
+    var depth = projected.point.z;
+    if abs(along) > GRAZING_COSINE * sqrt(dot(ray, ray)) {
+        depth = dot(projected.point, projected.normal) / along;
+    }
+    let raw = round(depth * header(frame, UNITS_PER_METRE));
+    if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
+        return u32(raw);
+    }
+    return 0u;
+}
+
+fn store_plane(frame: u32, plane: u32, pixel: u32, bits: u32) {
+    output[frame * batch.output_words + plane * batch.width * batch.height + pixel] = bits;
+}
+
+// Packed rows of `shift`ed fields of `bits` bits each, behind the planes; one thread a word.
+fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
+    let in_word = 32u / bits;
+    let words_in_tile_row = TILE_WIDTH / in_word;
+    let row = thread / words_in_tile_row;
+    let word = thread % words_in_tile_row;
+    let row_words = (batch.width + in_word - 1u) / in_word;
+    let y = origin.y + row * STRIDE;
+    let at = origin.x / in_word + word;
+    if row >= TILE_HEIGHT || y >= batch.height || at >= row_words {
+        return;
+    }
+    var packed = 0u;
+    for (var i = 0u; i < in_word; i++) {
+        packed |= extractBits(codes[row * TILE_WIDTH + word * in_word + i], shift, bits) << (i * bits);
+    }
+    output[frame * batch.output_words + rows_at + y * row_words + at] = packed;
+}
+
+fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: Result) {
+    if pixel.x < batch.width && pixel.y < batch.height {
+        let at = pixel.y * batch.width + pixel.x;
+        if WANTS_POINTS {
+            store_plane(frame, POINTS_PLANE, at, result.point.x);
+            store_plane(frame, POINTS_PLANE + 1u, at, result.point.y);
+            store_plane(frame, POINTS_PLANE + 2u, at, result.point.z);
+        }
+        if WANTS_NORMALS {
+            store_plane(frame, NORMALS_PLANE, at, result.normal.x);
+            store_plane(frame, NORMALS_PLANE + 1u, at, result.normal.y);
+            store_plane(frame, NORMALS_PLANE + 2u, at, result.normal.z);
+        }
+        if WANTS_CURVATURE {
+            store_plane(frame, CURVATURE_PLANE, at, result.curvature);
+        }
+    }
+    if WANTS_STATUS || WANTS_NEIGHBOURS || WANTS_DEPTH {
+        codes[thread] = result.codes;
+        workgroupBarrier();
+        var rows_at = PLANES * batch.width * batch.height;
+        if WANTS_STATUS {
+            store_packed(frame, rows_at, origin, thread, 0u, 8u);
+            rows_at += batch.height * ((batch.width + 3u) / 4u);
+        }
+        if WANTS_NEIGHBOURS {
+            store_packed(frame, rows_at, origin, thread, 8u, 8u);
+            rows_at += batch.height * ((batch.width + 3u) / 4u);
+        }
+        if WANTS_DEPTH {
+            store_packed(frame, rows_at, origin, thread, 16u, 16u);
+        }
+    }
+}

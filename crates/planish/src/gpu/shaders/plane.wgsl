@@ -1,0 +1,32 @@
+// The plane of a neighbourhood by principal component analysis (docs/method.md, section 4). Metres, relative to p.
+
+// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
+const DEGENERATE_RATIO: f32 = 1e-4;
+
+struct Plane {
+    // Unit normal, towards the sensor.
+    normal: vec3<f32>,
+    // c·n: the foot of p on the plane is this times the normal.
+    height: f32,
+    // l0, l1, l2, in m².
+    variances: vec3<f32>,
+    // The neighbours lie on a line; the rest means nothing.
+    is_degenerate: bool,
+}
+
+fn plane_of(p: vec3<f32>, sums: Sums) -> Plane {
+    let inverse_n = 1.0 / sums.n;
+    let c = sums.e * inverse_n;
+    // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
+    let x_row = fma(sums.x_row, vec3<f32>(inverse_n), -(c.x * c));
+    let rest = fma(sums.rest, vec3<f32>(inverse_n), -(c.yyz * c.yzz));
+    let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));
+    let normal = select(eigen.vector, -eigen.vector, dot(eigen.vector, p) > 0.0);
+    return Plane(normal, dot(c, normal), eigen.values, eigen.values.y <= eigen.values.z * DEGENERATE_RATIO);
+}
+
+// Surface variation l0/(l0+l1+l2).
+fn curvature_of(plane: Plane) -> f32 {
+    let l = plane.variances;
+    return max(l.x, 0.0) / max(l.x + l.y + l.z, MIN_POSITIVE);
+}

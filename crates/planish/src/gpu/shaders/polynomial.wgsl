@@ -1,0 +1,46 @@
+// The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
+//
+// The weight is 2^-(a² + b² + f²), with a, b the in-plane coordinates and f the height over the plane, all in units of the
+// bandwidth over sqrt(log2 e). Moments: m_ij = sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for
+// i + j <= DEGREE, summed as outer products of the powers of a and b. kernel.rs writes the struct Moments and the sums in the
+// place of the line that names them, one statement for each moment; the loops stay rolled, or the kernel outgrows the
+// instruction cache.
+
+const SQRT_LOG2_E: f32 = 1.2011224;
+
+struct Fit {
+    moments: Moments,
+    // In-plane axes, of unit length.
+    u: vec3<f32>,
+    v: vec3<f32>,
+    // Units of a, b and f in a metre.
+    per_metre: f32,
+}
+
+// Second pass over the window. The gate is that of the first pass in these units: a candidate within rounding of the radius may
+// pass one and not the other, as it may in another engine.
+fn fit_of(home: Home, p: vec3<f32>, radius_squared: f32, plane: Plane, bandwidth: f32) -> Fit {
+    let tangents = tangents_of(plane.normal);
+    let per_metre = SQRT_LOG2_E / bandwidth;
+    let a_axis = tangents.u * per_metre;
+    let b_axis = tangents.v * per_metre;
+    let f_axis = plane.normal * per_metre;
+    let f_offset = plane.height * per_metre;
+    let gate = radius_squared * per_metre * per_metre;
+    var s: Moments;
+    for (var row = 0u; row < SIDE; row++) {
+        for (var column = 0u; column < SIDE; column++) {
+            let e = candidate(home, column, row) - p;
+            let a = fma(e.x, a_axis.x, fma(e.y, a_axis.y, e.z * a_axis.z));
+            let b = fma(e.x, b_axis.x, fma(e.y, b_axis.y, e.z * b_axis.z));
+            let above_p = fma(e.x, f_axis.x, fma(e.y, f_axis.y, e.z * f_axis.z));
+            let in_plane = fma(a, a, b * b);
+            if fma(above_p, above_p, in_plane) <= gate {
+                let f = above_p - f_offset;
+                let w = exp2(-fma(f, f, in_plane));
+                SUM_MOMENTS
+            }
+        }
+    }
+    return Fit(s, tangents.u, tangents.v, per_metre);
+}

@@ -1,0 +1,27 @@
+// The point on the polynomial over the plane (docs/method.md, section 7).
+
+// `c` is c_00, c_10 and c_01 in the units of the fit. A point that would move further than the radius takes the foot on the
+// plane; so does one whose height is no number.
+fn project_on_polynomial(p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
+    let height = c.x / fit.per_metre + plane.height;
+    if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {
+        return project_on_plane(p, plane);
+    }
+    var normal = plane.normal;
+    if WANTS_NORMALS || WANTS_DEPTH {
+        normal = plane.normal - c.y * fit.u - c.z * fit.v;
+        normal *= select(1.0, -1.0, dot(normal, p) > 0.0) / sqrt(dot(normal, normal));
+    }
+    let status = select(STATUS_POLYNOMIAL_2, STATUS_POLYNOMIAL_3, DEGREE == 3u && n >= 10.0);
+    return Projected(fma(vec3<f32>(height), plane.normal, p), normal, status);
+}
+
+fn surface_of(frame: u32, home: Home, p: vec3<f32>, radius: f32, plane: Plane, n: f32) -> Projected {
+    if n < 6.0 {
+        return project_on_plane(p, plane);
+    }
+    let own_bandwidth = header(frame, BANDWIDTH);
+    let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
+    let fit = fit_of(home, p, radius * radius, plane, bandwidth);
+    return project_on_polynomial(p, plane, fit, solve(fit.moments, n), radius, n);
+}

@@ -1,0 +1,51 @@
+// One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: sections 2 to 7.
+
+fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Result {
+    let radius = radius_at(frame, p.z);
+    let sums = sums_of(home, p, radius * radius);
+    let n = u32(sums.n);
+    if n < 3u {
+        return no_result(STATUS_TOO_FEW, n);
+    }
+    let plane = plane_of(p, sums);
+    if plane.is_degenerate {
+        var result = no_result(STATUS_DEGENERATE, n);
+        result.point = bitcast<vec3<u32>>(p);
+        if WANTS_DEPTH {
+            // Without a normal the depth is the point's own.
+            result.codes |= raw_depth_of(frame, pixel, Projected(p, vec3<f32>(0.0), STATUS_DEGENERATE)) << 16u;
+        }
+        return result;
+    }
+    let projected = surface_of(frame, home, p, radius, plane, sums.n);
+    var codes = projected.status | (n << 8u);
+    if WANTS_DEPTH {
+        codes |= raw_depth_of(frame, pixel, projected) << 16u;
+    }
+    return Result(
+        bitcast<vec3<u32>>(projected.point),
+        bitcast<vec3<u32>>(projected.normal),
+        bitcast<u32>(curvature_of(plane)),
+        codes,
+    );
+}
+
+@compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
+fn smooth_frames(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let frame = group.z;
+    // STRIDE workgroups share a block of rows, each with its rows STRIDE apart.
+    let origin = vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    load_candidates(frame, origin, thread);
+    let home = home_of(frame, pixel, local.xy);
+    let p = candidate(home, WINDOW, WINDOW);
+    var result = no_result(STATUS_HOLE, 0u);
+    if p.x != NO_POINT {
+        result = smooth_point(frame, pixel, home, p);
+    }
+    store(frame, origin, pixel, thread, result);
+}

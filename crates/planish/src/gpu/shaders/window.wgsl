@@ -1,0 +1,44 @@
+// The neighbours of a pixel: the candidates within the radius, and their sums (docs/method.md, sections 2 and 3).
+//
+// Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate.
+
+const SIDE: u32 = 2u * WINDOW + 1u;
+
+// A radius beyond this makes no difference to any scene, and its square is far from the end of f32.
+const MAX_RADIUS_M: f32 = 1e6;
+
+// Sums over the neighbours, relative to p.
+struct Sums {
+    n: f32,
+    e: vec3<f32>,
+    // xx, xy, xz
+    x_row: vec3<f32>,
+    // yy, yz, zz
+    rest: vec3<f32>,
+}
+
+fn radius_at(frame: u32, z: f32) -> f32 {
+    let grown = max(abs(z) * header(frame, RADIUS_LINEAR), z * z * header(frame, RADIUS_QUADRATIC));
+    return min(header(frame, RADIUS_CONSTANT) + grown, MAX_RADIUS_M);
+}
+
+fn square(e: vec3<f32>) -> f32 {
+    return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
+}
+
+// First pass. Masks instead of a branch: with so little to skip, branching costs more.
+fn sums_of(home: Home, p: vec3<f32>, radius_squared: f32) -> Sums {
+    var sums: Sums;
+    for (var row = 0u; row < SIDE; row++) {
+        for (var column = 0u; column < SIDE; column++) {
+            let offset = candidate(home, column, row) - p;
+            let is_neighbour = square(offset) <= radius_squared;
+            let e = select(vec3<f32>(0.0), offset, is_neighbour);
+            sums.n += select(0.0, 1.0, is_neighbour);
+            sums.e += e;
+            sums.x_row = fma(vec3<f32>(e.x), e, sums.x_row);
+            sums.rest = fma(e.yyz, e.yzz, sums.rest);
+        }
+    }
+    return sums;
+}

@@ -1,0 +1,36 @@
+// The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
+//
+// One workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so that the rows of all their windows are
+// the rows of the tile and WINDOW more at either side; columns are neighbours, so that loads and stores are whole lines. x, y
+// and z are in arrays of their own, where the threads of a row read neighbouring words.
+
+const REACH: u32 = WINDOW * STRIDE;
+const PITCH: u32 = TILE_WIDTH + 2u * REACH;
+const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
+
+var<workgroup> tile_x: array<f32, TILE_AREA>;
+var<workgroup> tile_y: array<f32, TILE_AREA>;
+var<workgroup> tile_z: array<f32, TILE_AREA>;
+
+// Where a pixel's candidates are: the index of the first.
+alias Home = u32;
+
+fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
+    let first = vec2<i32>(origin) - i32(REACH);
+    for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
+        let p = point_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * STRIDE));
+        tile_x[i] = p.x;
+        tile_y[i] = p.y;
+        tile_z[i] = p.z;
+    }
+    workgroupBarrier();
+}
+
+fn home_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> Home {
+    return local.y * PITCH + local.x;
+}
+
+fn candidate(home: Home, column: u32, row: u32) -> vec3<f32> {
+    let at = home + row * PITCH + column * STRIDE;
+    return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
+}

@@ -1,0 +1,20 @@
+// The candidates straight from the frame, for windows whose tile outgrows workgroup memory (docs/method.md, section 2).
+
+// Where a pixel's candidates are: the frame, and the first candidate's column and row.
+struct Home {
+    frame: u32,
+    x: i32,
+    y: i32,
+}
+
+fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
+}
+
+fn home_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> Home {
+    let first = vec2<i32>(pixel) - i32(WINDOW * STRIDE);
+    return Home(frame, first.x, first.y);
+}
+
+fn candidate(home: Home, column: u32, row: u32) -> vec3<f32> {
+    return point_at(home.frame, home.x + i32(column * STRIDE), home.y + i32(row * STRIDE));
+}

@@ -1,0 +1,249 @@
+//! A slot: the buffers that one frame, or one batch of frames, goes through on its way up, through the kernel and back.
+//!
+//! Two ways. *Staged*: the host writes an upload buffer, the device copies it, the kernel runs on memory of its own, and the
+//! result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes the host's buffers itself, so that
+//! the way over the bus overlaps with its arithmetic.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::Duration;
+
+use bytemuck::bytes_of;
+
+use super::device::{GpuDevice, TIMEOUT, lock};
+use super::layout::{FrameHeader, Layout};
+use crate::camera::Rays;
+use crate::cloud::Xyz;
+use crate::devices::{FrameTimings, Transfer};
+use crate::error::EngineError;
+use crate::frame::Frame;
+use crate::params::SmoothParams;
+use crate::radius::RadiusRule;
+
+/// Bytes in a word.
+const WORD: u64 = 4;
+
+/// Time stamps of a submission: before the upload, around the kernel, after the readback.
+const STAMPS: u32 = 4;
+
+pub(super) struct Slot {
+    pub(super) layout: Layout,
+    pub(super) frames: usize,
+    /// Written by the host; mapped whenever the slot is free.
+    upload: wgpu::Buffer,
+    /// What the kernel reads, where that is not `upload`.
+    input: Option<wgpu::Buffer>,
+    /// What the kernel writes, where that is not `readback`.
+    output: Option<wgpu::Buffer>,
+    /// Read by the host; mapped once its submission has run.
+    pub(super) readback: wgpu::Buffer,
+    bind_group: wgpu::BindGroup,
+    stamps: Option<Stamps>,
+    mapped: Arc<Mapped>,
+}
+
+/// How many buffers the host has back after a submission, and how many it will not get back.
+///
+/// Any thread that calls the device may run the callbacks that count, also a little after another has seen the submission
+/// done: who needs the buffers waits for the counts.
+#[derive(Default)]
+struct Mapped {
+    counts: Mutex<(usize, usize)>,
+    changed: Condvar,
+}
+
+struct Stamps {
+    queries: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    readback: wgpu::Buffer,
+    nanoseconds_per_tick: f64,
+}
+
+impl Slot {
+    /// Allocates the buffers for so many frames of a layout.
+    pub(super) fn new(
+        gpu: &GpuDevice,
+        layout: Layout,
+        frames: usize,
+        transfer: Transfer,
+        timestamps: bool,
+    ) -> Result<Self, EngineError> {
+        use wgpu::BufferUsages as Usage;
+        let input_bytes = (layout.input_words() * frames) as u64 * WORD;
+        let output_bytes = (layout.output_words() * frames) as u64 * WORD;
+        let direct = transfer == Transfer::Direct;
+        let total = if direct { input_bytes + output_bytes } else { 2 * (input_bytes + output_bytes) };
+        gpu.allocate(total, || {
+            let device = &gpu.device;
+            let buffer = |label, size, usage, mapped_at_creation| {
+                device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation })
+            };
+            let (upload_as, readback_as) =
+                if direct { (Usage::STORAGE, Usage::STORAGE) } else { (Usage::COPY_SRC, Usage::COPY_DST) };
+            let upload = buffer("upload", input_bytes, Usage::MAP_WRITE | upload_as, true);
+            let readback = buffer("readback", output_bytes, Usage::MAP_READ | readback_as, false);
+            let input = (!direct).then(|| buffer("input", input_bytes, Usage::STORAGE | Usage::COPY_DST, false));
+            let output = (!direct).then(|| buffer("output", output_bytes, Usage::STORAGE | Usage::COPY_SRC, false));
+            let uniform = buffer("batch", size_of_val(&layout.batch()) as u64, Usage::UNIFORM, true);
+            if let Ok(mut range) = uniform.get_mapped_range_mut(..) {
+                range.copy_from_slice(bytes_of(&layout.batch()));
+            }
+            uniform.unmap();
+            let bound = [&uniform, input.as_ref().unwrap_or(&upload), output.as_ref().unwrap_or(&readback)];
+            let entries: Vec<_> = bound
+                .into_iter()
+                .zip(0..)
+                .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+                .collect();
+            let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: None,
+                layout: &gpu.bind_group_layout,
+                entries: &entries,
+            });
+            let stamps = timestamps.then(|| Stamps {
+                queries: device.create_query_set(&wgpu::QuerySetDescriptor {
+                    label: None,
+                    ty: wgpu::QueryType::Timestamp,
+                    count: STAMPS,
+                }),
+                resolved: buffer("stamps", u64::from(STAMPS) * 8, Usage::QUERY_RESOLVE | Usage::COPY_SRC, false),
+                readback: buffer("stamps read", u64::from(STAMPS) * 8, Usage::MAP_READ | Usage::COPY_DST, false),
+                nanoseconds_per_tick: f64::from(gpu.queue.get_timestamp_period()),
+            });
+            Self { layout, frames, upload, input, output, readback, bind_group, stamps, mapped: Arc::default() }
+        })
+    }
+
+    /// Writes the frames into the upload buffer, which is mapped.
+    pub(super) fn write(
+        &mut self,
+        gpu: &GpuDevice,
+        frames: &[Frame<'_>],
+        params: &SmoothParams,
+        rays: &mut Rays,
+        pitches: &mut Vec<f64>,
+    ) -> Result<(), EngineError> {
+        let mut range = self.upload.get_mapped_range_mut(..).map_err(|error| gpu.failed(error))?;
+        for (i, &frame) in frames.iter().enumerate() {
+            let first = i * self.layout.input_words();
+            let mut put = |word: usize, bytes: &[u8]| {
+                let at = (first + word) * WORD as usize;
+                range.slice(at..at + bytes.len()).copy_from_slice(bytes);
+            };
+            let rule = RadiusRule::new(params, frame, pitches);
+            let (metres_per_unit, units_per_metre) = frame
+                .camera()
+                .map_or((0.0, 0.0), |camera| (camera.metres_per_unit(), camera.depth_units_per_metre as f32));
+            let header = FrameHeader {
+                metres_per_unit,
+                units_per_metre,
+                radius_constant: rule.constant,
+                radius_linear: rule.linear,
+                radius_quadratic: rule.quadratic,
+                bandwidth: params.bandwidth_m.unwrap_or(0.0),
+            };
+            put(0, bytes_of(&header));
+            if let Some(camera) = frame.camera() {
+                rays.set(camera);
+                let at = self.layout.rays();
+                put(at.start, bytemuck::cast_slice(&rays.x));
+                put(at.start + self.layout.width, bytemuck::cast_slice(&rays.y));
+            }
+            let samples = self.layout.rays().end;
+            match frame {
+                Frame::Depth(depth) => {
+                    let (pairs, rest) = depth.raw.split_at(depth.raw.len() / 2 * 2);
+                    put(samples, bytemuck::cast_slice(pairs));
+                    if let [last] = rest {
+                        put(samples + pairs.len() / 2, bytes_of(&[*last, 0]));
+                    }
+                }
+                Frame::Cloud(cloud) => {
+                    let Xyz { x, y, z } = cloud.positions();
+                    for (plane, values) in [x, y, z].into_iter().enumerate() {
+                        put(samples + plane * self.layout.pixels(), bytemuck::cast_slice(values));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the frames on their way, and asks for the buffers back when they have gone it.
+    pub(super) fn submit(
+        &self,
+        gpu: &GpuDevice,
+        kernel: &wgpu::ComputePipeline,
+        workgroups: [usize; 2],
+    ) -> wgpu::SubmissionIndex {
+        let [across, down] = workgroups;
+        self.upload.unmap();
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let stamp = |encoder: &mut wgpu::CommandEncoder, index| {
+            if let Some(stamps) = &self.stamps {
+                encoder.write_timestamp(&stamps.queries, index);
+            }
+        };
+        stamp(&mut encoder, 0);
+        if let Some(input) = &self.input {
+            encoder.copy_buffer_to_buffer(&self.upload, 0, input, 0, None);
+        }
+        {
+            let timestamp_writes = self.stamps.as_ref().map(|stamps| wgpu::ComputePassTimestampWrites {
+                query_set: &stamps.queries,
+                beginning_of_pass_write_index: Some(1),
+                end_of_pass_write_index: Some(2),
+            });
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
+            pass.set_pipeline(kernel);
+            pass.set_bind_group(0, &self.bind_group, &[]);
+            pass.dispatch_workgroups(across as u32, down as u32, self.frames as u32);
+        }
+        if let Some(output) = &self.output {
+            encoder.copy_buffer_to_buffer(output, 0, &self.readback, 0, None);
+        }
+        stamp(&mut encoder, 3);
+        if let Some(stamps) = &self.stamps {
+            encoder.resolve_query_set(&stamps.queries, 0..STAMPS, &stamps.resolved, 0);
+            encoder.copy_buffer_to_buffer(&stamps.resolved, 0, &stamps.readback, 0, None);
+        }
+        let submission = gpu.queue.submit([encoder.finish()]);
+
+        *lock(&self.mapped.counts) = (0, 0);
+        let modes = [(&self.upload, wgpu::MapMode::Write), (&self.readback, wgpu::MapMode::Read)];
+        let stamps = self.stamps.as_ref().map(|stamps| (&stamps.readback, wgpu::MapMode::Read));
+        for (buffer, mode) in modes.into_iter().chain(stamps) {
+            let mapped = Arc::clone(&self.mapped);
+            buffer.map_async(mode, .., move |result| {
+                let mut counts = lock(&mapped.counts);
+                *(if result.is_ok() { &mut counts.0 } else { &mut counts.1 }) += 1;
+                mapped.changed.notify_all();
+            });
+        }
+        submission
+    }
+
+    /// Waits until every buffer of a submission that has run is the host's again.
+    pub(super) fn wait_mapped(&self, gpu: &GpuDevice) -> Result<(), EngineError> {
+        let buffers = if self.stamps.is_some() { 3 } else { 2 };
+        let counts = lock(&self.mapped.counts);
+        let waiting = |&mut (mapped, failed): &mut (usize, usize)| mapped + failed < buffers;
+        let (counts, _) =
+            self.mapped.changed.wait_timeout_while(counts, TIMEOUT, waiting).unwrap_or_else(PoisonError::into_inner);
+        if counts.0 == buffers { Ok(()) } else { Err(gpu.failed("a buffer could not be mapped")) }
+    }
+
+    /// The times of the last submission, whose stamps are mapped; gives the stamps back to the device.
+    pub(super) fn timings(&self) -> Option<FrameTimings> {
+        let stamps = self.stamps.as_ref()?;
+        let ticks: [u64; STAMPS as usize] = {
+            let range = stamps.readback.get_mapped_range(..).ok()?;
+            *bytemuck::from_bytes(&range)
+        };
+        stamps.readback.unmap();
+        let between = |from: usize, to: usize| {
+            let ticks = ticks[to].wrapping_sub(ticks[from]) as i64;
+            Duration::from_nanos((ticks.max(0) as f64 * stamps.nanoseconds_per_tick) as u64)
+        };
+        Some(FrameTimings { upload: between(0, 1), kernel: between(1, 2), readback: between(2, 3) })
+    }
+}
