@@ -272,3 +272,45 @@ fn engines_that_are_not_there_say_so() {
     assert!(message.contains("gpu"), "{message}");
     assert!(!output.exists());
 }
+
+#[test]
+fn devices_says_what_auto_takes_and_why() {
+    let devices: Value = serde_json::from_str(&ok(&["devices", "--json"])).unwrap();
+    let taken = devices["auto"]["engine"].as_str().unwrap();
+    let is_real = |gpu: &Value| ["discrete", "integrated", "virtual"].contains(&gpu["kind"].as_str().unwrap());
+    let has_gpu = devices["gpus"].as_array().unwrap().iter().any(is_real);
+    assert_eq!(taken, if has_gpu { "gpu" } else { "cpu" });
+    assert!(!devices["auto"]["reason"].as_str().unwrap().is_empty());
+    assert!(devices["cpu"]["simd_levels"].as_array().unwrap().contains(&devices["cpu"]["simd"]));
+    assert!(ok(&["devices"]).contains(&format!("takes {taken}")));
+}
+
+#[test]
+fn an_adapter_is_taken_by_name_and_its_absence_said() {
+    let (folder, _, path) = with_frame();
+    let smooth = folder.path().join("smooth.pcd");
+    let arguments = |more: &[&'static str]| [&["smooth", str(&path), str(&smooth)], more].concat();
+    assert!(refused(&arguments(&["--adapter", "0"])).contains("--engine gpu"));
+    assert!(refused(&arguments(&["--engine", "gpu", "--adapter", "no such card"])).contains("adapter"));
+    // A machine without drivers.
+    let output = Command::new(env!("CARGO_BIN_EXE_planish"))
+        .args(arguments(&["--engine", "gpu"]))
+        .env("VK_DRIVER_FILES", "/nonexistent")
+        .env("VK_ICD_FILENAMES", "/nonexistent")
+        .output()
+        .unwrap();
+    if cfg!(target_os = "linux") {
+        assert_eq!(output.status.code(), Some(2));
+        assert!(text(&output.stderr).contains("no adapter was found"), "{}", text(&output.stderr));
+    }
+    assert!(!smooth.exists());
+    let devices: Value = serde_json::from_str(&ok(&["devices", "--json"])).unwrap();
+    let Some(gpu) = devices["gpus"].get(0) else {
+        eprintln!("SKIP the GPU engine from the command line: no adapter");
+        return;
+    };
+    let report: Value =
+        serde_json::from_str(&ok(&arguments(&["--engine", "gpu", "--adapter", "0", "--json"]))).unwrap();
+    assert_eq!((&report["engine"], &report["adapter"]), (&Value::from("gpu"), &gpu["name"]));
+    assert!(smooth.exists());
+}

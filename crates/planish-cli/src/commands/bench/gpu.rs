@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 use std::process::ExitCode;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use planish::agreement::{Agreement, radius_m};
@@ -17,8 +17,8 @@ use super::Spread;
 use crate::args::BenchGpuArgs;
 
 const KINECT_SHAPE: (usize, usize) = (640, 480);
-/// Frames before the first that is timed.
-const WARM_UP: u32 = 20;
+/// How long frames run before the first that is timed: a GPU that was idle takes as long to come to its full clock.
+const WARM_UP: Duration = Duration::from_millis(300);
 
 #[derive(Serialize)]
 struct Report {
@@ -179,6 +179,15 @@ impl Bench<'_> {
         Ok(())
     }
 
+    /// Of what `one` measures, once it is warm.
+    fn spread(&self, mut one: impl FnMut() -> Result<f64>) -> Result<Spread> {
+        let start = Instant::now();
+        while start.elapsed() < WARM_UP {
+            one()?;
+        }
+        Ok(Spread::of((0..self.args.runs).map(|_| one()).collect::<Result<_>>()?))
+    }
+
     fn kernels(&self) -> Result<Vec<KernelRow>> {
         let fixed = Radius::Fixed { radius_m: 0.03 };
         let settings = [
@@ -207,8 +216,7 @@ impl Bench<'_> {
                     let timings = smoother.receive()?.and_then(|view| view.timings());
                     Ok(timings.map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
                 };
-                (0..WARM_UP).try_for_each(|_| one().map(drop))?;
-                Ok::<_, anyhow::Error>(Spread::of((0..self.args.runs).map(|_| one()).collect::<Result<_>>()?))
+                self.spread(&mut one)
             };
             Ok(KernelRow { window, stride, degree, kernel_us: time(false)?, checked_kernel_us: time(true)? })
         };
@@ -235,12 +243,10 @@ impl Bench<'_> {
                     }
                     Ok(1e6 * start.elapsed().as_secs_f64())
                 };
-                (0..WARM_UP).try_for_each(|_| one().map(drop))?;
-                let times = (0..self.args.runs).map(|_| one()).collect::<Result<_>>()?;
                 rows.push(LatencyRow {
                     what: take.name(),
                     transfer: format!("{transfer:?}").to_lowercase(),
-                    microseconds: Spread::of(times),
+                    microseconds: self.spread(&mut one)?,
                 });
             }
         }
@@ -259,12 +265,7 @@ impl Bench<'_> {
                         options.gpu.slots = slots;
                     })?;
                     let mut spare = Vec::new();
-                    let timed = 5 * self.args.runs;
-                    let mut start = Instant::now();
-                    for i in 0..WARM_UP + timed {
-                        if i == WARM_UP {
-                            start = Instant::now();
-                        }
+                    let mut one = |smoother: &mut Smoother| -> Result<()> {
                         if smoother.in_flight() == slots
                             && let Some(view) = smoother.receive()?
                         {
@@ -273,18 +274,26 @@ impl Bench<'_> {
                                 spare.push(view.into_smoothed());
                             }
                         }
-                        if take == Take::PointsCopied {
-                            smoother.submit(&self.depth, spare.pop().unwrap_or_default())?;
-                        } else {
-                            smoother.submit_in_place(&self.depth)?;
+                        match take {
+                            Take::PointsCopied => smoother.submit(&self.depth, spare.pop().unwrap_or_default())?,
+                            _ => smoother.submit_in_place(&self.depth)?,
                         }
+                        Ok(())
+                    };
+                    let start = Instant::now();
+                    while start.elapsed() < WARM_UP {
+                        one(&mut smoother)?;
                     }
+                    let timed = 5 * self.args.runs;
+                    let start = Instant::now();
+                    (0..timed).try_for_each(|_| one(&mut smoother))?;
+                    let frames_per_second = f64::from(timed) / start.elapsed().as_secs_f64();
                     while smoother.receive()?.is_some() {}
                     rows.push(ThroughputRow {
                         what: take.name(),
                         transfer: format!("{transfer:?}").to_lowercase(),
                         slots,
-                        frames_per_second: f64::from(timed) / start.elapsed().as_secs_f64(),
+                        frames_per_second,
                     });
                 }
             }
@@ -304,9 +313,7 @@ impl Bench<'_> {
                 smoother.smooth_batch(&frames, &mut out)?;
                 Ok(smoother.timings().map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
             };
-            one()?;
-            let runs = (self.args.runs / count as u32).max(10);
-            let kernel_us = Spread::of((0..runs).map(|_| one()).collect::<Result<_>>()?).median;
+            let kernel_us = self.spread(&mut one)?.median;
             Ok(BatchRow { frames: count, kernel_us, kernel_us_a_frame: kernel_us / count as f64 })
         };
         [1, 2, 6, 16, 64].into_iter().map(row).collect()
