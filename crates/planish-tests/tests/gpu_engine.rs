@@ -83,6 +83,21 @@ fn frames_in_flight_come_back_in_order() {
 }
 
 #[test]
+fn copies_need_no_thread_of_who_waits_for_them() {
+    if adapter("copies inside rayon").is_none() {
+        return;
+    }
+    let depth = frame(1);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let points = pool.install(|| {
+        let mut smoother = open(SmoothParams::paper(), |_| ()).unwrap();
+        smoother.submit(&depth, Smoothed::default()).unwrap();
+        smoother.receive().unwrap().unwrap().into_smoothed().points.len()
+    });
+    assert_eq!(points, SHAPE.0 * SHAPE.1);
+}
+
+#[test]
 fn views_stay_what_they_are_while_frames_go_on_and_on_other_threads() {
     if adapter("views").is_none() {
         return;
@@ -236,7 +251,15 @@ fn what_cannot_be_is_refused_with_a_reason() {
             .unwrap_err();
     let is_limit = matches!(&error, Error::Engine(EngineError::Limit { needed, allowed, .. }) if needed > allowed);
     assert!(is_limit, "{error}");
+    let none = Outputs { points: false, ..Outputs::POINTS };
+    let error = open(SmoothParams::paper(), |options| options.outputs = none).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("outputs = none"), "{error}");
     let mut smoother = open(SmoothParams::paper(), |options| options.outputs = Outputs::DEPTH).unwrap();
+    // The camera of another image.
+    let mut mistaken = frame(1).deproject().unwrap();
+    mistaken.camera = Some(Camera::kinect_v1());
+    let error = smoother.smooth(&mistaken, &mut Smoothed::default()).unwrap_err().to_string();
+    assert!(error.contains("640x480"), "{error}");
     let bare = grid(SHAPE.0, SHAPE.1, |u, v| [u as f32, v as f32, 1.0]);
     let error = smoother.submit(&bare, Smoothed::default()).unwrap_err().to_string();
     assert!(error.contains("intrinsics"), "{error}");

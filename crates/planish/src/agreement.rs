@@ -30,19 +30,16 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Adds a frame; both results need the status. Distances are scaled to a range of [`RANGE_M`] and a radius of
-    /// [`RADIUS_M`] where theirs are larger.
-    /// Results without status, or of different lengths, agree on no pixel.
+    /// Adds a frame; both results need points and status, or they agree on no pixel. Distances are scaled to a range of
+    /// [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger.
     pub fn add(&mut self, result: &Smoothed, reference: &Smoothed, radius_m: impl Fn(f64) -> f64) {
-        let (Some(status), Some(expected)) = (&result.status, &reference.status) else {
-            self.pixels += reference.points.len();
-            return;
-        };
-        if status.len() != expected.len() {
-            self.pixels += expected.len();
+        let pixels = reference.width * reference.height;
+        self.pixels += pixels;
+        let (Some(status), Some(expected)) = (&result.status, &reference.status) else { return };
+        let lengths = [status.len(), expected.len(), result.points.len(), reference.points.len()];
+        if lengths != [pixels; 4] {
             return;
         }
-        self.pixels += status.len();
         for i in (0..status.len()).filter(|&i| status[i] == expected[i]) {
             self.equal += 1;
             if expected[i].has_point() {
@@ -68,11 +65,14 @@ impl Agreement {
         self.distances_m.get(place).or(self.distances_m.last()).copied().unwrap_or(0.0)
     }
 
-    /// What breaks section 9, each in words.
+    /// What breaks section 9's figures, each in words. (That no point moves by more than the radius is not among them.)
     pub fn misses(mut self) -> Vec<String> {
         // Of a small cloud a single pixel is more than the share that may differ.
         let one_pixel = 1.0 / self.pixels as f64;
         let mut misses = Vec::new();
+        if self.pixels == 0 {
+            misses.push("no frame was compared".to_owned());
+        }
         if self.equal_status() < EQUAL_STATUS - one_pixel {
             misses.push(format!("status equal on {}", self.equal_status()));
         }

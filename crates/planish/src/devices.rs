@@ -54,10 +54,11 @@ pub enum Transfer {
 /// How to open the GPU engine. The default is right for everything but tests and measurements.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpuOptions {
-    /// The adapter by its index or any part of its name, small letters as capitals; `None` is the first real GPU. A
+    /// The adapter by its index (a number is nothing else) or any part of its name, small letters as capitals; `None` is the first real GPU. A
     /// software adapter is only taken by this. [`Engine::Auto`] does not look at it.
     pub adapter: Option<String>,
-    /// How many frames may be in flight: submitted and not received. At least 1; 3 keep the device busy.
+    /// How many frames may be in flight: submitted and not received. At least 1; 3 keep a GPU busy. The engines of the CPU
+    /// keep to it too.
     pub slots: usize,
     /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings).
     pub timestamps: bool,
@@ -138,9 +139,14 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
         }),
         Some(wanted) => {
             let lower = wanted.to_lowercase();
-            let by_index = wanted.parse().ok().and_then(|index: usize| adapters.get(index));
-            by_index.or_else(|| adapters.iter().find(|a| a.name.to_lowercase().contains(&lower))).ok_or_else(|| {
-                unavailable(format!("no adapter has the index or, in its name, {wanted}; there are {}", names()))
+            // A number is an index and nothing else: many names have numbers in them.
+            let found = match wanted.parse::<usize>() {
+                Ok(index) => adapters.get(index),
+                Err(_) if wanted.is_empty() => None,
+                Err(_) => adapters.iter().find(|a| a.name.to_lowercase().contains(&lower)),
+            };
+            found.ok_or_else(|| {
+                unavailable(format!("no adapter has the index or, in its name, '{wanted}'; there are {}", names()))
             })
         }
     }
@@ -177,6 +183,7 @@ mod tests {
         assert_eq!(choose(&all, Some("0")), Ok(&all[0]));
         assert_eq!(choose(&all, Some("LLVMPIPE")), Ok(&all[0]));
         assert_eq!(choose(&all, Some("h200")), Ok(&all[1]));
+        assert!(choose(&all, Some("15")).is_err() && choose(&all, Some("")).is_err());
         let error = choose(&all, Some("radeon")).unwrap_err().to_string();
         assert!(error.contains("radeon") && error.contains("1 NVIDIA H200"), "{error}");
         assert!(choose(&[], Some("0")).unwrap_err().to_string().contains("libvulkan"));

@@ -123,8 +123,21 @@ impl Frame<'_> {
                 frame.camera.validate()?;
                 frame.validate()
             }
-            // Its positions are public; its shape is not.
-            Self::Cloud(cloud) => cloud.positions().check_len("positions", cloud.width() * cloud.height()),
+            // Its positions and camera are public; its shape is not.
+            Self::Cloud(cloud) => {
+                cloud.positions().check_len("positions", cloud.width() * cloud.height())?;
+                let Some(camera) = &cloud.camera else { return Ok(()) };
+                camera.validate()?;
+                if (camera.width, camera.height) == (cloud.width(), cloud.height()) {
+                    return Ok(());
+                }
+                Err(FrameError::ShapeMismatch {
+                    frame_width: cloud.width(),
+                    frame_height: cloud.height(),
+                    width: camera.width,
+                    height: camera.height,
+                })
+            }
         }
     }
 }

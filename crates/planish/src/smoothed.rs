@@ -187,6 +187,7 @@ impl Smoothed {
                 height: camera.height,
             });
         }
+        self.points.check_len("the smoothed points", self.width * self.height)?;
         let (rays_x, rays_y) = (camera.rays_x(), camera.rays_y());
         let depth_m = |i: usize| {
             let [x, y, z] = self.points.get(i);

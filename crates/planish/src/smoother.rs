@@ -117,15 +117,13 @@ struct Host {
     /// Points and normals, where the outputs are made from them afterwards.
     scratch: Option<Smoothed>,
     submitted: VecDeque<Smoothed>,
+    slots: usize,
 }
 
 enum HostEngine {
     Cpu(Box<Cpu>),
     Reference(Reference),
 }
-
-/// How many results an engine of the CPU keeps for who submits first and receives later.
-const HOST_SLOTS: usize = 3;
 
 impl Smoother {
     /// Validates the parameters and opens an engine for frames of `shape` (width, height), with points as its only output.
@@ -135,11 +133,12 @@ impl Smoother {
 
     /// The same with everything chosen by the caller.
     ///
-    /// Memory is had and kernels are compiled here. `Auto` chooses here and never later; a GPU that cannot be opened for these
+    /// Limits are checked and kernels compiled here. `Auto` chooses here and never later; a GPU that cannot be opened for these
     /// frames leaves it with the CPU.
     pub fn open_with(params: SmoothParams, options: &SmootherOptions, shape: (usize, usize)) -> Result<Self, Error> {
         params.validate()?;
         validate_shape(shape.0, shape.1)?;
+        validate_outputs(options.outputs)?;
         let positive = |field, value| match value {
             0 => Err(ParamError { field, value: "0".into(), allowed: "1 or more" }),
             _ => Ok(()),
@@ -195,7 +194,7 @@ impl Smoother {
         }
     }
 
-    /// Smooths several frames, of one camera or of several with the same shape: on a GPU in as few submissions as fit.
+    /// Smooths several frames, of one camera or of several with the same shape: on a GPU up to 64 in one submission.
     ///
     /// `out` has a result for each frame, whose buffers are reused.
     pub fn smooth_batch(&mut self, frames: &[Frame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
@@ -243,7 +242,7 @@ impl Smoother {
         match &mut self.engine {
             EngineState::Host(host) => {
                 let in_flight = host.submitted.len();
-                if in_flight >= HOST_SLOTS {
+                if in_flight >= host.slots {
                     return Err(EngineError::Full { in_flight }.into());
                 }
                 let mut smoothed = buffer.unwrap_or_default();
@@ -279,7 +278,7 @@ impl Smoother {
     /// How many frames can be; one more is an [`EngineError::Full`].
     pub fn max_in_flight(&self) -> usize {
         match &self.engine {
-            EngineState::Host(_) => HOST_SLOTS,
+            EngineState::Host(host) => host.slots,
             #[cfg(feature = "gpu")]
             EngineState::Gpu(gpu) => gpu.max_in_flight(),
         }
@@ -331,7 +330,7 @@ fn open_host(
         _ => HostEngine::Cpu(Box::new(Cpu::open(params, computed, threads, simd, shape)?)),
     };
     let scratch = (computed != outputs).then(Smoothed::default);
-    Ok(EngineState::Host(Box::new(Host { engine, scratch, submitted: VecDeque::new() })))
+    Ok(EngineState::Host(Box::new(Host { engine, scratch, submitted: VecDeque::new(), slots: options.gpu.slots })))
 }
 
 #[cfg(feature = "gpu")]
@@ -362,6 +361,13 @@ fn open_auto(
     Ok((open_host(Engine::Cpu, params, options, shape)?, reason))
 }
 
+fn validate_outputs(outputs: Outputs) -> Result<(), ParamError> {
+    if outputs == (Outputs { points: false, ..Outputs::POINTS }) {
+        return Err(ParamError { field: "outputs", value: "none".into(), allowed: "one or more" });
+    }
+    Ok(())
+}
+
 /// Smooths a general cloud: all points within the radius are neighbours (docs/method.md, section 8).
 ///
 /// Order, number and fields of the points are kept, and threads change nothing. The radius must be [`Radius::Fixed`]:
@@ -375,6 +381,10 @@ pub fn smooth_points(
 ) -> Result<(), Error> {
     params.validate()?;
     cloud.validate()?;
+    validate_outputs(outputs)?;
+    if outputs.depth {
+        return Err(FrameError::MissingCamera { what: "depth as an output" }.into());
+    }
     let Radius::Fixed { radius_m } = params.radius else {
         return Err(ParamError {
             field: "radius",

@@ -4,7 +4,7 @@ use crate::devices::FrameTimings;
 use crate::smoothed::{Smoothed, Status};
 
 /// The result of a frame that was [submitted](crate::Smoother::submit). Read it in place, or copy it out; either from any
-/// thread. Dropped, it gives its memory back to the smoother.
+/// thread. One that a GPU wrote gives its memory back to the smoother when it is dropped.
 pub struct SmoothedView {
     result: Result,
     timings: Option<FrameTimings>,
@@ -87,7 +87,7 @@ impl SmoothedView {
         self.timings
     }
 
-    /// Copies the whole result, reusing the buffers of `out`.
+    /// Copies the whole result; on a GPU into the buffers that `out` has.
     pub fn copy_to(&self, out: &mut Smoothed) {
         match &self.result {
             Result::Owned(smoothed) => out.clone_from(smoothed),

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::thread::available_parallelism;
 
 use anyhow::Result;
-use planish::{AdapterKind, GpuAdapter, SimdLevel, auto_choice, gpu_adapters};
+use planish::{AdapterKind, Engine, GpuAdapter, SimdLevel, SmoothParams, Smoother, gpu_adapters};
 use serde::Serialize;
 
 use crate::args::DevicesArgs;
@@ -33,7 +33,8 @@ struct Auto {
 
 pub fn run(args: &DevicesArgs) -> Result<ExitCode> {
     let gpus = gpu_adapters();
-    let (engine, reason) = auto_choice(&gpus);
+    // A GPU that is there may still not open.
+    let smoother = Smoother::open(SmoothParams::default(), Engine::Auto, (640, 480))?;
     let devices = Devices {
         cpu: Cpu {
             threads: available_parallelism().map_or(1, usize::from),
@@ -41,7 +42,10 @@ pub fn run(args: &DevicesArgs) -> Result<ExitCode> {
             simd_levels: SimdLevel::available().map(SimdLevel::name).collect(),
         },
         gpus,
-        auto: Auto { engine: engine.name(), reason },
+        auto: Auto {
+            engine: smoother.engine().name(),
+            reason: smoother.chosen_because().unwrap_or_default().to_owned(),
+        },
     };
     if args.json {
         println!("{}", serde_json::to_string(&devices)?);
@@ -63,7 +67,9 @@ fn print_text(Devices { cpu, gpus, auto }: &Devices) {
         };
         println!("gpu {index}  {name}; {kind}; {backend}, {driver}");
     }
-    if gpus.is_empty() {
+    if cfg!(not(feature = "gpu")) {
+        println!("gpu    not in this build, which is without the feature gpu");
+    } else if gpus.is_empty() {
         println!("gpu    none found: it needs a driver for Vulkan, Metal or DirectX 12 (on Linux libvulkan.so.1 too)");
     }
     println!("auto   takes {}: {}", auto.engine, auto.reason);

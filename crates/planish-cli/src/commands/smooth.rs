@@ -26,6 +26,8 @@ struct Report {
     engine: &'static str,
     /// The GPU's name.
     adapter: Option<String>,
+    /// Why `auto` took this engine.
+    engine_reason: Option<String>,
     width: usize,
     height: usize,
     points_in: usize,
@@ -65,6 +67,8 @@ struct FolderReport {
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     let params = args.smoothing.params()?;
+    // Options that contradict each other are refused whatever the input turns out to be.
+    args.smoothing.options(Outputs::POINTS)?;
     let mut worker = Worker { args, params, open: None, smoothed: Smoothed::default() };
     if args.input.is_dir() {
         return run_folder(&mut worker);
@@ -215,6 +219,7 @@ impl Worker<'_> {
             output: output.to_path_buf(),
             engine: engine.name(),
             adapter: self.adapter(engine),
+            engine_reason: self.chosen_because(),
             width,
             height,
             points_in,
@@ -262,14 +267,19 @@ impl Worker<'_> {
         };
 
         self.open(shape, outputs)?;
-        let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
         let mut times_ms = Vec::new();
         for _ in 0..self.args.repeat {
+            let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
             let start = Instant::now();
-            smoother.smooth(frame, &mut self.smoothed)?;
+            let result = smoother.smooth(frame, &mut self.smoothed);
+            if matches!(result, Err(Error::Engine(_))) {
+                // An engine that failed is no use for the next frame.
+                self.open = None;
+            }
+            result?;
             times_ms.push(ms_since(start));
         }
-        let engine = smoother.engine();
+        let engine = self.engine();
         let points_in = cloud.points.valid_points();
         let result = match depth_camera {
             Some(camera) => Output::Depth { camera, in_metres },
@@ -303,6 +313,17 @@ impl Worker<'_> {
             times_ms.push(ms_since(start));
         }
         Ok((summarize(times_ms), Engine::Reference))
+    }
+
+    /// The engine that is open.
+    fn engine(&self) -> Engine {
+        self.open.as_ref().map_or(Engine::Auto, |(smoother, ..)| smoother.engine())
+    }
+
+    /// Why `auto` chose as it did.
+    fn chosen_because(&self) -> Option<String> {
+        let (smoother, ..) = self.open.as_ref()?;
+        smoother.chosen_because().map(str::to_owned)
     }
 
     /// The GPU's name, where that is the engine.

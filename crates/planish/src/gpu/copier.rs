@@ -8,6 +8,10 @@ use super::device::GpuDevice;
 use crate::devices::FrameTimings;
 use crate::error::EngineError;
 use crate::smoothed::Smoothed;
+use crate::threads::Threads;
+
+/// The planes of the points are copied at once: one thread alone is slower than the bus.
+const COPY_THREADS: usize = 3;
 
 type Result = std::result::Result<(Smoothed, Option<FrameTimings>), EngineError>;
 
@@ -30,11 +34,13 @@ pub(super) struct Copied(Receiver<Result>);
 impl Copier {
     pub(super) fn start() -> std::result::Result<Self, EngineError> {
         let (jobs, queue) = channel::<Box<Job>>();
+        // Threads of its own: a worker of rayon's pool may be what waits for the copy, and then no other is free for it.
+        let pool = Threads::open(Some(COPY_THREADS))?;
         let work = move || {
             for job in queue {
                 let Job { flight, mut buffer, done } = *job;
                 let result = flight.land().map(|view| {
-                    view.copy_to(0, &mut buffer);
+                    pool.install(|| view.copy_to(0, &mut buffer));
                     (buffer, view.timings())
                 });
                 // Nobody waits where the smoother was dropped.

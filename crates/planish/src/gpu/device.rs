@@ -4,6 +4,7 @@
 //! are kept: once lost, every call says so, and the next smoother opens a fresh one.
 
 use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
@@ -15,7 +16,7 @@ use crate::error::EngineError;
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// How long to ask a device that fails whether it is lost.
-const LOSS_TIMEOUT: Duration = Duration::from_secs(1);
+const LOSS_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// How long a thread looks again and again before it sleeps: most frames are done by then, and waking up from sleep costs 30
 /// to 60 µs. The software adapter needs the CPU for itself.
@@ -194,23 +195,64 @@ impl GpuDevice {
         self.loss().or_else(|| self.check().err()).unwrap_or_else(failure)
     }
 
-    /// The loss of the device, which is told only to who asks, and when it has nothing more to do.
+    /// The loss of the device. It is told only to who asks, when there is nothing more to do, and if another thread asked at the
+    /// same time, a little later.
     fn loss(&self) -> Option<EngineError> {
-        let _ = self.device.poll(wgpu::PollType::Wait { submission_index: None, timeout: Some(LOSS_TIMEOUT) });
-        lock(&self.fault).clone().filter(|fault| matches!(fault, EngineError::Lost { .. }))
+        let until = Instant::now() + LOSS_TIMEOUT;
+        loop {
+            let idle = self.poll(wgpu::PollType::Wait { submission_index: None, timeout: Some(LOSS_TIMEOUT) });
+            match idle {
+                Err(lost) => return Some(lost),
+                Ok(_) if Instant::now() > until => return None,
+                Ok(_) => std::thread::sleep(Duration::from_millis(1)),
+            }
+        }
+    }
+
+    /// Asks the device; `Ok(false)` is that it is not so far yet.
+    ///
+    /// Never once it is lost: wgpu then frees its buffers, also those that somebody still reads. And wgpu panics where the
+    /// driver tells it of the loss.
+    fn poll(&self, how: wgpu::PollType) -> Result<bool, EngineError> {
+        if let Some(lost @ EngineError::Lost { .. }) = &*lock(&self.fault) {
+            return Err(lost.clone());
+        }
+        match catch_unwind(AssertUnwindSafe(|| self.device.poll(how))) {
+            Ok(Ok(_)) => Ok(true),
+            Ok(Err(wgpu::PollError::Timeout)) => Ok(false),
+            Ok(Err(error)) => Err(self.lose(error)),
+            Err(_) => Err(self.lose("the driver gave no more than that")),
+        }
+    }
+
+    /// Keeps that the device is lost, if that is not known better.
+    fn lose(&self, reason: impl ToString) -> EngineError {
+        let mut fault = lock(&self.fault);
+        match &*fault {
+            Some(lost @ EngineError::Lost { .. }) => lost.clone(),
+            _ => {
+                let lost = EngineError::Lost { device: self.name.clone(), reason: reason.to_string() };
+                fault.insert(lost).clone()
+            }
+        }
     }
 
     /// Runs what allocates `bytes` on the device; its errors are returned instead of kept.
     pub(super) fn allocate<T>(&self, bytes: u64, work: impl FnOnce() -> T) -> Result<T, EngineError> {
         self.check()?;
+        let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let invalid = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let result = work();
         let memory = pollster::block_on(memory.pop());
-        let invalid = pollster::block_on(invalid.pop());
-        let device = || self.name.clone();
-        match (memory, invalid) {
-            (Some(error), _) => Err(EngineError::OutOfMemory { device: device(), bytes, reason: error.to_string() }),
+        let other = pollster::block_on(invalid.pop()).or(pollster::block_on(internal.pop()));
+        // A lost device tells no scope.
+        self.check()?;
+        match (memory, other) {
+            (Some(error), _) => {
+                let reason = error.to_string();
+                Err(EngineError::OutOfMemory { device: self.name.clone(), bytes, reason })
+            }
             (None, Some(error)) => Err(self.failed(error)),
             (None, None) => Ok(result),
         }
@@ -218,9 +260,10 @@ impl GpuDevice {
 
     /// The compiled kernel, from those compiled before if it is there.
     pub(super) fn kernel(&self, key: KernelKey) -> Result<wgpu::ComputePipeline, EngineError> {
-        let mut kernels = lock(&self.kernels);
-        if let Some(kernel) = kernels.get(&key) {
-            return Ok(kernel.clone());
+        // Not locked while it compiles, so that other smoothers go on; two may then compile the same.
+        let known = lock(&self.kernels).get(&key).cloned();
+        if let Some(kernel) = known {
+            return Ok(kernel);
         }
         let kernel = self.allocate(0, || {
             let source = wgpu::ShaderModuleDescriptor {
@@ -249,31 +292,24 @@ impl GpuDevice {
                 cache: None,
             })
         })?;
-        kernels.insert(key, kernel.clone());
+        lock(&self.kernels).insert(key, kernel.clone());
         Ok(kernel)
     }
 
     /// Waits until a submission has run and its buffers are mapped.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), EngineError> {
         let spin_until = Instant::now() + self.spin;
+        let look =
+            |timeout| wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: Some(timeout) };
         while Instant::now() < spin_until {
-            let look =
-                wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: Some(Duration::ZERO) };
-            match self.device.poll(look) {
-                Ok(_) => return self.check(),
-                Err(wgpu::PollError::Timeout) => std::hint::spin_loop(),
-                Err(error) => return Err(self.failed(error)),
+            if self.poll(look(Duration::ZERO))? {
+                return self.check();
             }
+            std::hint::spin_loop();
         }
-        let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(TIMEOUT) };
-        match self.device.poll(wait) {
-            Ok(_) => self.check(),
-            Err(wgpu::PollError::Timeout) => {
-                let reason = format!("it has not answered for {} s", TIMEOUT.as_secs());
-                let lost = EngineError::Lost { device: self.name.clone(), reason };
-                Err(lock(&self.fault).get_or_insert(lost).clone())
-            }
-            Err(error) => Err(self.failed(error)),
+        if self.poll(look(TIMEOUT))? {
+            return self.check();
         }
+        Err(self.lose(format!("it has not answered for {} s", TIMEOUT.as_secs())))
     }
 }

@@ -16,6 +16,7 @@ mod view;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
+use std::thread;
 
 use rayon::prelude::*;
 
@@ -63,6 +64,10 @@ enum Pending {
     InPlace(Box<Flight>),
     Copied(Copied),
 }
+
+/// A submission of several frames has no more bytes than this in a buffer, and no more frames.
+const MAX_BATCH_BYTES: u64 = 256 << 20;
+const MAX_BATCH_FRAMES: u64 = 64;
 
 /// The GPU engine with its buffers.
 pub(crate) struct Gpu {
@@ -117,12 +122,21 @@ impl Gpu {
             copier: None,
             timings: None,
         };
-        // What a frame will need is had now: the memory that a lack of would be told only later, and the kernel.
-        let layout = engine.layout(InputKind::Depth);
-        engine.check_limits(layout, 1)?;
-        let slot = engine.slot(layout, 1)?;
+        // What can be refused is refused now, and what takes long is done now.
+        let [depth, points] = [InputKind::Depth, InputKind::Points].map(|kind| engine.layout(kind));
+        engine.check_limits(depth, 1)?;
+        engine.check_limits(points, 1)?;
+        let slot = engine.slot(depth, 1)?;
         lock(&engine.free).push(slot);
-        engine.gpu.kernel(engine.kernel_key(InputKind::Depth))?;
+        let (gpu, keys) = (&engine.gpu, [depth, points].map(|layout| engine.kernel_key(layout.kind)));
+        let [depth, points] = keys.map(|key| move || gpu.kernel(key).map(drop));
+        // Drivers compile on the calling thread: two at once take as long as one.
+        let (depth, points) = thread::scope(|scope| {
+            let depth = scope.spawn(depth);
+            let points = points();
+            (depth.join().unwrap_or_else(|_| Err(gpu.failed("a kernel was not compiled"))), points)
+        });
+        depth.and(points)?;
         Ok(engine)
     }
 
@@ -148,8 +162,10 @@ impl Gpu {
         let (mut done, mut timings) = (0, None::<FrameTimings>);
         while let Some(&first) = frames.get(done) {
             let kind = kind_of(first);
-            let most = self.frames_at_once(self.layout(kind)).max(1);
-            let count = frames[done..].iter().take(most).take_while(|&&frame| kind_of(frame) == kind).count();
+            let most = self.frames_at_once(self.layout(kind));
+            let alike = frames[done..].iter().take_while(|&&frame| kind_of(frame) == kind).count();
+            // Submissions of one size use one slot.
+            let count = alike.div_ceil(alike.div_ceil(most));
             let view = self.launch(&frames[done..done + count])?.land()?;
             out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_to(i, out));
             if let (Some(sum), Some(more)) = (&mut timings, view.timings()) {
@@ -227,10 +243,11 @@ impl Gpu {
         4 * layout.input_words().max(layout.output_words()) as u64
     }
 
-    /// How many frames a submission can have.
+    /// How many frames of a batch a submission has: within the limits of the device, and of what others that use it, and the
+    /// watchdogs of desktops, bear.
     fn frames_at_once(&self, layout: Layout) -> usize {
-        let groups = self.gpu.limits.max_compute_workgroups_per_dimension;
-        (self.buffer_limit() / Self::frame_bytes(layout)).min(u64::from(groups)) as usize
+        let bytes = self.buffer_limit().min(MAX_BATCH_BYTES);
+        (bytes / Self::frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize
     }
 
     /// Refuses frames of a layout that the device cannot take.

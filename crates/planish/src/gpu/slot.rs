@@ -10,7 +10,7 @@ use std::time::Duration;
 use bytemuck::bytes_of;
 
 use super::device::{GpuDevice, TIMEOUT, lock};
-use super::layout::{FrameHeader, Layout};
+use super::layout::{FrameHeader, InputKind, Layout};
 use crate::camera::Rays;
 use crate::cloud::Xyz;
 use crate::devices::{FrameTimings, Transfer};
@@ -142,7 +142,8 @@ impl Slot {
                 bandwidth: params.bandwidth_m.unwrap_or(0.0),
             };
             put(0, bytes_of(&header));
-            if let Some(camera) = frame.camera() {
+            let wants_rays = self.layout.kind == InputKind::Depth || self.layout.outputs.depth;
+            if let Some(camera) = frame.camera().filter(|_| wants_rays) {
                 rays.set(camera);
                 let at = self.layout.rays();
                 put(at.start, bytemuck::cast_slice(&rays.x));
@@ -237,7 +238,7 @@ impl Slot {
         let stamps = self.stamps.as_ref()?;
         let ticks: [u64; STAMPS as usize] = {
             let range = stamps.readback.get_mapped_range(..).ok()?;
-            *bytemuck::from_bytes(&range)
+            bytemuck::pod_read_unaligned(&range)
         };
         stamps.readback.unmap();
         let between = |from: usize, to: usize| {

@@ -1,6 +1,5 @@
 //! A result where the device put it: mapped memory, read without a copy.
 
-use std::mem::ManuallyDrop;
 use std::ops::Range;
 
 use super::device::lock;
@@ -20,9 +19,8 @@ const STATUS: [Status; 8] = {
 pub(crate) struct MappedView {
     layout: Layout,
     timings: Option<FrameTimings>,
-    /// Dropped before the slot's buffer is unmapped.
-    words: ManuallyDrop<wgpu::BufferView>,
-    slot: Option<Slot>,
+    /// `None` while it is dropped.
+    mapped: Option<(wgpu::BufferView, Slot)>,
     free: FreeSlots,
 }
 
@@ -31,7 +29,7 @@ impl MappedView {
         let Flight { gpu, slot, free, .. } = flight;
         let words = slot.readback.get_mapped_range(..).map_err(|error| gpu.failed(error))?;
         let timings = slot.timings();
-        Ok(Self { layout: slot.layout, timings, words: ManuallyDrop::new(words), slot: Some(slot), free })
+        Ok(Self { layout: slot.layout, timings, mapped: Some((words, slot)), free })
     }
 
     pub(crate) fn shape(&self) -> (usize, usize) {
@@ -45,7 +43,8 @@ impl MappedView {
     /// Words of a frame as values of a type with no invalid bits.
     fn values<T: bytemuck::AnyBitPattern>(&self, frame: usize, words: Range<usize>) -> &[T] {
         let first = frame * self.layout.output_words();
-        bytemuck::cast_slice(&self.words[4 * (first + words.start)..4 * (first + words.end)])
+        let bytes = self.mapped.as_ref().map_or(&[][..], |(bytes, _)| bytes);
+        bytemuck::cast_slice(bytes.get(4 * (first + words.start)..4 * (first + words.end)).unwrap_or_default())
     }
 
     pub(crate) fn points(&self, frame: usize) -> Option<[&[f32]; 3]> {
@@ -114,9 +113,8 @@ impl MappedView {
 
 impl Drop for MappedView {
     fn drop(&mut self) {
-        // SAFETY: dropped once, here, and not used after.
-        unsafe { ManuallyDrop::drop(&mut self.words) };
-        if let Some(slot) = self.slot.take() {
+        if let Some((words, slot)) = self.mapped.take() {
+            drop(words);
             slot.readback.unmap();
             lock(&self.free).push(slot);
         }

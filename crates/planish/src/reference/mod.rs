@@ -97,7 +97,9 @@ impl Reference {
 /// Rounds the results to f32 into whichever outputs are there.
 fn store(results: impl Iterator<Item = PointResult>, out: &mut Smoothed) {
     for (i, result) in results.enumerate() {
-        out.points.set(i, result.position.as_vec3().to_array());
+        if !out.points.is_empty() {
+            out.points.set(i, result.position.as_vec3().to_array());
+        }
         if let Some(normals) = &mut out.normals {
             normals.set(i, result.normal.as_vec3().to_array());
         }

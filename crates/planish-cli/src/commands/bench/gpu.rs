@@ -162,18 +162,32 @@ impl Bench<'_> {
 
     /// Holds a setting's result against the reference's.
     fn check(&self, params: SmoothParams, reference: &Smoothed, bounds_checks: bool) -> Result<()> {
-        for frame in [Frame::from(&self.depth), Frame::from(&self.cloud)] {
-            let mut smoothed = Smoothed::default();
+        let frames = [Frame::from(&self.depth), Frame::from(&self.cloud)];
+        for transfer in [Transfer::Staged, Transfer::Direct] {
             let mut smoother = self.open(params, |options| {
-                options.outputs = Outputs::ALL;
+                options.outputs = Outputs { depth: true, ..Outputs::ALL };
                 options.gpu.bounds_checks = bounds_checks;
+                options.gpu.transfer = transfer;
             })?;
-            smoother.smooth(frame, &mut smoothed)?;
-            let mut agreement = Agreement::default();
-            agreement.add(&smoothed, reference, radius_m(&self.cloud, params));
-            let misses = agreement.misses();
-            if !misses.is_empty() {
-                bail!("a wrong result is not timed: {params:?}: {}", misses.join("; "));
+            // Alone, and in a batch.
+            let mut results = vec![Smoothed::default(); 4];
+            for (frame, result) in frames.into_iter().zip(&mut results) {
+                smoother.smooth(frame, result)?;
+            }
+            smoother.smooth_batch(&frames, &mut results[2..])?;
+            for result in &results {
+                let mut agreement = Agreement::default();
+                agreement.add(result, reference, radius_m(&self.cloud, params));
+                let misses = agreement.misses();
+                if !misses.is_empty() {
+                    bail!("a wrong result is not timed: {params:?}: {}", misses.join("; "));
+                }
+                let (found, expected) = (result.depth.iter().flatten(), reference.depth.iter().flatten());
+                let far = found.zip(expected).filter(|(a, b)| a.abs_diff(**b) > 1).count();
+                // Where the reference has another status, its depth may be another too.
+                if far > self.depth.raw.len() / 10_000 {
+                    bail!("a wrong result is not timed: {params:?}: {far} depths are off by more than a unit");
+                }
             }
         }
         Ok(())
@@ -201,8 +215,8 @@ impl Bench<'_> {
         let row = |(window, stride, degree, radius)| {
             let params = SmoothParams { window, stride, radius, degree, bandwidth_m: None };
             let mut reference = Smoothed::default();
-            let options =
-                SmootherOptions { engine: Engine::Reference, outputs: Outputs::ALL, ..SmootherOptions::default() };
+            let outputs = Outputs { depth: true, ..Outputs::ALL };
+            let options = SmootherOptions { engine: Engine::Reference, outputs, ..SmootherOptions::default() };
             Smoother::open_with(params, &options, KINECT_SHAPE)?.smooth(&self.depth, &mut reference)?;
             let time = |bounds_checks| {
                 self.check(params, &reference, bounds_checks)?;

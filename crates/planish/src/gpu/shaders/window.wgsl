@@ -18,7 +18,9 @@ struct Sums {
 }
 
 fn radius_at(frame: u32, z: f32) -> f32 {
-    let grown = max(abs(z) * header(frame, RADIUS_LINEAR), z * z * header(frame, RADIUS_QUADRATIC));
+    // Beyond the clamp the radius is at its limit or fixed; the square stays finite.
+    let range = min(abs(z), 1e18);
+    let grown = max(range * header(frame, RADIUS_LINEAR), range * range * header(frame, RADIUS_QUADRATIC));
     return min(header(frame, RADIUS_CONSTANT) + grown, MAX_RADIUS_M);
 }
 
