@@ -37,36 +37,24 @@ impl Camera {
         Self { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5, depth_units_per_metre: 1000.0 }
     }
 
-    /// Refuses intrinsics that describe no camera.
+    /// Refuses intrinsics that describe no camera, among them all with which a depth value would become a point that is not
+    /// finite in f32.
     pub fn validate(&self) -> Result<(), FrameError> {
         crate::cloud::validate_shape(self.width, self.height)?;
-        let positive = |field, value: f64, allowed| {
-            if value.is_finite() && value > 0.0 {
+        let within = |field, value: f64, range: std::ops::RangeInclusive<f64>, allowed| {
+            // False for a NaN.
+            if range.contains(&value) {
                 Ok(())
             } else {
                 Err(FrameError::BadCamera(ParamError { field, value: value.to_string(), allowed }))
             }
         };
-        positive(
-            "fx",
-            self.fx,
-            "a positive focal length in pixels (for y pointing up in a data set, give its absolute value)",
-        )?;
-        positive(
-            "fy",
-            self.fy,
-            "a positive focal length in pixels (for y pointing up in a data set, give its absolute value)",
-        )?;
-        positive("depth_units_per_metre", self.depth_units_per_metre, "a positive number, 1000 for millimetres")?;
-        for (field, value) in [("cx", self.cx), ("cy", self.cy)] {
-            if !value.is_finite() {
-                return Err(FrameError::BadCamera(ParamError {
-                    field,
-                    value: value.to_string(),
-                    allowed: "a finite principal point in pixels",
-                }));
-            }
-        }
+        let focal_length = "0.001 to 1e12 pixels (for y pointing up in a data set, give its absolute value)";
+        within("fx", self.fx, 1e-3..=1e12, focal_length)?;
+        within("fy", self.fy, 1e-3..=1e12, focal_length)?;
+        within("depth_units_per_metre", self.depth_units_per_metre, 1e-6..=1e12, "1e-6 to 1e12, 1000 for millimetres")?;
+        within("cx", self.cx, -1e9..=1e9, "a principal point in pixels, -1e9 to 1e9")?;
+        within("cy", self.cy, -1e9..=1e9, "a principal point in pixels, -1e9 to 1e9")?;
         Ok(())
     }
 
@@ -185,5 +173,13 @@ mod tests {
     fn impossible_intrinsics_are_refused_by_name() {
         let camera = Camera { fy: -480.0, ..Camera::kinect_v1() };
         assert!(camera.validate().unwrap_err().to_string().contains("fy"));
+        for mistaken in [1e-40, f64::NAN, f64::INFINITY] {
+            assert!(Camera { fx: mistaken, ..Camera::kinect_v1() }.validate().is_err());
+            assert!(Camera { depth_units_per_metre: mistaken, ..Camera::kinect_v1() }.validate().is_err());
+        }
+        // The widest camera that is allowed still gives finite points.
+        let widest = Camera { fx: 1e-3, cx: -1e9, depth_units_per_metre: 1e-6, ..Camera::kinect_v1() };
+        assert!(widest.validate().is_ok());
+        assert!((widest.rays_x()[639] * widest.depth_m(65534)).is_finite());
     }
 }

@@ -3,6 +3,7 @@
 // Stage: copy or deproject (docs/method.md, section 1), in metres. What is not finite, or outside the image, becomes NO_POINT
 // in every coordinate: a finite number so far away that no radius reaches it. Shaders need not keep NaN by the rules of
 // Vulkan, so none is ever computed with; finiteness is read from the bits.
+// What depth becomes is finite, since Camera::validate keeps rays and units within bounds.
 
 struct Batch {
     width: u32,
@@ -26,13 +27,6 @@ fn is_finite(bits: u32) -> bool {
     return (bits & 0x7f800000u) != 0x7f800000u;
 }
 
-fn finite_or_no_point(bits: vec3<u32>) -> vec3<f32> {
-    if is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z) {
-        return bitcast<vec3<f32>>(bits);
-    }
-    return vec3<f32>(NO_POINT);
-}
-
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
         return vec3<f32>(NO_POINT);
@@ -48,10 +42,13 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
         let z = f32(raw) * header(frame, METRES_PER_UNIT);
         let ray_x = bitcast<f32>(input[base + u32(x)]);
         let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
-        return finite_or_no_point(bitcast<vec3<u32>>(vec3<f32>(ray_x * z, ray_y * z, z)));
+        return vec3<f32>(ray_x * z, ray_y * z, z);
     }
     let pixels = batch.width * batch.height;
     let samples = base + batch.width + batch.height;
     let bits = vec3<u32>(input[samples + pixel], input[samples + pixels + pixel], input[samples + 2u * pixels + pixel]);
-    return finite_or_no_point(bits);
+    if is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z) {
+        return bitcast<vec3<f32>>(bits);
+    }
+    return vec3<f32>(NO_POINT);
 }
