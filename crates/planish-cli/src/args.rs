@@ -26,6 +26,10 @@ pub enum Command {
     Info(InfoArgs),
     /// Draw the relief of an organized cloud
     Render(RenderArgs),
+    /// Smooth frames as they come: from a Kinect, a data set, a folder, the simulator
+    Stream(StreamArgs),
+    /// Record frames as they come into a data set in TUM layout
+    Record(RecordArgs),
     /// Say what this machine computes with: instruction sets, GPUs, and what `auto` takes
     Devices(DevicesArgs),
     /// Measure the engines, each result held against the reference first
@@ -88,6 +92,71 @@ pub struct RenderArgs {
     pub output: PathBuf,
     #[command(flatten)]
     pub camera: CameraArgs,
+}
+
+#[derive(clap::Args)]
+pub struct StreamArgs {
+    /// kinect[:INDEX], synthetic[:SEED], a data set in TUM layout, a recording of libfreenect, a folder of frames, or one
+    /// file, repeated
+    pub source: String,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub limits: LimitArgs,
+    /// Write every result into this folder
+    #[arg(long, value_name = "DIR")]
+    pub save: Option<PathBuf>,
+    /// What to write there
+    #[arg(long, value_enum, requires = "save")]
+    pub format: Option<StreamFormatArg>,
+    /// Fields to add to the points, separated by commas
+    #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
+    pub fields: Vec<FieldArg>,
+    /// Print one JSON object to standard output at the end
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct LimitArgs {
+    /// Give frames so many a second, as a live camera does; else as fast as they are taken
+    #[arg(long, value_name = "N")]
+    pub fps: Option<f64>,
+    /// End after so many frames
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u64>,
+    /// End after so many seconds
+    #[arg(long, value_name = "S")]
+    pub duration: Option<f64>,
+    /// Wait for a camera that was unplugged to come back
+    #[arg(long)]
+    pub reconnect: bool,
+}
+
+#[derive(clap::Args)]
+pub struct RecordArgs {
+    /// kinect[:INDEX], synthetic[:SEED], or any other source of depth
+    pub source: String,
+    /// The folder to make
+    pub folder: PathBuf,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub limits: LimitArgs,
+    /// Print one JSON object to standard output at the end
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum StreamFormatArg {
+    /// Organized clouds (the default)
+    Pcd,
+    Ply,
+    /// 16-bit depth images
+    Png,
 }
 
 #[derive(clap::Args)]
@@ -278,15 +347,20 @@ impl SmoothingArgs {
     }
 }
 
+/// The outputs that fields are made from.
+pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
+    let wants = |field| fields.contains(&field);
+    Outputs {
+        normals: wants(FieldArg::Normals),
+        curvature: wants(FieldArg::Curvature),
+        status: wants(FieldArg::Status),
+        ..Outputs::POINTS
+    }
+}
+
 impl SmoothArgs {
     pub fn outputs(&self) -> Outputs {
-        let wants = |field| self.fields.contains(&field);
-        Outputs {
-            normals: wants(FieldArg::Normals),
-            curvature: wants(FieldArg::Curvature),
-            status: wants(FieldArg::Status),
-            ..Outputs::POINTS
-        }
+        outputs_of(&self.fields)
     }
 
     pub fn encoding(&self) -> Encoding {
@@ -313,6 +387,19 @@ impl CameraArgs {
         }
         camera.validate()?;
         Ok(Some(camera))
+    }
+
+    /// The camera for frames whose shape is not known yet; they bring their own.
+    pub fn camera_of_any_shape(&self) -> Result<Option<Camera>> {
+        let Camera { width, height, .. } = Camera::kinect_v1();
+        let mut camera = self.camera((width, height))?;
+        if camera.is_none() && self.depth_scale.is_some() {
+            bail!("--depth-scale needs the camera: add --camera FX,FY,CX,CY or --camera-file FILE.json");
+        }
+        if let Some(camera) = &mut camera {
+            (camera.width, camera.height) = (width, height);
+        }
+        Ok(camera)
     }
 
     /// The camera, which a depth image cannot do without.

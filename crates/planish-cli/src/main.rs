@@ -18,6 +18,8 @@ fn main() -> ExitCode {
         Command::Smooth(args) => commands::smooth::run(&args),
         Command::Info(args) => commands::info::run(&args),
         Command::Render(args) => commands::render::run(&args),
+        Command::Stream(args) => commands::stream::run(&args),
+        Command::Record(args) => commands::record::run(&args),
         Command::Devices(args) => commands::devices::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
     };

@@ -84,6 +84,27 @@ impl Camera {
         if raw >= 1.0 && raw < f64::from(SATURATED_DEPTH) { raw as u16 } else { 0 }
     }
 
+    /// The camera as JSON, as [`Camera::from_json`] reads it.
+    pub fn to_json(&self) -> String {
+        let Self { width, height, fx, fy, cx, cy, depth_units_per_metre } = self;
+        serde_json::json!({
+            "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_scale": depth_units_per_metre
+        })
+        .to_string()
+    }
+
+    /// The same as [`Camera::from_json`] for a file that says the shape itself.
+    pub(crate) fn from_json_alone(text: &str) -> Result<Self, FormatError> {
+        #[derive(Deserialize)]
+        struct Shape {
+            width: usize,
+            height: usize,
+        }
+        let shape: Shape = serde_json::from_str(text)
+            .map_err(|error| FormatError::Malformed(format!("not a camera file with width and height: {error}")))?;
+        Self::from_json(text, (shape.width, shape.height))
+    }
+
     /// Reads a camera from JSON: Open3D's layout (`width`, `height`, `intrinsic_matrix` in column-major order) or a flat
     /// object with `fx`, `fy`, `cx`, `cy` and optionally `width`, `height`, `depth_scale` (units per metre).
     ///

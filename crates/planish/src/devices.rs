@@ -101,6 +101,13 @@ pub fn gpu_adapters() -> Vec<GpuAdapter> {
     Vec::new()
 }
 
+/// Destroys every GPU device that this process has open, as a reset of the driver does: for tests of what comes after.
+#[doc(hidden)]
+#[cfg(feature = "gpu")]
+pub fn lose_gpu_devices() {
+    crate::gpu::lose_devices();
+}
+
 /// The engine that [`Engine::Auto`] takes among these adapters, and why: a real GPU if there is one, else the CPU.
 pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, String) {
     if let Some(adapter) = real_gpu(adapters) {

@@ -131,6 +131,31 @@ pub enum EngineError {
     },
 }
 
+/// A camera that cannot be had, or that is gone.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum DeviceError {
+    /// Its driver, or the camera itself, is not there.
+    #[error("{what}; {help}")]
+    Driver {
+        /// What is missing.
+        what: String,
+        /// What would help.
+        help: &'static str,
+    },
+    /// It does not do what it should.
+    #[error("{what}")]
+    Failed {
+        /// What failed.
+        what: String,
+    },
+    /// It worked, and is gone: unplugged or hung. It may come back.
+    #[error("{what}: unplugged?")]
+    Gone {
+        /// What happened.
+        what: String,
+    },
+}
+
 /// What is wrong with a file, without its name.
 #[derive(Debug, thiserror::Error)]
 pub enum FormatError {
@@ -176,6 +201,9 @@ pub enum Error {
     /// An engine that cannot be had, or that failed.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// A camera that cannot be had, or that is gone.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
     /// A file that could not be read or written.
     #[error(transparent)]
     Io(#[from] IoError),

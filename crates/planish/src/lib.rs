@@ -33,6 +33,8 @@ pub mod render;
 pub mod simulate;
 mod smoothed;
 mod smoother;
+pub mod source;
+pub mod stream;
 mod threads;
 mod unorganized;
 mod view;
@@ -42,8 +44,10 @@ pub use cloud::{
     Attribute, AttributeValues, IDENTITY_VIEWPOINT, MAX_PIXELS, OrganizedCloud, PointCloud, PositionColumns, Xyz,
 };
 pub use cpu::SimdLevel;
+#[cfg(feature = "gpu")]
+pub use devices::lose_gpu_devices;
 pub use devices::{AdapterKind, FrameTimings, GpuAdapter, GpuOptions, Transfer, auto_choice, gpu_adapters};
-pub use error::{EngineError, Error, FormatError, FrameError, IoError, ParamError};
+pub use error::{DeviceError, EngineError, Error, FormatError, FrameError, IoError, ParamError};
 pub use frame::{DepthFrame, DepthImage, Frame};
 pub use params::{KINECT_V1_DEPTH_STEP_AT_1M, Radius, SmoothParams};
 pub use smoothed::{Outputs, Smoothed, Status};

@@ -4,8 +4,10 @@ pub mod bench;
 pub mod demo;
 pub mod devices;
 pub mod info;
+pub mod record;
 pub mod render;
 pub mod smooth;
+pub mod stream;
 
 use std::path::Path;
 use std::time::Instant;

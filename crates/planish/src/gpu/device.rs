@@ -78,6 +78,13 @@ pub(crate) fn list() -> Vec<GpuAdapter> {
 /// The open devices by the index of their adapter.
 static OPEN: Mutex<Vec<(usize, Weak<GpuDevice>)>> = Mutex::new(Vec::new());
 
+/// Destroys the devices that are open.
+pub(super) fn lose_open() {
+    for device in lock(&OPEN).iter().filter_map(|(_, device)| device.upgrade()) {
+        device.device.destroy();
+    }
+}
+
 /// A device that nobody else shares, to be lost on purpose.
 #[cfg(test)]
 pub(super) fn open_alone(chosen: &GpuAdapter) -> Result<GpuDevice, EngineError> {

@@ -39,6 +39,11 @@ pub(crate) fn adapters() -> Vec<GpuAdapter> {
     device::list()
 }
 
+/// Destroys the open devices, for tests.
+pub(crate) fn lose_devices() {
+    device::lose_open();
+}
+
 /// Slots that wait for their next frames; views give theirs back from any thread.
 type FreeSlots = Arc<Mutex<Vec<Slot>>>;
 

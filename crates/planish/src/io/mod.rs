@@ -22,7 +22,7 @@ use crate::error::{FormatError, FrameError, IoError};
 use crate::frame::{DepthFrame, DepthImage};
 
 pub use pcd::Encoding;
-pub use rgb_png::{RgbImage, write_rgb_png};
+pub use rgb_png::{RgbImage, read_rgb_png, write_rgb_png};
 
 type Result<T> = std::result::Result<T, FormatError>;
 

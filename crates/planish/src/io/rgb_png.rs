@@ -1,5 +1,6 @@
 //! 8-bit colour PNG: pictures for people.
 
+use std::io::Cursor;
 use std::path::Path;
 
 use crate::error::{FormatError, IoError};
@@ -20,6 +21,31 @@ pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     encode(image.width, image.height, png::ColorType::Rgb, png::BitDepth::Eight, &image.rgb)
         .and_then(|bytes| super::write_whole(path, &bytes))
         .map_err(IoError::at(path))
+}
+
+/// Reads an 8-bit colour PNG; a fourth channel is left out, grey becomes colour.
+pub fn read_rgb_png(path: &Path) -> Result<RgbImage, IoError> {
+    let bytes = std::fs::read(path).map_err(|error| IoError::at(path)(error.into()))?;
+    decode(&bytes).map_err(IoError::at(path))
+}
+
+fn decode(bytes: &[u8]) -> Result<RgbImage, FormatError> {
+    let malformed = |error: png::DecodingError| FormatError::Malformed(format!("damaged PNG: {error}"));
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    decoder.set_transformations(png::Transformations::normalize_to_color8());
+    let mut reader = decoder.read_info().map_err(malformed)?;
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    crate::cloud::validate_shape(width, height)?;
+    let size = reader.output_buffer_size().unwrap_or(usize::MAX);
+    // Deflate reaches 1 : 1032 at the most, and 1-bit pixels become bytes.
+    if size / 8800 > bytes.len() {
+        return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
+    }
+    let mut buffer = vec![0; size];
+    reader.next_frame(&mut buffer).map_err(malformed)?;
+    let channels = size / (width * height);
+    let rgb = |pixel: &[u8]| if channels < 3 { [pixel[0]; 3] } else { [pixel[0], pixel[1], pixel[2]] };
+    Ok(RgbImage { width, height, rgb: buffer.chunks_exact(channels).flat_map(rgb).collect() })
 }
 
 pub(super) fn encode(

@@ -1,0 +1,49 @@
+//! `planish record`: frames as they come, into a data set.
+
+use std::process::ExitCode;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+use planish::source::{SourceFrame, TumRecorder};
+use serde::Serialize;
+
+use super::stream::{open_source, stop_on_ctrl_c};
+use crate::args::RecordArgs;
+
+#[derive(Serialize)]
+struct Report {
+    frames: u64,
+    seconds: f64,
+}
+
+pub fn run(args: &RecordArgs) -> Result<ExitCode> {
+    let longest = args.limits.max_duration()?;
+    let mut source = open_source(&args.source, &args.camera, &args.limits)?;
+    let mut recorder = TumRecorder::create(&args.folder)?;
+    let stop = stop_on_ctrl_c()?;
+    let start = Instant::now();
+    let mut frames = 0;
+    let is_over = |frames| {
+        stop.load(Ordering::Relaxed)
+            || args.limits.frames.is_some_and(|most| frames >= most)
+            || longest.is_some_and(|longest| start.elapsed() >= longest)
+    };
+    while !is_over(frames) {
+        match source.next_frame()? {
+            None => break,
+            Some(SourceFrame::Depth(frame)) => recorder.add(&frame)?,
+            Some(SourceFrame::Cloud { .. }) => {
+                bail!("{}: gives clouds; a data set in TUM layout has depth images", args.source)
+            }
+        }
+        frames += 1;
+    }
+    let report = Report { frames, seconds: start.elapsed().as_secs_f64() };
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        println!("{frames} frames in {:.1} s -> {}", report.seconds, args.folder.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,226 @@
+//! `planish stream`: frames smoothed as they come.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use planish::source::{self, Source, SourceFrame, SourceOptions};
+use planish::stream::{self, FolderSink, Latency, Sink, SinkFormat, StreamEvent, StreamOptions, StreamStatistics};
+use planish::{DeviceError, Error, Outputs};
+use serde::Serialize;
+
+use crate::args::{CameraArgs, LimitArgs, StreamArgs, StreamFormatArg, outputs_of};
+
+/// What is said at the end.
+#[derive(Serialize)]
+struct Report {
+    frames_in: u64,
+    frames_out: u64,
+    dropped: u64,
+    unreadable: u64,
+    dropped_by_sinks: u64,
+    failed_sinks: u64,
+    seconds: f64,
+    fps: f64,
+    latency_ms: LatencyMs,
+    stage_ms: StageMs,
+    engine: &'static str,
+}
+
+#[derive(Serialize)]
+struct LatencyMs {
+    p50: f64,
+    p95: f64,
+    p99: f64,
+    max: f64,
+}
+
+/// Means of a frame.
+#[derive(Serialize)]
+struct StageMs {
+    capture: f64,
+    smooth: f64,
+    sinks: f64,
+}
+
+pub fn run(args: &StreamArgs) -> Result<ExitCode> {
+    let params = args.smoothing.params()?;
+    let mut outputs = outputs_of(&args.fields);
+    let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
+    let format = match args.format {
+        None | Some(StreamFormatArg::Pcd) => SinkFormat::Pcd,
+        Some(StreamFormatArg::Ply) => SinkFormat::Ply,
+        Some(StreamFormatArg::Png) => SinkFormat::DepthPng,
+    };
+    if args.save.is_some() && format == SinkFormat::DepthPng {
+        outputs = Outputs::DEPTH;
+    }
+    let options = StreamOptions {
+        params,
+        smoother: args.smoothing.options(outputs)?,
+        max_frames: args.limits.frames,
+        max_duration: args.limits.max_duration()?,
+    };
+    let source = open_source(&args.source, &args.camera, &args.limits)?;
+    // After the source: one that is not there leaves no folder behind.
+    if let Some(folder) = &args.save {
+        sinks.push(Box::new(FolderSink::create(folder, format, outputs)?));
+    }
+
+    let line = StatusLine::new();
+    let statistics = stream::run(source, &options, sinks, &*stop_on_ctrl_c()?, |event| line.tell(event))?;
+    line.end();
+    let report = report(&statistics);
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        print_report(&report);
+    }
+    Ok(if statistics.failed_sinks + statistics.unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
+}
+
+/// Set when Ctrl-C is pressed.
+pub fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let set = Arc::clone(&stop);
+    ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).context("Ctrl-C cannot be handled")?;
+    Ok(stop)
+}
+
+/// Opens a source by its name; one that is to come back is wrapped to.
+pub fn open_source(name: &str, camera: &CameraArgs, limits: &LimitArgs) -> Result<Box<dyn Source>> {
+    let options = SourceOptions { camera: camera.camera_of_any_shape()?, fps: limits.fps };
+    let source = source::open(name, &options)?;
+    if !limits.reconnect {
+        return Ok(source);
+    }
+    if !name.starts_with("kinect") {
+        bail!("--reconnect waits for a camera; {name} is none");
+    }
+    Ok(Box::new(Reconnecting { name: name.to_owned(), options, source: Some(source) }))
+}
+
+/// A camera that is opened again when it comes back.
+struct Reconnecting {
+    name: String,
+    options: SourceOptions,
+    source: Option<Box<dyn Source>>,
+}
+
+impl Source for Reconnecting {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        loop {
+            if let Some(source) = &mut self.source {
+                match source.next_frame() {
+                    Err(Error::Device(DeviceError::Gone { what })) => {
+                        eprintln!("{what}; waiting for it to come back");
+                        self.source = None;
+                    }
+                    other => return other,
+                }
+            }
+            match source::open(&self.name, &self.options) {
+                Ok(source) => self.source = Some(source),
+                Err(_) => std::thread::sleep(Duration::from_secs(1)),
+            }
+        }
+    }
+
+    fn is_live(&self) -> bool {
+        true
+    }
+}
+
+impl LimitArgs {
+    pub fn max_duration(&self) -> Result<Option<Duration>> {
+        let duration = |seconds| {
+            Duration::try_from_secs_f64(seconds).with_context(|| format!("--duration {seconds}: a number of seconds"))
+        };
+        self.duration.map(duration).transpose()
+    }
+}
+
+/// One line on a terminal, or a plain line every 5 s.
+struct StatusLine {
+    bar: ProgressBar,
+    last: std::cell::Cell<Instant>,
+}
+
+impl StatusLine {
+    const PLAIN_EVERY: Duration = Duration::from_secs(5);
+
+    fn new() -> Self {
+        let bar = ProgressBar::new_spinner().with_style(ProgressStyle::default_spinner());
+        Self { bar, last: std::cell::Cell::new(Instant::now()) }
+    }
+
+    fn tell(&self, event: StreamEvent<'_>) {
+        match event {
+            StreamEvent::Warning(warning) => self.bar.suspend(|| eprintln!("warning: {warning}")),
+            StreamEvent::Frame(statistics) => {
+                let every = if self.bar.is_hidden() { Self::PLAIN_EVERY } else { Duration::from_millis(200) };
+                if self.last.get().elapsed() < every {
+                    return;
+                }
+                self.last.set(Instant::now());
+                let Latency { p50, p99, .. } = statistics.latency();
+                let text = format!(
+                    "{} frames, {:.1} a second, {:.1} ms (p99 {:.1}), {}",
+                    statistics.frames_out,
+                    statistics.fps(),
+                    ms(p50),
+                    ms(p99),
+                    statistics.engine.name()
+                );
+                if self.bar.is_hidden() {
+                    eprintln!("{text}");
+                } else {
+                    self.bar.set_message(text);
+                    self.bar.tick();
+                }
+            }
+        }
+    }
+
+    fn end(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn ms(duration: Duration) -> f64 {
+    1e3 * duration.as_secs_f64()
+}
+
+fn report(statistics: &StreamStatistics) -> Report {
+    let Latency { p50, p95, p99, max } = statistics.latency();
+    Report {
+        frames_in: statistics.frames_in,
+        frames_out: statistics.frames_out,
+        dropped: statistics.dropped,
+        unreadable: statistics.unreadable,
+        dropped_by_sinks: statistics.dropped_by_sinks,
+        failed_sinks: statistics.failed_sinks,
+        seconds: statistics.duration().as_secs_f64(),
+        fps: statistics.fps(),
+        latency_ms: LatencyMs { p50: ms(p50), p95: ms(p95), p99: ms(p99), max: ms(max) },
+        stage_ms: StageMs {
+            capture: ms(statistics.time_capturing) / statistics.frames_in.max(1) as f64,
+            smooth: ms(statistics.time_smoothing) / statistics.frames_out.max(1) as f64,
+            sinks: ms(statistics.time_in_sinks) / statistics.frames_out.max(1) as f64,
+        },
+        engine: statistics.engine.name(),
+    }
+}
+
+fn print_report(report: &Report) {
+    let Report { frames_in, frames_out, dropped, unreadable, seconds, fps, latency_ms, engine, .. } = report;
+    println!("{frames_out} frames in {seconds:.1} s, {fps:.1} a second, engine {engine}");
+    println!("  {frames_in} came, {dropped} were dropped for newer ones, {unreadable} could not be read");
+    let LatencyMs { p50, p95, p99, max } = latency_ms;
+    println!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
+    let StageMs { capture, smooth, sinks } = report.stage_ms;
+    println!("  a frame's mean: {capture:.1} ms in the source, {smooth:.1} in the engine, {sinks:.1} in the sinks");
+}

@@ -1,0 +1,273 @@
+//! Streams from sources to sinks: order, counts, and what goes wrong on the way.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::source::{FileSource, FreenectRecording, Paced, Source, SourceFrame, TumRecorder, TumSource};
+use planish::source::{disparity_depth_m, write_freenect_recording};
+use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
+use planish::{Camera, DepthFrame, Engine, Error, Outputs, SmoothParams, SmootherOptions};
+use planish_tests::data::{folder, skip};
+use planish_tests::engines::{TestEngine, test_adapter};
+use planish_tests::scenes::small_camera;
+
+fn frame(camera: Camera, number: u64) -> DepthFrame {
+    let (scene, pose) = Scene::tabletop(1);
+    let truth = scene.render(&camera, &pose);
+    let mut frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, number).unwrap();
+    frame.timestamp_s = Some(number as f64);
+    frame
+}
+
+/// Gives what it is given; some of it errors.
+struct Given(std::vec::IntoIter<Result<DepthFrame, &'static str>>, Box<dyn FnMut(u64) + Send>, u64);
+
+impl Given {
+    fn frames(count: u64) -> Self {
+        let frames: Vec<_> = (0..count).map(|i| Ok(frame(small_camera(), i))).collect();
+        Self(frames.into_iter(), Box::new(|_| ()), 0)
+    }
+}
+
+impl Source for Given {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        (self.1)(self.2);
+        self.2 += 1;
+        match self.0.next() {
+            None => Ok(None),
+            Some(Ok(frame)) => Ok(Some(SourceFrame::Depth(frame))),
+            Some(Err(missing)) => Err(planish::io::read(Path::new(missing)).unwrap_err().into()),
+        }
+    }
+}
+
+/// Keeps the time stamps and depths it sees; fails at one, takes its time.
+#[derive(Default, Clone)]
+struct Seen {
+    frames: Arc<Mutex<Vec<(u64, f64)>>>,
+    fails_at: Option<u64>,
+    takes: Duration,
+}
+
+impl Sink for Seen {
+    fn name(&self) -> String {
+        "a sink that sees".to_owned()
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        std::thread::sleep(self.takes);
+        if self.fails_at == Some(frame.index) {
+            return Err(planish::io::read(Path::new("/there is none")).unwrap_err().into());
+        }
+        assert!(frame.smoothed.status_counts().is_none_or(|counts| counts[4] > 0));
+        self.frames.lock().unwrap().push((frame.index, frame.source.timestamp_s().unwrap()));
+        Ok(())
+    }
+}
+
+fn options(engine: Engine) -> StreamOptions {
+    let smoother = match engine {
+        Engine::Gpu => TestEngine::gpu(true).options(Outputs::POINTS),
+        engine => SmootherOptions { engine, ..SmootherOptions::default() },
+    };
+    StreamOptions { params: SmoothParams::default(), smoother, max_frames: None, max_duration: None }
+}
+
+fn run(source: impl Source + 'static, options: &StreamOptions, sink: Seen) -> (StreamStatistics, Vec<String>) {
+    let mut warnings = Vec::new();
+    let tell = |event: StreamEvent<'_>| {
+        if let StreamEvent::Warning(warning) = event {
+            warnings.push(warning);
+        }
+    };
+    let statistics =
+        stream::run(Box::new(source), options, vec![Box::new(sink)], &AtomicBool::new(false), tell).unwrap();
+    (statistics, warnings)
+}
+
+fn in_order(seen: &Seen, count: u64) {
+    let expected: Vec<_> = (0..count).map(|i| (i, i as f64)).collect();
+    assert_eq!(*seen.frames.lock().unwrap(), expected);
+}
+
+#[test]
+fn every_frame_of_a_finite_source_comes_in_order_on_every_engine() {
+    let gpu = test_adapter().map(|_| Engine::Gpu);
+    if gpu.is_none() {
+        skip("streams on a GPU: no adapter");
+    }
+    for engine in [Some(Engine::Cpu), gpu].into_iter().flatten() {
+        let seen = Seen { takes: Duration::from_millis(1), ..Seen::default() };
+        let (statistics, warnings) = run(Given::frames(12), &options(engine), seen.clone());
+        in_order(&seen, 12);
+        assert_eq!((statistics.frames_in, statistics.frames_out, statistics.dropped), (12, 12, 0));
+        assert_eq!((statistics.engine, warnings.len()), (engine, 0));
+        let latency = statistics.latency();
+        assert!(latency.p50 <= latency.p99 && latency.p99 <= latency.max && latency.max > Duration::ZERO);
+    }
+}
+
+#[test]
+fn a_live_source_drops_what_comes_too_fast_and_counts_it() {
+    // 2,000 frames a second are more than the reference smooths.
+    let seen = Seen::default();
+    let source = Paced::new(Box::new(Given::frames(100)), 2000.0).unwrap();
+    let (statistics, _) = run(source, &options(Engine::Reference), seen.clone());
+    assert_eq!(statistics.frames_in, 100);
+    assert!(statistics.dropped > 0 && statistics.frames_out > 0);
+    assert_eq!(statistics.frames_out + statistics.dropped, 100);
+    let times: Vec<_> = seen.frames.lock().unwrap().iter().map(|(_, time)| *time).collect();
+    // The last frame is the newest for ever.
+    assert!(times.is_sorted() && times.last() == Some(&99.0), "{times:?}");
+}
+
+#[test]
+fn a_frame_that_cannot_be_read_is_told_and_the_stream_goes_on() {
+    let given = vec![Ok(frame(small_camera(), 0)), Err("/there is none"), Ok(frame(small_camera(), 1))];
+    let seen = Seen::default();
+    let (statistics, warnings) =
+        run(Given(given.into_iter(), Box::new(|_| ()), 0), &options(Engine::Cpu), seen.clone());
+    in_order(&seen, 2);
+    assert_eq!(statistics.unreadable, 1);
+    assert!(warnings.len() == 1 && warnings[0].contains("there is none"), "{warnings:?}");
+}
+
+#[test]
+fn a_sink_that_fails_is_told_once_and_the_others_go_on() {
+    let (good, bad) = (Seen::default(), Seen { fails_at: Some(2), ..Seen::default() });
+    let mut warnings = 0;
+    let sinks: Vec<Box<dyn Sink>> = vec![Box::new(bad.clone()), Box::new(good.clone())];
+    let tell = |event: StreamEvent<'_>| warnings += usize::from(matches!(event, StreamEvent::Warning(_)));
+    let source = Box::new(Given::frames(15));
+    let statistics = stream::run(source, &options(Engine::Cpu), sinks, &AtomicBool::new(false), tell).unwrap();
+    in_order(&good, 15);
+    assert_eq!((bad.frames.lock().unwrap().len(), statistics.failed_sinks, warnings), (2, 1, 1));
+}
+
+#[test]
+fn a_sink_that_is_too_slow_for_a_live_stream_holds_nothing_up() {
+    let seen = Seen { takes: Duration::from_millis(50), ..Seen::default() };
+    let source = Paced::new(Box::new(Given::frames(40)), 200.0).unwrap();
+    let (statistics, warnings) = run(source, &options(Engine::Cpu), seen.clone());
+    assert!(statistics.dropped_by_sinks > 0 && warnings.len() == 1, "{statistics:?}");
+    assert_eq!(seen.frames.lock().unwrap().len() as u64 + statistics.dropped_by_sinks, statistics.frames_out);
+}
+
+#[test]
+fn a_stream_ends_when_it_is_told_to() {
+    let stop = AtomicBool::new(false);
+    let mut count = 0;
+    let source = planish::source::SyntheticSource::new(1, small_camera()).unwrap();
+    let tell = |event: StreamEvent<'_>| {
+        if let StreamEvent::Frame(statistics) = event {
+            count = statistics.frames_out;
+            stop.store(count >= 7, Ordering::Relaxed);
+        }
+    };
+    let statistics = stream::run(Box::new(source), &options(Engine::Cpu), Vec::new(), &stop, tell).unwrap();
+    assert!((7..=10).contains(&statistics.frames_out));
+}
+
+#[test]
+fn frames_of_another_shape_reopen_the_engine() {
+    let larger = Camera { width: 200, ..small_camera() };
+    let given = vec![0, 1, 2, 3].into_iter().map(|i| Ok(frame(if i % 2 == 0 { small_camera() } else { larger }, i)));
+    let seen = Seen::default();
+    let given: Vec<_> = given.collect();
+    run(Given(given.into_iter(), Box::new(|_| ()), 0), &options(Engine::Cpu), seen.clone());
+    in_order(&seen, 4);
+}
+
+#[test]
+fn a_recording_in_tum_layout_comes_back_identical() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames: Vec<_> = (0..4).map(|i| frame(small_camera(), i)).collect();
+    let mut recorder = TumRecorder::create(folder.path()).unwrap();
+    frames.iter().for_each(|frame| recorder.add(frame).unwrap());
+    assert!(TumRecorder::create(folder.path()).is_err());
+    let mut source = TumSource::open(folder.path(), None).unwrap();
+    for expected in &frames {
+        let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
+        assert_eq!((found.timestamp_s, &found.rgb), (expected.timestamp_s, &expected.rgb));
+        assert_eq!((found.camera.fx, found.camera.depth_units_per_metre), (expected.camera.fx, 5000.0));
+        assert!(found.raw.iter().zip(&expected.raw).all(|(found, raw)| *found == 5 * raw));
+    }
+    assert!(source.next_frame().unwrap().is_none());
+    let far = DepthFrame { raw: vec![14_000; 160 * 120], ..frames[0].clone() };
+    assert!(TumRecorder::create(tempfile::tempdir().unwrap().path()).unwrap().add(&far).is_err());
+}
+
+#[test]
+fn a_recording_of_libfreenect_comes_back_to_a_disparity_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames: Vec<_> = (0..2).map(|i| frame(Camera::kinect_v1(), i)).collect();
+    write_freenect_recording(folder.path(), &frames).unwrap();
+    let mut source = FreenectRecording::open(folder.path()).unwrap();
+    for expected in &frames {
+        let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
+        assert_eq!(found.timestamp_s, expected.timestamp_s);
+        assert_disparity_steps(&found, expected);
+    }
+    assert!(source.next_frame().unwrap().is_none());
+}
+
+/// Depths differ by no more than half a step of the disparity, and a millimetre of rounding.
+fn assert_disparity_steps(found: &DepthFrame, expected: &DepthFrame) {
+    // The furthest that 11 bits reach and the nearest.
+    let reach = disparity_depth_m(0)..disparity_depth_m(1084);
+    for (found, expected) in found.raw.iter().zip(&expected.raw) {
+        let z = f64::from(*expected) * 1e-3;
+        if reach.contains(&z) {
+            let step = 3.1e-3 * z * z;
+            assert!((f64::from(*found) * 1e-3 - z).abs() <= 0.5 * step + 1e-3, "{found} {expected}");
+        } else {
+            assert!(*expected != 0 || *found == 0);
+        }
+    }
+}
+
+#[test]
+fn a_folder_gives_its_frames_by_name_and_keeps_results_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    for i in [2u64, 0, 1] {
+        let depth = frame(small_camera(), i);
+        let image = planish::DepthImage { width: 160, height: 120, raw: depth.raw };
+        planish::io::write_depth(&folder.path().join(format!("{i}.png")), &image).unwrap();
+    }
+    let out = folder.path().join("out");
+    let sinks: Vec<Box<dyn Sink>> =
+        vec![Box::new(FolderSink::create(&out, SinkFormat::DepthPng, Outputs::DEPTH).unwrap())];
+    let source = FileSource::folder(folder.path(), Some(small_camera())).unwrap();
+    let mut options = options(Engine::Cpu);
+    options.smoother.outputs = Outputs::DEPTH;
+    stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), |_| ()).unwrap();
+    for i in 0..3 {
+        let found = DepthFrame::read(&out.join(format!("{i:06}.png")), small_camera()).unwrap();
+        let expected = TestEngine::cpu(planish::SimdLevel::best()).smooth_to(
+            &frame(small_camera(), i),
+            options.params,
+            Outputs::DEPTH,
+        );
+        assert_eq!(Some(found.raw), expected.depth);
+    }
+    let Err(error) = FileSource::folder(&folder.path().join("none"), None) else { panic!("there is none") };
+    assert!(error.to_string().contains("none"));
+}
+
+#[test]
+fn real_data_sets_stream() {
+    let Some(data) = folder("real data sets") else { return };
+    let camera =
+        Camera::from_json(&std::fs::read_to_string(data.join("redwood/camera_primesense.json")).unwrap(), (640, 480));
+    let source = FileSource::folder(&data.join("redwood/depth"), Some(camera.unwrap())).unwrap();
+    let (statistics, warnings) = {
+        let mut warnings = 0;
+        let tell = |event: StreamEvent<'_>| warnings += usize::from(matches!(event, StreamEvent::Warning(_)));
+        let stop = AtomicBool::new(false);
+        (stream::run(Box::new(source), &options(Engine::Cpu), Vec::new(), &stop, tell).unwrap(), warnings)
+    };
+    assert_eq!((statistics.frames_out, warnings), (5, 0));
+}

@@ -1,0 +1,84 @@
+//! A folder of frames, or one file again and again.
+
+use std::path::{Path, PathBuf};
+
+use super::{Source, SourceFrame, malformed};
+use crate::camera::Camera;
+use crate::error::{Error, FormatError, IoError};
+use crate::frame::DepthFrame;
+use crate::io::{self, Contents, Format};
+
+/// Reads frame files in the order of their names, or one without end.
+pub struct FileSource {
+    files: Vec<PathBuf>,
+    camera: Option<Camera>,
+    next: usize,
+    /// The frame of the one file that is repeated.
+    repeated: Option<SourceFrame>,
+    repeats: bool,
+}
+
+impl FileSource {
+    /// Every frame file of a folder once, by name. Depth images need a camera.
+    pub fn folder(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
+        let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
+        let entries: Result<Vec<PathBuf>, _> =
+            std::fs::read_dir(folder).map_err(at)?.map(|entry| entry.map(|entry| entry.path())).collect();
+        let mut files = entries.map_err(at)?;
+        files.retain(|path| path.is_file() && Format::of_extension(path).is_some());
+        files.sort();
+        if files.is_empty() {
+            return Err(malformed(folder, "the folder has no frames (.pcd, .ply, .png, .tiff, .npy)").into());
+        }
+        Ok(Self { files, camera, next: 0, repeated: None, repeats: false })
+    }
+
+    /// One file, read once and given without end.
+    pub fn repeat(file: &Path, camera: Option<Camera>) -> Self {
+        Self { files: vec![file.to_path_buf()], camera, next: 0, repeated: None, repeats: true }
+    }
+}
+
+impl Source for FileSource {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        if let Some(frame) = &self.repeated {
+            return Ok(Some(frame.clone()));
+        }
+        let Some(file) = self.files.get(self.next) else { return Ok(None) };
+        // Counted first, so that who goes on after an error gets the file after it.
+        self.next += 1;
+        let frame = read_frame(file, self.camera)?;
+        if self.repeats {
+            self.next = 0;
+            self.repeated = Some(frame.clone());
+        }
+        Ok(Some(frame))
+    }
+}
+
+/// Reads one frame file; depth needs a camera.
+pub(super) fn read_frame(file: &Path, camera: Option<Camera>) -> Result<SourceFrame, Error> {
+    let (_, contents) = io::read(file)?;
+    let (width, height) = contents.shape();
+    let needs_camera = || {
+        malformed(file, format!("a depth image of {width}x{height} needs its camera (fx, fy, cx, cy); none was given"))
+    };
+    let of_shape = |camera: Camera| Camera { width, height, ..camera };
+    match contents {
+        Contents::Depth(image) => {
+            let camera = of_shape(camera.ok_or_else(needs_camera)?);
+            Ok(SourceFrame::Depth(DepthFrame::new(camera, image)?))
+        }
+        Contents::DepthMetres { depth_m, .. } => {
+            let camera = of_shape(camera.ok_or_else(needs_camera)?);
+            Ok(SourceFrame::Cloud { cloud: io::deproject_metres(camera, &depth_m)?, timestamp_s: None })
+        }
+        Contents::Organized(mut cloud) => {
+            cloud.camera = camera.map(of_shape);
+            Ok(SourceFrame::Cloud { cloud, timestamp_s: None })
+        }
+        Contents::Points(_) => {
+            Err(malformed(file, "the points are not organized; a stream needs frames of a camera").into())
+        }
+    }
+}

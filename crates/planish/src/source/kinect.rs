@@ -1,0 +1,396 @@
+//! A live Kinect v1 through libfreenect, found when it is asked for and never linked.
+//!
+//! The library is `libfreenect.so.0.5`, or the path in the environment's PLANISH_LIBFREENECT. Depth comes registered to the
+//! colour camera in millimetres where the driver has it, with its colour; else as raw 11-bit disparity without colour, converted
+//! by [`disparity_depth_m`](super::disparity_depth_m). One thread owns the device and turns the driver's events into frames;
+//! the newest waits for who takes it.
+//!
+//! The playback library of libfreenect has the same name and plays a recording. It lacks calls, ends the process where it has
+//! no recording, and aborts it where it is asked for a mode that it does not have: it is told by the calls it lacks, and is asked
+//! for 11 bits and nothing else.
+
+use std::ffi::{c_int, c_void};
+use std::path::Path;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use libloading::Library;
+
+use super::freenect::frame_of_disparities;
+use super::{Source, SourceFrame, malformed};
+use crate::camera::Camera;
+use crate::error::{DeviceError, Error};
+use crate::frame::DepthFrame;
+
+/// Pixels of a frame: both cameras are asked for their medium resolution.
+const PIXELS: usize = 640 * 480;
+
+/// A device that gives nothing for so long is gone.
+const SILENCE: Duration = Duration::from_secs(5);
+
+// From libfreenect.h, version 0.5.
+const RESOLUTION_MEDIUM: c_int = 1;
+const VIDEO_RGB: c_int = 0;
+const DEPTH_11BIT: c_int = 0;
+const DEPTH_REGISTERED: c_int = 4;
+const DEVICE_CAMERA: c_int = 2;
+const LOG_ERROR: c_int = 1;
+
+/// `freenect_frame_mode`.
+#[repr(C)]
+#[derive(Clone, Copy)]
+struct FrameMode {
+    reserved: u32,
+    resolution: c_int,
+    format: i32,
+    bytes: i32,
+    width: i16,
+    height: i16,
+    data_bits_per_pixel: i8,
+    padding_bits_per_pixel: i8,
+    framerate: i8,
+    is_valid: i8,
+}
+
+const _: () = assert!(size_of::<FrameMode>() == 24);
+
+/// `struct timeval`.
+#[repr(C)]
+struct TimeVal {
+    seconds: std::ffi::c_long,
+    microseconds: std::ffi::c_long,
+}
+
+type Context = *mut c_void;
+type Device = *mut c_void;
+type FrameCallback = unsafe extern "C" fn(Device, *mut c_void, u32);
+
+/// The calls that are used. They are valid while `_library` is.
+struct Freenect {
+    init: unsafe extern "C" fn(*mut Context, *mut c_void) -> c_int,
+    shutdown: unsafe extern "C" fn(Context) -> c_int,
+    set_log_level: unsafe extern "C" fn(Context, c_int),
+    select_subdevices: unsafe extern "C" fn(Context, c_int),
+    num_devices: unsafe extern "C" fn(Context) -> c_int,
+    open_device: unsafe extern "C" fn(Context, *mut Device, c_int) -> c_int,
+    close_device: unsafe extern "C" fn(Device) -> c_int,
+    set_user: unsafe extern "C" fn(Device, *mut c_void),
+    get_user: unsafe extern "C" fn(Device) -> *mut c_void,
+    find_video_mode: unsafe extern "C" fn(c_int, c_int) -> FrameMode,
+    find_depth_mode: unsafe extern "C" fn(c_int, c_int) -> FrameMode,
+    set_video_mode: unsafe extern "C" fn(Device, FrameMode) -> c_int,
+    set_depth_mode: unsafe extern "C" fn(Device, FrameMode) -> c_int,
+    set_video_callback: unsafe extern "C" fn(Device, FrameCallback),
+    set_depth_callback: unsafe extern "C" fn(Device, FrameCallback),
+    start_video: unsafe extern "C" fn(Device) -> c_int,
+    start_depth: unsafe extern "C" fn(Device) -> c_int,
+    stop_video: unsafe extern "C" fn(Device) -> c_int,
+    stop_depth: unsafe extern "C" fn(Device) -> c_int,
+    process_events_timeout: unsafe extern "C" fn(Context, *mut TimeVal) -> c_int,
+    /// Whether it plays a recording.
+    is_playback: bool,
+    _library: Library,
+}
+
+impl Freenect {
+    fn load() -> Result<Self, DeviceError> {
+        let named = std::env::var_os("PLANISH_LIBFREENECT");
+        let name = named.unwrap_or_else(|| "libfreenect.so.0.5".into());
+        let missing = |error: libloading::Error| DeviceError::Driver {
+            what: format!("{} cannot be loaded: {error}", Path::new(&name).display()),
+            help: "install libfreenect (Debian: libfreenect0.5), or name its file in PLANISH_LIBFREENECT",
+        };
+        // SAFETY: libfreenect runs nothing of note when it is loaded, and the signatures are those of libfreenect.h 0.5.
+        unsafe {
+            let library = Library::new(&name).map_err(missing)?;
+            macro_rules! call {
+                ($name:literal) => {
+                    *library.get($name).map_err(missing)?
+                };
+            }
+            let is_playback = library.get::<*const c_void>(b"freenect_copy_registration\0").is_err();
+            Ok(Self {
+                init: call!(b"freenect_init\0"),
+                shutdown: call!(b"freenect_shutdown\0"),
+                set_log_level: call!(b"freenect_set_log_level\0"),
+                select_subdevices: call!(b"freenect_select_subdevices\0"),
+                num_devices: call!(b"freenect_num_devices\0"),
+                open_device: call!(b"freenect_open_device\0"),
+                close_device: call!(b"freenect_close_device\0"),
+                set_user: call!(b"freenect_set_user\0"),
+                get_user: call!(b"freenect_get_user\0"),
+                find_video_mode: call!(b"freenect_find_video_mode\0"),
+                find_depth_mode: call!(b"freenect_find_depth_mode\0"),
+                set_video_mode: call!(b"freenect_set_video_mode\0"),
+                set_depth_mode: call!(b"freenect_set_depth_mode\0"),
+                set_video_callback: call!(b"freenect_set_video_callback\0"),
+                set_depth_callback: call!(b"freenect_set_depth_callback\0"),
+                start_video: call!(b"freenect_start_video\0"),
+                start_depth: call!(b"freenect_start_depth\0"),
+                stop_video: call!(b"freenect_stop_video\0"),
+                stop_depth: call!(b"freenect_stop_depth\0"),
+                process_events_timeout: call!(b"freenect_process_events_timeout\0"),
+                is_playback,
+                _library: library,
+            })
+        }
+    }
+}
+
+/// What the callbacks see, through the device's user pointer. They run on the thread that owns it.
+struct Events {
+    /// Whether depth is registered millimetres; else 11-bit disparities.
+    registered: bool,
+    rgb: Option<Vec<u8>>,
+    newest: Newest,
+}
+
+/// The newest frame, and the word that there is one.
+#[derive(Clone)]
+struct Newest {
+    frame: Arc<Mutex<Option<DepthFrame>>>,
+    arrived: SyncSender<()>,
+}
+
+impl Newest {
+    fn put(&self, frame: DepthFrame) {
+        *self.frame.lock().unwrap_or_else(PoisonError::into_inner) = Some(frame);
+        // One word is enough for any number of frames.
+        if let Err(TrySendError::Disconnected(())) = self.arrived.try_send(()) {}
+    }
+}
+
+/// A Kinect v1 that is running.
+pub struct KinectSource {
+    newest: Arc<Mutex<Option<DepthFrame>>>,
+    arrived: Receiver<()>,
+    /// Why the thread ended, from itself.
+    ended: Arc<Mutex<Option<Result<(), DeviceError>>>>,
+    stop: Option<SyncSender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl KinectSource {
+    /// Opens the Kinect of that number, 0 for the first.
+    pub fn open(index: u32) -> Result<Self, Error> {
+        let freenect = Freenect::load()?;
+        if freenect.is_playback {
+            let folder = std::env::var_os("FAKENECT_PATH").unwrap_or_default();
+            let file = Path::new(&folder).join("INDEX.txt");
+            if !file.is_file() {
+                // It would end the process.
+                let problem =
+                    "no recording for the playback library: FAKENECT_PATH names the folder that has INDEX.txt";
+                return Err(malformed(&file, problem).into());
+            }
+        }
+        let (arrived_in, arrived) = sync_channel(1);
+        let (stop, stopped) = sync_channel(0);
+        let (opened_in, opened) = sync_channel(1);
+        let newest: Arc<Mutex<Option<DepthFrame>>> = Arc::default();
+        let ended: Arc<Mutex<Option<Result<(), DeviceError>>>> = Arc::default();
+        let (slot, end) = (Newest { frame: Arc::clone(&newest), arrived: arrived_in }, Arc::clone(&ended));
+        let work = move || {
+            let result = run(&freenect, index, slot.clone(), &opened_in, &stopped);
+            *end.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+        };
+        let failed = |error: std::io::Error| DeviceError::Failed { what: format!("no thread for the Kinect: {error}") };
+        let thread = thread::Builder::new().name("planish-kinect".into()).spawn(work).map_err(failed)?;
+        let source = Self { newest, arrived, ended, stop: Some(stop), thread: Some(thread) };
+        // The thread says that it runs, or ends with the reason.
+        match opened.recv() {
+            Ok(()) => Ok(source),
+            Err(_) => {
+                Err(source.reason().unwrap_or(DeviceError::Failed { what: "the Kinect did not start".into() }).into())
+            }
+        }
+    }
+
+    /// Why the thread ended, if by an error. Waits for it.
+    fn reason(mut self) -> Option<DeviceError> {
+        self.stop = None;
+        let _ = self.thread.take().map(JoinHandle::join);
+        self.ended.lock().unwrap_or_else(PoisonError::into_inner).take()?.err()
+    }
+
+    fn take(&self) -> Option<SourceFrame> {
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner).take().map(SourceFrame::Depth)
+    }
+}
+
+impl Source for KinectSource {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let deadline = Instant::now() + SILENCE;
+        loop {
+            if let Some(frame) = self.take() {
+                return Ok(Some(frame));
+            }
+            match self.arrived.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(()) => {}
+                Err(RecvTimeoutError::Timeout) => {
+                    let what = format!("the Kinect gave no depth for {} s", SILENCE.as_secs());
+                    return Err(DeviceError::Gone { what }.into());
+                }
+                Err(RecvTimeoutError::Disconnected) => {
+                    // The thread is at its end; a last frame may have come with it.
+                    if let Some(frame) = self.take() {
+                        return Ok(Some(frame));
+                    }
+                    let _ = self.thread.take().map(JoinHandle::join);
+                    let ended = self.ended.lock().unwrap_or_else(PoisonError::into_inner).take();
+                    return ended.unwrap_or(Ok(())).map(|()| None).map_err(Error::from);
+                }
+            }
+        }
+    }
+
+    fn is_live(&self) -> bool {
+        true
+    }
+}
+
+impl Drop for KinectSource {
+    fn drop(&mut self) {
+        self.stop = None;
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+/// The thread's work: opens the device, handles its events until told to stop or until it ends, closes it.
+fn run(
+    freenect: &Freenect,
+    index: u32,
+    newest: Newest,
+    opened: &SyncSender<()>,
+    stopped: &Receiver<()>,
+) -> Result<(), DeviceError> {
+    let failed = |what: &str, code: c_int| DeviceError::Failed { what: format!("{what} (libfreenect says {code})") };
+    let mut context: Context = std::ptr::null_mut();
+    // SAFETY: every call is libfreenect's own, with pointers that it gave or that outlive their use; all on this thread.
+    unsafe {
+        match (freenect.init)(&mut context, std::ptr::null_mut()) {
+            code if code < 0 => return Err(failed("libfreenect does not start", code)),
+            _ => {}
+        }
+        (freenect.set_log_level)(context, LOG_ERROR);
+        (freenect.select_subdevices)(context, DEVICE_CAMERA);
+        let count = (freenect.num_devices)(context);
+        let result = if count <= index as c_int {
+            Err(DeviceError::Driver {
+                what: format!("no Kinect number {index}: {} found", count.max(0)),
+                help: "is it plugged in, with its power supply, and may you use it? (Debian: the group plugdev)",
+            })
+        } else {
+            let mut device: Device = std::ptr::null_mut();
+            match (freenect.open_device)(context, &mut device, index as c_int) {
+                code if code < 0 => Err(failed("the Kinect cannot be opened; does another program use it?", code)),
+                _ => {
+                    let result = run_device(freenect, context, device, newest, opened, stopped);
+                    (freenect.close_device)(device);
+                    result
+                }
+            }
+        };
+        (freenect.shutdown)(context);
+        result
+    }
+}
+
+/// # Safety
+/// The context and the device are open, and this is their thread.
+unsafe fn run_device(
+    freenect: &Freenect,
+    context: Context,
+    device: Device,
+    newest: Newest,
+    opened: &SyncSender<()>,
+    stopped: &Receiver<()>,
+) -> Result<(), DeviceError> {
+    let failed = |what: &str, code: c_int| DeviceError::Failed { what: format!("{what} (libfreenect says {code})") };
+    // SAFETY: as for `run`; `events` outlives the streams that use it, which are stopped below.
+    unsafe {
+        let registered =
+            !freenect.is_playback && (freenect.find_depth_mode)(RESOLUTION_MEDIUM, DEPTH_REGISTERED).is_valid != 0;
+        let format = if registered { DEPTH_REGISTERED } else { DEPTH_11BIT };
+        let mut events = Events { registered, rgb: None, newest };
+        GET_USER.set(freenect.get_user);
+        (freenect.set_user)(device, (&raw mut events).cast());
+        let check = |what, code: c_int| if code < 0 { Err(failed(what, code)) } else { Ok(()) };
+        let mode = (freenect.find_depth_mode)(RESOLUTION_MEDIUM, format);
+        check("the depth camera has not the mode", (freenect.set_depth_mode)(device, mode))?;
+        (freenect.set_depth_callback)(device, on_depth);
+        // Only colour that is registered belongs to the depth.
+        if registered {
+            let mode = (freenect.find_video_mode)(RESOLUTION_MEDIUM, VIDEO_RGB);
+            check("the colour camera has not the mode", (freenect.set_video_mode)(device, mode))?;
+            (freenect.set_video_callback)(device, on_video);
+            check("the colour camera does not start", (freenect.start_video)(device))?;
+        }
+        check("the depth camera does not start", (freenect.start_depth)(device))?;
+        let _ = opened.send(());
+
+        let result = loop {
+            // Told to stop by the sender's end.
+            if stopped.try_recv() == Err(std::sync::mpsc::TryRecvError::Disconnected) {
+                break Ok(());
+            }
+            let mut timeout = TimeVal { seconds: 0, microseconds: 100_000 };
+            let code = (freenect.process_events_timeout)(context, &mut timeout);
+            if code < 0 && freenect.is_playback {
+                // The end of the recording.
+                break Ok(());
+            }
+            if code < 0 {
+                break Err(DeviceError::Gone { what: format!("the Kinect is gone (libfreenect says {code})") });
+            }
+        };
+        (freenect.stop_depth)(device);
+        if registered {
+            (freenect.stop_video)(device);
+        }
+        result
+    }
+}
+
+thread_local! {
+    /// `freenect_get_user`, for the callbacks on the device's thread.
+    static GET_USER: std::cell::Cell<unsafe extern "C" fn(Device) -> *mut c_void> = const { std::cell::Cell::new(no_user) };
+}
+
+unsafe extern "C" fn no_user(_: Device) -> *mut c_void {
+    std::ptr::null_mut()
+}
+
+/// # Safety
+/// Called by libfreenect for a device whose user pointer is an [`Events`], on its thread.
+unsafe fn events_of<'a>(device: Device) -> Option<&'a mut Events> {
+    // SAFETY: set in `run_device`, where the events live until the streams are stopped.
+    unsafe { (GET_USER.get())(device).cast::<Events>().as_mut() }
+}
+
+unsafe extern "C" fn on_depth(device: Device, depth: *mut c_void, ticks: u32) {
+    // SAFETY: libfreenect gives 2 bytes a pixel, not always at an even address: they are read as bytes.
+    let (events, bytes) = unsafe {
+        let Some(events) = events_of(device) else { return };
+        (events, std::slice::from_raw_parts(depth.cast::<u8>(), 2 * PIXELS))
+    };
+    // The device's clock ticks 60 million times a second and begins anew after 71 s.
+    let timestamp_s = Some(f64::from(ticks) / 60e6);
+    let frame = if events.registered {
+        let raw = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
+        DepthFrame { camera: Camera::kinect_v1(), raw, rgb: events.rgb.clone(), timestamp_s }
+    } else {
+        frame_of_disparities(bytes, timestamp_s)
+    };
+    events.newest.put(frame);
+}
+
+unsafe extern "C" fn on_video(device: Device, video: *mut c_void, _: u32) {
+    // SAFETY: libfreenect gives 3 bytes a pixel.
+    unsafe {
+        let Some(events) = events_of(device) else { return };
+        events.rgb = Some(std::slice::from_raw_parts(video.cast::<u8>(), 3 * PIXELS).to_vec());
+    }
+}

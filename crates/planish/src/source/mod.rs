@@ -1,0 +1,124 @@
+//! Where frames come from: a camera, a data set, a folder, a file, the simulator.
+//!
+//! A [`Source`] gives one frame after another. [`open`] finds the source that a word on the command line means. Bring your own
+//! camera by implementing [`Source`]: [`stream`](crate::stream) takes any.
+
+mod files;
+mod freenect;
+mod kinect;
+mod paced;
+mod synthetic;
+mod tum;
+
+use std::path::{Path, PathBuf};
+
+use crate::camera::Camera;
+use crate::cloud::OrganizedCloud;
+use crate::error::{Error, FormatError, IoError};
+use crate::frame::{DepthFrame, Frame};
+
+pub use files::FileSource;
+pub use freenect::{FreenectRecording, disparity_depth_m, write_freenect_recording};
+pub use kinect::KinectSource;
+pub use paced::Paced;
+pub use synthetic::SyntheticSource;
+pub use tum::{TumRecorder, TumSource};
+
+/// A frame that owns its data.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SourceFrame {
+    /// A depth image with its camera, time stamp and perhaps colour.
+    Depth(DepthFrame),
+    /// An organized cloud.
+    Cloud {
+        /// The points.
+        cloud: OrganizedCloud,
+        /// When it was taken, in seconds of the source's clock.
+        timestamp_s: Option<f64>,
+    },
+}
+
+impl SourceFrame {
+    /// The frame as a smoother takes it.
+    pub fn as_frame(&self) -> Frame<'_> {
+        match self {
+            Self::Depth(depth) => Frame::Depth(depth),
+            Self::Cloud { cloud, .. } => Frame::Cloud(cloud),
+        }
+    }
+
+    /// When it was taken, in seconds of the source's clock.
+    pub fn timestamp_s(&self) -> Option<f64> {
+        match self {
+            Self::Depth(depth) => depth.timestamp_s,
+            Self::Cloud { timestamp_s, .. } => *timestamp_s,
+        }
+    }
+}
+
+/// Gives one frame after another.
+pub trait Source: Send {
+    /// The next frame; `None` at the end. A live source waits for its next frame.
+    ///
+    /// A frame that cannot be read is an error; the caller may go on with the one after it.
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error>;
+
+    /// Whether frames come in their own time, and one that is not taken is gone. Of those the newest counts; of the others
+    /// every frame does.
+    fn is_live(&self) -> bool {
+        false
+    }
+}
+
+/// What a source on the command line may need beside its name.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SourceOptions {
+    /// The camera, for depth images; a Kinect v1 for what says nothing else of itself.
+    pub camera: Option<Camera>,
+    /// Paces a source that has no time of its own as live; frames a second.
+    pub fps: Option<f64>,
+}
+
+/// Opens `kinect[:INDEX]`, `synthetic[:SEED]`, a data set in TUM RGB-D layout, a recording of libfreenect, a folder of frames, or
+/// one file, which is repeated without end.
+pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
+    let (kind, number) = name.split_once(':').unwrap_or((name, ""));
+    let source: Box<dyn Source> = match kind {
+        "kinect" => return Ok(Box::new(KinectSource::open(parse_number(name, number, 0)?)?)),
+        "synthetic" => Box::new(SyntheticSource::new(parse_number(name, number, 1)?, Camera::kinect_v1())?),
+        _ => open_path(Path::new(name), options)?,
+    };
+    match options.fps {
+        Some(fps) => Ok(Box::new(Paced::new(source, fps)?)),
+        None => Ok(source),
+    }
+}
+
+fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
+    if path.is_file() {
+        return Ok(Box::new(FileSource::repeat(path, options.camera)));
+    }
+    if !path.is_dir() {
+        let problem = "no such file or folder; a source is kinect, synthetic, a data set, a folder or a file";
+        return Err(malformed(path, problem).into());
+    }
+    if path.join("INDEX.txt").is_file() {
+        return Ok(Box::new(FreenectRecording::open(path)?));
+    }
+    if ["associations.txt", "associate.txt", "depth.txt"].iter().any(|file| path.join(file).is_file()) {
+        return Ok(Box::new(TumSource::open(path, options.camera)?));
+    }
+    Ok(Box::new(FileSource::folder(path, options.camera)?))
+}
+
+fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> Result<T, Error> {
+    if number.is_empty() {
+        return Ok(default);
+    }
+    number.parse().map_err(|_| malformed(Path::new(name), "a whole number is expected behind the colon").into())
+}
+
+/// An error about a file or source of that name.
+fn malformed(path: &Path, problem: impl Into<String>) -> IoError {
+    IoError { path: PathBuf::from(path), problem: FormatError::Malformed(problem.into()) }
+}

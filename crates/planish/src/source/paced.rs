@@ -1,0 +1,42 @@
+//! A source slowed down to a camera's pace.
+
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::{Source, SourceFrame};
+use crate::error::{Error, ParamError};
+
+/// Gives the frames of another source in their time, as a live camera would: who comes late finds the next one.
+pub struct Paced {
+    source: Box<dyn Source>,
+    interval: Duration,
+    next: Option<Instant>,
+}
+
+impl Paced {
+    /// Paces a source to `fps` frames a second, 0.001 to 100,000.
+    pub fn new(source: Box<dyn Source>, fps: f64) -> Result<Self, ParamError> {
+        if !(1e-3..=1e5).contains(&fps) {
+            return Err(ParamError { field: "fps", value: fps.to_string(), allowed: "0.001 to 100000" });
+        }
+        Ok(Self { source, interval: Duration::from_secs_f64(1.0 / fps), next: None })
+    }
+}
+
+impl Source for Paced {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let frame = self.source.next_frame()?;
+        let now = Instant::now();
+        let due = self.next.unwrap_or(now);
+        if due > now {
+            thread::sleep(due - now);
+        }
+        // From when it was due, not from when it came, so that delays do not add up.
+        self.next = Some(due.max(now.checked_sub(self.interval).unwrap_or(now)) + self.interval);
+        Ok(frame)
+    }
+
+    fn is_live(&self) -> bool {
+        true
+    }
+}

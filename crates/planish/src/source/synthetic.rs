@@ -1,0 +1,57 @@
+//! The simulated camera, moving through a scene.
+
+use std::f64::consts::TAU;
+
+use super::{Source, SourceFrame};
+use crate::camera::Camera;
+use crate::error::Error;
+use crate::frame::DepthFrame;
+use crate::simulate::{KinectNoise, KinectSimulator, Pose, Scene, Truth};
+
+/// Frames of one round of the camera: 2 s at 30 frames a second.
+const ROUND: u64 = 60;
+
+/// A Kinect v1 that goes round and round before a table, without end, at 30 frames a second by its time stamps.
+///
+/// A round is rendered when the source is opened, since that takes longer than smoothing; the frames of later rounds are those
+/// of the first.
+pub struct SyntheticSource {
+    scene: Scene,
+    start: Pose,
+    camera: Camera,
+    round: Vec<DepthFrame>,
+    next: u64,
+}
+
+impl SyntheticSource {
+    /// Frames per second of the time stamps.
+    pub const FPS: f64 = 30.0;
+
+    /// Renders a round of the scene of that seed.
+    pub fn new(seed: u64, camera: Camera) -> Result<Self, Error> {
+        camera.validate()?;
+        let (scene, start) = Scene::tabletop(seed);
+        let mut source = Self { scene, start, camera, round: Vec::new(), next: 0 };
+        let simulator = KinectSimulator::new(KinectNoise::default(), camera, seed);
+        source.round = (0..ROUND).map(|i| simulator.frame(&source.truth(i), i)).collect::<Result<_, _>>()?;
+        Ok(source)
+    }
+
+    /// What a perfect camera sees in frame number `index`.
+    pub fn truth(&self, index: u64) -> Truth {
+        let turn = TAU * (index % ROUND) as f64 / ROUND as f64;
+        let mut pose = self.start;
+        pose.position +=
+            pose.world_from_camera * crate::simulate::DVec3::new(0.08 * turn.sin(), 0.03 * turn.cos(), 0.0);
+        self.scene.render(&self.camera, &pose)
+    }
+}
+
+impl Source for SyntheticSource {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let mut frame = self.round[(self.next % ROUND) as usize].clone();
+        frame.timestamp_s = Some(self.next as f64 / Self::FPS);
+        self.next += 1;
+        Ok(Some(SourceFrame::Depth(frame)))
+    }
+}

@@ -1,0 +1,200 @@
+//! Data sets in the layout of the TUM RGB-D benchmark: depth/ and rgb/ with PNGs, and lists of time stamps and files.
+//!
+//! Depth is in 5000 units a metre. The camera is that of the call, else of `camera.json` beside the lists, which [`TumRecorder`]
+//! writes, else the benchmark's default of 525, 525, 319.5, 239.5.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::files::read_frame;
+use super::{Source, SourceFrame, malformed};
+use crate::camera::Camera;
+use crate::error::{Error, FormatError, IoError};
+use crate::frame::{DepthFrame, DepthImage};
+use crate::io::{self, RgbImage};
+
+/// The benchmark's depth units in a metre.
+const UNITS_PER_METRE: f64 = 5000.0;
+
+/// A colour further than this in time from a depth image is not its own: the benchmark's own tools take 0.02 s.
+const NEAR_IN_TIME_S: f64 = 0.02;
+
+/// Reads a data set in its order.
+pub struct TumSource {
+    folder: PathBuf,
+    camera: Camera,
+    entries: Vec<Entry>,
+    next: usize,
+}
+
+struct Entry {
+    timestamp_s: f64,
+    depth: PathBuf,
+    rgb: Option<PathBuf>,
+}
+
+impl TumSource {
+    /// Opens the folder that has depth.txt and perhaps rgb.txt, or associations.txt.
+    pub fn open(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
+        let lists = ["associations.txt", "associate.txt"].map(|name| folder.join(name));
+        let entries = match lists.iter().find(|list| list.is_file()) {
+            Some(list) => associated(list)?,
+            None => joined(folder)?,
+        };
+        if entries.is_empty() {
+            return Err(malformed(folder, "the data set lists no depth images").into());
+        }
+        let file = folder.join("camera.json");
+        let camera = match camera {
+            Some(camera) => camera,
+            None if file.is_file() => {
+                let at = |problem| IoError { path: file.clone(), problem };
+                let text = fs::read_to_string(&file).map_err(|error| at(error.into()))?;
+                Camera::from_json_alone(&text).map_err(at)?
+            }
+            None => Camera { depth_units_per_metre: UNITS_PER_METRE, ..Camera::kinect_v1() },
+        };
+        Ok(Self { folder: folder.to_path_buf(), camera, entries, next: 0 })
+    }
+}
+
+impl Source for TumSource {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let Some(entry) = self.entries.get(self.next) else { return Ok(None) };
+        self.next += 1;
+        let file = self.folder.join(&entry.depth);
+        let mut frame = read_frame(&file, Some(self.camera))?;
+        if let SourceFrame::Depth(depth) = &mut frame {
+            depth.timestamp_s = Some(entry.timestamp_s);
+            if let Some(rgb) = &entry.rgb {
+                let file = self.folder.join(rgb);
+                let image = io::read_rgb_png(&file)?;
+                if (image.width, image.height) != (depth.camera.width, depth.camera.height) {
+                    let problem = format!("the colour is {}x{}, the depth is not", image.width, image.height);
+                    return Err(malformed(&file, problem).into());
+                }
+                depth.rgb = Some(image.rgb);
+            }
+        }
+        Ok(Some(frame))
+    }
+}
+
+/// The lines of a list, split at blanks, without comments.
+fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
+    let text = fs::read_to_string(list).map_err(|error| IoError { path: list.to_path_buf(), problem: error.into() })?;
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    Ok(lines.map(|line| line.split_whitespace().map(str::to_owned).collect()).collect())
+}
+
+fn timestamp_s(list: &Path, word: &str) -> Result<f64, IoError> {
+    let number = word.parse::<f64>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| malformed(list, format!("'{word}' is no time stamp; a line is: seconds file")))
+}
+
+/// Seconds and file of every line.
+fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
+    let line = |words: Vec<String>| match &words[..] {
+        [seconds, file] => Ok((timestamp_s(list, seconds)?, PathBuf::from(file))),
+        _ => Err(malformed(list, format!("'{}' is not: seconds file", words.join(" ")))),
+    };
+    read_list(list)?.into_iter().map(line).collect()
+}
+
+/// Lines of depth and colour, in either order: told by the folders that they name.
+fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
+    let line = |words: Vec<String>| {
+        let [first_s, first, second_s, second] = &words[..] else {
+            return Err(malformed(list, format!("'{}' is not: seconds file seconds file", words.join(" "))));
+        };
+        let (seconds, depth, rgb) =
+            if first.starts_with("rgb") { (second_s, second, first) } else { (first_s, first, second) };
+        Ok(Entry { timestamp_s: timestamp_s(list, seconds)?, depth: depth.into(), rgb: Some(rgb.into()) })
+    };
+    read_list(list)?.into_iter().map(line).collect()
+}
+
+/// Every line of depth.txt with the colour that is nearest to it in time.
+fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
+    let depths = stamped(&folder.join("depth.txt"))?;
+    let list = folder.join("rgb.txt");
+    let mut colours = if list.is_file() { stamped(&list)? } else { Vec::new() };
+    colours.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let nearest = |seconds: f64| {
+        let at = colours.partition_point(|(other, _)| *other < seconds);
+        let around = colours[at.saturating_sub(1)..(at + 1).min(colours.len())].iter();
+        let near = around.filter(|(other, _)| (other - seconds).abs() <= NEAR_IN_TIME_S);
+        near.min_by(|a, b| (a.0 - seconds).abs().total_cmp(&(b.0 - seconds).abs())).map(|(_, file)| file.clone())
+    };
+    let entry = |(seconds, depth)| Entry { timestamp_s: seconds, depth, rgb: nearest(seconds) };
+    Ok(depths.into_iter().map(entry).collect())
+}
+
+/// Writes a data set that this project's and others' tools read, without loss.
+pub struct TumRecorder {
+    folder: PathBuf,
+    depth_list: String,
+    rgb_list: String,
+    frames: u64,
+}
+
+impl TumRecorder {
+    /// Makes the folders; refuses one that has a data set already.
+    pub fn create(folder: &Path) -> Result<Self, Error> {
+        if folder.join("depth.txt").exists() {
+            return Err(malformed(folder, "has a data set already; record into another folder").into());
+        }
+        for name in ["depth", "rgb"] {
+            let path = folder.join(name);
+            fs::create_dir_all(&path).map_err(|error| IoError { path, problem: error.into() })?;
+        }
+        let heading = |what| format!("# {what} images\n# timestamp filename\n");
+        Ok(Self { folder: folder.to_path_buf(), depth_list: heading("depth"), rgb_list: heading("color"), frames: 0 })
+    }
+
+    /// Adds a frame. Its unit must be a whole multiple of 1/5000 m, as a millimetre is, and its depth at most 13.1 m.
+    pub fn add(&mut self, frame: &DepthFrame) -> Result<(), Error> {
+        let camera = frame.camera;
+        let factor = UNITS_PER_METRE / camera.depth_units_per_metre;
+        let loss = |problem: String| malformed(&self.folder, problem);
+        if factor.fract() != 0.0 || factor < 1.0 {
+            let units = camera.depth_units_per_metre;
+            return Err(loss(format!("{units} depth units a metre are not kept in 5000 without loss")).into());
+        }
+        // Holes of either kind become the layout's own.
+        let scaled = |&raw: &u16| match raw {
+            crate::camera::SATURATED_DEPTH => Some(0),
+            raw => u16::try_from(u64::from(raw) * factor as u64).ok(),
+        };
+        let raw: Option<Vec<u16>> = frame.raw.iter().map(scaled).collect();
+        let raw = raw.ok_or_else(|| loss("a depth over 13.1 m does not fit the layout".to_owned()))?;
+        let seconds = frame.timestamp_s.unwrap_or(self.frames as f64 / 30.0);
+        let name = format!("{seconds:.6}");
+        let depth = format!("depth/{name}.png");
+        io::write_depth(&self.folder.join(&depth), &DepthImage { width: camera.width, height: camera.height, raw })?;
+        let _ = writeln!(self.depth_list, "{name} {depth}");
+        if let Some(rgb) = &frame.rgb {
+            let file = format!("rgb/{name}.png");
+            let image = RgbImage { width: camera.width, height: camera.height, rgb: rgb.clone() };
+            io::write_rgb_png(&self.folder.join(&file), &image)?;
+            let _ = writeln!(self.rgb_list, "{name} {file}");
+        }
+        if self.frames == 0 {
+            let camera = Camera { depth_units_per_metre: UNITS_PER_METRE, ..camera };
+            self.write("camera.json", &camera.to_json())?;
+        }
+        self.frames += 1;
+        // After every frame: a recording that is cut off is whole up to there.
+        self.write("depth.txt", &self.depth_list)?;
+        if frame.rgb.is_some() {
+            self.write("rgb.txt", &self.rgb_list)?;
+        }
+        Ok(())
+    }
+
+    fn write(&self, name: &str, text: &str) -> Result<(), IoError> {
+        let path = self.folder.join(name);
+        io::write_whole(&path, text.as_bytes()).map_err(|problem: FormatError| IoError { path, problem })
+    }
+}

@@ -1,0 +1,229 @@
+//! Between the thread that takes frames and the one that smooths them.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::error::Error;
+use crate::source::SourceFrame;
+
+/// A frame and when it came; or an error, and whether the source ends with it.
+pub(super) type Item = Result<(SourceFrame, Instant), (Error, bool)>;
+
+/// Time that was spent on something, added up by one thread and read by another.
+#[derive(Default)]
+pub(super) struct TimeSpent(AtomicU64);
+
+impl TimeSpent {
+    /// Times what `work` takes.
+    pub(super) fn on<T>(&self, work: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = work();
+        self.0.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        result
+    }
+
+    pub(super) fn total(&self) -> Duration {
+        Duration::from_nanos(self.0.load(Ordering::Relaxed))
+    }
+}
+
+/// What happens to a frame that comes while another waits.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Policy {
+    /// The one that waits is dropped.
+    NewestWins,
+    /// It waits behind it, and if there are so many the source does.
+    Every(usize),
+}
+
+pub(super) enum Taken {
+    Item(Box<Item>),
+    /// There is nothing yet.
+    Nothing,
+    /// There will be nothing more.
+    End,
+}
+
+pub(super) struct Mailbox {
+    policy: Policy,
+    state: Mutex<State>,
+    changed: Condvar,
+    /// What the source spends on its frames, waiting for a live one's included.
+    pub(super) capture_time: TimeSpent,
+}
+
+#[derive(Default)]
+struct State {
+    items: VecDeque<Box<Item>>,
+    /// The source has ended.
+    ended: bool,
+    /// Nobody takes any more.
+    closed: bool,
+    frames: u64,
+    dropped: u64,
+    unreadable: u64,
+}
+
+impl Mailbox {
+    pub(super) fn new(policy: Policy) -> Self {
+        Self { policy, state: Mutex::default(), changed: Condvar::new(), capture_time: TimeSpent::default() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // The state is whole at any time.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Puts an item in; waits for room where every frame counts.
+    pub(super) fn put(&self, item: Item) {
+        let mut state = self.lock();
+        match self.policy {
+            Policy::NewestWins => {
+                // Errors are told, whatever comes after them.
+                let before = state.items.len();
+                if item.is_ok() {
+                    state.items.retain(|item| item.is_err());
+                }
+                state.dropped += (before - state.items.len()) as u64;
+            }
+            Policy::Every(most) => {
+                while state.items.len() >= most && !state.closed {
+                    state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+                }
+            }
+        }
+        if state.closed {
+            return;
+        }
+        let counter = if item.is_ok() { &mut state.frames } else { &mut state.unreadable };
+        *counter += 1;
+        state.items.push_back(Box::new(item));
+        self.changed.notify_all();
+    }
+
+    /// Takes the oldest item; waits for one as long as is said.
+    pub(super) fn take(&self, patience: Option<Duration>) -> Taken {
+        let mut state = self.lock();
+        if let Some(patience) = patience.filter(|patience| !patience.is_zero()) {
+            let waiting = |state: &mut State| state.items.is_empty() && !state.ended;
+            let waited = self.changed.wait_timeout_while(state, patience, waiting);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        match state.items.pop_front() {
+            Some(item) => {
+                self.changed.notify_all();
+                Taken::Item(item)
+            }
+            None if state.ended => Taken::End,
+            None => Taken::Nothing,
+        }
+    }
+
+    /// The source has ended.
+    pub(super) fn end(&self) {
+        self.lock().ended = true;
+        self.changed.notify_all();
+    }
+
+    /// Nobody takes any more: the source is no longer waited for.
+    pub(super) fn close(&self) {
+        self.lock().closed = true;
+        self.changed.notify_all();
+    }
+
+    pub(super) fn is_closed(&self) -> bool {
+        self.lock().closed
+    }
+
+    /// Frames that came, frames dropped for newer ones, and frames that could not be read.
+    pub(super) fn counts(&self) -> (u64, u64, u64) {
+        let state = self.lock();
+        (state.frames, state.dropped, state.unreadable)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::thread;
+
+    use super::*;
+    use crate::cloud::{OrganizedCloud, Xyz};
+
+    fn item(number: usize) -> Item {
+        let positions: Xyz = [[number as f32; 3]].into_iter().collect();
+        let cloud = OrganizedCloud::from_positions(1, 1, positions).unwrap();
+        Ok((SourceFrame::Cloud { cloud, timestamp_s: None }, Instant::now()))
+    }
+
+    fn number(item: Item) -> usize {
+        match item {
+            Ok((SourceFrame::Cloud { cloud, .. }, _)) => cloud.positions().x[0] as usize,
+            _ => panic!("a cloud"),
+        }
+    }
+
+    /// Everything that is taken while a thread puts `count` items in.
+    fn taken(policy: Policy, count: usize, put_every: Duration, take_every: Duration) -> (Vec<usize>, (u64, u64, u64)) {
+        let mailbox = Arc::new(Mailbox::new(policy));
+        let producer = {
+            let mailbox = Arc::clone(&mailbox);
+            thread::spawn(move || {
+                for i in 0..count {
+                    mailbox.put(item(i));
+                    thread::sleep(put_every);
+                }
+                mailbox.end();
+            })
+        };
+        let mut numbers = Vec::new();
+        loop {
+            match mailbox.take(Some(Duration::from_secs(5))) {
+                Taken::Item(item) => numbers.push(number(*item)),
+                Taken::Nothing => panic!("nothing in 5 s"),
+                Taken::End => break,
+            }
+            thread::sleep(take_every);
+        }
+        producer.join().unwrap();
+        (numbers, mailbox.counts())
+    }
+
+    const SHORT: Duration = Duration::from_micros(50);
+    const LONG: Duration = Duration::from_millis(2);
+
+    #[test]
+    fn every_frame_comes_in_order_whoever_is_slow() {
+        for (put, take) in [(SHORT, LONG), (LONG, SHORT), (Duration::ZERO, Duration::ZERO)] {
+            let (numbers, counts) = taken(Policy::Every(4), 200, put, take);
+            assert!(numbers.into_iter().eq(0..200));
+            assert_eq!(counts, (200, 0, 0));
+        }
+    }
+
+    #[test]
+    fn the_newest_wins_and_what_is_dropped_is_counted() {
+        for (put, take) in [(SHORT, LONG), (LONG, SHORT), (Duration::ZERO, Duration::ZERO)] {
+            let (numbers, (frames, dropped, _)) = taken(Policy::NewestWins, 200, put, take);
+            assert!(numbers.is_sorted());
+            assert_eq!(numbers.last(), Some(&199));
+            assert_eq!(frames, 200);
+            assert_eq!(dropped as usize, 200 - numbers.len());
+        }
+    }
+
+    #[test]
+    fn a_source_that_waits_for_room_is_let_go_when_nobody_takes() {
+        let mailbox = Arc::new(Mailbox::new(Policy::Every(1)));
+        let producer = {
+            let mailbox = Arc::clone(&mailbox);
+            thread::spawn(move || (0..3).for_each(|i| mailbox.put(item(i))))
+        };
+        thread::sleep(LONG);
+        mailbox.close();
+        producer.join().unwrap();
+        assert!(mailbox.is_closed());
+    }
+}

@@ -1,0 +1,323 @@
+//! Source, smoother, sinks: frames smoothed as they come.
+//!
+//! A thread takes frames from the source into a [`mailbox`]: from a live source the newest waits and older ones are dropped and
+//! counted; of any other every frame is kept, in order. The calling thread smooths, with frames in flight on a GPU. Each sink
+//! has a thread and a short queue of its own, so that none holds up the source or another.
+
+mod mailbox;
+mod sinks;
+mod statistics;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::error::{EngineError, Error};
+use crate::params::SmoothParams;
+use crate::smoothed::Smoothed;
+use crate::smoother::{Engine, Smoother, SmootherOptions};
+use crate::source::{Source, SourceFrame};
+use crate::view::SmoothedView;
+use mailbox::{Mailbox, Policy, TimeSpent};
+use sinks::SinkThread;
+
+pub use sinks::{FolderSink, Sink, SinkFormat};
+pub use statistics::{Latency, StreamStatistics};
+
+/// How many frames of a source that is not live are read ahead.
+const READ_AHEAD: usize = 4;
+
+/// A frame with its result, as sinks get it.
+pub struct StreamFrame {
+    /// Its number among those smoothed, from 0.
+    pub index: u64,
+    /// As it came from the source.
+    pub source: SourceFrame,
+    /// Its result.
+    pub smoothed: Smoothed,
+    /// From when the source gave it until its result was there.
+    pub latency: Duration,
+}
+
+/// How a stream runs.
+#[derive(Debug, Clone)]
+pub struct StreamOptions {
+    /// What to smooth with.
+    pub params: SmoothParams,
+    /// The engine and the outputs.
+    pub smoother: SmootherOptions,
+    /// End after so many frames.
+    pub max_frames: Option<u64>,
+    /// End after so long.
+    pub max_duration: Option<Duration>,
+}
+
+/// What the caller is told while a stream runs.
+#[derive(Debug)]
+pub enum StreamEvent<'a> {
+    /// Another frame is smoothed.
+    Frame(&'a StreamStatistics),
+    /// Something went wrong that the stream goes on after: a frame that could not be read, a sink that failed, a GPU that was
+    /// lost.
+    Warning(String),
+}
+
+/// A frame on its way, with what is needed to smooth it again should its device be lost.
+struct Pending {
+    frame: SourceFrame,
+    since: Instant,
+}
+
+/// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
+///
+/// Frames of another shape than the last reopen the smoother. A GPU that is lost is opened once more, and after that the CPU
+/// engine takes over; the order of the frames is kept. A frame or a sink that fails is told and counted, and the stream goes on.
+pub fn run(
+    source: Box<dyn Source>,
+    options: &StreamOptions,
+    sinks: Vec<Box<dyn Sink>>,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(StreamEvent<'_>),
+) -> Result<StreamStatistics, Error> {
+    let live = source.is_live();
+    let mailbox = Arc::new(Mailbox::new(if live { Policy::NewestWins } else { Policy::Every(READ_AHEAD) }));
+    let capture = {
+        let mailbox = Arc::clone(&mailbox);
+        let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
+        thread::Builder::new()
+            .name("planish-capture".into())
+            .spawn(move || capture(source, &mailbox))
+            .map_err(failed)?
+    };
+    let sinks = sinks.into_iter().map(SinkThread::start).collect::<Result<Vec<_>, _>>();
+    let result = sinks.and_then(|sinks| {
+        let mut stream = Stream {
+            options,
+            live,
+            smoother: None,
+            smoother_options: options.smoother.clone(),
+            shape: (0, 0),
+            reopened: false,
+            pending: VecDeque::new(),
+            sinks,
+            statistics: StreamStatistics::start(),
+            smooth_time: TimeSpent::default(),
+        };
+        let result = stream.run(&mailbox, stop, &mut tell);
+        let Stream { sinks, mut statistics, smooth_time, .. } = stream;
+        statistics.time_smoothing = smooth_time.total();
+        for sink in sinks {
+            if let Some(warning) = sink.finish(&mut statistics) {
+                tell(StreamEvent::Warning(warning));
+            }
+        }
+        result.map(|()| statistics)
+    });
+    mailbox.close();
+    // A live source that waits for its next frame is waited for; a panic in it is a defect of the source.
+    let _ = capture.join();
+    result.map(|mut statistics| {
+        (statistics.frames_in, statistics.dropped, statistics.unreadable) = mailbox.counts();
+        statistics.time_capturing = mailbox.capture_time.total();
+        statistics.end();
+        statistics
+    })
+}
+
+/// The capture thread: from the source into the mailbox, until either ends.
+fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
+    // A source that fails again and again has nothing more to give.
+    let mut failures = 0;
+    while !mailbox.is_closed() {
+        match mailbox.capture_time.on(|| source.next_frame()) {
+            Ok(Some(frame)) => {
+                failures = 0;
+                mailbox.put(Ok((frame, Instant::now())));
+            }
+            Ok(None) => break,
+            Err(error) => {
+                failures += 1;
+                let is_over = matches!(error, Error::Device(_)) || failures >= 100;
+                mailbox.put(Err((error, is_over)));
+                if is_over {
+                    break;
+                }
+            }
+        }
+    }
+    mailbox.end();
+}
+
+struct Stream<'a> {
+    options: &'a StreamOptions,
+    live: bool,
+    smoother: Option<Smoother>,
+    /// Those of the options until a GPU was lost twice.
+    smoother_options: SmootherOptions,
+    shape: (usize, usize),
+    reopened: bool,
+    pending: VecDeque<Pending>,
+    sinks: Vec<SinkThread>,
+    statistics: StreamStatistics,
+    smooth_time: TimeSpent,
+}
+
+impl Stream<'_> {
+    fn run(
+        &mut self,
+        mailbox: &Mailbox,
+        stop: &AtomicBool,
+        tell: &mut impl FnMut(StreamEvent<'_>),
+    ) -> Result<(), Error> {
+        let start = Instant::now();
+        let mut submitted = 0;
+        loop {
+            let is_over = stop.load(Ordering::Relaxed)
+                || self.options.max_frames.is_some_and(|most| submitted >= most)
+                || self.options.max_duration.is_some_and(|longest| start.elapsed() >= longest);
+            if is_over {
+                break;
+            }
+            let in_flight = self.pending.len();
+            // The engines of the CPU have the result when they have the frame.
+            let flies = |smoother: &&Smoother| smoother.engine() == Engine::Gpu;
+            let most = self.smoother.as_ref().filter(flies).map_or(1, Smoother::max_in_flight);
+            // With frames in flight nothing is waited for but their results.
+            let next = match in_flight {
+                0 => mailbox.take(Some(Duration::from_millis(100))),
+                _ if in_flight < most => mailbox.take(Some(Duration::ZERO)),
+                _ => mailbox::Taken::Nothing,
+            };
+            match next {
+                mailbox::Taken::Item(item) => match *item {
+                    Ok((frame, since)) => {
+                        self.submit(Pending { frame, since }, tell)?;
+                        submitted += 1;
+                    }
+                    Err((error, true)) => {
+                        // What came before is not lost with the source.
+                        while !self.pending.is_empty() {
+                            self.receive(tell)?;
+                        }
+                        return Err(error);
+                    }
+                    Err((error, false)) => tell(StreamEvent::Warning(error.to_string())),
+                },
+                mailbox::Taken::Nothing if in_flight > 0 => self.receive(tell)?,
+                mailbox::Taken::Nothing => {}
+                mailbox::Taken::End if in_flight > 0 => self.receive(tell)?,
+                mailbox::Taken::End => break,
+            }
+        }
+        while !self.pending.is_empty() {
+            self.receive(tell)?;
+        }
+        Ok(())
+    }
+
+    fn submit(&mut self, pending: Pending, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        let shape = pending.frame.as_frame().shape();
+        if shape != self.shape {
+            while !self.pending.is_empty() {
+                self.receive(tell)?;
+            }
+            (self.smoother, self.shape) = (None, shape);
+        }
+        self.pending.push_back(pending);
+        match self.submit_last() {
+            Err(error) => self.recover(error, tell),
+            Ok(()) => Ok(()),
+        }
+    }
+
+    /// Submits the frame that came last.
+    fn submit_last(&mut self) -> Result<(), Error> {
+        let Some(Pending { frame, .. }) = self.pending.back() else { return Ok(()) };
+        let smoother = open(&mut self.smoother, self.options.params, &self.smoother_options, self.shape)?;
+        self.statistics.engine = smoother.engine();
+        self.smooth_time.on(|| smoother.submit(frame.as_frame(), Smoothed::default()))
+    }
+
+    /// Takes the oldest result and gives it to the sinks.
+    fn receive(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        let received = match &mut self.smoother {
+            Some(smoother) => self.smooth_time.on(|| smoother.receive()),
+            None => Ok(None),
+        };
+        match received {
+            Ok(Some(view)) => self.deliver(view, tell),
+            Ok(None) => {}
+            Err(error) => self.recover(error, tell)?,
+        }
+        Ok(())
+    }
+
+    /// Gives the result of the oldest frame to the sinks.
+    fn deliver(&mut self, view: SmoothedView, tell: &mut impl FnMut(StreamEvent<'_>)) {
+        let Some(Pending { frame, since }) = self.pending.pop_front() else { return };
+        let latency = since.elapsed();
+        self.statistics.add(latency);
+        let index = self.statistics.frames_out - 1;
+        let frame = Arc::new(StreamFrame { index, source: frame, smoothed: view.into_smoothed(), latency });
+        for sink in &mut self.sinks {
+            if let Some(warning) = sink.give(&frame, self.live) {
+                tell(StreamEvent::Warning(warning));
+            }
+        }
+        tell(StreamEvent::Frame(&self.statistics));
+    }
+
+    /// After an error of a GPU: opens it once more, then the CPU engine, and smooths what was on its way again, in its order.
+    fn recover(&mut self, error: Error, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        let mut error = error;
+        loop {
+            let was_gpu = self.smoother.as_ref().is_some_and(|smoother| smoother.engine() == Engine::Gpu);
+            self.smoother = None;
+            if !matches!(error, Error::Engine(_))
+                || !(was_gpu || self.reopened)
+                || self.smoother_options.engine == Engine::Cpu
+            {
+                return Err(error);
+            }
+            if self.reopened {
+                self.smoother_options.engine = Engine::Cpu;
+                tell(StreamEvent::Warning(format!("{error}; going on with the CPU engine")));
+            } else {
+                self.reopened = true;
+                tell(StreamEvent::Warning(format!("{error}; opening it once more")));
+            }
+            match self.smooth_pending(tell) {
+                Ok(()) => return Ok(()),
+                Err(again) => error = again,
+            }
+        }
+    }
+
+    /// Smooths what is on its way one by one.
+    fn smooth_pending(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        while let Some(Pending { frame, .. }) = self.pending.front() {
+            let smoother = open(&mut self.smoother, self.options.params, &self.smoother_options, self.shape)?;
+            self.statistics.engine = smoother.engine();
+            smoother.submit(frame.as_frame(), Smoothed::default())?;
+            // Received without recovering in turn.
+            let Some(view) = smoother.receive()? else { return Ok(()) };
+            self.deliver(view, tell);
+        }
+        Ok(())
+    }
+}
+
+/// The open smoother, or a new one.
+fn open<'a>(
+    smoother: &'a mut Option<Smoother>,
+    params: SmoothParams,
+    options: &SmootherOptions,
+    shape: (usize, usize),
+) -> Result<&'a mut Smoother, Error> {
+    match smoother {
+        Some(smoother) => Ok(smoother),
+        none => Ok(none.insert(Smoother::open_with(params, options, shape)?)),
+    }
+}

@@ -1,0 +1,112 @@
+//! What a stream counts and times.
+
+use std::time::{Duration, Instant};
+
+use hdrhistogram::Histogram;
+
+use crate::smoother::Engine;
+
+/// Counts and times of a stream.
+#[derive(Debug, Clone)]
+pub struct StreamStatistics {
+    /// Frames that the source gave.
+    pub frames_in: u64,
+    /// Frames smoothed.
+    pub frames_out: u64,
+    /// Frames of a live source that a newer one replaced.
+    pub dropped: u64,
+    /// Frames that could not be read.
+    pub unreadable: u64,
+    /// Results that a sink was too slow for.
+    pub dropped_by_sinks: u64,
+    /// Sinks that failed.
+    pub failed_sinks: u64,
+    /// What the source spent on its frames, waiting for a live one's included. Known at the end, as the next two.
+    pub time_capturing: Duration,
+    /// What the stream spent on handing frames to the engine and waiting for their results.
+    pub time_smoothing: Duration,
+    /// What the sinks spent on the results that they took, one after another.
+    pub time_in_sinks: Duration,
+    /// The engine that smoothed the last frame.
+    pub engine: Engine,
+    started: Instant,
+    first: Option<Instant>,
+    last: Option<Instant>,
+    duration: Option<Duration>,
+    /// In microseconds.
+    latency: Histogram<u64>,
+}
+
+/// Times from when the source gave a frame until its result was there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Latency {
+    /// Half of the frames took no longer.
+    pub p50: Duration,
+    /// 95 % took no longer.
+    pub p95: Duration,
+    /// 99 % took no longer.
+    pub p99: Duration,
+    /// None took longer.
+    pub max: Duration,
+}
+
+impl StreamStatistics {
+    pub(super) fn start() -> Self {
+        Self {
+            frames_in: 0,
+            frames_out: 0,
+            dropped: 0,
+            unreadable: 0,
+            dropped_by_sinks: 0,
+            failed_sinks: 0,
+            time_capturing: Duration::ZERO,
+            time_smoothing: Duration::ZERO,
+            time_in_sinks: Duration::ZERO,
+            engine: Engine::Auto,
+            started: Instant::now(),
+            first: None,
+            last: None,
+            duration: None,
+            latency: histogram(),
+        }
+    }
+
+    pub(super) fn add(&mut self, latency: Duration) {
+        let now = Instant::now();
+        self.frames_out += 1;
+        self.first.get_or_insert(now);
+        self.last = Some(now);
+        // Longer than the histogram reaches counts as its end.
+        self.latency.saturating_record(latency.as_micros().min(u128::from(u64::MAX)) as u64);
+    }
+
+    pub(super) fn end(&mut self) {
+        self.duration = Some(self.started.elapsed());
+    }
+
+    /// Since the stream was opened, until it ended.
+    pub fn duration(&self) -> Duration {
+        self.duration.unwrap_or_else(|| self.started.elapsed())
+    }
+
+    /// Results a second, from the first to the last.
+    pub fn fps(&self) -> f64 {
+        match (self.first, self.last) {
+            (Some(first), Some(last)) if last > first => (self.frames_out - 1) as f64 / (last - first).as_secs_f64(),
+            _ => 0.0,
+        }
+    }
+
+    /// The spread of the latency.
+    pub fn latency(&self) -> Latency {
+        let at = |share| Duration::from_micros(self.latency.value_at_quantile(share));
+        Latency { p50: at(0.5), p95: at(0.95), p99: at(0.99), max: Duration::from_micros(self.latency.max()) }
+    }
+}
+
+/// Up to 100 s with 3 digits.
+// The bounds are constants that the histogram takes: it fails on no machine or on all.
+#[allow(clippy::expect_used)]
+fn histogram() -> Histogram<u64> {
+    Histogram::new_with_bounds(1, 100_000_000, 3).expect("bounds of a histogram")
+}
