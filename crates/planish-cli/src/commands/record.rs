@@ -19,9 +19,9 @@ struct Report {
 
 pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.limits.max_duration()?;
-    let mut source = open_source(&args.source, &args.camera, &args.limits)?;
-    let mut recorder = TumRecorder::create(&args.folder)?;
     let stop = stop_on_ctrl_c()?;
+    let mut source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
+    let mut recorder = TumRecorder::create(&args.folder)?;
     let start = Instant::now();
     let mut frames = 0;
     let is_over = |frames| {

@@ -64,14 +64,15 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         max_frames: args.limits.frames,
         max_duration: args.limits.max_duration()?,
     };
-    let source = open_source(&args.source, &args.camera, &args.limits)?;
+    let stop = stop_on_ctrl_c()?;
+    let source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
         sinks.push(Box::new(FolderSink::create(folder, format, outputs)?));
     }
 
     let line = StatusLine::new();
-    let statistics = stream::run(source, &options, sinks, &*stop_on_ctrl_c()?, |event| line.tell(event))?;
+    let statistics = stream::run(source, &options, sinks, &stop, |event| line.tell(event))?;
     line.end();
     let report = report(&statistics);
     if args.json {
@@ -90,8 +91,13 @@ pub fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     Ok(stop)
 }
 
-/// Opens a source by its name; one that is to come back is wrapped to.
-pub fn open_source(name: &str, camera: &CameraArgs, limits: &LimitArgs) -> Result<Box<dyn Source>> {
+/// Opens a source by its name; one that is to come back is waited for until `stop` is set.
+pub fn open_source(
+    name: &str,
+    camera: &CameraArgs,
+    limits: &LimitArgs,
+    stop: &Arc<AtomicBool>,
+) -> Result<Box<dyn Source>> {
     let options = SourceOptions { camera: camera.camera_of_any_shape()?, fps: limits.fps };
     let source = source::open(name, &options)?;
     if !limits.reconnect {
@@ -100,7 +106,7 @@ pub fn open_source(name: &str, camera: &CameraArgs, limits: &LimitArgs) -> Resul
     if !name.starts_with("kinect") {
         bail!("--reconnect waits for a camera; {name} is none");
     }
-    Ok(Box::new(Reconnecting { name: name.to_owned(), options, source: Some(source) }))
+    Ok(Box::new(Reconnecting { name: name.to_owned(), options, source: Some(source), stop: Arc::clone(stop) }))
 }
 
 /// A camera that is opened again when it comes back.
@@ -108,11 +114,12 @@ struct Reconnecting {
     name: String,
     options: SourceOptions,
     source: Option<Box<dyn Source>>,
+    stop: Arc<AtomicBool>,
 }
 
 impl Source for Reconnecting {
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        loop {
+        while !self.stop.load(Ordering::Relaxed) {
             if let Some(source) = &mut self.source {
                 match source.next_frame() {
                     Err(Error::Device(DeviceError::Gone { what })) => {
@@ -127,6 +134,7 @@ impl Source for Reconnecting {
                 Err(_) => std::thread::sleep(Duration::from_secs(1)),
             }
         }
+        Ok(None)
     }
 
     fn is_live(&self) -> bool {

@@ -11,7 +11,7 @@
 
 use std::ffi::{c_int, c_void};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -308,16 +308,39 @@ unsafe fn run_device(
     opened: &SyncSender<()>,
     stopped: &Receiver<()>,
 ) -> Result<(), DeviceError> {
-    let failed = |what: &str, code: c_int| DeviceError::Failed { what: format!("{what} (libfreenect says {code})") };
-    // SAFETY: as for `run`; `events` outlives the streams that use it, which are stopped below.
+    // SAFETY: as for `run`; `events` outlives the streams that use it: they are stopped, and the pointer to it taken back,
+    // whatever failed before.
     unsafe {
         let registered =
             !freenect.is_playback && (freenect.find_depth_mode)(RESOLUTION_MEDIUM, DEPTH_REGISTERED).is_valid != 0;
-        let format = if registered { DEPTH_REGISTERED } else { DEPTH_11BIT };
         let mut events = Events { registered, rgb: None, newest };
         GET_USER.set(freenect.get_user);
         (freenect.set_user)(device, (&raw mut events).cast());
-        let check = |what, code: c_int| if code < 0 { Err(failed(what, code)) } else { Ok(()) };
+        let result = start_streams(freenect, device, registered).and_then(|()| {
+            // Nobody waits for the word where the source was dropped.
+            let _ = opened.send(());
+            handle_events(freenect, context, stopped)
+        });
+        // Stopping what was not started is an error that means nothing.
+        (freenect.stop_depth)(device);
+        if registered {
+            (freenect.stop_video)(device);
+        }
+        (freenect.set_user)(device, std::ptr::null_mut());
+        result
+    }
+}
+
+/// # Safety
+/// The device is open, has its user pointer, and this is its thread.
+unsafe fn start_streams(freenect: &Freenect, device: Device, registered: bool) -> Result<(), DeviceError> {
+    let check = |what: &str, code: c_int| match code {
+        0.. => Ok(()),
+        _ => Err(DeviceError::Failed { what: format!("{what} (libfreenect says {code})") }),
+    };
+    // SAFETY: as for `run`.
+    unsafe {
+        let format = if registered { DEPTH_REGISTERED } else { DEPTH_11BIT };
         let mode = (freenect.find_depth_mode)(RESOLUTION_MEDIUM, format);
         check("the depth camera has not the mode", (freenect.set_depth_mode)(device, mode))?;
         (freenect.set_depth_callback)(device, on_depth);
@@ -328,30 +351,26 @@ unsafe fn run_device(
             (freenect.set_video_callback)(device, on_video);
             check("the colour camera does not start", (freenect.start_video)(device))?;
         }
-        check("the depth camera does not start", (freenect.start_depth)(device))?;
-        let _ = opened.send(());
-
-        let result = loop {
-            // Told to stop by the sender's end.
-            if stopped.try_recv() == Err(std::sync::mpsc::TryRecvError::Disconnected) {
-                break Ok(());
-            }
-            let mut timeout = TimeVal { seconds: 0, microseconds: 100_000 };
-            let code = (freenect.process_events_timeout)(context, &mut timeout);
-            if code < 0 && freenect.is_playback {
-                // The end of the recording.
-                break Ok(());
-            }
-            if code < 0 {
-                break Err(DeviceError::Gone { what: format!("the Kinect is gone (libfreenect says {code})") });
-            }
-        };
-        (freenect.stop_depth)(device);
-        if registered {
-            (freenect.stop_video)(device);
-        }
-        result
+        check("the depth camera does not start", (freenect.start_depth)(device))
     }
+}
+
+/// Until told to stop, by the end of the channel, or until there are no more.
+///
+/// # Safety
+/// The context is open, and this is its thread.
+unsafe fn handle_events(freenect: &Freenect, context: Context, stopped: &Receiver<()>) -> Result<(), DeviceError> {
+    while stopped.try_recv() != Err(TryRecvError::Disconnected) {
+        let mut timeout = TimeVal { seconds: 0, microseconds: 100_000 };
+        // SAFETY: as for `run`.
+        match unsafe { (freenect.process_events_timeout)(context, &mut timeout) } {
+            0.. => {}
+            // The end of the recording.
+            _ if freenect.is_playback => break,
+            code => return Err(DeviceError::Gone { what: format!("the Kinect is gone (libfreenect says {code})") }),
+        }
+    }
+    Ok(())
 }
 
 thread_local! {

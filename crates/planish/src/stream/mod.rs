@@ -119,7 +119,9 @@ pub fn run(
     // A live source that waits for its next frame is waited for; a panic in it is a defect of the source.
     let _ = capture.join();
     result.map(|mut statistics| {
-        (statistics.frames_in, statistics.dropped, statistics.unreadable) = mailbox.counts();
+        let (frames_in, dropped, unreadable) = mailbox.counts();
+        (statistics.frames_in, statistics.dropped) = (frames_in, dropped);
+        statistics.unreadable += unreadable;
         statistics.time_capturing = mailbox.capture_time.total();
         statistics.end();
         statistics
@@ -227,8 +229,15 @@ impl Stream<'_> {
         }
         self.pending.push_back(pending);
         match self.submit_last() {
-            Err(error) => self.recover(error, tell),
             Ok(()) => Ok(()),
+            // The frame's fault: the others go on.
+            Err(Error::Frame(error)) => {
+                self.pending.pop_back();
+                self.statistics.unreadable += 1;
+                tell(StreamEvent::Warning(error.to_string()));
+                Ok(())
+            }
+            Err(error) => self.recover(error, tell),
         }
     }
 

@@ -15,7 +15,7 @@ pub struct StreamStatistics {
     pub frames_out: u64,
     /// Frames of a live source that a newer one replaced.
     pub dropped: u64,
-    /// Frames that could not be read.
+    /// Frames that could not be read, or that the engine refused.
     pub unreadable: u64,
     /// Results that a sink was too slow for.
     pub dropped_by_sinks: u64,

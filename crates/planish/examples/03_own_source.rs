@@ -1,0 +1,47 @@
+//! Your own camera as a source, in 30 lines. `cargo run --release --example 03_own_source`
+
+use std::sync::atomic::AtomicBool;
+
+use planish::source::{Source, SourceFrame};
+use planish::stream::{self, StreamOptions};
+use planish::{Camera, DepthFrame, DepthImage, Error, SmoothParams, SmootherOptions};
+
+/// A camera that sees a wall, waving.
+struct MyCamera {
+    camera: Camera,
+    frames: u32,
+}
+
+impl Source for MyCamera {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        if self.frames == 90 {
+            return Ok(None);
+        }
+        self.frames += 1;
+        // Here the driver would be asked. Raw values are in the camera's unit, a millimetre; 0 is a hole.
+        let Camera { width, height, .. } = self.camera;
+        let wall = 1500.0 + 50.0 * f64::from(self.frames).sin();
+        let raw = vec![wall as u16; width * height];
+        let mut frame = DepthFrame::new(self.camera, DepthImage { width, height, raw })?;
+        frame.timestamp_s = Some(f64::from(self.frames) / 30.0);
+        Ok(Some(SourceFrame::Depth(frame)))
+    }
+
+    /// True for a camera that goes on whether or not its frames are taken.
+    fn is_live(&self) -> bool {
+        false
+    }
+}
+
+fn main() -> Result<(), Error> {
+    let source = MyCamera { camera: Camera::kinect_v1(), frames: 0 };
+    let options = StreamOptions {
+        params: SmoothParams::default(),
+        smoother: SmootherOptions::default(),
+        max_frames: None,
+        max_duration: None,
+    };
+    let statistics = stream::run(Box::new(source), &options, Vec::new(), &AtomicBool::new(false), |_| ())?;
+    println!("{} frames, {:.1} a second", statistics.frames_out, statistics.fps());
+    Ok(())
+}
