@@ -250,7 +250,8 @@ pub struct SmoothingArgs {
     /// Bandwidth of the Gaussian weights in metres; else the radius
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     pub bandwidth: Option<f32>,
-    /// Which engine computes; one asked for by name never falls back to another
+    /// Which engine computes; one asked for by name never falls back to another (but a stream goes on with the CPU when its
+    /// GPU is lost twice)
     #[arg(long, value_enum, default_value = "auto")]
     pub engine: EngineArg,
     /// Which GPU with --engine gpu, by its index or part of its name (see `planish devices`); else the first real one
@@ -389,17 +390,24 @@ impl CameraArgs {
         Ok(Some(camera))
     }
 
-    /// The camera for frames whose shape is not known yet; they bring their own.
+    /// The camera for frames whose shape is not known yet: 0x0 where it was not said.
     pub fn camera_of_any_shape(&self) -> Result<Option<Camera>> {
-        let Camera { width, height, .. } = Camera::kinect_v1();
-        let mut camera = self.camera((width, height))?;
-        if camera.is_none() && self.depth_scale.is_some() {
-            bail!("--depth-scale needs the camera: add --camera FX,FY,CX,CY or --camera-file FILE.json");
+        let mut camera = match (&self.camera, &self.camera_file) {
+            (Some(Intrinsics([fx, fy, cx, cy])), _) => {
+                Camera { width: 0, height: 0, fx: *fx, fy: *fy, cx: *cx, cy: *cy, ..Camera::kinect_v1() }
+            }
+            (None, Some(file)) => {
+                let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
+                Camera::from_json_of_any_shape(&text).with_context(|| file.display().to_string())?
+            }
+            (None, None) => return Ok(None),
+        };
+        if let Some(scale) = self.depth_scale {
+            camera.depth_units_per_metre = scale;
         }
-        if let Some(camera) = &mut camera {
-            (camera.width, camera.height) = (width, height);
-        }
-        Ok(camera)
+        // Whatever the shape is to be, the rest must describe a camera.
+        Camera { width: camera.width.max(1), height: camera.height.max(1), ..camera }.validate()?;
+        Ok(Some(camera))
     }
 
     /// The camera, which a depth image cannot do without.

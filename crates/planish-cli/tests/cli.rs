@@ -410,7 +410,7 @@ fn a_kinect_that_plays_a_recording_is_recorded_and_streams_back() {
     let recorded = folder.path().join("recorded");
     let output = kinect(&["record", "kinect", str(&recorded)], &played);
     assert!(output.status.success(), "{}", text(&output.stderr));
-    let mut source = planish::source::TumSource::open(&recorded, None).unwrap();
+    let mut source = planish::source::TumSource::open(&recorded, None, None).unwrap();
     let mut count = 0;
     while let Some(frame) = planish::source::Source::next_frame(&mut source).unwrap() {
         let planish::source::SourceFrame::Depth(found) = frame else { panic!("a depth frame") };

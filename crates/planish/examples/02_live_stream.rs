@@ -33,7 +33,7 @@ fn main() -> Result<(), Error> {
     let name = std::env::args().nth(1).unwrap_or_else(|| "synthetic".to_owned());
     // Paced as a camera, where the source is none.
     let fps = (!name.starts_with("kinect")).then_some(30.0);
-    let source = source::open(&name, &SourceOptions { camera: None, fps })?;
+    let source = source::open(&name, &SourceOptions { fps, ..SourceOptions::default() })?;
     let options = StreamOptions {
         params: SmoothParams::default(),
         smoother: SmootherOptions::default(),

@@ -93,16 +93,22 @@ impl Camera {
         .to_string()
     }
 
-    /// The same as [`Camera::from_json`] for a file that says the shape itself.
-    pub(crate) fn from_json_alone(text: &str) -> Result<Self, FormatError> {
+    /// The same as [`Camera::from_json`] before any frame is known: width and height are 0 where the file does not say them.
+    pub fn from_json_of_any_shape(text: &str) -> Result<Self, FormatError> {
         #[derive(Deserialize)]
         struct Shape {
-            width: usize,
-            height: usize,
+            width: Option<usize>,
+            height: Option<usize>,
         }
         let shape: Shape = serde_json::from_str(text)
-            .map_err(|error| FormatError::Malformed(format!("not a camera file with width and height: {error}")))?;
-        Self::from_json(text, (shape.width, shape.height))
+            .map_err(|error| FormatError::Malformed(format!("not a camera file: {error}; {CAMERA_FILE_HELP}")))?;
+        match (shape.width, shape.height) {
+            (Some(width), Some(height)) => Self::from_json(text, (width, height)),
+            (width, height) => {
+                let camera = Self::from_json(text, (width.unwrap_or(1), height.unwrap_or(1)))?;
+                Ok(Self { width: 0, height: 0, ..camera })
+            }
+        }
     }
 
     /// Reads a camera from JSON: Open3D's layout (`width`, `height`, `intrinsic_matrix` in column-major order) or a flat

@@ -41,7 +41,8 @@ impl Engine {
 /// How to open a smoother, beside the parameters of the method.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SmootherOptions {
-    /// Which engine. One that is asked for by name never falls back to another.
+    /// Which engine. One that is asked for by name never falls back to another; only a [`stream`](crate::stream) goes on with
+    /// the CPU when its GPU is lost twice.
     pub engine: Engine,
     /// Which results to compute.
     pub outputs: Outputs,

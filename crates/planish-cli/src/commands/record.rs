@@ -14,6 +14,8 @@ use crate::args::RecordArgs;
 #[derive(Serialize)]
 struct Report {
     frames: u64,
+    /// Frames of a camera that came while others were written.
+    dropped: u64,
     seconds: f64,
 }
 
@@ -39,11 +41,11 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
         }
         frames += 1;
     }
-    let report = Report { frames, seconds: start.elapsed().as_secs_f64() };
+    let report = Report { frames, dropped: source.dropped(), seconds: start.elapsed().as_secs_f64() };
     if args.json {
         println!("{}", serde_json::to_string(&report)?);
     } else {
-        println!("{frames} frames in {:.1} s -> {}", report.seconds, args.folder.display());
+        println!("{frames} frames in {:.1} s, {} dropped -> {}", report.seconds, report.dropped, args.folder.display());
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -83,11 +83,17 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     Ok(if statistics.failed_sinks + statistics.unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
-/// Set when Ctrl-C is pressed.
+/// Set when Ctrl-C is pressed; pressed again, it ends the process.
 pub fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let set = Arc::clone(&stop);
-    ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).context("Ctrl-C cannot be handled")?;
+    let handler = move || {
+        if set.swap(true, Ordering::Relaxed) {
+            // Asked twice: something does not end by itself.
+            std::process::exit(130);
+        }
+    };
+    ctrlc::set_handler(handler).context("Ctrl-C cannot be handled")?;
     Ok(stop)
 }
 
@@ -98,15 +104,20 @@ pub fn open_source(
     limits: &LimitArgs,
     stop: &Arc<AtomicBool>,
 ) -> Result<Box<dyn Source>> {
-    let options = SourceOptions { camera: camera.camera_of_any_shape()?, fps: limits.fps };
+    let options = SourceOptions {
+        camera: camera.camera_of_any_shape()?,
+        tum_units_per_metre: camera.depth_scale,
+        fps: limits.fps,
+    };
     let source = source::open(name, &options)?;
+    let until = limits.max_duration()?.map(|longest| Instant::now() + longest);
     if !limits.reconnect {
         return Ok(source);
     }
-    if !name.starts_with("kinect") {
+    if name.split(':').next() != Some("kinect") {
         bail!("--reconnect waits for a camera; {name} is none");
     }
-    Ok(Box::new(Reconnecting { name: name.to_owned(), options, source: Some(source), stop: Arc::clone(stop) }))
+    Ok(Box::new(Reconnecting { name: name.to_owned(), options, source: Some(source), stop: Arc::clone(stop), until }))
 }
 
 /// A camera that is opened again when it comes back.
@@ -115,11 +126,13 @@ struct Reconnecting {
     options: SourceOptions,
     source: Option<Box<dyn Source>>,
     stop: Arc<AtomicBool>,
+    /// It is not waited for longer than this.
+    until: Option<Instant>,
 }
 
 impl Source for Reconnecting {
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        while !self.stop.load(Ordering::Relaxed) {
+        while !self.stop.load(Ordering::Relaxed) && self.until.is_none_or(|until| Instant::now() < until) {
             if let Some(source) = &mut self.source {
                 match source.next_frame() {
                     Err(Error::Device(DeviceError::Gone { what })) => {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Source, SourceFrame, malformed};
+use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{Error, FormatError, IoError};
 use crate::frame::DepthFrame;
@@ -63,7 +63,7 @@ pub(super) fn read_frame(file: &Path, camera: Option<Camera>) -> Result<SourceFr
     let needs_camera = || {
         malformed(file, format!("a depth image of {width}x{height} needs its camera (fx, fy, cx, cy); none was given"))
     };
-    let of_shape = |camera: Camera| Camera { width, height, ..camera };
+    let of_shape = |camera: Camera| with_shape(camera, (width, height));
     match contents {
         Contents::Depth(image) => {
             let camera = of_shape(camera.ok_or_else(needs_camera)?);
@@ -71,6 +71,10 @@ pub(super) fn read_frame(file: &Path, camera: Option<Camera>) -> Result<SourceFr
         }
         Contents::DepthMetres { depth_m, .. } => {
             let camera = of_shape(camera.ok_or_else(needs_camera)?);
+            if (camera.width, camera.height) != (width, height) {
+                let problem = format!("is {width}x{height}, its camera {}x{}", camera.width, camera.height);
+                return Err(malformed(file, problem).into());
+            }
             Ok(SourceFrame::Cloud { cloud: io::deproject_metres(camera, &depth_m)?, timestamp_s: None })
         }
         Contents::Organized(mut cloud) => {

@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::{Source, SourceFrame, malformed};
+use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{Error, IoError};
 use crate::frame::DepthFrame;
@@ -17,12 +17,26 @@ use crate::io;
 /// Raw disparities from here on are holes.
 const HOLE_DISPARITY: u16 = 2047;
 
+const REACH_M: f64 = 10.0;
+
+/// The infrared camera, which raw disparity is in: N. Burrus, "Kinect calibration", 2011.
+const INFRARED_CAMERA: Camera = Camera {
+    width: 640,
+    height: 480,
+    fx: 594.21434,
+    fy: 591.04054,
+    cx: 339.30781,
+    cy: 242.73914,
+    depth_units_per_metre: 1000.0,
+};
+
 /// Depth in metres of a Kinect v1's raw 11-bit disparity: z = 0.1236 tan(d/2842.5 + 1.1863), the fit of S. Magnenat
-/// (OpenKinect, "Imaging Information", 2010), good to some 4 mm at 1 m. NaN for a hole.
+/// (OpenKinect, "Imaging Information", 2010), good to some 4 mm at 1 m. NaN for a hole, and beyond the 10 m that the sensor reaches.
 pub fn disparity_depth_m(disparity: u16) -> f64 {
     let angle = f64::from(disparity) / 2842.5 + 1.1863;
-    // From 1093 on the tangent has passed its pole.
-    if disparity < HOLE_DISPARITY && angle < 0.5 * PI { 0.1236 * angle.tan() } else { f64::NAN }
+    // The tangent is negative once it has passed its pole.
+    let depth_m = 0.1236 * angle.tan();
+    if disparity < HOLE_DISPARITY && angle < 0.5 * PI && depth_m <= REACH_M { depth_m } else { f64::NAN }
 }
 
 /// The disparity whose depth is nearest; a hole for what is out of reach.
@@ -32,8 +46,9 @@ fn depth_disparity(depth_m: f32) -> u16 {
 }
 
 /// A Kinect's depth frame from its raw disparities, two bytes each, least significant first: millimetres.
-pub(super) fn frame_of_disparities(bytes: &[u8], timestamp_s: Option<f64>) -> DepthFrame {
-    let camera = Camera::kinect_v1();
+pub(super) fn frame_of_disparities(bytes: &[u8], camera: Option<Camera>, timestamp_s: Option<f64>) -> DepthFrame {
+    let camera = with_shape(camera.unwrap_or(INFRARED_CAMERA), (640, 480));
+    let camera = Camera { depth_units_per_metre: 1000.0, ..camera };
     let disparities = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]]));
     let raw = disparities.map(|disparity| camera.raw_depth(disparity_depth_m(disparity) as f32)).collect();
     DepthFrame { camera, raw, rgb: None, timestamp_s }
@@ -42,12 +57,13 @@ pub(super) fn frame_of_disparities(bytes: &[u8], timestamp_s: Option<f64>) -> De
 /// Reads the depth of a recording. Its colour is not registered to the depth and is left out.
 pub struct FreenectRecording {
     files: Vec<PathBuf>,
+    camera: Option<Camera>,
     next: usize,
 }
 
 impl FreenectRecording {
-    /// Opens the folder that has INDEX.txt.
-    pub fn open(folder: &Path) -> Result<Self, Error> {
+    /// Opens the folder that has INDEX.txt. Without a camera it is a usual Kinect's infrared one.
+    pub fn open(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
         let index = folder.join("INDEX.txt");
         let text =
             fs::read_to_string(&index).map_err(|error| IoError { path: index.clone(), problem: error.into() })?;
@@ -56,7 +72,7 @@ impl FreenectRecording {
         if files.is_empty() {
             return Err(malformed(&index, "lists no depth images (d-*.pgm)").into());
         }
-        Ok(Self { files, next: 0 })
+        Ok(Self { files, camera, next: 0 })
     }
 }
 
@@ -76,7 +92,7 @@ impl Source for FreenectRecording {
         }
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         let seconds = name.split('-').nth(1).and_then(|seconds| seconds.parse().ok());
-        Ok(Some(SourceFrame::Depth(frame_of_disparities(&bytes[end..], seconds))))
+        Ok(Some(SourceFrame::Depth(frame_of_disparities(&bytes[end..], self.camera, seconds))))
     }
 }
 
@@ -119,7 +135,7 @@ mod tests {
             let depth_m = disparity_depth_m(disparity) as f32;
             assert_eq!(depth_disparity(depth_m), disparity);
         }
-        assert!((disparity_depth_m(800) - 1.5).abs() < 0.1);
+        assert!((disparity_depth_m(800) - 1.195).abs() < 0.001);
         assert!(disparity_depth_m(HOLE_DISPARITY).is_nan() && disparity_depth_m(1093).is_nan());
         assert_eq!(depth_disparity(f32::NAN), HOLE_DISPARITY);
     }

@@ -11,6 +11,7 @@
 
 use std::ffi::{c_int, c_void};
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -19,7 +20,7 @@ use std::time::{Duration, Instant};
 use libloading::Library;
 
 use super::freenect::frame_of_disparities;
-use super::{Source, SourceFrame, malformed};
+use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{DeviceError, Error};
 use crate::frame::DepthFrame;
@@ -37,6 +38,8 @@ const DEPTH_11BIT: c_int = 0;
 const DEPTH_REGISTERED: c_int = 4;
 const DEVICE_CAMERA: c_int = 2;
 const LOG_ERROR: c_int = 1;
+/// A signal came while it waited.
+const LIBUSB_INTERRUPTED: c_int = -10;
 
 /// `freenect_frame_mode`.
 #[repr(C)]
@@ -143,20 +146,27 @@ impl Freenect {
 struct Events {
     /// Whether depth is registered millimetres; else 11-bit disparities.
     registered: bool,
+    /// The caller's camera instead of a usual Kinect's.
+    camera: Option<Camera>,
     rgb: Option<Vec<u8>>,
+    /// The last time stamp, and all ticks until then: the device's counter begins anew after 71 s.
+    last_ticks: u32,
+    ticks: u64,
     newest: Newest,
 }
 
 /// The newest frame, and the word that there is one.
-#[derive(Clone)]
 struct Newest {
     frame: Arc<Mutex<Option<DepthFrame>>>,
     arrived: SyncSender<()>,
+    /// Frames that were replaced before they were taken.
+    dropped: Arc<AtomicU64>,
 }
 
 impl Newest {
     fn put(&self, frame: DepthFrame) {
-        *self.frame.lock().unwrap_or_else(PoisonError::into_inner) = Some(frame);
+        let before = self.frame.lock().unwrap_or_else(PoisonError::into_inner).replace(frame);
+        self.dropped.fetch_add(u64::from(before.is_some()), Ordering::Relaxed);
         // One word is enough for any number of frames.
         if let Err(TrySendError::Disconnected(())) = self.arrived.try_send(()) {}
     }
@@ -165,6 +175,7 @@ impl Newest {
 /// A Kinect v1 that is running.
 pub struct KinectSource {
     newest: Arc<Mutex<Option<DepthFrame>>>,
+    dropped: Arc<AtomicU64>,
     arrived: Receiver<()>,
     /// Why the thread ended, from itself.
     ended: Arc<Mutex<Option<Result<(), DeviceError>>>>,
@@ -173,8 +184,8 @@ pub struct KinectSource {
 }
 
 impl KinectSource {
-    /// Opens the Kinect of that number, 0 for the first.
-    pub fn open(index: u32) -> Result<Self, Error> {
+    /// Opens the Kinect of that number, 0 for the first; with intrinsics of its own, or a usual Kinect's.
+    pub fn open(index: u32, camera: Option<Camera>) -> Result<Self, Error> {
         let freenect = Freenect::load()?;
         if freenect.is_playback {
             let folder = std::env::var_os("FAKENECT_PATH").unwrap_or_default();
@@ -191,14 +202,16 @@ impl KinectSource {
         let (opened_in, opened) = sync_channel(1);
         let newest: Arc<Mutex<Option<DepthFrame>>> = Arc::default();
         let ended: Arc<Mutex<Option<Result<(), DeviceError>>>> = Arc::default();
-        let (slot, end) = (Newest { frame: Arc::clone(&newest), arrived: arrived_in }, Arc::clone(&ended));
+        let dropped: Arc<AtomicU64> = Arc::default();
+        let slot = Newest { frame: Arc::clone(&newest), arrived: arrived_in, dropped: Arc::clone(&dropped) };
+        let end = Arc::clone(&ended);
         let work = move || {
-            let result = run(&freenect, index, slot.clone(), &opened_in, &stopped);
+            let result = run(&freenect, index, camera, slot, &opened_in, &stopped);
             *end.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
         };
         let failed = |error: std::io::Error| DeviceError::Failed { what: format!("no thread for the Kinect: {error}") };
         let thread = thread::Builder::new().name("planish-kinect".into()).spawn(work).map_err(failed)?;
-        let source = Self { newest, arrived, ended, stop: Some(stop), thread: Some(thread) };
+        let source = Self { newest, dropped, arrived, ended, stop: Some(stop), thread: Some(thread) };
         // The thread says that it runs, or ends with the reason.
         match opened.recv() {
             Ok(()) => Ok(source),
@@ -246,6 +259,10 @@ impl Source for KinectSource {
         }
     }
 
+    fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
     fn is_live(&self) -> bool {
         true
     }
@@ -262,6 +279,7 @@ impl Drop for KinectSource {
 fn run(
     freenect: &Freenect,
     index: u32,
+    camera: Option<Camera>,
     newest: Newest,
     opened: &SyncSender<()>,
     stopped: &Receiver<()>,
@@ -287,7 +305,7 @@ fn run(
             match (freenect.open_device)(context, &mut device, index as c_int) {
                 code if code < 0 => Err(failed("the Kinect cannot be opened; does another program use it?", code)),
                 _ => {
-                    let result = run_device(freenect, context, device, newest, opened, stopped);
+                    let result = run_device(freenect, context, device, camera, newest, opened, stopped);
                     (freenect.close_device)(device);
                     result
                 }
@@ -304,6 +322,7 @@ unsafe fn run_device(
     freenect: &Freenect,
     context: Context,
     device: Device,
+    camera: Option<Camera>,
     newest: Newest,
     opened: &SyncSender<()>,
     stopped: &Receiver<()>,
@@ -313,7 +332,7 @@ unsafe fn run_device(
     unsafe {
         let registered =
             !freenect.is_playback && (freenect.find_depth_mode)(RESOLUTION_MEDIUM, DEPTH_REGISTERED).is_valid != 0;
-        let mut events = Events { registered, rgb: None, newest };
+        let mut events = Events { registered, camera, rgb: None, last_ticks: 0, ticks: 0, newest };
         GET_USER.set(freenect.get_user);
         (freenect.set_user)(device, (&raw mut events).cast());
         let result = start_streams(freenect, device, registered).and_then(|()| {
@@ -365,6 +384,7 @@ unsafe fn handle_events(freenect: &Freenect, context: Context, stopped: &Receive
         // SAFETY: as for `run`.
         match unsafe { (freenect.process_events_timeout)(context, &mut timeout) } {
             0.. => {}
+            LIBUSB_INTERRUPTED => {}
             // The end of the recording.
             _ if freenect.is_playback => break,
             code => return Err(DeviceError::Gone { what: format!("the Kinect is gone (libfreenect says {code})") }),
@@ -395,15 +415,23 @@ unsafe extern "C" fn on_depth(device: Device, depth: *mut c_void, ticks: u32) {
         let Some(events) = events_of(device) else { return };
         (events, std::slice::from_raw_parts(depth.cast::<u8>(), 2 * PIXELS))
     };
-    // The device's clock ticks 60 million times a second and begins anew after 71 s.
-    let timestamp_s = Some(f64::from(ticks) / 60e6);
+    events.ticks += u64::from(ticks.wrapping_sub(events.last_ticks));
+    events.last_ticks = ticks;
+    // The device's clock ticks 60 million times a second.
+    let timestamp_s = Some(events.ticks as f64 / 60e6);
     let frame = if events.registered {
         let raw = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
-        DepthFrame { camera: Camera::kinect_v1(), raw, rgb: events.rgb.clone(), timestamp_s }
+        DepthFrame { camera: registered_camera(events.camera), raw, rgb: events.rgb.clone(), timestamp_s }
     } else {
-        frame_of_disparities(bytes, timestamp_s)
+        frame_of_disparities(bytes, events.camera, timestamp_s)
     };
     events.newest.put(frame);
+}
+
+/// Registered depth is the colour camera's, in millimetres.
+fn registered_camera(camera: Option<Camera>) -> Camera {
+    let camera = with_shape(camera.unwrap_or(Camera::kinect_v1()), (640, 480));
+    Camera { depth_units_per_metre: 1000.0, ..camera }
 }
 
 unsafe extern "C" fn on_video(device: Device, video: *mut c_void, _: u32) {

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use crate::camera::Camera;
 use crate::cloud::OrganizedCloud;
-use crate::error::{Error, FormatError, IoError};
+use crate::error::{Error, FormatError, IoError, ParamError};
 use crate::frame::{DepthFrame, Frame};
 
 pub use files::FileSource;
@@ -63,6 +63,11 @@ pub trait Source: Send {
     /// A frame that cannot be read is an error; the caller may go on with the one after it.
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error>;
 
+    /// How many frames a live source has replaced by newer ones before they were taken.
+    fn dropped(&self) -> u64 {
+        0
+    }
+
     /// Whether frames come in their own time, and one that is not taken is gone. Of those the newest counts; of the others
     /// every frame does.
     fn is_live(&self) -> bool {
@@ -73,8 +78,11 @@ pub trait Source: Send {
 /// What a source on the command line may need beside its name.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SourceOptions {
-    /// The camera, for depth images; a Kinect v1 for what says nothing else of itself.
+    /// The camera; depth images need one. One of width and height 0 is of the frames' shape, whatever that is; any other must
+    /// have it.
     pub camera: Option<Camera>,
+    /// Depth units in a metre of a data set in TUM layout, where they are not its 5000.
+    pub tum_units_per_metre: Option<f64>,
     /// Paces a source that has no time of its own as live; frames a second.
     pub fps: Option<f64>,
 }
@@ -84,7 +92,15 @@ pub struct SourceOptions {
 pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
     let (kind, number) = name.split_once(':').unwrap_or((name, ""));
     let source: Box<dyn Source> = match kind {
-        "kinect" => return Ok(Box::new(KinectSource::open(parse_number(name, number, 0)?)?)),
+        "kinect" if options.fps.is_some() => {
+            let allowed = "none for a Kinect, which has its own pace";
+            return Err(ParamError { field: "fps", value: format!("{:?}", options.fps), allowed }.into());
+        }
+        "kinect" => return Ok(Box::new(KinectSource::open(parse_number(name, number, 0)?, options.camera)?)),
+        "synthetic" if options.camera.is_some() => {
+            let allowed = "none for the simulator, which has its own";
+            return Err(ParamError { field: "camera", value: "given".into(), allowed }.into());
+        }
         "synthetic" => Box::new(SyntheticSource::new(parse_number(name, number, 1)?, Camera::kinect_v1())?),
         _ => open_path(Path::new(name), options)?,
     };
@@ -103,10 +119,10 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
         return Err(malformed(path, problem).into());
     }
     if path.join("INDEX.txt").is_file() {
-        return Ok(Box::new(FreenectRecording::open(path)?));
+        return Ok(Box::new(FreenectRecording::open(path, options.camera)?));
     }
     if ["associations.txt", "associate.txt", "depth.txt"].iter().any(|file| path.join(file).is_file()) {
-        return Ok(Box::new(TumSource::open(path, options.camera)?));
+        return Ok(Box::new(TumSource::open(path, options.camera, options.tum_units_per_metre)?));
     }
     Ok(Box::new(FileSource::folder(path, options.camera)?))
 }
@@ -116,6 +132,11 @@ fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> R
         return Ok(default);
     }
     number.parse().map_err(|_| malformed(Path::new(name), "a whole number is expected behind the colon").into())
+}
+
+/// The camera for frames of a shape: one that leaves its own open takes it.
+fn with_shape(camera: Camera, (width, height): (usize, usize)) -> Camera {
+    if (camera.width, camera.height) == (0, 0) { Camera { width, height, ..camera } } else { camera }
 }
 
 /// An error about a file or source of that name.

@@ -14,10 +14,10 @@ pub struct Paced {
 }
 
 impl Paced {
-    /// Paces a source to `fps` frames a second, 0.001 to 100,000.
+    /// Paces a source to `fps` frames a second, 0.1 to 100,000.
     pub fn new(source: Box<dyn Source>, fps: f64) -> Result<Self, ParamError> {
-        if !(1e-3..=1e5).contains(&fps) {
-            return Err(ParamError { field: "fps", value: fps.to_string(), allowed: "0.001 to 100000" });
+        if !(0.1..=1e5).contains(&fps) {
+            return Err(ParamError { field: "fps", value: fps.to_string(), allowed: "0.1 to 100000" });
         }
         Ok(Self { source, interval: Duration::from_secs_f64(1.0 / fps), next: None })
     }

@@ -3,8 +3,8 @@
 //! Depth is in 5000 units a metre. The camera is that of the call, else of `camera.json` beside the lists, which [`TumRecorder`]
 //! writes, else the benchmark's default of 525, 525, 319.5, 239.5.
 
-use std::fmt::Write;
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::files::read_frame;
@@ -36,7 +36,10 @@ struct Entry {
 
 impl TumSource {
     /// Opens the folder that has depth.txt and perhaps rgb.txt, or associations.txt.
-    pub fn open(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
+    ///
+    /// Depth has 5000 units a metre whatever the camera says, unless `units_per_metre` or the data set's own camera.json says
+    /// otherwise.
+    pub fn open(folder: &Path, camera: Option<Camera>, units_per_metre: Option<f64>) -> Result<Self, Error> {
         let lists = ["associations.txt", "associate.txt"].map(|name| folder.join(name));
         let entries = match lists.iter().find(|list| list.is_file()) {
             Some(list) => associated(list)?,
@@ -46,15 +49,16 @@ impl TumSource {
             return Err(malformed(folder, "the data set lists no depth images").into());
         }
         let file = folder.join("camera.json");
-        let camera = match camera {
-            Some(camera) => camera,
-            None if file.is_file() => {
-                let at = |problem| IoError { path: file.clone(), problem };
-                let text = fs::read_to_string(&file).map_err(|error| at(error.into()))?;
-                Camera::from_json_alone(&text).map_err(at)?
-            }
-            None => Camera { depth_units_per_metre: UNITS_PER_METRE, ..Camera::kinect_v1() },
+        let own = if file.is_file() {
+            let at = |problem| IoError { path: file.clone(), problem };
+            let text = fs::read_to_string(&file).map_err(|error| at(error.into()))?;
+            Some(Camera::from_json_of_any_shape(&text).map_err(at)?)
+        } else {
+            None
         };
+        let units = units_per_metre.or(own.map(|own| own.depth_units_per_metre)).unwrap_or(UNITS_PER_METRE);
+        let camera = camera.or(own).unwrap_or(Camera { width: 0, height: 0, ..Camera::kinect_v1() });
+        let camera = Camera { depth_units_per_metre: units, ..camera };
         Ok(Self { folder: folder.to_path_buf(), camera, entries, next: 0 })
     }
 }
@@ -134,9 +138,8 @@ fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
 /// Writes a data set that this project's and others' tools read, without loss.
 pub struct TumRecorder {
     folder: PathBuf,
-    depth_list: String,
-    rgb_list: String,
     frames: u64,
+    last_s: f64,
 }
 
 impl TumRecorder {
@@ -149,8 +152,11 @@ impl TumRecorder {
             let path = folder.join(name);
             fs::create_dir_all(&path).map_err(|error| IoError { path, problem: error.into() })?;
         }
-        let heading = |what| format!("# {what} images\n# timestamp filename\n");
-        Ok(Self { folder: folder.to_path_buf(), depth_list: heading("depth"), rgb_list: heading("color"), frames: 0 })
+        let recorder = Self { folder: folder.to_path_buf(), frames: 0, last_s: f64::NEG_INFINITY };
+        for (name, what) in [("depth.txt", "depth"), ("rgb.txt", "color")] {
+            recorder.write(name, &format!("# {what} images\n# timestamp filename\n"))?;
+        }
+        Ok(recorder)
     }
 
     /// Adds a frame. Its unit must be a whole multiple of 1/5000 m, as a millimetre is, and its depth at most 13.1 m.
@@ -165,32 +171,40 @@ impl TumRecorder {
         // Holes of either kind become the layout's own.
         let scaled = |&raw: &u16| match raw {
             crate::camera::SATURATED_DEPTH => Some(0),
-            raw => u16::try_from(u64::from(raw) * factor as u64).ok(),
+            raw => {
+                u16::try_from(u64::from(raw) * factor as u64).ok().filter(|&raw| raw != crate::camera::SATURATED_DEPTH)
+            }
         };
         let raw: Option<Vec<u16>> = frame.raw.iter().map(scaled).collect();
         let raw = raw.ok_or_else(|| loss("a depth over 13.1 m does not fit the layout".to_owned()))?;
         let seconds = frame.timestamp_s.unwrap_or(self.frames as f64 / 30.0);
+        // Names are time stamps: a clock that stands still or jumps back must not overwrite what is there.
+        let seconds = if seconds <= self.last_s { self.last_s + 1e-6 } else { seconds };
+        self.last_s = seconds;
         let name = format!("{seconds:.6}");
         let depth = format!("depth/{name}.png");
         io::write_depth(&self.folder.join(&depth), &DepthImage { width: camera.width, height: camera.height, raw })?;
-        let _ = writeln!(self.depth_list, "{name} {depth}");
         if let Some(rgb) = &frame.rgb {
             let file = format!("rgb/{name}.png");
             let image = RgbImage { width: camera.width, height: camera.height, rgb: rgb.clone() };
             io::write_rgb_png(&self.folder.join(&file), &image)?;
-            let _ = writeln!(self.rgb_list, "{name} {file}");
+            self.append("rgb.txt", &format!("{name} {file}\n"))?;
         }
+        // After its images: a recording that is cut off is whole up to there.
+        self.append("depth.txt", &format!("{name} {depth}\n"))?;
         if self.frames == 0 {
             let camera = Camera { depth_units_per_metre: UNITS_PER_METRE, ..camera };
             self.write("camera.json", &camera.to_json())?;
         }
         self.frames += 1;
-        // After every frame: a recording that is cut off is whole up to there.
-        self.write("depth.txt", &self.depth_list)?;
-        if frame.rgb.is_some() {
-            self.write("rgb.txt", &self.rgb_list)?;
-        }
         Ok(())
+    }
+
+    fn append(&self, name: &str, line: &str) -> Result<(), IoError> {
+        let path = self.folder.join(name);
+        let file = fs::OpenOptions::new().append(true).open(&path);
+        file.and_then(|mut file| file.write_all(line.as_bytes()))
+            .map_err(|error| IoError { path, problem: error.into() })
     }
 
     fn write(&self, name: &str, text: &str) -> Result<(), IoError> {

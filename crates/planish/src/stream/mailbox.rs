@@ -63,6 +63,7 @@ struct State {
     closed: bool,
     frames: u64,
     dropped: u64,
+    dropped_by_source: u64,
     unreadable: u64,
 }
 
@@ -137,10 +138,16 @@ impl Mailbox {
         self.lock().closed
     }
 
+    /// How many frames the source itself has dropped so far.
+    pub(super) fn set_dropped_by_source(&self, dropped: u64) {
+        self.lock().dropped_by_source = dropped;
+    }
+
     /// Frames that came, frames dropped for newer ones, and frames that could not be read.
     pub(super) fn counts(&self) -> (u64, u64, u64) {
         let state = self.lock();
-        (state.frames, state.dropped, state.unreadable)
+        let came = state.frames + state.dropped_by_source;
+        (came, state.dropped + state.dropped_by_source, state.unreadable)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Source, smoother, sinks: frames smoothed as they come.
 //!
-//! A thread takes frames from the source into a [`mailbox`]: from a live source the newest waits and older ones are dropped and
+//! A thread takes frames from the source into a mailbox: from a live source the newest waits and older ones are dropped and
 //! counted; of any other every frame is kept, in order. The calling thread smooths, with frames in flight on a GPU. Each sink
 //! has a thread and a short queue of its own, so that none holds up the source or another.
 
@@ -71,6 +71,7 @@ struct Pending {
 }
 
 /// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
+/// `stop` is set when it returns.
 ///
 /// Frames of another shape than the last reopen the smoother. A GPU that is lost is opened once more, and after that the CPU
 /// engine takes over; the order of the frames is kept. A frame or a sink that fails is told and counted, and the stream goes on.
@@ -116,8 +117,11 @@ pub fn run(
         result.map(|()| statistics)
     });
     mailbox.close();
-    // A live source that waits for its next frame is waited for; a panic in it is a defect of the source.
-    let _ = capture.join();
+    // A live source is waited for until its next frame; one that waits longer may look at `stop`.
+    stop.store(true, Ordering::Relaxed);
+    if capture.join().is_err() {
+        tell(StreamEvent::Warning("the source panicked".to_owned()));
+    }
     result.map(|mut statistics| {
         let (frames_in, dropped, unreadable) = mailbox.counts();
         (statistics.frames_in, statistics.dropped) = (frames_in, dropped);
@@ -128,11 +132,22 @@ pub fn run(
     })
 }
 
+/// Ends a mailbox when it is dropped, also by a panic.
+struct EndOf<'a>(&'a Mailbox);
+
+impl Drop for EndOf<'_> {
+    fn drop(&mut self) {
+        self.0.end();
+    }
+}
+
 /// The capture thread: from the source into the mailbox, until either ends.
 fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
-    // A source that fails again and again has nothing more to give.
+    let _end = EndOf(mailbox);
+    // A live source that fails again and again has nothing more to give; any other comes to its end.
     let mut failures = 0;
     while !mailbox.is_closed() {
+        mailbox.set_dropped_by_source(source.dropped());
         match mailbox.capture_time.on(|| source.next_frame()) {
             Ok(Some(frame)) => {
                 failures = 0;
@@ -141,7 +156,7 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
             Ok(None) => break,
             Err(error) => {
                 failures += 1;
-                let is_over = matches!(error, Error::Device(_)) || failures >= 100;
+                let is_over = matches!(error, Error::Device(_)) || (source.is_live() && failures >= 100);
                 mailbox.put(Err((error, is_over)));
                 if is_over {
                     break;
@@ -149,7 +164,6 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
             }
         }
     }
-    mailbox.end();
 }
 
 struct Stream<'a> {
