@@ -33,8 +33,8 @@ pub struct StreamStatistics {
     first: Option<Instant>,
     last: Option<Instant>,
     duration: Option<Duration>,
-    /// In microseconds.
-    latency: Histogram<u64>,
+    /// In microseconds, up to 100 s with 3 digits. There is always one: its bounds are constants.
+    latency: Option<Histogram<u64>>,
 }
 
 /// Times from when the source gave a frame until its result was there.
@@ -67,7 +67,7 @@ impl StreamStatistics {
             first: None,
             last: None,
             duration: None,
-            latency: histogram(),
+            latency: Histogram::new_with_bounds(1, 100_000_000, 3).ok(),
         }
     }
 
@@ -77,7 +77,9 @@ impl StreamStatistics {
         self.first.get_or_insert(now);
         self.last = Some(now);
         // Longer than the histogram reaches counts as its end.
-        self.latency.saturating_record(latency.as_micros().min(u128::from(u64::MAX)) as u64);
+        if let Some(histogram) = &mut self.latency {
+            histogram.saturating_record(latency.as_micros().min(u128::from(u64::MAX)) as u64);
+        }
     }
 
     pub(super) fn end(&mut self) {
@@ -99,14 +101,9 @@ impl StreamStatistics {
 
     /// The spread of the latency.
     pub fn latency(&self) -> Latency {
-        let at = |share| Duration::from_micros(self.latency.value_at_quantile(share));
-        Latency { p50: at(0.5), p95: at(0.95), p99: at(0.99), max: Duration::from_micros(self.latency.max()) }
+        let at = |share| {
+            Duration::from_micros(self.latency.as_ref().map_or(0, |histogram| histogram.value_at_quantile(share)))
+        };
+        Latency { p50: at(0.5), p95: at(0.95), p99: at(0.99), max: at(1.0) }
     }
-}
-
-/// Up to 100 s with 3 digits.
-// The bounds are constants that the histogram takes: it fails on no machine or on all.
-#[allow(clippy::expect_used)]
-fn histogram() -> Histogram<u64> {
-    Histogram::new_with_bounds(1, 100_000_000, 3).expect("bounds of a histogram")
 }
