@@ -111,6 +111,14 @@ pub struct StreamArgs {
     /// What to write there
     #[arg(long, value_enum, requires = "save")]
     pub format: Option<StreamFormatArg>,
+    /// Show raw and smoothed clouds, depth, latency and rate in the viewer of Rerun
+    #[cfg(feature = "rerun")]
+    #[arg(long, conflicts_with = "rrd")]
+    pub rerun: bool,
+    /// Write the same as a file that the viewer of Rerun opens; some 10 MB a frame
+    #[cfg(feature = "rerun")]
+    #[arg(long, value_name = "FILE")]
+    pub rrd: Option<PathBuf>,
     /// Fields to add to the points, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
     pub fields: Vec<FieldArg>,

@@ -131,7 +131,7 @@ pub enum EngineError {
     },
 }
 
-/// A camera that cannot be had, or that is gone.
+/// A camera or a viewer that cannot be had, or that is gone.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DeviceError {
     /// Its driver, or the camera itself, is not there.
@@ -201,7 +201,7 @@ pub enum Error {
     /// An engine that cannot be had, or that failed.
     #[error(transparent)]
     Engine(#[from] EngineError),
-    /// A camera that cannot be had, or that is gone.
+    /// A camera or a viewer that cannot be had, or that is gone.
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// A file that could not be read or written.

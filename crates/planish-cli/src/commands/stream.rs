@@ -58,6 +58,10 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if args.save.is_some() && format == SinkFormat::DepthPng {
         outputs = Outputs::DEPTH;
     }
+    #[cfg(feature = "rerun")]
+    if args.rerun || args.rrd.is_some() {
+        outputs.points = true;
+    }
     let options = StreamOptions {
         params,
         smoother: args.smoothing.options(outputs)?,
@@ -69,6 +73,12 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
         sinks.push(Box::new(FolderSink::create(folder, format, outputs)?));
+    }
+    #[cfg(feature = "rerun")]
+    if let Some(file) = &args.rrd {
+        sinks.push(Box::new(stream::RerunSink::save(file)?));
+    } else if args.rerun {
+        sinks.push(Box::new(stream::RerunSink::spawn()?));
     }
 
     let line = StatusLine::new();
@@ -117,20 +127,24 @@ pub fn open_source(
     if name.split(':').next() != Some("kinect") {
         bail!("--reconnect waits for a camera; {name} is none");
     }
-    Ok(Box::new(Reconnecting { name: name.to_owned(), options, source: Some(source), stop: Arc::clone(stop), until }))
+    let name = name.to_owned();
+    let open = move || source::open(&name, &options);
+    let retry = Duration::from_secs(1);
+    Ok(Box::new(Reconnecting { open, source: Some(source), stop: Arc::clone(stop), until, retry }))
 }
 
 /// A camera that is opened again when it comes back.
-struct Reconnecting {
-    name: String,
-    options: SourceOptions,
+struct Reconnecting<Open> {
+    open: Open,
     source: Option<Box<dyn Source>>,
     stop: Arc<AtomicBool>,
     /// It is not waited for longer than this.
     until: Option<Instant>,
+    /// How long to wait before it is looked for again.
+    retry: Duration,
 }
 
-impl Source for Reconnecting {
+impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnecting<Open> {
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
         while !self.stop.load(Ordering::Relaxed) && self.until.is_none_or(|until| Instant::now() < until) {
             if let Some(source) = &mut self.source {
@@ -142,9 +156,9 @@ impl Source for Reconnecting {
                     other => return other,
                 }
             }
-            match source::open(&self.name, &self.options) {
+            match (self.open)() {
                 Ok(source) => self.source = Some(source),
-                Err(_) => std::thread::sleep(Duration::from_secs(1)),
+                Err(_) => std::thread::sleep(self.retry),
             }
         }
         Ok(None)
@@ -244,4 +258,55 @@ fn print_report(report: &Report) {
     println!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
     let StageMs { capture, smooth, sinks } = report.stage_ms;
     println!("  a frame's mean: {capture:.1} ms in the source, {smooth:.1} in the engine, {sinks:.1} in the sinks");
+}
+
+#[cfg(test)]
+mod tests {
+    use planish::{Camera, DepthFrame};
+
+    use super::*;
+
+    /// Gives some frames, then is unplugged.
+    struct Unplugged {
+        frames: u32,
+    }
+
+    impl Source for Unplugged {
+        fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+            if self.frames == 0 {
+                return Err(DeviceError::Gone { what: "the test's camera".into() }.into());
+            }
+            self.frames -= 1;
+            let camera = Camera { width: 4, height: 3, ..Camera::kinect_v1() };
+            Ok(Some(SourceFrame::Depth(DepthFrame { camera, raw: vec![1000; 12], rgb: None, timestamp_s: None })))
+        }
+    }
+
+    #[test]
+    fn a_camera_that_comes_back_goes_on_and_one_that_does_not_is_waited_for_until_the_end() {
+        let mut attempts = 0;
+        let open = move || -> Result<Box<dyn Source>, Error> {
+            attempts += 1;
+            match attempts {
+                // Not there at the first look, back at the second, and never again after that.
+                2 => Ok(Box::new(Unplugged { frames: 3 })),
+                _ => Err(DeviceError::Failed { what: "no camera".into() }.into()),
+            }
+        };
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut source = Reconnecting {
+            open,
+            source: Some(Box::new(Unplugged { frames: 2 })),
+            stop: Arc::clone(&stop),
+            until: Some(Instant::now() + Duration::from_millis(300)),
+            retry: Duration::from_millis(5),
+        };
+        for _ in 0..5 {
+            assert!(source.next_frame().unwrap().is_some());
+        }
+        assert!(source.next_frame().unwrap().is_none());
+        source.until = None;
+        stop.store(true, Ordering::Relaxed);
+        assert!(source.next_frame().unwrap().is_none());
+    }
 }

@@ -1,12 +1,15 @@
 //! Recordings of libfreenect: a folder with INDEX.txt, depth in d-*.pgm, colour in r-*.ppm, as its tool `fakenect-record` writes.
 //!
 //! Depth there is the Kinect's raw 11-bit disparity, two bytes a pixel, least significant first; 2047 is a hole. A name is
-//! KIND-SECONDS-TICKS.EXTENSION, in the order of time.
+//! KIND-SECONDS-TICKS.EXTENSION, in the order of time. Disparity is what the infrared camera saw and colour what the colour
+//! camera beside it saw: each point takes the colour of the pixel that it falls on there.
 
 use std::f64::consts::PI;
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
 
 use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::Camera;
@@ -30,6 +33,49 @@ const INFRARED_CAMERA: Camera = Camera {
     depth_units_per_metre: 1000.0,
 };
 
+/// The colour camera beside it, and the way from a point of the infrared camera to one of this, from the same source. Axes as
+/// ours: x to the right, y down.
+const COLOUR_CAMERA: Camera = Camera {
+    width: 640,
+    height: 480,
+    fx: 529.21508,
+    fy: 525.56394,
+    cx: 328.94272,
+    cy: 267.48068,
+    depth_units_per_metre: 1000.0,
+};
+const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
+    0.999_846_29,
+    -0.001_477_91,
+    0.017_470_42,
+    0.001_263_54,
+    0.999_923_86,
+    0.012_275_34,
+    -0.017_487_23,
+    -0.012_251_38,
+    0.999_772_02,
+]);
+const COLOUR_OFFSET_M: DVec3 = DVec3::new(0.019_985_24, -0.000_744_24, -0.010_916_74);
+
+/// Colour for each pixel of a depth frame from disparities: black where there is no depth, or none of its colour camera's
+/// pixels.
+fn colour_of_depth(frame: &DepthFrame, rgb: &[u8]) -> Vec<u8> {
+    let camera = &frame.camera;
+    let colour_at = |(i, &raw): (usize, &u16)| -> Option<[u8; 3]> {
+        let z = f64::from(camera.depth_m(raw));
+        let (u, v) = ((i % camera.width) as f64, (i / camera.width) as f64);
+        let seen = DVec3::new((u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy, z);
+        let at = COLOUR_FROM_INFRARED * seen + COLOUR_OFFSET_M;
+        let (u, v) = (COLOUR_CAMERA.fx * at.x / at.z, COLOUR_CAMERA.fy * at.y / at.z);
+        let (u, v) = ((u + COLOUR_CAMERA.cx).round(), (v + COLOUR_CAMERA.cy).round());
+        // Not so where there is no depth, which is NaN.
+        let inside = (0.0..640.0).contains(&u) && (0.0..480.0).contains(&v);
+        let pixel = inside.then(|| 640 * v as usize + u as usize)?;
+        rgb.get(3 * pixel..3 * pixel + 3)?.try_into().ok()
+    };
+    frame.raw.iter().enumerate().flat_map(|pixel| colour_at(pixel).unwrap_or_default()).collect()
+}
+
 /// Depth in metres of a Kinect v1's raw 11-bit disparity: z = 0.1236 tan(d/2842.5 + 1.1863), the fit of S. Magnenat
 /// (OpenKinect, "Imaging Information", 2010), good to some 4 mm at 1 m. NaN for a hole, and beyond the 10 m that the sensor reaches.
 pub fn disparity_depth_m(disparity: u16) -> f64 {
@@ -45,18 +91,27 @@ fn depth_disparity(depth_m: f32) -> u16 {
     if disparity >= 0.0 && disparity < f64::from(HOLE_DISPARITY) { disparity.round() as u16 } else { HOLE_DISPARITY }
 }
 
-/// A Kinect's depth frame from its raw disparities, two bytes each, least significant first: millimetres.
-pub(super) fn frame_of_disparities(bytes: &[u8], camera: Option<Camera>, timestamp_s: Option<f64>) -> DepthFrame {
+/// A Kinect's depth frame from its raw disparities, two bytes each, least significant first: millimetres. `rgb` is the picture
+/// of its colour camera.
+pub(super) fn frame_of_disparities(
+    bytes: &[u8],
+    rgb: Option<&[u8]>,
+    camera: Option<Camera>,
+    timestamp_s: Option<f64>,
+) -> DepthFrame {
     let camera = with_shape(camera.unwrap_or(INFRARED_CAMERA), (640, 480));
     let camera = Camera { depth_units_per_metre: 1000.0, ..camera };
     let disparities = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]]));
     let raw = disparities.map(|disparity| camera.raw_depth(disparity_depth_m(disparity) as f32)).collect();
-    DepthFrame { camera, raw, rgb: None, timestamp_s }
+    let frame = DepthFrame { camera, raw, rgb: None, timestamp_s };
+    let rgb = rgb.map(|rgb| colour_of_depth(&frame, rgb));
+    DepthFrame { rgb, ..frame }
 }
 
-/// Reads the depth of a recording. Its colour is not registered to the depth and is left out.
+/// Reads a recording: every depth image, with the colour image last taken before it.
 pub struct FreenectRecording {
-    files: Vec<PathBuf>,
+    /// Depth and colour.
+    files: Vec<(PathBuf, Option<PathBuf>)>,
     camera: Option<Camera>,
     next: usize,
 }
@@ -67,8 +122,14 @@ impl FreenectRecording {
         let index = folder.join("INDEX.txt");
         let text =
             fs::read_to_string(&index).map_err(|error| IoError { path: index.clone(), problem: error.into() })?;
-        let names = text.lines().map(str::trim).filter(|name| name.starts_with("d-"));
-        let files: Vec<PathBuf> = names.map(|name| folder.join(name)).collect();
+        let (mut files, mut colour) = (Vec::new(), None);
+        for name in text.lines().map(str::trim) {
+            match name.as_bytes() {
+                [b'd', b'-', ..] => files.push((folder.join(name), colour.clone())),
+                [b'r', b'-', ..] => colour = Some(folder.join(name)),
+                _ => {}
+            }
+        }
         if files.is_empty() {
             return Err(malformed(&index, "lists no depth images (d-*.pgm)").into());
         }
@@ -78,22 +139,29 @@ impl FreenectRecording {
 
 impl Source for FreenectRecording {
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        let Some(file) = self.files.get(self.next) else { return Ok(None) };
+        let Some((file, colour)) = self.files.get(self.next) else { return Ok(None) };
         self.next += 1;
-        let bytes = fs::read(file).map_err(|error| IoError { path: file.clone(), problem: error.into() })?;
-        let pixels = 2 * 640 * 480;
-        // The header is one line, "P5 640 480 65535", and the pixels are not in the byte order that PGM asks for.
-        let end = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |at| at + 1);
-        let header = String::from_utf8_lossy(&bytes[..end]);
-        if header.split_whitespace().take(3).ne(["P5", "640", "480"]) || bytes.len() != end + pixels {
-            let problem =
-                "no depth image of libfreenect: 'P5 640 480 65535' on one line and 614,400 bytes are expected";
-            return Err(malformed(file, problem).into());
-        }
+        let disparities = read_netpbm(file, "P5", 2)?;
+        let rgb = colour.as_deref().map(|colour| read_netpbm(colour, "P6", 3)).transpose()?;
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         let seconds = name.split('-').nth(1).and_then(|seconds| seconds.parse().ok());
-        Ok(Some(SourceFrame::Depth(frame_of_disparities(&bytes[end..], self.camera, seconds))))
+        Ok(Some(SourceFrame::Depth(frame_of_disparities(&disparities, rgb.as_deref(), self.camera, seconds))))
     }
+}
+
+/// The pixels of an image of a recording. Its header is one line, as "P5 640 480 65535", and two bytes of a pixel are not in the
+/// order that PGM asks for.
+fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>, Error> {
+    let mut bytes = fs::read(file).map_err(|error| IoError { path: file.to_path_buf(), problem: error.into() })?;
+    let end = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+    let header = String::from_utf8_lossy(&bytes[..end]);
+    let pixels = bytes_a_pixel * 640 * 480;
+    if header.split_whitespace().take(3).ne([kind, "640", "480"]) || bytes.len() != end + pixels {
+        let problem =
+            format!("no image of libfreenect: '{kind} 640 480 ..' on one line and {pixels} bytes are expected");
+        return Err(malformed(file, problem).into());
+    }
+    Ok(bytes.split_off(end))
 }
 
 /// Writes frames of a Kinect v1 as a recording that libfreenect's playback library gives to programs: depth becomes the nearest
@@ -138,5 +206,25 @@ mod tests {
         assert!((disparity_depth_m(800) - 1.195).abs() < 0.001);
         assert!(disparity_depth_m(HOLE_DISPARITY).is_nan() && disparity_depth_m(1093).is_nan());
         assert_eq!(depth_disparity(f32::NAN), HOLE_DISPARITY);
+    }
+
+    #[test]
+    fn a_point_takes_the_colour_of_the_pixel_that_the_colour_camera_saw_it_in() {
+        // The colour camera's picture: red its column, green its row, both halved or so to fit a byte.
+        let rgb: Vec<u8> = (0..640 * 480).flat_map(|i| [((i % 640) / 4) as u8, ((i / 640) / 4) as u8, 77]).collect();
+        let disparity = depth_disparity(1.0);
+        let mut bytes: Vec<u8> = [disparity; 640 * 480].into_iter().flat_map(u16::to_le_bytes).collect();
+        bytes[..2].copy_from_slice(&HOLE_DISPARITY.to_le_bytes());
+        let frame = frame_of_disparities(&bytes, Some(&rgb), None, None);
+        let colours = frame.rgb.unwrap();
+        assert_eq!(colours[..3], [0; 3], "a hole has no colour");
+        // The point straight ahead at 1 m is 2 cm to the right of the colour camera's axis, which is turned by a degree.
+        let i = 3 * (640 * 243 + 339);
+        let z = f64::from(frame.camera.depth_m(frame.raw[640 * 243 + 339]));
+        let u = COLOUR_CAMERA.cx + COLOUR_CAMERA.fx * (0.019_985 - 0.017_487 * z) / (0.999_772 * z - 0.010_917);
+        let v = COLOUR_CAMERA.cy + COLOUR_CAMERA.fy * (-0.000_744 - 0.012_251 * z) / (0.999_772 * z - 0.010_917);
+        assert!((f64::from(colours[i]) - u / 4.0).abs() <= 1.0, "{} {u}", colours[i]);
+        assert!((f64::from(colours[i + 1]) - v / 4.0).abs() <= 1.0, "{} {v}", colours[i + 1]);
+        assert_eq!(colours[i + 2], 77);
     }
 }

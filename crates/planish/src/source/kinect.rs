@@ -342,9 +342,7 @@ unsafe fn run_device(
         });
         // Stopping what was not started is an error that means nothing.
         (freenect.stop_depth)(device);
-        if registered {
-            (freenect.stop_video)(device);
-        }
+        (freenect.stop_video)(device);
         (freenect.set_user)(device, std::ptr::null_mut());
         result
     }
@@ -363,13 +361,10 @@ unsafe fn start_streams(freenect: &Freenect, device: Device, registered: bool) -
         let mode = (freenect.find_depth_mode)(RESOLUTION_MEDIUM, format);
         check("the depth camera has not the mode", (freenect.set_depth_mode)(device, mode))?;
         (freenect.set_depth_callback)(device, on_depth);
-        // Only colour that is registered belongs to the depth.
-        if registered {
-            let mode = (freenect.find_video_mode)(RESOLUTION_MEDIUM, VIDEO_RGB);
-            check("the colour camera has not the mode", (freenect.set_video_mode)(device, mode))?;
-            (freenect.set_video_callback)(device, on_video);
-            check("the colour camera does not start", (freenect.start_video)(device))?;
-        }
+        let mode = (freenect.find_video_mode)(RESOLUTION_MEDIUM, VIDEO_RGB);
+        check("the colour camera has not the mode", (freenect.set_video_mode)(device, mode))?;
+        (freenect.set_video_callback)(device, on_video);
+        check("the colour camera does not start", (freenect.start_video)(device))?;
         check("the depth camera does not start", (freenect.start_depth)(device))
     }
 }
@@ -423,7 +418,7 @@ unsafe extern "C" fn on_depth(device: Device, depth: *mut c_void, ticks: u32) {
         let raw = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
         DepthFrame { camera: registered_camera(events.camera), raw, rgb: events.rgb.clone(), timestamp_s }
     } else {
-        frame_of_disparities(bytes, events.camera, timestamp_s)
+        frame_of_disparities(bytes, events.rgb.as_deref(), events.camera, timestamp_s)
     };
     events.newest.put(frame);
 }

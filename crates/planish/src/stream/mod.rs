@@ -5,6 +5,8 @@
 //! has a thread and a short queue of its own, so that none holds up the source or another.
 
 mod mailbox;
+#[cfg(feature = "rerun")]
+mod rerun;
 mod sinks;
 mod statistics;
 
@@ -23,6 +25,8 @@ use crate::view::SmoothedView;
 use mailbox::{Mailbox, Policy, TimeSpent};
 use sinks::SinkThread;
 
+#[cfg(feature = "rerun")]
+pub use self::rerun::RerunSink;
 pub use sinks::{FolderSink, Sink, SinkFormat};
 pub use statistics::{Latency, StreamStatistics};
 
@@ -39,6 +43,8 @@ pub struct StreamFrame {
     pub smoothed: Smoothed,
     /// From when the source gave it until its result was there.
     pub latency: Duration,
+    /// When its result was there.
+    pub received: Instant,
 }
 
 /// How a stream runs.
@@ -280,10 +286,12 @@ impl Stream<'_> {
     /// Gives the result of the oldest frame to the sinks.
     fn deliver(&mut self, view: SmoothedView, tell: &mut impl FnMut(StreamEvent<'_>)) {
         let Some(Pending { frame, since }) = self.pending.pop_front() else { return };
-        let latency = since.elapsed();
+        let received = Instant::now();
+        let latency = received.duration_since(since);
         self.statistics.add(latency);
         let index = self.statistics.frames_out - 1;
-        let frame = Arc::new(StreamFrame { index, source: frame, smoothed: view.into_smoothed(), latency });
+        let smoothed = view.into_smoothed();
+        let frame = Arc::new(StreamFrame { index, source: frame, smoothed, latency, received });
         for sink in &mut self.sinks {
             if let Some(warning) = sink.give(&frame, self.live) {
                 tell(StreamEvent::Warning(warning));

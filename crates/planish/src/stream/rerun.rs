@@ -1,0 +1,184 @@
+//! Rerun as a sink [feature `rerun`]: the raw and the smoothed cloud side by side, the depth image, latency and rate, in its
+//! viewer or as a file for it.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use rerun::blueprint::{
+    Blueprint, BlueprintActivation, BlueprintPanel, Horizontal, SelectionPanel, Spatial2DView, Spatial3DView,
+    TimePanel, TimeSeriesView, Vertical, components::PanelState,
+};
+use rerun::{DepthImage, Points3D, RecordingStream, RecordingStreamBuilder, Scalars, SpawnOptions, ViewCoordinates};
+
+use super::{Sink, StreamFrame};
+use crate::cloud::{OrganizedCloud, Xyz};
+use crate::error::{DeviceError, Error, FormatError, FrameError, IoError};
+use crate::render::{difference_normals, relief};
+use crate::smoothed::Outputs;
+use crate::source::SourceFrame;
+
+/// The rate shown is that of so many results.
+const RATE_FRAMES: usize = 30;
+
+/// A viewer that takes nothing for so long is gone.
+const SILENCE: Duration = Duration::from_secs(5);
+
+/// Shows every result in Rerun. The stream's outputs must have points.
+///
+/// A frame of 640x480 is some 10 MB. What has no colours is shaded by relief.
+pub struct RerunSink {
+    name: String,
+    /// `None` once it is closed.
+    recording: Option<RecordingStream>,
+    /// The file to make, and its name until it is whole.
+    file: Option<(PathBuf, PathBuf)>,
+    results: VecDeque<Instant>,
+}
+
+impl RerunSink {
+    /// What a stream must compute for it.
+    pub const OUTPUTS: Outputs = Outputs::POINTS;
+
+    /// Starts the viewer, the program `rerun` of version 0.36, and shows results there.
+    pub fn spawn() -> Result<Self, Error> {
+        let options = SpawnOptions { hide_welcome_screen: true, ..SpawnOptions::default() };
+        let recording = RecordingStreamBuilder::new("planish").spawn_opts(&options);
+        let recording = recording.map_err(|error| DeviceError::Driver {
+            what: format!("Rerun's viewer does not start: {}", error.to_string().trim()),
+            help: "install it (pip install rerun-sdk==0.36.3), or write a file with --rrd",
+        })?;
+        Self::start("Rerun".to_owned(), recording, None)
+    }
+
+    /// Writes a file that Rerun's viewer opens. It is called `FILE.partial` until it is closed; should the process be killed
+    /// before, the viewer opens that as far as it goes.
+    pub fn save(file: &Path) -> Result<Self, Error> {
+        let partial = PathBuf::from(format!("{}.partial", file.display()));
+        let recording = RecordingStreamBuilder::new("planish").save(&partial);
+        let recording = recording.map_err(|error| IoError {
+            path: file.to_path_buf(),
+            problem: FormatError::Unsupported(error.to_string()),
+        })?;
+        Self::start(file.display().to_string(), recording, Some((file.to_path_buf(), partial)))
+    }
+
+    fn start(name: String, recording: RecordingStream, file: Option<(PathBuf, PathBuf)>) -> Result<Self, Error> {
+        for cloud in ["raw", "smoothed"] {
+            logged(recording.log_static(cloud, &ViewCoordinates::RDF()))?;
+        }
+        logged(layout().send(&recording, BlueprintActivation::default()))?;
+        Ok(Self { name, recording: Some(recording), file, results: VecDeque::new() })
+    }
+
+    /// Results a second over the last of them.
+    fn fps(&mut self, at: Instant) -> Option<f64> {
+        self.results.push_back(at);
+        if self.results.len() > RATE_FRAMES {
+            self.results.pop_front();
+        }
+        let span = at.checked_duration_since(*self.results.front()?)?.as_secs_f64();
+        (span > 0.0).then(|| (self.results.len() - 1) as f64 / span)
+    }
+}
+
+impl Sink for RerunSink {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        let fps = self.fps(frame.received);
+        let Some(recording) = &self.recording else { return Ok(()) };
+        let cloud = match &frame.source {
+            SourceFrame::Depth(depth) => &depth.deproject()?,
+            SourceFrame::Cloud { cloud, .. } => cloud,
+        };
+        let expected = cloud.points.len();
+        if frame.smoothed.points.len() != expected {
+            let (what, len) = ("the smoothed points for Rerun".to_owned(), frame.smoothed.points.len());
+            return Err(FrameError::LengthMismatch { what, len, expected }.into());
+        }
+        recording.set_time_sequence("frame", i64::try_from(frame.index).unwrap_or(i64::MAX));
+        if let Some(timestamp_s) = frame.source.timestamp_s() {
+            recording.set_duration_secs("camera time", timestamp_s);
+        }
+        logged(recording.log("raw", &points(cloud, cloud.positions())))?;
+        logged(recording.log("smoothed", &points(cloud, &frame.smoothed.points)))?;
+        logged(recording.log("depth", &depth_image(&frame.source)))?;
+        logged(recording.log("latency/ms", &Scalars::single(1e3 * frame.latency.as_secs_f64())))?;
+        if let Some(fps) = fps {
+            logged(recording.log("rate/frames a second", &Scalars::single(fps)))?;
+        }
+        // Waited for, so that what the viewer is too slow for stays with the stream, which counts it.
+        let gone = |error| DeviceError::Gone { what: format!("{} takes no more frames: {error}", self.name) };
+        Ok(recording.flush_with_timeout(SILENCE).map_err(gone)?)
+    }
+
+    fn close(&mut self) -> Result<(), Error> {
+        let Some(recording) = self.recording.take() else { return Ok(()) };
+        let flushed = recording.flush_with_timeout(SILENCE);
+        // The last of the file is written when nothing writes to it any more.
+        recording.finalize_deferred_sinks();
+        drop(recording);
+        match &self.file {
+            None => Ok(()),
+            Some((file, partial)) => {
+                let failed = |problem| IoError { path: file.clone(), problem };
+                flushed.map_err(|error| failed(FormatError::Unsupported(error.to_string())))?;
+                Ok(std::fs::rename(partial, file).map_err(|error| failed(error.into()))?)
+            }
+        }
+    }
+}
+
+fn logged<E: std::fmt::Display>(result: Result<(), E>) -> Result<(), DeviceError> {
+    result.map_err(|error| DeviceError::Failed { what: format!("Rerun: {error}") })
+}
+
+/// The clouds above; depth, latency and rate below; nothing else.
+fn layout() -> Blueprint {
+    let clouds = Horizontal::new([
+        Spatial3DView::new("raw").with_origin("raw").into(),
+        Spatial3DView::new("smoothed").with_origin("smoothed").into(),
+    ]);
+    let measures = Horizontal::new([
+        Spatial2DView::new("depth").with_origin("depth").into(),
+        TimeSeriesView::new("latency, ms").with_origin("latency").into(),
+        TimeSeriesView::new("frames a second").with_origin("rate").into(),
+    ]);
+    Blueprint::new(Vertical::new([clouds.into(), measures.into()]).with_row_shares([2.0, 1.0]))
+        .with_blueprint_panel(BlueprintPanel::from_state(PanelState::Collapsed))
+        .with_selection_panel(SelectionPanel::from_state(PanelState::Collapsed))
+        .with_time_panel(TimePanel::new().with_state(PanelState::Collapsed).with_timeline("frame"))
+}
+
+/// The points that are there, with the cloud's colours or lit as relief. Their radius is half of the pixels' spacing.
+fn points(cloud: &OrganizedCloud, positions: &Xyz) -> Points3D {
+    let colours = cloud.points.rgb().unwrap_or_else(|| {
+        let (width, height) = (cloud.width(), cloud.height());
+        let shades = relief(width, height, &difference_normals(width, height, positions)).rgb;
+        shades.chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2]]).collect()
+    });
+    let half_pitch_at_1m = 0.5 * cloud.pixel_pitch_at_1m().unwrap_or(2e-3) as f32;
+    let valid = || (0..positions.len()).filter(|&i| positions.is_finite(i));
+    Points3D::new(valid().map(|i| positions.get(i)))
+        .with_colors(valid().map(|i| colours[i]))
+        .with_radii(valid().map(|i| positions.z[i].abs() * half_pitch_at_1m))
+}
+
+fn depth_image(source: &SourceFrame) -> DepthImage {
+    let (width, height) = source.as_frame().shape();
+    let shape = [width as u32, height as u32];
+    match source {
+        SourceFrame::Depth(depth) => {
+            let bytes: Vec<u8> = depth.raw.iter().flat_map(|raw| raw.to_le_bytes()).collect();
+            DepthImage::from_gray16(bytes, shape).with_meter(depth.camera.depth_units_per_metre as f32)
+        }
+        SourceFrame::Cloud { cloud, .. } => {
+            let metres = cloud.positions().z.iter().map(|&z| if z.is_finite() { z } else { 0.0 });
+            let bytes: Vec<u8> = metres.flat_map(f32::to_le_bytes).collect();
+            DepthImage::from_data_type_and_bytes(bytes, shape, rerun::ChannelDatatype::F32).with_meter(1.0)
+        }
+    }
+}
