@@ -1,11 +1,15 @@
 // PCL's MovingLeastSquares on a PCD file: prints the median time of some runs in milliseconds, and the points that are left.
 //
-// usage: pcl_mls FILE RADIUS_M DEGREE THREADS RUNS
+// usage: pcl_mls FILE RADIUS_M DEGREE THREADS RUNS [OUTPUT.pcd]
+//
+// With an output the result is put back on the grid of the input, by the indices that PCL keeps, with its normals.
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <limits>
 #include <vector>
 
 #include <pcl/filters/filter.h>
@@ -15,12 +19,13 @@
 #include <pcl/surface/mls.h>
 
 int main(int argc, char** argv) {
-  if (argc != 6) {
-    std::fprintf(stderr, "usage: pcl_mls FILE RADIUS_M DEGREE THREADS RUNS\n");
+  if (argc != 6 && argc != 7) {
+    std::fprintf(stderr, "usage: pcl_mls FILE RADIUS_M DEGREE THREADS RUNS [OUTPUT.pcd]\n");
     return 2;
   }
   pcl::PointCloud<pcl::PointXYZ>::Ptr cloud(new pcl::PointCloud<pcl::PointXYZ>);
   if (pcl::io::loadPCDFile(argv[1], *cloud) != 0) return 2;
+  const std::size_t width = cloud->width, height = cloud->height;
   std::vector<int> kept;
   pcl::removeNaNFromPointCloud(*cloud, *cloud, kept);
 
@@ -41,6 +46,20 @@ int main(int argc, char** argv) {
     const std::chrono::duration<double, std::milli> elapsed = std::chrono::steady_clock::now() - start;
     times.push_back(elapsed.count());
     points = smoothed.size();
+    if (run > 0 || argc != 7) continue;
+
+    const float nan = std::numeric_limits<float>::quiet_NaN();
+    pcl::PointNormal hole;
+    hole.x = hole.y = hole.z = hole.normal_x = hole.normal_y = hole.normal_z = hole.curvature = nan;
+    pcl::PointCloud<pcl::PointNormal> grid(width, height, hole);
+    const auto& indices = mls.getCorrespondingIndices()->indices;
+    for (std::size_t i = 0; i < smoothed.size(); ++i) {
+      pcl::PointNormal point = smoothed[i];
+      // PCL leaves the sign of the normal open: towards the camera.
+      if (point.getNormalVector3fMap().dot(point.getVector3fMap()) > 0) point.getNormalVector3fMap() *= -1;
+      grid[kept[indices[i]]] = point;
+    }
+    if (pcl::io::savePCDFileBinary(argv[6], grid) != 0) return 2;
   }
   std::sort(times.begin(), times.end());
   std::printf("%.3f %zu\n", times[times.size() / 2], points);

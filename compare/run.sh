@@ -7,21 +7,7 @@ project=$(dirname "$here")
 work=$project/target/compare
 radius=0.03
 threads=2
-mkdir -p "$work"
-
-if ! dpkg -s libpcl-dev >/dev/null 2>&1; then
-  apt-get update -qq && apt-get install -y -qq libpcl-dev g++ pkg-config >/dev/null
-fi
-if [ ! -x "$work/venv/bin/python" ]; then
-  python3 -m venv "$work/venv"
-  "$work/venv/bin/pip" -q install open3d-cpu==0.20.0
-fi
-# No -march: Debian's library is built without, and PCL's alignment follows the flag.
-# shellcheck disable=SC2046
-g++ -O3 -fopenmp -w "$here/pcl_mls.cpp" -o "$work/pcl_mls" \
-  $(pkg-config --cflags pcl_surface pcl_search pcl_filters pcl_io eigen3) -I/usr/include \
-  -lpcl_surface -lpcl_search -lpcl_kdtree -lpcl_filters -lpcl_io -lpcl_common -lboost_system
-cargo build --release --quiet --manifest-path "$project/Cargo.toml"
+"$here/install.sh"
 
 planish() { # FILE ENGINE RUNS: milliseconds and points
   "$project/target/release/planish" smooth "$1" "$work/out.pcd" --preset paper --engine "$2" --threads $threads \

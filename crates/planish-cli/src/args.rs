@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand, ValueEnum};
 use planish::io::Encoding;
-use planish::{Camera, Engine, GpuOptions, Outputs, Radius, SmoothParams, SmootherOptions};
+use planish::{
+    Camera, Edges, Engine, GpuOptions, OrganizedCloud, Outputs, Radius, Sensor, SmoothParams, SmootherOptions, Strength,
+};
 
 /// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
 #[derive(Parser)]
@@ -32,6 +34,8 @@ pub enum Command {
     Record(RecordArgs),
     /// Say what this machine computes with: instruction sets, GPUs, and what `auto` takes
     Devices(DevicesArgs),
+    /// Measure how good the surface is: on simulated frames against their truth, or on a file by itself
+    Evaluate(EvaluateArgs),
     /// Measure the engines, each result held against the reference first
     Bench(BenchArgs),
 }
@@ -175,6 +179,35 @@ pub struct DevicesArgs {
 }
 
 #[derive(clap::Args)]
+pub struct EvaluateArgs {
+    /// Simulate so many seeds, from 1 on; three frames each
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..))]
+    pub seeds: u64,
+    /// Simulate this seed alone
+    #[arg(long, value_name = "SEED", conflicts_with = "seeds")]
+    pub seed: Option<u64>,
+    /// A real organized cloud, or a depth image with --camera: how flat it is piece by piece, before and after
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "results"])]
+    pub input: Option<PathBuf>,
+    /// Write the simulated frames as organized clouds into this folder and do nothing else, for other programs to smooth
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
+    pub export: Option<PathBuf>,
+    /// Measure what another program made of those: organized clouds of the same names, perhaps with normals, in this folder
+    #[arg(long, value_name = "DIR")]
+    pub results: Option<PathBuf>,
+    /// Folder for report.json, error-over-z.svg and an error map of each frame of the first seed
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
 pub struct BenchArgs {
     #[command(subcommand)]
     pub what: BenchCommand,
@@ -231,10 +264,34 @@ pub enum EngineArg {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum PresetArg {
-    /// What the library recommends
+    /// 49 candidates over 13x13 pixels: for small things
+    Light,
+    /// 121 candidates over 31x31 pixels: what the library recommends
     Default,
+    /// 225 candidates over 43x43 pixels: for walls, floors and far ranges
+    Strong,
     /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3
     Paper,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum SensorArg {
+    /// Kinect v1, Xtion, PrimeSense (the default)
+    Kinect1,
+    /// Stereo as a RealSense D400
+    Stereo,
+    /// Depth without noise
+    Exact,
+    /// Estimated from the depths of the frame
+    Auto,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum EdgesArg {
+    /// Every neighbour counts: edges are rounded off
+    Off,
+    /// Neighbours that are not on the point's surface do not count
+    Robust,
 }
 
 /// How to smooth; what is not given is taken from the preset.
@@ -243,6 +300,15 @@ pub struct SmoothingArgs {
     /// A named setting; the options below change single values of it
     #[arg(long, value_enum)]
     pub preset: Option<PresetArg>,
+    /// Whose noise it is: it sets the radius and how well edges are told from noise
+    #[arg(long, value_enum)]
+    pub sensor: Option<SensorArg>,
+    /// What becomes of creases and steps
+    #[arg(long, value_enum)]
+    pub edges: Option<EdgesArg>,
+    /// Turn pixels that float between two surfaces into holes first
+    #[arg(long)]
+    pub remove_floating: bool,
     /// Half width of the window: (2K+1)² candidates, K from 1 to 7
     #[arg(long, value_name = "K")]
     pub window: Option<u32>,
@@ -319,9 +385,23 @@ impl SmoothingArgs {
         self.radius.is_some() || matches!(self.preset, Some(PresetArg::Paper))
     }
 
+    /// The parameters, where a frame that a sensor could be estimated from is not at hand.
     pub fn params(&self) -> Result<SmoothParams> {
+        if matches!(self.sensor, Some(SensorArg::Auto)) {
+            bail!(
+                "--sensor auto needs a frame to look at: `planish info FILE` says what it sees, name the nearest sensor here"
+            );
+        }
+        self.params_for(None)
+    }
+
+    /// The parameters for a frame. Points without a grid are smoothed without a sensor.
+    pub fn params_for(&self, cloud: Option<&OrganizedCloud>) -> Result<SmoothParams> {
+        let sensor = self.sensor_of(cloud)?;
         let mut params = match self.preset {
-            None | Some(PresetArg::Default) => SmoothParams::default(),
+            Some(PresetArg::Light) => SmoothParams::for_sensor(sensor, Strength::Light),
+            None | Some(PresetArg::Default) => SmoothParams::for_sensor(sensor, Strength::Default),
+            Some(PresetArg::Strong) => SmoothParams::for_sensor(sensor, Strength::Strong),
             Some(PresetArg::Paper) => SmoothParams::paper(),
         };
         params.window = self.window.unwrap_or(params.window);
@@ -330,11 +410,34 @@ impl SmoothingArgs {
         params.bandwidth_m = self.bandwidth.or(params.bandwidth_m);
         match self.radius {
             None => {}
-            Some(RadiusArg::Sensor) => params.radius = Radius::KINECT_V1,
+            Some(RadiusArg::Sensor) => {
+                params.radius = Radius::Sensor { depth_step_at_1m: sensor.depth_step_at_1m };
+            }
             Some(RadiusArg::Metres(radius_m)) => params.radius = Radius::Fixed { radius_m },
+        }
+        match self.edges {
+            None => {}
+            Some(EdgesArg::Off) => params.edges = Edges::Off,
+            Some(EdgesArg::Robust) => params.edges = Edges::Robust { noise_at_1m: sensor.noise_at_1m },
         }
         params.validate()?;
         Ok(params)
+    }
+
+    /// Whose noise it is; of a frame, where it is to be estimated.
+    fn sensor_of(&self, cloud: Option<&OrganizedCloud>) -> Result<Sensor> {
+        Ok(match (self.sensor, cloud) {
+            (None | Some(SensorArg::Kinect1), _) | (Some(SensorArg::Auto), None) => Sensor::KINECT_V1,
+            (Some(SensorArg::Stereo), _) => Sensor::STEREO,
+            (Some(SensorArg::Exact), _) => Sensor::EXACT,
+            (Some(SensorArg::Auto), Some(cloud)) => Sensor::estimate(cloud)
+                .context("--sensor auto: too few depths to estimate a sensor from; name one, as --sensor kinect1")?,
+        })
+    }
+
+    /// The noise by which floating pixels are told, if they are to be removed.
+    pub fn floating_noise_at_1m(&self, cloud: Option<&OrganizedCloud>) -> Result<Option<f32>> {
+        Ok(if self.remove_floating { Some(self.sensor_of(cloud)?.noise_at_1m) } else { None })
     }
 
     pub fn engine(&self) -> Engine {

@@ -21,6 +21,7 @@ fn main() -> ExitCode {
         Command::Stream(args) => commands::stream::run(&args),
         Command::Record(args) => commands::record::run(&args),
         Command::Devices(args) => commands::devices::run(&args),
+        Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
     };
     match result {

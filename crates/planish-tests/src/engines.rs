@@ -3,7 +3,7 @@
 use std::sync::{Mutex, OnceLock};
 
 use planish::{
-    Engine, Frame, GpuAdapter, GpuOptions, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother,
+    Edges, Engine, Frame, GpuAdapter, GpuOptions, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother,
     SmootherOptions, auto_choice, gpu_adapters,
 };
 
@@ -97,7 +97,7 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
 }
 
 /// The corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 3, degrees 1 to 3, both
-/// radius rules.
+/// radius rules; edges off, and kept with one of the rules.
 pub fn parameter_grid() -> Vec<SmoothParams> {
     let fixed = Radius::Fixed { radius_m: 0.03 };
     let corners = [1, 7].into_iter().flat_map(|window| {
@@ -109,15 +109,26 @@ pub fn parameter_grid() -> Vec<SmoothParams> {
                     radius,
                     degree,
                     bandwidth_m: None,
+                    edges: Edges::Off,
                 })
             })
         })
     });
     let between = [(2, 2, 3), (3, 1, 3), (3, 3, 2), (4, 2, 2), (5, 1, 3), (6, 2, 1), (3, 8, 3)].into_iter().flat_map(
         |(window, stride, degree)| {
-            [fixed, Radius::KINECT_V1].map(|radius| SmoothParams { window, stride, radius, degree, bandwidth_m: None })
+            [fixed, Radius::KINECT_V1].map(|radius| SmoothParams {
+                window,
+                stride,
+                radius,
+                degree,
+                bandwidth_m: None,
+                edges: Edges::Off,
+            })
         },
     );
     let bandwidth = SmoothParams { bandwidth_m: Some(0.01), ..SmoothParams::paper() };
-    corners.chain(between).chain([bandwidth]).collect()
+    let off: Vec<SmoothParams> = corners.chain(between).chain([bandwidth]).collect();
+    let robust = off.iter().enumerate().filter(|(i, _)| i % 4 == 0 || i % 4 == 3);
+    let robust = robust.map(|(_, &params)| SmoothParams { edges: Edges::KINECT_V1, ..params });
+    off.iter().copied().chain(robust).collect()
 }

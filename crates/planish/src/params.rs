@@ -26,6 +26,61 @@ impl Radius {
     pub const KINECT_V1: Self = Self::Sensor { depth_step_at_1m: KINECT_V1_DEPTH_STEP_AT_1M };
 }
 
+/// The noise of a Kinect v1 in metres at a range of 1 m, as standard deviation: 0.63 of its depth step.
+pub const KINECT_V1_NOISE_AT_1M: f32 = 1.8e-3;
+
+/// What becomes of creases and steps (docs/method.md, section 10).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Edges {
+    /// Every neighbour counts: the surface is rounded off within a window's reach of an edge.
+    Off,
+    /// The surface of each point is taken from the planes around it, and neighbours off that surface by more than the noise do
+    /// not count: edges stay, and flat surfaces are smoother too. Clouds without a grid are smoothed without it.
+    Robust {
+        /// The standard deviation of depth at 1 m, in metres; it grows with z². Kinect v1: 1.8e-3.
+        noise_at_1m: f32,
+    },
+}
+
+/// What a smoother must know of a depth sensor. Both numbers grow with z², as those of triangulating sensors do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sensor {
+    /// From one depth that it can tell to the next at 1 m, in metres.
+    pub depth_step_at_1m: f32,
+    /// The standard deviation of depth at 1 m, in metres.
+    pub noise_at_1m: f32,
+}
+
+impl Sensor {
+    /// A Kinect v1, or another camera with its pattern (Xtion, PrimeSense Carmine).
+    pub const KINECT_V1: Self =
+        Self { depth_step_at_1m: KINECT_V1_DEPTH_STEP_AT_1M, noise_at_1m: KINECT_V1_NOISE_AT_1M };
+    /// Stereo of some 5 cm baseline with disparities in 32nds of a pixel, as a RealSense D400.
+    pub const STEREO: Self = Self { depth_step_at_1m: 3.2e-3, noise_at_1m: 2e-3 };
+    /// Depth without noise: rendered, or averaged long.
+    pub const EXACT: Self = Self { depth_step_at_1m: 0.0, noise_at_1m: 0.0 };
+}
+
+/// Less noise than this needs no wide windows.
+const LITTLE_NOISE_AT_1M: f32 = 2e-4;
+
+/// How far and how much to smooth; the pixels are those for a sensor with noise.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Strength {
+    /// 49 candidates over 13x13 pixels: for small things.
+    Light,
+    /// 121 candidates over 31x31 pixels.
+    #[default]
+    Default,
+    /// 225 candidates over 43x43 pixels: for walls, floors and far ranges.
+    Strong,
+}
+
+impl Edges {
+    /// Robust against the noise of a Kinect v1.
+    pub const KINECT_V1: Self = Self::Robust { noise_at_1m: KINECT_V1_NOISE_AT_1M };
+}
+
 /// The parameters of the smoother.
 ///
 /// ```
@@ -49,20 +104,42 @@ pub struct SmoothParams {
     pub degree: u32,
     /// Bandwidth g of the Gaussian weight exp(-d²/g²) in metres; `None` is the radius.
     pub bandwidth_m: Option<f32>,
+    /// Whether edges are kept.
+    pub edges: Edges,
 }
 
 impl Default for SmoothParams {
-    /// 49 candidates spread over 19x19 pixels, the radius of the sensor, degree 2: on correlated Kinect noise this leaves
-    /// two thirds of the error of [`SmoothParams::paper`] at the same cost.
+    /// [`SmoothParams::for_sensor`] of a Kinect v1 and [`Strength::Default`]: on correlated Kinect noise this leaves a quarter of
+    /// the error, and less than half of what [`SmoothParams::paper`] leaves.
     fn default() -> Self {
-        Self { window: 3, stride: 3, radius: Radius::KINECT_V1, degree: 2, bandwidth_m: None }
+        Self::for_sensor(Sensor::KINECT_V1, Strength::default())
     }
 }
 
 impl SmoothParams {
+    /// A setting for a sensor: degree 2, edges kept, the radius and the noise of the sensor.
+    ///
+    /// A sensor with hardly any noise (under 0.2 mm at 1 m) gets windows a third as wide: there is little to gain, and small
+    /// things to lose.
+    pub fn for_sensor(sensor: Sensor, strength: Strength) -> Self {
+        let has_noise = sensor.noise_at_1m >= LITTLE_NOISE_AT_1M;
+        let (window, stride) = match strength {
+            Strength::Light if has_noise => (3, 2),
+            Strength::Default if has_noise => (5, 3),
+            Strength::Strong if has_noise => (7, 3),
+            Strength::Light => (2, 1),
+            Strength::Default => (5, 1),
+            Strength::Strong => (7, 1),
+        };
+        let radius = Radius::Sensor { depth_step_at_1m: sensor.depth_step_at_1m };
+        let edges = Edges::Robust { noise_at_1m: sensor.noise_at_1m };
+        Self { window, stride, radius, degree: 2, bandwidth_m: None, edges }
+    }
+
     /// The setting of the 2011 report: 49 adjacent pixels, 3 cm, degree 3.
     pub fn paper() -> Self {
-        Self { window: 3, stride: 1, radius: Radius::Fixed { radius_m: 0.03 }, degree: 3, bandwidth_m: None }
+        let radius = Radius::Fixed { radius_m: 0.03 };
+        Self { window: 3, stride: 1, radius, degree: 3, bandwidth_m: None, edges: Edges::Off }
     }
 
     /// Refuses every value outside its range.
@@ -85,6 +162,9 @@ impl SmoothParams {
                 real("depth_step_at_1m", depth_step_at_1m, 0.0..=1.0, "0 to 1 metre")?
             }
         }
+        if let Edges::Robust { noise_at_1m } = self.edges {
+            real("noise_at_1m", noise_at_1m, 0.0..=1.0, "0 to 1 metre")?;
+        }
         if let Some(bandwidth_m) = self.bandwidth_m {
             real("bandwidth_m", bandwidth_m, 1e-6..=1e3, "1e-6 to 1000 metres")?;
         }
@@ -101,6 +181,12 @@ impl SmoothParams {
         let side = 2 * self.window as usize + 1;
         side * side
     }
+}
+
+/// How far away in pixels the planes are that say which surface a point lies on: nine tenths of the reach k s of a window, so
+/// that one of them is clear of an edge that the point itself is near to.
+pub(crate) fn edge_shift_px(reach_px: u32) -> u32 {
+    (9 * reach_px + 5) / 10
 }
 
 #[cfg(test)]
@@ -127,6 +213,7 @@ mod tests {
                 "-1",
                 "0 to 1",
             ),
+            (SmoothParams { edges: Edges::Robust { noise_at_1m: 2.0 }, ..ok }, "noise_at_1m", "2", "0 to 1"),
             (SmoothParams { bandwidth_m: Some(0.0), ..ok }, "bandwidth_m", "0", "1e-6 to 1000"),
         ];
         for (params, field, value, allowed) in cases {

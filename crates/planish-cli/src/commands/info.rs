@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use planish::io::{self, Contents, Format};
-use planish::{Attribute, AttributeValues, PointCloud};
+use planish::{Attribute, AttributeValues, PointCloud, Sensor};
 use serde::Serialize;
 
 use crate::args::InfoArgs;
@@ -23,8 +23,17 @@ struct Info {
     median_z_m: Option<f64>,
     /// Metres between neighbouring pixels at 1 m.
     pixel_pitch_at_1m: Option<f64>,
+    /// What --sensor auto would take the sensor for.
+    sensor: Option<SensorInfo>,
     /// Smallest and largest raw value of a depth image.
     raw_depth: Option<[u16; 2]>,
+}
+
+/// Both grow with z².
+#[derive(Serialize)]
+struct SensorInfo {
+    depth_step_at_1m: f32,
+    noise_at_1m: f32,
 }
 
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
@@ -50,6 +59,7 @@ fn describe(format: Format, contents: &Contents) -> Info {
         bounds_m: None,
         median_z_m: None,
         pixel_pitch_at_1m: None,
+        sensor: None,
         raw_depth: None,
     };
     match contents {
@@ -66,6 +76,8 @@ fn describe(format: Format, contents: &Contents) -> Info {
         }
         Contents::Organized(cloud) => {
             info.pixel_pitch_at_1m = cloud.pixel_pitch_at_1m();
+            info.sensor = Sensor::estimate(cloud)
+                .map(|Sensor { depth_step_at_1m, noise_at_1m }| SensorInfo { depth_step_at_1m, noise_at_1m });
             describe_points(&cloud.points, &mut info);
         }
         Contents::Points(cloud) => describe_points(cloud, &mut info),
@@ -133,5 +145,11 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
     }
     if let Some(pitch) = info.pixel_pitch_at_1m {
         println!("  pixel pitch   {:.3} mm at 1 m (focal length {:.1} px)", 1e3 * pitch, 1.0 / pitch);
+    }
+    if let Some(SensorInfo { depth_step_at_1m, noise_at_1m }) = info.sensor {
+        let [step, noise] = [depth_step_at_1m, noise_at_1m].map(|metres| 1e3 * metres);
+        println!(
+            "  sensor        steps of {step:.2} mm and noise of {noise:.2} mm at 1 m (a Kinect v1 has 2.85 and 1.80)"
+        );
     }
 }

@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod demo;
 pub mod devices;
+pub mod evaluate;
 pub mod info;
 pub mod record;
 pub mod render;

@@ -66,10 +66,11 @@ struct FolderReport {
 }
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
-    let params = args.smoothing.params()?;
+    // Those of clouds without a grid; with --sensor auto the first frame says those of all others.
+    let params = args.smoothing.params_for(None)?;
     // Options that contradict each other are refused whatever the input turns out to be.
     args.smoothing.options(Outputs::POINTS)?;
-    let mut worker = Worker { args, params, open: None, smoothed: Smoothed::default() };
+    let mut worker = Worker { args, params, sensor_known: false, open: None, smoothed: Smoothed::default() };
     if args.input.is_dir() {
         return run_folder(&mut worker);
     }
@@ -175,6 +176,8 @@ fn print_report(report: &Report) {
 struct Worker<'a> {
     args: &'a SmoothArgs,
     params: SmoothParams,
+    /// Whether the parameters are those of the frames' sensor.
+    sensor_known: bool,
     open: Option<(Smoother, (usize, usize), Outputs)>,
     smoothed: Smoothed,
 }
@@ -252,13 +255,19 @@ impl Worker<'_> {
             outputs = Outputs { status: true, ..Outputs::DEPTH };
         }
         // A raw depth image goes to the engine as it is.
-        let depth = match &contents {
+        let mut depth = match &contents {
             Contents::Depth(image) => {
                 Some(DepthFrame::new(self.args.camera.required(shape, input)?, image.clone()).map_err(Error::from)?)
             }
             _ => None,
         };
-        let cloud = organized(contents, &self.args.camera, input)?;
+        let mut cloud = organized(contents, &self.args.camera, input)?;
+        if let Some(noise_at_1m) = self.args.smoothing.floating_noise_at_1m(Some(&cloud))? {
+            cloud.remove_floating(noise_at_1m);
+            depth.iter_mut().for_each(|depth| {
+                depth.remove_floating(noise_at_1m);
+            });
+        }
         let frame = depth.as_ref().map_or(Frame::Cloud(&cloud), Frame::Depth);
         let depth_camera = match cloud.camera {
             _ if !depth_out => None,
@@ -266,6 +275,9 @@ impl Worker<'_> {
             camera => camera,
         };
 
+        if !std::mem::replace(&mut self.sensor_known, true) {
+            self.params = self.args.smoothing.params_for(Some(&cloud)).with_context(|| input.display().to_string())?;
+        }
         self.open(shape, outputs)?;
         let mut times_ms = Vec::new();
         for _ in 0..self.args.repeat {

@@ -69,7 +69,10 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         max_duration: args.limits.max_duration()?,
     };
     let stop = stop_on_ctrl_c()?;
-    let source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
+    let mut source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
+    if let Some(noise_at_1m) = args.smoothing.floating_noise_at_1m(None)? {
+        source = Box::new(WithoutFloating { source, noise_at_1m });
+    }
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
         sinks.push(Box::new(FolderSink::create(folder, format, outputs)?));
@@ -131,6 +134,36 @@ pub fn open_source(
     let open = move || source::open(&name, &options);
     let retry = Duration::from_secs(1);
     Ok(Box::new(Reconnecting { open, source: Some(source), stop: Arc::clone(stop), until, retry }))
+}
+
+/// A source whose floating pixels are holes.
+struct WithoutFloating {
+    source: Box<dyn Source>,
+    noise_at_1m: f32,
+}
+
+impl Source for WithoutFloating {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let mut frame = self.source.next_frame()?;
+        match &mut frame {
+            Some(SourceFrame::Depth(depth)) => {
+                depth.remove_floating(self.noise_at_1m);
+            }
+            Some(SourceFrame::Cloud { cloud, .. }) => {
+                cloud.remove_floating(self.noise_at_1m);
+            }
+            None => {}
+        }
+        Ok(frame)
+    }
+
+    fn dropped(&self) -> u64 {
+        self.source.dropped()
+    }
+
+    fn is_live(&self) -> bool {
+        self.source.is_live()
+    }
 }
 
 /// A camera that is opened again when it comes back.

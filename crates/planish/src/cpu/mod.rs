@@ -2,13 +2,16 @@
 //!
 //! The stages have the reference's names, one file each, and are written once over the SIMD level; [`level`] says which
 //! there are. A frame becomes padded planes ([`planes`]), tasks take bands of rows ([`rows`]), and each vector of pixels
-//! goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]. A pixel's result depends on
+//! goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]; where edges are kept, [`edges`]
+//! fits the planes of all pixels in a pass of its own before. A pixel's result depends on
 //! its window alone, so threads change nothing; lanes are independent, so neither does a pixel's place in its vector.
 
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
 
+mod edges;
 mod eigen;
+mod halves;
 mod level;
 mod math;
 mod plane;
@@ -31,16 +34,15 @@ use crate::params::SmoothParams;
 use crate::radius::{MAX_RADIUS_M, RadiusRule};
 use crate::smoothed::{Outputs, Smoothed};
 use crate::threads::Threads;
+use edges::{FirstPlanes, FirstRows};
+use halves::{Halves, over};
 use planes::Planes;
-use polynomial::Terms;
+use polynomial::{Terms, Weighting};
 use rows::Rows;
 use vector::{Mask, Vec3, splat};
-use window::{MAX_CANDIDATES, Window};
+use window::{Gate, MAX_CANDIDATES, Window};
 
 pub use level::SimdLevel;
-
-/// Rows of one task: enough that a task costs nothing beside them, few enough that threads end together.
-const ROWS_A_TASK: usize = 8;
 
 /// What a kernel needs to know of the parameters.
 struct Kernel {
@@ -69,6 +71,8 @@ pub(crate) struct Cpu {
     /// `None` runs on the calling thread.
     threads: Option<Threads>,
     planes: Planes,
+    /// Where edges are kept.
+    first_planes: Option<FirstPlanes>,
     pitches: Vec<f64>,
 }
 
@@ -89,14 +93,9 @@ impl Cpu {
             })?,
         };
         let threads = if threads == Some(1) { None } else { Some(Threads::open(threads)?) };
-        Ok(Self {
-            params,
-            outputs,
-            level,
-            threads,
-            planes: Planes::new(shape.0, shape.1, params.reach_px()),
-            pitches: Vec::new(),
-        })
+        let planes = Planes::new(shape.0, shape.1, params.reach_px());
+        let first_planes = FirstPlanes::new(&params, &planes);
+        Ok(Self { params, outputs, level, threads, planes, first_planes, pitches: Vec::new() })
     }
 
     pub(crate) fn smooth(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
@@ -109,52 +108,77 @@ impl Cpu {
             radius: RadiusRule::new(&self.params, frame, &mut self.pitches),
             bandwidth_m: self.params.bandwidth_m,
         };
-        let (planes, level) = (&mut self.planes, self.level);
-        match &self.threads {
-            None => {
-                planes.fill(frame, false);
-                smooth_rows(level, planes, &kernel, Rows::all(out));
+        let rows = Rows::all(out);
+        match self.threads.take() {
+            None => self.smooth_rows_of(frame, &kernel, rows, false),
+            Some(threads) => {
+                threads.install(|| self.smooth_rows_of(frame, &kernel, rows, true));
+                self.threads = Some(threads);
             }
-            Some(threads) => threads.install(|| {
-                planes.fill(frame, true);
-                smooth_in_parallel(level, planes, &kernel, Rows::all(out));
-            }),
         }
         Ok(())
     }
-}
 
-/// Halves the rows between threads until they are few.
-fn smooth_in_parallel(level: Level, planes: &Planes, kernel: &Kernel, rows: Rows<'_>) {
-    if rows.count() <= ROWS_A_TASK {
-        smooth_rows(level, planes, kernel, rows);
-        return;
+    /// Fills the planes and smooths all rows, on the threads of the pool that it is called in or on the calling one.
+    fn smooth_rows_of(&mut self, frame: Frame<'_>, kernel: &Kernel, rows: Rows<'_>, parallel: bool) {
+        let level = self.level;
+        self.planes.fill(frame, parallel);
+        let planes = &self.planes;
+        if let Some(first_planes) = &mut self.first_planes {
+            let fit =
+                |mut rows: FirstRows<'_>| dispatch!(level, simd => first_planes_simd(simd, planes, kernel, &mut rows));
+            over(first_planes.rows(frame.shape().1), parallel, &fit);
+        }
+        let first_planes = self.first_planes.as_ref();
+        let smooth = |mut rows: Rows<'_>| match kernel.degree {
+            1 => dispatch!(level, simd => smooth_rows_simd::<_, 1>(simd, planes, first_planes, kernel, &mut rows)),
+            2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, planes, first_planes, kernel, &mut rows)),
+            _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, planes, first_planes, kernel, &mut rows)),
+        };
+        over(rows, parallel, &smooth);
     }
-    let half = rows.count() / 2;
-    let (upper, lower) = rows.split_at(half);
-    rayon::join(
-        || smooth_in_parallel(level, planes, kernel, upper),
-        || smooth_in_parallel(level, planes, kernel, lower),
-    );
 }
 
-fn smooth_rows(level: Level, planes: &Planes, kernel: &Kernel, mut rows: Rows<'_>) {
-    match kernel.degree {
-        1 => dispatch!(level, simd => smooth_rows_simd::<_, 1>(simd, planes, kernel, &mut rows)),
-        2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, planes, kernel, &mut rows)),
-        _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, planes, kernel, &mut rows)),
+/// The first planes of some rows, where edges are kept.
+#[inline(always)]
+fn first_planes_simd<S: Simd>(simd: S, planes: &Planes, kernel: &Kernel, rows: &mut FirstRows<'_>) {
+    let mut gates = [0; MAX_CANDIDATES];
+    for row in 0..rows.count() {
+        for u in (0..planes.width).step_by(S::f32s::LEN) {
+            let window = Window::at(planes, kernel, u, rows.first + row);
+            let p = window.centre(simd);
+            // What is kept for a hole is not looked at.
+            if valid_points(simd, p).any_true() {
+                let radius = kernel.radius.at(simd, p.z);
+                let sums = window.sums(simd, p, radius, &mut gates);
+                rows.store(simd, row, u, p, radius, &plane::fit(simd, p, &sums), sums.n);
+            }
+        }
     }
 }
 
 #[inline(always)]
-fn smooth_rows_simd<S: Simd, const D: usize>(simd: S, planes: &Planes, kernel: &Kernel, rows: &mut Rows<'_>) {
+fn smooth_rows_simd<S: Simd, const D: usize>(
+    simd: S,
+    planes: &Planes,
+    first_planes: Option<&FirstPlanes>,
+    kernel: &Kernel,
+    rows: &mut Rows<'_>,
+) {
     let mut scratch = Scratch { gates: [0; MAX_CANDIDATES], terms: Terms::new(simd) };
     for row in 0..rows.count() {
         for u in (0..rows.width).step_by(S::f32s::LEN) {
             let window = Window::at(planes, kernel, u, rows.first + row);
-            smooth_vector::<S, D>(simd, kernel, &window, &mut scratch, rows, row, u);
+            smooth_vector::<S, D>(simd, kernel, &window, first_planes, &mut scratch, rows, row, u);
         }
     }
+}
+
+/// Which lanes are no holes: times 0 is 0 for what is finite, NaN for what is not.
+#[inline(always)]
+fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
+    let zero = splat(simd, 0.0);
+    p.scale(zero).dot(Vec3::splat(simd, 1.0)).simd_eq(zero)
 }
 
 /// What a task keeps from vector to vector, so that it is not cleared for each.
@@ -164,42 +188,48 @@ struct Scratch<S: Simd> {
     terms: Terms<S>,
 }
 
-/// Sections 2 to 7 for one vector of pixels.
+/// Sections 2 to 7 and 10 for one vector of pixels.
+#[allow(clippy::too_many_arguments)]
 #[inline(always)]
 fn smooth_vector<S: Simd, const D: usize>(
     simd: S,
     kernel: &Kernel,
     window: &Window<'_>,
+    first_planes: Option<&FirstPlanes>,
     scratch: &mut Scratch<S>,
     rows: &mut Rows<'_>,
     row: usize,
     u: usize,
 ) {
     let p = window.centre(simd);
-    let all_holes = {
-        // Times 0 is 0 for what is finite, NaN for what is not.
-        let zero = splat(simd, 0.0);
-        let valid: Mask<S> = p.scale(zero).dot(Vec3::splat(simd, 1.0)).simd_eq(zero);
-        !valid.any_true()
-    };
-    if all_holes {
+    let valid = valid_points(simd, p);
+    if !valid.any_true() {
         rows.store_holes(row, u, S::f32s::LEN);
         return;
     }
     let radius = kernel.radius.at(simd, p.z);
-    let sums = window.sums(simd, p, radius, &mut scratch.gates);
-    let plane = plane::fit(simd, p, &sums);
+    let (plane, n, gate, width) = match first_planes {
+        None => {
+            let sums = window.sums(simd, p, radius, &mut scratch.gates);
+            (plane::fit(simd, p, &sums), sums.n, Gate::Known(&scratch.gates), None)
+        }
+        Some(first_planes) => {
+            let surface = first_planes.surface(simd, window, p, valid, radius);
+            (surface.plane, surface.n, Gate::Radius(radius), Some(surface.width))
+        }
+    };
     let projected = if D == 1 {
-        project::project::<S, D>(simd, p, &plane, None, radius, sums.n, rows.has_normals())
+        project::project::<S, D>(simd, p, &plane, None, radius, n, rows.has_normals())
     } else {
         let bandwidth = kernel.bandwidth_m.map_or(
             radius,
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
-        let fit = polynomial::moments::<S, D>(simd, window, p, &scratch.gates, &plane, bandwidth, &mut scratch.terms);
-        let c = solve::solve::<S, D>(simd, &fit.moments, sums.n);
-        project::project::<S, D>(simd, p, &plane, Some((&fit, c)), radius, sums.n, rows.has_normals())
+        let weighting = Weighting { gate, bandwidth, width };
+        let fit = polynomial::moments::<S, D>(simd, window, p, &plane, &weighting, &mut scratch.terms);
+        let c = solve::solve::<S, D>(simd, &fit.moments, n);
+        project::project::<S, D>(simd, p, &plane, Some((&fit, c)), radius, n, rows.has_normals())
     };
-    rows.store(simd, row, u, &projected, &plane, sums.n);
+    rows.store(row, u, &projected, &plane, n);
 }

@@ -16,8 +16,12 @@ pub(super) struct Plane<S: Simd> {
     pub(super) normal: Vec3<S>,
     /// c·n: the foot of p on the plane is this times the normal.
     pub(super) height: S::f32s,
-    /// l0, l1, l2, in m².
-    pub(super) variances: [S::f32s; 3],
+    /// Variance along the normal, l0, in m².
+    pub(super) residual: S::f32s,
+    /// How little the points determine the normal: l2/(l1 - l0).
+    pub(super) doubt: S::f32s,
+    /// Surface variation l0/(l0+l1+l2).
+    pub(super) curvature: S::f32s,
     /// The neighbours lie on a line; the rest means nothing.
     pub(super) degenerate: Mask<S>,
 }
@@ -35,20 +39,14 @@ pub(super) fn fit<S: Simd>(simd: S, p: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
         zz: covariance(sums.zz, inverse_n, c.z, c.z),
     };
     let eigen = smallest_eigenvector(simd, &matrix);
-    let [_, l1, l2] = eigen.values;
+    let [l0, l1, l2] = eigen.values;
+    let residual = l0.max(splat(simd, 0.0));
+    let curvature = residual / (l0 + l1 + l2).max(splat(simd, f32::MIN_POSITIVE));
     let degenerate = l1.simd_le(l2 * splat(simd, DEGENERATE_RATIO));
     let away: Mask<S> = eigen.vector.dot(p).simd_gt(splat(simd, 0.0));
     let normal = eigen.vector.scale(away.select(splat(simd, -1.0), splat(simd, 1.0)));
-    Plane { normal, height: c.dot(normal), variances: eigen.values, degenerate }
-}
-
-impl<S: Simd> Plane<S> {
-    /// Surface variation l0/(l0+l1+l2).
-    #[inline(always)]
-    pub(super) fn curvature(&self, simd: S) -> S::f32s {
-        let [l0, l1, l2] = self.variances;
-        l0.max(splat(simd, 0.0)) / (l0 + l1 + l2).max(splat(simd, f32::MIN_POSITIVE))
-    }
+    let doubt = l2 / (l1 - residual).max(splat(simd, f32::MIN_POSITIVE));
+    Plane { normal, height: c.dot(normal), residual, doubt, curvature, degenerate }
 }
 
 /// Mean of a product less the product of the means. All are of the size of the neighbourhood, so little cancels.

@@ -25,7 +25,7 @@ pub(super) struct Planes {
     pub(super) z: Vec<f32>,
     /// Values from one row to the next.
     pub(super) row_len: usize,
-    width: usize,
+    pub(super) width: usize,
     height: usize,
     /// Border in pixels: window times stride.
     reach: usize,

@@ -8,14 +8,14 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Select, Simd, SimdFloat};
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::eigen::tangents;
 use super::math::exp2;
 use super::plane::Plane;
 use super::unroll::unroll;
 use super::vector::{Vec3, splat};
-use super::window::{MAX_CANDIDATES, Window};
+use super::window::{Gate, Window};
 
 /// Moments of degree 3 + 3: more than are used for smaller degrees.
 const MAX_MOMENTS: usize = 28;
@@ -27,7 +27,20 @@ struct Frame<S: Simd> {
     b_axis: Vec3<S>,
     f_axis: Vec3<S>,
     f_offset: S::f32s,
+    /// f² counts so many times more in the weight; 0 without [`edges`](super::edges).
+    narrowing: S::f32s,
 }
+
+/// What makes a neighbour, and what it weighs.
+pub(super) struct Weighting<'a, S: Simd> {
+    pub(super) gate: Gate<'a, S>,
+    pub(super) bandwidth: S::f32s,
+    /// How far from the plane a neighbour counts; `None` as far as it is one.
+    pub(super) width: Option<S::f32s>,
+}
+
+/// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
+const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 
 /// Candidates whose terms are kept at once: their four values for each stay in the first-level cache.
 const CHUNK: usize = 64;
@@ -97,34 +110,41 @@ pub(super) struct Fit<S: Simd> {
 }
 
 /// Second pass over the window: accumulates the moments of degree D.
-#[allow(clippy::too_many_arguments)]
 #[inline(always)]
 pub(super) fn moments<S: Simd, const D: usize>(
     simd: S,
     window: &Window<'_>,
     p: Vec3<S>,
-    gates: &[u16; MAX_CANDIDATES],
     plane: &Plane<S>,
-    bandwidth: S::f32s,
+    weighting: &Weighting<'_, S>,
     terms: &mut Terms<S>,
 ) -> Fit<S> {
     let zero = splat(simd, 0.0);
     let (u, v) = tangents(simd, plane.normal);
     // Lengths are measured in units in which the exponent is a² + b² + f²: exp(-x²) = 2^(-x² log2 e).
     const SQRT_LOG2_E: f32 = 1.201_122_4;
-    let per_metre = splat(simd, SQRT_LOG2_E) / bandwidth;
+    let per_metre = splat(simd, SQRT_LOG2_E) / weighting.bandwidth;
+    let narrowing = match weighting.width {
+        None => zero,
+        Some(width) => (weighting.bandwidth / width) * (weighting.bandwidth / width),
+    };
     let frame = Frame {
         a_axis: u.scale(per_metre),
         b_axis: v.scale(per_metre),
         f_axis: plane.normal.scale(per_metre),
         f_offset: plane.height * per_metre,
+        narrowing,
     };
     let mut moments = Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
     let rows_at_once = (CHUNK / window.side).max(1);
     let mut rows = 0..rows_at_once.min(window.side);
     while !rows.is_empty() {
         let len = rows.len() * window.side;
-        terms.fill(simd, window, &p, gates, rows.clone(), &frame);
+        if weighting.width.is_none() {
+            terms.fill::<false>(simd, window, &p, &weighting.gate, rows.clone(), &frame);
+        } else {
+            terms.fill::<true>(simd, window, &p, &weighting.gate, rows.clone(), &frame);
+        }
         // The rows of moments that fit the registers together.
         if D == 3 {
             accumulate::<S, D, 0, 2, 0, 1>(&mut moments, terms, len);
@@ -148,12 +168,12 @@ impl<S: Simd> Terms<S> {
     ///
     /// Not inlined: the sums, which live in registers before and after, would be moved around in its loop.
     #[inline(never)]
-    fn fill(
+    fn fill<const NARROW: bool>(
         &mut self,
         simd: S,
         window: &Window<'_>,
         p: &Vec3<S>,
-        gates: &[u16; MAX_CANDIDATES],
+        gate: &Gate<'_, S>,
         rows: Range<usize>,
         frame: &Frame<S>,
     ) {
@@ -165,14 +185,18 @@ impl<S: Simd> Terms<S> {
                 window.neighbours(
                     simd,
                     p,
-                    gates,
+                    gate,
                     rows,
                     #[inline(always)]
                     |e, gate| {
                         let a = e.dot(frame.a_axis);
                         let b = e.dot(frame.b_axis);
                         let f = e.dot(frame.f_axis) - frame.f_offset;
-                        let exponent = a.mul_add(a, b.mul_add(b, f * f));
+                        let f2 = f * f;
+                        let mut exponent = a.mul_add(a, b.mul_add(b, f2));
+                        if NARROW {
+                            exponent += (f2 * frame.narrowing).min(splat(simd, MAX_OFF_SURFACE));
+                        }
                         self.w[at] = gate.select(exp2(simd, -exponent), zero);
                         (self.a[at], self.b[at], self.f[at]) = (a, b, f);
                         at += 1;

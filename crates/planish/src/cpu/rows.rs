@@ -2,6 +2,7 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
+use super::halves::Halves;
 use super::plane::Plane;
 use super::project::Projected;
 use crate::smoothed::{Smoothed, Status};
@@ -33,30 +34,12 @@ fn split<'a, T, const N: usize>(planes: [&'a mut [T]; N], at: usize) -> ([&'a mu
     (before, after)
 }
 
-impl<'a> Rows<'a> {
-    /// All rows of a result whose buffers have their lengths.
-    pub(super) fn all(out: &'a mut Smoothed) -> Self {
-        Self {
-            first: 0,
-            width: out.width,
-            points: [&mut out.points.x, &mut out.points.y, &mut out.points.z],
-            normals: out.normals.as_mut().map(|n| [&mut n.x[..], &mut n.y[..], &mut n.z[..]]),
-            curvature: out.curvature.as_deref_mut(),
-            status: out.status.as_deref_mut(),
-            neighbours: out.neighbours.as_deref_mut(),
-        }
-    }
-
-    /// Whether normals are wanted.
-    pub(super) fn has_normals(&self) -> bool {
-        self.normals.is_some()
-    }
-
-    pub(super) fn count(&self) -> usize {
+impl Halves for Rows<'_> {
+    fn count(&self) -> usize {
         self.points[0].len() / self.width
     }
 
-    pub(super) fn split_at(self, rows: usize) -> (Self, Self) {
+    fn split_at(self, rows: usize) -> (Self, Self) {
         let at = rows * self.width;
         let (points, points_after) = split(self.points, at);
         let (normals, normals_after) = self.normals.map(|planes| split(planes, at)).unzip();
@@ -77,12 +60,31 @@ impl<'a> Rows<'a> {
             },
         )
     }
+}
+
+impl<'a> Rows<'a> {
+    /// All rows of a result whose buffers have their lengths.
+    pub(super) fn all(out: &'a mut Smoothed) -> Self {
+        Self {
+            first: 0,
+            width: out.width,
+            points: [&mut out.points.x, &mut out.points.y, &mut out.points.z],
+            normals: out.normals.as_mut().map(|n| [&mut n.x[..], &mut n.y[..], &mut n.z[..]]),
+            curvature: out.curvature.as_deref_mut(),
+            status: out.status.as_deref_mut(),
+            neighbours: out.neighbours.as_deref_mut(),
+        }
+    }
+
+    /// Whether normals are wanted.
+    pub(super) fn has_normals(&self) -> bool {
+        self.normals.is_some()
+    }
 
     /// Writes the results of the pixels from column u of the `row`-th of these rows on.
     #[inline(always)]
     pub(super) fn store<S: Simd>(
         &mut self,
-        simd: S,
         row: usize,
         u: usize,
         projected: &Projected<S>,
@@ -102,7 +104,7 @@ impl<'a> Rows<'a> {
         }
         if let Some(curvature) = &mut self.curvature {
             let out = &mut curvature[at.clone()];
-            put(plane.curvature(simd), out);
+            put(plane.curvature, out);
             // A normal and a curvature are there together; their lanes are told by the status.
             for (value, &status) in out.iter_mut().zip(projected.status.as_slice()) {
                 if status < 3.0 {

@@ -10,7 +10,7 @@ use super::unroll::unroll;
 use super::vector::{Mask, splat};
 
 /// A pivot at or below this share of its own diagonal entry is not supported.
-const PIVOT_RATIO: f32 = 1e-2;
+const PIVOT_RATIO: f32 = 3e-2;
 
 /// The exponents (i, j) of the monomials a^i b^j, ordered by degree.
 const MONOMIALS: [(usize, usize); 10] =

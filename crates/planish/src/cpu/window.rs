@@ -24,6 +24,14 @@ pub(super) struct Window<'a> {
     stride: usize,
 }
 
+/// Which candidates are neighbours.
+pub(super) enum Gate<'a, S: Simd> {
+    /// As the first pass found: a bit for each lane of each candidate.
+    Known(&'a [u16; MAX_CANDIDATES]),
+    /// Those within the radius.
+    Radius(S::f32s),
+}
+
 /// Sums over the neighbours, relative to p.
 pub(super) struct Sums<S: Simd> {
     pub(super) n: S::f32s,
@@ -43,15 +51,22 @@ impl<'a> Window<'a> {
         Self { planes, first: v * planes.row_len + u, side: kernel.side, stride: kernel.stride }
     }
 
+    /// Where the first centre pixel is in the planes.
+    #[inline(always)]
+    pub(super) fn centre_index(&self) -> usize {
+        let half = self.side / 2 * self.stride;
+        self.first + half * self.planes.row_len + half
+    }
+
     /// The points of the centre pixels themselves.
     #[inline(always)]
     pub(super) fn centre<S: Simd>(&self, simd: S) -> Vec3<S> {
-        let half = self.side / 2 * self.stride;
-        self.load(simd, self.first + half * self.planes.row_len + half)
+        self.load(simd, self.centre_index())
     }
 
+    /// The points of the pixels from an index on.
     #[inline(always)]
-    fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
+    pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
         let lanes = at..at + S::f32s::LEN;
         Vec3::new(
             S::f32s::from_slice(simd, &self.planes.x[lanes.clone()]),
@@ -115,18 +130,35 @@ impl<'a> Window<'a> {
         &self,
         simd: S,
         p: Vec3<S>,
-        gates: &[u16; MAX_CANDIDATES],
+        gate: &Gate<'_, S>,
         rows: Range<usize>,
         mut visit: impl FnMut(Vec3<S>, Mask<S>),
     ) {
-        self.for_each(
-            simd,
-            rows,
-            #[inline(always)]
-            |index, q| {
-                let gate = Mask::<S>::from_bitmask(simd, u64::from(gates[index]));
-                visit(q.sub(p).or(gate, Vec3::splat(simd, 0.0)), gate);
-            },
-        );
+        let zero = Vec3::splat(simd, 0.0);
+        // The choice is outside of the loops.
+        match *gate {
+            Gate::Known(gates) => self.for_each(
+                simd,
+                rows,
+                #[inline(always)]
+                |index, q| {
+                    let gate = Mask::<S>::from_bitmask(simd, u64::from(gates[index]));
+                    visit(q.sub(p).or(gate, zero), gate);
+                },
+            ),
+            Gate::Radius(radius) => {
+                let radius_squared = radius * radius;
+                self.for_each(
+                    simd,
+                    rows,
+                    #[inline(always)]
+                    |_, q| {
+                        let e = q.sub(p);
+                        let gate: Mask<S> = e.dot(e).simd_le(radius_squared);
+                        visit(e.or(gate, zero), gate);
+                    },
+                );
+            }
+        }
     }
 }

@@ -8,7 +8,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-use super::kernel::{ENTRY_POINT, KernelKey};
+use super::kernel::KernelKey;
 use crate::devices::{AdapterKind, GpuAdapter};
 use crate::error::EngineError;
 
@@ -155,7 +155,7 @@ impl GpuDevice {
             has_dynamic_offset: false,
             min_binding_size: None,
         };
-        let entries: Vec<_> = [uniform, storage(true), storage(false)]
+        let entries: Vec<_> = [uniform, storage(true), storage(false), storage(false)]
             .into_iter()
             .zip(0..)
             .map(|(ty, binding)| wgpu::BindGroupLayoutEntry {
@@ -290,7 +290,7 @@ impl GpuDevice {
                 label: Some("smooth"),
                 layout: Some(&self.pipeline_layout),
                 module: &module,
-                entry_point: Some(ENTRY_POINT),
+                entry_point: Some(key.pass.entry_point()),
                 compilation_options: wgpu::PipelineCompilationOptions {
                     // All of it is written before it is read.
                     zero_initialize_workgroup_memory: false,

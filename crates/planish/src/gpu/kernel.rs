@@ -6,14 +6,37 @@
 use std::fmt::Write;
 
 use super::layout::{InputKind, constants};
-use crate::params::SmoothParams;
+use crate::params::{Edges, SmoothParams, edge_shift_px};
 use crate::smoothed::Outputs;
 
-/// The entry point.
-pub(super) const ENTRY_POINT: &str = "smooth_frames";
+/// What a kernel does of a frame's way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) enum Pass {
+    /// All of it: edges are off.
+    Whole,
+    /// The first planes, where edges are kept.
+    FirstPlanes,
+    /// The rest, from those.
+    Surfaces,
+}
+
+impl Pass {
+    /// The passes of a frame, in order.
+    pub(super) fn of(edges: Edges) -> &'static [Self] {
+        match edges {
+            Edges::Off => &[Self::Whole],
+            Edges::Robust { .. } => &[Self::FirstPlanes, Self::Surfaces],
+        }
+    }
+
+    /// The entry point of its kernel.
+    pub(super) fn entry_point(self) -> &'static str {
+        if self == Self::FirstPlanes { "fit_first_planes" } else { "smooth_frames" }
+    }
+}
 
 /// A pivot at or below this share of its own diagonal entry is not supported.
-const PIVOT_RATIO: f32 = 1e-2;
+const PIVOT_RATIO: f32 = 3e-2;
 
 /// The exponents (i, j) of the monomials a^i b^j, ordered by degree.
 const MONOMIALS: [(usize, usize); 10] =
@@ -25,6 +48,7 @@ pub(super) struct KernelKey {
     pub(super) window: u32,
     pub(super) stride: u32,
     pub(super) degree: u32,
+    pub(super) pass: Pass,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
     /// Whether every access to memory is checked against its bounds.
@@ -41,9 +65,10 @@ const fn tile_of(degree: u32) -> [usize; 2] {
 }
 
 impl KernelKey {
-    /// The kernel for these parameters on a device with so much workgroup memory.
+    /// The kernel of a pass for these parameters on a device with so much workgroup memory.
     pub(super) fn new(
         params: &SmoothParams,
+        pass: Pass,
         kind: InputKind,
         outputs: Outputs,
         bounds_checks: bool,
@@ -54,7 +79,13 @@ impl KernelKey {
         let tile_bytes = 12 * (tile_width + 2 * params.reach_px()) * (tile_height + 2 * window as usize);
         let codes_bytes = 4 * tile_width * tile_height;
         let tiled = tile_bytes + codes_bytes <= workgroup_bytes;
-        Self { window, stride, degree, kind, outputs, bounds_checks, tiled }
+        // What the kernel does not depend on is the same in its key, so that settings share it.
+        let (kind, outputs) = match pass {
+            Pass::Whole => (kind, outputs),
+            Pass::FirstPlanes => (kind, Outputs::POINTS),
+            Pass::Surfaces => (InputKind::Points, outputs),
+        };
+        Self { window, stride, degree, pass, kind, outputs, bounds_checks, tiled }
     }
 
     /// Workgroups for a frame, across and down: each has the rows of a tile, `stride` apart.
@@ -74,7 +105,16 @@ impl KernelKey {
         let _ = writeln!(text, "const WINDOW: u32 = {window}u;");
         let _ = writeln!(text, "const STRIDE: u32 = {stride}u;");
         let _ = writeln!(text, "const DEGREE: u32 = {degree}u;");
-        text += include_str!("shaders/input.wgsl");
+        let _ = writeln!(text, "const EDGE_SHIFT: u32 = {}u;", edge_shift_px(window * stride));
+        let _ = writeln!(text, "const KEEPS_EDGES: bool = {};", self.pass != Pass::Whole);
+        text += include_str!("shaders/buffers.wgsl");
+        if self.pass != Pass::Whole {
+            text += include_str!("shaders/first_planes.wgsl");
+        }
+        text += match self.pass {
+            Pass::Whole | Pass::FirstPlanes => include_str!("shaders/input.wgsl"),
+            Pass::Surfaces => include_str!("shaders/points_kept.wgsl"),
+        };
         text += if self.tiled {
             include_str!("shaders/window_tiled.wgsl")
         } else {
@@ -83,6 +123,14 @@ impl KernelKey {
         text += include_str!("shaders/window.wgsl");
         text += include_str!("shaders/eigen.wgsl");
         text += include_str!("shaders/plane.wgsl");
+        text += match self.pass {
+            Pass::FirstPlanes => {
+                text += include_str!("shaders/fit_first_planes.wgsl");
+                return text;
+            }
+            Pass::Whole => include_str!("shaders/own_plane.wgsl"),
+            Pass::Surfaces => include_str!("shaders/edges.wgsl"),
+        };
         text += include_str!("shaders/project_plane.wgsl");
         if self.degree == 1 {
             text += include_str!("shaders/surface_plane.wgsl");

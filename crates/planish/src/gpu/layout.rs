@@ -4,7 +4,8 @@
 //! Everything is in 32-bit words. A frame of the input is its [`FrameHeader`], the rays of its columns and rows, and its
 //! samples: depth, two pixels a word, or x, y and z, a plane each. A frame of the output is its planes of f32 (points,
 //! normals, curvature, of those that are wanted), then rows of packed codes: status and neighbours four pixels a word, depth
-//! two. A packed row begins at a whole word. Frames of a batch follow each other.
+//! two. A packed row begins at a whole word. Frames of a batch follow each other. Where edges are kept, the first pass leaves
+//! the planes of all pixels on the device for the second.
 
 use std::fmt::Write;
 use std::ops::Range;
@@ -26,10 +27,15 @@ pub(super) struct FrameHeader {
     pub(super) radius_quadratic: f32,
     /// 0 is the radius.
     pub(super) bandwidth: f32,
+    /// The standard deviation of depth at 1 m, where edges are kept.
+    pub(super) noise: f32,
 }
 
+/// Numbers that are kept of a first plane and its point, where edges are kept (first_planes.wgsl).
+const FIRST_NUMBERS: usize = 10;
+
 const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
-const _: () = assert!(size_of::<FrameHeader>() == 24);
+const _: () = assert!(size_of::<FrameHeader>() == 28);
 
 /// The uniform of a dispatch.
 #[repr(C)]
@@ -57,6 +63,7 @@ pub(super) struct Layout {
     pub(super) height: usize,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
+    pub(super) keeps_edges: bool,
 }
 
 impl Layout {
@@ -107,6 +114,11 @@ impl Layout {
     pub(super) fn output_words(&self) -> usize {
         let packed = self.packed().into_iter().flatten().map(|range| range.end).max();
         packed.unwrap_or(planes(self.outputs).count * self.pixels())
+    }
+
+    /// Words of the first planes of a frame.
+    pub(super) fn first_words(&self) -> usize {
+        if self.keeps_edges { FIRST_NUMBERS * self.pixels() } else { 0 }
     }
 
     /// The uniform of a dispatch over frames of this layout.
@@ -171,6 +183,8 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("RADIUS_LINEAR", std::mem::offset_of!(FrameHeader, radius_linear) / 4),
         ("RADIUS_QUADRATIC", std::mem::offset_of!(FrameHeader, radius_quadratic) / 4),
         ("BANDWIDTH", std::mem::offset_of!(FrameHeader, bandwidth) / 4),
+        ("NOISE", std::mem::offset_of!(FrameHeader, noise) / 4),
+        ("FIRST_NUMBERS", FIRST_NUMBERS),
         ("SATURATED_DEPTH", usize::from(SATURATED_DEPTH)),
         ("POINTS_PLANE", points),
         ("NORMALS_PLANE", normals),
@@ -218,7 +232,7 @@ mod tests {
                 neighbours: wants(4),
                 depth: wants(5),
             };
-            let layout = Layout { width: 7, height: 3, kind: InputKind::Depth, outputs };
+            let layout = Layout { width: 7, height: 3, kind: InputKind::Depth, outputs, keeps_edges: false };
             let planes = layout.points().into_iter().flatten().chain(layout.normals().into_iter().flatten());
             let packed = [layout.curvature(), layout.status(), layout.neighbours(), layout.depth()];
             let mut at = 0;
@@ -232,7 +246,9 @@ mod tests {
 
     #[test]
     fn only_what_is_asked_for_comes_back() {
-        let words = |outputs| Layout { width: 640, height: 480, kind: InputKind::Depth, outputs }.output_words();
+        let words = |outputs| {
+            Layout { width: 640, height: 480, kind: InputKind::Depth, outputs, keeps_edges: false }.output_words()
+        };
         assert_eq!(4 * words(Outputs::POINTS), 12 * 640 * 480);
         assert_eq!(4 * words(Outputs::DEPTH), 2 * 640 * 480);
         let status = Outputs { points: false, status: true, ..Outputs::POINTS };

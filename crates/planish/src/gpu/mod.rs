@@ -1,7 +1,7 @@
 //! The GPU engine: docs/method.md in f32, one pixel a thread, through wgpu: Vulkan, Metal or DirectX 12.
 //!
 //! One kernel a setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) goes from depth or points to the
-//! outputs that are wanted; [`layout`] is the one description of what goes up and comes back. A [`slot::Slot`] has the buffers
+//! outputs that are wanted; where edges are kept, one before it fits the planes of all pixels; [`layout`] is the one description of what goes up and comes back. A [`slot::Slot`] has the buffers
 //! of one frame or batch in flight. Results are read where the device put them ([`view`]) or copied out, for frames in flight
 //! by a thread of its own ([`copier`]).
 
@@ -24,12 +24,12 @@ use crate::camera::Rays;
 use crate::devices::{FrameTimings, GpuAdapter, GpuOptions, Transfer, choose};
 use crate::error::{EngineError, Error, FrameError};
 use crate::frame::Frame;
-use crate::params::SmoothParams;
+use crate::params::{Edges, SmoothParams};
 use crate::smoothed::{Outputs, Smoothed};
 use crate::view::SmoothedView;
 use copier::{Copied, Copier};
 use device::{GpuDevice, lock};
-use kernel::KernelKey;
+use kernel::{KernelKey, Pass};
 use layout::{InputKind, Layout};
 use slot::Slot;
 pub(crate) use view::MappedView;
@@ -133,8 +133,11 @@ impl Gpu {
         engine.check_limits(points, 1)?;
         let slot = engine.slot(depth, 1)?;
         lock(&engine.free).push(slot);
-        let (gpu, keys) = (&engine.gpu, [depth, points].map(|layout| engine.kernel_key(layout.kind)));
-        let [depth, points] = keys.map(|key| move || gpu.kernel(key).map(drop));
+        let gpu = &engine.gpu;
+        let [depth, points] = [depth, points].map(|layout| {
+            let keys: Vec<_> = engine.kernel_keys(layout.kind).collect();
+            move || keys.into_iter().try_for_each(|key| gpu.kernel(key).map(drop))
+        });
         // Drivers compile on the calling thread: two at once take as long as one.
         let (depth, points) = thread::scope(|scope| {
             let depth = scope.spawn(depth);
@@ -229,12 +232,25 @@ impl Gpu {
 
     fn layout(&self, kind: InputKind) -> Layout {
         let (width, height) = self.shape;
-        Layout { width, height, kind, outputs: self.outputs }
+        Layout { width, height, kind, outputs: self.outputs, keeps_edges: self.params.edges != Edges::Off }
     }
 
-    fn kernel_key(&self, kind: InputKind) -> KernelKey {
+    /// The kernels of a frame's passes, in order.
+    fn kernel_keys(&self, kind: InputKind) -> impl Iterator<Item = KernelKey> {
         let workgroup_bytes = self.gpu.limits.max_compute_workgroup_storage_size as usize;
-        KernelKey::new(&self.params, kind, self.outputs, self.options.bounds_checks, workgroup_bytes)
+        let key = move |&pass| {
+            KernelKey::new(&self.params, pass, kind, self.outputs, self.options.bounds_checks, workgroup_bytes)
+        };
+        Pass::of(self.params.edges).iter().map(key)
+    }
+
+    fn kernels(&self, kind: InputKind) -> Result<Vec<wgpu::ComputePipeline>, EngineError> {
+        self.kernel_keys(kind).map(|key| self.gpu.kernel(key)).collect()
+    }
+
+    /// Workgroups for a frame, across and down; the same for every pass.
+    fn workgroups(&self, kind: InputKind) -> [usize; 2] {
+        self.kernel_keys(kind).next().map_or([0; 2], |key| key.workgroups(self.shape))
     }
 
     /// Bytes that one buffer of the device may have.
@@ -243,9 +259,9 @@ impl Gpu {
         limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
     }
 
-    /// Bytes of the larger buffer of a frame.
+    /// Bytes of the largest buffer of a frame.
     fn frame_bytes(layout: Layout) -> u64 {
-        4 * layout.input_words().max(layout.output_words()) as u64
+        4 * layout.input_words().max(layout.output_words()).max(layout.first_words()) as u64
     }
 
     /// How many frames of a batch a submission has: within the limits of the device, and of what others that use it, and the
@@ -262,7 +278,7 @@ impl Gpu {
             (
                 "workgroups across or down",
                 u64::from(self.gpu.limits.max_compute_workgroups_per_dimension),
-                self.kernel_key(layout.kind).workgroups(self.shape).into_iter().max().unwrap_or(0) as u64,
+                self.workgroups(layout.kind).into_iter().max().unwrap_or(0) as u64,
             ),
         ];
         match limits.into_iter().find(|(_, allowed, needed)| needed > allowed) {
@@ -298,11 +314,10 @@ impl Gpu {
         let kind = kind_of(first);
         let layout = self.layout(kind);
         self.check_limits(layout, frames.len())?;
-        let key = self.kernel_key(kind);
-        let kernel = self.gpu.kernel(key)?;
+        let kernels = self.kernels(kind)?;
         let mut slot = self.slot(layout, frames.len())?;
         slot.write(&self.gpu, frames, &self.params, &mut self.rays, &mut self.pitches)?;
-        let submission = slot.submit(&self.gpu, &kernel, key.workgroups(self.shape));
+        let submission = slot.submit(&self.gpu, &kernels, self.workgroups(kind));
         self.gpu.check()?;
         Ok(Flight { gpu: Arc::clone(&self.gpu), slot, submission, free: Arc::clone(&self.free) })
     }

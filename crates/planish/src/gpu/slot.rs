@@ -16,7 +16,7 @@ use crate::cloud::Xyz;
 use crate::devices::{FrameTimings, Transfer};
 use crate::error::EngineError;
 use crate::frame::Frame;
-use crate::params::SmoothParams;
+use crate::params::{Edges, SmoothParams};
 use crate::radius::RadiusRule;
 
 /// Bytes in a word.
@@ -36,6 +36,8 @@ pub(super) struct Slot {
     output: Option<wgpu::Buffer>,
     /// Read by the host; mapped once its submission has run.
     pub(super) readback: wgpu::Buffer,
+    /// Between the passes, where edges are kept.
+    _first_planes: wgpu::Buffer,
     bind_group: wgpu::BindGroup,
     stamps: Option<Stamps>,
     mapped: Arc<Mapped>,
@@ -71,7 +73,9 @@ impl Slot {
         let input_bytes = (layout.input_words() * frames) as u64 * WORD;
         let output_bytes = (layout.output_words() * frames) as u64 * WORD;
         let direct = transfer == Transfer::Direct;
-        let total = if direct { input_bytes + output_bytes } else { 2 * (input_bytes + output_bytes) };
+        // The kernels have a place for it whether they use it or not.
+        let first_bytes = (layout.first_words() * frames).max(4) as u64 * WORD;
+        let total = first_bytes + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
         gpu.allocate(total, || {
             let device = &gpu.device;
             let buffer = |label, size, usage, mapped_at_creation| {
@@ -88,7 +92,9 @@ impl Slot {
                 range.copy_from_slice(bytes_of(&layout.batch()));
             }
             uniform.unmap();
-            let bound = [&uniform, input.as_ref().unwrap_or(&upload), output.as_ref().unwrap_or(&readback)];
+            let first_planes = buffer("first planes", first_bytes, Usage::STORAGE, false);
+            let (read, written) = (input.as_ref().unwrap_or(&upload), output.as_ref().unwrap_or(&readback));
+            let bound = [&uniform, read, written, &first_planes];
             let entries: Vec<_> = bound
                 .into_iter()
                 .zip(0..)
@@ -109,7 +115,18 @@ impl Slot {
                 readback: buffer("stamps read", u64::from(STAMPS) * 8, Usage::MAP_READ | Usage::COPY_DST, false),
                 nanoseconds_per_tick: f64::from(gpu.queue.get_timestamp_period()),
             });
-            Self { layout, frames, upload, input, output, readback, bind_group, stamps, mapped: Arc::default() }
+            Self {
+                layout,
+                frames,
+                upload,
+                input,
+                output,
+                readback,
+                _first_planes: first_planes,
+                bind_group,
+                stamps,
+                mapped: Arc::default(),
+            }
         })
     }
 
@@ -140,6 +157,10 @@ impl Slot {
                 radius_linear: rule.linear,
                 radius_quadratic: rule.quadratic,
                 bandwidth: params.bandwidth_m.unwrap_or(0.0),
+                noise: match params.edges {
+                    Edges::Off => 0.0,
+                    Edges::Robust { noise_at_1m } => noise_at_1m,
+                },
             };
             put(0, bytes_of(&header));
             let wants_rays = self.layout.kind == InputKind::Depth || self.layout.outputs.depth;
@@ -173,7 +194,7 @@ impl Slot {
     pub(super) fn submit(
         &self,
         gpu: &GpuDevice,
-        kernel: &wgpu::ComputePipeline,
+        kernels: &[wgpu::ComputePipeline],
         workgroups: [usize; 2],
     ) -> wgpu::SubmissionIndex {
         let [across, down] = workgroups;
@@ -195,9 +216,12 @@ impl Slot {
                 end_of_pass_write_index: Some(2),
             });
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
-            pass.set_pipeline(kernel);
             pass.set_bind_group(0, &self.bind_group, &[]);
-            pass.dispatch_workgroups(across as u32, down as u32, self.frames as u32);
+            // One waits for the other: wgpu sees that both use the first planes.
+            for kernel in kernels {
+                pass.set_pipeline(kernel);
+                pass.dispatch_workgroups(across as u32, down as u32, self.frames as u32);
+            }
         }
         if let Some(output) = &self.output {
             encoder.copy_buffer_to_buffer(output, 0, &self.readback, 0, None);

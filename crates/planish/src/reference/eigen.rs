@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 /// Eigenvalues in ascending order with their unit eigenvectors.
-pub(super) fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], [DVec3; 3]) {
+pub(crate) fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], [DVec3; 3]) {
     const SWEEPS: usize = 32;
     let mut a = matrix.to_cols_array_2d();
     let mut vectors = DMat3::IDENTITY.to_cols_array_2d();

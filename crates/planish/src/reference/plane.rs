@@ -16,6 +16,10 @@ pub(super) struct Plane {
     pub normal: DVec3,
     /// Foot of p on the plane: o - p = (c·n) n.
     pub foot: DVec3,
+    /// Variance along the normal, l0, in m².
+    pub smallest_variance: f64,
+    /// How little the points determine the normal: l2/(l1 - l0), 1 for a disc and more for what is nearly a line.
+    pub doubt: f64,
     /// Variance along the largest principal axis, l2, in m².
     pub largest_variance: f64,
     /// l0/(l0+l1+l2).
@@ -41,6 +45,8 @@ pub(super) fn fit(offsets: &[DVec3], from_sensor: DVec3) -> Option<Plane> {
     Some(Plane {
         normal,
         foot: centroid.dot(normal) * normal,
+        smallest_variance: l0.max(0.0),
+        doubt: l2 / (l1 - l0),
         largest_variance: l2,
         curvature: l0.max(0.0) / (l0 + l1 + l2),
     })

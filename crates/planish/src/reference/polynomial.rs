@@ -16,6 +16,9 @@ pub(super) struct Polynomial {
     pub gradient: DVec3,
 }
 
+/// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less: f32 can compute with that.
+const MAX_OFF_SURFACE: f64 = 8.0;
+
 /// Number of coefficients of a polynomial of degree d in two variables: 3, 6, 10.
 fn coefficient_count(degree: u32) -> usize {
     ((degree + 1) * (degree + 2) / 2) as usize
@@ -36,12 +39,13 @@ pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
 }
 
 /// Fits the polynomial of the highest degree, up to `degree`, that the neighbours can carry; `None` if that is 1, the
-/// plane itself.
+/// plane itself. Neighbours further from the plane than `width_m` count less and less.
 pub(super) fn fit(
     offsets: &[DVec3],
     plane: &Plane,
     radius_m: f64,
     bandwidth_m: f64,
+    width_m: f64,
     degree: u32,
 ) -> Option<Polynomial> {
     let degree = (2..=degree).rev().find(|&d| coefficient_count(d) <= offsets.len())?;
@@ -53,14 +57,15 @@ pub(super) fn fit(
     let mut right_side = vec![0.0; m];
     for &offset in offsets {
         let x = offset - plane.foot;
-        let (a, b, f) = (x.dot(u) / h, x.dot(v) / h, x.dot(plane.normal));
-        let w = (-x.length_squared() / (bandwidth_m * bandwidth_m)).exp();
+        let (a, b, f_m) = (x.dot(u) / h, x.dot(v) / h, x.dot(plane.normal));
+        let off_surface = ((f_m / width_m) * (f_m / width_m)).min(MAX_OFF_SURFACE);
+        let w = (-x.length_squared() / (bandwidth_m * bandwidth_m) - off_surface).exp();
         let powers: Vec<f64> = monomials(degree).map(|(i, j)| a.powi(i as i32) * b.powi(j as i32)).collect();
         for (row, power) in powers.iter().enumerate() {
             for (column, other) in powers.iter().enumerate() {
                 normal_matrix[row][column] += w * power * other;
             }
-            right_side[row] += w * power * f;
+            right_side[row] += w * power * f_m;
         }
     }
     let c = solve(&normal_matrix, &right_side);

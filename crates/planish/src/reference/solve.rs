@@ -1,7 +1,7 @@
 //! Symmetric positive systems by LDL^T, dropping unknowns that the data do not support (docs/method.md, section 6).
 
 /// A pivot at or below this share of its own diagonal entry is not supported.
-const PIVOT_RATIO: f64 = 1e-2;
+const PIVOT_RATIO: f64 = 3e-2;
 
 /// Solves A c = t for a symmetric A of `t.len()` rows, given row by row. Unknowns whose pivot falls too low are left out
 /// and get 0; those before them do not change.

@@ -25,3 +25,4 @@ pub use kinect::{KinectNoise, KinectSimulator};
 #[cfg(test)]
 pub(crate) use random::Random;
 pub use scene::{NO_OBJECT, Pose, Scene, Shape, Truth};
+pub use scenes::Gauge;

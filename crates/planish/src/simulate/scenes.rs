@@ -55,6 +55,71 @@ impl Scene {
         }
         (Self { objects }, Pose::looking(DVec3::ZERO, random.between(-0.2, 0.2), random.between(0.1, 0.25)))
     }
+
+    /// Shapes of known size before a wall: the 90° edge of a box at 1 m, a sphere and a cylinder of 60 to 100 mm radius at 0.8
+    /// to 1.4 m. The camera stands at the origin and looks along z.
+    pub fn gauges(seed: u64) -> (Self, Pose, Gauge) {
+        let mut random = Random::new(seed, u64::MAX);
+        let turn = std::f64::consts::FRAC_PI_4 + random.between(-0.2, 0.2);
+        let lean = DMat3::from_rotation_z(random.between(-0.15, 0.15));
+        let world_from_box = lean * DMat3::from_rotation_y(turn);
+        let half_m = 0.12;
+        // Turned by some 45°, this is the edge nearest to the camera.
+        let to_edge = world_from_box * DVec3::new(half_m, 0.0, -half_m);
+        let wedge = Shape::Cuboid {
+            centre: DVec3::new(0.0, 0.0, 1.0) - to_edge,
+            half_extent_m: DVec3::new(half_m, 0.25, half_m),
+            world_from_box,
+        };
+        let (sphere_radius_m, cylinder_radius_m) = (random.between(0.06, 0.1), random.between(0.06, 0.1));
+        let (sphere_z, cylinder_z) = (random.between(0.8, 1.4), random.between(0.8, 1.4));
+        let sphere_centre = DVec3::new(-0.38 * sphere_z, random.between(-0.1, 0.1), sphere_z);
+        let cylinder_centre = DVec3::new(0.38 * cylinder_z, 0.0, cylinder_z);
+        let cylinder_axis = (DVec3::Y + random.between(-0.3, 0.3) * DVec3::Z).normalize();
+        let objects = vec![
+            Shape::Plane { point: DVec3::new(0.0, 0.0, random.between(1.8, 2.4)), normal: DVec3::Z },
+            wedge,
+            Shape::Sphere { centre: sphere_centre, radius_m: sphere_radius_m },
+            Shape::Cylinder {
+                centre: cylinder_centre,
+                axis: cylinder_axis,
+                radius_m: cylinder_radius_m,
+                half_height_m: 0.2,
+            },
+        ];
+        let gauge = Gauge {
+            wedge: 1,
+            sphere: 2,
+            sphere_centre,
+            sphere_radius_m,
+            cylinder: 3,
+            cylinder_centre,
+            cylinder_axis,
+            cylinder_radius_m,
+        };
+        (Self { objects }, Pose::looking(DVec3::ZERO, 0.0, 0.0), gauge)
+    }
+}
+
+/// The shapes of [`Scene::gauges`], in the camera's coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gauge {
+    /// The object with the 90° edge, which stands upright before the camera at 1 m.
+    pub wedge: u16,
+    /// The sphere.
+    pub sphere: u16,
+    /// Its centre in metres.
+    pub sphere_centre: DVec3,
+    /// Its radius in metres.
+    pub sphere_radius_m: f64,
+    /// The cylinder.
+    pub cylinder: u16,
+    /// A point on its axis in metres.
+    pub cylinder_centre: DVec3,
+    /// The direction of its axis, of length 1.
+    pub cylinder_axis: DVec3,
+    /// Its radius in metres.
+    pub cylinder_radius_m: f64,
 }
 
 /// A sphere, box or cylinder that stands on `base`, some centimetres large times `scale`.

@@ -8,8 +8,8 @@ use anyhow::{Result, bail};
 use planish::agreement::{Agreement, radius_m};
 use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::{
-    Camera, DepthFrame, DepthImage, Engine, Error, Frame, GpuOptions, OrganizedCloud, Outputs, Radius, SmoothParams,
-    Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer,
+    Camera, DepthFrame, DepthImage, Edges, Engine, Error, Frame, GpuOptions, OrganizedCloud, Outputs, Radius,
+    SmoothParams, Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer,
 };
 use serde::Serialize;
 
@@ -213,7 +213,7 @@ impl Bench<'_> {
             (3, 1, 1, fixed),
         ];
         let row = |(window, stride, degree, radius)| {
-            let params = SmoothParams { window, stride, radius, degree, bandwidth_m: None };
+            let params = SmoothParams { window, stride, radius, degree, bandwidth_m: None, edges: Edges::Off };
             let mut reference = Smoothed::default();
             let outputs = Outputs { depth: true, ..Outputs::ALL };
             let options = SmootherOptions { engine: Engine::Reference, outputs, ..SmootherOptions::default() };

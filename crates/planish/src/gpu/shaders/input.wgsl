@@ -1,31 +1,7 @@
-// The frame as the kernel reads it: depth or points, one struct of words a frame (layout.rs).
+// The frame as the camera gave it: depth or points, one struct of words a frame (layout.rs).
 //
-// Stage: copy or deproject (docs/method.md, section 1), in metres. What is not finite, or outside the image, becomes NO_POINT
-// in every coordinate: a finite number so far away that no radius reaches it. Shaders need not keep NaN by the rules of
-// Vulkan, so none is ever computed with; finiteness is read from the bits.
-// What depth becomes is finite, since Camera::validate keeps rays and units within bounds.
-
-struct Batch {
-    width: u32,
-    height: u32,
-    // From one frame to the next.
-    input_words: u32,
-    output_words: u32,
-}
-
-@group(0) @binding(0) var<uniform> batch: Batch;
-@group(0) @binding(1) var<storage, read> input: array<u32>;
-@group(0) @binding(2) var<storage, read_write> output: array<u32>;
-
-const NO_POINT: f32 = 4.0e18;
-
-fn header(frame: u32, field: u32) -> f32 {
-    return bitcast<f32>(input[frame * batch.input_words + field]);
-}
-
-fn is_finite(bits: u32) -> bool {
-    return (bits & 0x7f800000u) != 0x7f800000u;
-}
+// Stage: copy or deproject (docs/method.md, section 1), in metres. What depth becomes is finite, since Camera::validate keeps
+// rays and units within bounds.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {

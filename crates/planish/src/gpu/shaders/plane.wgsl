@@ -8,8 +8,12 @@ struct Plane {
     normal: vec3<f32>,
     // c·n: the foot of p on the plane is this times the normal.
     height: f32,
-    // l0, l1, l2, in m².
-    variances: vec3<f32>,
+    // Variance along the normal, l0, in m².
+    residual: f32,
+    // How little the points determine the normal: l2/(l1 - l0).
+    doubt: f32,
+    // Surface variation l0/(l0+l1+l2).
+    curvature: f32,
     // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
 }
@@ -22,11 +26,9 @@ fn plane_of(p: vec3<f32>, sums: Sums) -> Plane {
     let rest = fma(sums.rest, vec3<f32>(inverse_n), -(c.yyz * c.yzz));
     let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));
     let normal = select(eigen.vector, -eigen.vector, dot(eigen.vector, p) > 0.0);
-    return Plane(normal, dot(c, normal), eigen.values, eigen.values.y <= eigen.values.z * DEGENERATE_RATIO);
-}
-
-// Surface variation l0/(l0+l1+l2).
-fn curvature_of(plane: Plane) -> f32 {
-    let l = plane.variances;
-    return max(l.x, 0.0) / max(l.x + l.y + l.z, MIN_POSITIVE);
+    let l = eigen.values;
+    let residual = max(l.x, 0.0);
+    let curvature = residual / max(l.x + l.y + l.z, MIN_POSITIVE);
+    let doubt = l.z / max(l.y - residual, MIN_POSITIVE);
+    return Plane(normal, dot(c, normal), residual, doubt, curvature, l.y <= l.z * DEGENERATE_RATIO);
 }

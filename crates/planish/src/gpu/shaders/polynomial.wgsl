@@ -8,6 +8,9 @@
 
 const SQRT_LOG2_E: f32 = 1.2011224;
 
+// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
+const MAX_OFF_SURFACE: f32 = 11.541560;
+
 struct Fit {
     moments: Moments,
     // In-plane axes, of unit length.
@@ -19,7 +22,8 @@ struct Fit {
 
 // Second pass over the window. The gate is that of the first pass in these units: a candidate within rounding of the radius may
 // pass one and not the other, as it may in another engine.
-fn fit_of(home: Home, p: vec3<f32>, radius_squared: f32, plane: Plane, bandwidth: f32) -> Fit {
+fn fit_of(home: Home, p: vec3<f32>, radius_squared: f32, found: Found, bandwidth: f32) -> Fit {
+    let plane = found.plane;
     let tangents = tangents_of(plane.normal);
     let per_metre = SQRT_LOG2_E / bandwidth;
     let a_axis = tangents.u * per_metre;
@@ -27,6 +31,8 @@ fn fit_of(home: Home, p: vec3<f32>, radius_squared: f32, plane: Plane, bandwidth
     let f_axis = plane.normal * per_metre;
     let f_offset = plane.height * per_metre;
     let gate = radius_squared * per_metre * per_metre;
+    // f² counts so many times more in the weight of section 10.
+    let narrowing = (bandwidth / found.width) * (bandwidth / found.width);
     var s: Moments;
     for (var row = 0u; row < SIDE; row++) {
         for (var column = 0u; column < SIDE; column++) {
@@ -37,7 +43,11 @@ fn fit_of(home: Home, p: vec3<f32>, radius_squared: f32, plane: Plane, bandwidth
             let in_plane = fma(a, a, b * b);
             if fma(above_p, above_p, in_plane) <= gate {
                 let f = above_p - f_offset;
-                let w = exp2(-fma(f, f, in_plane));
+                var exponent = fma(f, f, in_plane);
+                if KEEPS_EDGES {
+                    exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
+                }
+                let w = exp2(-exponent);
                 SUM_MOMENTS
             }
         }

@@ -1,14 +1,13 @@
-// One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: sections 2 to 7.
+// From the plane that each point lies on to its result: sections 5 to 7.
 
 fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Result {
     let radius = radius_at(frame, p.z);
-    let sums = sums_of(home, p, radius * radius);
-    let n = u32(sums.n);
+    let found = plane_at(frame, pixel, home, p, radius);
+    let n = u32(found.n);
     if n < 3u {
         return no_result(STATUS_TOO_FEW, n);
     }
-    let plane = plane_of(p, sums);
-    if plane.is_degenerate {
+    if found.plane.is_degenerate {
         var result = no_result(STATUS_DEGENERATE, n);
         result.point = bitcast<vec3<u32>>(p);
         if WANTS_DEPTH {
@@ -17,7 +16,7 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Resul
         }
         return result;
     }
-    let projected = surface_of(frame, home, p, radius, plane, sums.n);
+    let projected = surface_of(frame, home, p, radius, found);
     var codes = projected.status | (n << 8u);
     if WANTS_DEPTH {
         codes |= raw_depth_of(frame, pixel, projected) << 16u;
@@ -25,7 +24,7 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Resul
     return Result(
         bitcast<vec3<u32>>(projected.point),
         bitcast<vec3<u32>>(projected.normal),
-        bitcast<u32>(curvature_of(plane)),
+        bitcast<u32>(found.plane.curvature),
         codes,
     );
 }
@@ -37,8 +36,7 @@ fn smooth_frames(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let frame = group.z;
-    // STRIDE workgroups share a block of rows, each with its rows STRIDE apart.
-    let origin = vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+    let origin = origin_of(group);
     let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
     load_candidates(frame, origin, thread);
     let home = home_of(frame, pixel, local.xy);

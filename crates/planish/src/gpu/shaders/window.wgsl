@@ -7,6 +7,12 @@ const SIDE: u32 = 2u * WINDOW + 1u;
 // A radius beyond this makes no difference to any scene, and its square is far from the end of f32.
 const MAX_RADIUS_M: f32 = 1e6;
 
+// One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: a tile's first pixel. STRIDE workgroups
+// share a block of rows, each with its rows STRIDE apart.
+fn origin_of(group: vec3<u32>) -> vec2<u32> {
+    return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+}
+
 // Sums over the neighbours, relative to p.
 struct Sums {
     n: f32,

@@ -1,7 +1,19 @@
-//! How far points and normals are from the truth of a simulated frame.
+//! How good a surface is: against the truth of simulated frames, or by itself.
+//!
+//! [`Suite`] gives the frames, [`Evaluation`] sums up what a method makes of them, whichever that is. [`tile_planes`] needs no
+//! truth.
 
+mod evaluation;
+mod suite;
+mod tiles;
+
+use crate::camera::Camera;
 use crate::cloud::Xyz;
 use crate::simulate::{NO_OBJECT, Truth};
+
+pub use evaluation::{AngleReport, Evaluation, RangeReport, Report, jitter_mm};
+pub use suite::{Case, Gauges, Suite};
+pub use tiles::{TileReport, tile_planes};
 
 /// Errors over a set of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,13 +58,25 @@ fn dot(a: [f64; 3], b: [f32; 3]) -> f64 {
 
 /// For each pixel whether its surface goes on without a step, a crease or another object for `margin_px` pixels around.
 pub fn flat_pixels(truth: &Truth, margin_px: usize) -> Vec<bool> {
-    let (width, height) = (truth.camera.width, truth.camera.height);
     let breaks = |i: usize, j: usize| {
         truth.objects[i] != truth.objects[j] || truth.is_step(i, j) || {
             let cosine = dot(truth.normals.get(i).map(f64::from), truth.normals.get(j));
             cosine < CREASE_COSINE
         }
     };
+    within(&truth.camera, &broken_pixels(truth, breaks), margin_px).into_iter().map(|near| !near).collect()
+}
+
+/// For each pixel whether the surface steps at most `margin_px` pixels away: the bands on both sides of each discontinuity.
+pub fn edge_band(truth: &Truth, margin_px: usize) -> Vec<bool> {
+    let steps = broken_pixels(truth, |i, j| truth.is_step(i, j));
+    let near = within(&truth.camera, &steps, margin_px);
+    (0..near.len()).map(|i| near[i] && truth.objects[i] != NO_OBJECT).collect()
+}
+
+/// Pixels without a surface, or with a break to one of their four neighbours.
+fn broken_pixels(truth: &Truth, breaks: impl Fn(usize, usize) -> bool) -> Vec<bool> {
+    let (width, height) = (truth.camera.width, truth.camera.height);
     let at_break = |i: usize| {
         let (u, v) = (i % width, i / width);
         truth.objects[i] == NO_OBJECT
@@ -61,18 +85,23 @@ pub fn flat_pixels(truth: &Truth, margin_px: usize) -> Vec<bool> {
             || (v + 1 < height && breaks(i, i + width))
             || (v > 0 && breaks(i, i - width))
     };
-    let broken: Vec<bool> = (0..width * height).map(at_break).collect();
-    // A box around each pixel: first along the rows, then along the columns.
+    (0..width * height).map(at_break).collect()
+}
+
+/// Whether one of the pixels in the box of `margin_px` around each is marked.
+fn within(camera: &Camera, marked: &[bool], margin_px: usize) -> Vec<bool> {
+    let (width, height) = (camera.width, camera.height);
+    // First along the rows, then along the columns.
     let in_row = |i: usize| {
         let (u, row) = (i % width, i / width * width);
-        (u.saturating_sub(margin_px)..(u + margin_px + 1).min(width)).any(|u| broken[row + u])
+        (u.saturating_sub(margin_px)..(u + margin_px + 1).min(width)).any(|u| marked[row + u])
     };
-    let broken_in_row: Vec<bool> = (0..width * height).map(in_row).collect();
+    let marked_in_row: Vec<bool> = (0..width * height).map(in_row).collect();
     let in_box = |i: usize| {
         let (u, v) = (i % width, i / width);
-        (v.saturating_sub(margin_px)..(v + margin_px + 1).min(height)).any(|v| broken_in_row[v * width + u])
+        (v.saturating_sub(margin_px)..(v + margin_px + 1).min(height)).any(|v| marked_in_row[v * width + u])
     };
-    (0..width * height).map(|i| !in_box(i)).collect()
+    (0..width * height).map(in_box).collect()
 }
 
 /// Normals of neighbouring pixels that differ by over 15° are a crease.
@@ -81,7 +110,6 @@ const CREASE_COSINE: f64 = 0.966;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Camera;
     use crate::simulate::{DVec3, Pose, Scene, Shape};
 
     #[test]

@@ -1,0 +1,45 @@
+#!/usr/bin/env bash
+# How good the surfaces of PCL, Open3D, OpenCV and planish are, on the same simulated frames: see README.md beside this.
+set -euo pipefail
+seeds=${1:-2}
+here=$(cd "$(dirname "$0")" && pwd)
+project=$(dirname "$here")
+work=$project/target/compare
+radius=0.03
+threads=2
+"$here/install.sh"
+python=$work/venv/bin/python
+planish=$project/target/release/planish
+frames=$work/frames
+rm -rf "$frames" "$work/results"
+"$planish" evaluate --export "$frames" --seeds "$seeds" >/dev/null
+
+others() { # NAME COMMAND..: runs the command on every frame, with the frame and the output put in for FRAME and OUTPUT
+  local name=$1 out=$work/results/$1
+  shift
+  mkdir -p "$out"
+  for frame in "$frames"/*.pcd; do
+    local command=("${@//FRAME/$frame}")
+    "${command[@]//OUTPUT/$out/$(basename "$frame")}"
+  done | awk '{ print $1 }' | sort -n | awk '{ t[NR] = $1 } END { print t[int((NR + 1) / 2)] }' >"$out.ms"
+  "$planish" evaluate --results "$out" --seeds "$seeds" --json >"$out.json"
+}
+own() { # NAME OPTIONS..
+  local out=$work/results/$1
+  shift
+  "$planish" evaluate --seeds "$seeds" --engine cpu --threads $threads --json "$@" >"$out.json"
+  echo own >"$out.ms"
+}
+
+others "PCL, 3 cm, order 1" "$work/pcl_mls" FRAME $radius 1 $threads 1 OUTPUT
+others "PCL, 3 cm, order 2" "$work/pcl_mls" FRAME $radius 2 $threads 1 OUTPUT
+export OMP_NUM_THREADS=$threads
+others "Open3D smooth_mls, 3 cm, max_nn 30" "$python" "$here/open3d_mls.py" FRAME $radius 30 1 OUTPUT
+others "Open3D smooth_mls, 3 cm, all neighbours" "$python" "$here/open3d_mls.py" FRAME $radius 4096 1 OUTPUT
+others "OpenCV bilateral on depth, 13x13" "$python" "$here/opencv_bilateral.py" FRAME 3 OUTPUT
+own "planish paper" --preset paper
+own "planish light" --preset light
+own "planish default, edges off" --edges off
+own "planish default" --preset default
+own "planish strong" --preset strong
+"$python" "$here/accuracy_table.py" "$work/results"

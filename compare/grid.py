@@ -1,0 +1,50 @@
+"""Organized clouds of 640x480 as binary PCD: the little of it that the other programs here need."""
+
+import numpy
+
+WIDTH, HEIGHT = 640, 480
+FOCAL_PX, CENTRE_X_PX, CENTRE_Y_PX = 525.0, 319.5, 239.5
+
+
+def write(file, pixels, positions, normals=None):
+    """Puts positions, and normals if there are any, on their pixels; NaN on all others."""
+    fields = 3 if normals is None else 6
+    values = numpy.full((WIDTH * HEIGHT, fields), numpy.nan, numpy.float32)
+    values[pixels, :3] = positions
+    if normals is not None:
+        values[pixels, 3:] = normals
+    names = "x y z normal_x normal_y normal_z".split()[:fields]
+    header = [
+        "VERSION 0.7",
+        "FIELDS " + " ".join(names),
+        "SIZE" + " 4" * fields,
+        "TYPE" + " F" * fields,
+        "COUNT" + " 1" * fields,
+        f"WIDTH {WIDTH}",
+        f"HEIGHT {HEIGHT}",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {WIDTH * HEIGHT}",
+        "DATA binary",
+    ]
+    with open(file, "wb") as out:
+        out.write(("\n".join(header) + "\n").encode())
+        out.write(values.tobytes())
+
+
+def read_depth(file):
+    """z in metres as an image, 0 for holes, of a binary PCD whose first fields are x, y, z as floats."""
+    data = open(file, "rb").read()
+    end = data.index(b"DATA binary\n") + len(b"DATA binary\n")
+    header = dict(line.split(" ", 1) for line in data[:end].decode().splitlines() if " " in line)
+    sizes = [int(size) * int(count) for size, count in zip(header["SIZE"].split(), header["COUNT"].split())]
+    rows = numpy.frombuffer(data[end:], numpy.uint8).reshape(HEIGHT * WIDTH, sum(sizes))
+    z = rows[:, 8:12].copy().view(numpy.float32).reshape(HEIGHT, WIDTH)
+    return numpy.nan_to_num(z)
+
+
+def deproject(z):
+    """The pixels that have a depth, and their points."""
+    v, u = numpy.indices(z.shape)
+    points = numpy.stack([(u - CENTRE_X_PX) / FOCAL_PX * z, (v - CENTRE_Y_PX) / FOCAL_PX * z, z], -1).reshape(-1, 3)
+    pixels = numpy.flatnonzero(z.reshape(-1) > 0)
+    return pixels, points[pixels]

@@ -1,0 +1,287 @@
+//! `planish evaluate`: how good the surface is.
+
+use std::fs;
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use planish::evaluate::{Case, Evaluation, Report, Suite, TileReport, jitter_mm, tile_planes};
+use planish::io::{self, Contents, Encoding, write_cloud, write_rgb_png};
+use planish::render::{difference_normals, error_map, normals_of, side_by_side};
+use planish::{Error, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
+use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
+use plotters::series::PointSeries;
+use serde::Serialize;
+
+use super::{ms_since, organized};
+use crate::args::{EvaluateArgs, SmoothingArgs};
+
+/// Full colour in the error maps.
+const ERROR_SCALE_M: f32 = 0.01;
+/// Frames of a camera that does not move.
+const STILL_FRAMES: u64 = 30;
+
+/// What a method made of the suite.
+#[derive(Serialize)]
+struct Row {
+    name: String,
+    #[serde(flatten)]
+    report: Report,
+    /// Root mean square of the deviations over 30 frames of a still scene, in millimetres.
+    jitter_mm: Option<f64>,
+    /// Median time of a frame, in milliseconds.
+    frame_ms: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct Tiles {
+    file: String,
+    raw: TileReport,
+    smoothed: TileReport,
+}
+
+pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
+    match &args.input {
+        Some(file) => on_file(args, file),
+        None => on_suite(args),
+    }
+}
+
+/// A real cloud, whose truth nobody knows.
+fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
+    let mut cloud = organized(io::read(file)?.1, &args.camera, file)?;
+    if let Some(noise_at_1m) = args.smoothing.floating_noise_at_1m(Some(&cloud))? {
+        cloud.remove_floating(noise_at_1m);
+    }
+    let params = args.smoothing.params_for(Some(&cloud))?;
+    let (width, height) = (cloud.width(), cloud.height());
+    let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
+    let mut smoothed = Smoothed::default();
+    Smoother::open_with(params, &options, (width, height))?.smooth(&cloud, &mut smoothed)?;
+    let tiles = |points: &Xyz, normals: &Xyz| tile_planes(&cloud, points, normals);
+    let differences = difference_normals(width, height, cloud.positions());
+    let report = Tiles {
+        file: file.display().to_string(),
+        raw: tiles(cloud.positions(), &differences),
+        smoothed: tiles(&smoothed.points, smoothed.normals.as_ref().unwrap_or(&differences)),
+    };
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    println!("{}: {} tiles of 8x8 pixels without a step\n", report.file, report.raw.tiles);
+    println!("            median RMS distance from the tile's plane   mean angle to its normal");
+    for (name, tiles) in [("raw", report.raw), ("smoothed", report.smoothed)] {
+        println!("  {name:<9} {:26.2} mm {:26.1}°", tiles.rms_mm, tiles.normal_deg);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Simulated frames against their truth.
+fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
+    let suite = Suite::default();
+    let seeds = match args.seed {
+        Some(seed) => seed..=seed,
+        None => 1..=args.seeds,
+    };
+    let first_seed = *seeds.start();
+    let bar = ProgressBar::new(seeds.end() - seeds.start() + 1)
+        .with_style(ProgressStyle::with_template("{bar:30} seed {pos} of {len}, {eta} left")?);
+    let mut methods = if args.results.is_some() || args.export.is_some() { Vec::new() } else { methods(args)? };
+    let (mut raw, mut others) = (Evaluation::default(), Evaluation::default());
+    for folder in [&args.export, &args.out].into_iter().flatten() {
+        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    }
+    for seed in seeds {
+        for case in suite.cases(seed).map_err(Error::from)? {
+            let cloud = case.frame.deproject().map_err(Error::from)?;
+            if let Some(folder) = &args.export {
+                write_cloud(&folder.join(format!("{}.pcd", case.name)), &cloud, Encoding::Binary)?;
+                continue;
+            }
+            let differences = difference_normals(cloud.width(), cloud.height(), cloud.positions());
+            raw.add(&case, cloud.positions(), &differences);
+            if let Some(folder) = &args.results {
+                let (points, normals) = result_of(folder, &case)?;
+                others.add(&case, &points, &normals);
+            }
+            for method in &mut methods {
+                method.add(&case, &args.smoothing)?;
+            }
+            if let (Some(folder), Some(method)) = (&args.out, methods.last())
+                && seed == first_seed
+            {
+                let maps =
+                    [cloud.positions(), &method.smoothed.points].map(|p| error_map(&case.truth, p, ERROR_SCALE_M));
+                write_rgb_png(&folder.join(format!("{}.png", case.name)), &side_by_side(&maps))?;
+            }
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if let Some(folder) = &args.export {
+        println!("The frames are in {}; smooth them, keep their names, and measure with --results.", folder.display());
+        return Ok(ExitCode::SUCCESS);
+    }
+
+    let (truth, frames) = suite.still(first_seed, STILL_FRAMES).map_err(Error::from)?;
+    let stirring = frames.iter().map(|frame| Ok(frame.deproject().map_err(Error::from)?.positions().clone()));
+    let raw_jitter = jitter_mm(&truth, &stirring.collect::<Result<Vec<_>>>()?);
+    let mut rows = vec![Row { name: "raw".into(), report: raw.report(), jitter_mm: Some(raw_jitter), frame_ms: None }];
+    if let Some(folder) = &args.results {
+        let name = folder.display().to_string();
+        rows.push(Row { name, report: others.report(), jitter_mm: None, frame_ms: None });
+    }
+    for method in &mut methods {
+        let mut points = Vec::new();
+        for frame in &frames {
+            method.smoother.smooth(frame, &mut method.smoothed)?;
+            points.push(method.smoothed.points.clone());
+        }
+        method.times_ms.sort_by(f64::total_cmp);
+        rows.push(Row {
+            name: method.name.to_owned(),
+            report: method.evaluation.report(),
+            jitter_mm: Some(jitter_mm(&truth, &points)),
+            frame_ms: method.times_ms.get(method.times_ms.len() / 2).copied(),
+        });
+    }
+    if let Some(folder) = &args.out {
+        let file = folder.join("report.json");
+        fs::write(&file, serde_json::to_string_pretty(&rows)?).with_context(|| file.display().to_string())?;
+        draw_error_over_z(&folder.join("error-over-z.svg"), &rows)?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string(&rows)?);
+    } else {
+        print(&rows);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A setting with what it made so far.
+struct Method {
+    name: &'static str,
+    smoother: Smoother,
+    smoothed: Smoothed,
+    evaluation: Evaluation,
+    times_ms: Vec<f64>,
+}
+
+impl Method {
+    fn add(&mut self, case: &Case, smoothing: &SmoothingArgs) -> Result<()> {
+        let mut frame = case.frame.clone();
+        if let Some(noise_at_1m) = smoothing.floating_noise_at_1m(None)? {
+            frame.remove_floating(noise_at_1m);
+        }
+        let start = Instant::now();
+        self.smoother.smooth(&frame, &mut self.smoothed)?;
+        self.times_ms.push(ms_since(start));
+        let normals = self.smoothed.normals.as_ref().context("normals were asked for")?;
+        self.evaluation.add(case, &self.smoothed.points, normals);
+        Ok(())
+    }
+}
+
+/// The 2011 report's setting, to compare with, and the one that was asked for.
+fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
+    let camera = Suite::default().camera;
+    let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
+    let method = |(name, params): (&'static str, SmoothParams)| {
+        let smoother = Smoother::open_with(params, &options, (camera.width, camera.height))?;
+        let (smoothed, evaluation) = (Smoothed::default(), Evaluation::default());
+        Ok(Method { name, smoother, smoothed, evaluation, times_ms: Vec::new() })
+    };
+    [("paper", SmoothParams::paper()), ("smoothed", args.smoothing.params()?)].into_iter().map(method).collect()
+}
+
+/// What another program made of a case.
+fn result_of(folder: &Path, case: &Case) -> Result<(Xyz, Xyz)> {
+    let file = folder.join(format!("{}.pcd", case.name));
+    let (_, Contents::Organized(cloud)) = io::read(&file)? else {
+        bail!("{}: is no organized cloud: each point must stay on its pixel", file.display());
+    };
+    let camera = case.frame.camera;
+    if (cloud.width(), cloud.height()) != (camera.width, camera.height) {
+        bail!("{}: is not {}x{}, as the frame is", file.display(), camera.width, camera.height);
+    }
+    let normals = normals_of(&cloud);
+    Ok((cloud.points.positions, normals))
+}
+
+fn print(rows: &[Row]) {
+    let line = |name: &str, value: &dyn Fn(&Row) -> String| {
+        print!("  {name:<44}");
+        for row in rows {
+            print!("{:>12}", value(row));
+        }
+        println!();
+    };
+    line("", &|row| row.name.rsplit('/').next().unwrap_or_default().to_owned());
+    println!("flat surfaces");
+    for (k, range) in rows[0].report.ranges.iter().enumerate() {
+        let span = format!("{:.1} to {:.1} m", range.near_m, range.far_m);
+        line(&format!("{span}: distance to the truth, RMS, mm"), &|r| format!("{:.2}", r.report.ranges[k].rmse_mm));
+        line("  its mean, depth steps", &|r| format!("{:+.3}", r.report.ranges[k].bias_steps));
+        line("  normal, mean error", &|r| format!("{:.1}°", r.report.ranges[k].normal_mean_deg));
+        line("  normal, median error", &|r| format!("{:.1}°", r.report.ranges[k].normal_median_deg));
+        line("  normals within 10°", &|r| percent(r.report.ranges[k].normal_under_10_deg));
+    }
+    for (k, angle) in rows[0].report.angles.iter().enumerate() {
+        let span = format!("seen at {:.0} to {:.0}°", angle.from_deg, angle.to_deg);
+        line(&format!("{span}: RMS, depth steps"), &|r| format!("{:.2}", r.report.angles[k].rmse_steps));
+        line("  normal, mean error", &|r| format!("{:.1}°", r.report.angles[k].normal_mean_deg));
+    }
+    println!("edges");
+    line("within 3 px of a step: distance, mean, mm", &|r| format!("{:.2}", r.report.edge_mean_mm));
+    line("  floating between two surfaces", &|r| percent(r.report.flying_share));
+    line("90° edge at 1 m: error of its angle", &|r| format!("{:.1}°", r.report.crease_deg));
+    println!("shapes");
+    line("sphere, radius", &|r| format!("{:+.2} %", 100.0 * r.report.sphere_radius_bias));
+    line("cylinder, radius", &|r| format!("{:+.2} %", 100.0 * r.report.cylinder_radius_bias));
+    println!("pixels");
+    line("measured, but lost", &|r| percent(r.report.lost_share));
+    line("  of those that were on a surface", &|r| percent(r.report.lost_true_share));
+    line("not measured, but there", &|r| r.report.invented.to_string());
+    let or_dash = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+    line("stirring before a still scene, RMS, mm", &|r| or_dash(r.jitter_mm, 2));
+    line("a frame takes, ms", &|r| or_dash(r.frame_ms, 1));
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.2} %", 100.0 * share)
+}
+
+/// The RMS error over z, a line a method.
+fn draw_error_over_z(file: &Path, rows: &[Row]) -> Result<()> {
+    const COLOURS: [RGBColor; 4] =
+        [RGBColor(150, 150, 150), RGBColor(200, 120, 30), RGBColor(20, 90, 180), RGBColor(0, 0, 0)];
+    let curves = rows.iter().map(|row| &row.report.over_z);
+    let most = curves.flatten().map(|&(_, rmse_mm)| rmse_mm).fold(1.0, f64::max);
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, (800, 500)).into_drawing_area();
+        area.fill(&WHITE)?;
+        let mut chart = ChartBuilder::on(&area)
+            .margin(12)
+            .caption("Distance to the true surface, RMS", ("sans-serif", 20))
+            .x_label_area_size(40)
+            .y_label_area_size(55)
+            .build_cartesian_2d(0.4..4.4, 0.0..1.05 * most)?;
+        chart.configure_mesh().x_desc("z, m").y_desc("mm").draw()?;
+        for (row, colour) in rows.iter().zip(COLOURS) {
+            let curve = &row.report.over_z;
+            chart.draw_series(LineSeries::new(curve.iter().copied(), &colour))?;
+            let dots: PointSeries<_, _, Circle<_, _>, _> = PointSeries::new(curve.iter().copied(), 3, &colour);
+            chart
+                .draw_series(dots)?
+                .label(row.name.clone())
+                .legend(move |at| Circle::new((at.0 + 10, at.1), 4, colour));
+        }
+        chart.configure_series_labels().border_style(RGBColor(200, 200, 200)).background_style(WHITE).draw()?;
+        area.present()?;
+    }
+    fs::write(file, svg).with_context(|| file.display().to_string())
+}

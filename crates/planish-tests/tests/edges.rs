@@ -1,0 +1,153 @@
+//! Edges kept (docs/method.md, section 10): what it must do and must not, on surfaces whose truth is known.
+
+use planish::evaluate::{Evaluation, Report, Suite};
+use planish::{
+    Edges, OrganizedCloud, Outputs, Radius, Sensor, SimdLevel, SmoothParams, Smoothed, Status, Strength, Xyz,
+};
+use planish_tests::engines::TestEngine;
+use planish_tests::scenes::{grid, height_field};
+
+const EXACT: Edges = Edges::Robust { noise_at_1m: 1e-4 };
+
+fn params(edges: Edges) -> SmoothParams {
+    SmoothParams { window: 4, stride: 1, radius: Radius::Fixed { radius_m: 0.03 }, edges, ..SmoothParams::default() }
+}
+
+fn smooth(cloud: &OrganizedCloud, edges: Edges) -> Smoothed {
+    TestEngine::REFERENCE.smooth(cloud, params(edges))
+}
+
+/// Largest distance of the points that have whole windows from a surface.
+fn worst(side: usize, smoothed: &Smoothed, distance: impl Fn([f64; 3]) -> f64) -> f64 {
+    let inner = (0..side * side).filter(|i| (9..side - 9).contains(&(i % side)) && (9..side - 9).contains(&(i / side)));
+    inner.map(|i| distance(smoothed.points.get(i).map(f64::from)).abs()).fold(0.0, f64::max)
+}
+
+#[test]
+fn planes_and_paraboloids_stay_where_they_are() {
+    let plane = height_field(41, 0.003, |x, y| 1.0 + 0.3 * x - 0.2 * y);
+    let slope = (1.0f64 + 0.09 + 0.04).sqrt();
+    let off = |[x, y, z]: [f64; 3]| (z - 1.0 - 0.3 * x + 0.2 * y) / slope;
+    assert!(worst(41, &smooth(&plane, EXACT), off) < 1e-7);
+
+    // Curved by 1/4 m: the planes around a point are off it by up to 0.2 mm, which is less than the least noise, 0.3 mm.
+    let bowl = |x: f64, y: f64| 1.0 + 2.0 * (x * x + y * y);
+    let smoothed = smooth(&height_field(41, 0.003, bowl), EXACT);
+    let off = worst(41, &smoothed, |[x, y, z]| z - bowl(x, y));
+    assert!(off < 3e-5, "{off:e}");
+}
+
+#[test]
+fn a_crease_stays_sharp_that_is_rounded_off_without() {
+    let roof = |x: f64, _: f64| 1.0 + x.abs();
+    let cloud = height_field(61, 0.003, roof);
+    let distance = |[x, y, z]: [f64; 3]| (z - roof(x, y)) / 2f64.sqrt();
+    let [off, robust] = [Edges::Off, EXACT].map(|edges| worst(61, &smooth(&cloud, edges), distance));
+    assert!(off > 1e-3, "{off:e}");
+    assert!(robust < 0.1 * off, "{robust:e} {off:e}");
+    // Beside the crease the normals are those of the faces.
+    let smoothed = smooth(&cloud, EXACT);
+    let normals = smoothed.normals.as_ref().unwrap();
+    for u in 10..51 {
+        let expected = if u < 30 { -1.0 } else { 1.0 } / 2f32.sqrt();
+        assert!(u == 30 || (normals.x[30 * 61 + u] - expected).abs() < 0.05, "{u}: {}", normals.x[30 * 61 + u]);
+    }
+}
+
+#[test]
+fn no_point_leaves_both_sides_of_a_step() {
+    // Lower than the radius, so that the gate alone does not part them.
+    let step = |u: usize| if u < 30 { 1.0 } else { 1.02 };
+    let cloud = grid(60, 40, |u, v| [0.003 * u as f32, 0.003 * v as f32, step(u)]);
+    let between = |edges| {
+        let smoothed = smooth(&cloud, edges);
+        let off_both = |z: f32| (z - 1.0).abs() > 1e-3 && (z - 1.02).abs() > 1e-3;
+        smoothed.points.z.iter().filter(|&&z| off_both(z)).count()
+    };
+    assert!(between(Edges::Off) > 100, "{}", between(Edges::Off));
+    assert_eq!(between(EXACT), 0);
+}
+
+#[test]
+fn pixels_without_a_plane_of_their_own_are_smoothed_as_without() {
+    // Rows far apart: neighbours are in one row, on a line or a plane seen from its edge.
+    let rows = grid(50, 20, |u, v| {
+        let z = 1.0 + 0.002 * (u % 3) as f32;
+        [0.003 * u as f32, 0.2 * v as f32 * z, z]
+    });
+    let (off, robust) = (smooth(&rows, Edges::Off), smooth(&rows, EXACT));
+    assert_eq!(format!("{:?}", off.points), format!("{:?}", robust.points));
+    assert!(off.status.unwrap().contains(&Status::Polynomial2));
+}
+
+fn evaluate(params: SmoothParams, suite: &Suite) -> (Report, Report) {
+    let [mut raw, mut smoothed] = [Evaluation::default(), Evaluation::default()];
+    for case in suite.cases(1).unwrap() {
+        let cloud = case.frame.deproject().unwrap();
+        let differences = planish::render::difference_normals(cloud.width(), cloud.height(), cloud.positions());
+        raw.add(&case, cloud.positions(), &differences);
+        let outputs = Outputs { normals: true, ..Outputs::POINTS };
+        let result = TestEngine::cpu(SimdLevel::best()).smooth_to(&case.frame, params, outputs);
+        smoothed.add(&case, &result.points, result.normals.as_ref().unwrap());
+    }
+    (raw.report(), smoothed.report())
+}
+
+#[test]
+fn the_default_setting_keeps_its_figures() {
+    let (raw, found) = evaluate(SmoothParams::default(), &Suite::default());
+    for (k, most) in [0.36, 0.38, 0.27].into_iter().enumerate() {
+        let ratio = found.ranges[k].rmse_mm / raw.ranges[k].rmse_mm;
+        assert!(ratio < most, "range {k}: {ratio}");
+        assert!(found.ranges[k].bias_steps.abs() < 0.1);
+    }
+    assert!(found.edge_mean_mm < 0.35 * raw.edge_mean_mm);
+    assert!(found.crease_deg < 5.0, "{}", found.crease_deg);
+    assert!(found.sphere_radius_bias.abs() < 5e-3);
+    assert!(found.lost_share < 0.01 && found.invented == 0);
+    let off = evaluate(SmoothParams { edges: Edges::Off, ..SmoothParams::default() }, &Suite::default()).1;
+    assert!(found.crease_deg < 0.5 * off.crease_deg);
+}
+
+#[test]
+fn what_has_no_noise_is_hardly_changed() {
+    let suite = Suite { noise: planish::simulate::KinectNoise::NONE, ..Suite::default() };
+    for strength in [Strength::Light, Strength::Default, Strength::Strong] {
+        let (raw, found) = evaluate(SmoothParams::for_sensor(Sensor::EXACT, strength), &suite);
+        // The millimetres that depth comes in are all there is to smooth, and all that may be added.
+        for k in 0..3 {
+            assert!(found.ranges[k].rmse_mm < raw.ranges[k].rmse_mm, "{strength:?} {k}: {found:?} {raw:?}");
+        }
+        assert!(found.sphere_radius_bias.abs() < 2e-3, "{found:?}");
+        assert!(found.crease_deg < 2.0, "{found:?}");
+    }
+}
+
+#[test]
+fn the_suite_says_what_it_is_told() {
+    // The truth itself has no error, and one that is moved has just that.
+    let suite = Suite::default();
+    let mut exact = Evaluation::default();
+    let mut moved = Evaluation::default();
+    for case in suite.cases(3).unwrap() {
+        exact.add(&case, &case.truth.points, &case.truth.normals);
+        let towards: Xyz = (0..case.truth.points.len())
+            .map(|i| {
+                let (p, n) = (case.truth.points.get(i), case.truth.normals.get(i));
+                [0, 1, 2].map(|k| p[k] + 0.002 * n[k])
+            })
+            .collect();
+        moved.add(&case, &towards, &case.truth.normals);
+    }
+    let (exact, moved) = (exact.report(), moved.report());
+    for k in 0..3 {
+        assert!(exact.ranges[k].rmse_mm == 0.0 && exact.ranges[k].normal_mean_deg < 0.05);
+        assert!((moved.ranges[k].rmse_mm - 2.0).abs() < 1e-3 && (moved.ranges[k].bias_mm - 2.0).abs() < 1e-3);
+    }
+    assert!(exact.edge_mean_mm < 1e-3 && exact.flying_share == 0.0);
+    assert!(exact.crease_deg < 0.01, "{}", exact.crease_deg);
+    assert!(exact.sphere_radius_bias.abs() < 1e-6 && exact.cylinder_radius_bias.abs() < 1e-6);
+    assert!(moved.sphere_radius_bias > 0.01 && moved.cylinder_radius_bias > 0.01);
+    // The sensor's holes are pixels of the truth that were not measured.
+    assert!(exact.lost_share == 0.0 && exact.invented > 0);
+}

@@ -1,0 +1,67 @@
+// The plane that a point lies on, as its own first plane and the eight around it say (docs/method.md, section 10).
+
+// How much a plane's distance from p weighs beside its own residual, both squared.
+const DISTANCE_WEIGHT: f32 = 0.5;
+// Neighbours count up to so many deviations of the noise from the surface.
+const NARROW_WIDTH: f32 = 1.8;
+
+struct Found {
+    plane: Plane,
+    // How many neighbours.
+    n: f32,
+    // How far from the plane a neighbour counts, in metres.
+    width: f32,
+}
+
+fn plane_at(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>, radius: f32) -> Found {
+    let own = pixel.y * batch.width + pixel.x;
+    let noise = noise_at(frame, p.z, radius);
+    let per_variance = 1.0 / (noise * noise);
+    var normal = vec3<f32>(0.0);
+    var height = 0.0;
+    var total = 0.0;
+    for (var row = 0u; row < 3u; row++) {
+        for (var column = 0u; column < 3u; column++) {
+            let x = i32(pixel.x + column * EDGE_SHIFT) - i32(EDGE_SHIFT);
+            let y = i32(pixel.y + row * EDGE_SHIFT) - i32(EDGE_SHIFT);
+            if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
+                continue;
+            }
+            let at = u32(y) * batch.width + u32(x);
+            let offset = first_vec3(frame, FIRST_POINT, at) - p;
+            if !(square(offset) <= radius * radius) {
+                continue;
+            }
+            let own_residual = first_planes[first_at(frame, FIRST_RESIDUAL, at)];
+            if own_residual == NOT_USABLE {
+                continue;
+            }
+            let n = first_vec3(frame, FIRST_NORMAL, at);
+            // From p to the plane along its normal.
+            let to_plane = dot(offset, n) + first_planes[first_at(frame, FIRST_HEIGHT, at)];
+            let residual = fma(DISTANCE_WEIGHT * to_plane, to_plane, own_residual);
+            let root = 1.0 / fma(residual, per_variance, 1.0);
+            let weight = (root * root) * (root * root);
+            normal += weight * n;
+            height += weight * to_plane;
+            total += weight;
+        }
+    }
+    let count = first_planes[first_at(frame, FIRST_COUNT, own)];
+    var plane: Plane;
+    var width = NARROW_WIDTH * noise;
+    plane.is_degenerate = count < 0.0;
+    plane.curvature = first_planes[first_at(frame, FIRST_CURVATURE, own)];
+    if first_planes[first_at(frame, FIRST_RESIDUAL, own)] == NOT_USABLE {
+        plane.normal = first_vec3(frame, FIRST_NORMAL, own);
+        plane.height = first_planes[first_at(frame, FIRST_HEIGHT, own)];
+        // Every neighbour counts.
+        width = 1e18;
+    } else {
+        // The other way round it is the same plane.
+        let sign = select(1.0, -1.0, dot(normal, p) > 0.0);
+        plane.normal = normal * (sign / sqrt(dot(normal, normal)));
+        plane.height = sign * height / total;
+    }
+    return Found(plane, abs(count), width);
+}

@@ -1,0 +1,44 @@
+// The first pass where edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
+
+// A plane through fewer points than this says too little.
+const MIN_NEIGHBOURS: f32 = 6.0;
+// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a disc.
+const DOUBT_WEIGHT: f32 = 0.01;
+// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
+const MIN_INCIDENCE_COSINE: f32 = 0.05;
+
+@compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
+fn fit_first_planes(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let frame = group.z;
+    let origin = origin_of(group);
+    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    load_candidates(frame, origin, thread);
+    if pixel.x >= batch.width || pixel.y >= batch.height {
+        return;
+    }
+    let at = pixel.y * batch.width + pixel.x;
+    let home = home_of(frame, pixel, local.xy);
+    let p = candidate(home, WINDOW, WINDOW);
+    keep_vec3(frame, FIRST_POINT, at, p);
+    if p.x == NO_POINT {
+        return;
+    }
+    let radius = radius_at(frame, p.z);
+    let sums = sums_of(home, p, radius * radius);
+    let plane = plane_of(p, sums);
+    // p/z, since the squares of p may be too large.
+    let ray = p / p.z;
+    let is_seen = abs(dot(plane.normal, ray)) >= MIN_INCIDENCE_COSINE * sqrt(dot(ray, ray));
+    let is_usable = sums.n >= MIN_NEIGHBOURS && !plane.is_degenerate && is_seen;
+    let noise = noise_at(frame, p.z, radius);
+    let residual = min(fma(noise * noise * DOUBT_WEIGHT, plane.doubt, plane.residual), NOT_USABLE);
+    keep_vec3(frame, FIRST_NORMAL, at, plane.normal);
+    first_planes[first_at(frame, FIRST_HEIGHT, at)] = plane.height;
+    first_planes[first_at(frame, FIRST_RESIDUAL, at)] = select(NOT_USABLE, residual, is_usable);
+    first_planes[first_at(frame, FIRST_CURVATURE, at)] = plane.curvature;
+    first_planes[first_at(frame, FIRST_COUNT, at)] = select(sums.n, -sums.n, plane.is_degenerate);
+}
