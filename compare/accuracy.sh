@@ -1,7 +1,10 @@
 #!/usr/bin/env bash
 # How good the surfaces of PCL, Open3D, OpenCV and planish are, on the same simulated frames: see README.md beside this.
+# usage: accuracy.sh SEEDS [FRAME.pcd ..]: on simulated frames, three a seed, against their truth; on real ones by how flat they are.
 set -euo pipefail
-seeds=${1:-2}
+[ $# -ge 1 ] || { echo "usage: $0 SEEDS [FRAME.pcd ..]" >&2; exit 2; }
+seeds=$1
+shift
 here=$(cd "$(dirname "$0")" && pwd)
 project=$(dirname "$here")
 work=$project/target/compare
@@ -43,3 +46,28 @@ own "planish default, edges off" --edges off
 own "planish default" --preset default
 own "planish strong" --preset strong
 "$python" "$here/accuracy_table.py" "$work/results"
+
+tiles() { # NAME OPTIONS..: of the frame at hand
+  "$planish" evaluate --input "$frame" --json "${@:2}" | "$python" -c '
+import json, sys
+report = json.load(sys.stdin)
+raw, smooth = report["raw"], report["smoothed"]
+print("| %s | %.2f | %.1f° |" % (sys.argv[1], smooth["rms_mm"], smooth["normal_deg"]) if sys.argv[1] != "raw"
+      else "| raw | %.2f | %.1f° |" % (raw["rms_mm"], raw["normal_deg"]))' "$1"
+}
+for frame in "$@"; do
+  printf '\n%s\n\n| | median RMS from the plane of a tile, mm | normals off the plane by |\n|---|---|---|\n' "$(basename "$frame")"
+  tiles raw
+  "$work/pcl_mls" "$frame" $radius 1 $threads 1 "$work/out.pcd" >/dev/null
+  tiles "PCL, 3 cm, order 1" --results "$work/out.pcd"
+  "$work/pcl_mls" "$frame" $radius 2 $threads 1 "$work/out.pcd" >/dev/null
+  tiles "PCL, 3 cm, order 2" --results "$work/out.pcd"
+  "$python" "$here/open3d_mls.py" "$frame" $radius 4096 1 "$work/out.pcd" >/dev/null
+  tiles "Open3D smooth_mls, 3 cm, all neighbours" --results "$work/out.pcd"
+  "$python" "$here/opencv_bilateral.py" "$frame" 1 "$work/out.pcd" >/dev/null
+  tiles "OpenCV bilateral on depth, 13x13" --results "$work/out.pcd"
+  tiles "planish paper" --preset paper
+  tiles "planish default, edges off" --edges off
+  tiles "planish default"
+  tiles "planish strong" --preset strong
+done

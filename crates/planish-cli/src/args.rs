@@ -187,13 +187,14 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "SEED", conflicts_with = "seeds")]
     pub seed: Option<u64>,
     /// A real organized cloud, or a depth image with --camera: how flat it is piece by piece, before and after
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "results"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "out"])]
     pub input: Option<PathBuf>,
     /// Write the simulated frames as organized clouds into this folder and do nothing else, for other programs to smooth
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
     pub export: Option<PathBuf>,
-    /// Measure what another program made of those: organized clouds of the same names, perhaps with normals, in this folder
-    #[arg(long, value_name = "DIR")]
+    /// Measure what another program made of those: organized clouds of the same names, perhaps with normals, in this folder; with
+    /// --input the one that it made of that file
+    #[arg(long, value_name = "DIR|FILE")]
     pub results: Option<PathBuf>,
     /// Folder for report.json, error-over-z.svg and an error map of each frame of the first seed
     #[arg(long, value_name = "DIR")]

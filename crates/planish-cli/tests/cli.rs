@@ -452,3 +452,70 @@ fn a_kinect_without_driver_or_device_says_so() {
     let said = stream(&real);
     assert!(said.contains("no Kinect number 0") || said.contains("libfreenect does not start"), "{said}");
 }
+
+#[test]
+fn evaluate_measures_itself_and_what_others_made_of_the_same_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let rows: Value = serde_json::from_str(&ok(&["evaluate", "--seed", "2", "--json", "--out", str(&out)])).unwrap();
+    let names: Vec<_> = rows.as_array().unwrap().iter().map(|row| row["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["raw", "paper", "smoothed"]);
+    let near = |row: &Value| row["ranges"][0]["rmse_mm"].as_f64().unwrap();
+    assert!(near(&rows[2]) < 0.36 * near(&rows[0]) && near(&rows[2]) < near(&rows[1]));
+    assert!(rows[2]["jitter_mm"].as_f64().unwrap() < 0.5 * rows[0]["jitter_mm"].as_f64().unwrap());
+    assert!(fs::read_to_string(out.join("error-over-z.svg")).unwrap().contains("</svg>"));
+    for file in ["table-2.png", "room-2.png", "shapes-2.png"] {
+        assert!(fs::read(out.join(file)).unwrap().starts_with(b"\x89PNG"));
+    }
+    assert_eq!(serde_json::from_slice::<Value>(&fs::read(out.join("report.json")).unwrap()).unwrap()[2], rows[2]);
+
+    // Another program that changes nothing has the errors of the raw frames.
+    let frames = folder.path().join("frames");
+    ok(&["evaluate", "--seed", "2", "--export", str(&frames)]);
+    let others = ok(&["evaluate", "--seed", "2", "--json", "--results", str(&frames)]);
+    let others: Value = serde_json::from_str(&others).unwrap();
+    assert_eq!(others[0]["ranges"], others[1]["ranges"]);
+    assert_eq!(others[0]["ranges"], rows[0]["ranges"]);
+    let frame = frames.join("table-2.pcd");
+    fs::remove_file(&frame).unwrap();
+    assert!(refused(&["evaluate", "--seed", "2", "--results", str(&frames)]).contains("table-2.pcd"));
+
+    // A file by itself.
+    let frame = frames.join("room-2.pcd");
+    let tiles: Value = serde_json::from_str(&ok(&["evaluate", "--input", str(&frame), "--json"])).unwrap();
+    let rms = |of: &str| tiles[of]["rms_mm"].as_f64().unwrap();
+    assert!(rms("smoothed") < 0.3 * rms("raw") && tiles["raw"]["tiles"].as_u64().unwrap() > 1000);
+    let same = ok(&["evaluate", "--input", str(&frame), "--results", str(&frame), "--json"]);
+    let same: Value = serde_json::from_str(&same).unwrap();
+    assert_eq!(same["raw"], same["smoothed"]);
+}
+
+#[test]
+fn sensors_strengths_and_edges_are_chosen_by_name() {
+    let (folder, _, path) = with_frame();
+    let output = folder.path().join("smooth.pcd");
+    let smooth = |options: &[&str]| {
+        ok(&[&["smooth", str(&path), str(&output), "--engine", "cpu"], options].concat());
+        fs::read(&output).unwrap()
+    };
+    let usual = smooth(&[]);
+    assert_eq!(smooth(&["--preset", "default", "--sensor", "kinect1", "--edges", "robust"]), usual);
+    let choices: [&[&str]; 7] = [
+        &["--preset", "light"],
+        &["--preset", "strong"],
+        &["--edges", "off"],
+        &["--sensor", "stereo"],
+        &["--sensor", "exact"],
+        &["--sensor", "auto"],
+        &["--remove-floating"],
+    ];
+    let results: Vec<_> = choices.into_iter().map(smooth).collect();
+    for (i, result) in results.iter().enumerate() {
+        assert!(*result != usual && !results[..i].contains(result), "{:?} is as another", choices[i]);
+    }
+    // The estimate needs a frame, and a stream has none yet.
+    assert!(refused(&["stream", "synthetic", "--sensor", "auto", "--frames", "1"]).contains("planish info"));
+    let info: Value = serde_json::from_str(&ok(&["info", str(&path), "--json"])).unwrap();
+    let step = info["sensor"]["depth_step_at_1m"].as_f64().unwrap();
+    assert!((2e-3..5e-3).contains(&step), "{step}");
+}

@@ -55,17 +55,23 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
     if let Some(noise_at_1m) = args.smoothing.floating_noise_at_1m(Some(&cloud))? {
         cloud.remove_floating(noise_at_1m);
     }
-    let params = args.smoothing.params_for(Some(&cloud))?;
     let (width, height) = (cloud.width(), cloud.height());
-    let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
-    let mut smoothed = Smoothed::default();
-    Smoother::open_with(params, &options, (width, height))?.smooth(&cloud, &mut smoothed)?;
+    let (points, normals) = match &args.results {
+        Some(result) => result_in(result, (width, height))?,
+        None => {
+            let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
+            let mut smoothed = Smoothed::default();
+            let params = args.smoothing.params_for(Some(&cloud))?;
+            Smoother::open_with(params, &options, (width, height))?.smooth(&cloud, &mut smoothed)?;
+            (smoothed.points, smoothed.normals.context("normals were asked for")?)
+        }
+    };
     let tiles = |points: &Xyz, normals: &Xyz| tile_planes(&cloud, points, normals);
     let differences = difference_normals(width, height, cloud.positions());
     let report = Tiles {
         file: file.display().to_string(),
         raw: tiles(cloud.positions(), &differences),
-        smoothed: tiles(&smoothed.points, smoothed.normals.as_ref().unwrap_or(&differences)),
+        smoothed: tiles(&points, &normals),
     };
     if args.json {
         println!("{}", serde_json::to_string(&report)?);
@@ -104,7 +110,8 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
             let differences = difference_normals(cloud.width(), cloud.height(), cloud.positions());
             raw.add(&case, cloud.positions(), &differences);
             if let Some(folder) = &args.results {
-                let (points, normals) = result_of(folder, &case)?;
+                let (points, normals) =
+                    result_in(&folder.join(format!("{}.pcd", case.name)), (cloud.width(), cloud.height()))?;
                 others.add(&case, &points, &normals);
             }
             for method in &mut methods {
@@ -197,15 +204,13 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     [("paper", SmoothParams::paper()), ("smoothed", args.smoothing.params()?)].into_iter().map(method).collect()
 }
 
-/// What another program made of a case.
-fn result_of(folder: &Path, case: &Case) -> Result<(Xyz, Xyz)> {
-    let file = folder.join(format!("{}.pcd", case.name));
-    let (_, Contents::Organized(cloud)) = io::read(&file)? else {
+/// What another program made of a frame of that shape: points and normals.
+fn result_in(file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)> {
+    let (_, Contents::Organized(cloud)) = io::read(file)? else {
         bail!("{}: is no organized cloud: each point must stay on its pixel", file.display());
     };
-    let camera = case.frame.camera;
-    if (cloud.width(), cloud.height()) != (camera.width, camera.height) {
-        bail!("{}: is not {}x{}, as the frame is", file.display(), camera.width, camera.height);
+    if (cloud.width(), cloud.height()) != (width, height) {
+        bail!("{}: is not {width}x{height}, as the frame is", file.display());
     }
     let normals = normals_of(&cloud);
     Ok((cloud.points.positions, normals))
@@ -274,7 +279,7 @@ fn draw_error_over_z(file: &Path, rows: &[Row]) -> Result<()> {
         for (row, colour) in rows.iter().zip(COLOURS) {
             let curve = &row.report.over_z;
             chart.draw_series(LineSeries::new(curve.iter().copied(), &colour))?;
-            let dots: PointSeries<_, _, Circle<_, _>, _> = PointSeries::new(curve.iter().copied(), 3, &colour);
+            let dots: PointSeries<_, _, Circle<_, _>, _> = PointSeries::new(curve.iter().copied(), 3, colour);
             chart
                 .draw_series(dots)?
                 .label(row.name.clone())

@@ -83,13 +83,17 @@ impl Halves for FirstRows<'_> {
 }
 
 impl FirstRows<'_> {
-    /// Keeps the planes of the pixels from column u of the `row`-th of these rows on.
+    /// Where column u of the `row`-th of these rows is.
+    pub(super) fn index(&self, row: usize, u: usize) -> usize {
+        row * self.row_len + self.reach + u
+    }
+
+    /// Keeps the planes of the points p from an index on.
     #[inline(always)]
     pub(super) fn store<S: Simd>(
         &mut self,
         simd: S,
-        row: usize,
-        u: usize,
+        at: usize,
         p: Vec3<S>,
         radius: S::f32s,
         plane: &Plane<S>,
@@ -110,7 +114,6 @@ impl FirstRows<'_> {
             plane.curvature,
             plane.degenerate.select(-n, n),
         ];
-        let at = row * self.row_len + self.reach + u;
         for (kept, values) in self.numbers.iter_mut().zip(numbers) {
             values.store_slice(&mut kept[at..at + S::f32s::LEN]);
         }

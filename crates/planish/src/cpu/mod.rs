@@ -151,7 +151,7 @@ fn first_planes_simd<S: Simd>(simd: S, planes: &Planes, kernel: &Kernel, rows: &
             if valid_points(simd, p).any_true() {
                 let radius = kernel.radius.at(simd, p.z);
                 let sums = window.sums(simd, p, radius, &mut gates);
-                rows.store(simd, row, u, p, radius, &plane::fit(simd, p, &sums), sums.n);
+                rows.store(simd, rows.index(row, u), p, radius, &plane::fit(simd, p, &sums), sums.n);
             }
         }
     }

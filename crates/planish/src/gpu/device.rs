@@ -5,6 +5,7 @@
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
@@ -14,6 +15,9 @@ use crate::error::EngineError;
 
 /// A device that has not answered for so long will not.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// How long a thread sleeps before it lets others have their turn.
+const STEP: Duration = Duration::from_millis(1);
 
 /// How long to ask a device that fails whether it is lost.
 const LOSS_TIMEOUT: Duration = Duration::from_millis(100);
@@ -37,6 +41,11 @@ pub(super) struct GpuDevice {
     pipeline_layout: wgpu::PipelineLayout,
     kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
     fault: Arc<Mutex<Option<EngineError>>>,
+    /// Whose turn it is to call wgpu for what has run. Of two threads that ask at once, wgpu 30 may see the queue empty in one
+    /// before it sees in the other that the last submission has run, and panics.
+    turn: Mutex<()>,
+    /// Threads that wait for their turn to submit: who only looks lets them go first.
+    submitting: AtomicUsize,
     spin: Duration,
 }
 
@@ -182,6 +191,8 @@ impl GpuDevice {
             pipeline_layout,
             kernels: Mutex::default(),
             fault,
+            turn: Mutex::default(),
+            submitting: AtomicUsize::new(0),
             spin: if is_software { Duration::ZERO } else { SPIN },
         })
     }
@@ -224,6 +235,7 @@ impl GpuDevice {
         if let Some(lost @ EngineError::Lost { .. }) = &*lock(&self.fault) {
             return Err(lost.clone());
         }
+        let _alone = lock(&self.turn);
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(how))) {
             Ok(Ok(_)) => Ok(true),
             Ok(Err(wgpu::PollError::Timeout)) => Ok(false),
@@ -303,19 +315,35 @@ impl GpuDevice {
         Ok(kernel)
     }
 
+    /// Submits, which polls in passing.
+    pub(super) fn submit(&self, commands: wgpu::CommandBuffer) -> wgpu::SubmissionIndex {
+        self.submitting.fetch_add(1, Ordering::Relaxed);
+        let _alone = lock(&self.turn);
+        self.submitting.fetch_sub(1, Ordering::Relaxed);
+        self.queue.submit([commands])
+    }
+
     /// Waits until a submission has run and its buffers are mapped.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), EngineError> {
         let spin_until = Instant::now() + self.spin;
         let look =
             |timeout| wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: Some(timeout) };
         while Instant::now() < spin_until {
+            if self.submitting.load(Ordering::Relaxed) > 0 {
+                std::hint::spin_loop();
+                continue;
+            }
             if self.poll(look(Duration::ZERO))? {
                 return self.check();
             }
             std::hint::spin_loop();
         }
-        if self.poll(look(TIMEOUT))? {
-            return self.check();
+        // By small steps, since who submits waits for the turn.
+        let until = Instant::now() + TIMEOUT;
+        while Instant::now() < until {
+            if self.poll(look(STEP))? {
+                return self.check();
+            }
         }
         Err(self.lose(format!("it has not answered for {} s", TIMEOUT.as_secs())))
     }

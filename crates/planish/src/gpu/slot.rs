@@ -231,7 +231,7 @@ impl Slot {
             encoder.resolve_query_set(&stamps.queries, 0..STAMPS, &stamps.resolved, 0);
             encoder.copy_buffer_to_buffer(&stamps.resolved, 0, &stamps.readback, 0, None);
         }
-        let submission = gpu.queue.submit([encoder.finish()]);
+        let submission = gpu.submit(encoder.finish());
 
         *lock(&self.mapped.counts) = (0, 0);
         let modes = [(&self.upload, wgpu::MapMode::Write), (&self.readback, wgpu::MapMode::Read)];

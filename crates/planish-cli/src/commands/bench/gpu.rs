@@ -39,6 +39,7 @@ struct KernelRow {
     window: u32,
     stride: u32,
     degree: u32,
+    keeps_edges: bool,
     kernel_us: Spread,
     /// The same with the shader's checks of bounds on.
     checked_kernel_us: Spread,
@@ -46,6 +47,7 @@ struct KernelRow {
 
 #[derive(Serialize)]
 struct LatencyRow {
+    setting: &'static str,
     what: &'static str,
     transfer: String,
     microseconds: Spread,
@@ -53,6 +55,7 @@ struct LatencyRow {
 
 #[derive(Serialize)]
 struct ThroughputRow {
+    setting: &'static str,
     what: &'static str,
     transfer: String,
     slots: usize,
@@ -94,6 +97,12 @@ impl Take {
         black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
         black_box(view.depth_rows().map(|rows| rows[rows.len() / 2][0]));
     }
+}
+
+/// The settings that whole frames are timed with, each both ways over the bus.
+fn timed_settings() -> impl Iterator<Item = ((&'static str, SmoothParams), Transfer)> {
+    let settings = [("paper", SmoothParams::paper()), ("default", SmoothParams::default())];
+    settings.into_iter().flat_map(|setting| [Transfer::Staged, Transfer::Direct].map(|transfer| (setting, transfer)))
 }
 
 struct Bench<'a> {
@@ -204,16 +213,25 @@ impl Bench<'_> {
 
     fn kernels(&self) -> Result<Vec<KernelRow>> {
         let fixed = Radius::Fixed { radius_m: 0.03 };
+        let off = |window, stride, degree, radius| SmoothParams {
+            window,
+            stride,
+            radius,
+            degree,
+            bandwidth_m: None,
+            edges: Edges::Off,
+        };
         let settings = [
-            (3, 1, 3, fixed),
-            (3, 3, 2, Radius::KINECT_V1),
-            (5, 1, 3, fixed),
-            (7, 1, 3, fixed),
-            (1, 1, 2, fixed),
-            (3, 1, 1, fixed),
+            off(3, 1, 3, fixed),
+            off(3, 3, 2, Radius::KINECT_V1),
+            off(5, 1, 3, fixed),
+            off(7, 1, 3, fixed),
+            off(1, 1, 2, fixed),
+            off(3, 1, 1, fixed),
+            SmoothParams { edges: Edges::Off, ..SmoothParams::default() },
+            SmoothParams::default(),
         ];
-        let row = |(window, stride, degree, radius)| {
-            let params = SmoothParams { window, stride, radius, degree, bandwidth_m: None, edges: Edges::Off };
+        let row = |params: SmoothParams| {
             let mut reference = Smoothed::default();
             let outputs = Outputs { depth: true, ..Outputs::ALL };
             let options = SmootherOptions { engine: Engine::Reference, outputs, ..SmootherOptions::default() };
@@ -232,7 +250,10 @@ impl Bench<'_> {
                 };
                 self.spread(&mut one)
             };
-            Ok(KernelRow { window, stride, degree, kernel_us: time(false)?, checked_kernel_us: time(true)? })
+            let SmoothParams { window, stride, degree, edges, .. } = params;
+            let keeps_edges = edges != Edges::Off;
+            let (kernel_us, checked_kernel_us) = (time(false)?, time(true)?);
+            Ok(KernelRow { window, stride, degree, keeps_edges, kernel_us, checked_kernel_us })
         };
         settings.into_iter().map(row).collect()
     }
@@ -240,9 +261,9 @@ impl Bench<'_> {
     /// From depth in the host's memory to the result in the host's memory, waiting for each frame.
     fn one_at_a_time(&self) -> Result<Vec<LatencyRow>> {
         let mut rows = Vec::new();
-        for transfer in [Transfer::Staged, Transfer::Direct] {
+        for ((setting, params), transfer) in timed_settings() {
             for take in Take::ALL {
-                let mut smoother = self.open(SmoothParams::paper(), |options| {
+                let mut smoother = self.open(params, |options| {
                     options.outputs = take.outputs();
                     options.gpu.transfer = transfer;
                 })?;
@@ -258,6 +279,7 @@ impl Bench<'_> {
                     Ok(1e6 * start.elapsed().as_secs_f64())
                 };
                 rows.push(LatencyRow {
+                    setting,
                     what: take.name(),
                     transfer: format!("{transfer:?}").to_lowercase(),
                     microseconds: self.spread(&mut one)?,
@@ -270,10 +292,10 @@ impl Bench<'_> {
     /// Frames a second with as many in flight as there are slots.
     fn in_flight(&self) -> Result<Vec<ThroughputRow>> {
         let mut rows = Vec::new();
-        for transfer in [Transfer::Staged, Transfer::Direct] {
+        for ((setting, params), transfer) in timed_settings() {
             for take in Take::ALL {
                 for slots in [2, 3, 4] {
-                    let mut smoother = self.open(SmoothParams::paper(), |options| {
+                    let mut smoother = self.open(params, |options| {
                         options.outputs = take.outputs();
                         options.gpu.transfer = transfer;
                         options.gpu.slots = slots;
@@ -304,6 +326,7 @@ impl Bench<'_> {
                     let frames_per_second = f64::from(timed) / start.elapsed().as_secs_f64();
                     while smoother.receive()?.is_some() {}
                     rows.push(ThroughputRow {
+                        setting,
                         what: take.name(),
                         transfer: format!("{transfer:?}").to_lowercase(),
                         slots,
@@ -340,21 +363,27 @@ fn print_text(report: &Report) {
         "every setting agrees with the reference; a smoother opens in {:.0} ms, its first frame takes {:.2} ms",
         report.open_ms, report.first_frame_ms
     );
-    println!("\n| window, stride, degree | kernel, µs (p5 to p95) | with bounds checks, µs |\n|---|---|---|");
+    println!(
+        "\n| window, stride, degree | edges | kernel, µs (p5 to p95) | with bounds checks, µs |\n|---|---|---|---|"
+    );
     for row in &report.kernels {
         let Spread { p5, median, p95, .. } = row.kernel_us;
         println!(
-            "| {}, {}, {} | {median:.1} ({p5:.1} to {p95:.1}) | {:.1} |",
-            row.window, row.stride, row.degree, row.checked_kernel_us.median
+            "| {}, {}, {} | {} | {median:.1} ({p5:.1} to {p95:.1}) | {:.1} |",
+            row.window,
+            row.stride,
+            row.degree,
+            if row.keeps_edges { "robust" } else { "off" },
+            row.checked_kernel_us.median
         );
     }
-    println!("\n| one frame at a time | transfer | p50, µs | p99, µs |\n|---|---|---|---|");
-    for LatencyRow { what, transfer, microseconds } in &report.one_at_a_time {
-        println!("| {what} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
+    println!("\n| one frame at a time | setting | transfer | p50, µs | p99, µs |\n|---|---|---|---|---|");
+    for LatencyRow { setting, what, transfer, microseconds } in &report.one_at_a_time {
+        println!("| {what} | {setting} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
     }
-    println!("\n| frames in flight | transfer | slots | frames a second |\n|---|---|---|---|");
-    for ThroughputRow { what, transfer, slots, frames_per_second } in &report.in_flight {
-        println!("| {what} | {transfer} | {slots} | {frames_per_second:.0} |");
+    println!("\n| frames in flight | setting | transfer | slots | frames a second |\n|---|---|---|---|---|");
+    for ThroughputRow { setting, what, transfer, slots, frames_per_second } in &report.in_flight {
+        println!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
     }
     println!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
     for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {

@@ -13,7 +13,17 @@ struct Found {
     width: f32,
 }
 
-fn plane_at(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>, radius: f32) -> Found {
+fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Result {
+    let radius = radius_at(frame, p.z);
+    let found = plane_at(frame, pixel, p, radius);
+    let n = u32(found.n);
+    if n < 3u {
+        return no_result(STATUS_TOO_FEW, n);
+    }
+    return result_of(frame, pixel, home, p, radius, found);
+}
+
+fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, radius: f32) -> Found {
     let own = pixel.y * batch.width + pixel.x;
     let noise = noise_at(frame, p.z, radius);
     let per_variance = 1.0 / (noise * noise);

@@ -8,12 +8,12 @@ struct Found {
     width: f32,
 }
 
-fn plane_at(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>, radius: f32) -> Found {
+fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Result {
+    let radius = radius_at(frame, p.z);
     let sums = sums_of(home, p, radius * radius);
-    var found: Found;
-    found.n = sums.n;
-    if sums.n >= 3.0 {
-        found.plane = plane_of(p, sums);
+    let n = u32(sums.n);
+    if n < 3u {
+        return no_result(STATUS_TOO_FEW, n);
     }
-    return found;
+    return result_of(frame, pixel, home, p, radius, Found(plane_of(p, sums), sums.n, 0.0));
 }

@@ -1,12 +1,8 @@
 // From the plane that each point lies on to its result: sections 5 to 7.
 
-fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Result {
-    let radius = radius_at(frame, p.z);
-    let found = plane_at(frame, pixel, home, p, radius);
+// Of a point with 3 neighbours or more.
+fn result_of(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>, radius: f32, found: Found) -> Result {
     let n = u32(found.n);
-    if n < 3u {
-        return no_result(STATUS_TOO_FEW, n);
-    }
     if found.plane.is_degenerate {
         var result = no_result(STATUS_DEGENERATE, n);
         result.point = bitcast<vec3<u32>>(p);
