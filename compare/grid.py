@@ -1,6 +1,7 @@
-"""Organized clouds of 640x480 as binary PCD: the little of it that the other programs here need."""
+"""Organized clouds of 640x480 as PCD: the little of it that the other programs here need."""
 
 import numpy
+import open3d
 
 WIDTH, HEIGHT = 640, 480
 FOCAL_PX, CENTRE_X_PX, CENTRE_Y_PX = 525.0, 319.5, 239.5
@@ -32,14 +33,9 @@ def write(file, pixels, positions, normals=None):
 
 
 def read_depth(file):
-    """z in metres as an image, 0 for holes, of a binary PCD whose first fields are x, y, z as floats."""
-    data = open(file, "rb").read()
-    end = data.index(b"DATA binary\n") + len(b"DATA binary\n")
-    header = dict(line.split(" ", 1) for line in data[:end].decode().splitlines() if " " in line)
-    sizes = [int(size) * int(count) for size, count in zip(header["SIZE"].split(), header["COUNT"].split())]
-    rows = numpy.frombuffer(data[end:], numpy.uint8).reshape(HEIGHT * WIDTH, sum(sizes))
-    z = rows[:, 8:12].copy().view(numpy.float32).reshape(HEIGHT, WIDTH)
-    return numpy.nan_to_num(z)
+    """z in metres as an image, 0 for holes, of an organized PCD."""
+    cloud = open3d.t.io.read_point_cloud(file, remove_nan_points=False)
+    return numpy.nan_to_num(cloud.point.positions.numpy()[:, 2].astype(numpy.float32)).reshape(HEIGHT, WIDTH)
 
 
 def deproject(z):

@@ -119,7 +119,7 @@ pub struct StreamArgs {
     #[cfg(feature = "rerun")]
     #[arg(long, conflicts_with = "rrd")]
     pub rerun: bool,
-    /// Write the same as a file that the viewer of Rerun opens; some 10 MB a frame
+    /// Write the same as a file that the viewer of Rerun opens; some 7 MB a frame
     #[cfg(feature = "rerun")]
     #[arg(long, value_name = "FILE")]
     pub rrd: Option<PathBuf>,
@@ -196,7 +196,7 @@ pub struct EvaluateArgs {
     /// --input the one that it made of that file
     #[arg(long, value_name = "DIR|FILE")]
     pub results: Option<PathBuf>,
-    /// Folder for report.json, error-over-z.svg and an error map of each frame of the first seed
+    /// Folder for report.json, error-over-z.svg and, but with --results, an error map of each frame of the first seed
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     #[command(flatten)]
@@ -218,6 +218,34 @@ pub struct BenchArgs {
 pub enum BenchCommand {
     /// The GPU engine: its kernels, one frame at a time, frames in flight, batches
     Gpu(BenchGpuArgs),
+    /// Experiment 1 of the 2011 report: times of a frame, and how many times the serial method's
+    Speedup(ExperimentArgs),
+    /// Experiment 2: time over the candidates of a window
+    Connectivity(ExperimentArgs),
+    /// Experiment 3: the scene several times over, as a tall cloud and as a batch; threads
+    Scaleup(ExperimentArgs),
+    /// Where the time of a frame goes
+    Profile(ExperimentArgs),
+    /// A frame raw and smoothed, and its largest plane before and after
+    Quality(ExperimentArgs),
+    /// All five, one after the other
+    All(ExperimentArgs),
+}
+
+#[derive(clap::Args)]
+pub struct ExperimentArgs {
+    /// Which engines, separated by commas; else, or with auto, all that this machine has but GPUs in software
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "ENGINES")]
+    pub engine: Vec<EngineArg>,
+    /// Frames: organized clouds; else a simulated room and a simulated table
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    pub input: Vec<PathBuf>,
+    /// Fewer and shorter measurements: all five in about a minute on two cores
+    #[arg(long)]
+    pub quick: bool,
+    /// Folder for each experiment's JSON, Markdown and plots
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
 }
 
 #[derive(clap::Args)]
@@ -255,7 +283,7 @@ pub enum EncodingArg {
     Compressed,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineArg {
     Auto,
     Cpu,
@@ -265,11 +293,11 @@ pub enum EngineArg {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum PresetArg {
-    /// 49 candidates over 13x13 pixels: for small things
+    /// 49 candidates over 13x13 pixels (without noise 5x5): for small things
     Light,
-    /// 121 candidates over 31x31 pixels: what the library recommends
+    /// 121 candidates over 31x31 pixels (without noise 11x11): what the library recommends
     Default,
-    /// 225 candidates over 43x43 pixels: for walls, floors and far ranges
+    /// 225 candidates over 43x43 pixels (without noise 15x15): for walls, floors and far ranges
     Strong,
     /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3
     Paper,
@@ -390,7 +418,7 @@ impl SmoothingArgs {
     pub fn params(&self) -> Result<SmoothParams> {
         if matches!(self.sensor, Some(SensorArg::Auto)) {
             bail!(
-                "--sensor auto needs a frame to look at: `planish info FILE` says what it sees, name the nearest sensor here"
+                "--sensor auto needs a frame to look at: `planish info` of an organized cloud says what it sees, name the nearest sensor here"
             );
         }
         self.params_for(None)

@@ -474,7 +474,12 @@ fn evaluate_measures_itself_and_what_others_made_of_the_same_frames() {
     ok(&["evaluate", "--seed", "2", "--export", str(&frames)]);
     let others = ok(&["evaluate", "--seed", "2", "--json", "--results", str(&frames)]);
     let others: Value = serde_json::from_str(&others).unwrap();
-    assert_eq!(others[0]["ranges"], others[1]["ranges"]);
+    for (raw, same) in others[0]["ranges"].as_array().unwrap().iter().zip(others[1]["ranges"].as_array().unwrap()) {
+        assert_eq!(raw["rmse_mm"], same["rmse_mm"]);
+        // Its normals were made unit again.
+        let [raw, same] = [raw, same].map(|range| range["normal_mean_deg"].as_f64().unwrap());
+        assert!((raw - same).abs() < 1e-3, "{raw} {same}");
+    }
     assert_eq!(others[0]["ranges"], rows[0]["ranges"]);
     let frame = frames.join("table-2.pcd");
     fs::remove_file(&frame).unwrap();
@@ -487,7 +492,8 @@ fn evaluate_measures_itself_and_what_others_made_of_the_same_frames() {
     assert!(rms("smoothed") < 0.3 * rms("raw") && tiles["raw"]["tiles"].as_u64().unwrap() > 1000);
     let same = ok(&["evaluate", "--input", str(&frame), "--results", str(&frame), "--json"]);
     let same: Value = serde_json::from_str(&same).unwrap();
-    assert_eq!(same["raw"], same["smoothed"]);
+    assert_eq!(same["raw"]["rms_mm"], same["smoothed"]["rms_mm"]);
+    assert_eq!(same["raw"]["tiles"], same["smoothed"]["tiles"]);
 }
 
 #[test]
@@ -518,4 +524,43 @@ fn sensors_strengths_and_edges_are_chosen_by_name() {
     let info: Value = serde_json::from_str(&ok(&["info", str(&path), "--json"])).unwrap();
     let step = info["sensor"]["depth_step_at_1m"].as_f64().unwrap();
     assert!((2e-3..5e-3).contains(&step), "{step}");
+}
+
+#[test]
+fn the_experiments_write_tables_numbers_and_pictures() {
+    let (folder, _, path) = with_frame();
+    let out = folder.path().join("bench");
+    let stdout = ok(&["bench", "all", "--quick", "--engine", "cpu", "--input", str(&path), "--out", str(&out)]);
+    let json =
+        |name: &str| -> Value { serde_json::from_slice(&fs::read(out.join(format!("{name}.json"))).unwrap()).unwrap() };
+    for name in ["speedup", "connectivity", "scaleup", "profile", "quality"] {
+        let markdown = fs::read_to_string(out.join(format!("{name}.md"))).unwrap();
+        assert!(stdout.contains(markdown.trim()), "{name}");
+        assert!(markdown.contains("| --- |"), "{markdown}");
+    }
+    let speedup = json("speedup");
+    let rows = speedup.as_array().unwrap();
+    assert_eq!(rows[0]["engine"], "general serial method");
+    // Each SIMD level with one and all threads, and none without a time.
+    let levels = planish::SimdLevel::available().count();
+    assert!(rows.len() == 1 + levels || rows.len() == 1 + 2 * levels);
+    assert!(rows.iter().all(|row| row["time"]["median"].as_f64().unwrap() > 0.0));
+    let curves = json("connectivity");
+    for curve in curves.as_array().unwrap() {
+        assert_eq!(curve["candidates"], serde_json::json!([9, 49, 121, 225]));
+        assert!(curve["slope_ms"].as_f64().unwrap() > 0.0 && curve["r2"].as_f64().unwrap() <= 1.0);
+    }
+    assert_eq!(curves.as_array().unwrap().len(), 2);
+    let copies = json("scaleup")["copies"].clone();
+    assert_eq!(copies.as_array().unwrap().len(), 10);
+    assert_eq!(copies[0]["scaleup"], 1.0);
+    let planes = json("quality");
+    let variance = |row: &Value, of: &str| row[of].as_f64().unwrap();
+    for row in planes.as_array().unwrap() {
+        assert!(variance(row, "smoothed_variance_mm2") > 0.0 && variance(row, "raw_variance_mm2") > 0.0, "{row}");
+    }
+    for plot in ["connectivity.svg", "scaleup.svg"] {
+        assert!(fs::read_to_string(out.join(plot)).unwrap().contains("</svg>"));
+    }
+    assert!(fs::read(out.join("quality-0.png")).unwrap().starts_with(b"\x89PNG"));
 }

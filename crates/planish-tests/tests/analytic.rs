@@ -1,6 +1,6 @@
 //! Surfaces whose smooth form is known exactly, through the reference engine.
 
-use planish::{OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams, Smoothed, Status, Xyz, smooth_points};
+use planish::{Edges, OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams, Smoothed, Status, Xyz, smooth_points};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, height_field};
 
@@ -131,8 +131,11 @@ fn no_point_moves_further_than_the_radius() {
         let jitter = ((u * 7919 + v * 104729) % 17) as f32 * 1e-3;
         [0.003 * u as f32, 0.003 * v as f32, 1.0 + jitter + if u % 5 < 2 { 0.01 } else { 0.0 }]
     });
-    for radius_m in [0.005, 0.01, 0.02] {
-        let params = SmoothParams { radius: Radius::Fixed { radius_m }, ..SmoothParams::paper() };
+    for (radius_m, edges) in [0.005, 0.01, 0.02]
+        .into_iter()
+        .flat_map(|radius_m| [Edges::Off, Edges::KINECT_V1].map(|edges| (radius_m, edges)))
+    {
+        let params = SmoothParams { radius: Radius::Fixed { radius_m }, edges, ..SmoothParams::paper() };
         let smoothed = smooth(&cloud, params);
         for (p, q) in cloud.positions().iter().zip(smoothed.points.iter()) {
             let moved = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f32>().sqrt();
@@ -150,7 +153,7 @@ fn the_sensor_radius_follows_the_rule() {
             let z = if (u, v) == (20, 20) { 1.0 - lift } else { 1.0 };
             [(u as f32 - 20.0) * 0.002 * z, (v as f32 - 20.0) * 0.002 * z, z]
         });
-        let smoothed = smooth(&cloud, SmoothParams { bandwidth_m: None, ..SmoothParams::default() });
+        let smoothed = smooth(&cloud, SmoothParams { window: 3, stride: 3, ..SmoothParams::default() });
         smoothed.neighbours.unwrap()[20 * 41 + 20]
     };
     assert_eq!(neighbours(0.0), 49);

@@ -5,16 +5,18 @@ use crate::frame::DepthFrame;
 
 /// A neighbour supports a pixel if their depths differ by no more than so many deviations of the noise.
 const SUPPORT_DEVIATIONS: f32 = 6.0;
+/// And by at least this share of the depth, since surfaces slope: 60° at a focal length of 170 pixels, 80° at one of 525.
+const SUPPORT_SHARE: f32 = 0.01;
 /// A pixel with fewer of its eight neighbours in support floats. A straight edge gives four, a wire two, and its end one.
 const MIN_SUPPORT: usize = 2;
 
-/// Which pixels float: fewer than two of their eight neighbours are within six deviations of the noise in depth.
+/// Which pixels float: fewer than two of their eight neighbours are within six deviations of the noise in depth, or a hundredth of it.
 /// `noise_at_1m` is the standard deviation of depth at 1 m in metres; it grows with z².
 fn floating(width: usize, z: &[f32], noise_at_1m: f32) -> Vec<bool> {
     let height = z.len() / width;
     let floats = |i: usize| {
         let (u, v) = (i % width, i / width);
-        let near = SUPPORT_DEVIATIONS * noise_at_1m * z[i] * z[i];
+        let near = (SUPPORT_DEVIATIONS * noise_at_1m * z[i] * z[i]).max(SUPPORT_SHARE * z[i].abs());
         let mut support = 0;
         for y in v.saturating_sub(1)..(v + 2).min(height) {
             for x in u.saturating_sub(1)..(u + 2).min(width) {

@@ -42,6 +42,8 @@ impl Sensor {
         let gap = |pair: &[f32]| f64::from(pair[1] - pair[0]) / f64::from(pair[1] * pair[1]);
         let mut gaps: Vec<f64> = depths.windows(2).map(gap).collect();
         let step = if gaps.is_empty() { 0.0 } else { median(&mut gaps) };
+        // Rounding to the step is noise too.
+        let noise = noise.max(step / 12f64.sqrt());
         // A frame of one wall at one depth has no gap to speak of, and one of noise has few depths: bounds keep either usable.
         let noise = noise.min(0.1);
         Some(Self { depth_step_at_1m: step.max(noise / NOISE_IN_STEPS).min(0.2) as f32, noise_at_1m: noise as f32 })

@@ -24,12 +24,16 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     let camera = Camera::kinect_v1();
     let (scene, pose) = Scene::tabletop(args.seed);
     let truth = scene.render(&camera, &pose);
-    let frame =
+    let mut frame =
         KinectSimulator::new(KinectNoise::default(), camera, args.seed).frame(&truth, 0).map_err(Error::from)?;
     let raw = frame.deproject().map_err(Error::from)?;
 
+    if let Some(noise_at_1m) = args.smoothing.floating_noise_at_1m(Some(&raw))? {
+        frame.remove_floating(noise_at_1m);
+    }
     let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
-    let mut smoother = Smoother::open_with(args.smoothing.params()?, &options, (camera.width, camera.height))?;
+    let mut smoother =
+        Smoother::open_with(args.smoothing.params_for(Some(&raw))?, &options, (camera.width, camera.height))?;
     let mut smoothed = Smoothed::default();
     let mut times_ms: Vec<f64> = Vec::new();
     for _ in 0..TIMED_RUNS {

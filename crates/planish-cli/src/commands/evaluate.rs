@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{Case, Evaluation, Report, Suite, TileReport, jitter_mm, tile_planes};
 use planish::io::{self, Contents, Encoding, write_cloud, write_rgb_png};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
-use planish::{Error, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
+use planish::{DepthFrame, Error, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
 use plotters::series::PointSeries;
 use serde::Serialize;
@@ -22,6 +22,9 @@ use crate::args::{EvaluateArgs, SmoothingArgs};
 const ERROR_SCALE_M: f32 = 0.01;
 /// Frames of a camera that does not move.
 const STILL_FRAMES: u64 = 30;
+
+/// The method to compare with.
+const PAPER: &str = "paper";
 
 /// What a method made of the suite.
 #[derive(Serialize)]
@@ -144,7 +147,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     for method in &mut methods {
         let mut points = Vec::new();
         for frame in &frames {
-            method.smoother.smooth(frame, &mut method.smoothed)?;
+            method.smooth(frame, &args.smoothing)?;
             points.push(method.smoothed.points.clone());
         }
         method.times_ms.sort_by(f64::total_cmp);
@@ -178,14 +181,19 @@ struct Method {
 }
 
 impl Method {
-    fn add(&mut self, case: &Case, smoothing: &SmoothingArgs) -> Result<()> {
-        let mut frame = case.frame.clone();
-        if let Some(noise_at_1m) = smoothing.floating_noise_at_1m(None)? {
+    fn smooth(&mut self, frame: &DepthFrame, smoothing: &SmoothingArgs) -> Result<()> {
+        let mut frame = frame.clone();
+        if let Some(noise_at_1m) = smoothing.floating_noise_at_1m(None)?.filter(|_| self.name != PAPER) {
             frame.remove_floating(noise_at_1m);
         }
         let start = Instant::now();
         self.smoother.smooth(&frame, &mut self.smoothed)?;
         self.times_ms.push(ms_since(start));
+        Ok(())
+    }
+
+    fn add(&mut self, case: &Case, smoothing: &SmoothingArgs) -> Result<()> {
+        self.smooth(&case.frame, smoothing)?;
         let normals = self.smoothed.normals.as_ref().context("normals were asked for")?;
         self.evaluation.add(case, &self.smoothed.points, normals);
         Ok(())
@@ -201,7 +209,7 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
         let (smoothed, evaluation) = (Smoothed::default(), Evaluation::default());
         Ok(Method { name, smoother, smoothed, evaluation, times_ms: Vec::new() })
     };
-    [("paper", SmoothParams::paper()), ("smoothed", args.smoothing.params()?)].into_iter().map(method).collect()
+    [(PAPER, SmoothParams::paper()), ("smoothed", args.smoothing.params()?)].into_iter().map(method).collect()
 }
 
 /// What another program made of a frame of that shape: points and normals.
@@ -212,7 +220,13 @@ fn result_in(file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)>
     if (cloud.width(), cloud.height()) != (width, height) {
         bail!("{}: is not {width}x{height}, as the frame is", file.display());
     }
-    let normals = normals_of(&cloud);
+    // Of unit length and towards the camera, whatever the other program thinks of either.
+    let unit = |(n, p): ([f32; 3], [f32; 3])| {
+        let dot = |a: [f32; 3], b: [f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
+        let length = if dot(n, p) > 0.0 { -dot(n, n).sqrt() } else { dot(n, n).sqrt() };
+        n.map(|value| value / length)
+    };
+    let normals = normals_of(&cloud).iter().zip(cloud.positions().iter()).map(unit).collect();
     Ok((cloud.points.positions, normals))
 }
 
@@ -248,7 +262,7 @@ fn print(rows: &[Row]) {
     line("cylinder, radius", &|r| format!("{:+.2} %", 100.0 * r.report.cylinder_radius_bias));
     println!("pixels");
     line("measured, but lost", &|r| percent(r.report.lost_share));
-    line("  of those that were on a surface", &|r| percent(r.report.lost_true_share));
+    line("  of them on a surface, not floating", &|r| percent(r.report.lost_true_share));
     line("not measured, but there", &|r| r.report.invented.to_string());
     let or_dash = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     line("stirring before a still scene, RMS, mm", &|r| or_dash(r.jitter_mm, 2));

@@ -70,7 +70,14 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     let params = args.smoothing.params_for(None)?;
     // Options that contradict each other are refused whatever the input turns out to be.
     args.smoothing.options(Outputs::POINTS)?;
-    let mut worker = Worker { args, params, sensor_known: false, open: None, smoothed: Smoothed::default() };
+    let mut worker = Worker {
+        args,
+        params,
+        sensor_known: false,
+        floating_noise_at_1m: None,
+        open: None,
+        smoothed: Smoothed::default(),
+    };
     if args.input.is_dir() {
         return run_folder(&mut worker);
     }
@@ -178,6 +185,8 @@ struct Worker<'a> {
     params: SmoothParams,
     /// Whether the parameters are those of the frames' sensor.
     sensor_known: bool,
+    /// By which noise floating pixels are told, if they are to be removed.
+    floating_noise_at_1m: Option<f32>,
     open: Option<(Smoother, (usize, usize), Outputs)>,
     smoothed: Smoothed,
 }
@@ -262,8 +271,16 @@ impl Worker<'_> {
             _ => None,
         };
         let mut cloud = organized(contents, &self.args.camera, input)?;
-        if let Some(noise_at_1m) = self.args.smoothing.floating_noise_at_1m(Some(&cloud))? {
-            cloud.remove_floating(noise_at_1m);
+        if !self.sensor_known {
+            let of_frame = || input.display().to_string();
+            self.params = self.args.smoothing.params_for(Some(&cloud)).with_context(of_frame)?;
+            self.floating_noise_at_1m =
+                self.args.smoothing.floating_noise_at_1m(Some(&cloud)).with_context(of_frame)?;
+            self.sensor_known = true;
+        }
+        if let Some(noise_at_1m) = self.floating_noise_at_1m {
+            let count = cloud.remove_floating(noise_at_1m);
+            eprintln!("{}: {count} floating pixels became holes", input.display());
             depth.iter_mut().for_each(|depth| {
                 depth.remove_floating(noise_at_1m);
             });
@@ -275,9 +292,6 @@ impl Worker<'_> {
             camera => camera,
         };
 
-        if !std::mem::replace(&mut self.sensor_known, true) {
-            self.params = self.args.smoothing.params_for(Some(&cloud)).with_context(|| input.display().to_string())?;
-        }
         self.open(shape, outputs)?;
         let mut times_ms = Vec::new();
         for _ in 0..self.args.repeat {
@@ -302,6 +316,9 @@ impl Worker<'_> {
 
     fn smooth_general(&mut self, input: &Path, cloud: &PointCloud) -> Result<(SmoothTimes, Engine)> {
         let mut params = self.params;
+        if self.args.smoothing.remove_floating {
+            bail!("{}: the points are not organized; --remove-floating needs the pixels around each", input.display());
+        }
         match self.args.smoothing.engine() {
             Engine::Auto | Engine::Reference => {}
             engine => bail!(

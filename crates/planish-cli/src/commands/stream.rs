@@ -133,7 +133,7 @@ pub fn open_source(
     let name = name.to_owned();
     let open = move || source::open(&name, &options);
     let retry = Duration::from_secs(1);
-    Ok(Box::new(Reconnecting { open, source: Some(source), stop: Arc::clone(stop), until, retry }))
+    Ok(Box::new(Reconnecting { open, source: Some(source), stop: Arc::clone(stop), until, retry, dropped_before: 0 }))
 }
 
 /// A source whose floating pixels are holes.
@@ -175,6 +175,8 @@ struct Reconnecting<Open> {
     until: Option<Instant>,
     /// How long to wait before it is looked for again.
     retry: Duration,
+    /// Frames that the camera dropped before it went.
+    dropped_before: u64,
 }
 
 impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnecting<Open> {
@@ -184,6 +186,7 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
                 match source.next_frame() {
                     Err(Error::Device(DeviceError::Gone { what })) => {
                         eprintln!("{what}; waiting for it to come back");
+                        self.dropped_before += source.dropped();
                         self.source = None;
                     }
                     other => return other,
@@ -195,6 +198,10 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
             }
         }
         Ok(None)
+    }
+
+    fn dropped(&self) -> u64 {
+        self.dropped_before + self.source.as_ref().map_or(0, |source| source.dropped())
     }
 
     fn is_live(&self) -> bool {
@@ -333,6 +340,7 @@ mod tests {
             stop: Arc::clone(&stop),
             until: Some(Instant::now() + Duration::from_millis(300)),
             retry: Duration::from_millis(5),
+            dropped_before: 0,
         };
         for _ in 0..5 {
             assert!(source.next_frame().unwrap().is_some());

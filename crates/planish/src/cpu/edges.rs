@@ -202,6 +202,9 @@ impl FirstPlanes {
         }
         let count = self.load(simd, COUNT, here);
         let own: Mask<S> = self.load(simd, RESIDUAL, here).simd_lt(splat(simd, f32::INFINITY)) & valid;
+        // Planes that agree on nothing may be further away than a point may move.
+        let height = height / own.select(total, one);
+        let own = own & height.abs().simd_le(radius);
         let length = own.select(normal.dot(normal), one).sqrt();
         // The other way round it is the same plane.
         let away: Mask<S> = normal.dot(p).simd_gt(zero);
@@ -209,7 +212,7 @@ impl FirstPlanes {
         Surface {
             plane: Plane {
                 normal: normal.scale(sign / length).or(own, self.normal(simd, here)),
-                height: own.select(sign * height / own.select(total, one), self.load(simd, HEIGHT, here)),
+                height: own.select(sign * height, self.load(simd, HEIGHT, here)),
                 residual: zero,
                 doubt: one,
                 curvature: self.load(simd, CURVATURE, here),

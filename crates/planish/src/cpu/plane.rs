@@ -11,6 +11,9 @@ use super::window::Sums;
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
 const DEGENERATE_RATIO: f32 = 1e-4;
 
+/// More doubt than this makes no difference, and its square is far from the end of f32.
+const MAX_DOUBT: f32 = 1e6;
+
 pub(super) struct Plane<S: Simd> {
     /// Unit normal, towards the sensor.
     pub(super) normal: Vec3<S>,
@@ -18,7 +21,7 @@ pub(super) struct Plane<S: Simd> {
     pub(super) height: S::f32s,
     /// Variance along the normal, l0, in m².
     pub(super) residual: S::f32s,
-    /// How little the points determine the normal: l2/(l1 - l0).
+    /// How little the points determine the normal: l2/(l1 - l0), at most [`MAX_DOUBT`].
     pub(super) doubt: S::f32s,
     /// Surface variation l0/(l0+l1+l2).
     pub(super) curvature: S::f32s,
@@ -45,7 +48,7 @@ pub(super) fn fit<S: Simd>(simd: S, p: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     let degenerate = l1.simd_le(l2 * splat(simd, DEGENERATE_RATIO));
     let away: Mask<S> = eigen.vector.dot(p).simd_gt(splat(simd, 0.0));
     let normal = eigen.vector.scale(away.select(splat(simd, -1.0), splat(simd, 1.0)));
-    let doubt = l2 / (l1 - residual).max(splat(simd, f32::MIN_POSITIVE));
+    let doubt = (l2 / (l1 - residual).max(splat(simd, f32::MIN_POSITIVE))).min(splat(simd, MAX_DOUBT));
     Plane { normal, height: c.dot(normal), residual, doubt, curvature, degenerate }
 }
 

@@ -86,7 +86,7 @@ pub struct Report {
     pub cylinder_radius_bias: f64,
     /// Share of the measured pixels that have no point.
     pub lost_share: f64,
-    /// The same of measured pixels that did not float.
+    /// Share of the measured pixels that were on a surface, did not float, and have no point.
     pub lost_true_share: f64,
     /// Pixels with a point that were not measured.
     pub invented: usize,
@@ -260,13 +260,13 @@ impl Evaluation {
         // Where a row passes from the face that looks to the left to the one that looks to the right.
         let edge = |v: usize| -> Option<usize> {
             let row = v * width;
-            (CREASE_PX..width - CREASE_PX).find(|&u| {
+            (CREASE_PX..width.saturating_sub(CREASE_PX)).find(|&u| {
                 let (left, right) = (row + u - 1, row + u);
                 (u - CREASE_PX..u + CREASE_PX).all(|u| truth.objects[row + u] == gauge.wedge)
                     && angle_deg(vector(&truth.normals, left), vector(&truth.normals, right)) > 80.0
             })
         };
-        for first in (0..height - CREASE_ROWS).step_by(CREASE_ROWS) {
+        for first in (0..(height + 1).saturating_sub(CREASE_ROWS)).step_by(CREASE_ROWS) {
             let rows: Option<Vec<(usize, usize)>> =
                 (first..first + CREASE_ROWS).map(|v| edge(v).map(|u| (u, v))).collect();
             let Some(rows) = rows else { continue };
@@ -333,7 +333,7 @@ pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
         }
         stir.add((off.squares / off.count as f64 - off.mean() * off.mean()).max(0.0).sqrt());
     }
-    1e3 * stir.rms()
+    if results.is_empty() { f64::NAN } else { 1e3 * stir.rms() }
 }
 
 fn vector(of: &Xyz, i: usize) -> DVec3 {

@@ -13,7 +13,7 @@ use crate::simulate::{NO_OBJECT, Truth};
 
 pub use evaluation::{AngleReport, Evaluation, RangeReport, Report, jitter_mm};
 pub use suite::{Case, Gauges, Suite};
-pub use tiles::{TileReport, tile_planes};
+pub use tiles::{LargestPlane, TileReport, largest_plane, tile_planes};
 
 /// Errors over a set of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]

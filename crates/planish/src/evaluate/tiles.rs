@@ -1,10 +1,12 @@
-//! A surface by itself, where no truth is known: how flat it is piece by piece.
+//! A surface by itself, where no truth is known: how flat it is piece by piece, and where it is a plane.
 
 use glam::DVec3;
 use serde::Serialize;
 
 use super::evaluation::plane;
 use crate::cloud::{OrganizedCloud, Xyz};
+use crate::params::KINECT_V1_NOISE_AT_1M;
+use crate::simulate::Random;
 
 /// Side of a tile in pixels: 64 in each.
 const TILE_PX: usize = 8;
@@ -50,5 +52,102 @@ pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> Ti
         tiles: rms_m.len(),
         rms_mm: rms_m.get(rms_m.len() / 2).map_or(f64::NAN, |rms| 1e3 * rms),
         normal_deg: angles_deg.iter().sum::<f64>() / angles_deg.len() as f64,
+    }
+}
+
+/// Planes tried for the largest, and points they are tried on.
+const TRIALS: usize = 400;
+const TRIED_POINTS: usize = 2000;
+/// A point is on a plane if it is within so many deviations of a Kinect v1's noise.
+const ON_PLANE_DEVIATIONS: f64 = 3.0;
+
+/// Only pixels whose neighbours up to this far are on the plane too are of it: not where something else passes through it.
+const INNER_PX: usize = 2;
+
+/// A plane that many points of a frame lie on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LargestPlane {
+    /// The pixels whose points, and those of all around, are on it.
+    pub pixels: Vec<usize>,
+}
+
+impl LargestPlane {
+    /// Variance in m² of the points of its pixels about the plane that fits them best; NaN for too few.
+    pub fn variance_m2(&self, points: &Xyz) -> f64 {
+        let there = self.pixels.iter().copied().filter(|&i| points.is_finite(i));
+        let points = there.map(|i| DVec3::from_array(points.get(i).map(f64::from))).collect();
+        plane(points).map_or(f64::NAN, |(_, rms_m)| rms_m * rms_m)
+    }
+}
+
+/// The plane with the most points of a frame within the noise, by random sample consensus; the same for the same frame. `None`
+/// for fewer than a hundred points.
+pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
+    let (width, height, points) = (cloud.width(), cloud.height(), cloud.positions());
+    let valid: Vec<usize> = (0..points.len()).filter(|&i| points.is_finite(i)).collect();
+    if valid.len() < 100 {
+        return None;
+    }
+    let at = |i: usize| DVec3::from_array(points.get(i).map(f64::from));
+    let on = |p: DVec3, (normal, foot): (DVec3, DVec3)| {
+        let noise_m = f64::from(KINECT_V1_NOISE_AT_1M) * p.z * p.z;
+        (p - foot).dot(normal).abs() <= ON_PLANE_DEVIATIONS * noise_m
+    };
+    let mut random = Random::new(1, 7);
+    let mut pick = || at(valid[((random.uniform() * valid.len() as f64) as usize).min(valid.len() - 1)]);
+    let tried: Vec<DVec3> = (0..TRIED_POINTS).map(|_| pick()).collect();
+    let mut best = (0, (DVec3::Z, DVec3::ZERO));
+    for _ in 0..TRIALS {
+        let (a, b, c) = (pick(), pick(), pick());
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let count = tried.iter().filter(|&&p| normal != DVec3::ZERO && on(p, (normal, a))).count();
+        if count > best.0 {
+            best = (count, (normal, a));
+        }
+    }
+    let is_on: Vec<bool> = (0..points.len()).map(|i| points.is_finite(i) && on(at(i), best.1)).collect();
+    let is_inner = |i: usize| {
+        let (u, v) = (i % width, i / width);
+        let (across, down) = (u + 1 + INNER_PX, v + 1 + INNER_PX);
+        (v.saturating_sub(INNER_PX)..down.min(height))
+            .all(|v| (u.saturating_sub(INNER_PX)..across.min(width)).all(|u| is_on[v * width + u]))
+    };
+    let pixels: Vec<usize> = valid.into_iter().filter(|&i| best.0 > 0 && is_inner(i)).collect();
+    (pixels.len() >= 12).then_some(LargestPlane { pixels })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Camera;
+    use crate::simulate::{KinectNoise, KinectSimulator, Pose, Scene, Shape};
+
+    #[test]
+    fn the_largest_plane_and_the_tiles_of_a_noisy_wall_have_its_noise() {
+        let camera =
+            Camera { width: 160, height: 120, fx: 131.0, fy: 131.0, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() };
+        let wall = Shape::Plane { point: DVec3::new(0.0, 0.0, 2.0), normal: DVec3::new(0.2, 0.1, 1.0).normalize() };
+        let ball = Shape::Sphere { centre: DVec3::new(0.3, 0.0, 1.2), radius_m: 0.15 };
+        let scene = Scene { objects: vec![wall, ball] };
+        let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
+        let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).unwrap();
+        let cloud = frame.deproject().unwrap();
+        let found = largest_plane(&cloud).unwrap();
+        let of_wall = found.pixels.iter().filter(|&&i| truth.objects[i] == 0).count();
+        let walls =
+            (0..truth.objects.len()).filter(|&i| truth.objects[i] == 0 && cloud.positions().is_finite(i)).count();
+        assert!(of_wall > walls * 3 / 4 && of_wall * 1000 > found.pixels.len() * 999, "{of_wall} of {walls}");
+        let rms_m = found.variance_m2(cloud.positions()).sqrt();
+        let noise_m = f64::from(KINECT_V1_NOISE_AT_1M) * 4.0;
+        assert!((0.6..1.2).contains(&(rms_m / noise_m)), "{rms_m} {noise_m}");
+        let on_wall = found.pixels.iter().copied().filter(|&i| truth.objects[i] == 0).collect();
+        assert!(LargestPlane { pixels: on_wall }.variance_m2(&truth.points) < 1e-12);
+        let holes = OrganizedCloud::from_positions(10, 5, Xyz::filled(50, f32::NAN)).unwrap();
+        assert_eq!(largest_plane(&holes), None);
+
+        let tiles = tile_planes(&cloud, cloud.positions(), &truth.normals);
+        assert!(tiles.tiles > 100 && (0.5e3 * noise_m..1.2e3 * noise_m).contains(&tiles.rms_mm), "{tiles:?}");
+        let exact = tile_planes(&cloud, &truth.points, &truth.normals);
+        assert!(exact.rms_mm < 1e-3 && exact.normal_deg < 1.0 && exact.tiles == tiles.tiles, "{exact:?}");
     }
 }

@@ -44,7 +44,7 @@ pub(super) struct GpuDevice {
     /// Whose turn it is to call wgpu for what has run. Of two threads that ask at once, wgpu 30 may see the queue empty in one
     /// before it sees in the other that the last submission has run, and panics.
     turn: Mutex<()>,
-    /// Threads that wait for their turn to submit: who only looks lets them go first.
+    /// Threads that wait for their turn to submit: who waits lets them go first.
     submitting: AtomicUsize,
     spin: Duration,
 }
@@ -236,6 +236,10 @@ impl GpuDevice {
             return Err(lost.clone());
         }
         let _alone = lock(&self.turn);
+        // Another thread may have found the loss while this one waited for its turn.
+        if let Some(lost @ EngineError::Lost { .. }) = &*lock(&self.fault) {
+            return Err(lost.clone());
+        }
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(how))) {
             Ok(Ok(_)) => Ok(true),
             Ok(Err(wgpu::PollError::Timeout)) => Ok(false),
@@ -341,6 +345,11 @@ impl GpuDevice {
         // By small steps, since who submits waits for the turn.
         let until = Instant::now() + TIMEOUT;
         while Instant::now() < until {
+            if self.submitting.load(Ordering::Relaxed) > 0 {
+                // The lock is not fair: who wants it must find it free for a while.
+                std::thread::sleep(Duration::from_micros(50));
+                continue;
+            }
             if self.poll(look(STEP))? {
                 return self.check();
             }

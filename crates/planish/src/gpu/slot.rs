@@ -254,7 +254,10 @@ impl Slot {
         let waiting = |&mut (mapped, failed): &mut (usize, usize)| mapped + failed < buffers;
         let (counts, _) =
             self.mapped.changed.wait_timeout_while(counts, TIMEOUT, waiting).unwrap_or_else(PoisonError::into_inner);
-        if counts.0 == buffers { Ok(()) } else { Err(gpu.failed("a buffer could not be mapped")) }
+        let mapped = counts.0;
+        // What follows may run callbacks, which count.
+        drop(counts);
+        if mapped == buffers { Ok(()) } else { Err(gpu.failed("a buffer could not be mapped")) }
     }
 
     /// The times of the last submission, whose stamps are mapped; gives the stamps back to the device.

@@ -66,7 +66,8 @@ impl FirstPlanes {
     }
 
     /// The plane that p at a pixel lies on, as its own and the eight planes around it say, and how far from it a neighbour
-    /// counts; `None` where it has no first plane of its own.
+    /// counts; `None` where it has no first plane of its own, or the
+    /// plane is further away than the radius.
     pub(super) fn surface(&self, (u, v): (usize, usize), p: DVec3, radius_m: f64) -> Option<(Plane, f64)> {
         let own = self.get(Some(u), Some(v))?;
         let noise_m = noise_m(p, radius_m, self.noise_at_1m);
@@ -87,6 +88,10 @@ impl FirstPlanes {
                 height_m += weight * to_plane_m;
                 total += weight;
             }
+        }
+        // Planes that agree on nothing may be further away than a point may move.
+        if (height_m / total).abs() > radius_m {
+            return None;
         }
         // The foot is the same whichever way the normal points.
         let foot = height_m / total * normal.normalize();

@@ -9,6 +9,9 @@ use super::eigen::symmetric_eigen;
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
 const DEGENERATE_RATIO: f64 = 1e-4;
 
+/// More doubt than this makes no difference.
+const MAX_DOUBT: f64 = 1e6;
+
 /// The plane, in coordinates relative to p.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Plane {
@@ -18,7 +21,8 @@ pub(super) struct Plane {
     pub foot: DVec3,
     /// Variance along the normal, l0, in m².
     pub smallest_variance: f64,
-    /// How little the points determine the normal: l2/(l1 - l0), 1 for a disc and more for what is nearly a line.
+    /// How little the points determine the normal: l2/(l1 - l0), 1 for a disc and more, up to [`MAX_DOUBT`], for what is
+    /// nearly a line.
     pub doubt: f64,
     /// Variance along the largest principal axis, l2, in m².
     pub largest_variance: f64,
@@ -46,7 +50,7 @@ pub(super) fn fit(offsets: &[DVec3], from_sensor: DVec3) -> Option<Plane> {
         normal,
         foot: centroid.dot(normal) * normal,
         smallest_variance: l0.max(0.0),
-        doubt: l2 / (l1 - l0),
+        doubt: (l2 / (l1 - l0)).min(MAX_DOUBT),
         largest_variance: l2,
         curvature: l0.max(0.0) / (l0 + l1 + l2),
     })

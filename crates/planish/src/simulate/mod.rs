@@ -22,7 +22,6 @@ mod scenes;
 /// The linear algebra of scenes and poses.
 pub use glam::{DMat3, DVec3};
 pub use kinect::{KinectNoise, KinectSimulator};
-#[cfg(test)]
 pub(crate) use random::Random;
 pub use scene::{NO_OBJECT, Pose, Scene, Shape, Truth};
 pub use scenes::Gauge;

@@ -1,4 +1,4 @@
-//! The seeded scenes: a table with objects seen by a camera over it, and a room.
+//! The seeded scenes: a table with objects seen by a camera over it, a room, and shapes of known size.
 
 use glam::{DMat3, DVec3};
 

@@ -142,7 +142,8 @@ impl Source for FreenectRecording {
         let Some((file, colour)) = self.files.get(self.next) else { return Ok(None) };
         self.next += 1;
         let disparities = read_netpbm(file, "P5", 2)?;
-        let rgb = colour.as_deref().map(|colour| read_netpbm(colour, "P6", 3)).transpose()?;
+        // Depth is what counts: a colour image that cannot be read is left out.
+        let rgb = colour.as_deref().and_then(|colour| read_netpbm(colour, "P6", 3).ok());
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         let seconds = name.split('-').nth(1).and_then(|seconds| seconds.parse().ok());
         Ok(Some(SourceFrame::Depth(frame_of_disparities(&disparities, rgb.as_deref(), self.camera, seconds))))

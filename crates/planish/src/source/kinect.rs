@@ -1,13 +1,13 @@
 //! A live Kinect v1 through libfreenect, found when it is asked for and never linked.
 //!
 //! The library is `libfreenect.so.0.5`, or the path in the environment's PLANISH_LIBFREENECT. Depth comes registered to the
-//! colour camera in millimetres where the driver has it, with its colour; else as raw 11-bit disparity without colour, converted
+//! colour camera in millimetres where the driver has it, with its colour; else as raw 11-bit disparity, with the colour that the colour camera saw there, converted
 //! by [`disparity_depth_m`](super::disparity_depth_m). One thread owns the device and turns the driver's events into frames;
 //! the newest waits for who takes it.
 //!
 //! The playback library of libfreenect has the same name and plays a recording. It lacks calls, ends the process where it has
 //! no recording, and aborts it where it is asked for a mode that it does not have: it is told by the calls it lacks, and is asked
-//! for 11 bits and nothing else.
+//! for 11 bits and RGB, which it has.
 
 use std::ffi::{c_int, c_void};
 use std::path::Path;

@@ -26,7 +26,7 @@ const SILENCE: Duration = Duration::from_secs(5);
 
 /// Shows every result in Rerun. The stream's outputs must have points.
 ///
-/// A frame of 640x480 is some 10 MB. What has no colours is shaded by relief.
+/// A frame of 640x480 is some 7 MB. What has no colours is shaded by relief.
 pub struct RerunSink {
     name: String,
     /// `None` once it is closed.
@@ -54,7 +54,9 @@ impl RerunSink {
     /// Writes a file that Rerun's viewer opens. It is called `FILE.partial` until it is closed; should the process be killed
     /// before, the viewer opens that as far as it goes.
     pub fn save(file: &Path) -> Result<Self, Error> {
-        let partial = PathBuf::from(format!("{}.partial", file.display()));
+        let mut partial = file.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
         let recording = RecordingStreamBuilder::new("planish").save(&partial);
         let recording = recording.map_err(|error| IoError {
             path: file.to_path_buf(),

@@ -1,18 +1,44 @@
 //! `planish bench`: the engines measured on this machine, each result held against the reference before it is timed.
 
+mod connectivity;
+mod experiment;
 mod gpu;
+mod profile;
+mod quality;
+mod scaleup;
+mod speedup;
 
 use std::process::ExitCode;
 
 use anyhow::Result;
 use serde::Serialize;
 
+use super::stream::stop_on_ctrl_c;
 use crate::args::{BenchArgs, BenchCommand};
+use experiment::{Bench, Section};
 
 pub fn run(args: &BenchArgs) -> Result<ExitCode> {
-    match &args.what {
-        BenchCommand::Gpu(args) => gpu::run(args),
+    type Experiment = fn(&Bench<'_>) -> Result<Section>;
+    let all: [Experiment; 5] = [speedup::run, connectivity::run, scaleup::run, profile::run, quality::run];
+    let (args, experiments) = match &args.what {
+        BenchCommand::Gpu(args) => return gpu::run(args),
+        BenchCommand::Speedup(args) => (args, &all[0..1]),
+        BenchCommand::Connectivity(args) => (args, &all[1..2]),
+        BenchCommand::Scaleup(args) => (args, &all[2..3]),
+        BenchCommand::Profile(args) => (args, &all[3..4]),
+        BenchCommand::Quality(args) => (args, &all[4..5]),
+        BenchCommand::All(args) => (args, &all[..]),
+    };
+    let stop = stop_on_ctrl_c()?;
+    let bench = Bench::new(args, &stop)?;
+    for experiment in experiments {
+        experiment(&bench)?.finish(args.out.as_deref())?;
+        if bench.stopped() {
+            eprintln!("ended by Ctrl-C; what was measured until then is above");
+            return Ok(ExitCode::from(130));
+        }
     }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// The spread of repeated measurements.

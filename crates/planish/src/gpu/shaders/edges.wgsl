@@ -62,7 +62,9 @@ fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, radius: f32) -> Found {
     var width = NARROW_WIDTH * noise;
     plane.is_degenerate = count < 0.0;
     plane.curvature = first_planes[first_at(frame, FIRST_CURVATURE, own)];
-    if first_planes[first_at(frame, FIRST_RESIDUAL, own)] == NOT_USABLE {
+    let is_usable = first_planes[first_at(frame, FIRST_RESIDUAL, own)] != NOT_USABLE;
+    // Planes that agree on nothing may be further away than a point may move.
+    if !is_usable || abs(height) > radius * total {
         plane.normal = first_vec3(frame, FIRST_NORMAL, own);
         plane.height = first_planes[first_at(frame, FIRST_HEIGHT, own)];
         // Every neighbour counts.

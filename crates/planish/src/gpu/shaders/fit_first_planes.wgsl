@@ -30,8 +30,8 @@ fn fit_first_planes(
     let radius = radius_at(frame, p.z);
     let sums = sums_of(home, p, radius * radius);
     let plane = plane_of(p, sums);
-    // p/z, since the squares of p may be too large.
-    let ray = p / p.z;
+    // Scaled, since the squares of p may be too large.
+    let ray = p / max(max(abs(p.x), abs(p.y)), max(abs(p.z), MIN_POSITIVE));
     let is_seen = abs(dot(plane.normal, ray)) >= MIN_INCIDENCE_COSINE * sqrt(dot(ray, ray));
     let is_usable = sums.n >= MIN_NEIGHBOURS && !plane.is_degenerate && is_seen;
     let noise = noise_at(frame, p.z, radius);

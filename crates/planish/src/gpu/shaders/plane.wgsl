@@ -3,6 +3,8 @@
 // A neighbourhood whose second extent is below this share of its first (as variances) is a line.
 const DEGENERATE_RATIO: f32 = 1e-4;
 
+const MAX_DOUBT: f32 = 1e6;
+
 struct Plane {
     // Unit normal, towards the sensor.
     normal: vec3<f32>,
@@ -10,7 +12,7 @@ struct Plane {
     height: f32,
     // Variance along the normal, l0, in m².
     residual: f32,
-    // How little the points determine the normal: l2/(l1 - l0).
+    // How little the points determine the normal: l2/(l1 - l0), at most MAX_DOUBT.
     doubt: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
@@ -29,6 +31,6 @@ fn plane_of(p: vec3<f32>, sums: Sums) -> Plane {
     let l = eigen.values;
     let residual = max(l.x, 0.0);
     let curvature = residual / max(l.x + l.y + l.z, MIN_POSITIVE);
-    let doubt = l.z / max(l.y - residual, MIN_POSITIVE);
+    let doubt = min(l.z / max(l.y - residual, MIN_POSITIVE), MAX_DOUBT);
     return Plane(normal, dot(c, normal), residual, doubt, curvature, l.y <= l.z * DEGENERATE_RATIO);
 }

@@ -1,0 +1,63 @@
+//! The picture of the report: a frame raw and smoothed, and how flat its largest plane is before and after.
+
+use anyhow::Result;
+use planish::evaluate::largest_plane;
+use planish::render::{difference_normals, relief, side_by_side};
+use planish::{Engine, SmoothParams, Smoothed, Smoother, Xyz};
+use serde::Serialize;
+
+use super::experiment::{Bench, Section};
+
+#[derive(Serialize)]
+struct Row {
+    frame: String,
+    setting: &'static str,
+    /// Points of the raw frame on its largest plane.
+    points: usize,
+    raw_variance_mm2: f64,
+    smoothed_variance_mm2: f64,
+}
+
+pub fn run(context: &Bench<'_>) -> Result<Section> {
+    let mut section = Section { name: "quality", ..Section::default() };
+    section.text = "## Quality\n".to_owned();
+    let engine = if context.args.engine.len() == 1 { context.subjects(false).pop() } else { None };
+    let options = engine
+        .map(|subject| subject.options)
+        .unwrap_or_else(|| planish::SmootherOptions { engine: Engine::Cpu, ..planish::SmootherOptions::default() });
+    let mut rows = Vec::new();
+    for (i, input) in context.inputs.iter().enumerate().filter(|_| !context.stopped()) {
+        let (width, height) = (input.cloud.width(), input.cloud.height());
+        let Some(plane) = largest_plane(&input.cloud) else { continue };
+        let bumps = |points: &Xyz| relief(width, height, &difference_normals(width, height, points));
+        let mut pictures = vec![bumps(input.cloud.positions())];
+        for (setting, params) in [("paper", SmoothParams::paper()), ("default", SmoothParams::default())] {
+            let mut smoothed = Smoothed::default();
+            Smoother::open_with(params, &options, (width, height))?.smooth(&input.cloud, &mut smoothed)?;
+            rows.push(Row {
+                frame: input.name.clone(),
+                setting,
+                points: plane.pixels.len(),
+                raw_variance_mm2: 1e6 * plane.variance_m2(input.cloud.positions()),
+                smoothed_variance_mm2: 1e6 * plane.variance_m2(&smoothed.points),
+            });
+            pictures.push(bumps(&smoothed.points));
+        }
+        section.pictures.push((format!("quality-{i}.png"), side_by_side(&pictures)));
+    }
+    section.note(
+        "Variance of the largest plane's points about it, before and after; the pictures are raw, paper, default.",
+    );
+    section.table(
+        &["frame", "setting", "points", "raw, mm²", "smoothed, mm²", "share"],
+        rows.iter().map(|row| {
+            let (raw, smoothed) = (row.raw_variance_mm2, row.smoothed_variance_mm2);
+            let share = format!("{:.0} %", 100.0 * smoothed / raw);
+            let (raw, smoothed) = (format!("{raw:.2}"), format!("{smoothed:.2}"));
+            vec![row.frame.clone(), row.setting.into(), row.points.to_string(), raw, smoothed, share]
+        }),
+    );
+    section.note("The report's plane kept about half of its variance.");
+    section.json = serde_json::to_value(&rows)?;
+    Ok(section)
+}
