@@ -380,8 +380,9 @@ fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
     nearest.sqrt()
 }
 
-/// The normal of the plane through some points, towards the camera, and their RMS distance from it; `None` for too few.
-pub(super) fn plane(points: Vec<DVec3>) -> Option<(DVec3, f64)> {
+/// The plane that fits some points best: its normal, towards the camera, their centroid on it, and their RMS distance from it.
+/// `None` for too few.
+pub(super) fn plane(points: Vec<DVec3>) -> Option<(DVec3, DVec3, f64)> {
     if points.len() < 12 {
         return None;
     }
@@ -393,5 +394,5 @@ pub(super) fn plane(points: Vec<DVec3>) -> Option<(DVec3, f64)> {
     covariance *= 1.0 / points.len() as f64;
     let ([smallest, ..], [normal, ..]) = crate::reference::symmetric_eigen(covariance);
     let normal = if normal.dot(centre) > 0.0 { -normal } else { normal };
-    Some((normal, smallest.max(0.0).sqrt()))
+    Some((normal, centre, smallest.max(0.0).sqrt()))
 }

@@ -38,7 +38,7 @@ pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> Ti
             }
             let at = |of: &Xyz, i: usize| DVec3::from_array(of.get(i).map(f64::from));
             let there = || pixels.iter().copied().filter(|&i| points.is_finite(i));
-            let Some((normal, rms)) = plane(there().map(|i| at(points, i)).collect()) else { continue };
+            let Some((normal, _, rms)) = plane(there().map(|i| at(points, i)).collect()) else { continue };
             rms_m.push(rms);
             let angles = there().filter(|&i| normals.is_finite(i)).map(|i| at(normals, i).dot(normal).clamp(-1.0, 1.0));
             let (sum, count) = angles.fold((0.0, 0usize), |(sum, count), cosine| (sum + cosine.acos(), count + 1));
@@ -58,6 +58,8 @@ pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> Ti
 /// Planes tried for the largest, and points they are tried on.
 const TRIALS: usize = 400;
 const TRIED_POINTS: usize = 2000;
+/// How often the plane is fitted again to the points that lie on it.
+const REFITS: usize = 4;
 /// A point is on a plane if it is within so many deviations of a Kinect v1's noise.
 const ON_PLANE_DEVIATIONS: f64 = 3.0;
 
@@ -67,7 +69,7 @@ const INNER_PX: usize = 2;
 /// A plane that many points of a frame lie on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LargestPlane {
-    /// The pixels whose points, and those of all around, are on it.
+    /// The pixels whose points, and those of all around, are on it: its largest piece, in order.
     pub pixels: Vec<usize>,
 }
 
@@ -76,7 +78,7 @@ impl LargestPlane {
     pub fn variance_m2(&self, points: &Xyz) -> f64 {
         let there = self.pixels.iter().copied().filter(|&i| points.is_finite(i));
         let points = there.map(|i| DVec3::from_array(points.get(i).map(f64::from))).collect();
-        plane(points).map_or(f64::NAN, |(_, rms_m)| rms_m * rms_m)
+        plane(points).map_or(f64::NAN, |(.., rms_m)| rms_m * rms_m)
     }
 }
 
@@ -105,14 +107,42 @@ pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
             best = (count, (normal, a));
         }
     }
-    let is_on: Vec<bool> = (0..points.len()).map(|i| points.is_finite(i) && on(at(i), best.1)).collect();
+    // Three points are a rough plane; those that lie on it are a better one.
+    let mut found = best.1;
+    for _ in 0..REFITS {
+        let (normal, centre, _) = plane(valid.iter().map(|&i| at(i)).filter(|&p| on(p, found)).collect())?;
+        found = (normal, centre);
+    }
+    let is_on: Vec<bool> = (0..points.len()).map(|i| points.is_finite(i) && on(at(i), found)).collect();
     let is_inner = |i: usize| {
         let (u, v) = (i % width, i / width);
         let (across, down) = (u + 1 + INNER_PX, v + 1 + INNER_PX);
         (v.saturating_sub(INNER_PX)..down.min(height))
             .all(|v| (u.saturating_sub(INNER_PX)..across.min(width)).all(|u| is_on[v * width + u]))
     };
-    let pixels: Vec<usize> = valid.into_iter().filter(|&i| best.0 > 0 && is_inner(i)).collect();
+    let mut open: Vec<bool> = (0..points.len()).map(is_inner).collect();
+    // The plane goes on through the room; of where it meets other things only its own piece counts.
+    let mut pixels = Vec::new();
+    for first in 0..open.len() {
+        let mut piece = Vec::new();
+        let mut reached = if std::mem::take(&mut open[first]) { vec![first] } else { Vec::new() };
+        while let Some(i) = reached.pop() {
+            piece.push(i);
+            let (u, v) = (i % width, i / width);
+            let beside =
+                [(u > 0, -1), (u + 1 < width, 1), (v > 0, -(width as isize)), (v + 1 < height, width as isize)];
+            for (_, step) in beside.into_iter().filter(|(is_inside, _)| *is_inside) {
+                let j = i.wrapping_add_signed(step);
+                if std::mem::take(&mut open[j]) {
+                    reached.push(j);
+                }
+            }
+        }
+        if piece.len() > pixels.len() {
+            pixels = piece;
+        }
+    }
+    pixels.sort_unstable();
     (pixels.len() >= 12).then_some(LargestPlane { pixels })
 }
 

@@ -22,8 +22,6 @@ use serde_json::Value;
 use super::Spread;
 use crate::args::{EngineArg, ExperimentArgs};
 
-/// A GPU that was idle takes this long to come to its full clock.
-const WARM_UP: Duration = Duration::from_millis(300);
 /// A measurement whose halves differ by more than this, or whose spread is wider than the next, is called noisy.
 const HALVES_DIFFER: f64 = 0.05;
 const WIDE_SPREAD: f64 = 1.5;
@@ -159,12 +157,18 @@ impl<'a> Bench<'a> {
 
     /// Times `work`, which is slow or fast: a hundred runs and more, or as many as there is time for.
     pub fn time(&self, mut work: impl FnMut() -> Result<()>) -> Result<Timing> {
-        let (runs, limit) =
-            if self.args.quick { (20, Duration::from_millis(700)) } else { (200, Duration::from_secs(10)) };
+        // A GPU that was idle takes a third of a second to come to its full clock.
+        let (runs, limit_ms, warm_up_ms) = if self.args.quick { (20, 400, 100) } else { (200, 10_000, 300) };
+        let (limit, warm_up) = (Duration::from_millis(limit_ms), Duration::from_millis(warm_up_ms));
         let start = Instant::now();
         work()?;
         let once = start.elapsed();
-        while once < WARM_UP && start.elapsed() < WARM_UP && !self.stopped() {
+        if once > limit {
+            // What takes so long is as warm as it gets.
+            let ms = Spread::of(vec![1e3 * once.as_secs_f64()]);
+            return Ok(Timing { ms, runs: 1, noisy: false });
+        }
+        while start.elapsed() < warm_up && !self.stopped() {
             work()?;
         }
         let (mut values, start) = (Vec::new(), Instant::now());
