@@ -5,14 +5,6 @@ const DISTANCE_WEIGHT: f32 = 0.5;
 // Neighbours count up to so many deviations of the noise from the surface.
 const NARROW_WIDTH: f32 = 1.8;
 
-struct Found {
-    plane: Plane,
-    // How many neighbours.
-    n: f32,
-    // How far from the plane a neighbour counts, in metres.
-    width: f32,
-}
-
 fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Result {
     let radius = radius_at(frame, p.z);
     let found = plane_at(frame, pixel, p, radius);

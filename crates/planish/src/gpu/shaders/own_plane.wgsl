@@ -1,13 +1,5 @@
 // The plane that a point lies on: that of its own window (docs/method.md, section 4).
 
-struct Found {
-    plane: Plane,
-    // How many neighbours.
-    n: f32,
-    // How far from the plane a neighbour counts, in metres; means nothing where KEEPS_EDGES is false.
-    width: f32,
-}
-
 fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Result {
     let radius = radius_at(frame, p.z);
     let sums = sums_of(home, p, radius * radius);

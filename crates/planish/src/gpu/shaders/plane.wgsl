@@ -20,6 +20,15 @@ struct Plane {
     is_degenerate: bool,
 }
 
+// The plane that a point lies on, as one of the passes found it.
+struct Found {
+    plane: Plane,
+    // How many neighbours.
+    n: f32,
+    // How far from the plane a neighbour counts, in metres; means nothing where KEEPS_EDGES is false.
+    width: f32,
+}
+
 fn plane_of(p: vec3<f32>, sums: Sums) -> Plane {
     let inverse_n = 1.0 / sums.n;
     let c = sums.e * inverse_n;
