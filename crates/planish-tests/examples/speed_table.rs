@@ -9,8 +9,7 @@ use std::time::Instant;
 
 use planish::agreement::{Agreement, radius_m};
 use planish::{
-    Camera, Edges, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother,
-    SmootherOptions,
+    Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
 };
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::simulated;
@@ -24,14 +23,8 @@ fn main() -> Result<(), planish::Error> {
     };
     let only = std::env::args().nth(2);
     let fixed = Radius::Fixed { radius_m: 0.03 };
-    let setting = |window, stride, degree, radius| SmoothParams {
-        window,
-        stride,
-        radius,
-        degree,
-        bandwidth_m: None,
-        edges: Edges::Off,
-    };
+    let setting =
+        |window, stride, degree, radius| SmoothParams { window, stride, radius, degree, ..SmoothParams::paper() };
     let settings = [
         setting(3, 1, 3, fixed),
         setting(3, 3, 2, Radius::KINECT_V1),

@@ -108,8 +108,7 @@ pub fn parameter_grid() -> Vec<SmoothParams> {
                     stride,
                     radius,
                     degree,
-                    bandwidth_m: None,
-                    edges: Edges::Off,
+                    ..SmoothParams::paper()
                 })
             })
         })
@@ -121,8 +120,7 @@ pub fn parameter_grid() -> Vec<SmoothParams> {
                 stride,
                 radius,
                 degree,
-                bandwidth_m: None,
-                edges: Edges::Off,
+                ..SmoothParams::paper()
             })
         },
     );

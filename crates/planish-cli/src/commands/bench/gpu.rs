@@ -213,14 +213,8 @@ impl Bench<'_> {
 
     fn kernels(&self) -> Result<Vec<KernelRow>> {
         let fixed = Radius::Fixed { radius_m: 0.03 };
-        let off = |window, stride, degree, radius| SmoothParams {
-            window,
-            stride,
-            radius,
-            degree,
-            bandwidth_m: None,
-            edges: Edges::Off,
-        };
+        let off =
+            |window, stride, degree, radius| SmoothParams { window, stride, radius, degree, ..SmoothParams::paper() };
         let settings = [
             off(3, 1, 3, fixed),
             off(3, 3, 2, Radius::KINECT_V1),
