@@ -3,10 +3,12 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::{
-    Camera, DepthFrame, Engine, OrganizedCloud, Outputs, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
+    Camera, DepthFrame, Edges, Engine, Frame, GpuOptions, OrganizedCloud, Outputs, SimdLevel, SmoothParams, Smoothed,
+    Smoother, SmootherOptions,
 };
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, nasty_scenes, simulated, small_camera};
@@ -169,4 +171,37 @@ fn a_level_that_the_machine_lacks_and_zero_threads_are_refused() {
     let missing = SimdLevel::ALL.into_iter().find(|level| SimdLevel::available().all(|have| have != *level)).unwrap();
     assert!(open(Some(missing), None).unwrap_err().to_string().contains(missing.name()));
     assert!(open(None, Some(0)).unwrap_err().to_string().contains("threads = 0"));
+}
+
+#[test]
+fn times_are_told_when_asked_and_bytes_always() {
+    let _alone = ALONE.lock();
+    let depth = frame(small_camera());
+    let open = |params, timestamps| {
+        let gpu = GpuOptions { timestamps, ..GpuOptions::default() };
+        let options = SmootherOptions { engine: Engine::Cpu, gpu, ..SmootherOptions::default() };
+        Smoother::open_with(params, &options, (160, 120)).unwrap()
+    };
+    let mut smoother = open(SmoothParams::paper(), true);
+    assert!(smoother.timings().is_none());
+    let mut smoothed = Smoothed::default();
+    smoother.smooth(&depth, &mut smoothed).unwrap();
+    let alone = smoother.timings().unwrap();
+    assert!(!alone.upload.is_zero() && !alone.kernel.is_zero() && alone.readback.is_zero(), "{alone:?}");
+    smoother.submit_in_place(&depth).unwrap();
+    assert!(!smoother.receive().unwrap().unwrap().timings().unwrap().kernel.is_zero());
+    // A batch's are the sum over its frames.
+    let start = Instant::now();
+    smoother.smooth_batch(&[Frame::from(&depth); 8], &mut vec![Smoothed::default(); 8]).unwrap();
+    let (all, batch) = (start.elapsed(), smoother.timings().unwrap());
+    assert!(!batch.kernel.is_zero() && batch.upload + batch.kernel <= all, "{batch:?} of {all:?}");
+    // x, y and z, 3 pixels of border around them, rows a multiple of 16 long, 15 numbers at the end.
+    let padded = (160 + 6) * (120 + 6) + 16;
+    assert_eq!(smoother.buffer_bytes(), 4 * 3 * padded);
+    // Planes of seven numbers more.
+    let off = open(SmoothParams { edges: Edges::Off, ..SmoothParams::default() }, false).buffer_bytes();
+    let mut robust = open(SmoothParams::default(), false);
+    assert_eq!(robust.buffer_bytes(), off / 3 * 10);
+    robust.smooth(&depth, &mut smoothed).unwrap();
+    assert!(robust.timings().is_none());
 }

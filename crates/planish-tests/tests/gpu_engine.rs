@@ -231,6 +231,30 @@ fn time_stamps_say_where_the_time_went() {
 }
 
 #[test]
+fn the_bytes_of_its_buffers_are_known_wherever_they_are() {
+    if adapter("bytes of buffers").is_none() {
+        return;
+    }
+    let depth = frame(1);
+    let mut smoother = open(SmoothParams::paper(), |options| options.gpu.transfer = Transfer::Staged).unwrap();
+    let one = smoother.buffer_bytes();
+    // Depth and the outputs at least, each on both sides; less than twice that.
+    let least = 2 * SHAPE.0 as u64 * SHAPE.1 as u64 * (2 + 4 * 7 + 1);
+    assert!(one >= least && one < 2 * least, "{one} {least}");
+    smoother.submit_in_place(&depth).unwrap();
+    smoother.submit_in_place(&depth).unwrap();
+    assert_eq!(smoother.buffer_bytes(), 2 * one);
+    let view = smoother.receive().unwrap().unwrap();
+    smoother.receive().unwrap();
+    assert_eq!(smoother.buffer_bytes(), 2 * one, "one is the view's, one is free");
+    drop(view);
+    smoother.smooth_batch(&[Frame::from(&depth); 4], &mut vec![Smoothed::default(); 4]).unwrap();
+    assert!((5 * one..=6 * one).contains(&smoother.buffer_bytes()), "{} {one}", smoother.buffer_bytes());
+    smoother.smooth_batch(&[Frame::from(&depth); 2], &mut vec![Smoothed::default(); 2]).unwrap();
+    assert!(smoother.buffer_bytes() < 5 * one, "batches of other sizes are not kept");
+}
+
+#[test]
 fn what_cannot_be_is_refused_with_a_reason() {
     let unknown = SmootherOptions {
         engine: Engine::Gpu,

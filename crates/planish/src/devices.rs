@@ -1,5 +1,6 @@
 //! What this machine computes with: its GPU adapters, how to open one, and what [`Engine::Auto`] takes.
 
+use std::ops::AddAssign;
 use std::time::Duration;
 
 use serde::Serialize;
@@ -60,7 +61,8 @@ pub struct GpuOptions {
     /// How many frames may be in flight: submitted and not received. At least 1; 3 keep a GPU busy. The engines of the CPU
     /// keep to it too.
     pub slots: usize,
-    /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings).
+    /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings). The CPU
+    /// engine takes its own by the same.
     pub timestamps: bool,
     /// Whether the shader checks every access to memory against its bounds.
     pub bounds_checks: bool,
@@ -81,15 +83,24 @@ impl Default for GpuOptions {
     }
 }
 
-/// Where the time of one submission went on the device.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Where the time of one frame or batch went: on a GPU's device, or in the CPU engine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FrameTimings {
-    /// Copying the input to the device's memory; next to nothing where the kernel reads the host's.
+    /// Copying the input to the device's memory, next to nothing where the kernel reads the host's; on the CPU copying or
+    /// deprojecting it into the planes that the kernel reads.
     pub upload: Duration,
-    /// The kernel.
+    /// The kernel, with where edges are kept the pass before it.
     pub kernel: Duration,
-    /// Copying the result to the host's memory; next to nothing where the kernel writes it there.
+    /// Copying the result to the host's memory; next to nothing where the kernel writes it there, as on the CPU.
     pub readback: Duration,
+}
+
+impl AddAssign for FrameTimings {
+    fn add_assign(&mut self, more: Self) {
+        self.upload += more.upload;
+        self.kernel += more.kernel;
+        self.readback += more.readback;
+    }
 }
 
 /// The GPU adapters of this machine in the order of their indices. Empty without drivers, or in a build without the feature

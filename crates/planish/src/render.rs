@@ -54,7 +54,7 @@ pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
         }
         let (lit, facing) = (n.dot(light).max(0.0), -n.z.min(0.0));
         let brightness = 0.12 + 0.68 * lit + 0.2 * facing;
-        [brightness, brightness, brightness * 0.97 + 0.03].map(|c| (255.0 * c.clamp(0.0, 1.0)) as u8)
+        [(255.0 * brightness.clamp(0.0, 1.0)) as u8; 3]
     };
     RgbImage { width, height, rgb: normals.iter().flat_map(shade).collect() }
 }
@@ -103,6 +103,18 @@ pub fn side_by_side(pictures: &[RgbImage]) -> RgbImage {
     RgbImage { width: total, height, rgb }
 }
 
+/// A picture at half its size: each pixel the mean of four. A last column or row that has no partner is left out.
+pub fn half_size(picture: &RgbImage) -> RgbImage {
+    let (width, height) = (picture.width / 2, picture.height / 2);
+    let mean = |i: usize| {
+        let (u, v, channel) = (i / 3 % width, i / 3 / width, i % 3);
+        let at = |u: usize, v: usize| u32::from(picture.rgb[3 * (v * picture.width + u) + channel]);
+        let sum = at(2 * u, 2 * v) + at(2 * u + 1, 2 * v) + at(2 * u, 2 * v + 1) + at(2 * u + 1, 2 * v + 1);
+        ((sum + 2) / 4) as u8
+    };
+    RgbImage { width, height, rgb: (0..3 * width * height).map(mean).collect() }
+}
+
 /// Two pictures of one width, one over the other.
 pub fn stacked(upper: RgbImage, lower: &RgbImage) -> RgbImage {
     let mut rgb = upper.rgb;
@@ -114,6 +126,17 @@ pub fn stacked(upper: RgbImage, lower: &RgbImage) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn half_a_picture_has_the_means_of_four_pixels() {
+        let rgb = (0..5 * 3).flat_map(|i| [i, 100, 2 * i]).collect();
+        let half = half_size(&RgbImage { width: 5, height: 3, rgb });
+        assert_eq!((half.width, half.height), (2, 1));
+        // 0, 1, 5, 6 and 2, 3, 7, 8.
+        assert_eq!(half.rgb, [3, 100, 6, 5, 100, 10]);
+        let tiny = RgbImage { width: 1, height: 1, rgb: vec![1, 2, 3] };
+        assert_eq!(half_size(&tiny), RgbImage { width: 0, height: 0, rgb: Vec::new() });
+    }
 
     #[test]
     fn difference_normals_of_a_tilted_plane_face_the_camera() {

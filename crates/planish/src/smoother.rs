@@ -117,8 +117,11 @@ struct Host {
     engine: HostEngine,
     /// Points and normals, where the outputs are made from them afterwards.
     scratch: Option<Smoothed>,
-    submitted: VecDeque<Smoothed>,
+    submitted: VecDeque<(Smoothed, Option<FrameTimings>)>,
     slots: usize,
+    /// Whether times are wanted, and those of the last call.
+    timestamps: bool,
+    timings: Option<FrameTimings>,
 }
 
 enum HostEngine {
@@ -208,20 +211,41 @@ impl Smoother {
         }
         match &mut self.engine {
             EngineState::Host(host) => {
-                frames.iter().zip(out).try_for_each(|(&frame, out)| host.smooth(frame, self.outputs, out))
+                let mut timings = None::<FrameTimings>;
+                for (&frame, out) in frames.iter().zip(out) {
+                    host.smooth(frame, self.outputs, out)?;
+                    if let Some(more) = host.timings {
+                        *timings.get_or_insert_default() += more;
+                    }
+                }
+                host.timings = timings;
+                Ok(())
             }
             #[cfg(feature = "gpu")]
             EngineState::Gpu(gpu) => gpu.smooth_batch(frames, out),
         }
     }
 
-    /// Where the time of the last [`smooth`](Self::smooth) or [`smooth_batch`](Self::smooth_batch) went on a GPU, if
-    /// [`GpuOptions::timestamps`] were asked for.
+    /// Where the time of the last [`smooth`](Self::smooth) or [`smooth_batch`](Self::smooth_batch) went on a GPU or in the CPU
+    /// engine, if [`GpuOptions::timestamps`] were asked for.
     pub fn timings(&self) -> Option<FrameTimings> {
         match &self.engine {
-            EngineState::Host(_) => None,
+            EngineState::Host(host) => host.timings,
             #[cfg(feature = "gpu")]
             EngineState::Gpu(gpu) => gpu.timings(),
+        }
+    }
+
+    /// Bytes of the buffers that the engine keeps from frame to frame, beside frames and results: the planes of the CPU engine;
+    /// what the GPU engine has on the device and in memory that both see. The reference keeps none.
+    pub fn buffer_bytes(&self) -> u64 {
+        match &self.engine {
+            EngineState::Host(host) => match &host.engine {
+                HostEngine::Cpu(cpu) => cpu.buffer_bytes(),
+                HostEngine::Reference(_) => 0,
+            },
+            #[cfg(feature = "gpu")]
+            EngineState::Gpu(gpu) => gpu.buffer_bytes(),
         }
     }
 
@@ -248,7 +272,7 @@ impl Smoother {
                 }
                 let mut smoothed = buffer.unwrap_or_default();
                 host.smooth(frame, self.outputs, &mut smoothed)?;
-                host.submitted.push_back(smoothed);
+                host.submitted.push_back((smoothed, host.timings));
                 Ok(())
             }
             #[cfg(feature = "gpu")]
@@ -260,7 +284,7 @@ impl Smoother {
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         match &mut self.engine {
             EngineState::Host(host) => {
-                Ok(host.submitted.pop_front().map(|smoothed| SmoothedView::owned(smoothed, None)))
+                Ok(host.submitted.pop_front().map(|(smoothed, timings)| SmoothedView::owned(smoothed, timings)))
             }
             #[cfg(feature = "gpu")]
             EngineState::Gpu(gpu) => gpu.receive(),
@@ -302,9 +326,13 @@ impl Smoother {
 
 impl Host {
     fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs, out: &mut Smoothed) -> Result<(), Error> {
-        let Self { engine, scratch, .. } = self;
+        let Self { engine, scratch, timestamps, timings, .. } = self;
         let mut run = |out: &mut Smoothed| match engine {
-            HostEngine::Cpu(cpu) => cpu.smooth(frame, out),
+            HostEngine::Cpu(cpu) => {
+                cpu.smooth(frame, out)?;
+                *timings = timestamps.then(|| cpu.timings());
+                Ok(())
+            }
             HostEngine::Reference(reference) => reference.smooth(frame, out),
         };
         match scratch {
@@ -331,7 +359,9 @@ fn open_host(
         _ => HostEngine::Cpu(Box::new(Cpu::open(params, computed, threads, simd, shape)?)),
     };
     let scratch = (computed != outputs).then(Smoothed::default);
-    Ok(EngineState::Host(Box::new(Host { engine, scratch, submitted: VecDeque::new(), slots: options.gpu.slots })))
+    let GpuOptions { slots, timestamps, .. } = options.gpu;
+    let submitted = VecDeque::new();
+    Ok(EngineState::Host(Box::new(Host { engine, scratch, submitted, slots, timestamps, timings: None })))
 }
 
 #[cfg(feature = "gpu")]

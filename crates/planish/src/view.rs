@@ -82,7 +82,7 @@ impl SmoothedView {
         }
     }
 
-    /// Where the time went on the device, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.
+    /// Where the time of this frame went, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.timings
     }

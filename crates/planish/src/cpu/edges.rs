@@ -142,6 +142,11 @@ impl FirstPlanes {
         })
     }
 
+    /// Bytes of the planes' numbers.
+    pub(super) fn bytes(&self) -> usize {
+        self.numbers.iter().map(|number| size_of_val(&number[..])).sum()
+    }
+
     /// The rows of the image.
     pub(super) fn rows(&mut self, height: usize) -> FirstRows<'_> {
         let (row_len, reach) = (self.row_len, self.reach);

@@ -1,7 +1,7 @@
 //! Rows dealt out among threads: halved until they are few.
 
-/// Rows of one task: enough that a task costs nothing beside them, few enough that threads end together.
-const ROWS_A_TASK: usize = 8;
+/// Rows of one task: enough that a task costs nothing beside them, few enough that sixteen threads end together.
+const ROWS_A_TASK: usize = 4;
 
 /// Some rows of something, which can be split.
 pub(super) trait Halves: Send + Sized {

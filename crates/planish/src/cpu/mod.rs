@@ -26,8 +26,11 @@ mod unroll;
 mod vector;
 mod window;
 
+use std::time::{Duration, Instant};
+
 use fearless_simd::{Level, Simd, SimdBase, SimdMask, dispatch};
 
+use crate::devices::FrameTimings;
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
 use crate::params::SmoothParams;
@@ -74,6 +77,7 @@ pub(crate) struct Cpu {
     /// Where edges are kept.
     first_planes: Option<FirstPlanes>,
     pitches: Vec<f64>,
+    timings: FrameTimings,
 }
 
 impl Cpu {
@@ -95,7 +99,26 @@ impl Cpu {
         let threads = if threads == Some(1) { None } else { Some(Threads::open(threads)?) };
         let planes = Planes::new(shape.0, shape.1, params.reach_px());
         let first_planes = FirstPlanes::new(&params, &planes);
-        Ok(Self { params, outputs, level, threads, planes, first_planes, pitches: Vec::new() })
+        Ok(Self {
+            params,
+            outputs,
+            level,
+            threads,
+            planes,
+            first_planes,
+            pitches: Vec::new(),
+            timings: FrameTimings::default(),
+        })
+    }
+
+    /// Bytes of its planes.
+    pub(crate) fn buffer_bytes(&self) -> u64 {
+        (self.planes.bytes() + self.first_planes.as_ref().map_or(0, FirstPlanes::bytes)) as u64
+    }
+
+    /// Where the time of the last frame went.
+    pub(crate) fn timings(&self) -> FrameTimings {
+        self.timings
     }
 
     pub(crate) fn smooth(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
@@ -122,7 +145,9 @@ impl Cpu {
     /// Fills the planes and smooths all rows, on the threads of the pool that it is called in or on the calling one.
     fn smooth_rows_of(&mut self, frame: Frame<'_>, kernel: &Kernel, rows: Rows<'_>, parallel: bool) {
         let level = self.level;
+        let start = Instant::now();
         self.planes.fill(frame, parallel);
+        let filled = Instant::now();
         let planes = &self.planes;
         if let Some(first_planes) = &mut self.first_planes {
             let fit =
@@ -136,6 +161,7 @@ impl Cpu {
             _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, planes, first_planes, kernel, &mut rows)),
         };
         over(rows, parallel, &smooth);
+        self.timings = FrameTimings { upload: filled - start, kernel: filled.elapsed(), readback: Duration::ZERO };
     }
 }
 

@@ -57,6 +57,11 @@ impl Planes {
         Self { x: nan(), y: nan(), z: nan(), row_len, width, height, reach, rays: Rays::default() }
     }
 
+    /// Bytes of the planes.
+    pub(super) fn bytes(&self) -> usize {
+        3 * size_of_val(&self.x[..])
+    }
+
     /// Takes a frame of the shape the planes were made for.
     pub(super) fn fill(&mut self, frame: Frame<'_>, parallel: bool) {
         let (row_len, width, reach) = (self.row_len, self.width, self.reach);

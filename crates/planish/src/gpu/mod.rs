@@ -15,6 +15,7 @@ mod tests;
 mod view;
 
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
@@ -87,6 +88,8 @@ pub(crate) struct Gpu {
     pending: VecDeque<Pending>,
     copier: Option<Copier>,
     timings: Option<FrameTimings>,
+    /// Bytes of all slots, wherever they are.
+    bytes: Arc<AtomicU64>,
 }
 
 impl Gpu {
@@ -126,6 +129,7 @@ impl Gpu {
             pending: VecDeque::new(),
             copier: None,
             timings: None,
+            bytes: Arc::default(),
         };
         // What can be refused is refused now, and what takes long is done now.
         let [depth, points] = [InputKind::Depth, InputKind::Points].map(|kind| engine.layout(kind));
@@ -176,12 +180,8 @@ impl Gpu {
             let count = alike.div_ceil(alike.div_ceil(most));
             let view = self.launch(&frames[done..done + count])?.land()?;
             out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_to(i, out));
-            if let (Some(sum), Some(more)) = (&mut timings, view.timings()) {
-                sum.upload += more.upload;
-                sum.kernel += more.kernel;
-                sum.readback += more.readback;
-            } else {
-                timings = view.timings();
+            if let Some(more) = view.timings() {
+                *timings.get_or_insert_default() += more;
             }
             done += count;
         }
@@ -220,6 +220,11 @@ impl Gpu {
                 Ok(Some(SmoothedView::owned(smoothed, timings)))
             }
         }
+    }
+
+    /// Bytes of the buffers of all slots.
+    pub(crate) fn buffer_bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
     }
 
     pub(crate) fn in_flight(&self) -> usize {
@@ -297,7 +302,7 @@ impl Gpu {
             None => {
                 // One batch at a time: slots of other sizes are not kept.
                 free.retain(|slot| slot.frames == 1);
-                Slot::new(&self.gpu, layout, frames, self.options.transfer, self.options.timestamps)
+                Slot::new(&self.gpu, layout, frames, self.options.transfer, self.options.timestamps, &self.bytes)
             }
         }
     }

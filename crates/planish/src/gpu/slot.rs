@@ -4,6 +4,7 @@
 //! result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes the host's buffers itself, so that
 //! the way over the bus overlaps with its arithmetic.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -41,6 +42,26 @@ pub(super) struct Slot {
     bind_group: wgpu::BindGroup,
     stamps: Option<Stamps>,
     mapped: Arc<Mapped>,
+    _counted: Counted,
+}
+
+/// Counts the bytes of a slot as long as there is one.
+struct Counted {
+    bytes: u64,
+    all: Arc<AtomicU64>,
+}
+
+impl Counted {
+    fn new(bytes: u64, all: &Arc<AtomicU64>) -> Self {
+        all.fetch_add(bytes, Ordering::Relaxed);
+        Self { bytes, all: Arc::clone(all) }
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        self.all.fetch_sub(self.bytes, Ordering::Relaxed);
+    }
 }
 
 /// How many buffers the host has back after a submission, and how many it will not get back.
@@ -61,13 +82,14 @@ struct Stamps {
 }
 
 impl Slot {
-    /// Allocates the buffers for so many frames of a layout.
+    /// Allocates the buffers for so many frames of a layout, and counts their bytes in with `all_bytes`.
     pub(super) fn new(
         gpu: &GpuDevice,
         layout: Layout,
         frames: usize,
         transfer: Transfer,
         timestamps: bool,
+        all_bytes: &Arc<AtomicU64>,
     ) -> Result<Self, EngineError> {
         use wgpu::BufferUsages as Usage;
         let input_bytes = (layout.input_words() * frames) as u64 * WORD;
@@ -126,6 +148,7 @@ impl Slot {
                 bind_group,
                 stamps,
                 mapped: Arc::default(),
+                _counted: Counted::new(total, all_bytes),
             }
         })
     }

@@ -16,11 +16,17 @@ pub struct RgbImage {
     pub rgb: Vec<u8>,
 }
 
-/// Writes a picture.
+/// Writes a picture; one that has no colour as grey, in a third of the bytes.
 pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
-    encode(image.width, image.height, png::ColorType::Rgb, png::BitDepth::Eight, &image.rgb)
-        .and_then(|bytes| super::write_whole(path, &bytes))
-        .map_err(IoError::at(path))
+    let (width, height, eight) = (image.width, image.height, png::BitDepth::Eight);
+    let pixels = image.rgb.chunks_exact(3);
+    let encoded = if pixels.clone().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]) {
+        let grey: Vec<u8> = pixels.map(|pixel| pixel[0]).collect();
+        encode(width, height, png::ColorType::Grayscale, eight, &grey)
+    } else {
+        encode(width, height, png::ColorType::Rgb, eight, &image.rgb)
+    };
+    encoded.and_then(|bytes| super::write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
 /// Reads an 8-bit colour PNG; a fourth channel is left out, grey becomes colour.

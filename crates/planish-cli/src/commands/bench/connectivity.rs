@@ -1,10 +1,12 @@
 //! Experiment 2: how the time grows with the number of candidates.
 
 use anyhow::Result;
-use planish::{Engine, Radius, SmoothParams, Smoothed, Smoother};
+use planish::{Engine, Radius, SmoothParams};
 use serde::Serialize;
 
-use super::experiment::{Bench, Section, Timing, cell, line_through, plot};
+use super::experiment::{Bench, Load, Timing};
+use super::plot::{line_through, lines};
+use super::section::Section;
 
 /// The 2011 report's fit of a straight line.
 const REPORT_R2: f64 = 0.96;
@@ -13,6 +15,8 @@ const RADIUS_M_A_STEP: f32 = 0.01;
 
 #[derive(Serialize)]
 struct Curve {
+    #[serde(skip)]
+    subject: usize,
     engine: String,
     degree: u32,
     candidates: Vec<usize>,
@@ -24,29 +28,29 @@ struct Curve {
 }
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
-    let mut section = Section { name: "connectivity", ..Section::default() };
-    section.text = "## Connectivity\n".to_owned();
+    let mut section = Section::new("connectivity", "Connectivity");
     let Some(input) = context.inputs.last() else { return Ok(section) };
     let windows: Vec<u32> = if context.args.quick { vec![1, 3, 5, 7] } else { (1..=7).collect() };
-    // The reference takes seconds where the others take milliseconds.
-    let subjects: Vec<_> = context
-        .subjects(false)
-        .into_iter()
-        .filter(|s| !context.args.quick || s.options.engine != Engine::Reference)
-        .collect();
+    let mut subjects = context.subjects(false);
+    subjects.retain(|subject| !context.args.quick || subject.options.engine != Engine::Reference);
     let bar = context.bar("connectivity", subjects.len() * 2 * windows.len())?;
     let mut curves = Vec::new();
-    for subject in &subjects {
+    for (number, subject) in subjects.iter().enumerate() {
+        let clocks = subject.clocks();
         for degree in [2, 3] {
-            let mut curve = Curve {
-                engine: subject.name.clone(),
-                degree,
-                candidates: Vec::new(),
-                times: Vec::new(),
-                intercept_ms: f64::NAN,
-                slope_ms: f64::NAN,
-                r2: f64::NAN,
-            };
+            let mut of_clocks: Vec<Curve> = clocks
+                .iter()
+                .map(|&clock| Curve {
+                    subject: number,
+                    engine: subject.name_by(clock),
+                    degree,
+                    candidates: Vec::new(),
+                    times: Vec::new(),
+                    intercept_ms: f64::NAN,
+                    slope_ms: f64::NAN,
+                    r2: f64::NAN,
+                })
+                .collect();
             for &window in &windows {
                 if context.stopped() {
                     break;
@@ -54,21 +58,24 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
                 let radius = Radius::Fixed { radius_m: RADIUS_M_A_STEP * window as f32 };
                 let params = SmoothParams { window, degree, radius, ..SmoothParams::paper() };
                 context.check(subject, params, input)?;
-                let shape = (input.cloud.width(), input.cloud.height());
-                let mut smoother = Smoother::open_with(params, &subject.options, shape)?;
-                let mut smoothed = Smoothed::default();
-                curve.times.push(context.time(|| Ok(smoother.smooth(&input.cloud, &mut smoothed)?))?);
-                curve.candidates.push(params.candidates());
+                for (&clock, curve) in clocks.iter().zip(&mut of_clocks) {
+                    curve.times.push(context.time_load(subject, clock, params, Load::Alone(input.frame()))?.0);
+                    curve.candidates.push(params.candidates());
+                }
                 bar.inc(1);
             }
-            if curve.times.len() > 2 {
+            of_clocks.retain(|curve| curve.times.len() > 2);
+            for mut curve in of_clocks {
                 (curve.intercept_ms, curve.slope_ms, curve.r2) = line_through(&points(&curve));
                 curves.push(curve);
             }
         }
     }
     bar.finish_and_clear();
-    section.note(format!("Time of a frame over the candidates of its window, on {}; radius 1 cm a step.", input.name));
+    section.note(format!(
+        "Milliseconds of a frame over the candidates of its window: {}; radius 1 cm a step of the window.",
+        input.describe()
+    ));
     let mut header = vec!["engine, degree".to_owned()];
     header.extend(windows.iter().map(|k| format!("{}", (2 * k + 1) * (2 * k + 1))));
     header.extend(["a candidate, µs", "R²"].map(str::to_owned));
@@ -76,20 +83,22 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         &header.iter().map(String::as_str).collect::<Vec<_>>(),
         curves.iter().map(|curve| {
             let mut cells = vec![format!("{}, {}", curve.engine, curve.degree)];
-            cells.extend(curve.times.iter().map(cell));
+            cells.extend(curve.times.iter().map(Timing::cell));
             cells.resize(header.len() - 2, String::new());
-            cells.extend([format!("{:.1}", 1e3 * curve.slope_ms), format!("{:.4}", curve.r2)]);
+            cells.extend([format!("{:.2}", 1e3 * curve.slope_ms), format!("{:.4}", curve.r2)]);
             cells
         }),
     );
     section.note(format!(
-        "Milliseconds; the last two columns are of the straight line through them. The report's R² was {REPORT_R2}."
+        "The last two columns are of the straight line through the others. The report's R² was {REPORT_R2}. A GPU's frame is read \
+         where the device puts it, and its way over the bus takes as long whatever the window."
     ));
     section.note_noise(curves.iter().flat_map(|curve| curve.times.iter().map(|time| time.noisy)));
-    if !curves.is_empty() {
-        let lines: Vec<_> = curves.iter().map(|c| (format!("{}, degree {}", c.engine, c.degree), points(c))).collect();
-        let svg = plot("Time of a frame over candidates", "candidates", "ms", &lines)?;
-        section.files.push(("connectivity.svg".into(), svg));
+    for (i, of_engine) in curves.chunk_by(|a, b| a.subject == b.subject).enumerate() {
+        let named: Vec<_> =
+            of_engine.iter().map(|c| (format!("{}, degree {}", c.engine, c.degree), points(c))).collect();
+        let title = format!("Time of a frame over candidates, {}", subjects[of_engine[0].subject].name);
+        section.svg(&format!("connectivity-{i}.svg"), &title, lines(&title, "candidates", "ms", &named)?);
     }
     section.json = serde_json::to_value(&curves)?;
     Ok(section)

@@ -1,41 +1,59 @@
-//! What the experiments share: frames, the engines of this machine, timing, and how results are written.
+//! What the experiments share: the engines of this machine, what is held against the reference, and timing.
 
-use std::fs;
-use std::path::Path;
+use std::cell::RefCell;
+use std::hint::black_box;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::agreement::{Agreement, radius_m};
-use planish::io::{RgbImage, write_rgb_png};
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::{
-    AdapterKind, Camera, Engine, Error, GpuOptions, OrganizedCloud, Outputs, SimdLevel, SmoothParams, Smoothed,
-    Smoother, SmootherOptions, gpu_adapters,
+    AdapterKind, Engine, Frame, GpuOptions, Outputs, SimdLevel, SmoothParams, Smoothed, SmoothedView, Smoother,
+    SmootherOptions, Transfer, gpu_adapters,
 };
-use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, IntoLogRange, LineSeries, RGBColor, SVGBackend, WHITE};
-use plotters::series::PointSeries;
 use serde::Serialize;
-use serde_json::Value;
 
 use super::Spread;
+use super::frames::{self, Input};
 use crate::args::{EngineArg, ExperimentArgs};
 
 /// A measurement whose halves differ by more than this, or whose spread is wider than the next, is called noisy.
 const HALVES_DIFFER: f64 = 0.05;
 const WIDE_SPREAD: f64 = 1.5;
 
-/// A frame under a name.
-pub struct Input {
-    pub name: String,
-    pub cloud: OrganizedCloud,
-}
-
 /// An engine of this machine.
+#[derive(Clone)]
 pub struct Subject {
     pub name: String,
     pub options: SmootherOptions,
+}
+
+/// By which clock a frame is timed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Clock {
+    /// The host's, from the frame in its memory to the result in its memory.
+    Host,
+    /// The device's, around the kernel alone.
+    Device,
+}
+
+/// What an engine is timed at.
+#[derive(Clone, Copy)]
+pub enum Load<'a> {
+    /// One frame; on a GPU its result is read where the device puts it.
+    Alone(Frame<'a>),
+    /// Several frames at once; their results are copied out.
+    Batch(&'a [Frame<'a>]),
+}
+
+/// How long a measurement goes on.
+#[derive(Clone, Copy)]
+pub enum Patience {
+    /// For a figure that stands by itself: 100 frames and 3 s, but no more than 30 s.
+    Long,
+    /// For one of many: 20 frames and 1 s, but no more than 4 s.
+    Short,
 }
 
 /// What the experiments run with.
@@ -44,17 +62,8 @@ pub struct Bench<'a> {
     pub inputs: Vec<Input>,
     /// Set by Ctrl-C: what is measured until then is kept.
     pub stop: &'a AtomicBool,
-}
-
-/// One experiment's results.
-#[derive(Default)]
-pub struct Section {
-    pub name: &'static str,
-    pub text: String,
-    pub json: Value,
-    /// File names and contents of plots.
-    pub files: Vec<(String, Vec<u8>)>,
-    pub pictures: Vec<(String, RgbImage)>,
+    /// The reference's last result, with the frame and the setting that it is of.
+    reference: RefCell<Option<(String, SmoothParams, Smoothed)>>,
 }
 
 /// A measured time.
@@ -62,28 +71,75 @@ pub struct Section {
 pub struct Timing {
     #[serde(flatten)]
     pub ms: Spread,
+    pub mean: f64,
     pub runs: usize,
     /// The machine did something else in between, or changed its clock.
     pub noisy: bool,
 }
 
+impl Timing {
+    fn of(values: Vec<f64>) -> Self {
+        let middle = |values: &[f64]| Spread::of(values.to_vec()).median;
+        let halves_differ = values.len() >= 8 && {
+            let (first, second) = values.split_at(values.len() / 2);
+            (middle(first) / middle(second) - 1.0).abs() > HALVES_DIFFER
+        };
+        let runs = values.len();
+        let mean = values.iter().sum::<f64>() / runs as f64;
+        let ms = Spread::of(values);
+        Self { ms, mean, runs, noisy: halves_differ || (runs >= 8 && ms.p95 > WIDE_SPREAD * ms.p5) }
+    }
+
+    /// The median in a table; `~` where it was noisy.
+    pub fn cell(&self) -> String {
+        let ms = self.ms.median;
+        let digits = if ms < 1.0 {
+            3
+        } else if ms < 100.0 {
+            2
+        } else {
+            0
+        };
+        format!("{ms:.digits$}{}", if self.noisy { " ~" } else { "" })
+    }
+}
+
+impl Subject {
+    pub fn is_gpu(&self) -> bool {
+        self.options.engine == Engine::Gpu
+    }
+
+    pub fn open(&self, params: SmoothParams, shape: (usize, usize)) -> Result<Smoother> {
+        Ok(Smoother::open_with(params, &self.options, shape)?)
+    }
+
+    /// The engine with the device's clock on; its copies are then stages of their own.
+    pub fn with_time_stamps(&self) -> Self {
+        let mut subject = self.clone();
+        subject.options.gpu.timestamps = true;
+        subject.options.gpu.transfer = Transfer::Staged;
+        subject
+    }
+
+    /// By which clocks it can be timed.
+    pub fn clocks(&self) -> Vec<Clock> {
+        // An adapter that has no clock says so here.
+        let has_device_clock = self.is_gpu() && self.with_time_stamps().open(SmoothParams::paper(), (64, 48)).is_ok();
+        if has_device_clock { vec![Clock::Host, Clock::Device] } else { vec![Clock::Host] }
+    }
+
+    /// Its name in a table of both clocks.
+    pub fn name_by(&self, clock: Clock) -> String {
+        match clock {
+            Clock::Host => self.name.clone(),
+            Clock::Device => format!("{}, kernel alone", self.name),
+        }
+    }
+}
+
 impl<'a> Bench<'a> {
     pub fn new(args: &'a ExperimentArgs, stop: &'a AtomicBool) -> Result<Self> {
-        let mut inputs = Vec::new();
-        for file in &args.input {
-            let cloud = OrganizedCloud::read(file).map_err(Error::from)?;
-            inputs.push(Input { name: file.file_name().unwrap_or_default().to_string_lossy().into_owned(), cloud });
-        }
-        if inputs.is_empty() {
-            let camera = Camera::kinect_v1();
-            for (name, (scene, pose)) in [("simulated room", Scene::room(1)), ("simulated table", Scene::tabletop(1))] {
-                let truth = scene.render(&camera, &pose);
-                let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0);
-                let cloud = frame.and_then(|frame| frame.deproject()).map_err(Error::from)?;
-                inputs.push(Input { name: name.to_owned(), cloud });
-            }
-        }
-        Ok(Self { args, inputs, stop })
+        Ok(Self { args, inputs: frames::inputs(args)?, stop, reference: RefCell::default() })
     }
 
     pub fn stopped(&self) -> bool {
@@ -122,14 +178,22 @@ impl<'a> Bench<'a> {
         if asked(EngineArg::Gpu) {
             for (index, adapter) in gpu_adapters().iter().enumerate() {
                 // A software adapter is measured if asked for: it is slower than the CPU that it runs on.
-                if adapter.kind == AdapterKind::Software && !self.args.engine.contains(&EngineArg::Gpu) {
+                if adapter.kind == AdapterKind::Software && !engines.contains(&EngineArg::Gpu) {
                     continue;
                 }
-                let gpu = GpuOptions { adapter: Some(index.to_string()), ..GpuOptions::default() };
+                let gpu =
+                    GpuOptions { adapter: Some(index.to_string()), bounds_checks: false, ..GpuOptions::default() };
                 let options = SmootherOptions { gpu, ..base(Engine::Gpu) };
                 subjects.push(Subject { name: format!("gpu {}", adapter.name), options });
             }
         }
+        subjects
+    }
+
+    /// The same without the reference, which takes seconds where the others take milliseconds.
+    pub fn fast_subjects(&self) -> Vec<Subject> {
+        let mut subjects = self.subjects(false);
+        subjects.retain(|subject| subject.options.engine != Engine::Reference);
         subjects
     }
 
@@ -138,199 +202,107 @@ impl<'a> Bench<'a> {
         if subject.options.engine == Engine::Reference {
             return Ok(());
         }
-        let shape = (input.cloud.width(), input.cloud.height());
         let result = |options: &SmootherOptions| -> Result<Smoothed> {
             let options = SmootherOptions { outputs: Outputs::ALL, ..options.clone() };
             let mut result = Smoothed::default();
-            Smoother::open_with(params, &options, shape)?.smooth(&input.cloud, &mut result)?;
+            Smoother::open_with(params, &options, input.shape())?.smooth(input.frame(), &mut result)?;
             Ok(result)
         };
-        let reference = SmootherOptions { engine: Engine::Reference, ..SmootherOptions::default() };
+        let mut known = self.reference.borrow_mut();
+        let reference = match known.take() {
+            Some((of, with, reference)) if of == input.name() && with == params => reference,
+            _ => result(&SmootherOptions { engine: Engine::Reference, ..SmootherOptions::default() })?,
+        };
         let mut agreement = Agreement::default();
-        agreement.add(&result(&subject.options)?, &result(&reference)?, radius_m(&input.cloud, params));
+        agreement.add(&result(&subject.options)?, &reference, radius_m(&input.cloud, params));
+        *known = Some((input.name().to_owned(), params, reference));
         let misses = agreement.misses();
         if !misses.is_empty() {
-            bail!("a wrong result is not timed: {}, {}: {}", subject.name, input.name, misses.join("; "));
+            bail!("a wrong result is not timed: {}, {}: {}", subject.name, input.name(), misses.join("; "));
         }
         Ok(())
     }
 
-    /// Times `work`, which is slow or fast: a hundred runs and more, or as many as there is time for.
-    pub fn time(&self, mut work: impl FnMut() -> Result<()>) -> Result<Timing> {
+    /// Times `work` by the host's clock.
+    pub fn time(&self, patience: Patience, mut work: impl FnMut() -> Result<()>) -> Result<Timing> {
+        self.measure(patience, || {
+            let start = Instant::now();
+            work()?;
+            Ok(ms(start.elapsed()))
+        })
+    }
+
+    /// Many values of what `one` measures, in milliseconds, once it is warm.
+    pub fn measure(&self, patience: Patience, mut one: impl FnMut() -> Result<f64>) -> Result<Timing> {
         // A GPU that was idle takes a third of a second to come to its full clock.
-        let (runs, limit_ms, warm_up_ms) = if self.args.quick { (20, 400, 100) } else { (200, 10_000, 300) };
-        let (limit, warm_up) = (Duration::from_millis(limit_ms), Duration::from_millis(warm_up_ms));
+        let (runs, least_ms, most_ms, warm_up_ms) = match patience {
+            _ if self.args.quick => (20, 0, 400, 100),
+            Patience::Long => (100, 3_000, 30_000, 300),
+            Patience::Short => (20, 1_000, 4_000, 300),
+        };
+        let [least, most, warm_up] = [least_ms, most_ms, warm_up_ms].map(Duration::from_millis);
         let start = Instant::now();
-        work()?;
-        let once = start.elapsed();
-        if once > limit {
+        let first = one()?;
+        if start.elapsed() > most {
             // What takes so long is as warm as it gets.
-            let ms = Spread::of(vec![1e3 * once.as_secs_f64()]);
-            return Ok(Timing { ms, runs: 1, noisy: false });
+            return Ok(Timing::of(vec![first]));
         }
         while start.elapsed() < warm_up && !self.stopped() {
-            work()?;
+            one()?;
         }
         let (mut values, start) = (Vec::new(), Instant::now());
-        while values.len() < runs && (values.is_empty() || start.elapsed() < limit) {
-            let one = Instant::now();
-            work()?;
-            values.push(1e3 * one.elapsed().as_secs_f64());
-            if self.stopped() {
-                break;
+        loop {
+            values.push(one()?);
+            let elapsed = start.elapsed();
+            if elapsed >= most || (values.len() >= runs && elapsed >= least) || self.stopped() {
+                return Ok(Timing::of(values));
             }
         }
-        let middle = |values: &[f64]| Spread::of(values.to_vec()).median;
-        let halves_differ = values.len() >= 8 && {
-            let (first, second) = values.split_at(values.len() / 2);
-            (middle(first) / middle(second) - 1.0).abs() > HALVES_DIFFER
+    }
+
+    /// Times an engine at something by a clock. Gives the bytes of the engine's buffers too.
+    pub fn time_load(
+        &self,
+        subject: &Subject,
+        clock: Clock,
+        params: SmoothParams,
+        load: Load<'_>,
+    ) -> Result<(Timing, u64)> {
+        let frames = match load {
+            Load::Alone(frame) => &[frame][..],
+            Load::Batch(frames) => frames,
         };
-        let runs = values.len();
-        let ms = Spread::of(values);
-        Ok(Timing { ms, runs, noisy: halves_differ || (runs >= 8 && ms.p95 > WIDE_SPREAD * ms.p5) })
-    }
-}
-
-impl Section {
-    /// Adds a table: its header, and a row for each of `rows`.
-    pub fn table(&mut self, header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
-        let line = |cells: &mut dyn Iterator<Item = String>| format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "));
-        self.text += "\n";
-        self.text += &line(&mut header.iter().map(|cell| (*cell).to_owned()));
-        self.text += &line(&mut header.iter().map(|_| "---".to_owned()));
-        for row in rows {
-            self.text += &line(&mut row.into_iter());
-        }
-    }
-
-    /// Adds a sentence.
-    pub fn note(&mut self, text: impl AsRef<str>) {
-        self.text += "\n";
-        self.text += text.as_ref();
-        self.text += "\n";
-    }
-
-    /// Says so where measurements were noisy.
-    pub fn note_noise(&mut self, timings: impl IntoIterator<Item = bool>) {
-        let (all, noisy) = timings.into_iter().fold((0, 0), |(all, noisy), is| (all + 1, noisy + usize::from(is)));
-        if noisy > 0 {
-            self.note(format!(
-                "The machine was not quiet: {noisy} of {all} times varied by more than they should (marked ~)."
-            ));
-        }
-    }
-
-    /// Prints it, and writes it into the folder if there is one.
-    pub fn finish(&self, out: Option<&Path>) -> Result<()> {
-        println!("{}", self.text.trim_start());
-        let Some(folder) = out else { return Ok(()) };
-        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-        let write = |name: &str, bytes: &[u8]| {
-            let file = folder.join(name);
-            fs::write(&file, bytes).with_context(|| file.display().to_string())
-        };
-        write(&format!("{}.md", self.name), self.text.trim_start().as_bytes())?;
-        write(&format!("{}.json", self.name), serde_json::to_string_pretty(&self.json)?.as_bytes())?;
-        self.files.iter().try_for_each(|(name, bytes)| write(name, bytes))?;
-        for (name, picture) in &self.pictures {
-            write_rgb_png(&folder.join(name), picture).map_err(Error::from)?;
-        }
-        Ok(())
-    }
-}
-
-/// A time in a table; `~` where it was noisy.
-pub fn cell(timing: &Timing) -> String {
-    let ms = timing.ms.median;
-    let digits = if ms < 1.0 {
-        3
-    } else if ms < 100.0 {
-        2
-    } else {
-        0
-    };
-    format!("{ms:.digits$}{}", if timing.noisy { " ~" } else { "" })
-}
-
-/// Lines over x, with a point for each value; y by its logarithm if it spans too much else.
-pub fn plot(title: &str, x: &str, y: &str, lines: &[(String, Vec<(f64, f64)>)]) -> Result<Vec<u8>> {
-    const COLOURS: [RGBColor; 8] = [
-        RGBColor(20, 90, 180),
-        RGBColor(200, 80, 30),
-        RGBColor(40, 140, 60),
-        RGBColor(130, 60, 160),
-        RGBColor(90, 90, 90),
-        RGBColor(190, 150, 20),
-        RGBColor(20, 150, 160),
-        RGBColor(180, 40, 90),
-    ];
-    let values = || lines.iter().flat_map(|(_, points)| points.iter().copied());
-    let span = |of: fn((f64, f64)) -> f64| {
-        values().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
-    };
-    let ((left, right), (low, high)) = (span(|p| p.0), span(|p| p.1));
-    if !(left.is_finite() && low > 0.0) {
-        bail!("{title}: nothing to plot");
-    }
-    let margin = 0.05 * (right - left).max(1e-9);
-    let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, (800, 500)).into_drawing_area();
-        area.fill(&WHITE)?;
-        let mut builder = ChartBuilder::on(&area);
-        builder.margin(12).caption(title, ("sans-serif", 20)).x_label_area_size(40).y_label_area_size(65);
-        let across = left - margin..right + margin;
-        // The same marks on either scale: the two kinds of axes are different types.
-        macro_rules! draw {
-            ($chart:expr) => {{
-                let mut chart = $chart;
-                chart.configure_mesh().x_desc(x).y_desc(y).draw()?;
-                for ((name, points), colour) in lines.iter().zip(COLOURS.iter().cycle()) {
-                    chart.draw_series(LineSeries::new(points.iter().copied(), colour))?;
-                    let dots: PointSeries<_, _, Circle<_, _>, _> = PointSeries::new(points.iter().copied(), 3, *colour);
-                    chart
-                        .draw_series(dots)?
-                        .label(name.clone())
-                        .legend(move |at| Circle::new((at.0 + 10, at.1), 4, *colour));
-                }
-                chart
-                    .configure_series_labels()
-                    .position(plotters::prelude::SeriesLabelPosition::UpperLeft)
-                    .border_style(RGBColor(200, 200, 200))
-                    .background_style(WHITE)
-                    .draw()?;
-            }};
-        }
-        if high > 20.0 * low {
-            draw!(builder.build_cartesian_2d(across, (0.7 * low..2.5 * high).log_scale())?);
+        let shape = frames.first().map_or((0, 0), Frame::shape);
+        let mut smoothed = vec![Smoothed::default(); frames.len()];
+        let timing;
+        let mut smoother;
+        if clock == Clock::Device {
+            smoother = subject.with_time_stamps().open(params, shape)?;
+            timing = self.measure(Patience::Short, || {
+                smoother.smooth_batch(frames, &mut smoothed)?;
+                Ok(smoother.timings().map_or(f64::NAN, |timings| ms(timings.kernel)))
+            })?;
         } else {
-            draw!(builder.build_cartesian_2d(across, 0.0..1.3 * high)?);
+            smoother = subject.open(params, shape)?;
+            timing = self.time(Patience::Short, || match load {
+                Load::Alone(frame) if subject.is_gpu() => {
+                    smoother.submit_in_place(frame)?;
+                    smoother.receive()?.iter().for_each(touch);
+                    Ok(())
+                }
+                Load::Alone(frame) => Ok(smoother.smooth(frame, &mut smoothed[0])?),
+                Load::Batch(frames) => Ok(smoother.smooth_batch(frames, &mut smoothed)?),
+            })?;
         }
-        area.present()?;
+        Ok((timing, smoother.buffer_bytes()))
     }
-    Ok(svg.into_bytes())
 }
 
-/// The straight line through points by least squares: intercept, slope, and how much of the variance it explains (R²).
-pub fn line_through(points: &[(f64, f64)]) -> (f64, f64, f64) {
-    let n = points.len() as f64;
-    let (mean_x, mean_y) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
-    let sum = |f: &dyn Fn(f64, f64) -> f64| points.iter().map(|p| f(p.0 - mean_x, p.1 - mean_y)).sum::<f64>();
-    let (xx, xy, yy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
-    let slope = xy / xx;
-    (mean_y - slope * mean_x, slope, xy * xy / (xx * yy))
+/// Looks at a result, so that it is there.
+pub fn touch(view: &SmoothedView) {
+    black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_line_is_found_and_its_fit_told() {
-        let line: Vec<_> = [9.0, 25.0, 49.0, 81.0].map(|x| (x, 2.0 + 0.5 * x)).into();
-        let (intercept, slope, fit) = line_through(&line);
-        assert!((intercept - 2.0).abs() < 1e-9 && (slope - 0.5).abs() < 1e-12 && (fit - 1.0).abs() < 1e-12);
-        let bent: Vec<_> = line.iter().map(|&(x, _)| (x, x * x)).collect();
-        assert!(line_through(&bent).2 < 0.99);
-    }
+pub fn ms(time: Duration) -> f64 {
+    1e3 * time.as_secs_f64()
 }

@@ -2,20 +2,27 @@
 
 mod connectivity;
 mod experiment;
+mod frames;
 mod gpu;
+mod plot;
 mod profile;
 mod quality;
+mod record;
 mod scaleup;
+mod section;
 mod speedup;
 
 use std::process::ExitCode;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
+use planish::io::write_whole;
 use serde::Serialize;
 
 use super::stream::stop_on_ctrl_c;
 use crate::args::{BenchArgs, BenchCommand};
-use experiment::{Bench, Section};
+use experiment::Bench;
+use record::{Document, Origin};
+use section::Section;
 
 pub fn run(args: &BenchArgs) -> Result<ExitCode> {
     type Experiment = fn(&Bench<'_>) -> Result<Section>;
@@ -29,14 +36,30 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
         BenchCommand::Quality(args) => (args, &all[4..5]),
         BenchCommand::All(args) => (args, &all[..]),
     };
+    let out = args.out.as_deref();
+    let document = args.update.as_ref().zip(out).map(|(file, out)| Document::open(file, out)).transpose()?;
     let stop = stop_on_ctrl_c()?;
     let bench = Bench::new(args, &stop)?;
+    let origin = Origin::here();
+    println!("{}", origin.markdown());
+    let mut sections = Vec::new();
     for experiment in experiments {
-        experiment(&bench)?.finish(args.out.as_deref())?;
+        let section = experiment(&bench)?;
+        section.print();
+        if let Some(out) = out {
+            section.write(out)?;
+            let file = out.join("origin.json");
+            write_whole(&file, serde_json::to_string_pretty(&origin)?.as_bytes())
+                .with_context(|| file.display().to_string())?;
+        }
+        sections.push(section);
         if bench.stopped() {
             eprintln!("ended by Ctrl-C; what was measured until then is above");
             return Ok(ExitCode::from(130));
         }
+    }
+    if let Some(document) = document {
+        document.update(&origin, &sections)?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -1,10 +1,14 @@
 //! The profile: where the time of one frame goes.
 
 use anyhow::Result;
-use planish::{Engine, OrganizedCloud, SmoothParams, Smoothed, Smoother, SmootherOptions, Transfer, Xyz};
+use planish::{FrameTimings, SmoothParams, Smoothed};
 use serde::Serialize;
 
-use super::experiment::{Bench, Section, Subject};
+use super::Spread;
+use super::experiment::{Bench, Patience, Subject, ms, touch};
+use super::frames::Input;
+use super::plot::{Scale, bars};
+use super::section::Section;
 
 #[derive(Serialize)]
 struct Row {
@@ -18,83 +22,111 @@ struct Stage {
     ms: f64,
 }
 
+/// Medians over many frames, in milliseconds.
+struct Times {
+    /// By the host's clock.
+    whole: f64,
+    upload: f64,
+    kernel: f64,
+    readback: f64,
+}
+
 pub fn run(context: &Bench<'_>) -> Result<Section> {
-    let mut section = Section { name: "profile", ..Section::default() };
-    section.text = "## Profile\n".to_owned();
+    let mut section = Section::new("profile", "Profile");
     let Some(input) = context.inputs.first() else { return Ok(section) };
-    let subjects: Vec<_> =
-        context.subjects(false).into_iter().filter(|subject| subject.options.engine != Engine::Reference).collect();
+    let subjects = context.fast_subjects();
     let bar = context.bar("profile", subjects.len())?;
     let mut rows = Vec::new();
     for subject in subjects.iter().filter(|_| !context.stopped()) {
         context.check(subject, SmoothParams::paper(), input)?;
-        rows.push(Row { engine: subject.name.clone(), stages: stages(context, subject, &input.cloud)? });
+        let stages = if !subject.is_gpu() {
+            of_cpu(context, subject, input)?
+        } else if subject.clocks().len() > 1 {
+            of_gpu(context, subject, input)?
+        } else {
+            section.note(format!("{} takes no time stamps.", subject.name));
+            continue;
+        };
+        rows.push(Row { engine: subject.name.clone(), stages });
         bar.inc(1);
     }
     bar.finish_and_clear();
     section.note(format!(
-        "{}, window 3, degree 3, 3 cm. A CPU's stages are differences of whole frames: one of holes alone, which is copied in and \
-         out, one smoothed by planes, and the frame itself. A GPU's are its time stamps, its kernel's are divided as \
-         the time of planes alone says, and what the host waits beside them is the rest.",
-        input.name
+        "{}; window 3, degree 3, 3 cm. Neighbours and plane are what a frame of planes alone takes (degree 1), polynomial and solve \
+         the difference. A CPU's stages follow each other; its results are written where they are wanted. A GPU's copies are \
+         made stages of their own for this (its kernel otherwise reads and writes the host's memory itself); copying out is what a \
+         frame takes longer by it than one that is read where the device puts it.",
+        input.describe()
     ));
     section.table(
         &["engine", "stage", "ms", "share"],
         rows.iter().flat_map(|row| {
             let total: f64 = row.stages.iter().map(|stage| stage.ms).sum();
             row.stages.iter().map(move |stage| {
-                let share = format!("{:.0} %", 100.0 * stage.ms / total);
+                let share = format!("{:.1} %", 100.0 * stage.ms / total);
                 vec![row.engine.clone(), stage.name.into(), format!("{:.3}", stage.ms), share]
             })
         }),
     );
+    for (i, row) in rows.iter().enumerate() {
+        let title = format!("Where a frame's time goes, {}", row.engine);
+        let stages: Vec<_> = row.stages.iter().map(|stage| (stage.name.to_owned(), stage.ms)).collect();
+        section.svg(&format!("profile-{i}.svg"), &title, bars(&title, "ms", Scale::FromZero, &stages, &[])?);
+    }
     section.json = serde_json::to_value(&rows)?;
     Ok(section)
 }
 
-fn stages(context: &Bench<'_>, subject: &Subject, cloud: &OrganizedCloud) -> Result<Vec<Stage>> {
-    let planes = SmoothParams { degree: 1, ..SmoothParams::paper() };
-    let whole = |params: SmoothParams, options: &SmootherOptions, cloud: &OrganizedCloud| -> Result<(f64, [f64; 3])> {
-        let mut smoother = Smoother::open_with(params, options, (cloud.width(), cloud.height()))?;
-        let mut smoothed = Smoothed::default();
-        let mut stamps: Vec<[f64; 3]> = Vec::new();
-        let timing = context.time(|| {
-            smoother.smooth(cloud, &mut smoothed)?;
-            let ms = |time: std::time::Duration| 1e3 * time.as_secs_f64();
-            stamps.extend(smoother.timings().map(|t| [ms(t.upload), ms(t.kernel), ms(t.readback)]));
-            Ok(())
-        })?;
-        let median = |k: usize| {
-            let mut values: Vec<f64> = stamps.iter().map(|stamp| stamp[k]).collect();
-            values.sort_by(f64::total_cmp);
-            values.get(values.len() / 2).copied().unwrap_or(0.0)
-        };
-        Ok((timing.ms.median, [median(0), median(1), median(2)]))
-    };
-    if subject.options.engine == Engine::Gpu {
-        let mut options = subject.options.clone();
-        options.gpu.timestamps = true;
-        // The copies are stages of their own only where they are made.
-        options.gpu.transfer = Transfer::Staged;
-        let (total, [upload, kernel, readback]) = whole(SmoothParams::paper(), &options, cloud)?;
-        let (_, [_, planes, _]) = whole(planes, &options, cloud)?;
-        let stage = |name, ms: f64| Stage { name, ms: ms.max(0.0) };
-        return Ok(vec![
-            stage("copy to the device", upload),
-            stage("neighbours and plane", planes),
-            stage("polynomial and solve", kernel - planes),
-            stage("copy back", readback),
-            stage("host: write, submit, wait, copy out", total - upload - kernel - readback),
-        ]);
-    }
-    let holes = Xyz::filled(cloud.points.len(), f32::NAN);
-    let holes = OrganizedCloud::from_positions(cloud.width(), cloud.height(), holes).map_err(planish::Error::from)?;
-    let (copies, _) = whole(SmoothParams::paper(), &subject.options, &holes)?;
-    let (to_planes, _) = whole(planes, &subject.options, cloud)?;
-    let (total, _) = whole(SmoothParams::paper(), &subject.options, cloud)?;
+fn of_cpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Vec<Stage>> {
+    let [planes, all] = times_of(|params| times(context, subject, input, params, false))?;
     Ok(vec![
-        Stage { name: "copy in and out", ms: copies },
-        Stage { name: "neighbours and plane", ms: (to_planes - copies).max(0.0) },
-        Stage { name: "polynomial and solve", ms: (total - to_planes).max(0.0) },
+        Stage { name: "copy in, deproject", ms: all.upload },
+        Stage { name: "neighbours and plane", ms: planes.kernel },
+        Stage { name: "polynomial and solve", ms: (all.kernel - planes.kernel).max(0.0) },
+        Stage { name: "threads: start and end", ms: (all.whole - all.upload - all.kernel).max(0.0) },
     ])
+}
+
+fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Vec<Stage>> {
+    let [planes, all] = times_of(|params| times(context, subject, input, params, true))?;
+    let copied_out = times(context, subject, input, SmoothParams::paper(), false)?.whole;
+    let stage = |name, ms: f64| Stage { name, ms: ms.max(0.0) };
+    Ok(vec![
+        stage("copy to the device", all.upload),
+        stage("deproject, neighbours and plane", planes.kernel),
+        stage("polynomial and solve", all.kernel - planes.kernel),
+        stage("copy to the host", all.readback),
+        stage("host: write, submit, wait", all.whole - all.upload - all.kernel - all.readback),
+        stage("host: copy the result out", copied_out - all.whole),
+    ])
+}
+
+/// Of planes alone, and of all.
+fn times_of(times: impl Fn(SmoothParams) -> Result<Times>) -> Result<[Times; 2]> {
+    Ok([times(SmoothParams { degree: 1, ..SmoothParams::paper() })?, times(SmoothParams::paper())?])
+}
+
+/// The times of a frame, read where the device puts it or copied out.
+fn times(context: &Bench<'_>, subject: &Subject, input: &Input, params: SmoothParams, in_place: bool) -> Result<Times> {
+    let mut smoother = subject.with_time_stamps().open(params, input.shape())?;
+    let mut smoothed = Smoothed::default();
+    let mut stages: Vec<FrameTimings> = Vec::new();
+    let timing = context.time(Patience::Short, || {
+        if in_place {
+            smoother.submit_in_place(input.frame())?;
+            let view = smoother.receive()?;
+            view.iter().for_each(touch);
+            stages.extend(view.and_then(|view| view.timings()));
+        } else {
+            smoother.smooth(input.frame(), &mut smoothed)?;
+            stages.extend(smoother.timings());
+        }
+        Ok(())
+    })?;
+    let median = |of: fn(&FrameTimings) -> std::time::Duration| match &stages[..] {
+        [] => f64::NAN,
+        stages => Spread::of(stages.iter().map(|times| ms(of(times))).collect()).median,
+    };
+    let (upload, kernel, readback) = (median(|t| t.upload), median(|t| t.kernel), median(|t| t.readback));
+    Ok(Times { whole: timing.ms.median, upload, kernel, readback })
 }

@@ -2,11 +2,12 @@
 
 use anyhow::Result;
 use planish::evaluate::largest_plane;
-use planish::render::{difference_normals, relief, side_by_side};
+use planish::render::{difference_normals, half_size, relief, side_by_side};
 use planish::{Engine, SmoothParams, Smoothed, Smoother, Xyz};
 use serde::Serialize;
 
-use super::experiment::{Bench, Section};
+use super::experiment::Bench;
+use super::section::{Drawing, Figure, Section};
 
 #[derive(Serialize)]
 struct Row {
@@ -19,23 +20,22 @@ struct Row {
 }
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
-    let mut section = Section { name: "quality", ..Section::default() };
-    section.text = "## Quality\n".to_owned();
+    let mut section = Section::new("quality", "Quality");
     let engine = if context.args.engine.len() == 1 { context.subjects(false).pop() } else { None };
     let options = engine
         .map(|subject| subject.options)
         .unwrap_or_else(|| planish::SmootherOptions { engine: Engine::Cpu, ..planish::SmootherOptions::default() });
     let mut rows = Vec::new();
     for (i, input) in context.inputs.iter().enumerate().filter(|_| !context.stopped()) {
-        let (width, height) = (input.cloud.width(), input.cloud.height());
+        let (width, height) = input.shape();
         let Some(plane) = largest_plane(&input.cloud) else { continue };
         let bumps = |points: &Xyz| relief(width, height, &difference_normals(width, height, points));
         let mut pictures = vec![bumps(input.cloud.positions())];
         for (setting, params) in [("paper", SmoothParams::paper()), ("default", SmoothParams::default())] {
             let mut smoothed = Smoothed::default();
-            Smoother::open_with(params, &options, (width, height))?.smooth(&input.cloud, &mut smoothed)?;
+            Smoother::open_with(params, &options, (width, height))?.smooth(input.frame(), &mut smoothed)?;
             rows.push(Row {
-                frame: input.name.clone(),
+                frame: input.name().to_owned(),
                 setting,
                 points: plane.pixels.len(),
                 raw_variance_mm2: 1e6 * plane.variance_m2(input.cloud.positions()),
@@ -43,10 +43,14 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
             });
             pictures.push(bumps(&smoothed.points));
         }
-        section.pictures.push((format!("quality-{i}.png"), side_by_side(&pictures)));
+        section.figures.push(Figure {
+            file: format!("quality-{i}.png"),
+            title: format!("Relief of {}: raw, paper, default", input.name()),
+            content: Drawing::Png(half_size(&side_by_side(&pictures))),
+        });
     }
     section.note(
-        "Variance of the largest plane's points about it, before and after; the pictures are raw, paper, default.",
+        "Variance of the largest plane's points about it, before and after; the pictures, at half their size, are raw, paper, default.",
     );
     section.table(
         &["frame", "setting", "points", "raw, mm²", "smoothed, mm²", "share"],

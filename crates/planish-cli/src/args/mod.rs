@@ -1,0 +1,257 @@
+//! The arguments, and how they become the library's types. Defaults live in the library: options here are `Option`.
+
+mod bench;
+mod camera;
+mod smoothing;
+
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand, ValueEnum};
+use planish::Outputs;
+use planish::io::Encoding;
+
+pub use bench::{BenchArgs, BenchCommand, BenchGpuArgs, ExperimentArgs};
+pub use camera::CameraArgs;
+pub use smoothing::{EngineArg, SmoothingArgs};
+
+/// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
+#[derive(Parser)]
+#[command(version = env!("PLANISH_VERSION"), about, after_help = "Start with `planish demo`, then `planish smooth your.pcd smooth.pcd`.")]
+pub struct Args {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Simulate a noisy depth frame, smooth it, and show the difference
+    Demo(DemoArgs),
+    /// Smooth a file, or every frame of a folder
+    Smooth(SmoothArgs),
+    /// Say what a file holds
+    Info(InfoArgs),
+    /// Draw the relief of an organized cloud
+    Render(RenderArgs),
+    /// Smooth frames as they come: from a Kinect, a data set, a folder, the simulator
+    Stream(StreamArgs),
+    /// Record frames as they come into a data set in TUM layout
+    Record(RecordArgs),
+    /// Say what this machine computes with: instruction sets, GPUs, and what `auto` takes
+    Devices(DevicesArgs),
+    /// Measure how good the surface is: on simulated frames against their truth, or on a file by itself
+    Evaluate(EvaluateArgs),
+    /// Measure the engines, each result held against the reference first
+    Bench(BenchArgs),
+}
+
+#[derive(clap::Args)]
+pub struct DemoArgs {
+    /// Folder for raw.pcd, smoothed.pcd and before-after.png
+    #[arg(long, value_name = "DIR", default_value = "planish-demo")]
+    pub out: PathBuf,
+    /// Which scene and which noise
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+}
+
+#[derive(clap::Args)]
+pub struct SmoothArgs {
+    /// A cloud (.pcd, .ply, .npy), a depth image (.png, .tiff, .npy), or a folder of them
+    pub input: PathBuf,
+    /// The file or folder to write; depth in and .png, .tiff or .npy out gives depth
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    /// Fields to add to the points, separated by commas
+    #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
+    pub fields: Vec<FieldArg>,
+    /// How the points of a .pcd or .ply are stored
+    #[arg(long, value_enum)]
+    pub encoding: Option<EncodingArg>,
+    /// File type for a folder of results, when it is not that of the input
+    #[arg(long, value_name = "EXTENSION")]
+    pub format: Option<String>,
+    /// Smooth the loaded frame this many times, for timing
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub repeat: u32,
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct InfoArgs {
+    /// The file
+    pub file: PathBuf,
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct RenderArgs {
+    /// An organized cloud, or a depth image with --camera
+    pub file: PathBuf,
+    /// The picture to write: relief, and beside it the colours if there are any
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+}
+
+#[derive(clap::Args)]
+pub struct StreamArgs {
+    /// kinect[:INDEX], synthetic[:SEED], a data set in TUM layout, a recording of libfreenect, a folder of frames, or one
+    /// file, repeated
+    pub source: String,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub limits: LimitArgs,
+    /// Write every result into this folder
+    #[arg(long, value_name = "DIR")]
+    pub save: Option<PathBuf>,
+    /// What to write there
+    #[arg(long, value_enum, requires = "save")]
+    pub format: Option<StreamFormatArg>,
+    /// Show raw and smoothed clouds, depth, latency and rate in the viewer of Rerun
+    #[cfg(feature = "rerun")]
+    #[arg(long, conflicts_with = "rrd")]
+    pub rerun: bool,
+    /// Write the same as a file that the viewer of Rerun opens; some 7 MB a frame
+    #[cfg(feature = "rerun")]
+    #[arg(long, value_name = "FILE")]
+    pub rrd: Option<PathBuf>,
+    /// Fields to add to the points, separated by commas
+    #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
+    pub fields: Vec<FieldArg>,
+    /// Print one JSON object to standard output at the end
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct LimitArgs {
+    /// Give frames so many a second, as a live camera does; else as fast as they are taken
+    #[arg(long, value_name = "N")]
+    pub fps: Option<f64>,
+    /// End after so many frames
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u64>,
+    /// End after so many seconds
+    #[arg(long, value_name = "S")]
+    pub duration: Option<f64>,
+    /// Wait for a camera that was unplugged to come back
+    #[arg(long)]
+    pub reconnect: bool,
+}
+
+#[derive(clap::Args)]
+pub struct RecordArgs {
+    /// kinect[:INDEX], synthetic[:SEED], or any other source of depth
+    pub source: String,
+    /// The folder to make
+    pub folder: PathBuf,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub limits: LimitArgs,
+    /// Print one JSON object to standard output at the end
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum StreamFormatArg {
+    /// Organized clouds (the default)
+    Pcd,
+    Ply,
+    /// 16-bit depth images
+    Png,
+}
+
+#[derive(clap::Args)]
+pub struct DevicesArgs {
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct EvaluateArgs {
+    /// Simulate so many seeds, from 1 on; three frames each
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..))]
+    pub seeds: u64,
+    /// Simulate this seed alone
+    #[arg(long, value_name = "SEED", conflicts_with = "seeds")]
+    pub seed: Option<u64>,
+    /// A real organized cloud, or a depth image with --camera: how flat it is piece by piece, before and after
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "out"])]
+    pub input: Option<PathBuf>,
+    /// Write the simulated frames as organized clouds into this folder and do nothing else, for other programs to smooth
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
+    pub export: Option<PathBuf>,
+    /// Measure what another program made of those: organized clouds of the same names, perhaps with normals, in this folder; with
+    /// --input the one that it made of that file
+    #[arg(long, value_name = "DIR|FILE")]
+    pub results: Option<PathBuf>,
+    /// Folder for report.json, error-over-z.svg and, but with --results, an error map of each frame of the first seed
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FieldArg {
+    /// normal_x, normal_y, normal_z
+    Normals,
+    /// Surface variation
+    Curvature,
+    /// What became of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3
+    Status,
+    /// Nothing (the default)
+    None,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum EncodingArg {
+    Ascii,
+    Binary,
+    Compressed,
+}
+
+/// The outputs that fields are made from.
+pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
+    let wants = |field| fields.contains(&field);
+    Outputs {
+        normals: wants(FieldArg::Normals),
+        curvature: wants(FieldArg::Curvature),
+        status: wants(FieldArg::Status),
+        ..Outputs::POINTS
+    }
+}
+
+impl SmoothArgs {
+    pub fn outputs(&self) -> Outputs {
+        outputs_of(&self.fields)
+    }
+
+    pub fn encoding(&self) -> Encoding {
+        match self.encoding {
+            None | Some(EncodingArg::Binary) => Encoding::Binary,
+            Some(EncodingArg::Ascii) => Encoding::Ascii,
+            Some(EncodingArg::Compressed) => Encoding::BinaryCompressed,
+        }
+    }
+}

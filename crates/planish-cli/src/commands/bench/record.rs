@@ -1,0 +1,153 @@
+//! Where results come from, and their block in a document: the machine, the build, the command, every section.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use planish::io::write_whole;
+use planish::{SimdLevel, gpu_adapters};
+use serde::Serialize;
+
+use super::section::Section;
+
+/// What the results depend on beside the frames.
+#[derive(Serialize)]
+pub struct Origin {
+    pub version: &'static str,
+    /// How the program was called.
+    pub command: String,
+    pub cpu: String,
+    pub threads: usize,
+    pub simd: &'static str,
+    pub memory_gib: Option<f64>,
+    pub system: String,
+    /// Name and driver of each.
+    pub gpus: Vec<String>,
+}
+
+impl Origin {
+    pub fn here() -> Self {
+        // The program by its name: where it lies on this machine is nobody's concern.
+        let arguments = std::env::args().skip(1);
+        let command = std::iter::once("planish".to_owned()).chain(arguments).collect::<Vec<_>>().join(" ");
+        let system = line_after("/etc/os-release", "PRETTY_NAME=").map(|name| name.trim_matches('"').to_owned());
+        let memory_kib = line_after("/proc/meminfo", "MemTotal:");
+        let memory_kib = memory_kib.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
+        Self {
+            version: env!("PLANISH_VERSION"),
+            command,
+            cpu: cpu(),
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            simd: SimdLevel::best().name(),
+            memory_gib: memory_kib.map(|kib| kib / f64::from(1 << 20)),
+            system: system.unwrap_or_else(|| std::env::consts::OS.to_owned()),
+            gpus: gpu_adapters()
+                .into_iter()
+                .map(|gpu| format!("{} ({}, {})", gpu.name, gpu.backend, gpu.driver))
+                .collect(),
+        }
+    }
+
+    pub fn markdown(&self) -> String {
+        let Self { version, command, cpu, threads, simd, memory_gib, system, gpus } = self;
+        let memory = memory_gib.map_or(String::new(), |gib| format!(", {gib:.0} GiB"));
+        let gpus = if gpus.is_empty() { "none".to_owned() } else { gpus.join("; ") };
+        format!(
+            "`{command}`\n\nCPU: {cpu}, {threads} threads, {simd}{memory}; {system}. GPU: {gpus}. planish {version}, {}. Every result \
+             was held against the f64 reference before it was timed.\n",
+            env!("PLANISH_RUSTC")
+        )
+    }
+}
+
+/// The processor by the system's name for it, with its family where names hide it.
+fn cpu() -> String {
+    let of =
+        |key: &str| line_after("/proc/cpuinfo", key).map(|value| value.trim_start_matches([' ', '\t', ':']).to_owned());
+    match (of("model name"), of("cpu family"), of("model\t")) {
+        (Some(name), Some(family), Some(model)) => format!("{name} (family {family}, model {model})"),
+        (Some(name), ..) => name,
+        _ => std::env::consts::ARCH.to_owned(),
+    }
+}
+
+/// The rest of the first line of a file that starts with `key`.
+fn line_after(file: &str, key: &str) -> Option<String> {
+    let text = fs::read_to_string(file).ok()?;
+    text.lines().find_map(|line| line.strip_prefix(key)).map(|rest| rest.trim().to_owned())
+}
+
+/// A document with a block that is to be replaced.
+pub struct Document {
+    path: PathBuf,
+    /// Before the block, and after it, with the lines that mark it.
+    before: String,
+    after: String,
+    /// From the document to the folder with the figures.
+    folder: String,
+}
+
+impl Document {
+    /// Finds the block; done before anything is measured, so that nothing is measured in vain.
+    pub fn open(path: &Path, folder: &Path) -> Result<Self> {
+        let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        let name =
+            folder.file_name().with_context(|| format!("{}: --out has no name", folder.display()))?.to_string_lossy();
+        let (start, end) =
+            (format!("<!-- planish bench {name} -->\n"), format!("<!-- end of planish bench {name} -->"));
+        let block = text.find(&start).map(|at| at + start.len()).zip(text.find(&end));
+        let Some((from, to)) = block.filter(|(from, to)| from <= to) else {
+            bail!("{}: no block for these results; add the lines\n{start}{end}", path.display());
+        };
+        let folder = folder.strip_prefix(path.parent().unwrap_or(Path::new(""))).unwrap_or(folder);
+        let folder = format!("{}/", folder.display());
+        Ok(Self { path: path.to_owned(), before: text[..from].to_owned(), after: text[to..].to_owned(), folder })
+    }
+
+    /// Writes the document with a new block.
+    pub fn update(&self, origin: &Origin, sections: &[Section]) -> Result<()> {
+        let mut text = self.before.clone();
+        write!(text, "\n{}", origin.markdown())?;
+        for section in sections {
+            // A section of the block is one of its machine's.
+            write!(text, "\n{}", section.markdown(&self.folder).replacen("## ", "### ", 1))?;
+        }
+        write!(text, "\n{}", self.after)?;
+        write_whole(&self.path, text.as_bytes()).with_context(|| self.path.display().to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_is_replaced_and_the_rest_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, out) = (folder.path().join("B.md"), folder.path().join("docs/one"));
+        let marked =
+            |inside: &str| format!("a\n<!-- planish bench one -->\n{inside}<!-- end of planish bench one -->\nz\n");
+        fs::write(&file, marked("old\n")).unwrap();
+        let mut section = Section::new("speedup", "Speedup");
+        section.svg("plot.svg", "a plot", String::new());
+        for _ in 0..2 {
+            Document::open(&file, &out).unwrap().update(&Origin::here(), std::slice::from_ref(&section)).unwrap();
+        }
+        let text = fs::read_to_string(&file).unwrap();
+        assert!(text.starts_with("a\n<!-- planish bench one -->\n\n`planish"), "{text}");
+        assert!(text.ends_with("\n<!-- end of planish bench one -->\nz\n") && !text.contains("old"), "{text}");
+        assert_eq!(text.matches("\n### Speedup\n").count(), 1);
+        assert!(text.contains("![a plot](docs/one/plot.svg)"), "{text}");
+    }
+
+    #[test]
+    fn a_document_without_the_block_is_refused_with_what_it_lacks() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("B.md");
+        fs::write(&file, "<!-- end of planish bench one -->\n<!-- planish bench one -->\n").unwrap();
+        let error = Document::open(&file, Path::new("docs/one")).err().unwrap().to_string();
+        assert!(error.contains("B.md") && error.contains("<!-- planish bench one -->"), "{error}");
+        assert!(Document::open(&file, Path::new("/")).is_err());
+    }
+}

@@ -1,0 +1,142 @@
+//! Streams and recordings.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{Camera, DepthFrame, OrganizedCloud};
+
+use super::{json_line, ok, refused, str, text};
+
+#[test]
+fn a_stream_is_saved_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let report =
+        json_line(&ok(&["stream", "synthetic", "--frames", "5", "--engine", "cpu", "--save", str(&out), "--json"]));
+    assert_eq!((report["frames_out"].as_u64(), report["dropped"].as_u64()), (Some(5), Some(0)));
+    assert!(report["latency_ms"]["p99"].as_f64().unwrap() > 0.0 && report["engine"] == "cpu");
+    for i in 0..5 {
+        let cloud = OrganizedCloud::read(&out.join(format!("{i:06}.pcd"))).unwrap();
+        assert!(cloud.points.attribute("rgb").is_some() && cloud.points.valid_points() > 200_000);
+    }
+    assert!(refused(&["stream", "no-such-source"]).contains("a source is kinect"));
+    assert!(refused(&["stream", "synthetic:x"]).contains("whole number"));
+    assert!(refused(&["stream", "synthetic", "--reconnect"]).contains("waits for a camera"));
+}
+
+#[test]
+fn a_recording_streams_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("recording");
+    let report = json_line(&ok(&["record", "synthetic:3", str(&recording), "--frames", "4", "--json"]));
+    assert_eq!(report["frames"], 4);
+    let saved = folder.path().join("saved");
+    let report = json_line(&ok(&["stream", str(&recording), "--save", str(&saved), "--format", "png", "--json"]));
+    assert_eq!(report["frames_out"], 4);
+    assert!(saved.join("000003.png").exists());
+    assert!(refused(&["record", "synthetic", str(&recording), "--frames", "1"]).contains("another folder"));
+}
+
+#[test]
+fn a_stream_that_is_killed_leaves_only_whole_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_planish"))
+        .args(["stream", "synthetic", "--engine", "cpu", "--save", str(&out)])
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let saved = || {
+        let entries = fs::read_dir(&out).into_iter().flatten().flatten().map(|entry| entry.path());
+        entries.filter(|path| path.extension().is_some_and(|extension| extension == "pcd")).collect::<Vec<_>>()
+    };
+    while saved().len() < 5 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    for file in saved() {
+        assert_eq!(OrganizedCloud::read(&file).unwrap().points.len(), 640 * 480);
+    }
+}
+
+/// The playback library of libfreenect, where it is installed.
+fn playback_library() -> Option<PathBuf> {
+    let folders = fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
+    let library = folders.map(|folder| folder.join("fakenect/libfreenect.so.0.5")).find(|library| library.exists());
+    assert!(library.is_some() || std::env::var_os("PLANISH_REQUIRE_FREENECT").is_none(), "no libfreenect0.5");
+    if library.is_none() {
+        eprintln!("SKIP the Kinect: no playback library of libfreenect");
+    }
+    library
+}
+
+#[test]
+fn a_kinect_that_plays_a_recording_is_recorded_and_streams_back() {
+    let Some(library) = playback_library() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let camera = Camera::kinect_v1();
+    let (scene, pose) = Scene::tabletop(1);
+    let truth = scene.render(&camera, &pose);
+    let simulator = KinectSimulator::new(KinectNoise::default(), camera, 1);
+    let frames: Vec<DepthFrame> = (0..6)
+        .map(|i| DepthFrame { timestamp_s: Some(i as f64 / 30.0), ..simulator.frame(&truth, i).unwrap() })
+        .collect();
+    let played = folder.path().join("played");
+    planish::source::write_freenect_recording(&played, &frames).unwrap();
+
+    let kinect = |arguments: &[&str], recording: &Path| {
+        Command::new(env!("CARGO_BIN_EXE_planish"))
+            .args(arguments)
+            .env("PLANISH_LIBFREENECT", &library)
+            .env("FAKENECT_PATH", recording)
+            .output()
+            .unwrap()
+    };
+    let recorded = folder.path().join("recorded");
+    let output = kinect(&["record", "kinect", str(&recorded)], &played);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let mut source = planish::source::TumSource::open(&recorded, None, None).unwrap();
+    let mut count = 0;
+    while let Some(frame) = planish::source::Source::next_frame(&mut source).unwrap() {
+        let planish::source::SourceFrame::Depth(found) = frame else { panic!("a depth frame") };
+        // A frame may be missed on a machine that is busy; what comes is one of those played.
+        let number = (found.timestamp_s.unwrap() * 30.0).round() as usize;
+        for (found, expected) in found.raw.iter().zip(&frames[number].raw) {
+            let (found, z) = (f64::from(*found) / 5000.0, f64::from(*expected) / 1000.0);
+            let within_a_step = (found - z).abs() <= 0.5 * 3.1e-3 * z * z + 1e-3;
+            assert!(within_a_step || !(0.4..9.0).contains(&z), "{found} {z}");
+        }
+        count += 1;
+    }
+    assert!((1..=6).contains(&count));
+
+    let output = kinect(&["stream", "kinect", "--json", "--engine", "cpu"], &played);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(json_line(&text(&output.stdout))["frames_out"].as_u64().unwrap() >= 1);
+    // No recording would end the process from within the library.
+    let output = kinect(&["stream", "kinect"], &folder.path().join("none"));
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("FAKENECT_PATH"));
+}
+
+#[test]
+fn a_kinect_without_driver_or_device_says_so() {
+    let stream = |library: &Path| {
+        let output = Command::new(env!("CARGO_BIN_EXE_planish"))
+            .args(["stream", "kinect"])
+            .env("PLANISH_LIBFREENECT", library)
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(2));
+        text(&output.stderr)
+    };
+    assert!(stream(Path::new("/nonexistent/libfreenect.so")).contains("install libfreenect"));
+    let Some(library) = playback_library() else { return };
+    // The real library is beside the folder of the playback library.
+    let real = library.ancestors().nth(2).unwrap().join("libfreenect.so.0.5");
+    let said = stream(&real);
+    assert!(said.contains("no Kinect number 0") || said.contains("libfreenect does not start"), "{said}");
+}

@@ -1,0 +1,65 @@
+//! The command as people and scripts run it: a process with arguments, exit codes, files and JSON.
+
+mod files;
+mod live;
+mod measure;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use planish::io::{self, Encoding};
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{Camera, DepthFrame, OrganizedCloud};
+use serde_json::Value;
+
+const CAMERA: &str = "131.25,131.25,79.5,59.5";
+
+fn planish(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish")).args(arguments).output().expect("the command starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs the command, which must succeed, and gives its standard output.
+fn ok(arguments: &[&str]) -> String {
+    let output = planish(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// Runs the command, which must fail with exit code 2 and without a panic, and gives its standard error.
+fn refused(arguments: &[&str]) -> String {
+    let output = planish(arguments);
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    stderr
+}
+
+fn small_frame(seed: u64) -> DepthFrame {
+    let camera = Camera { width: 160, height: 120, fx: 131.25, fy: 131.25, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() };
+    let (scene, pose) = Scene::tabletop(seed);
+    let truth = scene.render(&camera, &pose);
+    KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).unwrap()
+}
+
+/// A folder with `frame.pcd`, an organized cloud with colour.
+fn with_frame() -> (tempfile::TempDir, OrganizedCloud, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = small_frame(1).deproject().unwrap();
+    let path = folder.path().join("frame.pcd");
+    io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+    (folder, cloud, path)
+}
+
+fn str(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// The JSON line of a command that a driver may have printed beside.
+fn json_line(stdout: &str) -> Value {
+    let line = stdout.lines().find_map(|line| line.find('{').map(|at| &line[at..])).expect(stdout);
+    serde_json::Deserializer::from_str(line).into_iter().next().unwrap().unwrap()
+}

@@ -1,0 +1,141 @@
+//! What planish says of itself: evaluation and experiments.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::{CAMERA, ok, refused, str, with_frame};
+
+#[test]
+fn evaluate_measures_itself_and_what_others_made_of_the_same_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let rows: Value = serde_json::from_str(&ok(&["evaluate", "--seed", "2", "--json", "--out", str(&out)])).unwrap();
+    let names: Vec<_> = rows.as_array().unwrap().iter().map(|row| row["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["raw", "paper", "smoothed"]);
+    let near = |row: &Value| row["ranges"][0]["rmse_mm"].as_f64().unwrap();
+    assert!(near(&rows[2]) < 0.36 * near(&rows[0]) && near(&rows[2]) < near(&rows[1]));
+    assert!(rows[2]["jitter_mm"].as_f64().unwrap() < 0.5 * rows[0]["jitter_mm"].as_f64().unwrap());
+    assert!(fs::read_to_string(out.join("error-over-z.svg")).unwrap().contains("</svg>"));
+    for file in ["table-2.png", "room-2.png", "shapes-2.png"] {
+        assert!(fs::read(out.join(file)).unwrap().starts_with(b"\x89PNG"));
+    }
+    assert_eq!(serde_json::from_slice::<Value>(&fs::read(out.join("report.json")).unwrap()).unwrap()[2], rows[2]);
+
+    // Another program that changes nothing has the errors of the raw frames.
+    let frames = folder.path().join("frames");
+    ok(&["evaluate", "--seed", "2", "--export", str(&frames)]);
+    let others = ok(&["evaluate", "--seed", "2", "--json", "--results", str(&frames)]);
+    let others: Value = serde_json::from_str(&others).unwrap();
+    for (raw, same) in others[0]["ranges"].as_array().unwrap().iter().zip(others[1]["ranges"].as_array().unwrap()) {
+        assert_eq!(raw["rmse_mm"], same["rmse_mm"]);
+        // Its normals were made unit again.
+        let [raw, same] = [raw, same].map(|range| range["normal_mean_deg"].as_f64().unwrap());
+        assert!((raw - same).abs() < 1e-3, "{raw} {same}");
+    }
+    assert_eq!(others[0]["ranges"], rows[0]["ranges"]);
+    let frame = frames.join("table-2.pcd");
+    fs::remove_file(&frame).unwrap();
+    assert!(refused(&["evaluate", "--seed", "2", "--results", str(&frames)]).contains("table-2.pcd"));
+
+    // A file by itself.
+    let frame = frames.join("room-2.pcd");
+    let tiles: Value = serde_json::from_str(&ok(&["evaluate", "--input", str(&frame), "--json"])).unwrap();
+    let rms = |of: &str| tiles[of]["rms_mm"].as_f64().unwrap();
+    assert!(rms("smoothed") < 0.3 * rms("raw") && tiles["raw"]["tiles"].as_u64().unwrap() > 1000);
+    let same = ok(&["evaluate", "--input", str(&frame), "--results", str(&frame), "--json"]);
+    let same: Value = serde_json::from_str(&same).unwrap();
+    assert_eq!(same["raw"]["rms_mm"], same["smoothed"]["rms_mm"]);
+    assert_eq!(same["raw"]["tiles"], same["smoothed"]["tiles"]);
+}
+
+#[test]
+fn the_experiments_write_tables_numbers_and_pictures() {
+    let (folder, _, cloud) = with_frame();
+    let depth = folder.path().join("frame.png");
+    ok(&["smooth", str(&cloud), str(&depth), "--camera", CAMERA]);
+    let document = folder.path().join("B.md");
+    fs::write(
+        &document,
+        "before\n<!-- planish bench small -->\nstale figures\n<!-- end of planish bench small -->\nafter\n",
+    )
+    .unwrap();
+    let out = folder.path().join("plots/small");
+    let [cloud, depth, out_text, document_text] = [&cloud, &depth, &out, &document].map(|path| str(path));
+    let bench = ["bench", "all", "--quick", "--engine", "cpu", "--camera", CAMERA, "--out", out_text];
+    let stdout = ok(&[&bench[..], &["--update", document_text, "--input", cloud, depth]].concat());
+    let written = |name: &str| fs::read_to_string(out.join(name)).unwrap();
+    let json = |name: &str| -> Value { serde_json::from_str(&written(&format!("{name}.json"))).unwrap() };
+    let text = fs::read_to_string(&document).unwrap();
+    assert!(text.starts_with("before\n<!-- planish bench small -->\n\n`planish bench all --quick"), "{text}");
+    assert!(text.ends_with("\n<!-- end of planish bench small -->\nafter\n") && !text.contains("stale"), "{text}");
+    for name in ["speedup", "connectivity", "scaleup", "profile", "quality"] {
+        let markdown = written(&format!("{name}.md"));
+        let table = markdown.lines().find(|line| line.starts_with("| --- |")).unwrap();
+        let rows: Vec<_> = markdown.lines().filter(|line| line.starts_with('|') && *line != table).collect();
+        assert!(rows.len() > 1 && rows.iter().all(|row| stdout.contains(*row) && text.contains(*row)), "{markdown}");
+    }
+    for (plot, reference) in [
+        ("speedup-0.svg", "![Times the serial"),
+        ("connectivity-0.svg", "![Time of a"),
+        ("scaleup.svg", "![Scale-up"),
+        ("profile-0.svg", "![Where"),
+    ] {
+        assert!(written(plot).contains("</svg>"));
+        assert!(text.contains(reference) && text.contains(&format!("(plots/small/{plot})")), "{text}");
+    }
+    for i in 0..2 {
+        assert!(fs::read(out.join(format!("quality-{i}.png"))).unwrap().starts_with(b"\x89PNG"));
+    }
+    assert_eq!(json("origin")["version"].as_str().unwrap(), ok(&["--version"]).trim().replace("planish-cli ", ""));
+
+    let speedup = json("speedup");
+    let rows = speedup.as_array().unwrap();
+    assert_eq!(
+        (&rows[0]["engine"], &rows[0]["frame"]),
+        (&"general serial method".into(), &"frame.pcd, 160x120 as points".into())
+    );
+    // Each SIMD level with one and all threads, and none without a time.
+    let levels = planish::SimdLevel::available().count();
+    assert!(rows.len() == 1 + levels || rows.len() == 1 + 2 * levels);
+    assert!(rows.iter().all(|row| row["time"]["median"].as_f64().unwrap() > 0.0));
+    let curves = json("connectivity");
+    for curve in curves.as_array().unwrap() {
+        assert_eq!(curve["candidates"], serde_json::json!([9, 49, 121, 225]));
+        assert!(curve["slope_ms"].as_f64().unwrap() > 0.0 && curve["r2"].as_f64().unwrap() <= 1.0);
+    }
+    assert_eq!(curves.as_array().unwrap().len(), 2);
+    assert!(written("connectivity.md").contains("frame.png, 160x120 as 16-bit depth"));
+    let copies = json("scaleup")["copies"].clone();
+    assert_eq!(copies.as_array().unwrap().len(), 10);
+    assert_eq!(copies[0]["scaleup"], 1.0);
+    // A cloud twice as tall takes twice the planes, but for their border.
+    let buffers = |i: usize| copies[i]["buffers_mib"].as_f64().unwrap();
+    assert!(buffers(1) > 1.8 * buffers(0) && buffers(1) < 2.0 * buffers(0), "{copies}");
+    let stages = json("profile")[0]["stages"].clone();
+    assert!(stages.as_array().unwrap().len() == 4 && stages[0]["ms"].as_f64().unwrap() > 0.0, "{stages}");
+    let planes = json("quality");
+    let variance = |row: &Value, of: &str| row[of].as_f64().unwrap();
+    for row in planes.as_array().unwrap() {
+        assert!(variance(row, "smoothed_variance_mm2") > 0.0 && variance(row, "raw_variance_mm2") > 0.0, "{row}");
+    }
+}
+
+#[test]
+fn experiments_that_cannot_be_recorded_are_refused_before_they_run() {
+    let (folder, _, cloud) = with_frame();
+    let (document, out) = (folder.path().join("B.md"), folder.path().join("small"));
+    let record = |document: &Path| {
+        refused(&["bench", "all", "--input", str(&cloud), "--out", str(&out), "--update", str(document)])
+    };
+    assert!(record(&document).contains("B.md"));
+    fs::write(&document, "nothing marked\n").unwrap();
+    assert!(record(&document).contains("<!-- planish bench small -->"));
+    assert!(refused(&["bench", "all", "--update", str(&document)]).contains("--out"));
+    assert!(refused(&["bench", "speedup", "--input", "missing.pcd"]).contains("missing.pcd"));
+    let depth = folder.path().join("frame.png");
+    ok(&["smooth", str(&cloud), str(&depth), "--camera", CAMERA]);
+    assert!(refused(&["bench", "speedup", "--input", str(&depth)]).contains("--camera"));
+    assert!(!out.exists());
+}
