@@ -81,39 +81,44 @@ fn line_after(file: &str, key: &str) -> Option<String> {
 /// A document with a block that is to be replaced.
 pub struct Document {
     path: PathBuf,
-    /// Before the block, and after it, with the lines that mark it.
-    before: String,
-    after: String,
+    /// The lines that mark it.
+    marks: [String; 2],
     /// From the document to the folder with the figures.
     folder: String,
 }
 
 impl Document {
-    /// Finds the block; done before anything is measured, so that nothing is measured in vain.
+    /// Looks whether the block is there: done before anything is measured, so that nothing is measured in vain.
     pub fn open(path: &Path, folder: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        let name =
-            folder.file_name().with_context(|| format!("{}: --out has no name", folder.display()))?.to_string_lossy();
-        let (start, end) =
-            (format!("<!-- planish bench {name} -->\n"), format!("<!-- end of planish bench {name} -->"));
-        let block = text.find(&start).map(|at| at + start.len()).zip(text.find(&end));
-        let Some((from, to)) = block.filter(|(from, to)| from <= to) else {
-            bail!("{}: no block for these results; add the lines\n{start}{end}", path.display());
-        };
+        let name = folder.file_name().with_context(|| format!("{}: --out has no name", folder.display()))?;
+        let name = name.to_string_lossy();
+        let marks = [format!("<!-- planish bench {name} -->\n"), format!("<!-- end of planish bench {name} -->")];
         let folder = folder.strip_prefix(path.parent().unwrap_or(Path::new(""))).unwrap_or(folder);
-        let folder = format!("{}/", folder.display());
-        Ok(Self { path: path.to_owned(), before: text[..from].to_owned(), after: text[to..].to_owned(), folder })
+        let document = Self { path: path.to_owned(), marks, folder: format!("{}/", folder.display()) };
+        document.around()?;
+        Ok(document)
     }
 
-    /// Writes the document with a new block.
+    /// The text before the block and after it, with the lines that mark it.
+    fn around(&self) -> Result<[String; 2]> {
+        let text = fs::read_to_string(&self.path).with_context(|| self.path.display().to_string())?;
+        let [start, end] = &self.marks;
+        let block = text.find(start).map(|at| at + start.len()).zip(text.find(end));
+        match block.filter(|(from, to)| from <= to) {
+            Some((from, to)) => Ok([text[..from].to_owned(), text[to..].to_owned()]),
+            None => bail!("{}: no block for these results; add the lines\n{start}{end}", self.path.display()),
+        }
+    }
+
+    /// Writes the document, as it is by now, with a new block.
     pub fn update(&self, origin: &Origin, sections: &[Section]) -> Result<()> {
-        let mut text = self.before.clone();
+        let [mut text, after] = self.around()?;
         write!(text, "\n{}", origin.markdown())?;
         for section in sections {
             // A section of the block is one of its machine's.
             write!(text, "\n{}", section.markdown(&self.folder).replacen("## ", "### ", 1))?;
         }
-        write!(text, "\n{}", self.after)?;
+        write!(text, "\n{after}")?;
         write_whole(&self.path, text.as_bytes()).with_context(|| self.path.display().to_string())
     }
 }
