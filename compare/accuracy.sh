@@ -10,7 +10,7 @@ project=$(dirname "$here")
 work=$project/target/compare
 radius=0.03
 threads=2
-"$here/install.sh"
+"$here/install.sh" >&2
 python=$work/venv/bin/python
 planish=$project/target/release/planish
 frames=$work/frames
@@ -45,6 +45,8 @@ own "planish light" --preset light
 own "planish default, edges off" --edges off
 own "planish default" --preset default
 own "planish strong" --preset strong
+echo "\`compare/accuracy.sh $seeds $(for frame in "$@"; do basename "$frame"; done | xargs)\`, $("$planish" --version)"
+echo
 "$python" "$here/accuracy_table.py" "$work/results"
 
 tiles() { # NAME OPTIONS..: of the frame at hand
@@ -56,7 +58,7 @@ print("| %s | %.2f | %.1f° |" % (sys.argv[1], smooth["rms_mm"], smooth["normal_
       else "| raw | %.2f | %.1f° |" % (raw["rms_mm"], raw["normal_deg"]))' "$1"
 }
 for frame in "$@"; do
-  printf '\n%s\n\n| | median RMS from the plane of a tile, mm | normals off the plane by |\n|---|---|---|\n' "$(basename "$frame")"
+  printf '\n%s:\n\n| | median RMS from the plane of a tile, mm | normals off the plane by |\n|---|---|---|\n' "$(basename "$frame")"
   tiles raw
   "$work/pcl_mls" "$frame" $radius 1 $threads 1 "$work/out.pcd" >/dev/null
   tiles "PCL, 3 cm, order 1" --results "$work/out.pcd"

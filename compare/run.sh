@@ -7,7 +7,7 @@ project=$(dirname "$here")
 work=$project/target/compare
 radius=0.03
 threads=2
-"$here/install.sh"
+"$here/install.sh" >&2
 
 planish() { # FILE ENGINE RUNS: milliseconds and points
   "$project/target/release/planish" smooth "$1" "$work/out.pcd" --preset paper --engine "$2" --threads $threads \
@@ -18,10 +18,13 @@ status = report["status"]
 print(report["smooth_ms"]["median"], status["degenerate"] + status["plane"] + status["polynomial"])'
 }
 
-echo "$(grep -m1 'model name' /proc/cpuinfo | cut -d: -f2 | xargs), $(nproc) cores, $threads threads, radius $radius m"
+cpu() { grep -m1 "$1" /proc/cpuinfo | cut -d: -f2 | xargs; }
+echo "\`compare/run.sh $(for frame in "$@"; do basename "$frame"; done | xargs)\`"
+echo
+echo "$(cpu 'model name') (family $(cpu 'cpu family')), $(nproc) cores; $threads threads, radius $radius m; $("$project/target/release/planish" --version)"
 for frame in "$@"; do
   echo
-  echo "$(basename "$frame")"
+  echo "$(basename "$frame"):"
   echo
   echo "| system | ms, median | points out | times planish cpu |"
   echo "|---|---|---|---|"

@@ -50,9 +50,9 @@ pub enum Load<'a> {
 /// How long a measurement goes on.
 #[derive(Clone, Copy)]
 pub enum Patience {
-    /// For a figure that stands by itself: 100 frames and 3 s, but no more than 30 s.
+    /// For a figure that stands by itself: 100 frames and 3 s, but no more than 20 s.
     Long,
-    /// For one of many: 20 frames and 1 s, but no more than 4 s.
+    /// For one of many: 20 frames and 1 s, but no more than 3 s.
     Short,
 }
 
@@ -237,8 +237,8 @@ impl<'a> Bench<'a> {
         // A GPU that was idle takes a third of a second to come to its full clock.
         let (runs, least_ms, most_ms, warm_up_ms) = match patience {
             _ if self.args.quick => (20, 0, 400, 100),
-            Patience::Long => (100, 3_000, 30_000, 300),
-            Patience::Short => (20, 1_000, 4_000, 300),
+            Patience::Long => (100, 3_000, 20_000, 300),
+            Patience::Short => (20, 1_000, 3_000, 300),
         };
         let [least, most, warm_up] = [least_ms, most_ms, warm_up_ms].map(Duration::from_millis);
         let start = Instant::now();
