@@ -1,23 +1,38 @@
 #!/usr/bin/env python3
-"""Puts standard input into a document: block.py DOCUMENT.md NAME < TEXT.
+"""Runs a command and puts what it prints into a document: block.py DOCUMENT.md COMMAND [ARGUMENT ..].
 
-It replaces what is between the lines <!-- NAME --> and <!-- end of NAME -->.
+It replaces what is between the lines <!-- COMMAND --> and <!-- end of COMMAND -->; nothing, if the command fails.
 """
 
 import os
 import pathlib
+import subprocess
 import sys
 import tempfile
 
-document, name = pathlib.Path(sys.argv[1]), sys.argv[2]
-start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-text = document.read_text()
-if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
-    sys.exit(f"{document}: no block for this text; add the lines\n{start}{end}")
-block = sys.stdin.read().strip()
-if not block:
-    sys.exit(f"{document}: no text for the block {name}; it stays as it was")
-with tempfile.NamedTemporaryFile("w", dir=document.resolve().parent, delete=False) as whole:
-    whole.write(text[: text.index(start)] + f"{start}\n{block}\n\n" + text[text.index(end) :])
-os.chmod(whole.name, document.stat().st_mode)
-os.replace(whole.name, document)
+document, command = pathlib.Path(sys.argv[1]), sys.argv[2:]
+start, end = f"<!-- {command[0]} -->\n", f"<!-- end of {command[0]} -->"
+
+
+def around():
+    text = document.read_text(encoding="utf-8")
+    if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
+        sys.exit(f"{document}: no block for this text; add the lines, once\n{start}{end}")
+    return text[: text.index(start)] + start, text[text.index(end) :]
+
+
+around()
+run = subprocess.run(command, stdout=subprocess.PIPE, encoding="utf-8")
+print(run.stdout, end="")
+if run.returncode != 0 or not run.stdout.strip():
+    sys.exit(f"{document}: {command[0]} failed; the block stays as it was")
+before, after = around()
+handle, name = tempfile.mkstemp(dir=document.resolve().parent)
+try:
+    with open(handle, "w", encoding="utf-8") as whole:
+        whole.write(f"{before}\n{run.stdout.strip()}\n\n{after}")
+    os.chmod(name, document.stat().st_mode)
+    os.replace(name, document)
+except BaseException:
+    os.unlink(name)
+    raise

@@ -190,12 +190,12 @@ fn times_are_told_when_asked_and_bytes_always() {
     assert!(!alone.upload.is_zero() && !alone.kernel.is_zero() && alone.readback.is_zero(), "{alone:?}");
     smoother.submit_in_place(&depth).unwrap();
     assert!(!smoother.receive().unwrap().unwrap().timings().unwrap().kernel.is_zero());
-    // A batch's are the sum over its frames.
+    // A batch's are the sum over its frames, and less than the host waits.
     let start = Instant::now();
     smoother.smooth_batch(&[Frame::from(&depth); 8], &mut vec![Smoothed::default(); 8]).unwrap();
     let (all, batch) = (start.elapsed(), smoother.timings().unwrap());
     assert!(!batch.kernel.is_zero() && batch.upload + batch.kernel <= all, "{batch:?} of {all:?}");
-    // x, y and z, 3 pixels of border around them, rows a multiple of 16 long, 15 numbers at the end.
+    // x, y and z, 160 columns being a multiple of 16, 3 pixels of border around them, 16 numbers at the end.
     let padded = (160 + 6) * (120 + 6) + 16;
     assert_eq!(smoother.buffer_bytes(), 4 * 3 * padded);
     // Planes of seven numbers more.

@@ -1,5 +1,7 @@
 //! The agreement that every engine owes the f64 reference (docs/method.md, section 9), each figure with its cause.
 
+use std::ops::Range;
+
 use crate::cloud::OrganizedCloud;
 use crate::params::{Radius, SmoothParams};
 use crate::smoothed::Smoothed;
@@ -43,12 +45,30 @@ impl Agreement {
         for i in (0..status.len()).filter(|&i| status[i] == expected[i]) {
             self.equal += 1;
             if expected[i].has_point() {
-                let (a, b) = (result.points.get(i), reference.points.get(i));
-                let square: f64 = (0..3).map(|k| (f64::from(a[k]) - f64::from(b[k])).powi(2)).sum();
-                let z = f64::from(b[2]).abs();
-                let scale = 1f64.max(z / RANGE_M).max(radius_m(z) / RADIUS_M);
-                // A NaN is infinitely far.
-                self.distances_m.push(if square.is_nan() { f64::INFINITY } else { square.sqrt() / scale });
+                self.distances_m.push(distance_m(result.points.get(i), reference.points.get(i), &radius_m));
+            }
+        }
+    }
+
+    /// Adds some pixels of a result that has points alone, x, y and z: its status counts as equal where both have a point or
+    /// neither. `pixels` are the reference's; what the result lacks of them agrees on none.
+    pub fn add_points(
+        &mut self,
+        [x, y, z]: [&[f32]; 3],
+        reference: &Smoothed,
+        pixels: Range<usize>,
+        radius_m: impl Fn(f64) -> f64,
+    ) {
+        self.pixels += pixels.len();
+        let found = |i: usize| Some([*x.get(i)?, *y.get(i)?, *z.get(i)?]);
+        let expected = |i: usize| (i < reference.points.len()).then(|| reference.points.get(i));
+        for (found, expected) in pixels.filter_map(|i| Some((found(i)?, expected(i)?))) {
+            let is_point = |point: [f32; 3]| point.iter().all(|value| value.is_finite());
+            if is_point(found) == is_point(expected) {
+                self.equal += 1;
+                if is_point(expected) {
+                    self.distances_m.push(distance_m(found, expected, &radius_m));
+                }
             }
         }
     }
@@ -86,6 +106,15 @@ impl Agreement {
     }
 }
 
+/// The distance of two points, scaled to a range of [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger; a NaN is
+/// infinitely far.
+fn distance_m(found: [f32; 3], expected: [f32; 3], radius_m: &impl Fn(f64) -> f64) -> f64 {
+    let square: f64 = (0..3).map(|k| (f64::from(found[k]) - f64::from(expected[k])).powi(2)).sum();
+    let z = f64::from(expected[2]).abs();
+    let scale = 1f64.max(z / RANGE_M).max(radius_m(z) / RADIUS_M);
+    if square.is_nan() { f64::INFINITY } else { square.sqrt() / scale }
+}
+
 /// r(z) of docs/method.md, section 3, in f64, for the pixels of a cloud.
 pub fn radius_m(cloud: &OrganizedCloud, params: SmoothParams) -> impl Fn(f64) -> f64 + use<> {
     let pitch = cloud.pixel_pitch_at_1m().unwrap_or(1.0 / 525.0);
@@ -95,5 +124,32 @@ pub fn radius_m(cloud: &OrganizedCloud, params: SmoothParams) -> impl Fn(f64) ->
             let reach = f64::from(params.window * params.stride);
             (1.5 * reach * z.abs() * pitch).max(4.0 * f64::from(depth_step_at_1m) * z * z)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::Xyz;
+
+    #[test]
+    fn points_alone_agree_up_to_the_tolerance_and_not_where_one_is_missing() {
+        let points: Xyz = (0..100).map(|i| [0.01 * i as f32, 0.0, if i == 7 { f32::NAN } else { 1.0 }]).collect();
+        let reference = Smoothed { width: 10, height: 10, points: points.clone(), ..Smoothed::default() };
+        let misses = |found: &Xyz, pixels: Range<usize>| {
+            let mut agreement = Agreement::default();
+            agreement.add_points([&found.x, &found.y, &found.z], &reference, pixels, |_| 0.03);
+            agreement.misses()
+        };
+        assert!(misses(&points, 0..100).is_empty());
+        let mut off = points.clone();
+        off.set(50, [0.5, 4e-5, 1.0]);
+        assert!(!misses(&off, 0..100).is_empty() && misses(&off, 0..50).is_empty());
+        let mut holed = points.clone();
+        holed.set(1, [f32::NAN; 3]);
+        holed.set(2, [f32::NAN; 3]);
+        assert!(!misses(&holed, 0..100).is_empty());
+        let short: Xyz = points.iter().take(60).collect();
+        assert!(!misses(&short, 0..100).is_empty() && !misses(&points, 0..0).is_empty());
     }
 }

@@ -91,7 +91,8 @@ pub struct FrameTimings {
     pub upload: Duration,
     /// The kernel, with where edges are kept the pass before it.
     pub kernel: Duration,
-    /// Copying the result to the host's memory; next to nothing where the kernel writes it there, as on the CPU.
+    /// Copying the result to the host's memory; next to nothing where the kernel writes it there. On the CPU making depth from
+    /// the points, and nothing where it is not wanted.
     pub readback: Duration,
 }
 
@@ -173,6 +174,17 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn times_add_up_stage_by_stage() {
+        let times = |ms: [u64; 3]| {
+            let [upload, kernel, readback] = ms.map(Duration::from_millis);
+            FrameTimings { upload, kernel, readback }
+        };
+        let mut sum = times([1, 20, 300]);
+        sum += times([4, 50, 600]);
+        assert_eq!(sum, times([5, 70, 900]));
+    }
 
     fn adapter(index: usize, name: &str, kind: AdapterKind) -> GpuAdapter {
         GpuAdapter { index, name: name.into(), kind, backend: "vulkan".into(), driver: "1".into() }

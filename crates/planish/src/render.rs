@@ -108,7 +108,8 @@ pub fn half_size(picture: &RgbImage) -> RgbImage {
     let (width, height) = (picture.width / 2, picture.height / 2);
     let mean = |i: usize| {
         let (u, v, channel) = (i / 3 % width, i / 3 / width, i % 3);
-        let at = |u: usize, v: usize| u32::from(picture.rgb[3 * (v * picture.width + u) + channel]);
+        // What the picture lacks is black.
+        let at = |u, v| u32::from(*picture.rgb.get(3 * (v * picture.width + u) + channel).unwrap_or(&0));
         let sum = at(2 * u, 2 * v) + at(2 * u + 1, 2 * v) + at(2 * u, 2 * v + 1) + at(2 * u + 1, 2 * v + 1);
         ((sum + 2) / 4) as u8
     };

@@ -1,6 +1,7 @@
 //! The front door: open an engine once for a frame shape, then smooth any number of frames.
 
 use std::collections::VecDeque;
+use std::time::{Duration, Instant};
 
 use crate::cloud::{PointCloud, validate_shape};
 use crate::cpu::{Cpu, SimdLevel};
@@ -192,7 +193,10 @@ impl Smoother {
     pub fn smooth<'a>(&mut self, frame: impl Into<Frame<'a>>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = self.admit(frame.into())?;
         match &mut self.engine {
-            EngineState::Host(host) => host.smooth(frame, self.outputs, out),
+            EngineState::Host(host) => {
+                host.timings = host.smooth(frame, self.outputs, out)?;
+                Ok(())
+            }
             #[cfg(feature = "gpu")]
             EngineState::Gpu(gpu) => gpu.smooth(frame, out),
         }
@@ -213,8 +217,7 @@ impl Smoother {
             EngineState::Host(host) => {
                 let mut timings = None::<FrameTimings>;
                 for (&frame, out) in frames.iter().zip(out) {
-                    host.smooth(frame, self.outputs, out)?;
-                    if let Some(more) = host.timings {
+                    if let Some(more) = host.smooth(frame, self.outputs, out)? {
                         *timings.get_or_insert_default() += more;
                     }
                 }
@@ -236,8 +239,8 @@ impl Smoother {
         }
     }
 
-    /// Bytes of the buffers that the engine keeps from frame to frame, beside frames and results: the planes of the CPU engine;
-    /// what the GPU engine has on the device and in memory that both see. The reference keeps none.
+    /// Bytes that the engine keeps for its samples from frame to frame, beside frames and results: the padded planes of the CPU
+    /// engine; the buffers of all slots of the GPU engine, on the device and in memory that both see. The reference keeps none.
     pub fn buffer_bytes(&self) -> u64 {
         match &self.engine {
             EngineState::Host(host) => match &host.engine {
@@ -271,8 +274,8 @@ impl Smoother {
                     return Err(EngineError::Full { in_flight }.into());
                 }
                 let mut smoothed = buffer.unwrap_or_default();
-                host.smooth(frame, self.outputs, &mut smoothed)?;
-                host.submitted.push_back((smoothed, host.timings));
+                let timings = host.smooth(frame, self.outputs, &mut smoothed)?;
+                host.submitted.push_back((smoothed, timings));
                 Ok(())
             }
             #[cfg(feature = "gpu")]
@@ -325,23 +328,28 @@ impl Smoother {
 }
 
 impl Host {
-    fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs, out: &mut Smoothed) -> Result<(), Error> {
-        let Self { engine, scratch, timestamps, timings, .. } = self;
-        let mut run = |out: &mut Smoothed| match engine {
-            HostEngine::Cpu(cpu) => {
-                cpu.smooth(frame, out)?;
-                *timings = timestamps.then(|| cpu.timings());
-                Ok(())
-            }
-            HostEngine::Reference(reference) => reference.smooth(frame, out),
-        };
-        match scratch {
-            None => run(out),
-            Some(scratch) => {
-                run(scratch)?;
-                Ok(out.take_over(scratch, outputs, frame.camera())?)
-            }
+    /// Gives the times of the frame, where they are wanted.
+    fn smooth(
+        &mut self,
+        frame: Frame<'_>,
+        outputs: Outputs,
+        out: &mut Smoothed,
+    ) -> Result<Option<FrameTimings>, Error> {
+        let computed = self.scratch.as_mut().unwrap_or(out);
+        match &mut self.engine {
+            HostEngine::Cpu(cpu) => cpu.smooth(frame, computed)?,
+            HostEngine::Reference(reference) => reference.smooth(frame, computed)?,
         }
+        let mut readback = Duration::ZERO;
+        if let Some(computed) = &mut self.scratch {
+            let start = Instant::now();
+            out.take_over(computed, outputs, frame.camera())?;
+            readback = start.elapsed();
+        }
+        Ok(match &self.engine {
+            HostEngine::Cpu(cpu) if self.timestamps => Some(FrameTimings { readback, ..cpu.timings() }),
+            _ => None,
+        })
     }
 }
 

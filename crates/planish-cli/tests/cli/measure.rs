@@ -2,7 +2,9 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
+use planish::io::{Encoding, write_cloud};
 use serde_json::Value;
 
 use super::{CAMERA, ok, refused, str, with_frame};
@@ -67,6 +69,7 @@ fn the_experiments_write_tables_numbers_and_pictures() {
     let stdout = ok(&[&bench[..], &["--update", document_text, "--input", cloud, depth]].concat());
     let written = |name: &str| fs::read_to_string(out.join(name)).unwrap();
     let json = |name: &str| -> Value { serde_json::from_str(&written(&format!("{name}.json"))).unwrap() };
+    let results = |name: &str| json(name)["results"].clone();
     let text = fs::read_to_string(&document).unwrap();
     assert!(text.starts_with("before\n<!-- planish bench small -->\n\n`planish bench all --quick"), "{text}");
     assert!(text.ends_with("\n<!-- end of planish bench small -->\nafter\n") && !text.contains("stale"), "{text}");
@@ -88,9 +91,9 @@ fn the_experiments_write_tables_numbers_and_pictures() {
     for i in 0..2 {
         assert!(fs::read(out.join(format!("quality-{i}.png"))).unwrap().starts_with(b"\x89PNG"));
     }
-    assert_eq!(json("origin")["version"].as_str().unwrap(), ok(&["--version"]).trim().replace("planish-cli ", ""));
+    assert_eq!(json("speedup")["origin"]["version"], ok(&["--version"]).trim().replace("planish-cli ", ""));
 
-    let speedup = json("speedup");
+    let speedup = results("speedup");
     let rows = speedup.as_array().unwrap();
     assert_eq!(
         (&rows[0]["engine"], &rows[0]["frame"]),
@@ -99,23 +102,23 @@ fn the_experiments_write_tables_numbers_and_pictures() {
     // Each SIMD level with one and all threads, and none without a time.
     let levels = planish::SimdLevel::available().count();
     assert!(rows.len() == 1 + levels || rows.len() == 1 + 2 * levels);
-    assert!(rows.iter().all(|row| row["time"]["median"].as_f64().unwrap() > 0.0));
-    let curves = json("connectivity");
+    assert!(rows.iter().all(|row| row["time"]["ms"]["median"].as_f64().unwrap() > 0.0));
+    let curves = results("connectivity");
     for curve in curves.as_array().unwrap() {
         assert_eq!(curve["candidates"], serde_json::json!([9, 49, 121, 225]));
         assert!(curve["slope_ms"].as_f64().unwrap() > 0.0 && curve["r2"].as_f64().unwrap() <= 1.0);
     }
     assert_eq!(curves.as_array().unwrap().len(), 2);
     assert!(written("connectivity.md").contains("frame.png, 160x120 as 16-bit depth"));
-    let copies = json("scaleup")["copies"].clone();
+    let copies = results("scaleup")["copies"].clone();
     assert_eq!(copies.as_array().unwrap().len(), 10);
     assert_eq!(copies[0]["scaleup"], 1.0);
     // A cloud twice as tall takes twice the planes, but for their border.
     let buffers = |i: usize| copies[i]["buffers_mib"].as_f64().unwrap();
     assert!(buffers(1) > 1.8 * buffers(0) && buffers(1) < 2.0 * buffers(0), "{copies}");
-    let stages = json("profile")[0]["stages"].clone();
+    let stages = results("profile")[0]["stages"].clone();
     assert!(stages.as_array().unwrap().len() == 4 && stages[0]["ms"].as_f64().unwrap() > 0.0, "{stages}");
-    let planes = json("quality");
+    let planes = results("quality");
     let variance = |row: &Value, of: &str| row[of].as_f64().unwrap();
     for row in planes.as_array().unwrap() {
         assert!(variance(row, "smoothed_variance_mm2") > 0.0 && variance(row, "raw_variance_mm2") > 0.0, "{row}");
@@ -133,9 +136,47 @@ fn experiments_that_cannot_be_recorded_are_refused_before_they_run() {
     fs::write(&document, "nothing marked\n").unwrap();
     assert!(record(&document).contains("<!-- planish bench small -->"));
     assert!(refused(&["bench", "all", "--update", str(&document)]).contains("--out"));
+    fs::write(&document, "<!-- planish bench small -->\n<!-- end of planish bench small -->\n").unwrap();
+    let one = ["bench", "speedup", "--out", str(&out), "--update", str(&document)];
+    assert!(refused(&one).contains("bench all"), "the other experiments would be gone from it");
+    assert!(record(&document.join("none")).contains("none"));
     assert!(refused(&["bench", "speedup", "--input", "missing.pcd"]).contains("missing.pcd"));
     let depth = folder.path().join("frame.png");
     ok(&["smooth", str(&cloud), str(&depth), "--camera", CAMERA]);
     assert!(refused(&["bench", "speedup", "--input", str(&depth)]).contains("--camera"));
     assert!(!out.exists());
+}
+
+#[test]
+fn two_frames_of_one_name_are_told_apart_and_an_engine_that_is_not_there_is_refused() {
+    let (folder, cloud, path) = with_frame();
+    let other = folder.path().join("other");
+    fs::create_dir(&other).unwrap();
+    let mut nearer = cloud;
+    nearer.points.positions.z.iter_mut().for_each(|z| *z *= 0.9);
+    let other = other.join("frame.pcd");
+    write_cloud(&other, &nearer, Encoding::Binary).unwrap();
+    let out = folder.path().join("out");
+    let bench = ["bench", "quality", "--quick", "--engine", "reference", "--input", str(&path), str(&other)];
+    let stdout = ok(&[&bench[..], &["--out", str(&out)]].concat());
+    assert!(stdout.contains("By reference (f64)"), "{stdout}");
+    let quality: Value = serde_json::from_slice(&fs::read(out.join("quality.json")).unwrap()).unwrap();
+    let variances: Vec<_> = (0..4).map(|i| quality["results"][i]["smoothed_variance_mm2"].as_f64().unwrap()).collect();
+    assert!(variances[0] != variances[2] && variances[1] != variances[3], "{quality}");
+    assert!(out.join("quality-0.png").exists() && out.join("quality-1.png").exists());
+    // The reference alone is too slow for these.
+    let text = ok(&["bench", "profile", "--quick", "--engine", "reference", "--input", str(&path)]);
+    assert!(text.contains("Not run with the reference alone."), "{text}");
+    // Without a driver there is no GPU, which is said and replaced by nothing.
+    let output = Command::new(env!("CARGO_BIN_EXE_planish"))
+        .args(["bench", "quality", "--engine", "gpu", "--input", str(&path)])
+        .env("VK_DRIVER_FILES", "/nonexistent")
+        .env("VK_ICD_FILENAMES", "/nonexistent")
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    if cfg!(target_os = "linux") {
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains("--engine gpu: there is no adapter"), "{stderr}");
+    }
 }

@@ -4,9 +4,11 @@ use anyhow::Result;
 use planish::{Engine, Radius, SmoothParams};
 use serde::Serialize;
 
-use super::experiment::{Bench, Load, Timing};
+use super::engines::Clock;
+use super::experiment::{Bench, Frames};
 use super::plot::{line_through, lines};
 use super::section::Section;
+use super::timing::Timing;
 
 /// The 2011 report's fit of a straight line.
 const REPORT_R2: f64 = 0.96;
@@ -17,6 +19,8 @@ const RADIUS_M_A_STEP: f32 = 0.01;
 struct Curve {
     #[serde(skip)]
     subject: usize,
+    #[serde(skip)]
+    clock: Clock,
     engine: String,
     degree: u32,
     candidates: Vec<usize>,
@@ -27,83 +31,83 @@ struct Curve {
     r2: f64,
 }
 
+impl Curve {
+    fn points(&self) -> Vec<(f64, f64)> {
+        self.candidates.iter().zip(&self.times).map(|(&n, time)| (n as f64, time.ms.median)).collect()
+    }
+}
+
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("connectivity", "Connectivity");
     let Some(input) = context.inputs.last() else { return Ok(section) };
     let windows: Vec<u32> = if context.args.quick { vec![1, 3, 5, 7] } else { (1..=7).collect() };
-    let mut subjects = context.subjects(false);
+    let mut subjects = context.subjects(false)?;
     subjects.retain(|subject| !context.args.quick || subject.options.engine != Engine::Reference);
-    let bar = context.bar("connectivity", subjects.len() * 2 * windows.len())?;
     let mut curves = Vec::new();
     for (number, subject) in subjects.iter().enumerate() {
-        let clocks = subject.clocks();
-        for degree in [2, 3] {
-            let mut of_clocks: Vec<Curve> = clocks
-                .iter()
-                .map(|&clock| Curve {
-                    subject: number,
-                    engine: subject.name_by(clock),
-                    degree,
-                    candidates: Vec::new(),
-                    times: Vec::new(),
-                    intercept_ms: f64::NAN,
-                    slope_ms: f64::NAN,
-                    r2: f64::NAN,
-                })
-                .collect();
-            for &window in &windows {
-                if context.stopped() {
-                    break;
-                }
-                let radius = Radius::Fixed { radius_m: RADIUS_M_A_STEP * window as f32 };
-                let params = SmoothParams { window, degree, radius, ..SmoothParams::paper() };
-                context.check(subject, params, input)?;
-                for (&clock, curve) in clocks.iter().zip(&mut of_clocks) {
-                    curve.times.push(context.time_load(subject, clock, params, Load::Alone(input.frame()))?.0);
-                    curve.candidates.push(params.candidates());
-                }
-                bar.inc(1);
+        for clock in subject.clocks()? {
+            curves.extend([2, 3].map(|degree| Curve {
+                subject: number,
+                clock,
+                engine: subject.name_by(clock),
+                degree,
+                candidates: Vec::new(),
+                times: Vec::new(),
+                intercept_ms: f64::NAN,
+                slope_ms: f64::NAN,
+                r2: f64::NAN,
+            }));
+        }
+    }
+    let bar = context.bar("connectivity", curves.len() * windows.len())?;
+    // All engines at one setting after each other, so that the reference computes it once.
+    for (degree, &window) in [2, 3].into_iter().flat_map(|degree| windows.iter().map(move |window| (degree, window))) {
+        let radius = Radius::Fixed { radius_m: RADIUS_M_A_STEP * window as f32 };
+        let params = SmoothParams { window, degree, radius, ..SmoothParams::paper() };
+        for curve in curves.iter_mut().filter(|curve| curve.degree == degree && !context.stopped()) {
+            let timed = context.time_frames(&subjects[curve.subject], curve.clock, params, input, Frames::One);
+            if let Some(timed) = context.attempt(&curve.engine, timed)? {
+                curve.times.push(timed.time);
+                curve.candidates.push(params.candidates());
             }
-            of_clocks.retain(|curve| curve.times.len() > 2);
-            for mut curve in of_clocks {
-                (curve.intercept_ms, curve.slope_ms, curve.r2) = line_through(&points(&curve));
-                curves.push(curve);
-            }
+            bar.inc(1);
         }
     }
     bar.finish_and_clear();
+    curves.retain(|curve| curve.times.len() > 2);
+    for curve in &mut curves {
+        (curve.intercept_ms, curve.slope_ms, curve.r2) = line_through(&curve.points());
+    }
     section.note(format!(
         "Milliseconds of a frame over the candidates of its window: {}; radius 1 cm a step of the window.",
         input.describe()
     ));
     let mut header = vec!["engine, degree".to_owned()];
-    header.extend(windows.iter().map(|k| format!("{}", (2 * k + 1) * (2 * k + 1))));
+    let candidates: Vec<usize> = windows.iter().map(|k| ((2 * k + 1) * (2 * k + 1)) as usize).collect();
+    header.extend(candidates.iter().map(usize::to_string));
     header.extend(["a candidate, µs", "R²"].map(str::to_owned));
     section.table(
         &header.iter().map(String::as_str).collect::<Vec<_>>(),
         curves.iter().map(|curve| {
+            let of = |n: &usize| curve.candidates.iter().position(|of| of == n).map(|at| curve.times[at].cell());
             let mut cells = vec![format!("{}, {}", curve.engine, curve.degree)];
-            cells.extend(curve.times.iter().map(Timing::cell));
-            cells.resize(header.len() - 2, String::new());
+            cells.extend(candidates.iter().map(|n| of(n).unwrap_or_default()));
             cells.extend([format!("{:.2}", 1e3 * curve.slope_ms), format!("{:.4}", curve.r2)]);
             cells
         }),
     );
     section.note(format!(
         "The last two columns are of the straight line through the others. The report's R² was {REPORT_R2}. A GPU's frame is read \
-         where the device puts it, and its way over the bus takes as long whatever the window."
+         where the device puts it, and its way over the bus takes as long whatever the window; its kernel alone is timed by the \
+         device's clock, with the frame copied there before."
     ));
     section.note_noise(curves.iter().flat_map(|curve| curve.times.iter().map(|time| time.noisy)));
     for (i, of_engine) in curves.chunk_by(|a, b| a.subject == b.subject).enumerate() {
         let named: Vec<_> =
-            of_engine.iter().map(|c| (format!("{}, degree {}", c.engine, c.degree), points(c))).collect();
+            of_engine.iter().map(|c| (format!("{}, degree {}", c.engine, c.degree), c.points())).collect();
         let title = format!("Time of a frame over candidates, {}", subjects[of_engine[0].subject].name);
         section.svg(&format!("connectivity-{i}.svg"), &title, lines(&title, "candidates", "ms", &named)?);
     }
     section.json = serde_json::to_value(&curves)?;
     Ok(section)
-}
-
-fn points(curve: &Curve) -> Vec<(f64, f64)> {
-    curve.candidates.iter().zip(&curve.times).map(|(&n, time)| (n as f64, time.ms.median)).collect()
 }

@@ -1,7 +1,6 @@
-//! What the experiments share: the engines of this machine, what is held against the reference, and timing.
+//! What the experiments share: frames, results held against the reference, and timing.
 
 use std::cell::RefCell;
-use std::hint::black_box;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -9,42 +8,24 @@ use anyhow::{Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::agreement::{Agreement, radius_m};
 use planish::{
-    AdapterKind, Engine, Frame, GpuOptions, Outputs, SimdLevel, SmoothParams, Smoothed, SmoothedView, Smoother,
-    SmootherOptions, Transfer, gpu_adapters,
+    Engine, EngineError, Error, Frame, FrameTimings, OrganizedCloud, SmoothParams, Smoothed, Smoother, SmootherOptions,
+    Xyz,
 };
-use serde::Serialize;
 
-use super::Spread;
+use super::engines::{self, Clock, Load, Subject, Way};
 use super::frames::{self, Input};
-use crate::args::{EngineArg, ExperimentArgs};
-
-/// A measurement whose halves differ by more than this, or whose spread is wider than the next, is called noisy.
-const HALVES_DIFFER: f64 = 0.05;
-const WIDE_SPREAD: f64 = 1.5;
-
-/// An engine of this machine.
-#[derive(Clone)]
-pub struct Subject {
-    pub name: String,
-    pub options: SmootherOptions,
-}
-
-/// By which clock a frame is timed.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Clock {
-    /// The host's, from the frame in its memory to the result in its memory.
-    Host,
-    /// The device's, around the kernel alone.
-    Device,
-}
+use super::timing::Timing;
+use crate::args::ExperimentArgs;
 
 /// What an engine is timed at.
-#[derive(Clone, Copy)]
-pub enum Load<'a> {
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Frames {
     /// One frame; on a GPU its result is read where the device puts it.
-    Alone(Frame<'a>),
-    /// Several frames at once; their results are copied out.
-    Batch(&'a [Frame<'a>]),
+    One,
+    /// So many copies of the frame, as points, one under the other in one.
+    Tall(usize),
+    /// So many times the frame at once; the results are copied out.
+    Batch(usize),
 }
 
 /// How long a measurement goes on.
@@ -56,6 +37,16 @@ pub enum Patience {
     Short,
 }
 
+/// A measurement with what was in memory meanwhile.
+pub struct Timed {
+    pub time: Timing,
+    /// The engine's stages in each of the measurements, where it tells them.
+    pub stages: Vec<FrameTimings>,
+    pub buffer_bytes: u64,
+    /// Of the process, where the system tells it.
+    pub process_mib: Option<f64>,
+}
+
 /// What the experiments run with.
 pub struct Bench<'a> {
     pub args: &'a ExperimentArgs,
@@ -63,83 +54,20 @@ pub struct Bench<'a> {
     /// Set by Ctrl-C: what is measured until then is kept.
     pub stop: &'a AtomicBool,
     /// The reference's last result, with the frame and the setting that it is of.
-    reference: RefCell<Option<(String, SmoothParams, Smoothed)>>,
+    reference: RefCell<Option<(usize, SmoothParams, Smoothed)>>,
+    /// What could not be measured, and why.
+    skipped: RefCell<Vec<String>>,
 }
 
-/// A measured time.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct Timing {
-    #[serde(flatten)]
-    pub ms: Spread,
-    pub mean: f64,
-    pub runs: usize,
-    /// The machine did something else in between, or changed its clock.
-    pub noisy: bool,
-}
-
-impl Timing {
-    fn of(values: Vec<f64>) -> Self {
-        let middle = |values: &[f64]| Spread::of(values.to_vec()).median;
-        let halves_differ = values.len() >= 8 && {
-            let (first, second) = values.split_at(values.len() / 2);
-            (middle(first) / middle(second) - 1.0).abs() > HALVES_DIFFER
-        };
-        let runs = values.len();
-        let mean = values.iter().sum::<f64>() / runs as f64;
-        let ms = Spread::of(values);
-        Self { ms, mean, runs, noisy: halves_differ || (runs >= 8 && ms.p95 > WIDE_SPREAD * ms.p5) }
-    }
-
-    /// The median in a table; `~` where it was noisy.
-    pub fn cell(&self) -> String {
-        let ms = self.ms.median;
-        let digits = if ms < 1.0 {
-            3
-        } else if ms < 100.0 {
-            2
-        } else {
-            0
-        };
-        format!("{ms:.digits$}{}", if self.noisy { " ~" } else { "" })
-    }
-}
-
-impl Subject {
-    pub fn is_gpu(&self) -> bool {
-        self.options.engine == Engine::Gpu
-    }
-
-    pub fn open(&self, params: SmoothParams, shape: (usize, usize)) -> Result<Smoother> {
-        Ok(Smoother::open_with(params, &self.options, shape)?)
-    }
-
-    /// The engine with the device's clock on; its copies are then stages of their own.
-    pub fn with_time_stamps(&self) -> Self {
-        let mut subject = self.clone();
-        subject.options.gpu.timestamps = true;
-        subject.options.gpu.transfer = Transfer::Staged;
-        subject
-    }
-
-    /// By which clocks it can be timed.
-    pub fn clocks(&self) -> Vec<Clock> {
-        // An adapter that has no clock says so here.
-        let has_device_clock = self.is_gpu() && self.with_time_stamps().open(SmoothParams::paper(), (64, 48)).is_ok();
-        if has_device_clock { vec![Clock::Host, Clock::Device] } else { vec![Clock::Host] }
-    }
-
-    /// Its name in a table of both clocks.
-    pub fn name_by(&self, clock: Clock) -> String {
-        match clock {
-            Clock::Host => self.name.clone(),
-            Clock::Device => format!("{}, kernel alone", self.name),
-        }
-    }
-}
+/// A measurement that Ctrl-C cut short.
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted")]
+struct Interrupted;
 
 impl<'a> Bench<'a> {
     pub fn new(args: &'a ExperimentArgs, stop: &'a AtomicBool) -> Result<Self> {
-        Ok(Self { args, inputs: frames::inputs(args)?, stop, reference: RefCell::default() })
+        let (reference, skipped) = (RefCell::default(), RefCell::default());
+        Ok(Self { args, inputs: frames::inputs(args)?, stop, reference, skipped })
     }
 
     pub fn stopped(&self) -> bool {
@@ -153,83 +81,41 @@ impl<'a> Bench<'a> {
     }
 
     /// The engines to measure. CPU engines at every SIMD level and with one and all threads if `all_levels`.
-    pub fn subjects(&self, all_levels: bool) -> Vec<Subject> {
-        let engines = &self.args.engine;
-        let all = engines.is_empty() || engines.contains(&EngineArg::Auto);
-        let asked = |engine| all || engines.contains(&engine);
-        let base = |engine| SmootherOptions { engine, outputs: Outputs::POINTS, ..SmootherOptions::default() };
-        let mut subjects = Vec::new();
-        if asked(EngineArg::Reference) {
-            subjects.push(Subject { name: "reference (f64)".into(), options: base(Engine::Reference) });
-        }
-        let all_threads = std::thread::available_parallelism().map_or(1, usize::from);
-        if asked(EngineArg::Cpu) {
-            let levels: Vec<_> = if all_levels { SimdLevel::available().collect() } else { vec![SimdLevel::best()] };
-            let mut threads = if all_levels { vec![1, all_threads] } else { vec![all_threads] };
-            threads.dedup();
-            for (level, &threads) in levels.iter().flat_map(|level| threads.iter().map(move |threads| (level, threads)))
-            {
-                let plural = if threads == 1 { "thread" } else { "threads" };
-                let name = format!("cpu {}, {threads} {plural}", level.name());
-                let options = SmootherOptions { threads: Some(threads), simd: Some(*level), ..base(Engine::Cpu) };
-                subjects.push(Subject { name, options });
-            }
-        }
-        if asked(EngineArg::Gpu) {
-            for (index, adapter) in gpu_adapters().iter().enumerate() {
-                // A software adapter is measured if asked for: it is slower than the CPU that it runs on.
-                if adapter.kind == AdapterKind::Software && !engines.contains(&EngineArg::Gpu) {
-                    continue;
-                }
-                let gpu =
-                    GpuOptions { adapter: Some(index.to_string()), bounds_checks: false, ..GpuOptions::default() };
-                let options = SmootherOptions { gpu, ..base(Engine::Gpu) };
-                subjects.push(Subject { name: format!("gpu {}", adapter.name), options });
-            }
-        }
-        subjects
+    pub fn subjects(&self, all_levels: bool) -> Result<Vec<Subject>> {
+        engines::subjects(&self.args.engine, all_levels)
     }
 
     /// The same without the reference, which takes seconds where the others take milliseconds.
-    pub fn fast_subjects(&self) -> Vec<Subject> {
-        let mut subjects = self.subjects(false);
+    pub fn fast_subjects(&self) -> Result<Vec<Subject>> {
+        let mut subjects = self.subjects(false)?;
         subjects.retain(|subject| subject.options.engine != Engine::Reference);
-        subjects
+        Ok(subjects)
     }
 
-    /// Holds a subject's result against the reference; a wrong one is an error.
-    pub fn check(&self, subject: &Subject, params: SmoothParams, input: &Input) -> Result<()> {
-        if subject.options.engine == Engine::Reference {
-            return Ok(());
-        }
-        let result = |options: &SmootherOptions| -> Result<Smoothed> {
-            let options = SmootherOptions { outputs: Outputs::ALL, ..options.clone() };
-            let mut result = Smoothed::default();
-            Smoother::open_with(params, &options, input.shape())?.smooth(input.frame(), &mut result)?;
-            Ok(result)
+    /// What was measured; nothing where the measurement was cut short, or where the engine has no room for such frames or does
+    /// not open, which is said at the end. Anything else that fails is an error, a wrong result before all.
+    pub fn attempt<T>(&self, what: &str, measured: Result<T>) -> Result<Option<T>> {
+        let error = match measured {
+            Ok(measured) => return Ok(Some(measured)),
+            Err(error) => error,
         };
-        let mut known = self.reference.borrow_mut();
-        let reference = match known.take() {
-            Some((of, with, reference)) if of == input.name() && with == params => reference,
-            _ => result(&SmootherOptions { engine: Engine::Reference, ..SmootherOptions::default() })?,
-        };
-        let mut agreement = Agreement::default();
-        agreement.add(&result(&subject.options)?, &reference, radius_m(&input.cloud, params));
-        *known = Some((input.name().to_owned(), params, reference));
-        let misses = agreement.misses();
-        if !misses.is_empty() {
-            bail!("a wrong result is not timed: {}, {}: {}", subject.name, input.name(), misses.join("; "));
+        if error.is::<Interrupted>() {
+            return Ok(None);
         }
-        Ok(())
+        match error.downcast_ref::<Error>() {
+            Some(Error::Engine(
+                EngineError::Limit { .. } | EngineError::OutOfMemory { .. } | EngineError::Unavailable { .. },
+            )) => {
+                self.skipped.borrow_mut().push(format!("{what}: {error}"));
+                Ok(None)
+            }
+            _ => Err(error),
+        }
     }
 
-    /// Times `work` by the host's clock.
-    pub fn time(&self, patience: Patience, mut work: impl FnMut() -> Result<()>) -> Result<Timing> {
-        self.measure(patience, || {
-            let start = Instant::now();
-            work()?;
-            Ok(ms(start.elapsed()))
-        })
+    /// What could not be measured since this was asked the last time.
+    pub fn take_skipped(&self) -> Vec<String> {
+        self.skipped.take()
     }
 
     /// Many values of what `one` measures, in milliseconds, once it is warm.
@@ -252,57 +138,218 @@ impl<'a> Bench<'a> {
         }
         let (mut values, start) = (Vec::new(), Instant::now());
         loop {
+            if self.stopped() {
+                return Err(Interrupted.into());
+            }
             values.push(one()?);
             let elapsed = start.elapsed();
-            if elapsed >= most || (values.len() >= runs && elapsed >= least) || self.stopped() {
+            if elapsed >= most || (values.len() >= runs && elapsed >= least) {
                 return Ok(Timing::of(values));
             }
         }
     }
 
-    /// Times an engine at something by a clock. Gives the bytes of the engine's buffers too.
-    pub fn time_load(
+    /// Times one frame after another going a way through an engine, `block` of them in each measurement.
+    pub fn time_way(
+        &self,
+        subject: &Subject,
+        params: SmoothParams,
+        input: &Input,
+        way: Way,
+        block: usize,
+    ) -> Result<Timing> {
+        let mut load = Load::open(subject, params, way, vec![input.frame()])?;
+        load.show(|points| self.hold(subject, params, input, points, 1))?;
+        self.measure(Patience::Long, || {
+            let start = Instant::now();
+            for _ in 0..block {
+                load.once()?;
+            }
+            Ok(ms(start.elapsed()) / block as f64)
+        })
+    }
+
+    /// Times an engine at some frames by a clock.
+    pub fn time_frames(
         &self,
         subject: &Subject,
         clock: Clock,
         params: SmoothParams,
-        load: Load<'_>,
-    ) -> Result<(Timing, u64)> {
-        let frames = match load {
-            Load::Alone(frame) => &[frame][..],
-            Load::Batch(frames) => frames,
+        input: &Input,
+        frames: Frames,
+    ) -> Result<Timed> {
+        let tall;
+        let (copies, way, frames) = match frames {
+            Frames::One => (1, Way::InPlace, vec![input.frame()]),
+            Frames::Tall(copies) => {
+                tall = one_under_the_other(&input.cloud, copies)?;
+                (copies, Way::InPlace, vec![Frame::from(&tall)])
+            }
+            Frames::Batch(frames) => (1, Way::Batch, vec![input.frame(); frames]),
         };
-        let shape = frames.first().map_or((0, 0), Frame::shape);
-        let mut smoothed = vec![Smoothed::default(); frames.len()];
-        let timing;
-        let mut smoother;
-        if clock == Clock::Device {
-            smoother = subject.with_time_stamps().open(params, shape)?;
-            timing = self.measure(Patience::Short, || {
-                smoother.smooth_batch(frames, &mut smoothed)?;
-                Ok(smoother.timings().map_or(f64::NAN, |timings| ms(timings.kernel)))
-            })?;
-        } else {
-            smoother = subject.open(params, shape)?;
-            timing = self.time(Patience::Short, || match load {
-                Load::Alone(frame) if subject.is_gpu() => {
-                    smoother.submit_in_place(frame)?;
-                    smoother.receive()?.iter().for_each(touch);
-                    Ok(())
-                }
-                Load::Alone(frame) => Ok(smoother.smooth(frame, &mut smoothed[0])?),
-                Load::Batch(frames) => Ok(smoother.smooth_batch(frames, &mut smoothed)?),
-            })?;
+        // The engines of the CPU write where they are told to: in place is what they do.
+        let way = if way == Way::InPlace && !subject.is_gpu() { Way::CopiedOut } else { way };
+        self.time_stages(subject, clock, params, input, way, frames, copies)
+    }
+
+    /// The same for frames of one's own that are `copies` times the input's, with the stages of each measurement if the subject
+    /// has time stamps.
+    #[allow(clippy::too_many_arguments)]
+    pub fn time_stages(
+        &self,
+        subject: &Subject,
+        clock: Clock,
+        params: SmoothParams,
+        input: &Input,
+        way: Way,
+        frames: Vec<Frame<'_>>,
+        copies: usize,
+    ) -> Result<Timed> {
+        let stamped = if clock == Clock::Device { subject.with_time_stamps() } else { subject.clone() };
+        let mut load = Load::open(&stamped, params, way, frames)?;
+        load.show(|points| self.hold(subject, params, input, points, copies))?;
+        let mut stages = Vec::new();
+        let time = self.measure(Patience::Short, || {
+            let start = Instant::now();
+            let told = load.once()?;
+            let waited = ms(start.elapsed());
+            stages.extend(told);
+            match (clock, told) {
+                (Clock::Host, _) => Ok(waited),
+                (Clock::Device, Some(told)) => Ok(ms(told.kernel)),
+                (Clock::Device, None) => bail!("{}: no time stamps came back", subject.name),
+            }
+        })?;
+        // Those of the warming up came first.
+        let stages = stages.split_off(stages.len().saturating_sub(time.runs));
+        Ok(Timed { time, stages, buffer_bytes: load.buffer_bytes(), process_mib: resident_mib() })
+    }
+
+    /// What an engine makes of a frame.
+    pub fn smooth(&self, subject: &Subject, params: SmoothParams, input: &Input, points: &mut Xyz) -> Result<()> {
+        Load::open(subject, params, Way::CopiedOut, vec![input.frame()])?.show(|found| {
+            self.hold(subject, params, input, found, 1)?;
+            let [x, y, z] = found.map(<[f32]>::to_vec);
+            *points = Xyz { x, y, z };
+            Ok(())
+        })
+    }
+
+    /// Holds points against the reference's; wrong ones are an error. They are of the input's frame, or of `copies` of it one under
+    /// the other, whose rows near a seam see the next copy and are left out.
+    fn hold(
+        &self,
+        subject: &Subject,
+        params: SmoothParams,
+        input: &Input,
+        points: [&[f32]; 3],
+        copies: usize,
+    ) -> Result<()> {
+        let (width, height) = input.shape();
+        let mut known = self.reference.borrow_mut();
+        let expected = match known.take() {
+            Some((of, with, expected)) if of == input.index && with == params => expected,
+            _ => {
+                let options = SmootherOptions { engine: Engine::Reference, ..SmootherOptions::default() };
+                let mut expected = Smoothed::default();
+                Smoother::open_with(params, &options, input.shape())?.smooth(input.frame(), &mut expected)?;
+                expected
+            }
+        };
+        let mut agreement = Agreement::default();
+        let reach = params.reach_px();
+        for copy in 0..copies {
+            let of_copy = points.map(|plane| plane.get(copy * width * height..).unwrap_or_default());
+            let first = if copy == 0 { 0 } else { reach.min(height) };
+            let end = if copy + 1 == copies { height } else { height.saturating_sub(reach).max(first) };
+            agreement.add_points(of_copy, &expected, first * width..end * width, radius_m(&input.cloud, params));
         }
-        Ok((timing, smoother.buffer_bytes()))
+        *known = Some((input.index, params, expected));
+        let misses = agreement.misses();
+        if !misses.is_empty() {
+            bail!("a wrong result is not timed: {}, {}: {}", subject.name, input.describe(), misses.join("; "));
+        }
+        Ok(())
     }
 }
 
-/// Looks at a result, so that it is there.
-pub fn touch(view: &SmoothedView) {
-    black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
+/// A cloud `copies` times in one.
+fn one_under_the_other(cloud: &OrganizedCloud, copies: usize) -> Result<OrganizedCloud> {
+    let Xyz { x, y, z } = cloud.positions();
+    let positions = Xyz { x: x.repeat(copies), y: y.repeat(copies), z: z.repeat(copies) };
+    let tall = OrganizedCloud::from_positions(cloud.width(), copies * cloud.height(), positions);
+    Ok(tall.map_err(Error::from)?)
+}
+
+/// What the process has in memory, by the system's word; `None` where it has none.
+fn resident_mib() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
+    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1024.0)
 }
 
 pub fn ms(time: Duration) -> f64 {
     1e3 * time.as_secs_f64()
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::args::{Args, BenchCommand, Command};
+
+    #[test]
+    fn a_wrong_result_is_an_error_and_is_not_timed() {
+        let Command::Bench(args) = Args::parse_from(["planish", "bench", "speedup", "--quick"]).command else {
+            panic!()
+        };
+        let BenchCommand::Speedup(args) = &args.what else { panic!() };
+        let stop = AtomicBool::new(false);
+        let bench = Bench::new(args, &stop).unwrap();
+        let (input, params) = (&bench.inputs[1], SmoothParams { window: 1, ..SmoothParams::paper() });
+        let subject = engines::subjects(&[crate::args::EngineArg::Cpu], false).unwrap().remove(0);
+        let mut right = Smoothed::default();
+        Smoother::open_with(params, &subject.options, input.shape())
+            .unwrap()
+            .smooth(input.frame(), &mut right)
+            .unwrap();
+        let hold = |points: &Xyz, params, copies| {
+            bench.hold(&subject, params, input, [&points.x, &points.y, &points.z], copies)
+        };
+        hold(&right.points, params, 1).unwrap();
+        let mut wrong = right.points.clone();
+        wrong.y.iter_mut().for_each(|y| *y += 1e-4);
+        let error = hold(&wrong, params, 1).unwrap_err().to_string();
+        assert!(error.contains("a wrong result is not timed: cpu") && error.contains("simulated table"), "{error}");
+        // Another setting is held against a reference of its own.
+        assert!(hold(&right.points, SmoothParams { window: 2, ..params }, 1).is_err());
+        // Two copies, the second of them wrong away from the seam.
+        let twice = |second: &Xyz| -> Xyz { right.points.iter().chain(second.iter()).collect() };
+        hold(&twice(&right.points), params, 2).unwrap();
+        assert!(hold(&twice(&wrong), params, 2).is_err());
+        assert!(hold(&right.points, params, 2).is_err(), "the second copy is missing");
+    }
+
+    #[test]
+    fn what_does_not_fit_is_left_out_and_said_and_ctrl_c_ends_quietly() {
+        let Command::Bench(args) = Args::parse_from(["planish", "bench", "scaleup", "--quick"]).command else {
+            panic!()
+        };
+        let BenchCommand::Scaleup(args) = &args.what else { panic!() };
+        let stop = AtomicBool::new(false);
+        let bench = Bench::new(args, &stop).unwrap();
+        let limit = EngineError::Limit { device: "small".into(), what: "bytes in a buffer", allowed: 1, needed: 2 };
+        let result = bench.attempt("32 copies", Err::<(), _>(Error::from(limit).into())).unwrap();
+        assert!(result.is_none());
+        let skipped = bench.take_skipped();
+        assert!(
+            skipped.len() == 1 && skipped[0].starts_with("32 copies: ") && skipped[0].contains("small"),
+            "{skipped:?}"
+        );
+        assert!(bench.attempt("wrong", Err::<(), _>(anyhow::anyhow!("a wrong result"))).is_err());
+        stop.store(true, Ordering::Relaxed);
+        let measured = bench.measure(Patience::Short, || Ok(1.0));
+        assert!(bench.attempt("cut short", measured).unwrap().is_none() && bench.take_skipped().is_empty());
+    }
 }

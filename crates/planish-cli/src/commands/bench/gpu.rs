@@ -13,7 +13,7 @@ use planish::{
 };
 use serde::Serialize;
 
-use super::Spread;
+use super::timing::Spread;
 use crate::args::BenchGpuArgs;
 
 const KINECT_SHAPE: (usize, usize) = (640, 480);

@@ -1,6 +1,7 @@
 //! `planish bench`: the engines measured on this machine, each result held against the reference before it is timed.
 
 mod connectivity;
+mod engines;
 mod experiment;
 mod frames;
 mod gpu;
@@ -11,12 +12,11 @@ mod record;
 mod scaleup;
 mod section;
 mod speedup;
+mod timing;
 
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
-use planish::io::write_whole;
-use serde::Serialize;
+use anyhow::{Result, bail};
 
 use super::stream::stop_on_ctrl_c;
 use crate::args::{BenchArgs, BenchCommand};
@@ -37,6 +37,9 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
         BenchCommand::All(args) => (args, &all[..]),
     };
     let out = args.out.as_deref();
+    if args.update.is_some() && experiments.len() < all.len() {
+        bail!("--update writes a block with all experiments: use it with `planish bench all`");
+    }
     let document = args.update.as_ref().zip(out).map(|(file, out)| Document::open(file, out)).transpose()?;
     let stop = stop_on_ctrl_c()?;
     let bench = Bench::new(args, &stop)?;
@@ -44,13 +47,11 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
     println!("{}", origin.markdown());
     let mut sections = Vec::new();
     for experiment in experiments {
-        let section = experiment(&bench)?;
+        let mut section = experiment(&bench)?;
+        section.note_skipped(bench.take_skipped());
         section.print();
         if let Some(out) = out {
-            section.write(out)?;
-            let file = out.join("origin.json");
-            write_whole(&file, serde_json::to_string_pretty(&origin)?.as_bytes())
-                .with_context(|| file.display().to_string())?;
+            section.write(out, &origin)?;
         }
         sections.push(section);
         if bench.stopped() {
@@ -62,22 +63,4 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
         document.update(&origin, &sections)?;
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// The spread of repeated measurements.
-#[derive(Debug, Clone, Copy, Serialize)]
-struct Spread {
-    p5: f64,
-    median: f64,
-    p95: f64,
-    p99: f64,
-}
-
-impl Spread {
-    /// Of at least one value.
-    fn of(mut values: Vec<f64>) -> Self {
-        values.sort_by(f64::total_cmp);
-        let at = |share: f64| values[((values.len() as f64 * share) as usize).min(values.len() - 1)];
-        Self { p5: at(0.05), median: at(0.5), p95: at(0.95), p99: at(0.99) }
-    }
 }

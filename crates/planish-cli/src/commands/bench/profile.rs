@@ -1,19 +1,21 @@
 //! The profile: where the time of one frame goes.
 
-use anyhow::Result;
-use planish::{FrameTimings, SmoothParams, Smoothed};
+use anyhow::{Result, bail};
+use planish::{FrameTimings, SmoothParams};
 use serde::Serialize;
 
-use super::Spread;
-use super::experiment::{Bench, Patience, Subject, ms, touch};
+use super::engines::{Clock, Subject, Way};
+use super::experiment::{Bench, Timed, ms};
 use super::frames::Input;
 use super::plot::{Scale, bars};
 use super::section::Section;
+use super::timing::{Spread, milliseconds};
 
 #[derive(Serialize)]
 struct Row {
     engine: String,
     stages: Vec<Stage>,
+    noisy: bool,
 }
 
 #[derive(Serialize)]
@@ -22,52 +24,55 @@ struct Stage {
     ms: f64,
 }
 
-/// Medians over many frames, in milliseconds.
-struct Times {
-    /// By the host's clock.
-    whole: f64,
+/// Medians of a frame's stages.
+struct Stages {
     upload: f64,
     kernel: f64,
     readback: f64,
+    /// All of them.
+    engine: f64,
+    /// By the host's clock.
+    whole: f64,
+    noisy: bool,
 }
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("profile", "Profile");
     let Some(input) = context.inputs.first() else { return Ok(section) };
-    let subjects = context.fast_subjects();
+    let subjects = context.fast_subjects()?;
     let bar = context.bar("profile", subjects.len())?;
     let mut rows = Vec::new();
     for subject in subjects.iter().filter(|_| !context.stopped()) {
-        context.check(subject, SmoothParams::paper(), input)?;
-        let stages = if !subject.is_gpu() {
-            of_cpu(context, subject, input)?
-        } else if subject.clocks().len() > 1 {
-            of_gpu(context, subject, input)?
-        } else {
+        bar.inc(1);
+        if subject.is_gpu() && !subject.clocks()?.contains(&Clock::Device) {
             section.note(format!("{} takes no time stamps.", subject.name));
             continue;
-        };
-        rows.push(Row { engine: subject.name.clone(), stages });
-        bar.inc(1);
+        }
+        let row = if subject.is_gpu() { of_gpu(context, subject, input) } else { of_cpu(context, subject, input) };
+        rows.extend(context.attempt(&subject.name, row)?);
     }
     bar.finish_and_clear();
     section.note(format!(
         "{}; window 3, degree 3, 3 cm. Neighbours and plane are what a frame of planes alone takes (degree 1), polynomial and solve \
          the difference. A CPU's stages follow each other; its results are written where they are wanted. A GPU's copies are \
          made stages of their own for this (its kernel otherwise reads and writes the host's memory itself); copying out is what a \
-         frame takes longer by it than one that is read where the device puts it.",
+         frame takes longer by it than one that is read where the device puts it. The report's own shares are not known here.",
         input.describe()
     ));
+    if subjects.is_empty() {
+        section.note("Not run with the reference alone.");
+    }
     section.table(
         &["engine", "stage", "ms", "share"],
         rows.iter().flat_map(|row| {
             let total: f64 = row.stages.iter().map(|stage| stage.ms).sum();
             row.stages.iter().map(move |stage| {
                 let share = format!("{:.1} %", 100.0 * stage.ms / total);
-                vec![row.engine.clone(), stage.name.into(), format!("{:.3}", stage.ms), share]
+                vec![row.engine.clone(), stage.name.into(), milliseconds(stage.ms), share]
             })
         }),
     );
+    section.note_noise(rows.iter().map(|row| row.noisy));
     for (i, row) in rows.iter().enumerate() {
         let title = format!("Where a frame's time goes, {}", row.engine);
         let stages: Vec<_> = row.stages.iter().map(|stage| (stage.name.to_owned(), stage.ms)).collect();
@@ -77,56 +82,55 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     Ok(section)
 }
 
-fn of_cpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Vec<Stage>> {
-    let [planes, all] = times_of(|params| times(context, subject, input, params, false))?;
-    Ok(vec![
-        Stage { name: "copy in, deproject", ms: all.upload },
-        Stage { name: "neighbours and plane", ms: planes.kernel },
-        Stage { name: "polynomial and solve", ms: (all.kernel - planes.kernel).max(0.0) },
-        Stage { name: "threads: start and end", ms: (all.whole - all.upload - all.kernel).max(0.0) },
-    ])
+fn of_cpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> {
+    let planes = stages(context, subject, input, 1, Way::CopiedOut)?;
+    let all = stages(context, subject, input, 3, Way::CopiedOut)?;
+    Ok(Row {
+        engine: subject.name.clone(),
+        noisy: planes.noisy || all.noisy,
+        stages: vec![
+            Stage { name: "copy in, deproject", ms: all.upload },
+            Stage { name: "neighbours and plane", ms: planes.kernel },
+            Stage { name: "polynomial and solve", ms: all.kernel - planes.kernel },
+            Stage { name: "room for the result, going to the threads", ms: all.whole - all.engine },
+        ],
+    })
 }
 
-fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Vec<Stage>> {
-    let [planes, all] = times_of(|params| times(context, subject, input, params, true))?;
-    let copied_out = times(context, subject, input, SmoothParams::paper(), false)?.whole;
-    let stage = |name, ms: f64| Stage { name, ms: ms.max(0.0) };
-    Ok(vec![
-        stage("copy to the device", all.upload),
-        stage("deproject, neighbours and plane", planes.kernel),
-        stage("polynomial and solve", all.kernel - planes.kernel),
-        stage("copy to the host", all.readback),
-        stage("host: write, submit, wait", all.whole - all.upload - all.kernel - all.readback),
-        stage("host: copy the result out", copied_out - all.whole),
-    ])
+fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> {
+    let planes = stages(context, subject, input, 1, Way::InPlace)?;
+    let all = stages(context, subject, input, 3, Way::InPlace)?;
+    let copied_out = stages(context, subject, input, 3, Way::CopiedOut)?;
+    Ok(Row {
+        engine: subject.name.clone(),
+        noisy: planes.noisy || all.noisy || copied_out.noisy,
+        stages: vec![
+            Stage { name: "copy to the device", ms: all.upload },
+            Stage { name: "deproject, neighbours and plane", ms: planes.kernel },
+            Stage { name: "polynomial and solve", ms: all.kernel - planes.kernel },
+            Stage { name: "copy to the host", ms: all.readback },
+            Stage { name: "host: write, submit, wait", ms: all.whole - all.engine },
+            Stage { name: "host: copy the result out", ms: copied_out.whole - all.whole },
+        ],
+    })
 }
 
-/// Of planes alone, and of all.
-fn times_of(times: impl Fn(SmoothParams) -> Result<Times>) -> Result<[Times; 2]> {
-    Ok([times(SmoothParams { degree: 1, ..SmoothParams::paper() })?, times(SmoothParams::paper())?])
-}
-
-/// The times of a frame, read where the device puts it or copied out.
-fn times(context: &Bench<'_>, subject: &Subject, input: &Input, params: SmoothParams, in_place: bool) -> Result<Times> {
-    let mut smoother = subject.with_time_stamps().open(params, input.shape())?;
-    let mut smoothed = Smoothed::default();
-    let mut stages: Vec<FrameTimings> = Vec::new();
-    let timing = context.time(Patience::Short, || {
-        if in_place {
-            smoother.submit_in_place(input.frame())?;
-            let view = smoother.receive()?;
-            view.iter().for_each(touch);
-            stages.extend(view.and_then(|view| view.timings()));
-        } else {
-            smoother.smooth(input.frame(), &mut smoothed)?;
-            stages.extend(smoother.timings());
-        }
-        Ok(())
-    })?;
-    let median = |of: fn(&FrameTimings) -> std::time::Duration| match &stages[..] {
-        [] => f64::NAN,
-        stages => Spread::of(stages.iter().map(|times| ms(of(times))).collect()).median,
-    };
-    let (upload, kernel, readback) = (median(|t| t.upload), median(|t| t.kernel), median(|t| t.readback));
-    Ok(Times { whole: timing.ms.median, upload, kernel, readback })
+/// The stages of a frame smoothed by a degree.
+fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, way: Way) -> Result<Stages> {
+    let params = SmoothParams { degree, ..SmoothParams::paper() };
+    let stamped = subject.with_time_stamps();
+    let Timed { time, stages, .. } =
+        context.time_stages(&stamped, Clock::Host, params, input, way, vec![input.frame()], 1)?;
+    if stages.is_empty() {
+        bail!("{}: no time stamps came back", subject.name);
+    }
+    let median = |of: &dyn Fn(&FrameTimings) -> f64| Spread::of(stages.iter().map(of).collect()).median;
+    Ok(Stages {
+        upload: median(&|times| ms(times.upload)),
+        kernel: median(&|times| ms(times.kernel)),
+        readback: median(&|times| ms(times.readback)),
+        engine: median(&|times| ms(times.upload + times.kernel + times.readback)),
+        whole: time.ms.median,
+        noisy: time.noisy,
+    })
 }

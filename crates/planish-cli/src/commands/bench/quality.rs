@@ -3,11 +3,13 @@
 use anyhow::Result;
 use planish::evaluate::largest_plane;
 use planish::render::{difference_normals, half_size, relief, side_by_side};
-use planish::{Engine, SmoothParams, Smoothed, Smoother, Xyz};
+use planish::{SmoothParams, Xyz};
 use serde::Serialize;
 
+use super::engines::subjects;
 use super::experiment::Bench;
 use super::section::{Drawing, Figure, Section};
+use crate::args::EngineArg;
 
 #[derive(Serialize)]
 struct Row {
@@ -21,27 +23,35 @@ struct Row {
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("quality", "Quality");
-    let engine = if context.args.engine.len() == 1 { context.subjects(false).pop() } else { None };
-    let options = engine
-        .map(|subject| subject.options)
-        .unwrap_or_else(|| planish::SmootherOptions { engine: Engine::Cpu, ..planish::SmootherOptions::default() });
+    // The one that was asked for; else the CPU engine, which is everywhere.
+    let subject = match &context.args.engine[..] {
+        [EngineArg::Gpu | EngineArg::Reference] => context.subjects(false)?.into_iter().next(),
+        _ => subjects(&[EngineArg::Cpu], false)?.into_iter().next(),
+    };
+    let Some(subject) = subject else { return Ok(section) };
     let mut rows = Vec::new();
     for (i, input) in context.inputs.iter().enumerate().filter(|_| !context.stopped()) {
         let (width, height) = input.shape();
-        let Some(plane) = largest_plane(&input.cloud) else { continue };
+        let Some(plane) = largest_plane(&input.cloud).filter(|_| height > 1) else {
+            section.note(format!("{}: no plane was found.", input.describe()));
+            continue;
+        };
         let bumps = |points: &Xyz| relief(width, height, &difference_normals(width, height, points));
         let mut pictures = vec![bumps(input.cloud.positions())];
         for (setting, params) in [("paper", SmoothParams::paper()), ("default", SmoothParams::default())] {
-            let mut smoothed = Smoothed::default();
-            Smoother::open_with(params, &options, (width, height))?.smooth(input.frame(), &mut smoothed)?;
+            let mut points = Xyz::default();
+            let smoothed = context.smooth(&subject, params, input, &mut points);
+            if context.attempt(&subject.name, smoothed)?.is_none() {
+                continue;
+            }
             rows.push(Row {
                 frame: input.name().to_owned(),
                 setting,
                 points: plane.pixels.len(),
                 raw_variance_mm2: 1e6 * plane.variance_m2(input.cloud.positions()),
-                smoothed_variance_mm2: 1e6 * plane.variance_m2(&smoothed.points),
+                smoothed_variance_mm2: 1e6 * plane.variance_m2(&points),
             });
-            pictures.push(bumps(&smoothed.points));
+            pictures.push(bumps(&points));
         }
         section.figures.push(Figure {
             file: format!("quality-{i}.png"),
@@ -49,9 +59,11 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
             content: Drawing::Png(half_size(&side_by_side(&pictures))),
         });
     }
-    section.note(
-        "Variance of the largest plane's points about it, before and after; the pictures, at half their size, are raw, paper, default.",
-    );
+    section.note(format!(
+        "By {}. Variance of the largest plane's points about it, before and after; the pictures, at half their size, are raw, paper, \
+         default.",
+        subject.name
+    ));
     section.table(
         &["frame", "setting", "points", "raw, mm²", "smoothed, mm²", "share"],
         rows.iter().map(|row| {

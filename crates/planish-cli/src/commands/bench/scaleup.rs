@@ -1,18 +1,20 @@
 //! Experiment 3: the scene several times over, as one tall cloud and as a batch; and the CPU engine on more threads.
 
 use anyhow::Result;
-use planish::{Engine, Error, Frame, OrganizedCloud, SmoothParams, SmootherOptions, Xyz};
+use planish::{Engine, SmoothParams, SmootherOptions};
 use serde::Serialize;
 
-use super::experiment::{Bench, Clock, Load, Subject, Timing};
+use super::engines::{Clock, Subject};
+use super::experiment::{Bench, Frames};
 use super::frames::Input;
 use super::plot::lines;
 use super::section::Section;
+use super::timing::{Timing, milliseconds};
 
 #[derive(Serialize)]
 struct Row {
     engine: String,
-    how: How,
+    how: &'static str,
     copies: usize,
     time: Timing,
     nanoseconds_a_pixel: f64,
@@ -22,22 +24,6 @@ struct Row {
     buffers_mib: f64,
     /// What the process has in the host's memory meanwhile, where the system tells it.
     process_mib: Option<f64>,
-}
-
-#[derive(Clone, Copy, Serialize)]
-#[serde(rename_all = "lowercase")]
-enum How {
-    Tall,
-    Batch,
-}
-
-impl How {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Tall => "tall",
-            Self::Batch => "batch",
-        }
-    }
 }
 
 #[derive(Serialize)]
@@ -53,49 +39,62 @@ struct Results {
     threads: Vec<ThreadsRow>,
 }
 
+/// Up to so many threads each number of them is timed, beyond it the powers of two and all.
+const EACH_UP_TO: usize = 16;
+/// One thread at the start and at the end should take as long.
+const THREADS_DRIFT: f64 = 0.05;
+
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("scaleup", "Scale-up");
     let Some(input) = context.inputs.first() else { return Ok(section) };
     let copies: &[usize] = if context.args.quick { &[1, 2, 4, 6, 8] } else { &[1, 2, 4, 6, 8, 16, 32] };
-    let subjects: Vec<_> = context.fast_subjects().into_iter().map(|subject| (subject.clocks(), subject)).collect();
-    let all_threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let clocks: usize = subjects.iter().map(|(clocks, _)| clocks.len()).sum();
-    let bar = context.bar("scaleup", clocks * 2 * copies.len() + all_threads)?;
+    let mut clocked = Vec::new();
+    for subject in context.fast_subjects()? {
+        for clock in subject.clocks()? {
+            clocked.push((subject.clone(), clock));
+        }
+    }
+    let bar = context.bar("scaleup", clocked.len() * 2 * copies.len())?;
     let mut rows: Vec<Row> = Vec::new();
-    let mut threads: Vec<ThreadsRow> = Vec::new();
-    for (clocks, subject) in &subjects {
-        context.check(subject, SmoothParams::paper(), input)?;
-        for (how, &clock) in [How::Tall, How::Batch].into_iter().flat_map(|how| clocks.iter().map(move |c| (how, c))) {
-            let mut one_ms = f64::NAN;
-            for &copies in copies.iter().filter(|_| !context.stopped()) {
-                let row = of_copies(context, subject, clock, input, how, copies, &mut one_ms)?;
-                rows.push(row);
-                bar.inc(1);
-            }
-        }
-        if subject.options.engine != Engine::Cpu {
-            continue;
-        }
-        for count in (1..=all_threads).filter(|_| !context.stopped()) {
-            let options = SmootherOptions { threads: Some(count), ..subject.options.clone() };
-            let subject = Subject { options, ..subject.clone() };
-            let alone = Load::Alone(input.frame());
-            let (time, _) = context.time_load(&subject, Clock::Host, SmoothParams::paper(), alone)?;
-            let one_ms = threads.first().map_or(time.ms.median, |one: &ThreadsRow| one.time.ms.median);
-            threads.push(ThreadsRow { threads: count, time, speedup: one_ms / time.ms.median });
+    let ways = [("tall", Frames::Tall as fn(usize) -> Frames), ("batch", Frames::Batch)];
+    for ((subject, clock), (how, frames)) in clocked.iter().flat_map(|of| ways.map(|way| (of, way))) {
+        let mut one_ms = None;
+        for &copies in copies.iter().filter(|_| !context.stopped()) {
+            let engine = subject.name_by(*clock);
+            let timed = context.time_frames(subject, *clock, SmoothParams::paper(), input, frames(copies));
             bar.inc(1);
+            let Some(timed) = context.attempt(&format!("{engine}, {how}, {copies} copies"), timed)? else { continue };
+            let ms = timed.time.ms.median;
+            rows.push(Row {
+                engine,
+                how,
+                copies,
+                time: timed.time,
+                nanoseconds_a_pixel: 1e6 * ms / (input.cloud.points.len() * copies) as f64,
+                scaleup: copies as f64 * *one_ms.get_or_insert(ms / copies as f64) / ms,
+                buffers_mib: timed.buffer_bytes as f64 / f64::from(1 << 20),
+                process_mib: timed.process_mib,
+            });
         }
     }
     bar.finish_and_clear();
     section.note(format!(
         "{}, several times over: as points in one tall cloud, on a GPU read in place, and in a batch of frames, copied out; window 3, \
-         degree 3, 3 cm. Scale-up is the copies times the time of one over the time of all.",
+         degree 3, 3 cm. Scale-up is the copies times the time of one over the time of all. A GPU's kernel alone is timed by the \
+         device's clock, with the frames copied there before.",
         input.describe()
     ));
+    if clocked.is_empty() {
+        section.note("Not run with the reference alone.");
+    }
     section.table(
         &["engine", "as", "copies", "ms", "ns a pixel", "scale-up", "engine's buffers, MiB", "process, MiB"],
         rows.iter().map(cells),
     );
+    let mut threads = Vec::new();
+    for (subject, _) in clocked.iter().filter(|(subject, _)| subject.options.engine == Engine::Cpu) {
+        threads = over_threads(context, subject, input, &mut section)?;
+    }
     if !threads.is_empty() {
         let of_row = |row: &ThreadsRow| vec![row.threads.to_string(), row.time.cell(), format!("{:.2}", row.speedup)];
         section.table(&["threads of the CPU engine", "ms", "speedup"], threads.iter().map(of_row));
@@ -114,53 +113,54 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     Ok(section)
 }
 
-/// Times `copies` of a frame; `one_ms` is the time of one, which comes first.
-fn of_copies(
+/// A frame on one and more threads; one is timed again at the end, and a machine that changed meanwhile is said.
+fn over_threads(
     context: &Bench<'_>,
     subject: &Subject,
-    clock: Clock,
     input: &Input,
-    how: How,
-    copies: usize,
-    one_ms: &mut f64,
-) -> Result<Row> {
-    let (tall, batch);
-    let load = match how {
-        How::Tall => {
-            tall = one_under_the_other(&input.cloud, copies)?;
-            Load::Alone(Frame::from(&tall))
-        }
-        How::Batch => {
-            batch = vec![input.frame(); copies];
-            Load::Batch(&batch)
-        }
+    section: &mut Section,
+) -> Result<Vec<ThreadsRow>> {
+    let all = std::thread::available_parallelism().map_or(1, usize::from);
+    let each_up_to = if context.args.quick { 1 } else { EACH_UP_TO };
+    let counts = (1..=all).filter(|&n| n <= each_up_to || n.is_power_of_two() || n == all);
+    let bar = context.bar("threads", counts.clone().count() + 1)?;
+    let time = |count: usize| {
+        let options = SmootherOptions { threads: Some(count), ..subject.options.clone() };
+        let subject = Subject { options, ..subject.clone() };
+        let timed = context.time_frames(&subject, Clock::Host, SmoothParams::paper(), input, Frames::One);
+        bar.inc(1);
+        Ok::<_, anyhow::Error>(context.attempt(&format!("{count} threads"), timed)?.map(|timed| timed.time))
     };
-    let (time, bytes) = context.time_load(subject, clock, SmoothParams::paper(), load)?;
-    let ms = time.ms.median;
-    if copies == 1 {
-        *one_ms = ms;
+    let mut rows: Vec<ThreadsRow> = Vec::new();
+    for count in counts.filter(|_| !context.stopped()) {
+        let Some(time) = time(count)? else { continue };
+        let one_ms = rows.first().map_or(time.ms.median, |one| one.time.ms.median);
+        rows.push(ThreadsRow { threads: count, time, speedup: one_ms / time.ms.median });
     }
-    Ok(Row {
-        engine: subject.name_by(clock),
-        how,
-        copies,
-        time,
-        nanoseconds_a_pixel: 1e6 * ms / (input.cloud.points.len() * copies) as f64,
-        scaleup: copies as f64 * *one_ms / ms,
-        buffers_mib: bytes as f64 / f64::from(1 << 20),
-        process_mib: resident_mib(),
-    })
+    let again = if rows.len() > 1 && !context.stopped() { time(1)? } else { None };
+    bar.finish_and_clear();
+    if let (Some(again), Some(first)) = (again, rows.first()) {
+        let (first, again) = (first.time.ms.median, again.ms.median);
+        if (again / first - 1.0).abs() > THREADS_DRIFT {
+            section.note(format!(
+                "One thread took {} ms at first and {} ms at the end: the machine changed between the rows of the table of threads.",
+                milliseconds(first),
+                milliseconds(again)
+            ));
+        }
+    }
+    Ok(rows)
 }
 
 fn line_name(row: &Row) -> String {
-    format!("{}, {}", row.engine, row.how.name())
+    format!("{}, {}", row.engine, row.how)
 }
 
 fn cells(row: &Row) -> Vec<String> {
     let process = row.process_mib.map_or("-".into(), |mib| format!("{mib:.0}"));
     vec![
         row.engine.clone(),
-        row.how.name().to_owned(),
+        row.how.to_owned(),
         row.copies.to_string(),
         row.time.cell(),
         format!("{:.3}", row.nanoseconds_a_pixel),
@@ -168,19 +168,4 @@ fn cells(row: &Row) -> Vec<String> {
         format!("{:.0}", row.buffers_mib),
         process,
     ]
-}
-
-/// A cloud `copies` times in one.
-fn one_under_the_other(cloud: &OrganizedCloud, copies: usize) -> Result<OrganizedCloud> {
-    let Xyz { x, y, z } = cloud.positions();
-    let positions = Xyz { x: x.repeat(copies), y: y.repeat(copies), z: z.repeat(copies) };
-    let tall = OrganizedCloud::from_positions(cloud.width(), copies * cloud.height(), positions);
-    Ok(tall.map_err(Error::from)?)
-}
-
-/// What the process has in memory, by the system's word; `None` where it has none.
-fn resident_mib() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
-    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1024.0)
 }

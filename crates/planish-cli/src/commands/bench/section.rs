@@ -6,7 +6,9 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use planish::Error;
 use planish::io::{RgbImage, write_rgb_png, write_whole};
-use serde_json::Value;
+use serde_json::{Value, json};
+
+use super::record::Origin;
 
 /// One experiment's results.
 pub struct Section {
@@ -36,7 +38,9 @@ impl Section {
 
     /// Adds a table: its header, and a row for each of `rows`.
     pub fn table(&mut self, header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
-        let line = |cells: &mut dyn Iterator<Item = String>| format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "));
+        let line = |cells: &mut dyn Iterator<Item = String>| {
+            format!("| {} |\n", cells.map(|cell| cell.replace('|', "\\|")).collect::<Vec<_>>().join(" | "))
+        };
         self.text += "\n";
         self.text += &line(&mut header.iter().map(|cell| (*cell).to_owned()));
         self.text += &line(&mut header.iter().map(|_| "---".to_owned()));
@@ -76,15 +80,21 @@ impl Section {
         println!("{}", self.text);
     }
 
-    /// Writes it into a folder.
-    pub fn write(&self, folder: &Path) -> Result<()> {
+    /// Says what could not be measured, and why.
+    pub fn note_skipped(&mut self, skipped: Vec<String>) {
+        skipped.into_iter().for_each(|what| self.note(format!("Not measured: {what}.")));
+    }
+
+    /// Writes it into a folder, the numbers with where they come from.
+    pub fn write(&self, folder: &Path, origin: &Origin) -> Result<()> {
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
         let write = |name: &str, bytes: &[u8]| {
             let file = folder.join(name);
             write_whole(&file, bytes).with_context(|| file.display().to_string())
         };
         write(&format!("{}.md", self.name), self.markdown("").as_bytes())?;
-        write(&format!("{}.json", self.name), serde_json::to_string_pretty(&self.json)?.as_bytes())?;
+        let json = json!({ "origin": origin, "results": self.json });
+        write(&format!("{}.json", self.name), serde_json::to_string_pretty(&json)?.as_bytes())?;
         for figure in &self.figures {
             match &figure.content {
                 Drawing::Svg(svg) => write(&figure.file, svg.as_bytes())?,
