@@ -2,10 +2,11 @@
 
 use planish::evaluate::{Evaluation, Report, Suite};
 use planish::{
-    Edges, OrganizedCloud, Outputs, Radius, Sensor, SimdLevel, SmoothParams, Smoothed, Status, Strength, Xyz,
+    DepthFrame, Edges, OrganizedCloud, Outputs, Radius, Sensor, SimdLevel, SmoothParams, Smoothed, Status, Strength,
+    Xyz,
 };
 use planish_tests::engines::TestEngine;
-use planish_tests::scenes::{grid, height_field};
+use planish_tests::scenes::{grid, height_field, small_camera};
 
 const EXACT: Edges = Edges::Robust { noise_at_1m: 1e-4 };
 
@@ -107,6 +108,23 @@ fn the_default_setting_keeps_its_figures() {
     assert!(found.lost_share < 0.01 && found.invented == 0);
     let off = evaluate(SmoothParams { edges: Edges::Off, ..SmoothParams::default() }, &Suite::default()).1;
     assert!(found.crease_deg < 0.5 * off.crease_deg);
+}
+
+#[test]
+fn windows_on_coarse_pixels_reach_no_further_over_the_scene() {
+    let camera = small_camera();
+    let suite = Suite { camera, ..Suite::default() };
+    let blank = DepthFrame { camera, raw: vec![0; camera.width * camera.height], rgb: None, timestamp_s: None };
+    let adapted = SmoothParams::default().at_resolution_of(&blank);
+    let (raw, wide) = evaluate(SmoothParams::default(), &suite);
+    let (_, found) = evaluate(adapted, &suite);
+    // Four times 31 pixels of a Kinect span whole objects: their points are pulled to the table and float between.
+    assert!(wide.flying_share > 0.05 && found.flying_share < 0.01, "{} {}", wide.flying_share, found.flying_share);
+    assert!(wide.sphere_radius_bias.abs() > 0.05 && found.sphere_radius_bias.abs() < 0.02, "{found:?}");
+    assert!(found.edge_mean_mm < 0.5 * raw.edge_mean_mm && found.edge_mean_mm < 0.5 * wide.edge_mean_mm);
+    for k in 0..3 {
+        assert!(found.ranges[k].rmse_mm < 0.6 * raw.ranges[k].rmse_mm, "range {k}: {found:?}");
+    }
 }
 
 #[test]

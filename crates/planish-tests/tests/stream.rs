@@ -73,7 +73,13 @@ fn options(engine: Engine) -> StreamOptions {
         Engine::Gpu => TestEngine::gpu(true).options(Outputs::POINTS),
         engine => SmootherOptions { engine, ..SmootherOptions::default() },
     };
-    StreamOptions { params: SmoothParams::default(), smoother, max_frames: None, max_duration: None }
+    StreamOptions {
+        params: SmoothParams::default(),
+        adapt_stride: false,
+        smoother,
+        max_frames: None,
+        max_duration: None,
+    }
 }
 
 fn run(source: impl Source + 'static, options: &StreamOptions, sink: Seen) -> (StreamStatistics, Vec<String>) {

@@ -65,6 +65,7 @@ fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
     let gpu = GpuOptions { adapter: Some(adapter.index.to_string()), ..GpuOptions::default() };
     let options = StreamOptions {
         params: SmoothParams::default(),
+        adapt_stride: false,
         smoother: SmootherOptions { engine: Engine::Gpu, gpu, ..SmootherOptions::default() },
         max_frames: None,
         max_duration: None,

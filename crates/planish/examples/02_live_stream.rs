@@ -36,6 +36,7 @@ fn main() -> Result<(), Error> {
     let source = source::open(&name, &SourceOptions { fps, ..SourceOptions::default() })?;
     let options = StreamOptions {
         params: SmoothParams::default(),
+        adapt_stride: true,
         smoother: SmootherOptions::default(),
         max_frames: None,
         max_duration: Some(Duration::from_secs(5)),

@@ -37,6 +37,7 @@ fn main() -> Result<(), Error> {
     let source = MyCamera { camera: Camera::kinect_v1(), frames: 0 };
     let options = StreamOptions {
         params: SmoothParams::default(),
+        adapt_stride: true,
         smoother: SmootherOptions::default(),
         max_frames: None,
         max_duration: None,

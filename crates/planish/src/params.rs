@@ -1,6 +1,7 @@
 //! What the caller may choose: one plain struct with public fields; its defaults live in `impl Default` alone.
 
 use crate::error::ParamError;
+use crate::frame::Frame;
 
 /// How the radius of a neighbourhood is found (docs/method.md, section 3).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,6 +64,11 @@ impl Sensor {
 
 /// Less noise than this needs no wide windows.
 const LITTLE_NOISE_AT_1M: f32 = 2e-4;
+
+/// The focal length that strides are chosen for: a Kinect v1's, in pixels.
+const TUNED_FOCAL_LENGTH_PX: f64 = 525.0;
+/// A stride is rounded up from 0.4 on, so that halves, of half the resolution, do not hang on an estimate's last digits.
+const ROUNDED_UP_FROM: f64 = 0.6;
 
 /// How far and how much to smooth; the pixels are those for a sensor with noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -136,6 +142,25 @@ impl SmoothParams {
         Self { window, stride, radius, degree: 2, bandwidth_m: None, edges }
     }
 
+    /// The same setting at the resolution of a frame. Strides are chosen for pixels of a Kinect v1, 1/525 of the range; where a
+    /// frame's are coarser, they are as much shorter, so that windows span about as much of the scene, down to 1. Finer pixels
+    /// change nothing. (At 160x120 the default's windows would reach over whole objects and mix them.)
+    ///
+    /// ```
+    /// use planish::{Camera, DepthFrame, SmoothParams};
+    ///
+    /// let camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5, ..Camera::kinect_v1() };
+    /// let frame = DepthFrame { camera, raw: vec![1000; 320 * 240], rgb: None, timestamp_s: None };
+    /// assert_eq!(SmoothParams::default().stride, 3);
+    /// assert_eq!(SmoothParams::default().at_resolution_of(&frame).stride, 2);
+    /// ```
+    pub fn at_resolution_of<'a>(self, frame: impl Into<Frame<'a>>) -> Self {
+        let coarseness = frame.into().pixel_pitch_at_1m(&mut Vec::new()) * TUNED_FOCAL_LENGTH_PX;
+        let stride = (f64::from(self.stride) / coarseness + ROUNDED_UP_FROM).floor();
+        // What is no number becomes 0, and then 1.
+        Self { stride: (stride as u32).clamp(1, self.stride.max(1)), ..self }
+    }
+
     /// The setting of the 2011 report: 49 adjacent pixels, 3 cm, degree 3.
     pub fn paper() -> Self {
         let radius = Radius::Fixed { radius_m: 0.03 };
@@ -192,6 +217,28 @@ pub(crate) fn edge_shift_px(reach_px: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::Camera;
+    use crate::frame::DepthFrame;
+
+    #[test]
+    fn strides_follow_coarse_pixels_and_nothing_else() {
+        let strides = |fx: f64, stride| {
+            let camera = Camera { width: 40, height: 4, fx, fy: fx, cx: 19.5, cy: 1.5, ..Camera::kinect_v1() };
+            let depth = DepthFrame { camera, raw: vec![1000; 160], rgb: None, timestamp_s: None };
+            let mut cloud = depth.deproject().unwrap();
+            // As a file has it: the pitch must be estimated.
+            cloud.camera = None;
+            let params = SmoothParams { stride, ..SmoothParams::default() };
+            let [of_depth, of_cloud] = [params.at_resolution_of(&depth), params.at_resolution_of(&cloud)];
+            assert_eq!(of_depth, of_cloud);
+            assert_eq!(of_depth, SmoothParams { stride: of_depth.stride, ..params });
+            of_depth.stride
+        };
+        let of_default: Vec<_> =
+            [1000.0, 525.0, 425.0, 366.0, 262.5, 210.0, 131.25, 10.0].map(|fx| strides(fx, 3)).into();
+        assert_eq!(of_default, [3, 3, 3, 2, 2, 1, 1, 1]);
+        assert_eq!((strides(525.0, 1), strides(262.5, 2), strides(262.5, 8)), (1, 1, 4));
+    }
 
     #[test]
     fn every_field_is_refused_outside_its_range_by_name_value_and_range() {

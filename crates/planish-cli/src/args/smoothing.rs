@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use planish::{
-    Edges, Engine, GpuOptions, OrganizedCloud, Outputs, Radius, Sensor, SmoothParams, SmootherOptions, Strength,
+    Edges, Engine, Frame, GpuOptions, OrganizedCloud, Outputs, Radius, Sensor, SmoothParams, SmootherOptions, Strength,
 };
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -64,7 +64,7 @@ pub struct SmoothingArgs {
     /// Half width of the window: (2K+1)² candidates, K from 1 to 7
     #[arg(long, value_name = "K")]
     pub window: Option<u32>,
-    /// Distance between candidates in pixels, 1 to 8
+    /// Distance between candidates in pixels, 1 to 8; else that of the preset, shorter where pixels are coarser than a Kinect v1's
     #[arg(long, value_name = "S")]
     pub stride: Option<u32>,
     /// Radius of a neighbourhood in metres, or `sensor`: growing with distance as the sensor's noise does
@@ -131,6 +131,16 @@ impl SmoothingArgs {
         }
         params.validate()?;
         Ok(params)
+    }
+
+    /// Whether the stride is left to the frame's resolution: neither given nor the report's.
+    pub fn adapts_stride(&self) -> bool {
+        self.stride.is_none() && !matches!(self.preset, Some(PresetArg::Paper))
+    }
+
+    /// The parameters for a frame's resolution.
+    pub fn at_resolution_of(&self, params: SmoothParams, frame: Frame<'_>) -> SmoothParams {
+        if self.adapts_stride() { params.at_resolution_of(frame) } else { params }
     }
 
     /// Whose noise it is; of a frame, where it is to be estimated.

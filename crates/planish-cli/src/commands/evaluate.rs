@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{Case, Evaluation, Report, Suite, TileReport, jitter_mm, tile_planes};
 use planish::io::{self, Contents, Encoding, write_cloud, write_rgb_png};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
-use planish::{DepthFrame, Error, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
+use planish::{DepthFrame, Error, Frame, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
 use plotters::series::PointSeries;
 use serde::Serialize;
@@ -65,6 +65,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
             let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
             let mut smoothed = Smoothed::default();
             let params = args.smoothing.params_for(Some(&cloud))?;
+            let params = args.smoothing.at_resolution_of(params, Frame::from(&cloud));
             Smoother::open_with(params, &options, (width, height))?.smooth(&cloud, &mut smoothed)?;
             (smoothed.points, smoothed.normals.context("normals were asked for")?)
         }

@@ -292,7 +292,7 @@ impl Worker<'_> {
             camera => camera,
         };
 
-        self.open(shape, outputs)?;
+        self.open(frame, outputs)?;
         let mut times_ms = Vec::new();
         for _ in 0..self.args.repeat {
             let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
@@ -361,10 +361,13 @@ impl Worker<'_> {
         smoother.gpu_name().map(str::to_owned)
     }
 
-    fn open(&mut self, shape: (usize, usize), outputs: Outputs) -> Result<()> {
+    /// Opens an engine for frames like this, if none is.
+    fn open(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<()> {
+        let shape = frame.shape();
         if self.open.as_ref().is_none_or(|(_, open, has)| (*open, *has) != (shape, outputs)) {
             let options = self.args.smoothing.options(outputs)?;
-            self.open = Some((Smoother::open_with(self.params, &options, shape)?, shape, outputs));
+            let params = self.args.smoothing.at_resolution_of(self.params, frame);
+            self.open = Some((Smoother::open_with(params, &options, shape)?, shape, outputs));
         }
         Ok(())
     }

@@ -64,6 +64,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     }
     let options = StreamOptions {
         params,
+        adapt_stride: args.smoothing.adapts_stride(),
         smoother: args.smoothing.options(outputs)?,
         max_frames: args.limits.frames,
         max_duration: args.limits.max_duration()?,

@@ -1,6 +1,7 @@
 //! Files and folders in, files and folders out; what is refused; devices.
 
 use std::fs;
+use std::path::Path;
 use std::process::Command;
 
 use planish::io::{self, Contents, Encoding};
@@ -297,4 +298,27 @@ fn sensors_strengths_and_edges_are_chosen_by_name() {
     let info: Value = serde_json::from_str(&ok(&["info", str(&path), "--json"])).unwrap();
     let step = info["sensor"]["depth_step_at_1m"].as_f64().unwrap();
     assert!((2e-3..5e-3).contains(&step), "{step}");
+}
+
+#[test]
+fn strides_follow_the_resolution_unless_they_are_given() {
+    let (folder, _, path) = with_frame();
+    let smooth = |input: &Path, more: &[&str]| {
+        let output = folder.path().join("out.pcd");
+        ok(&[&["smooth", str(input), str(&output), "--engine", "cpu"], more].concat());
+        fs::read(&output).unwrap()
+    };
+    // Pixels four times as coarse as a Kinect's: 3 / 4 is 1.
+    let found = smooth(&path, &[]);
+    assert_eq!(found, smooth(&path, &["--stride", "1"]));
+    assert_ne!(found, smooth(&path, &["--stride", "3"]));
+    assert_eq!(smooth(&path, &["--preset", "paper"]), smooth(&path, &["--preset", "paper", "--stride", "1"]));
+    // A stream of the same file smooths it the same.
+    let saved = folder.path().join("stream");
+    ok(&["stream", str(&path), "--frames", "1", "--engine", "cpu", "--save", str(&saved)]);
+    let points = |bytes: &[u8]| {
+        let Contents::Organized(cloud) = io::decode(bytes, None).unwrap().1 else { panic!() };
+        cloud.points.positions.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>()
+    };
+    assert_eq!(points(&fs::read(saved.join("000000.pcd")).unwrap()), points(&found));
 }

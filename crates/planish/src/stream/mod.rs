@@ -17,6 +17,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::error::{EngineError, Error};
+use crate::frame::Frame;
 use crate::params::SmoothParams;
 use crate::smoothed::Smoothed;
 use crate::smoother::{Engine, Smoother, SmootherOptions};
@@ -52,6 +53,8 @@ pub struct StreamFrame {
 pub struct StreamOptions {
     /// What to smooth with.
     pub params: SmoothParams,
+    /// Whether strides are shortened for coarse pixels, by the first frame of each shape: [`SmoothParams::at_resolution_of`].
+    pub adapt_stride: bool,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
     /// End after so many frames.
@@ -264,7 +267,7 @@ impl Stream<'_> {
     /// Submits the frame that came last.
     fn submit_last(&mut self) -> Result<(), Error> {
         let Some(Pending { frame, .. }) = self.pending.back() else { return Ok(()) };
-        let smoother = open(&mut self.smoother, self.options.params, &self.smoother_options, self.shape)?;
+        let smoother = open(&mut self.smoother, self.options, &self.smoother_options, frame.as_frame())?;
         self.statistics.engine = smoother.engine();
         self.smooth_time.on(|| smoother.submit(frame.as_frame(), Smoothed::default()))
     }
@@ -329,7 +332,7 @@ impl Stream<'_> {
     /// Smooths what is on its way one by one.
     fn smooth_pending(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         while let Some(Pending { frame, .. }) = self.pending.front() {
-            let smoother = open(&mut self.smoother, self.options.params, &self.smoother_options, self.shape)?;
+            let smoother = open(&mut self.smoother, self.options, &self.smoother_options, frame.as_frame())?;
             self.statistics.engine = smoother.engine();
             smoother.submit(frame.as_frame(), Smoothed::default())?;
             // Received without recovering in turn.
@@ -340,15 +343,18 @@ impl Stream<'_> {
     }
 }
 
-/// The open smoother, or a new one.
+/// The open smoother, or a new one for frames like this.
 fn open<'a>(
     smoother: &'a mut Option<Smoother>,
-    params: SmoothParams,
+    stream: &StreamOptions,
     options: &SmootherOptions,
-    shape: (usize, usize),
+    frame: Frame<'_>,
 ) -> Result<&'a mut Smoother, Error> {
     match smoother {
         Some(smoother) => Ok(smoother),
-        none => Ok(none.insert(Smoother::open_with(params, options, shape)?)),
+        none => {
+            let params = if stream.adapt_stride { stream.params.at_resolution_of(frame) } else { stream.params };
+            Ok(none.insert(Smoother::open_with(params, options, frame.shape())?))
+        }
     }
 }

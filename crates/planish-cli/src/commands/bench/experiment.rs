@@ -31,7 +31,7 @@ pub enum Frames {
 /// How long a measurement goes on.
 #[derive(Clone, Copy)]
 pub enum Patience {
-    /// For a figure that stands by itself: 100 frames and 3 s, but no more than 20 s.
+    /// For a figure that stands by itself: 100 frames and 3 s, but no more than 20 s unless three take longer.
     Long,
     /// For one of many: 20 frames and 1 s, but no more than 3 s.
     Short,
@@ -121,31 +121,31 @@ impl<'a> Bench<'a> {
     /// Many values of what `one` measures, in milliseconds, once it is warm.
     pub fn measure(&self, patience: Patience, mut one: impl FnMut() -> Result<f64>) -> Result<Timing> {
         // A GPU that was idle takes a third of a second to come to its full clock.
-        let (runs, least_ms, most_ms, warm_up_ms) = match patience {
-            _ if self.args.quick => (20, 0, 400, 100),
-            Patience::Long => (100, 3_000, 20_000, 300),
-            Patience::Short => (20, 1_000, 3_000, 300),
+        let (fewest, runs, least_ms, most_ms, warm_up_ms) = match patience {
+            _ if self.args.quick => (1, 20, 0, 400, 100),
+            Patience::Long => (3, 100, 3_000, 20_000, 300),
+            Patience::Short => (1, 20, 1_000, 3_000, 300),
         };
         let [least, most, warm_up] = [least_ms, most_ms, warm_up_ms].map(Duration::from_millis);
-        let start = Instant::now();
-        let first = one()?;
-        if start.elapsed() > most {
-            // What takes so long is as warm as it gets.
-            return Ok(Timing::of(vec![first]));
+        let (mut values, mut start) = (Vec::new(), Instant::now());
+        values.push(one()?);
+        // What takes long is as warm as it gets.
+        if start.elapsed() < warm_up {
+            while start.elapsed() < warm_up && !self.stopped() {
+                one()?;
+            }
+            values.clear();
+            start = Instant::now();
         }
-        while start.elapsed() < warm_up && !self.stopped() {
-            one()?;
-        }
-        let (mut values, start) = (Vec::new(), Instant::now());
         loop {
             if self.stopped() {
                 return Err(Interrupted.into());
             }
-            values.push(one()?);
-            let elapsed = start.elapsed();
-            if elapsed >= most || (values.len() >= runs && elapsed >= least) {
+            let (elapsed, count) = (start.elapsed(), values.len());
+            if (elapsed >= most && count >= fewest) || (elapsed >= least && count >= runs) {
                 return Ok(Timing::of(values));
             }
+            values.push(one()?);
         }
     }
 

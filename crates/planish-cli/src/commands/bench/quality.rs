@@ -38,7 +38,9 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         };
         let bumps = |points: &Xyz| relief(width, height, &difference_normals(width, height, points));
         let mut pictures = vec![bumps(input.cloud.positions())];
-        for (setting, params) in [("paper", SmoothParams::paper()), ("default", SmoothParams::default())] {
+        for (setting, params) in
+            [("paper", SmoothParams::paper()), ("default", SmoothParams::default().at_resolution_of(input.frame()))]
+        {
             let mut points = Xyz::default();
             let smoothed = context.smooth(&subject, params, input, &mut points);
             if context.attempt(&subject.name, smoothed)?.is_none() {
