@@ -25,7 +25,11 @@ fn main() {
             {
                 println!("cargo::rerun-if-changed={path}");
             }
-            first_line("git", &["describe", "--always", "--dirty=+", "--exclude=*"])
+            // What the program is built from, and not what documents it has written.
+            let sources = ["diff", "--quiet", "HEAD", "--", "..", "../../Cargo.toml", "../../Cargo.lock"];
+            let clean = Command::new("git").args(sources).status().is_ok_and(|status| status.success());
+            let commit = first_line("git", &["rev-parse", "--short", "HEAD"]);
+            commit.map(|commit| commit + if clean { "" } else { "+" })
         }
     };
     println!(

@@ -9,7 +9,9 @@ use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::source::{FileSource, FreenectRecording, Paced, Source, SourceFrame, TumRecorder, TumSource};
 use planish::source::{disparity_depth_m, write_freenect_recording};
 use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
-use planish::{Camera, DepthFrame, Engine, Error, Outputs, SmoothParams, SmootherOptions};
+use planish::{
+    Camera, DepthFrame, Engine, Error, OrganizedCloud, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
+};
 use planish_tests::data::{folder, skip};
 use planish_tests::engines::{TestEngine, test_adapter};
 use planish_tests::scenes::small_camera;
@@ -139,6 +141,65 @@ fn a_frame_that_cannot_be_read_is_told_and_the_stream_goes_on() {
     in_order(&seen, 2);
     assert_eq!(statistics.unreadable, 1);
     assert!(warnings.len() == 1 && warnings[0].contains("there is none"), "{warnings:?}");
+}
+
+/// Clouds as files have them: without a camera.
+struct Clouds(std::vec::IntoIter<OrganizedCloud>);
+
+impl Source for Clouds {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        Ok(self.0.next().map(|cloud| SourceFrame::Cloud { cloud, timestamp_s: None }))
+    }
+}
+
+/// Keeps the points it sees.
+#[derive(Default, Clone)]
+struct Points(Arc<Mutex<Vec<String>>>);
+
+impl Sink for Points {
+    fn name(&self) -> String {
+        "a sink that keeps points".to_owned()
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        self.0.lock().unwrap().push(format!("{:?}", frame.smoothed.points));
+        Ok(())
+    }
+}
+
+#[test]
+fn strides_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
+    let mut cloud = frame(small_camera(), 0).deproject().unwrap();
+    cloud.camera = None;
+    let mut cut = cloud.clone();
+    cut.points.positions.x.truncate(100);
+    let mut empty = cloud.clone();
+    empty.points.positions = Xyz::filled(160 * 120, f32::NAN);
+    let alone = |stride| {
+        let params = SmoothParams { stride, ..SmoothParams::default() };
+        let options = SmootherOptions { engine: Engine::Cpu, ..SmootherOptions::default() };
+        let mut smoothed = Smoothed::default();
+        Smoother::open_with(params, &options, (160, 120)).unwrap().smooth(&cloud, &mut smoothed).unwrap();
+        format!("{:?}", smoothed.points)
+    };
+    let streamed = |adapt_stride| {
+        let points = Points::default();
+        let source = Clouds(vec![cut.clone(), empty.clone(), cloud.clone(), empty.clone(), cloud.clone()].into_iter());
+        let mut warnings = Vec::new();
+        let tell = |event: StreamEvent<'_>| {
+            if let StreamEvent::Warning(warning) = event {
+                warnings.push(warning);
+            }
+        };
+        let options = StreamOptions { adapt_stride, ..options(Engine::Cpu) };
+        let sinks: Vec<Box<dyn Sink>> = vec![Box::new(points.clone())];
+        let statistics = stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), tell).unwrap();
+        assert_eq!((statistics.unreadable, statistics.frames_out, warnings.len()), (1, 4, 1), "{warnings:?}");
+        points.0.lock().unwrap().clone()
+    };
+    let (adapted, given) = (streamed(true), streamed(false));
+    assert!(adapted[1] == alone(1) && adapted[3] == alone(1) && adapted[1] != alone(3));
+    assert!(given[1] == alone(3) && given[3] == alone(3));
 }
 
 #[test]

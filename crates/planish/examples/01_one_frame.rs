@@ -10,7 +10,8 @@ fn main() -> Result<(), Error> {
         std::process::exit(2);
     };
     let mut cloud = OrganizedCloud::read(input.as_ref())?;
-    let mut smoother = Smoother::open(SmoothParams::default(), Engine::Auto, (cloud.width(), cloud.height()))?;
+    let params = SmoothParams::default().at_resolution_of(&cloud);
+    let mut smoother = Smoother::open(params, Engine::Auto, (cloud.width(), cloud.height()))?;
     let mut smoothed = Smoothed::default();
     smoother.smooth(&cloud, &mut smoothed)?;
     cloud.points.apply(&smoothed, Outputs::POINTS)?;

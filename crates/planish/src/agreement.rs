@@ -51,7 +51,8 @@ impl Agreement {
     }
 
     /// Adds some pixels of a result that has points alone, x, y and z: its status counts as equal where both have a point or
-    /// neither. `pixels` are the reference's; what the result lacks of them agrees on none.
+    /// neither, and so many of the farthest points are left out as may be of another status. `pixels` are the reference's; what
+    /// the result lacks of them agrees on none.
     pub fn add_points(
         &mut self,
         [x, y, z]: [&[f32]; 3],
@@ -62,15 +63,20 @@ impl Agreement {
         self.pixels += pixels.len();
         let found = |i: usize| Some([*x.get(i)?, *y.get(i)?, *z.get(i)?]);
         let expected = |i: usize| (i < reference.points.len()).then(|| reference.points.get(i));
+        let may_differ = (pixels.len() as f64 * (1.0 - EQUAL_STATUS)) as usize;
+        let mut distances_m = Vec::with_capacity(pixels.len());
         for (found, expected) in pixels.filter_map(|i| Some((found(i)?, expected(i)?))) {
             let is_point = |point: [f32; 3]| point.iter().all(|value| value.is_finite());
             if is_point(found) == is_point(expected) {
                 self.equal += 1;
                 if is_point(expected) {
-                    self.distances_m.push(distance_m(found, expected, &radius_m));
+                    distances_m.push(distance_m(found, expected, &radius_m));
                 }
             }
         }
+        distances_m.sort_by(f64::total_cmp);
+        distances_m.truncate(distances_m.len() - may_differ.min(distances_m.len()));
+        self.distances_m.append(&mut distances_m);
     }
 
     /// Share of pixels with equal status.

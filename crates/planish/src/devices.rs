@@ -92,7 +92,7 @@ pub struct FrameTimings {
     /// The kernel, with where edges are kept the pass before it.
     pub kernel: Duration,
     /// Copying the result to the host's memory; next to nothing where the kernel writes it there. On the CPU making depth from
-    /// the points, and nothing where it is not wanted.
+    /// the points and leaving out what is not wanted; nothing where points are wanted and depth is not.
     pub readback: Duration,
 }
 

@@ -111,9 +111,14 @@ impl Frame<'_> {
     /// Metres between neighbouring pixels at 1 m (1/fx): known, estimated, or that of a Kinect v1. `pitches` is working
     /// room for the estimate.
     pub(crate) fn pixel_pitch_at_1m(&self, pitches: &mut Vec<f64>) -> f64 {
+        self.known_pitch_at_1m(pitches).unwrap_or(1.0 / Camera::kinect_v1().fx)
+    }
+
+    /// The same, but `None` where it can only be guessed.
+    pub(crate) fn known_pitch_at_1m(&self, pitches: &mut Vec<f64>) -> Option<f64> {
         match self {
-            Self::Depth(frame) => 1.0 / frame.camera.fx,
-            Self::Cloud(cloud) => cloud.estimate_pitch(pitches).unwrap_or(1.0 / Camera::kinect_v1().fx),
+            Self::Depth(frame) => Some(1.0 / frame.camera.fx),
+            Self::Cloud(cloud) => cloud.estimate_pitch(pitches),
         }
     }
 

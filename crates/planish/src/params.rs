@@ -1,5 +1,7 @@
 //! What the caller may choose: one plain struct with public fields; its defaults live in `impl Default` alone.
 
+use std::ops::RangeInclusive;
+
 use crate::error::ParamError;
 use crate::frame::Frame;
 
@@ -67,8 +69,11 @@ const LITTLE_NOISE_AT_1M: f32 = 2e-4;
 
 /// The focal length that strides are chosen for: a Kinect v1's, in pixels.
 const TUNED_FOCAL_LENGTH_PX: f64 = 525.0;
-/// A stride is rounded up from 0.4 on, so that halves, of half the resolution, do not hang on an estimate's last digits.
-const ROUNDED_UP_FROM: f64 = 0.6;
+/// Added before a stride is cut to a whole number: it is rounded up from 0.4 on, so that halves, of half the resolution, do not
+/// hang on an estimate's last digits.
+const ROUNDING: f64 = 0.6;
+/// The strides that are allowed.
+const STRIDES: RangeInclusive<u32> = 1..=8;
 
 /// How far and how much to smooth; the pixels are those for a sensor with noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -144,7 +149,8 @@ impl SmoothParams {
 
     /// The same setting at the resolution of a frame. Strides are chosen for pixels of a Kinect v1, 1/525 of the range; where a
     /// frame's are coarser, they are as much shorter, so that windows span about as much of the scene, down to 1. Finer pixels
-    /// change nothing. (At 160x120 the default's windows would reach over whole objects and mix them.)
+    /// change nothing, and neither does a frame without any. (At 160x120 the default's windows would reach over whole objects and
+    /// mix them.)
     ///
     /// ```
     /// use planish::{Camera, DepthFrame, SmoothParams};
@@ -155,10 +161,18 @@ impl SmoothParams {
     /// assert_eq!(SmoothParams::default().at_resolution_of(&frame).stride, 2);
     /// ```
     pub fn at_resolution_of<'a>(self, frame: impl Into<Frame<'a>>) -> Self {
-        let coarseness = frame.into().pixel_pitch_at_1m(&mut Vec::new()) * TUNED_FOCAL_LENGTH_PX;
-        let stride = (f64::from(self.stride) / coarseness + ROUNDED_UP_FROM).floor();
-        // What is no number becomes 0, and then 1.
-        Self { stride: (stride as u32).clamp(1, self.stride.max(1)), ..self }
+        self.at_known_resolution_of(frame.into()).unwrap_or(self)
+    }
+
+    /// The same, but `None` where the frame does not say, being empty or not what it says, or where the stride is not allowed
+    /// anyway.
+    pub(crate) fn at_known_resolution_of(self, frame: Frame<'_>) -> Option<Self> {
+        if frame.validate().is_err() || !STRIDES.contains(&self.stride) {
+            return None;
+        }
+        let coarseness = frame.known_pitch_at_1m(&mut Vec::new())? * TUNED_FOCAL_LENGTH_PX;
+        let stride = (f64::from(self.stride) / coarseness + ROUNDING).floor();
+        Some(Self { stride: (stride as u32).clamp(1, self.stride), ..self })
     }
 
     /// The setting of the 2011 report: 49 adjacent pixels, 3 cm, degree 3.
@@ -177,7 +191,7 @@ impl SmoothParams {
             if range.contains(&value) { Ok(()) } else { Err(ParamError { field, value: value.to_string(), allowed }) }
         };
         integer("window", self.window, 1..=7, "1 to 7")?;
-        integer("stride", self.stride, 1..=8, "1 to 8")?;
+        integer("stride", self.stride, STRIDES, "1 to 8")?;
         integer("degree", self.degree, 1..=3, "1 to 3")?;
         match self.radius {
             Radius::Fixed { radius_m } => {
@@ -238,6 +252,26 @@ mod tests {
             [1000.0, 525.0, 425.0, 366.0, 262.5, 210.0, 131.25, 10.0].map(|fx| strides(fx, 3)).into();
         assert_eq!(of_default, [3, 3, 3, 2, 2, 1, 1, 1]);
         assert_eq!((strides(525.0, 1), strides(262.5, 2), strides(262.5, 8)), (1, 1, 4));
+        // What is not allowed stays so, and is refused later.
+        assert_eq!((strides(100.0, 0), strides(100.0, 12)), (0, 12));
+    }
+
+    #[test]
+    fn a_frame_that_says_nothing_of_its_resolution_changes_nothing() {
+        let params = SmoothParams::default();
+        let camera = Camera { width: 40, height: 4, fx: 100.0, fy: 100.0, cx: 19.5, cy: 1.5, ..Camera::kinect_v1() };
+        let depth = DepthFrame { camera, raw: vec![0; 160], rgb: None, timestamp_s: None };
+        let mut empty = depth.deproject().unwrap();
+        empty.camera = None;
+        assert_eq!(params.at_resolution_of(&empty), params);
+        assert_eq!(params.at_resolution_of(&depth).stride, 1, "depth has its camera");
+        let short = DepthFrame { raw: vec![1000; 100], ..depth.clone() };
+        let mut cut = depth.deproject().unwrap();
+        cut.points.positions.x.truncate(20);
+        let bad = DepthFrame { camera: Camera { fx: f64::NAN, ..camera }, ..depth };
+        assert_eq!(params.at_resolution_of(&short), params);
+        assert_eq!(params.at_resolution_of(&cut), params);
+        assert_eq!(params.at_resolution_of(&bad), params);
     }
 
     #[test]

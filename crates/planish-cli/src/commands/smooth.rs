@@ -179,6 +179,9 @@ fn print_report(report: &Report) {
     );
 }
 
+/// What an engine is open for: shape, outputs, parameters.
+type OpenFor = ((usize, usize), Outputs, SmoothParams);
+
 /// Smooths file after file, keeping the engine open while the shape and the outputs stay.
 struct Worker<'a> {
     args: &'a SmoothArgs,
@@ -187,7 +190,7 @@ struct Worker<'a> {
     sensor_known: bool,
     /// By which noise floating pixels are told, if they are to be removed.
     floating_noise_at_1m: Option<f32>,
-    open: Option<(Smoother, (usize, usize), Outputs)>,
+    open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
 }
 
@@ -363,11 +366,12 @@ impl Worker<'_> {
 
     /// Opens an engine for frames like this, if none is.
     fn open(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<()> {
-        let shape = frame.shape();
-        if self.open.as_ref().is_none_or(|(_, open, has)| (*open, *has) != (shape, outputs)) {
+        // Every frame gets what it gets alone, whatever came before it.
+        let wanted = (frame.shape(), outputs, self.args.smoothing.at_resolution_of(self.params, frame));
+        if self.open.as_ref().is_none_or(|(_, has)| *has != wanted) {
             let options = self.args.smoothing.options(outputs)?;
-            let params = self.args.smoothing.at_resolution_of(self.params, frame);
-            self.open = Some((Smoother::open_with(params, &options, shape)?, shape, outputs));
+            let (shape, _, params) = wanted;
+            self.open = Some((Smoother::open_with(params, &options, shape)?, wanted));
         }
         Ok(())
     }

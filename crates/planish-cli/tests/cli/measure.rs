@@ -139,7 +139,8 @@ fn experiments_that_cannot_be_recorded_are_refused_before_they_run() {
     fs::write(&document, "<!-- planish bench small -->\n<!-- end of planish bench small -->\n").unwrap();
     let one = ["bench", "speedup", "--out", str(&out), "--update", str(&document)];
     assert!(refused(&one).contains("bench all"), "the other experiments would be gone from it");
-    assert!(record(&document.join("none")).contains("none"));
+    let missing = record(&folder.path().join("missing.md"));
+    assert!(missing.contains("missing.md") && missing.contains("os error"), "{missing}");
     assert!(refused(&["bench", "speedup", "--input", "missing.pcd"]).contains("missing.pcd"));
     let depth = folder.path().join("frame.png");
     ok(&["smooth", str(&cloud), str(&depth), "--camera", CAMERA]);

@@ -17,7 +17,6 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::error::{EngineError, Error};
-use crate::frame::Frame;
 use crate::params::SmoothParams;
 use crate::smoothed::Smoothed;
 use crate::smoother::{Engine, Smoother, SmootherOptions};
@@ -53,7 +52,8 @@ pub struct StreamFrame {
 pub struct StreamOptions {
     /// What to smooth with.
     pub params: SmoothParams,
-    /// Whether strides are shortened for coarse pixels, by the first frame of each shape: [`SmoothParams::at_resolution_of`].
+    /// Whether strides are shortened for coarse pixels ([`SmoothParams::at_resolution_of`]), by the first frame of a shape that says
+    /// how coarse they are.
     pub adapt_stride: bool,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
@@ -109,6 +109,7 @@ pub fn run(
             smoother: None,
             smoother_options: options.smoother.clone(),
             shape: (0, 0),
+            params: None,
             reopened: false,
             pending: VecDeque::new(),
             sinks,
@@ -182,6 +183,8 @@ struct Stream<'a> {
     /// Those of the options until a GPU was lost twice.
     smoother_options: SmootherOptions,
     shape: (usize, usize),
+    /// Those for frames of this shape, once a frame has said how coarse its pixels are.
+    params: Option<SmoothParams>,
     reopened: bool,
     pending: VecDeque<Pending>,
     sinks: Vec<SinkThread>,
@@ -244,12 +247,17 @@ impl Stream<'_> {
 
     fn submit(&mut self, pending: Pending, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         let shape = pending.frame.as_frame().shape();
-        if shape != self.shape {
+        let of_shape = self.params.filter(|_| shape == self.shape);
+        let found = || self.options.params.at_known_resolution_of(pending.frame.as_frame());
+        let params = of_shape.or_else(|| if self.options.adapt_stride { found() } else { Some(self.options.params) });
+        let changes = |of: Option<SmoothParams>| of.unwrap_or(self.options.params);
+        if shape != self.shape || changes(params) != changes(self.params) {
             while !self.pending.is_empty() {
                 self.receive(tell)?;
             }
             (self.smoother, self.shape) = (None, shape);
         }
+        self.params = params;
         self.pending.push_back(pending);
         match self.submit_last() {
             Ok(()) => Ok(()),
@@ -267,7 +275,8 @@ impl Stream<'_> {
     /// Submits the frame that came last.
     fn submit_last(&mut self) -> Result<(), Error> {
         let Some(Pending { frame, .. }) = self.pending.back() else { return Ok(()) };
-        let smoother = open(&mut self.smoother, self.options, &self.smoother_options, frame.as_frame())?;
+        let params = self.params.unwrap_or(self.options.params);
+        let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
         self.statistics.engine = smoother.engine();
         self.smooth_time.on(|| smoother.submit(frame.as_frame(), Smoothed::default()))
     }
@@ -332,7 +341,8 @@ impl Stream<'_> {
     /// Smooths what is on its way one by one.
     fn smooth_pending(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         while let Some(Pending { frame, .. }) = self.pending.front() {
-            let smoother = open(&mut self.smoother, self.options, &self.smoother_options, frame.as_frame())?;
+            let params = self.params.unwrap_or(self.options.params);
+            let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
             self.statistics.engine = smoother.engine();
             smoother.submit(frame.as_frame(), Smoothed::default())?;
             // Received without recovering in turn.
@@ -343,18 +353,15 @@ impl Stream<'_> {
     }
 }
 
-/// The open smoother, or a new one for frames like this.
+/// The open smoother, or a new one.
 fn open<'a>(
     smoother: &'a mut Option<Smoother>,
-    stream: &StreamOptions,
+    params: SmoothParams,
     options: &SmootherOptions,
-    frame: Frame<'_>,
+    shape: (usize, usize),
 ) -> Result<&'a mut Smoother, Error> {
     match smoother {
         Some(smoother) => Ok(smoother),
-        none => {
-            let params = if stream.adapt_stride { stream.params.at_resolution_of(frame) } else { stream.params };
-            Ok(none.insert(Smoother::open_with(params, options, frame.shape())?))
-        }
+        none => Ok(none.insert(Smoother::open_with(params, options, shape)?)),
     }
 }

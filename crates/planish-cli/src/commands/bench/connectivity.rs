@@ -66,7 +66,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         let params = SmoothParams { window, degree, radius, ..SmoothParams::paper() };
         for curve in curves.iter_mut().filter(|curve| curve.degree == degree && !context.stopped()) {
             let timed = context.time_frames(&subjects[curve.subject], curve.clock, params, input, Frames::One);
-            if let Some(timed) = context.attempt(&curve.engine, timed)? {
+            let what = format!("{}, degree {degree}, window {window}", curve.engine);
+            if let Some(timed) = context.attempt(&what, timed)? {
                 curve.times.push(timed.time);
                 curve.candidates.push(params.candidates());
             }
@@ -74,6 +75,9 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         }
     }
     bar.finish_and_clear();
+    if subjects.is_empty() {
+        section.note("Not run with the reference alone where it is to be quick.");
+    }
     curves.retain(|curve| curve.times.len() > 2);
     for curve in &mut curves {
         (curve.intercept_ms, curve.slope_ms, curve.r2) = line_through(&curve.points());

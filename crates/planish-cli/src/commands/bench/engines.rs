@@ -5,7 +5,7 @@ use std::hint::black_box;
 use anyhow::{Result, bail};
 use planish::{
     AdapterKind, Engine, EngineError, Error, Frame, FrameTimings, GpuOptions, Outputs, SimdLevel, SmoothParams,
-    Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer, gpu_adapters,
+    Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer, Xyz, gpu_adapters,
 };
 
 use crate::args::EngineArg;
@@ -138,20 +138,19 @@ impl<'a> Load<'a> {
 
     /// Sends the frames through once; in flight one goes in and one comes out. Gives the engine's own times where it has them.
     pub fn once(&mut self) -> Result<Option<FrameTimings>> {
-        let frame = self.frames[0];
-        let in_flight = matches!(self.way, Way::CopiedOutInFlight | Way::InPlaceInFlight);
         match self.way {
             Way::Batch => self.smoother.smooth_batch(&self.frames, &mut self.results)?,
-            Way::CopiedOut => self.smoother.smooth(frame, &mut self.results[0])?,
-            Way::InPlace | Way::InPlaceInFlight | Way::CopiedOutInFlight => {
-                if in_flight && self.smoother.in_flight() == self.smoother.max_in_flight() {
+            Way::CopiedOut => self.smoother.smooth(self.frames[0], &mut self.results[0])?,
+            Way::InPlace => {
+                self.submit()?;
+                return self.receive();
+            }
+            Way::InPlaceInFlight | Way::CopiedOutInFlight => {
+                if self.smoother.in_flight() == self.smoother.max_in_flight() {
                     self.receive()?;
                 }
-                match self.way {
-                    Way::CopiedOutInFlight => self.smoother.submit(frame, self.results.pop().unwrap_or_default())?,
-                    _ => self.smoother.submit_in_place(frame)?,
-                }
-                return if in_flight { Ok(None) } else { self.receive() };
+                self.submit()?;
+                return Ok(None);
             }
         }
         Ok(self.smoother.timings())
@@ -161,30 +160,46 @@ impl<'a> Load<'a> {
         let Some(view) = self.smoother.receive()? else { return Ok(None) };
         let timings = view.timings();
         touch(&view);
-        if self.way == Way::CopiedOutInFlight {
-            self.results.push(view.into_smoothed());
-        }
+        self.take_back(view);
         Ok(timings)
     }
 
-    /// Sends the frames through once more and shows the points of each, taken as they are when they are timed.
+    /// Sends the frames through once more and shows the points of each, taken as they are when they are timed: with as many under
+    /// way, through every buffer that is used again.
     pub fn show(&mut self, mut look: impl FnMut([&[f32]; 3]) -> Result<()>) -> Result<()> {
         while self.smoother.receive()?.is_some() {}
-        match self.way {
-            Way::CopiedOut | Way::Batch => {
-                self.once()?;
-                self.results.iter().try_for_each(|result| look([&result.points.x, &result.points.y, &result.points.z]))
+        if matches!(self.way, Way::CopiedOut | Way::Batch) {
+            self.once()?;
+            return self.results.iter().try_for_each(|Smoothed { points: Xyz { x, y, z }, .. }| look([x, y, z]));
+        }
+        let under_way = if self.way == Way::InPlace { 1 } else { self.smoother.max_in_flight() };
+        for _ in 0..2 {
+            for _ in 0..under_way {
+                self.submit()?;
             }
-            Way::InPlace | Way::InPlaceInFlight | Way::CopiedOutInFlight => {
-                match self.way {
-                    Way::CopiedOutInFlight => self.smoother.submit(self.frames[0], Smoothed::default())?,
-                    _ => self.smoother.submit_in_place(self.frames[0])?,
-                }
+            for _ in 0..under_way {
                 let Some(view) = self.smoother.receive()? else {
                     bail!("a frame that was submitted did not come back")
                 };
-                look(view.points().unwrap_or_default())
+                look(view.points().unwrap_or_default())?;
+                self.take_back(view);
             }
+        }
+        Ok(())
+    }
+
+    fn submit(&mut self) -> Result<()> {
+        let frame = self.frames[0];
+        match self.way {
+            Way::CopiedOutInFlight => self.smoother.submit(frame, self.results.pop().unwrap_or_default())?,
+            _ => self.smoother.submit_in_place(frame)?,
+        }
+        Ok(())
+    }
+
+    fn take_back(&mut self, view: SmoothedView) {
+        if self.way == Way::CopiedOutInFlight {
+            self.results.push(view.into_smoothed());
         }
     }
 

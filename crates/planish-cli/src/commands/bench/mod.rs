@@ -49,6 +49,9 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
     for experiment in experiments {
         let mut section = experiment(&bench)?;
         section.note_skipped(bench.take_skipped());
+        if bench.stopped() {
+            section.note("Ended by Ctrl-C: not all was measured.");
+        }
         section.print();
         if let Some(out) = out {
             section.write(out, &origin)?;

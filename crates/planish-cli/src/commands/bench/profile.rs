@@ -68,7 +68,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
             let total: f64 = row.stages.iter().map(|stage| stage.ms).sum();
             row.stages.iter().map(move |stage| {
                 let share = format!("{:.1} %", 100.0 * stage.ms / total);
-                vec![row.engine.clone(), stage.name.into(), milliseconds(stage.ms), share]
+                let mark = if row.noisy { " ~" } else { "" };
+                vec![row.engine.clone(), stage.name.into(), milliseconds(stage.ms) + mark, share]
             })
         }),
     );

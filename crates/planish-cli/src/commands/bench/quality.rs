@@ -23,11 +23,11 @@ struct Row {
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("quality", "Quality");
-    // The one that was asked for; else the CPU engine, which is everywhere.
-    let subject = match &context.args.engine[..] {
-        [EngineArg::Gpu | EngineArg::Reference] => context.subjects(false)?.into_iter().next(),
-        _ => subjects(&[EngineArg::Cpu], false)?.into_iter().next(),
-    };
+    // The CPU engine, which is everywhere, unless others were asked for.
+    let asked = &context.args.engine;
+    let by_cpu = asked.is_empty() || asked.contains(&EngineArg::Cpu) || asked.contains(&EngineArg::Auto);
+    let subjects = if by_cpu { subjects(&[EngineArg::Cpu], false)? } else { context.subjects(false)? };
+    let subject = subjects.into_iter().next();
     let Some(subject) = subject else { return Ok(section) };
     let mut rows = Vec::new();
     for (i, input) in context.inputs.iter().enumerate().filter(|_| !context.stopped()) {
