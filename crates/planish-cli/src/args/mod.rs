@@ -16,7 +16,7 @@ pub use smoothing::{EngineArg, SmoothingArgs};
 
 /// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
 #[derive(Parser)]
-#[command(version = env!("PLANISH_VERSION"), about, after_help = "Start with `planish demo`, then `planish smooth your.pcd smooth.pcd`.")]
+#[command(name = "planish", version = env!("PLANISH_VERSION"), about, after_help = "Start with `planish demo`, then `planish smooth your.pcd smooth.pcd`.")]
 pub struct Args {
     #[command(subcommand)]
     pub command: Command,

@@ -91,7 +91,7 @@ fn the_experiments_write_tables_numbers_and_pictures() {
     for i in 0..2 {
         assert!(fs::read(out.join(format!("quality-{i}.png"))).unwrap().starts_with(b"\x89PNG"));
     }
-    assert_eq!(json("speedup")["origin"]["version"], ok(&["--version"]).trim().replace("planish-cli ", ""));
+    assert_eq!(json("speedup")["origin"]["version"], ok(&["--version"]).trim().replace("planish ", ""));
 
     let speedup = results("speedup");
     let rows = speedup.as_array().unwrap();

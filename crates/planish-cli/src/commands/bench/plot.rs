@@ -131,7 +131,11 @@ where
 
 /// A number with the digits that a picture needs.
 fn short(value: f64) -> String {
-    let digits = if value < 10.0 { 2 } else { usize::from(value < 100.0) };
+    let digits = match value {
+        _ if value < 1.0 => 3,
+        _ if value < 10.0 => 2,
+        _ => usize::from(value < 100.0),
+    };
     format!("{value:.digits$}")
 }
 
