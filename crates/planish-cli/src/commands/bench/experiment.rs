@@ -22,6 +22,8 @@ use crate::args::ExperimentArgs;
 pub enum Frames {
     /// One frame; on a GPU its result is read where the device puts it.
     One,
+    /// One frame, its result copied to the host's own memory on a GPU too.
+    OneCopiedOut,
     /// So many copies of the frame, as points, one under the other in one.
     Tall(usize),
     /// So many times the frame at once; the results are copied out.
@@ -169,7 +171,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Times an engine at some frames by a clock.
+    /// Times an engine at some frames by a clock, and keeps its stages if the subject has time stamps.
     pub fn time_frames(
         &self,
         subject: &Subject,
@@ -180,31 +182,16 @@ impl<'a> Bench<'a> {
     ) -> Result<Timed> {
         let tall;
         let (copies, way, frames) = match frames {
+            // The engines of the CPU write where they are told to: in place is what they do.
+            Frames::One if !subject.is_gpu() => (1, Way::CopiedOut, vec![input.frame()]),
             Frames::One => (1, Way::InPlace, vec![input.frame()]),
+            Frames::OneCopiedOut => (1, Way::CopiedOut, vec![input.frame()]),
             Frames::Tall(copies) => {
                 tall = one_under_the_other(&input.cloud, copies)?;
-                (copies, Way::InPlace, vec![Frame::from(&tall)])
+                (copies, if subject.is_gpu() { Way::InPlace } else { Way::CopiedOut }, vec![Frame::from(&tall)])
             }
             Frames::Batch(frames) => (1, Way::Batch, vec![input.frame(); frames]),
         };
-        // The engines of the CPU write where they are told to: in place is what they do.
-        let way = if way == Way::InPlace && !subject.is_gpu() { Way::CopiedOut } else { way };
-        self.time_stages(subject, clock, params, input, way, frames, copies)
-    }
-
-    /// The same for frames of one's own that are `copies` times the input's, with the stages of each measurement if the subject
-    /// has time stamps.
-    #[allow(clippy::too_many_arguments)]
-    pub fn time_stages(
-        &self,
-        subject: &Subject,
-        clock: Clock,
-        params: SmoothParams,
-        input: &Input,
-        way: Way,
-        frames: Vec<Frame<'_>>,
-        copies: usize,
-    ) -> Result<Timed> {
         let stamped = if clock == Clock::Device { subject.with_time_stamps() } else { subject.clone() };
         let mut load = Load::open(&stamped, params, way, frames)?;
         load.show(|points| self.hold(subject, params, input, points, copies))?;

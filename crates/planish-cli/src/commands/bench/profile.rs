@@ -4,8 +4,8 @@ use anyhow::{Result, bail};
 use planish::{FrameTimings, SmoothParams};
 use serde::Serialize;
 
-use super::engines::{Clock, Subject, Way};
-use super::experiment::{Bench, Timed, ms};
+use super::engines::{Clock, Subject};
+use super::experiment::{Bench, Frames, Timed, ms};
 use super::frames::Input;
 use super::plot::{Scale, bars};
 use super::section::Section;
@@ -84,8 +84,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
 }
 
 fn of_cpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> {
-    let planes = stages(context, subject, input, 1, Way::CopiedOut)?;
-    let all = stages(context, subject, input, 3, Way::CopiedOut)?;
+    let planes = stages(context, subject, input, 1, Frames::One)?;
+    let all = stages(context, subject, input, 3, Frames::One)?;
     Ok(Row {
         engine: subject.name.clone(),
         noisy: planes.noisy || all.noisy,
@@ -99,9 +99,9 @@ fn of_cpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> 
 }
 
 fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> {
-    let planes = stages(context, subject, input, 1, Way::InPlace)?;
-    let all = stages(context, subject, input, 3, Way::InPlace)?;
-    let copied_out = stages(context, subject, input, 3, Way::CopiedOut)?;
+    let planes = stages(context, subject, input, 1, Frames::One)?;
+    let all = stages(context, subject, input, 3, Frames::One)?;
+    let copied_out = stages(context, subject, input, 3, Frames::OneCopiedOut)?;
     Ok(Row {
         engine: subject.name.clone(),
         noisy: planes.noisy || all.noisy || copied_out.noisy,
@@ -117,11 +117,10 @@ fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> 
 }
 
 /// The stages of a frame smoothed by a degree.
-fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, way: Way) -> Result<Stages> {
+fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, frames: Frames) -> Result<Stages> {
     let params = SmoothParams { degree, ..SmoothParams::paper() };
     let stamped = subject.with_time_stamps();
-    let Timed { time, stages, .. } =
-        context.time_stages(&stamped, Clock::Host, params, input, way, vec![input.frame()], 1)?;
+    let Timed { time, stages, .. } = context.time_frames(&stamped, Clock::Host, params, input, frames)?;
     if stages.is_empty() {
         bail!("{}: no time stamps came back", subject.name);
     }
