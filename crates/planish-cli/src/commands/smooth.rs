@@ -182,7 +182,7 @@ fn print_report(report: &Report) {
 /// What an engine is open for: shape, outputs, parameters.
 type OpenFor = ((usize, usize), Outputs, SmoothParams);
 
-/// Smooths file after file, keeping the engine open while the shape and the outputs stay.
+/// Smooths file after file, keeping the engine open while shape, outputs and parameters stay.
 struct Worker<'a> {
     args: &'a SmoothArgs,
     params: SmoothParams,

@@ -284,16 +284,19 @@ mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::args::{Args, BenchCommand, Command};
+    use crate::args::{Args, BenchArgs, BenchCommand, Command};
+
+    fn quick() -> ExperimentArgs {
+        match Args::parse_from(["planish", "bench", "speedup", "--quick"]).command {
+            Command::Bench(BenchArgs { what: BenchCommand::Speedup(args) }) => args,
+            _ => panic!("these are the arguments of an experiment"),
+        }
+    }
 
     #[test]
     fn a_wrong_result_is_an_error_and_is_not_timed() {
-        let Command::Bench(args) = Args::parse_from(["planish", "bench", "speedup", "--quick"]).command else {
-            panic!()
-        };
-        let BenchCommand::Speedup(args) = &args.what else { panic!() };
-        let stop = AtomicBool::new(false);
-        let bench = Bench::new(args, &stop).unwrap();
+        let (args, stop) = (quick(), AtomicBool::new(false));
+        let bench = Bench::new(&args, &stop).unwrap();
         let (input, params) = (&bench.inputs[1], SmoothParams { window: 1, ..SmoothParams::paper() });
         let subject = engines::subjects(&[crate::args::EngineArg::Cpu], false).unwrap().remove(0);
         let mut right = Smoothed::default();
@@ -320,12 +323,8 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_is_left_out_and_said_and_ctrl_c_ends_quietly() {
-        let Command::Bench(args) = Args::parse_from(["planish", "bench", "scaleup", "--quick"]).command else {
-            panic!()
-        };
-        let BenchCommand::Scaleup(args) = &args.what else { panic!() };
-        let stop = AtomicBool::new(false);
-        let bench = Bench::new(args, &stop).unwrap();
+        let (args, stop) = (quick(), AtomicBool::new(false));
+        let bench = Bench::new(&args, &stop).unwrap();
         let limit = EngineError::Limit { device: "small".into(), what: "bytes in a buffer", allowed: 1, needed: 2 };
         let result = bench.attempt("32 copies", Err::<(), _>(Error::from(limit).into())).unwrap();
         assert!(result.is_none());
