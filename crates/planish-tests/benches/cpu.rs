@@ -5,7 +5,7 @@
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use planish::agreement::{Agreement, radius_m};
+use planish::agreement::{Agreement, radii_m};
 use planish::{
     Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
 };
@@ -20,7 +20,7 @@ fn main() {
 fn camera((width, height): (usize, usize)) -> Camera {
     let scale = width as f64 / 640.0;
     let (cx, cy) = ((width - 1) as f64 / 2.0, (height - 1) as f64 / 2.0);
-    Camera { width, height, fx: 525.0 * scale, fy: 525.0 * scale, cx, cy, ..Camera::kinect_v1() }
+    Camera::new((width, height), [525.0 * scale; 2], [cx, cy])
 }
 
 fn frame() -> OrganizedCloud {
@@ -28,7 +28,7 @@ fn frame() -> OrganizedCloud {
 }
 
 fn options(threads: usize) -> SmootherOptions {
-    SmootherOptions { engine: Engine::Cpu, threads: Some(threads), ..SmootherOptions::default() }
+    SmootherOptions::default().with_engine(Engine::Cpu).with_threads(Some(threads))
 }
 
 /// Times one setting, points an iteration as its count, once its result agrees with the reference.
@@ -37,7 +37,8 @@ fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: SmoothParams, 
         TestEngine { threads: options.threads, simd: options.simd, engine: options.engine, ..TestEngine::REFERENCE };
     let mut agreement = Agreement::default();
     let reference = TestEngine::REFERENCE.smooth(cloud, params);
-    agreement.add(&engine.smooth(cloud, params), &reference, radius_m(cloud, params));
+    let radii_m = radii_m(cloud, params);
+    agreement.add(&engine.smooth(cloud, params), &reference, |i| radii_m[i]);
     let misses = agreement.misses();
     assert!(misses.is_empty(), "a wrong result is not timed: {misses:?}");
 
@@ -50,17 +51,17 @@ fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: SmoothParams, 
 
 #[divan::bench(args = [1, 2, 3, 4, 5, 6, 7], sample_count = 20)]
 fn window(bencher: Bencher<'_, '_>, window: u32) {
-    time(bencher, &frame(), SmoothParams { window, ..SmoothParams::paper() }, options(2));
+    time(bencher, &frame(), SmoothParams::paper().with_window(window), options(2));
 }
 
 #[divan::bench(args = [1, 2, 3, 8], sample_count = 20)]
 fn stride(bencher: Bencher<'_, '_>, stride: u32) {
-    time(bencher, &frame(), SmoothParams { stride, ..SmoothParams::default() }, options(2));
+    time(bencher, &frame(), SmoothParams::default().with_stride(stride), options(2));
 }
 
 #[divan::bench(args = [1, 2, 3], sample_count = 20)]
 fn degree(bencher: Bencher<'_, '_>, degree: u32) {
-    time(bencher, &frame(), SmoothParams { degree, ..SmoothParams::paper() }, options(2));
+    time(bencher, &frame(), SmoothParams::paper().with_degree(degree), options(2));
 }
 
 #[divan::bench(args = [1, 2], sample_count = 20)]
@@ -71,7 +72,7 @@ fn threads(bencher: Bencher<'_, '_>, threads: usize) {
 #[divan::bench(args = SimdLevel::available().map(SimdLevel::name), sample_count = 20)]
 fn simd(bencher: Bencher<'_, '_>, name: &str) {
     let simd = SimdLevel::available().find(|level| level.name() == name);
-    time(bencher, &frame(), SmoothParams::paper(), SmootherOptions { simd, ..options(2) });
+    time(bencher, &frame(), SmoothParams::paper(), options(2).with_simd(simd));
 }
 
 #[divan::bench(args = [(320, 240), (640, 480), (1280, 720), (1920, 1080)], sample_count = 10)]
@@ -82,15 +83,12 @@ fn size(bencher: Bencher<'_, '_>, shape: (usize, usize)) {
 #[divan::bench(args = ["points", "normals", "curvature", "status", "neighbours", "all"], sample_count = 20)]
 fn outputs(bencher: Bencher<'_, '_>, name: &str) {
     let wants = |output| name == output || name == "all";
-    let outputs = Outputs {
-        points: true,
-        depth: false,
-        normals: wants("normals"),
-        curvature: wants("curvature"),
-        status: wants("status"),
-        neighbours: wants("neighbours"),
-    };
-    time(bencher, &frame(), SmoothParams::paper(), SmootherOptions { outputs, ..options(1) });
+    let outputs = Outputs::POINTS
+        .with_normals(wants("normals"))
+        .with_curvature(wants("curvature"))
+        .with_status(wants("status"))
+        .with_neighbours(wants("neighbours"));
+    time(bencher, &frame(), SmoothParams::paper(), options(1).with_outputs(outputs));
 }
 
 #[divan::bench(sample_count = 20)]
@@ -100,13 +98,14 @@ fn depth_frame(bencher: Bencher<'_, '_>) {
     let (scene, pose) = Scene::room(1);
     let truth = scene.render(&camera, &pose);
     let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).expect("one camera");
-    let params = SmoothParams { radius: Radius::KINECT_V1, ..SmoothParams::paper() };
+    let params = SmoothParams::paper().with_radius(Radius::Sensor);
     let mut smoother = Smoother::open_with(params, &options(2), (640, 480)).expect("an engine");
     let mut smoothed = Smoothed::default();
     let reference = TestEngine::REFERENCE.smooth(&frame, params);
     let mut agreement = Agreement::default();
     let cloud = frame.deproject().expect("a valid frame");
-    agreement.add(&TestEngine::cpu(SimdLevel::best()).smooth(&frame, params), &reference, radius_m(&cloud, params));
+    let radii_m = radii_m(&cloud, params);
+    agreement.add(&TestEngine::cpu(SimdLevel::best()).smooth(&frame, params), &reference, |i| radii_m[i]);
     assert!(agreement.misses().is_empty(), "a wrong result is not timed");
     bencher.bench_local(|| smoother.smooth(&frame, &mut smoothed).expect("a result"));
 }

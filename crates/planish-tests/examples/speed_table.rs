@@ -7,7 +7,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use planish::agreement::{Agreement, radius_m};
+use planish::agreement::{Agreement, radii_m};
 use planish::{
     Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
 };
@@ -23,11 +23,12 @@ fn main() -> Result<(), planish::Error> {
     };
     let only = std::env::args().nth(2);
     let fixed = Radius::Fixed { radius_m: 0.03 };
-    let setting =
-        |window, stride, degree, radius| SmoothParams { window, stride, radius, degree, ..SmoothParams::paper() };
+    let setting = |window, stride, degree, radius| {
+        SmoothParams::paper().with_window(window).with_stride(stride).with_radius(radius).with_degree(degree)
+    };
     let settings = [
         setting(3, 1, 3, fixed),
-        setting(3, 3, 2, Radius::KINECT_V1),
+        setting(3, 3, 2, Radius::Sensor),
         setting(1, 1, 2, fixed),
         setting(7, 1, 3, fixed),
         setting(3, 1, 1, fixed),
@@ -38,7 +39,8 @@ fn main() -> Result<(), planish::Error> {
         let reference = TestEngine::REFERENCE.smooth(&cloud, params);
         for level in SimdLevel::available().filter(|level| only.as_ref().is_none_or(|only| only == level.name())) {
             let mut agreement = Agreement::default();
-            agreement.add(&TestEngine::cpu(level).smooth(&cloud, params), &reference, radius_m(&cloud, params));
+            let radii_m = radii_m(&cloud, params);
+            agreement.add(&TestEngine::cpu(level).smooth(&cloud, params), &reference, |i| radii_m[i]);
             let misses = agreement.misses();
             assert!(misses.is_empty(), "a wrong result is not timed: {misses:?}");
             for threads in [1, 2] {
@@ -65,13 +67,11 @@ fn median_ms(
     threads: usize,
     outputs: Outputs,
 ) -> Result<f64, planish::Error> {
-    let options = SmootherOptions {
-        engine: Engine::Cpu,
-        outputs,
-        threads: Some(threads),
-        simd: Some(level),
-        ..SmootherOptions::default()
-    };
+    let options = SmootherOptions::default()
+        .with_engine(Engine::Cpu)
+        .with_outputs(outputs)
+        .with_threads(Some(threads))
+        .with_simd(Some(level));
     let mut smoother = Smoother::open_with(params, &options, (cloud.width(), cloud.height()))?;
     let mut smoothed = Smoothed::default();
     let mut times = Vec::new();

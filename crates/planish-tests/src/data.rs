@@ -32,7 +32,7 @@ pub struct RealFrame {
 }
 
 fn primesense(depth_units_per_metre: f64) -> Camera {
-    Camera { depth_units_per_metre, ..Camera::kinect_v1() }
+    Camera::kinect_v1().with_depth_units_per_metre(depth_units_per_metre)
 }
 
 /// Every kind of real frame: Kinect clouds far and near, and depth images of four sensors and data sets.
@@ -47,9 +47,9 @@ pub fn real_frames(test: &str) -> Vec<RealFrame> {
         "kinect/capture0001.pcd",
         "kinect/region_growing_rgb_tutorial.pcd",
     ];
-    let icl = Camera { fx: 481.2, fy: 480.0, ..primesense(5000.0) };
+    let icl = Camera::new((640, 480), [481.2, 480.0], [319.5, 239.5]).with_depth_units_per_metre(5000.0);
     // The RealSense's intrinsics are not known; these are a D435's at 640x480.
-    let realsense = Camera { fx: 615.0, fy: 615.0, cx: 320.0, cy: 240.0, ..primesense(1000.0) };
+    let realsense = Camera::new((640, 480), [615.0; 2], [320.0, 240.0]);
     let depths = [
         ("tum/TUM_depth.png", primesense(5000.0)),
         ("redwood/depth/00000.png", primesense(1000.0)),
@@ -71,7 +71,7 @@ pub fn real_frames(test: &str) -> Vec<RealFrame> {
 /// If it cannot be read or is something else.
 pub fn general_cloud(folder: &Path, name: &str) -> planish::PointCloud {
     match io::read(&folder.join(name)).expect("a whole file").1 {
-        Contents::Points(cloud) => cloud,
+        Contents::General(cloud) => cloud,
         _ => panic!("{name} is not a general cloud"),
     }
 }

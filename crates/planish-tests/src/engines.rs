@@ -3,8 +3,8 @@
 use std::sync::{Mutex, OnceLock};
 
 use planish::{
-    Edges, Engine, Frame, GpuAdapter, GpuOptions, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother,
-    SmootherOptions, auto_choice, gpu_adapters,
+    ChoiceReason, Edges, Engine, GpuAdapter, GpuOptions, IntoFrame, Outputs, Radius, SimdLevel, SmoothParams, Smoothed,
+    Smoother, SmootherOptions, auto_choice, gpu_adapters,
 };
 
 /// An engine with the choices that must not change its result by more than the tolerances.
@@ -52,15 +52,15 @@ impl TestEngine {
 
     fn plain_options(self, outputs: Outputs) -> SmootherOptions {
         let adapter = test_adapter().map(|adapter| adapter.index.to_string());
-        let gpu = GpuOptions { adapter, bounds_checks: self.bounds_checks, ..GpuOptions::default() };
-        SmootherOptions { engine: self.engine, outputs, threads: self.threads, simd: self.simd, gpu }
+        let gpu = GpuOptions::default().with_adapter(adapter).with_bounds_checks(self.bounds_checks);
+        SmootherOptions::new(self.engine, outputs).with_threads(self.threads).with_simd(self.simd).with_gpu(gpu)
     }
 
     /// Smooths a frame with all outputs.
     ///
     /// # Panics
     /// If the engine fails.
-    pub fn smooth<'a>(self, frame: impl Into<Frame<'a>>, params: SmoothParams) -> Smoothed {
+    pub fn smooth<'a>(self, frame: impl IntoFrame<'a>, params: SmoothParams) -> Smoothed {
         self.smooth_to(frame, params, Outputs::ALL)
     }
 
@@ -68,9 +68,9 @@ impl TestEngine {
     ///
     /// # Panics
     /// If the engine fails.
-    pub fn smooth_to<'a>(self, frame: impl Into<Frame<'a>>, params: SmoothParams, outputs: Outputs) -> Smoothed {
-        let frame = frame.into();
-        let mut smoother = Smoother::open_with(params, &self.options(outputs), frame.shape()).expect("an engine");
+    pub fn smooth_to<'a>(self, frame: impl IntoFrame<'a>, params: SmoothParams, outputs: Outputs) -> Smoothed {
+        let frame = frame.into_frame().expect("a well-formed frame");
+        let mut smoother = Smoother::open_with(params, &self.options(outputs), frame.grid()).expect("an engine");
         let mut smoothed = Smoothed::default();
         smoother.smooth(frame, &mut smoothed).expect("a result");
         smoothed
@@ -86,8 +86,10 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
     static ADAPTER: OnceLock<Option<GpuAdapter>> = OnceLock::new();
     let adapter = ADAPTER.get_or_init(|| {
         let adapters = gpu_adapters();
-        let reason = auto_choice(&adapters).1;
-        adapters.iter().find(|adapter| reason.contains(&adapter.name)).or(adapters.first()).cloned()
+        match auto_choice(&adapters).1 {
+            ChoiceReason::RealGpu(adapter) => Some(adapter),
+            _ => adapters.first().cloned(),
+        }
     });
     assert!(
         adapter.is_some() || std::env::var_os("PLANISH_REQUIRE_GPU").is_none(),
@@ -103,30 +105,26 @@ pub fn parameter_grid() -> Vec<SmoothParams> {
     let corners = [1, 7].into_iter().flat_map(|window| {
         [1, 3].into_iter().flat_map(move |stride| {
             [1, 2, 3].into_iter().flat_map(move |degree| {
-                [fixed, Radius::KINECT_V1].map(|radius| SmoothParams {
-                    window,
-                    stride,
-                    radius,
-                    degree,
-                    ..SmoothParams::paper()
+                [fixed, Radius::Sensor].map(|radius| {
+                    SmoothParams::paper()
+                        .with_window(window)
+                        .with_stride(stride)
+                        .with_radius(radius)
+                        .with_degree(degree)
                 })
             })
         })
     });
     let between = [(2, 2, 3), (3, 1, 3), (3, 3, 2), (4, 2, 2), (5, 1, 3), (6, 2, 1), (3, 8, 3)].into_iter().flat_map(
         |(window, stride, degree)| {
-            [fixed, Radius::KINECT_V1].map(|radius| SmoothParams {
-                window,
-                stride,
-                radius,
-                degree,
-                ..SmoothParams::paper()
+            [fixed, Radius::Sensor].map(|radius| {
+                SmoothParams::paper().with_window(window).with_stride(stride).with_radius(radius).with_degree(degree)
             })
         },
     );
-    let bandwidth = SmoothParams { bandwidth_m: Some(0.01), ..SmoothParams::paper() };
+    let bandwidth = SmoothParams::paper().with_bandwidth_m(Some(0.01));
     let off: Vec<SmoothParams> = corners.chain(between).chain([bandwidth]).collect();
     let robust = off.iter().enumerate().filter(|(i, _)| i % 4 == 0 || i % 4 == 3);
-    let robust = robust.map(|(_, &params)| SmoothParams { edges: Edges::KINECT_V1, ..params });
+    let robust = robust.map(|(_, &params)| params.with_edges(Edges::Robust));
     off.iter().copied().chain(robust).collect()
 }

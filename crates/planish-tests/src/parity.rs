@@ -1,7 +1,7 @@
 //! The comparison that every fast engine passes: against the f64 reference over the grid of parameters, on simulated, real and
 //! nasty clouds (docs/method.md, section 9).
 
-use planish::agreement::{Agreement, radius_m};
+use planish::agreement::{Agreement, radii_m};
 use planish::{OrganizedCloud, Radius, SmoothParams, Smoothed};
 
 use crate::data::real_frames;
@@ -23,8 +23,9 @@ fn compare(name: &str, clouds: &[OrganizedCloud], grid: &[SmoothParams], subject
             let mut agreement = Agreement::default();
             for (cloud, reference) in clouds.iter().zip(&references) {
                 let result = engine.smooth(cloud, params);
-                assert_invariants(cloud, &result, radius_m(cloud, params), &what);
-                agreement.add(&result, reference, radius_m(cloud, params));
+                let radii_m = radii_m(cloud, params);
+                assert_invariants(cloud, &result, &radii_m, &what);
+                agreement.add(&result, reference, |i| radii_m[i]);
             }
             misses.extend(agreement.misses().into_iter().map(|miss| format!("{what}: {miss}")));
         }
@@ -50,11 +51,7 @@ pub fn simulated_frames_agree(subjects: &[Subject]) {
 /// # Panics
 /// If an engine does not agree.
 pub fn real_frames_agree(subjects: &[Subject], test: &str) {
-    let usual = [
-        SmoothParams::paper(),
-        SmoothParams::default(),
-        SmoothParams { window: 1, degree: 2, ..SmoothParams::paper() },
-    ];
+    let usual = [SmoothParams::paper(), SmoothParams::default(), SmoothParams::paper().with_window(1).with_degree(2)];
     let grid = parameter_grid();
     let frames = real_frames(test);
     let (mut misses, count) = (Vec::new(), frames.len());
@@ -73,18 +70,18 @@ pub fn nasty_clouds_keep_the_invariants(subjects: &[Subject]) {
     let corners = [
         SmoothParams::paper(),
         SmoothParams::default(),
-        SmoothParams { window: 7, stride: 8, ..SmoothParams::default() },
-        SmoothParams { window: 1, degree: 1, ..SmoothParams::paper() },
-        SmoothParams { radius: Radius::Fixed { radius_m: 1e-6 }, ..SmoothParams::paper() },
-        SmoothParams { radius: Radius::Fixed { radius_m: 1e3 }, bandwidth_m: Some(1e-3), ..SmoothParams::paper() },
-        SmoothParams { radius: Radius::Fixed { radius_m: 1e3 }, bandwidth_m: Some(1e3), ..SmoothParams::paper() },
+        SmoothParams::default().with_window(7).with_stride(8),
+        SmoothParams::paper().with_window(1).with_degree(1),
+        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e-6 }),
+        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e-3)),
+        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e3)),
     ];
     for scene in nasty_scenes() {
         for params in corners {
             for (subject, engine) in subjects {
                 let what = format!("{}, {subject}, {params:?}", scene.name);
                 let result = engine.smooth(&scene.cloud, params);
-                assert_invariants(&scene.cloud, &result, radius_m(&scene.cloud, params), &what);
+                assert_invariants(&scene.cloud, &result, &radii_m(&scene.cloud, params), &what);
             }
         }
     }

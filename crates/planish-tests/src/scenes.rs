@@ -13,7 +13,7 @@ pub struct TestScene {
 
 /// A camera with the Kinect's field of view and a quarter of its resolution in each direction, for quick tests.
 pub fn small_camera() -> Camera {
-    Camera { width: 160, height: 120, fx: 131.25, fy: 131.25, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() }
+    Camera::new((160, 120), [131.25, 131.25], [79.5, 59.5])
 }
 
 /// A grid of points by their pixel.

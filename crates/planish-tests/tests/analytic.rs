@@ -1,6 +1,6 @@
 //! Surfaces whose smooth form is known exactly, through the reference engine.
 
-use planish::{Edges, OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams, Smoothed, Status, Xyz, smooth_points};
+use planish::{Edges, Engine, OrganizedCloud, PointCloud, Radius, SmoothParams, Smoothed, Smoother, Status, Xyz};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, height_field};
 
@@ -9,7 +9,7 @@ fn smooth(cloud: &OrganizedCloud, params: SmoothParams) -> Smoothed {
 }
 
 fn params(degree: u32) -> SmoothParams {
-    SmoothParams { degree, ..SmoothParams::paper() }
+    SmoothParams::paper().with_degree(degree)
 }
 
 /// Largest distance of the inner points (whole windows) from a surface given by the distance of a point to it.
@@ -131,11 +131,10 @@ fn no_point_moves_further_than_the_radius() {
         let jitter = ((u * 7919 + v * 104729) % 17) as f32 * 1e-3;
         [0.003 * u as f32, 0.003 * v as f32, 1.0 + jitter + if u % 5 < 2 { 0.01 } else { 0.0 }]
     });
-    for (radius_m, edges) in [0.005, 0.01, 0.02]
-        .into_iter()
-        .flat_map(|radius_m| [Edges::Off, Edges::KINECT_V1].map(|edges| (radius_m, edges)))
+    for (radius_m, edges) in
+        [0.005, 0.01, 0.02].into_iter().flat_map(|radius_m| [Edges::Off, Edges::Robust].map(|edges| (radius_m, edges)))
     {
-        let params = SmoothParams { radius: Radius::Fixed { radius_m }, edges, ..SmoothParams::paper() };
+        let params = SmoothParams::paper().with_radius(Radius::Fixed { radius_m }).with_edges(edges);
         let smoothed = smooth(&cloud, params);
         for (p, q) in cloud.positions().iter().zip(smoothed.points.iter()) {
             let moved = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f32>().sqrt();
@@ -153,7 +152,7 @@ fn the_sensor_radius_follows_the_rule() {
             let z = if (u, v) == (20, 20) { 1.0 - lift } else { 1.0 };
             [(u as f32 - 20.0) * 0.002 * z, (v as f32 - 20.0) * 0.002 * z, z]
         });
-        let smoothed = smooth(&cloud, SmoothParams { window: 3, stride: 3, ..SmoothParams::default() });
+        let smoothed = smooth(&cloud, SmoothParams::default().with_window(3).with_stride(3));
         smoothed.neighbours.unwrap()[20 * 41 + 20]
     };
     assert_eq!(neighbours(0.0), 49);
@@ -169,9 +168,8 @@ fn a_general_cloud_keeps_order_count_and_survives_repeated_coordinates() {
     points.extend([[5.0, 5.0, 1.0]; 1000]);
     points.push([f32::NAN; 3]);
     let cloud = PointCloud::new(points.iter().copied().collect::<Xyz>());
-    let params = SmoothParams { radius: Radius::Fixed { radius_m: 0.025 }, ..SmoothParams::paper() };
-    let mut smoothed = Smoothed::default();
-    smooth_points(&cloud, params, Outputs::ALL, None, &mut smoothed).unwrap();
+    let params = SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.025 });
+    let smoothed = TestEngine::REFERENCE.smooth(&cloud, params);
     assert_eq!((smoothed.width, smoothed.height, smoothed.points.len()), (41_001, 1, 41_001));
     let status = smoothed.status.as_ref().unwrap();
     assert_eq!(status[100 * 200 + 100], Status::Polynomial3);
@@ -181,9 +179,10 @@ fn a_general_cloud_keeps_order_count_and_survives_repeated_coordinates() {
     let moved = points.iter().zip(smoothed.points.iter()).filter(|(p, q)| (p[2] - q[2]).abs() > 1e-6);
     assert_eq!(moved.count(), 0);
 
-    let mut single = Smoothed::default();
-    smooth_points(&cloud, params, Outputs::ALL, Some(1), &mut single).unwrap();
+    let single = TestEngine { threads: Some(1), ..TestEngine::REFERENCE }.smooth(&cloud, params);
     assert_eq!(format!("{single:?}"), format!("{smoothed:?}"), "threads change nothing");
-    let sensor = SmoothParams::default();
-    assert!(smooth_points(&cloud, sensor, Outputs::POINTS, None, &mut smoothed).is_err());
+    assert!(Smoother::open(SmoothParams::default(), Engine::Auto, None).is_err(), "there is no pixel spacing");
+    let params = params.with_radius_m(0.025);
+    assert!(Smoother::open(params, Engine::Cpu, None).err().unwrap().to_string().contains("general"));
+    assert_eq!(Smoother::open(params, Engine::Auto, None).unwrap().engine(), Engine::Reference);
 }

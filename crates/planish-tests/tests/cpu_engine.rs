@@ -7,8 +7,8 @@ use std::time::Instant;
 
 use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::{
-    Camera, DepthFrame, Edges, Engine, Frame, GpuOptions, OrganizedCloud, Outputs, SimdLevel, SmoothParams, Smoothed,
-    Smoother, SmootherOptions,
+    Camera, DepthFrame, Edges, Engine, GpuOptions, IntoFrame, OrganizedCloud, Outputs, SimdLevel, SmoothParams,
+    Smoothed, Smoother, SmootherOptions,
 };
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, nasty_scenes, simulated, small_camera};
@@ -81,7 +81,7 @@ fn nothing_is_allocated_after_the_first_frame() {
     for (threads, allowed) in [(1, 0), (2, FRAMES / 50)] {
         for outputs in [Outputs::POINTS, Outputs::ALL] {
             let options =
-                SmootherOptions { engine: Engine::Cpu, outputs, threads: Some(threads), ..SmootherOptions::default() };
+                SmootherOptions::default().with_engine(Engine::Cpu).with_outputs(outputs).with_threads(Some(threads));
             let mut smoother = Smoother::open_with(SmoothParams::default(), &options, (160, 120)).unwrap();
             let mut smoothed = Smoothed::default();
             let mut run = |smoothed: &mut Smoothed| {
@@ -124,14 +124,12 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
     let mut smoothed = Smoothed::default();
     for bits in 0..16u32 {
         let wants = |bit: u32| bits & bit != 0;
-        let outputs = Outputs {
-            normals: wants(1),
-            curvature: wants(2),
-            status: wants(4),
-            neighbours: wants(8),
-            ..Outputs::POINTS
-        };
-        let options = SmootherOptions { engine: Engine::Cpu, outputs, ..SmootherOptions::default() };
+        let outputs = Outputs::POINTS
+            .with_normals(wants(1))
+            .with_curvature(wants(2))
+            .with_status(wants(4))
+            .with_neighbours(wants(8));
+        let options = SmootherOptions::default().with_engine(Engine::Cpu).with_outputs(outputs);
         let mut smoother = Smoother::open_with(SmoothParams::default(), &options, (160, 120)).unwrap();
         // The same result struct each time: what is not asked for goes away.
         smoother.smooth(&cloud, &mut smoothed).unwrap();
@@ -165,7 +163,7 @@ fn widths_around_the_lane_counts_lose_no_pixel() {
 #[test]
 fn a_level_that_the_machine_lacks_and_zero_threads_are_refused() {
     let open = |simd, threads| {
-        let options = SmootherOptions { engine: Engine::Cpu, threads, simd, ..SmootherOptions::default() };
+        let options = SmootherOptions::default().with_engine(Engine::Cpu).with_threads(threads).with_simd(simd);
         Smoother::open_with(SmoothParams::paper(), &options, (4, 4)).map(|_| ())
     };
     let missing = SimdLevel::ALL.into_iter().find(|level| SimdLevel::available().all(|have| have != *level)).unwrap();
@@ -178,8 +176,8 @@ fn times_are_told_when_asked_and_bytes_always() {
     let _alone = ALONE.lock();
     let depth = frame(small_camera());
     let open = |params, timestamps| {
-        let gpu = GpuOptions { timestamps, ..GpuOptions::default() };
-        let options = SmootherOptions { engine: Engine::Cpu, gpu, ..SmootherOptions::default() };
+        let gpu = GpuOptions::default().with_timestamps(timestamps);
+        let options = SmootherOptions::default().with_engine(Engine::Cpu).with_gpu(gpu);
         Smoother::open_with(params, &options, (160, 120)).unwrap()
     };
     let mut smoother = open(SmoothParams::paper(), true);
@@ -192,14 +190,14 @@ fn times_are_told_when_asked_and_bytes_always() {
     assert!(!smoother.receive().unwrap().unwrap().timings().unwrap().kernel.is_zero());
     // A batch's are the sum over its frames, and less than the host waits.
     let start = Instant::now();
-    smoother.smooth_batch(&[Frame::from(&depth); 8], &mut vec![Smoothed::default(); 8]).unwrap();
+    smoother.smooth_batch(&[(&depth).into_frame().unwrap(); 8], &mut vec![Smoothed::default(); 8]).unwrap();
     let (all, batch) = (start.elapsed(), smoother.timings().unwrap());
     assert!(!batch.kernel.is_zero() && batch.upload + batch.kernel <= all, "{batch:?} of {all:?}");
     // x, y and z, 160 columns being a multiple of 16, 3 pixels of border around them, 16 numbers at the end.
     let padded = (160 + 6) * (120 + 6) + 16;
     assert_eq!(smoother.buffer_bytes(), 4 * 3 * padded);
     // Planes of seven numbers more.
-    let off = open(SmoothParams { edges: Edges::Off, ..SmoothParams::default() }, false).buffer_bytes();
+    let off = open(SmoothParams::default().with_edges(Edges::Off), false).buffer_bytes();
     let mut robust = open(SmoothParams::default(), false);
     assert_eq!(robust.buffer_bytes(), off / 3 * 10);
     robust.smooth(&depth, &mut smoothed).unwrap();

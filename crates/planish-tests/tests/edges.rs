@@ -2,16 +2,22 @@
 
 use planish::evaluate::{Evaluation, Report, Suite};
 use planish::{
-    DepthFrame, Edges, OrganizedCloud, Outputs, Radius, Sensor, SimdLevel, SmoothParams, Smoothed, Status, Strength,
-    Xyz,
+    DepthFrame, Edges, OrganizedCloud, Outputs, Radius, SensorModel, SimdLevel, SmoothParams, Smoothed, Status,
+    Strength, Xyz,
 };
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, height_field, small_camera};
 
-const EXACT: Edges = Edges::Robust { noise_at_1m: 1e-4 };
+/// Hardly any noise.
+const QUIET: SensorModel = SensorModel::new([0.0, 0.0, 2.85e-3], [0.0, 0.0, 1e-4]);
 
 fn params(edges: Edges) -> SmoothParams {
-    SmoothParams { window: 4, stride: 1, radius: Radius::Fixed { radius_m: 0.03 }, edges, ..SmoothParams::default() }
+    SmoothParams::default()
+        .with_window(4)
+        .with_stride(1)
+        .with_radius(Radius::Fixed { radius_m: 0.03 })
+        .with_edges(edges)
+        .with_sensor(QUIET)
 }
 
 fn smooth(cloud: &OrganizedCloud, edges: Edges) -> Smoothed {
@@ -29,11 +35,11 @@ fn planes_and_paraboloids_stay_where_they_are() {
     let plane = height_field(41, 0.003, |x, y| 1.0 + 0.3 * x - 0.2 * y);
     let slope = (1.0f64 + 0.09 + 0.04).sqrt();
     let off = |[x, y, z]: [f64; 3]| (z - 1.0 - 0.3 * x + 0.2 * y) / slope;
-    assert!(worst(41, &smooth(&plane, EXACT), off) < 1e-7);
+    assert!(worst(41, &smooth(&plane, Edges::Robust), off) < 1e-7);
 
     // Curved by 1/4 m: the planes around a point are off it by up to 0.2 mm, which is less than the least noise, 0.3 mm.
     let bowl = |x: f64, y: f64| 1.0 + 2.0 * (x * x + y * y);
-    let smoothed = smooth(&height_field(41, 0.003, bowl), EXACT);
+    let smoothed = smooth(&height_field(41, 0.003, bowl), Edges::Robust);
     let off = worst(41, &smoothed, |[x, y, z]| z - bowl(x, y));
     assert!(off < 3e-5, "{off:e}");
 }
@@ -43,11 +49,11 @@ fn a_crease_stays_sharp_that_is_rounded_off_without() {
     let roof = |x: f64, _: f64| 1.0 + x.abs();
     let cloud = height_field(61, 0.003, roof);
     let distance = |[x, y, z]: [f64; 3]| (z - roof(x, y)) / 2f64.sqrt();
-    let [off, robust] = [Edges::Off, EXACT].map(|edges| worst(61, &smooth(&cloud, edges), distance));
+    let [off, robust] = [Edges::Off, Edges::Robust].map(|edges| worst(61, &smooth(&cloud, edges), distance));
     assert!(off > 1e-3, "{off:e}");
     assert!(robust < 0.1 * off, "{robust:e} {off:e}");
     // Beside the crease the normals are those of the faces.
-    let smoothed = smooth(&cloud, EXACT);
+    let smoothed = smooth(&cloud, Edges::Robust);
     let normals = smoothed.normals.as_ref().unwrap();
     for u in 10..51 {
         let expected = if u < 30 { -1.0 } else { 1.0 } / 2f32.sqrt();
@@ -66,7 +72,7 @@ fn no_point_leaves_both_sides_of_a_step() {
         smoothed.points.z.iter().filter(|&&z| off_both(z)).count()
     };
     assert!(between(Edges::Off) > 100, "{}", between(Edges::Off));
-    assert_eq!(between(EXACT), 0);
+    assert_eq!(between(Edges::Robust), 0);
 }
 
 #[test]
@@ -76,7 +82,7 @@ fn pixels_without_a_plane_of_their_own_are_smoothed_as_without() {
         let z = 1.0 + 0.002 * (u % 3) as f32;
         [0.003 * u as f32, 0.2 * v as f32 * z, z]
     });
-    let (off, robust) = (smooth(&rows, Edges::Off), smooth(&rows, EXACT));
+    let (off, robust) = (smooth(&rows, Edges::Off), smooth(&rows, Edges::Robust));
     assert_eq!(format!("{:?}", off.points), format!("{:?}", robust.points));
     assert!(off.status.unwrap().contains(&Status::Polynomial2));
 }
@@ -87,7 +93,7 @@ fn evaluate(params: SmoothParams, suite: &Suite) -> (Report, Report) {
         let cloud = case.frame.deproject().unwrap();
         let differences = planish::render::difference_normals(cloud.width(), cloud.height(), cloud.positions());
         raw.add(&case, cloud.positions(), &differences);
-        let outputs = Outputs { normals: true, ..Outputs::POINTS };
+        let outputs = Outputs::POINTS.with_normals(true);
         let result = TestEngine::cpu(SimdLevel::best()).smooth_to(&case.frame, params, outputs);
         smoothed.add(&case, &result.points, result.normals.as_ref().unwrap());
     }
@@ -106,7 +112,7 @@ fn the_default_setting_keeps_its_figures() {
     assert!(found.crease_deg < 5.0, "{}", found.crease_deg);
     assert!(found.sphere_radius_bias.abs() < 5e-3);
     assert!(found.lost_share < 0.01 && found.invented == 0);
-    let off = evaluate(SmoothParams { edges: Edges::Off, ..SmoothParams::default() }, &Suite::default()).1;
+    let off = evaluate(SmoothParams::default().with_edges(Edges::Off), &Suite::default()).1;
     assert!(found.crease_deg < 0.5 * off.crease_deg);
 }
 
@@ -114,7 +120,7 @@ fn the_default_setting_keeps_its_figures() {
 fn windows_on_coarse_pixels_reach_no_further_over_the_scene() {
     let camera = small_camera();
     let suite = Suite { camera, ..Suite::default() };
-    let blank = DepthFrame { camera, raw: vec![0; camera.width * camera.height], rgb: None, timestamp_s: None };
+    let blank = DepthFrame::new(camera, vec![0; camera.width * camera.height]).unwrap();
     let adapted = SmoothParams::default().at_resolution_of(&blank);
     let (raw, wide) = evaluate(SmoothParams::default(), &suite);
     let (_, found) = evaluate(adapted, &suite);
@@ -131,7 +137,7 @@ fn windows_on_coarse_pixels_reach_no_further_over_the_scene() {
 fn what_has_no_noise_is_hardly_changed() {
     let suite = Suite { noise: planish::simulate::KinectNoise::NONE, ..Suite::default() };
     for strength in [Strength::Light, Strength::Default, Strength::Strong] {
-        let (raw, found) = evaluate(SmoothParams::for_sensor(Sensor::EXACT, strength), &suite);
+        let (raw, found) = evaluate(SmoothParams::for_sensor(SensorModel::EXACT, strength), &suite);
         // The millimetres that depth comes in are all there is to smooth, and all that may be added.
         for k in 0..3 {
             assert!(found.ranges[k].rmse_mm < raw.ranges[k].rmse_mm, "{strength:?} {k}: {found:?} {raw:?}");

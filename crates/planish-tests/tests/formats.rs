@@ -6,7 +6,8 @@ use std::path::Path;
 use pcd_rs::{DataKind, DynReader, DynRecord, Field as OracleField, WriterInit};
 use planish::io::{self, Contents, Encoding, Format};
 use planish::{
-    Attribute, AttributeValues, Camera, DepthFrame, DepthImage, OrganizedCloud, PointCloud, PositionColumns, Xyz,
+    Attribute, AttributeValues, Camera, DepthFrame, DepthImage, DepthView, OrganizedCloud, PointCloud, PositionColumns,
+    SensorPose, Xyz,
 };
 use planish_tests::data::{folder, general_cloud};
 use proptest::collection::vec;
@@ -55,13 +56,12 @@ fn cloud() -> impl Strategy<Value = OrganizedCloud> {
                 let columns = attributes.len() + 3;
                 let mut free: Vec<usize> = (0..columns).collect();
                 let index = [0, 1, 2].map(|axis| free.remove((places >> (8 * axis)) as usize % free.len()));
-                let points = PointCloud {
-                    attributes,
-                    position_columns: PositionColumns { index, double: false },
-                    viewpoint: viewpoint.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 }),
-                    ..PointCloud::new(points.into_iter().collect::<Xyz>())
-                };
-                OrganizedCloud::new(width, height, points).unwrap()
+                let mut cloud = PointCloud::new(points.into_iter().collect::<Xyz>());
+                cloud.attributes = attributes;
+                cloud.position_columns = PositionColumns { index, double: false };
+                let viewpoint = viewpoint.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 });
+                cloud.pose = SensorPose::from_viewpoint(viewpoint);
+                OrganizedCloud::new(width, height, cloud).unwrap()
             },
         )
     })
@@ -94,7 +94,7 @@ proptest! {
             a.name != "_" && a.count == 1 && !matches!(a.values, AttributeValues::I64(_) | AttributeValues::U64(_))
         });
         cloud.points.position_columns.index = [0, 1, 2];
-        cloud.points.viewpoint = planish::IDENTITY_VIEWPOINT;
+        cloud.points.pose = SensorPose::IDENTITY;
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("cloud.ply");
         for encoding in [Encoding::Ascii, Encoding::Binary] {
@@ -121,7 +121,7 @@ proptest! {
         let path = folder.path().join("points.npy");
         let general = PointCloud::new(points.iter().copied().collect());
         io::write_cloud(&path, &general, Encoding::Binary).unwrap();
-        prop_assert_eq!(io::read(&path).unwrap().1, Contents::Points(general.clone()));
+        prop_assert_eq!(io::read(&path).unwrap().1, Contents::General(general.clone()));
         let grid = OrganizedCloud::new(4, 3, general).unwrap();
         io::write_cloud(&path, &grid, Encoding::Binary).unwrap();
         prop_assert_eq!(organized(&path), grid);
@@ -129,14 +129,14 @@ proptest! {
 
     #[test]
     fn lzf_is_lossless(data in vec(prop_oneof![Just(0u8), 0u8..4, any::<u8>()], 0..3000)) {
-        let stream = io::pcd::lzf::compress(&data);
+        let stream = planish::internal::lzf::compress(&data);
         prop_assert!(stream.len() <= data.len() + data.len() / 32 + 1);
-        prop_assert_eq!(io::pcd::lzf::decompress(&stream, data.len()).unwrap(), data);
+        prop_assert_eq!(planish::internal::lzf::decompress(&stream, data.len()).unwrap(), data);
     }
 
     #[test]
     fn lzf_survives_any_bytes(stream in vec(any::<u8>(), 0..200), size in 0usize..5000) {
-        let _ = io::pcd::lzf::decompress(&stream, size);
+        let _ = planish::internal::lzf::decompress(&stream, size);
     }
 }
 
@@ -150,7 +150,7 @@ fn packed_colours_and_holes_keep_their_bits_in_every_pcd_encoding() {
     let path = folder.path().join("colour.pcd");
     for encoding in [Encoding::Ascii, Encoding::Binary, Encoding::BinaryCompressed] {
         io::write_cloud(&path, &points, encoding).unwrap();
-        let Contents::Points(read) = io::read(&path).unwrap().1 else { panic!("points") };
+        let Contents::General(read) = io::read(&path).unwrap().1 else { panic!("points") };
         let bits: Vec<u32> = match &read.attribute("rgb").unwrap().values {
             AttributeValues::F32(values) => values.iter().map(|v| v.to_bits()).collect(),
             AttributeValues::U32(values) => values.clone(),
@@ -170,7 +170,7 @@ fn coordinates_in_f64_far_from_the_origin_keep_their_millimetres() {
     fs::write(&path, format!("{header}{body}")).unwrap();
     let (format, contents) = io::read(&path).unwrap();
     assert_eq!(format, Format::Pcd);
-    let Contents::Points(cloud) = &contents else { panic!("points") };
+    let Contents::General(cloud) = &contents else { panic!("points") };
     assert_eq!(cloud.origin_m, [637_000.0, 5_800_000.0, 0.0]);
     assert!((cloud.positions.x[0] - 0.123).abs() < 1e-6);
     for name in ["again.pcd", "again.ply"] {
@@ -209,12 +209,12 @@ fn numpys_own_files_are_read() {
     let points: Vec<u8> = [1.0f64, 2.0, 3.0, 4.0, 5.0, 6.0].iter().flat_map(|v| v.to_le_bytes()).collect();
     let (_, contents) = io::decode(&npy("<f8", "(2, 3)", points), None).unwrap();
     let expected = PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
-    assert_eq!(contents, Contents::Points(expected));
+    assert_eq!(contents, Contents::General(expected));
     let depth: Vec<u8> = [1.5f32, 0.0, 2.5, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
     let (_, contents) = io::decode(&npy("<f4", "(2, 2)", depth), None).unwrap();
     let Contents::DepthMetres { width, height, depth_m } = contents else { panic!("depth in metres") };
-    let camera = Camera { width, height, fx: 2.0, fy: 2.0, cx: 0.5, cy: 0.5, ..Camera::kinect_v1() };
-    let cloud = io::deproject_metres(camera, &depth_m).unwrap();
+    let camera = Camera::new((width, height), [2.0, 2.0], [0.5, 0.5]);
+    let cloud = DepthView::from_metres(&depth_m, &camera).unwrap().deproject().unwrap();
     assert_eq!(cloud.positions().get(2), [-0.25 * 2.5, 0.25 * 2.5, 2.5]);
     assert!(!cloud.positions().is_finite(1));
     assert!(io::decode(&npy("<f4", "(9, 9999999999)", vec![0; 16]), None).is_err());
@@ -350,7 +350,7 @@ fn real_pcd_files_survive_the_way_there_and_back() {
     }
     let bunny = general_cloud(&data, "unorganized/bun0.pcd");
     io::write_cloud(&path, &bunny, Encoding::Ascii).unwrap();
-    assert_eq!(io::read(&path).unwrap().1, Contents::Points(bunny));
+    assert_eq!(io::read(&path).unwrap().1, Contents::General(bunny));
 }
 
 #[test]

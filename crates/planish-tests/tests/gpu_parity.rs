@@ -1,7 +1,7 @@
 //! The GPU engine against the f64 reference (docs/method.md, section 9), on the adapter that
 //! [`test_adapter`](planish_tests::engines::test_adapter) takes: a real GPU, else lavapipe.
 
-use planish::agreement::{Agreement, radius_m};
+use planish::agreement::{Agreement, radii_m};
 use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::{DepthFrame, Outputs, SmoothParams};
 use planish_tests::data::skip;
@@ -55,9 +55,7 @@ fn frame(seed: u64) -> DepthFrame {
 #[test]
 fn the_shaders_checks_of_bounds_change_no_bit() {
     for pair in both_builds("bounds checks").chunks(2) {
-        for params in
-            [SmoothParams::paper(), SmoothParams::default(), SmoothParams { degree: 1, ..SmoothParams::paper() }]
-        {
+        for params in [SmoothParams::paper(), SmoothParams::default(), SmoothParams::paper().with_degree(1)] {
             let [checked, unchecked] = [&pair[0], &pair[1]].map(|(_, engine)| engine.smooth(&frame(3), params));
             assert_eq!(format!("{checked:?}"), format!("{unchecked:?}"));
         }
@@ -72,7 +70,8 @@ fn a_depth_frame_gives_what_its_cloud_gives() {
         let cloud = depth.deproject().unwrap();
         for params in [SmoothParams::paper(), SmoothParams::default()] {
             let mut agreement = Agreement::default();
-            agreement.add(&engine.smooth(&depth, params), &engine.smooth(&cloud, params), radius_m(&cloud, params));
+            let radii_m = radii_m(&cloud, params);
+            agreement.add(&engine.smooth(&depth, params), &engine.smooth(&cloud, params), |i| radii_m[i]);
             assert_eq!(agreement.equal_status(), 1.0, "{subject}");
             assert_eq!(agreement.position_m(1.0), 0.0, "{subject}");
         }

@@ -1,7 +1,7 @@
 //! The reference engine against PCL's own test values, the invariants, and real frames.
 
-use planish::agreement::radius_m;
-use planish::{Engine, Outputs, Radius, SmoothParams, Smoothed, Smoother, smooth_points};
+use planish::agreement::radii_m;
+use planish::{Engine, Radius, SmoothParams, Smoothed, Smoother};
 use planish_tests::data::{folder, general_cloud, real_frames};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
@@ -16,9 +16,8 @@ fn general_mode_gives_the_values_of_pcls_own_test() {
     let Some(folder) = folder("bun0") else { return };
     let cloud = general_cloud(&folder, "unorganized/bun0.pcd");
     let radius = Radius::Fixed { radius_m: 0.03 };
-    let params = SmoothParams { radius, degree: 2, bandwidth_m: Some(0.03), ..SmoothParams::paper() };
-    let mut smoothed = Smoothed::default();
-    smooth_points(&cloud, params, Outputs::ALL, None, &mut smoothed).unwrap();
+    let params = SmoothParams::paper().with_radius(radius).with_degree(2).with_bandwidth_m(Some(0.03));
+    let smoothed = TestEngine::REFERENCE.smooth(&cloud, params);
     assert_eq!(smoothed.points.len(), 397);
     let normal = smoothed.normals.unwrap().get(0).map(f32::abs);
     let curvature = smoothed.curvature.unwrap()[0];
@@ -35,15 +34,15 @@ fn invariants_hold_on_nasty_clouds_whatever_the_threads() {
     let corners = [
         SmoothParams::paper(),
         SmoothParams::default(),
-        SmoothParams { window: 7, stride: 8, ..SmoothParams::default() },
-        SmoothParams { window: 1, degree: 2, ..SmoothParams::paper() },
-        SmoothParams { radius: Radius::Fixed { radius_m: 1e-6 }, ..SmoothParams::paper() },
-        SmoothParams { radius: Radius::Fixed { radius_m: 1e3 }, bandwidth_m: Some(1e-3), ..SmoothParams::paper() },
+        SmoothParams::default().with_window(7).with_stride(8),
+        SmoothParams::paper().with_window(1).with_degree(2),
+        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e-6 }),
+        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e-3)),
     ];
     for scene in nasty_scenes() {
         for params in corners {
             let one = smooth(&scene.cloud, params, 1);
-            assert_invariants(&scene.cloud, &one, radius_m(&scene.cloud, params), scene.name);
+            assert_invariants(&scene.cloud, &one, &radii_m(&scene.cloud, params), scene.name);
             let three = smooth(&scene.cloud, params, 3);
             // By text, since NaN differs from NaN.
             assert_eq!(format!("{one:?}"), format!("{three:?}"), "{}", scene.name);
@@ -56,7 +55,7 @@ fn invariants_hold_on_simulated_frames() {
     for (seed, room) in [(1, false), (2, true)] {
         let cloud = simulated(seed, room, small_camera());
         for params in [SmoothParams::paper(), SmoothParams::default()] {
-            assert_invariants(&cloud, &smooth(&cloud, params, 2), radius_m(&cloud, params), "simulated");
+            assert_invariants(&cloud, &smooth(&cloud, params, 2), &radii_m(&cloud, params), "simulated");
         }
     }
 }
@@ -66,7 +65,7 @@ fn invariants_hold_on_real_frames() {
     for frame in real_frames("reference on real frames") {
         for params in [SmoothParams::paper(), SmoothParams::default()] {
             let smoothed = smooth(&frame.cloud, params, 2);
-            assert_invariants(&frame.cloud, &smoothed, radius_m(&frame.cloud, params), frame.name);
+            assert_invariants(&frame.cloud, &smoothed, &radii_m(&frame.cloud, params), frame.name);
         }
     }
 }

@@ -6,9 +6,9 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use planish::internal::{disparity_depth_m, write_freenect_recording};
 use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::source::{FileSource, FreenectRecording, Paced, Source, SourceFrame, TumRecorder, TumSource};
-use planish::source::{disparity_depth_m, write_freenect_recording};
 use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
 use planish::{
     Camera, DepthFrame, Engine, Error, OrganizedCloud, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
@@ -74,7 +74,7 @@ impl Sink for Seen {
 fn options(engine: Engine) -> StreamOptions {
     let smoother = match engine {
         Engine::Gpu => TestEngine::gpu(true).options(Outputs::POINTS),
-        engine => SmootherOptions { engine, ..SmootherOptions::default() },
+        engine => SmootherOptions::default().with_engine(engine),
     };
     StreamOptions {
         params: SmoothParams::default(),
@@ -177,8 +177,8 @@ fn strides_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
     let mut empty = cloud.clone();
     empty.points.positions = Xyz::filled(160 * 120, f32::NAN);
     let alone = |stride| {
-        let params = SmoothParams { stride, ..SmoothParams::default() };
-        let options = SmootherOptions { engine: Engine::Cpu, ..SmootherOptions::default() };
+        let params = SmoothParams::default().with_stride(stride);
+        let options = SmootherOptions::default().with_engine(Engine::Cpu);
         let mut smoothed = Smoothed::default();
         Smoother::open_with(params, &options, (160, 120)).unwrap().smooth(&cloud, &mut smoothed).unwrap();
         format!("{:?}", smoothed.points)
@@ -302,7 +302,7 @@ fn a_source_that_panics_ends_the_stream_and_not_the_process() {
 
 #[test]
 fn frames_of_another_shape_reopen_the_engine() {
-    let larger = Camera { width: 200, ..small_camera() };
+    let larger = small_camera().with_shape((200, 120));
     let given = vec![0, 1, 2, 3].into_iter().map(|i| Ok(frame(if i % 2 == 0 { small_camera() } else { larger }, i)));
     let seen = Seen::default();
     let given: Vec<_> = given.collect();
@@ -326,11 +326,11 @@ fn a_recording_in_tum_layout_comes_back_identical() {
     }
     assert!(source.next_frame().unwrap().is_none());
     // A camera without a unit leaves the layout's own.
-    let other = Camera { width: 0, height: 0, fx: 500.0, ..Camera::kinect_v1() };
+    let other = Camera::new((0, 0), [500.0, 525.0], [319.5, 239.5]);
     let mut source = TumSource::open(folder.path(), Some(other), None).unwrap();
     let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
     assert_eq!((found.camera.fx, found.camera.depth_units_per_metre), (500.0, 5000.0));
-    let far = DepthFrame { raw: vec![14_000; 160 * 120], ..frames[0].clone() };
+    let far = DepthFrame::new(frames[0].camera, vec![14_000; 160 * 120]).unwrap();
     assert!(TumRecorder::create(tempfile::tempdir().unwrap().path()).unwrap().add(&far).is_err());
 }
 
@@ -394,8 +394,7 @@ fn a_folder_gives_its_frames_by_name_and_keeps_results_whole() {
 #[test]
 fn real_data_sets_stream() {
     let Some(data) = folder("real data sets") else { return };
-    let camera =
-        Camera::from_json(&std::fs::read_to_string(data.join("redwood/camera_primesense.json")).unwrap(), (640, 480));
+    let camera = planish::io::read_camera(&data.join("redwood/camera_primesense.json"), Some((640, 480)));
     let source = FileSource::folder(&data.join("redwood/depth"), Some(camera.unwrap())).unwrap();
     let (statistics, warnings) = {
         let mut warnings = 0;

@@ -3,10 +3,11 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
+use planish::internal::lose_gpu_devices;
 use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::source::{Source, SourceFrame};
 use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions};
-use planish::{DepthFrame, Engine, Error, GpuOptions, SmoothParams, SmootherOptions, lose_gpu_devices};
+use planish::{DepthFrame, Engine, Error, GpuOptions, SmoothParams, SmootherOptions};
 use planish_tests::data::skip;
 use planish_tests::engines::test_adapter;
 use planish_tests::scenes::small_camera;
@@ -62,11 +63,11 @@ fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
     let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).unwrap();
     let results = Arc::new(Mutex::new(Vec::new()));
     let source = OneByOne { frame, next: 0, results: Arc::clone(&results) };
-    let gpu = GpuOptions { adapter: Some(adapter.index.to_string()), ..GpuOptions::default() };
+    let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());
     let options = StreamOptions {
         params: SmoothParams::default(),
         adapt_stride: false,
-        smoother: SmootherOptions { engine: Engine::Gpu, gpu, ..SmootherOptions::default() },
+        smoother: SmootherOptions::default().with_engine(Engine::Gpu).with_gpu(gpu),
         max_frames: None,
         max_duration: None,
     };

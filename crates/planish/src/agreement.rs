@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::cloud::OrganizedCloud;
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, RangeRule};
 use crate::params::{Radius, SmoothParams};
 use crate::smoothed::Smoothed;
 
@@ -34,7 +34,7 @@ pub struct Agreement {
 impl Agreement {
     /// Adds a frame; both results need points and status, or they agree on no pixel. Distances are scaled to a range of
     /// [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger.
-    pub fn add(&mut self, result: &Smoothed, reference: &Smoothed, radius_m: impl Fn(f64) -> f64) {
+    pub fn add(&mut self, result: &Smoothed, reference: &Smoothed, radius_m: impl Fn(usize) -> f64) {
         let pixels = reference.width * reference.height;
         self.pixels += pixels;
         let (Some(status), Some(expected)) = (&result.status, &reference.status) else { return };
@@ -45,7 +45,7 @@ impl Agreement {
         for i in (0..status.len()).filter(|&i| status[i] == expected[i]) {
             self.equal += 1;
             if expected[i].has_point() {
-                self.distances_m.push(distance_m(result.points.get(i), reference.points.get(i), &radius_m));
+                self.distances_m.push(distance_m(result.points.get(i), reference.points.get(i), radius_m(i)));
             }
         }
     }
@@ -58,19 +58,19 @@ impl Agreement {
         [x, y, z]: [&[f32]; 3],
         reference: &Smoothed,
         pixels: Range<usize>,
-        radius_m: impl Fn(f64) -> f64,
+        radius_m: impl Fn(usize) -> f64,
     ) {
         self.pixels += pixels.len();
         let found = |i: usize| Some([*x.get(i)?, *y.get(i)?, *z.get(i)?]);
         let expected = |i: usize| (i < reference.points.len()).then(|| reference.points.get(i));
         let may_differ = (pixels.len() as f64 * (1.0 - EQUAL_STATUS)) as usize;
         let mut distances_m = Vec::with_capacity(pixels.len());
-        for (found, expected) in pixels.filter_map(|i| Some((found(i)?, expected(i)?))) {
+        for (i, found, expected) in pixels.filter_map(|i| Some((i, found(i)?, expected(i)?))) {
             let is_point = |point: [f32; 3]| point.iter().all(|value| value.is_finite());
             if is_point(found) == is_point(expected) {
                 self.equal += 1;
                 if is_point(expected) {
-                    distances_m.push(distance_m(found, expected, &radius_m));
+                    distances_m.push(distance_m(found, expected, radius_m(i)));
                 }
             }
         }
@@ -114,29 +114,46 @@ impl Agreement {
 
 /// The distance of two points, scaled to a range of [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger; a NaN is
 /// infinitely far.
-fn distance_m(found: [f32; 3], expected: [f32; 3], radius_m: &impl Fn(f64) -> f64) -> f64 {
+fn distance_m(found: [f32; 3], expected: [f32; 3], radius_m: f64) -> f64 {
     let square: f64 = (0..3).map(|k| (f64::from(found[k]) - f64::from(expected[k])).powi(2)).sum();
-    let z = f64::from(expected[2]).abs();
-    let scale = 1f64.max(z / RANGE_M).max(radius_m(z) / RADIUS_M);
+    let coordinate_m = expected.map(|value| f64::from(value).abs()).into_iter().fold(0.0, f64::max);
+    let scale = 1f64.max(coordinate_m / RANGE_M).max(radius_m / RADIUS_M);
     if square.is_nan() { f64::INFINITY } else { square.sqrt() / scale }
 }
 
-/// r(z) of docs/method.md, section 3, in f64, for the pixels of a cloud.
-pub fn radius_m(cloud: &OrganizedCloud, params: SmoothParams) -> impl Fn(f64) -> f64 + use<> {
-    let pitch = cloud.pixel_pitch_at_1m().unwrap_or(1.0 / 525.0);
-    move |z| match params.radius {
+/// Where the sensor of a frame stands, or is taken to, in the frame of its points.
+pub fn sensor_position_m<'a>(frame: impl IntoFrame<'a>) -> [f64; 3] {
+    let geometry = |frame| FrameGeometry::of(frame, true, &mut GeometryScratch::default());
+    frame.into_frame().map_or([0.0; 3], |frame| geometry(frame).sensor_position().to_array())
+}
+
+/// The radius of every point of a frame in f64 (docs/method.md, sections 3 and 11), by its index.
+pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: SmoothParams) -> Vec<f64> {
+    let Ok(frame) = frame.into_frame() else { return Vec::new() };
+    let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
+    let (width, height) = frame.shape();
+    let range_m = |i: usize| match frame {
+        Frame::Depth(depth) => f64::from(depth.depth_m(i % width, i / width)),
+        Frame::Points(points) => geometry.range_m(points.point_in_sensor(i, &geometry)),
+    };
+    let radius_m = |range_m: f64| match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
-        Radius::Sensor { depth_step_at_1m } => {
+        Radius::Sensor => {
+            let spacing_m = match geometry.rule {
+                RangeRule::Constant { spacing_m } => spacing_m,
+                rule => range_m * rule.pitch_at_1m(),
+            };
             let reach = f64::from(params.window * params.stride);
-            (1.5 * reach * z.abs() * pitch).max(4.0 * f64::from(depth_step_at_1m) * z * z)
+            (1.5 * reach * spacing_m).max(4.0 * params.sensor.step_m(range_m))
         }
-    }
+    };
+    (0..width * height).map(|i| radius_m(range_m(i))).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cloud::Xyz;
+    use crate::xyz::Xyz;
 
     #[test]
     fn points_alone_agree_up_to_the_tolerance_and_not_where_one_is_missing() {

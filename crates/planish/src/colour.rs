@@ -73,7 +73,7 @@ impl PointCloud {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cloud::Xyz;
+    use crate::xyz::Xyz;
 
     #[test]
     fn packed_and_separate_colours_convert_both_ways_in_place() {

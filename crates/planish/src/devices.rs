@@ -1,17 +1,11 @@
-//! What this machine computes with: its GPU adapters, how to open one, and what [`Engine::Auto`] takes.
+//! GPU adapters, how to choose among them, and how to open one.
 
-use std::ops::AddAssign;
-use std::time::Duration;
-
-use serde::Serialize;
-
-use crate::cpu::SimdLevel;
 use crate::error::EngineError;
-use crate::smoother::Engine;
 
 /// What kind of device an adapter is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "lowercase"))]
+#[non_exhaustive]
 pub enum AdapterKind {
     /// A graphics card.
     Discrete,
@@ -19,14 +13,16 @@ pub enum AdapterKind {
     Integrated,
     /// A GPU lent to a virtual machine.
     Virtual,
-    /// The CPU pretending to be a GPU, as lavapipe does: for tests. `Auto` never takes it.
+    /// A GPU emulated on the CPU, such as lavapipe: for tests. `Auto` never takes it.
     Software,
     /// The driver does not say.
     Other,
 }
 
 /// A GPU adapter of this machine.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub struct GpuAdapter {
     /// Its number, by which it can be asked for.
     pub index: usize,
@@ -42,6 +38,7 @@ pub struct GpuAdapter {
 
 /// How frames get to the GPU and results back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Transfer {
     /// The faster one of this device, as far as is known.
     #[default]
@@ -54,12 +51,12 @@ pub enum Transfer {
 
 /// How to open the GPU engine. The default is right for everything but tests and measurements.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct GpuOptions {
-    /// The adapter by its index (a number is nothing else) or any part of its name, small letters as capitals; `None` is the first real GPU. A
-    /// software adapter is only taken by this. [`Engine::Auto`] does not look at it.
+    /// The adapter by its index (a number is nothing else) or any part of its name, in any case; `None` is the first real GPU. A
+    /// software adapter is only taken by this. `Engine::Auto` does not look at it.
     pub adapter: Option<String>,
-    /// How many frames may be in flight: submitted and not received. At least 1; 3 keep a GPU busy. The engines of the CPU
-    /// keep to it too.
+    /// How many frames may be in flight: submitted and not received. At least 1; 3 keep a GPU busy. Other engines keep to it too.
     pub slots: usize,
     /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings). The CPU
     /// engine takes its own by the same.
@@ -68,6 +65,33 @@ pub struct GpuOptions {
     pub bounds_checks: bool,
     /// How frames get there and results back.
     pub transfer: Transfer,
+}
+
+impl GpuOptions {
+    /// The same on an adapter, by its index or any part of its name; `None` is the first real GPU.
+    pub fn with_adapter(self, adapter: impl Into<Option<String>>) -> Self {
+        Self { adapter: adapter.into(), ..self }
+    }
+
+    /// The same with so many frames in flight.
+    pub fn with_slots(self, slots: usize) -> Self {
+        Self { slots, ..self }
+    }
+
+    /// The same with times taken, or not.
+    pub fn with_timestamps(self, timestamps: bool) -> Self {
+        Self { timestamps, ..self }
+    }
+
+    /// The same with bounds checked, or not.
+    pub fn with_bounds_checks(self, bounds_checks: bool) -> Self {
+        Self { bounds_checks, ..self }
+    }
+
+    /// The same with another transfer.
+    pub fn with_transfer(self, transfer: Transfer) -> Self {
+        Self { transfer, ..self }
+    }
 }
 
 impl Default for GpuOptions {
@@ -83,59 +107,8 @@ impl Default for GpuOptions {
     }
 }
 
-/// Where the time of one frame or batch went: on a GPU's device, or in the CPU engine.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct FrameTimings {
-    /// Copying the input to the device's memory, next to nothing where the kernel reads the host's; on the CPU copying or
-    /// deprojecting it into the planes that the kernel reads.
-    pub upload: Duration,
-    /// The kernel, with where edges are kept the pass before it.
-    pub kernel: Duration,
-    /// Copying the result to the host's memory; next to nothing where the kernel writes it there. On the CPU making depth from
-    /// the points and leaving out what is not wanted; nothing where points are wanted and depth is not.
-    pub readback: Duration,
-}
-
-impl AddAssign for FrameTimings {
-    fn add_assign(&mut self, more: Self) {
-        self.upload += more.upload;
-        self.kernel += more.kernel;
-        self.readback += more.readback;
-    }
-}
-
-/// The GPU adapters of this machine in the order of their indices. Empty without drivers, or in a build without the feature
-/// `gpu`.
-pub fn gpu_adapters() -> Vec<GpuAdapter> {
-    #[cfg(feature = "gpu")]
-    return crate::gpu::adapters();
-    #[cfg(not(feature = "gpu"))]
-    Vec::new()
-}
-
-/// Destroys every GPU device that this process has open, as a reset of the driver does: for tests of what comes after.
-#[doc(hidden)]
-#[cfg(feature = "gpu")]
-pub fn lose_gpu_devices() {
-    crate::gpu::lose_devices();
-}
-
-/// The engine that [`Engine::Auto`] takes among these adapters, and why: a real GPU if there is one, else the CPU.
-pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, String) {
-    if let Some(adapter) = real_gpu(adapters) {
-        return (Engine::Gpu, format!("{} is a GPU", adapter.name));
-    }
-    let simd = SimdLevel::best().name();
-    let reason = match adapters {
-        _ if cfg!(not(feature = "gpu")) => "this build has no GPU engine".to_owned(),
-        [] => "no GPU adapter was found".to_owned(),
-        [only] => format!("the only adapter, {}, is no GPU", only.name),
-        _ => "none of the adapters is a GPU".to_owned(),
-    };
-    (Engine::Cpu, format!("{reason}; the CPU has {simd}"))
-}
-
-fn real_gpu(adapters: &[GpuAdapter]) -> Option<&GpuAdapter> {
+/// The real GPU to take if none is asked for.
+pub(crate) fn real_gpu(adapters: &[GpuAdapter]) -> Option<&GpuAdapter> {
     let of = |kind| adapters.iter().find(|adapter| adapter.kind == kind);
     of(AdapterKind::Discrete).or_else(|| of(AdapterKind::Integrated)).or_else(|| of(AdapterKind::Virtual))
 }
@@ -175,23 +148,12 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
 mod tests {
     use super::*;
 
-    #[test]
-    fn times_add_up_stage_by_stage() {
-        let times = |ms: [u64; 3]| {
-            let [upload, kernel, readback] = ms.map(Duration::from_millis);
-            FrameTimings { upload, kernel, readback }
-        };
-        let mut sum = times([1, 20, 300]);
-        sum += times([4, 50, 600]);
-        assert_eq!(sum, times([5, 70, 900]));
-    }
-
     fn adapter(index: usize, name: &str, kind: AdapterKind) -> GpuAdapter {
         GpuAdapter { index, name: name.into(), kind, backend: "vulkan".into(), driver: "1".into() }
     }
 
     #[test]
-    fn auto_takes_a_real_gpu_and_never_software() {
+    fn the_first_real_gpu_is_taken_and_software_only_by_name() {
         let software = adapter(0, "llvmpipe", AdapterKind::Software);
         let integrated = adapter(1, "Radeon 780M", AdapterKind::Integrated);
         let discrete = adapter(2, "NVIDIA H200", AdapterKind::Discrete);
@@ -199,11 +161,6 @@ mod tests {
         assert_eq!(choose(&all, None), Ok(&discrete));
         assert_eq!(choose(&all[..2], None), Ok(&integrated));
         assert!(choose(&all[..1], None).unwrap_err().to_string().contains("0 llvmpipe"));
-        assert_eq!(auto_choice(&all).0, Engine::Gpu);
-        let (engine, reason) = auto_choice(&all[..1]);
-        assert_eq!(engine, Engine::Cpu);
-        assert!(!cfg!(feature = "gpu") || reason.contains("llvmpipe"), "{reason}");
-        assert_eq!(auto_choice(&[]).0, Engine::Cpu);
     }
 
     #[test]

@@ -18,6 +18,7 @@ pub struct ParamError {
 
 /// A frame that cannot be what it says it is.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum FrameError {
     /// A frame has other dimensions than the smoother was opened for.
     #[error(
@@ -43,6 +44,45 @@ pub enum FrameError {
         /// What is allowed.
         allowed: &'static str,
     },
+    /// A camera of another shape than the frame.
+    #[error("the camera is {width}x{height}, the frame {frame_width}x{frame_height}: give the camera of this frame")]
+    CameraShapeMismatch {
+        /// Width of the frame in pixels.
+        frame_width: usize,
+        /// Height of the frame in pixels.
+        frame_height: usize,
+        /// Width of the camera's images in pixels.
+        width: usize,
+        /// Height of the camera's images in pixels.
+        height: usize,
+    },
+    /// A frame with a grid for a smoother of general clouds, or a general cloud for one of frames.
+    #[error("the frame {found}, but the smoother was opened for {expected}: open another one")]
+    GridMismatch {
+        /// What the frame is.
+        found: String,
+        /// What the smoother takes.
+        expected: String,
+    },
+    /// Strides that would make rows or points overlap.
+    #[error("a {what} of {stride} is not allowed: {least} or more")]
+    BadStride {
+        /// Which stride.
+        what: &'static str,
+        /// The stride.
+        stride: usize,
+        /// The smallest that is allowed.
+        least: usize,
+    },
+    /// A buffer for an output that the smoother was not opened for.
+    #[error("the smoother was opened without {output}: ask for it in the outputs")]
+    OutputNotOpened {
+        /// Which output.
+        output: &'static str,
+    },
+    /// A sensor pose that is none.
+    #[error("sensor pose: {0}; without a usable pose, override it")]
+    BadPose(ParamError),
     /// A buffer whose length does not follow from the shape.
     #[error("{what} has {len} values where {expected} are needed")]
     LengthMismatch {
@@ -66,11 +106,12 @@ pub enum FrameError {
 
 /// An engine that cannot be had, or that failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum EngineError {
     /// The engine is not in this build or not on this machine.
     #[error("engine {engine} is not available: {reason}")]
     Unavailable {
-        /// The engine that was asked for.
+        /// The name of the engine that was asked for.
         engine: &'static str,
         /// Why it is not there, and what would help.
         reason: String,
@@ -90,7 +131,7 @@ pub enum EngineError {
         needed: u64,
     },
     /// The device has no memory left.
-    #[error("the GPU {device} has not the {bytes} bytes of memory that are needed: {reason}")]
+    #[error("the GPU {device} could not allocate {bytes} bytes: {reason}")]
     OutOfMemory {
         /// The device's name.
         device: String,
@@ -133,6 +174,7 @@ pub enum EngineError {
 
 /// A camera or a viewer that cannot be had, or that is gone.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum DeviceError {
     /// Its driver, or the camera itself, is not there.
     #[error("{what}; {help}")]
@@ -158,6 +200,7 @@ pub enum DeviceError {
 
 /// What is wrong with a file, without its name.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum FormatError {
     /// The operating system could not read or write it.
     #[error(transparent)]
@@ -183,6 +226,7 @@ pub struct IoError {
     pub problem: FormatError,
 }
 
+#[cfg(feature = "io")]
 impl IoError {
     pub(crate) fn at(path: &Path) -> impl FnOnce(FormatError) -> Self + '_ {
         move |problem| Self { path: path.to_path_buf(), problem }
@@ -191,6 +235,7 @@ impl IoError {
 
 /// Any error of planish.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Error {
     /// A parameter outside its range.
     #[error(transparent)]

@@ -3,69 +3,35 @@
 use std::ops::RangeInclusive;
 
 use crate::error::ParamError;
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
+use crate::sensor::SensorModel;
 
 /// How the radius of a neighbourhood is found (docs/method.md, section 3).
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum Radius {
     /// One radius for every point, in metres.
     Fixed {
         /// The radius in metres.
         radius_m: f32,
     },
-    /// r(z) = max(1.5 k s z/fx, 4 step z²): wide enough for the window at this range, and for the depth noise.
-    Sensor {
-        /// The depth step of the sensor at 1 m, in metres; it grows with z². Kinect v1: 2.85e-3.
-        depth_step_at_1m: f32,
-    },
+    /// r(z) = max(1.5 k s pitch z, 4 step(z)): wide enough for the window at this range, and for the sensor's depth steps.
+    Sensor,
 }
-
-/// The depth step of a Kinect v1 in metres at a range of 1 m: one unit of its 11-bit disparity
-/// (Khoshelham & Elberink 2012).
-pub const KINECT_V1_DEPTH_STEP_AT_1M: f32 = 2.85e-3;
-
-impl Radius {
-    /// The sensor rule with the depth step of a Kinect v1.
-    pub const KINECT_V1: Self = Self::Sensor { depth_step_at_1m: KINECT_V1_DEPTH_STEP_AT_1M };
-}
-
-/// The noise of a Kinect v1 in metres at a range of 1 m, as standard deviation: 0.63 of its depth step.
-pub const KINECT_V1_NOISE_AT_1M: f32 = 1.8e-3;
 
 /// What becomes of creases and steps (docs/method.md, section 10).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Edges {
     /// Every neighbour counts: the surface is rounded off within a window's reach of an edge.
     Off,
-    /// The surface of each point is taken from the planes around it, and neighbours off that surface by more than the noise do
-    /// not count: edges stay, and flat surfaces are smoother too. Clouds without a grid are smoothed without it.
-    Robust {
-        /// The standard deviation of depth at 1 m, in metres; it grows with z². Kinect v1: 1.8e-3.
-        noise_at_1m: f32,
-    },
+    /// The surface of each point is taken from the planes around it, and neighbours off that surface by more than the sensor's
+    /// noise do not count: edges stay, and flat surfaces are smoother too. General clouds are smoothed without it.
+    Robust,
 }
 
-/// What a smoother must know of a depth sensor. Both numbers grow with z², as those of triangulating sensors do.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sensor {
-    /// From one depth that it can tell to the next at 1 m, in metres.
-    pub depth_step_at_1m: f32,
-    /// The standard deviation of depth at 1 m, in metres.
-    pub noise_at_1m: f32,
-}
-
-impl Sensor {
-    /// A Kinect v1, or another camera with its pattern (Xtion, PrimeSense Carmine).
-    pub const KINECT_V1: Self =
-        Self { depth_step_at_1m: KINECT_V1_DEPTH_STEP_AT_1M, noise_at_1m: KINECT_V1_NOISE_AT_1M };
-    /// Stereo of some 5 cm baseline with disparities in 32nds of a pixel, as a RealSense D400.
-    pub const STEREO: Self = Self { depth_step_at_1m: 3.2e-3, noise_at_1m: 2e-3 };
-    /// Depth without noise: rendered, or averaged long.
-    pub const EXACT: Self = Self { depth_step_at_1m: 0.0, noise_at_1m: 0.0 };
-}
-
-/// Less noise than this needs no wide windows.
-const LITTLE_NOISE_AT_1M: f32 = 2e-4;
+/// Less noise than this at 1 m needs no wide windows: it is no more than what rounding to millimetres makes.
+const LITTLE_SIGMA_M: f64 = 3e-4;
 
 /// The focal length that strides are chosen for: a Kinect v1's, in pixels.
 const TUNED_FOCAL_LENGTH_PX: f64 = 525.0;
@@ -87,23 +53,18 @@ pub enum Strength {
     Strong,
 }
 
-impl Edges {
-    /// Robust against the noise of a Kinect v1.
-    pub const KINECT_V1: Self = Self::Robust { noise_at_1m: KINECT_V1_NOISE_AT_1M };
-}
-
 /// The parameters of the smoother.
 ///
 /// ```
-/// use planish::{Radius, SmoothParams};
+/// use planish::SmoothParams;
 ///
-/// let params = SmoothParams { window: 4, ..SmoothParams::default() };
+/// let params = SmoothParams::default().with_window(4);
 /// assert!(params.validate().is_ok());
-/// let error = SmoothParams { window: 9, ..params }.validate().unwrap_err();
+/// let error = params.with_window(9).validate().unwrap_err();
 /// assert_eq!(error.to_string(), "window = 9 is not allowed: 1 to 7");
-/// # let _ = Radius::KINECT_V1;
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct SmoothParams {
     /// Half width k of the pixel window; the candidates are (2k+1)² pixels. 1 to 7.
     pub window: u32,
@@ -117,23 +78,25 @@ pub struct SmoothParams {
     pub bandwidth_m: Option<f32>,
     /// Whether edges are kept.
     pub edges: Edges,
+    /// Whose steps and noise they are: [`Radius::Sensor`] and [`Edges::Robust`] go by it.
+    pub sensor: SensorModel,
 }
 
 impl Default for SmoothParams {
     /// [`SmoothParams::for_sensor`] of a Kinect v1 and [`Strength::Default`]: on correlated Kinect noise this leaves a quarter of
     /// the error, and less than half of what [`SmoothParams::paper`] leaves.
     fn default() -> Self {
-        Self::for_sensor(Sensor::KINECT_V1, Strength::default())
+        Self::for_sensor(SensorModel::KINECT_V1, Strength::default())
     }
 }
 
 impl SmoothParams {
     /// A setting for a sensor: degree 2, edges kept, the radius and the noise of the sensor.
     ///
-    /// A sensor with hardly any noise (under 0.2 mm at 1 m) gets windows a third as wide: there is little to gain, and small
+    /// A sensor with hardly any noise (under 0.3 mm at 1 m) gets windows a third as wide: there is little to gain, and small
     /// things to lose.
-    pub fn for_sensor(sensor: Sensor, strength: Strength) -> Self {
-        let has_noise = sensor.noise_at_1m >= LITTLE_NOISE_AT_1M;
+    pub fn for_sensor(sensor: SensorModel, strength: Strength) -> Self {
+        let has_noise = sensor.sigma_m(1.0) >= LITTLE_SIGMA_M;
         let (window, stride) = match strength {
             Strength::Light if has_noise => (3, 2),
             Strength::Default if has_noise => (5, 3),
@@ -142,9 +105,48 @@ impl SmoothParams {
             Strength::Default => (5, 1),
             Strength::Strong => (7, 1),
         };
-        let radius = Radius::Sensor { depth_step_at_1m: sensor.depth_step_at_1m };
-        let edges = Edges::Robust { noise_at_1m: sensor.noise_at_1m };
-        Self { window, stride, radius, degree: 2, bandwidth_m: None, edges }
+        let (radius, edges) = (Radius::Sensor, Edges::Robust);
+        Self { window, stride, radius, degree: 2, bandwidth_m: None, edges, sensor }
+    }
+
+    /// The same with another half width of the window, 1 to 7.
+    pub const fn with_window(self, window: u32) -> Self {
+        Self { window, ..self }
+    }
+
+    /// The same with another distance between candidates in pixels, 1 to 8.
+    pub const fn with_stride(self, stride: u32) -> Self {
+        Self { stride, ..self }
+    }
+
+    /// The same with another rule for the radius.
+    pub const fn with_radius(self, radius: Radius) -> Self {
+        Self { radius, ..self }
+    }
+
+    /// The same with one radius in metres for every point.
+    pub const fn with_radius_m(self, radius_m: f32) -> Self {
+        self.with_radius(Radius::Fixed { radius_m })
+    }
+
+    /// The same with another highest degree of the polynomial, 1 to 3.
+    pub const fn with_degree(self, degree: u32) -> Self {
+        Self { degree, ..self }
+    }
+
+    /// The same with another bandwidth of the weights in metres; `None` is the radius.
+    pub const fn with_bandwidth_m(self, bandwidth_m: Option<f32>) -> Self {
+        Self { bandwidth_m, ..self }
+    }
+
+    /// The same with edges kept or not.
+    pub const fn with_edges(self, edges: Edges) -> Self {
+        Self { edges, ..self }
+    }
+
+    /// The same for another sensor.
+    pub const fn with_sensor(self, sensor: SensorModel) -> Self {
+        Self { sensor, ..self }
     }
 
     /// The same setting at the resolution of a frame. Strides are chosen for pixels of a Kinect v1, 1/525 of the range; where a
@@ -155,22 +157,23 @@ impl SmoothParams {
     /// ```
     /// use planish::{Camera, DepthFrame, SmoothParams};
     ///
-    /// let camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5, ..Camera::kinect_v1() };
-    /// let frame = DepthFrame { camera, raw: vec![1000; 320 * 240], rgb: None, timestamp_s: None };
+    /// let camera = Camera::new((320, 240), [262.5; 2], [159.5, 119.5]);
+    /// let frame = DepthFrame::new(camera, vec![1000; 320 * 240])?;
     /// assert_eq!(SmoothParams::default().stride, 3);
     /// assert_eq!(SmoothParams::default().at_resolution_of(&frame).stride, 2);
+    /// # Ok::<(), planish::FrameError>(())
     /// ```
-    pub fn at_resolution_of<'a>(self, frame: impl Into<Frame<'a>>) -> Self {
-        self.at_known_resolution_of(frame.into()).unwrap_or(self)
+    pub fn at_resolution_of<'a>(self, frame: impl IntoFrame<'a>) -> Self {
+        frame.into_frame().ok().and_then(|frame| self.at_known_resolution_of(frame)).unwrap_or(self)
     }
 
-    /// The same, but `None` where the frame does not say, being empty or not what it says, or where the stride is not allowed
-    /// anyway.
+    /// The same, but `None` where the frame does not say, or where the stride is not allowed anyway.
     pub(crate) fn at_known_resolution_of(self, frame: Frame<'_>) -> Option<Self> {
-        if frame.validate().is_err() || !STRIDES.contains(&self.stride) {
+        if !STRIDES.contains(&self.stride) || frame.grid().is_none() {
             return None;
         }
-        let coarseness = frame.known_pitch_at_1m(&mut Vec::new())? * TUNED_FOCAL_LENGTH_PX;
+        let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
+        let coarseness = geometry.rule.known_pitch_at_1m()? * TUNED_FOCAL_LENGTH_PX;
         let stride = (f64::from(self.stride) / coarseness + ROUNDING).floor();
         Some(Self { stride: (stride as u32).clamp(1, self.stride), ..self })
     }
@@ -178,7 +181,15 @@ impl SmoothParams {
     /// The setting of the 2011 report: 49 adjacent pixels, 3 cm, degree 3.
     pub fn paper() -> Self {
         let radius = Radius::Fixed { radius_m: 0.03 };
-        Self { window: 3, stride: 1, radius, degree: 3, bandwidth_m: None, edges: Edges::Off }
+        Self {
+            window: 3,
+            stride: 1,
+            radius,
+            degree: 3,
+            bandwidth_m: None,
+            edges: Edges::Off,
+            sensor: SensorModel::KINECT_V1,
+        }
     }
 
     /// Refuses every value outside its range.
@@ -193,17 +204,10 @@ impl SmoothParams {
         integer("window", self.window, 1..=7, "1 to 7")?;
         integer("stride", self.stride, STRIDES, "1 to 8")?;
         integer("degree", self.degree, 1..=3, "1 to 3")?;
-        match self.radius {
-            Radius::Fixed { radius_m } => {
-                real("radius_m", radius_m, 1e-6..=1e3, "1e-6 to 1000 metres")?;
-            }
-            Radius::Sensor { depth_step_at_1m } => {
-                real("depth_step_at_1m", depth_step_at_1m, 0.0..=1.0, "0 to 1 metre")?
-            }
+        if let Radius::Fixed { radius_m } = self.radius {
+            real("radius_m", radius_m, 1e-6..=1e3, "1e-6 to 1000 metres")?;
         }
-        if let Edges::Robust { noise_at_1m } = self.edges {
-            real("noise_at_1m", noise_at_1m, 0.0..=1.0, "0 to 1 metre")?;
-        }
+        self.sensor.validate()?;
         if let Some(bandwidth_m) = self.bandwidth_m {
             real("bandwidth_m", bandwidth_m, 1e-6..=1e3, "1e-6 to 1000 metres")?;
         }
@@ -237,15 +241,15 @@ mod tests {
     #[test]
     fn strides_follow_coarse_pixels_and_nothing_else() {
         let strides = |fx: f64, stride| {
-            let camera = Camera { width: 40, height: 4, fx, fy: fx, cx: 19.5, cy: 1.5, ..Camera::kinect_v1() };
-            let depth = DepthFrame { camera, raw: vec![1000; 160], rgb: None, timestamp_s: None };
+            let camera = Camera::new((40, 4), [fx; 2], [19.5, 1.5]);
+            let depth = DepthFrame::new(camera, vec![1000; 160]).unwrap();
             let mut cloud = depth.deproject().unwrap();
             // As a file has it: the pitch must be estimated.
             cloud.camera = None;
-            let params = SmoothParams { stride, ..SmoothParams::default() };
+            let params = SmoothParams::default().with_stride(stride);
             let [of_depth, of_cloud] = [params.at_resolution_of(&depth), params.at_resolution_of(&cloud)];
             assert_eq!(of_depth, of_cloud);
-            assert_eq!(of_depth, SmoothParams { stride: of_depth.stride, ..params });
+            assert_eq!(of_depth, params.with_stride(of_depth.stride));
             of_depth.stride
         };
         let of_default: Vec<_> =
@@ -259,8 +263,8 @@ mod tests {
     #[test]
     fn a_frame_that_says_nothing_of_its_resolution_changes_nothing() {
         let params = SmoothParams::default();
-        let camera = Camera { width: 40, height: 4, fx: 100.0, fy: 100.0, cx: 19.5, cy: 1.5, ..Camera::kinect_v1() };
-        let depth = DepthFrame { camera, raw: vec![0; 160], rgb: None, timestamp_s: None };
+        let camera = Camera::new((40, 4), [100.0; 2], [19.5, 1.5]);
+        let depth = DepthFrame::new(camera, vec![0; 160]).unwrap();
         let mut empty = depth.deproject().unwrap();
         empty.camera = None;
         assert_eq!(params.at_resolution_of(&empty), params);
@@ -279,23 +283,18 @@ mod tests {
         let ok = SmoothParams::default();
         let fixed = |radius_m| Radius::Fixed { radius_m };
         let cases = [
-            (SmoothParams { window: 0, ..ok }, "window", "0", "1 to 7"),
-            (SmoothParams { window: 8, ..ok }, "window", "8", "1 to 7"),
-            (SmoothParams { stride: 0, ..ok }, "stride", "0", "1 to 8"),
-            (SmoothParams { stride: 9, ..ok }, "stride", "9", "1 to 8"),
-            (SmoothParams { degree: 0, ..ok }, "degree", "0", "1 to 3"),
-            (SmoothParams { degree: 4, ..ok }, "degree", "4", "1 to 3"),
-            (SmoothParams { radius: fixed(-0.5), ..ok }, "radius_m", "-0.5", "1e-6 to 1000"),
-            (SmoothParams { radius: fixed(f32::NAN), ..ok }, "radius_m", "NaN", "1e-6 to 1000"),
-            (SmoothParams { radius: fixed(f32::INFINITY), ..ok }, "radius_m", "inf", "1e-6 to 1000"),
-            (
-                SmoothParams { radius: Radius::Sensor { depth_step_at_1m: -1.0 }, ..ok },
-                "depth_step_at_1m",
-                "-1",
-                "0 to 1",
-            ),
-            (SmoothParams { edges: Edges::Robust { noise_at_1m: 2.0 }, ..ok }, "noise_at_1m", "2", "0 to 1"),
-            (SmoothParams { bandwidth_m: Some(0.0), ..ok }, "bandwidth_m", "0", "1e-6 to 1000"),
+            (ok.with_window(0), "window", "0", "1 to 7"),
+            (ok.with_window(8), "window", "8", "1 to 7"),
+            (ok.with_stride(0), "stride", "0", "1 to 8"),
+            (ok.with_stride(9), "stride", "9", "1 to 8"),
+            (ok.with_degree(0), "degree", "0", "1 to 3"),
+            (ok.with_degree(4), "degree", "4", "1 to 3"),
+            (ok.with_radius(fixed(-0.5)), "radius_m", "-0.5", "1e-6 to 1000"),
+            (ok.with_radius(fixed(f32::NAN)), "radius_m", "NaN", "1e-6 to 1000"),
+            (ok.with_radius(fixed(f32::INFINITY)), "radius_m", "inf", "1e-6 to 1000"),
+            (ok.with_sensor(SensorModel::new([-1.0, 0.0, 0.0], [0.0; 3])), "sensor.step", "[-1.0, 0.0, 0.0]", "three"),
+            (ok.with_sensor(SensorModel::new([0.0; 3], [0.0, 0.0, 2.0])), "sensor.sigma", "[0.0, 0.0, 2.0]", "three"),
+            (ok.with_bandwidth_m(Some(0.0)), "bandwidth_m", "0", "1e-6 to 1000"),
         ];
         for (params, field, value, allowed) in cases {
             let error = params.validate().unwrap_err();

@@ -2,9 +2,10 @@
 
 use glam::Vec3;
 
-use crate::cloud::{AttributeValues, OrganizedCloud, Xyz};
+use crate::cloud::{AttributeValues, OrganizedCloud};
 use crate::io::RgbImage;
 use crate::simulate::{NO_OBJECT, Truth};
+use crate::xyz::Xyz;
 
 /// Normals from the differences of neighbouring pixels, towards the sensor: they show every bump of the points.
 ///

@@ -1,85 +1,132 @@
-//! What can be seen of a sensor in a frame of it.
+//! Sensor models: how depth steps and noise grow with range. Metres throughout.
+//!
+//! Both are polynomials c0 + c1 z + c2 z² in the range z. Triangulating sensors (structured light, stereo) grow with z²,
+//! time-of-flight sensors and lidars nearly linearly from a floor.
 
-use crate::cloud::OrganizedCloud;
-use crate::params::Sensor;
+mod estimate;
 
-/// Pixels between the three depths of a second difference: far enough that noise is hardly correlated, near enough that most
-/// surfaces are straight.
-const LAG_PX: usize = 4;
-/// For independent normal noise the median of the absolute second difference is this many deviations: 0.6745 sqrt(6).
-const MEDIAN_DEVIATIONS: f64 = 1.652;
-/// A Kinect's noise in units of its depth step; a sensor's step is taken as at least this much of its noise, since the radius
-/// must reach over it.
+use crate::error::ParamError;
+
+/// Noise of a Kinect v1 in units of its depth step. The radius must reach over the noise, so the models of sensors without
+/// steps of their own take the step that a Kinect v1 of their noise would have.
 const NOISE_IN_STEPS: f64 = 0.63;
-/// Fewer second differences than this say nothing.
-const MIN_SAMPLES: usize = 1000;
 
-impl Sensor {
-    /// Estimates the sensor from a frame: its step from the gaps between the depths that occur, its noise from how much depths
-    /// in a row differ from a straight line. `None` where too little is seen.
-    ///
-    /// Both are medians over the frame: a scene of nothing but leaves is taken for noise.
-    pub fn estimate(cloud: &OrganizedCloud) -> Option<Self> {
-        let z = &cloud.positions().z;
-        let mut bends: Vec<f64> = Vec::new();
-        for row in z.chunks_exact(cloud.width()) {
-            for u in LAG_PX..row.len().saturating_sub(LAG_PX) {
-                let [before, at, behind] = [row[u - LAG_PX], row[u], row[u + LAG_PX]].map(f64::from);
-                let bend = (before - 2.0 * at + behind).abs() / (at * at);
-                if bend.is_finite() {
-                    bends.push(bend);
-                }
+/// What the smoother must know of a depth sensor.
+///
+/// ```
+/// use planish::SensorModel;
+///
+/// let sensor = SensorModel::realsense_d400(0.050, 448.0);
+/// assert!((sensor.sigma_m(2.0) / sensor.sigma_m(1.0) - 4.0).abs() < 1e-6);
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct SensorModel {
+    /// From one depth that the sensor can tell to the next, in metres: coefficients of 1, z and z². At least as far as noise
+    /// makes neighbouring pixels differ, since the radius of section 3 is four of these.
+    pub step: [f32; 3],
+    /// Standard deviation of depth in metres: coefficients of 1, z and z².
+    pub sigma: [f32; 3],
+}
+
+impl SensorModel {
+    /// Kinect v1 and others with its pattern (Xtion, PrimeSense Carmine): one unit of 11-bit disparity is 2.85e-3 z²
+    /// (Khoshelham & Elberink 2012); the noise of real frames after a line is taken out of 8 pixels is 1.66e-3 to 1.88e-3 z²
+    /// (docs/method.md, section 10).
+    pub const KINECT_V1: Self = Self { step: [0.0, 0.0, 2.85e-3], sigma: [0.0, 0.0, 1.8e-3] };
+    /// RealSense D415 at 1280x720: baseline 55 mm, focal length 915 px (horizontal field of view 70°).
+    pub const REALSENSE_D415: Self = Self::realsense_d400(0.055, 915.0);
+    /// RealSense D435 at 848x480: baseline 50 mm, focal length 424 px (90°). The D435i and D405 families differ in baseline:
+    /// [`SensorModel::realsense_d400`] takes it.
+    pub const REALSENSE_D435: Self = Self::realsense_d400(0.050, 424.0);
+    /// RealSense D455 at 848x480: baseline 95 mm, focal length 424 px (90°).
+    pub const REALSENSE_D455: Self = Self::realsense_d400(0.095, 424.0);
+    /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: standard deviations of 0.61 mm at 0.8 m,
+    /// 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413), the polynomial through them.
+    pub const AZURE_KINECT: Self = Self::from_noise([4.1e-4, 1.8e-4, 9.3e-5]);
+    /// RealSense L515: standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m (Intel's data sheet), the line through them.
+    pub const REALSENSE_L515: Self = Self::from_noise([8.75e-4, 1.625e-3, 0.0]);
+    /// Depth of iPhone and iPad lidars: half of the ±1 cm that Luetzenburg et al. 2021 (Scientific Reports 11:22221) found,
+    /// whatever the range.
+    pub const APPLE_LIDAR: Self = Self::from_noise([5e-3, 0.0, 0.0]);
+    /// Depth without noise: rendered, or averaged for long.
+    pub const EXACT: Self = Self { step: [0.0; 3], sigma: [0.0; 3] };
+
+    /// A model of these coefficients.
+    pub const fn new(step: [f32; 3], sigma: [f32; 3]) -> Self {
+        Self { step, sigma }
+    }
+
+    /// A stereo camera of the RealSense D400 family: the noise is 0.08 pixels of disparity, Intel's figure for well textured
+    /// targets ("Best known methods for tuning Intel RealSense D400"), sigma = 0.08 z²/(focal length x baseline).
+    pub const fn realsense_d400(baseline_m: f32, focal_length_px: f32) -> Self {
+        Self::from_noise([0.0, 0.0, 0.08 / (baseline_m * focal_length_px)])
+    }
+
+    /// A sensor without steps to speak of and this noise.
+    pub const fn from_noise(sigma: [f32; 3]) -> Self {
+        let [c0, c1, c2] = sigma;
+        let noise = NOISE_IN_STEPS as f32;
+        Self { step: [c0 / noise, c1 / noise, c2 / noise], sigma }
+    }
+
+    /// The depth step at a range, in metres.
+    pub fn step_m(&self, range_m: f64) -> f64 {
+        evaluate(self.step, range_m)
+    }
+
+    /// The standard deviation of depth at a range, in metres.
+    pub fn sigma_m(&self, range_m: f64) -> f64 {
+        evaluate(self.sigma, range_m)
+    }
+
+    /// Refuses coefficients outside 0 to 1.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        for (field, coefficients) in [("sensor.step", self.step), ("sensor.sigma", self.sigma)] {
+            // False for a NaN.
+            if !coefficients.iter().all(|c| (0.0..=1.0).contains(c)) {
+                let value = format!("{coefficients:?}");
+                return Err(ParamError { field, value, allowed: "three coefficients of 0 to 1 each, in metres" });
             }
         }
-        if bends.len() < MIN_SAMPLES {
-            return None;
-        }
-        let noise = median(&mut bends) / MEDIAN_DEVIATIONS;
-
-        let mut depths: Vec<f32> = z.iter().copied().filter(|z| z.is_finite() && *z > 0.0).collect();
-        depths.sort_by(f32::total_cmp);
-        depths.dedup();
-        let gap = |pair: &[f32]| f64::from(pair[1] - pair[0]) / f64::from(pair[1] * pair[1]);
-        let mut gaps: Vec<f64> = depths.windows(2).map(gap).collect();
-        let step = if gaps.is_empty() { 0.0 } else { median(&mut gaps) };
-        // Rounding to the step is noise too.
-        let noise = noise.max(step / 12f64.sqrt());
-        // A frame of one wall at one depth has no gap to speak of, and one of noise has few depths: bounds keep either usable.
-        let noise = noise.min(0.1);
-        Some(Self { depth_step_at_1m: step.max(noise / NOISE_IN_STEPS).min(0.2) as f32, noise_at_1m: noise as f32 })
+        Ok(())
     }
 }
 
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+impl Default for SensorModel {
+    /// [`SensorModel::KINECT_V1`].
+    fn default() -> Self {
+        Self::KINECT_V1
+    }
+}
+
+fn evaluate(coefficients: [f32; 3], range_m: f64) -> f64 {
+    let [c0, c1, c2] = coefficients.map(f64::from);
+    c0 + range_m * (c1 + range_m * c2)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Camera;
-    use crate::simulate::{KinectNoise, KinectSimulator, Scene};
 
-    fn estimate(noise: KinectNoise, seed: u64) -> Sensor {
-        let camera = Camera::kinect_v1();
-        let (scene, pose) = Scene::room(seed);
-        let truth = scene.render(&camera, &pose);
-        let frame = KinectSimulator::new(noise, camera, seed).frame(&truth, 0).unwrap();
-        Sensor::estimate(&frame.deproject().unwrap()).unwrap()
+    #[test]
+    fn presets_give_the_published_figures() {
+        let close = |found: f64, published: f64| assert!((found / published - 1.0).abs() < 0.02, "{found} {published}");
+        close(SensorModel::KINECT_V1.step_m(3.2), 29.2e-3);
+        for (range_m, sigma_m) in [(0.8, 0.6132e-3), (1.5, 0.8873e-3), (3.0, 1.7824e-3)] {
+            close(SensorModel::AZURE_KINECT.sigma_m(range_m), sigma_m);
+        }
+        close(SensorModel::REALSENSE_L515.sigma_m(1.0), 2.5e-3);
+        close(SensorModel::REALSENSE_L515.sigma_m(9.0), 15.5e-3);
+        close(SensorModel::REALSENSE_D435.sigma_m(2.0), 4.0 * 0.08 / (0.05 * 424.0));
     }
 
     #[test]
-    fn a_simulated_kinect_is_found_to_be_one_and_a_perfect_camera_to_be_perfect() {
-        for seed in 1..4 {
-            let Sensor { depth_step_at_1m, noise_at_1m } = estimate(KinectNoise::default(), seed);
-            let kinect = Sensor::KINECT_V1;
-            assert!((0.7..1.5).contains(&(depth_step_at_1m / kinect.depth_step_at_1m)), "{depth_step_at_1m}");
-            assert!((0.6..1.4).contains(&(noise_at_1m / kinect.noise_at_1m)), "{noise_at_1m}");
-            let perfect = estimate(KinectNoise::NONE, seed);
-            assert!(perfect.noise_at_1m < 1.5e-4, "{perfect:?}");
+    fn impossible_coefficients_are_refused_by_name() {
+        for bad in [-1e-3, f32::NAN, 2.0] {
+            let error = SensorModel::new([0.0; 3], [0.0, bad, 0.0]).validate().unwrap_err();
+            assert_eq!(error.field, "sensor.sigma");
         }
-        let nothing = OrganizedCloud::from_positions(4, 4, crate::Xyz::filled(16, f32::NAN)).unwrap();
-        assert_eq!(Sensor::estimate(&nothing), None);
+        assert!(SensorModel::EXACT.validate().is_ok());
     }
 }

@@ -1,102 +1,16 @@
 //! The result of smoothing: one entry for each pixel or point of the input, in its order.
 
-use crate::camera::Camera;
-use crate::cloud::Xyz;
+use crate::camera::{Camera, Rays};
+use crate::cloud::PointCloud;
 use crate::error::FrameError;
 use crate::frame::DepthImage;
-
-/// What became of a pixel (docs/method.md, section 7).
-#[repr(u8)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub enum Status {
-    /// No measurement came in, none goes out.
-    #[default]
-    Hole = 0,
-    /// Fewer than 3 neighbours: the output is a hole.
-    TooFew = 1,
-    /// The neighbours lie on a line: the point stays as measured and has no normal.
-    Degenerate = 2,
-    /// The foot of the point on the plane.
-    Plane = 3,
-    /// On a polynomial of degree 2.
-    Polynomial2 = 4,
-    /// On a polynomial of degree 3.
-    Polynomial3 = 5,
-}
-
-impl Status {
-    /// Every status, in the order of their codes.
-    pub const ALL: [Self; 6] =
-        [Self::Hole, Self::TooFew, Self::Degenerate, Self::Plane, Self::Polynomial2, Self::Polynomial3];
-
-    /// Whether the output has a finite point.
-    pub fn has_point(self) -> bool {
-        self >= Self::Degenerate
-    }
-
-    /// Whether the output has a normal and a curvature.
-    pub fn has_normal(self) -> bool {
-        self >= Self::Plane
-    }
-
-    /// The status of a point that was put on a polynomial of that degree.
-    pub fn of_degree(degree: u32) -> Self {
-        match degree {
-            3 => Self::Polynomial3,
-            2 => Self::Polynomial2,
-            _ => Self::Plane,
-        }
-    }
-}
-
-impl PartialOrd for Status {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Status {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (*self as u8).cmp(&(*other as u8))
-    }
-}
-
-/// Which results are wanted; each costs a little time and memory, and on a GPU its share of the way back.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Outputs {
-    /// The smoothed points.
-    pub points: bool,
-    /// The smoothed surface as raw depth values (docs/method.md, section 7); the frame's camera must be known.
-    pub depth: bool,
-    /// Unit normals, towards the sensor.
-    pub normals: bool,
-    /// Surface variation l0/(l0+l1+l2), as PCL has it.
-    pub curvature: bool,
-    /// What became of each pixel.
-    pub status: bool,
-    /// How many neighbours each pixel had.
-    pub neighbours: bool,
-}
-
-impl Outputs {
-    /// Points and nothing else.
-    pub const POINTS: Self =
-        Self { points: true, depth: false, normals: false, curvature: false, status: false, neighbours: false };
-    /// Depth and nothing else.
-    pub const DEPTH: Self = Self { points: false, depth: true, ..Self::POINTS };
-    /// Everything that every frame has: all but depth, which needs a camera.
-    pub const ALL: Self = Self { normals: true, curvature: true, status: true, neighbours: true, ..Self::POINTS };
-}
-
-impl Default for Outputs {
-    /// Points and nothing else.
-    fn default() -> Self {
-        Self::POINTS
-    }
-}
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::status::Status;
+use crate::xyz::Xyz;
 
 /// Smoothed points and what was asked for beside them. Reuse one for all frames: its buffers are kept.
 #[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Smoothed {
     /// Width in pixels; the number of points for a general cloud.
     pub width: usize,
@@ -129,32 +43,16 @@ impl Smoothed {
         keep(&mut self.neighbours, outputs.neighbours, |values| values.resize(len, 0));
     }
 
-    /// Takes the outputs that are wanted over from a result with points and normals, leaving buffers to reuse, and makes the
-    /// depth from them if that is wanted.
-    pub(crate) fn take_over(
-        &mut self,
-        from: &mut Self,
-        outputs: Outputs,
-        camera: Option<&Camera>,
-    ) -> Result<(), FrameError> {
-        self.prepare(from.width, from.height, outputs);
-        if outputs.depth {
-            let camera = camera.ok_or(FrameError::MissingCamera { what: "depth as an output" })?;
-            let depth_m = from.to_depth_m(camera)?;
-            for (raw, depth_m) in self.depth.iter_mut().flatten().zip(depth_m) {
-                *raw = camera.raw_depth(depth_m);
-            }
+    /// The buffers, to be written into.
+    pub(crate) fn as_mut(&mut self) -> SmoothedMut<'_> {
+        SmoothedMut {
+            points: (!self.points.is_empty()).then(|| (&mut self.points).into()),
+            normals: self.normals.as_mut().map(Into::into),
+            curvature: self.curvature.as_deref_mut(),
+            status: self.status.as_deref_mut(),
+            neighbours: self.neighbours.as_deref_mut(),
+            depth: self.depth.as_deref_mut(),
         }
-        if outputs.points {
-            std::mem::swap(&mut self.points, &mut from.points);
-        }
-        if outputs.normals {
-            std::mem::swap(&mut self.normals, &mut from.normals);
-        }
-        std::mem::swap(&mut self.curvature, &mut from.curvature);
-        std::mem::swap(&mut self.status, &mut from.status);
-        std::mem::swap(&mut self.neighbours, &mut from.neighbours);
-        Ok(())
     }
 
     /// How many pixels have each status, in the order of [`Status::ALL`]; `None` if the status was not asked for.
@@ -179,36 +77,60 @@ impl Smoothed {
     /// A smoothed point moves along its normal and so leaves the ray of its pixel. The depth is taken where that ray meets
     /// the tangent plane of the point; where the ray grazes the plane, or the normal is missing, it is the point's own z.
     pub fn to_depth_m(&self, camera: &Camera) -> Result<Vec<f32>, FrameError> {
-        if (camera.width, camera.height) != (self.width, self.height) {
-            return Err(FrameError::ShapeMismatch {
-                frame_width: self.width,
-                frame_height: self.height,
-                width: camera.width,
-                height: camera.height,
-            });
-        }
+        camera.check_shape((self.width, self.height))?;
         self.points.check_len("the smoothed points", self.width * self.height)?;
-        let (rays_x, rays_y) = (camera.rays_x(), camera.rays_y());
+        let mut rays = Rays::default();
+        rays.set(camera);
         let depth_m = |i: usize| {
-            let [x, y, z] = self.points.get(i);
-            let Some(normals) = &self.normals else { return z };
-            let [nx, ny, nz] = normals.get(i);
-            let (ray_x, ray_y) = (rays_x[i % self.width], rays_y[i / self.width]);
-            let along = ray_x * nx + ray_y * ny + nz;
-            let ray_length = (ray_x * ray_x + ray_y * ray_y + 1.0).sqrt();
-            // Also false for a NaN normal.
-            if along.abs() > GRAZING_COSINE * ray_length { (x * nx + y * ny + z * nz) / along } else { z }
+            let point = self.points.get(i);
+            match &self.normals {
+                Some(normals) => depth_along_ray_m(rays.at(i % self.width, i / self.width), point, normals.get(i)),
+                None => point[2],
+            }
         };
         Ok((0..self.points.len()).map(depth_m).collect())
+    }
+}
+
+/// Where a ray meets the tangent plane of a point; the point's own depth where the ray grazes that, or it has no normal.
+#[inline(always)]
+pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [nx, ny, nz]: [f32; 3]) -> f32 {
+    let along = ray_x * nx + ray_y * ny + nz;
+    let ray_length = (ray_x * ray_x + ray_y * ray_y + 1.0).sqrt();
+    // Also false for a NaN normal.
+    if along.abs() > GRAZING_COSINE * ray_length { (x * nx + y * ny + z * nz) / along } else { z }
+}
+
+impl PointCloud {
+    /// Puts the result in place of the positions and adds those of `fields` that the result has: `normal_x`, `normal_y`,
+    /// `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields stay as they are.
+    pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
+        smoothed.points.check_len("the smoothed points", self.len())?;
+        self.positions.clone_from(&smoothed.points);
+        if let (true, Some(normals)) = (fields.normals, &smoothed.normals) {
+            self.set_attribute("normal_x", normals.x.clone());
+            self.set_attribute("normal_y", normals.y.clone());
+            self.set_attribute("normal_z", normals.z.clone());
+        }
+        if let (true, Some(curvature)) = (fields.curvature, &smoothed.curvature) {
+            self.set_attribute("curvature", curvature.clone());
+        }
+        if let (true, Some(status)) = (fields.status, &smoothed.status) {
+            self.set_attribute("status", status.iter().map(|&s| s as u8).collect::<Vec<u8>>());
+        }
+        if let (true, Some(neighbours)) = (fields.neighbours, &smoothed.neighbours) {
+            self.set_attribute("neighbours", neighbours.clone());
+        }
+        Ok(())
     }
 }
 
 /// Below this cosine of the angle of incidence (over 78°) the tangent plane tells less than the point itself.
 pub(crate) const GRAZING_COSINE: f32 = 0.2;
 
-fn resize(planes: &mut Xyz, len: usize) {
-    for plane in [&mut planes.x, &mut planes.y, &mut planes.z] {
-        plane.resize(len, 0.0);
+fn resize(vectors: &mut Xyz, len: usize) {
+    for values in [&mut vectors.x, &mut vectors.y, &mut vectors.z] {
+        values.resize(len, 0.0);
     }
 }
 

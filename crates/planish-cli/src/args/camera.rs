@@ -1,58 +1,64 @@
-//! The camera of a depth image.
+//! The camera of a depth image, and where the sensor of a cloud stands.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use planish::Camera;
+use planish::{Camera, SensorPose, io};
 
 #[derive(clap::Args)]
 pub struct CameraArgs {
     /// Intrinsics of the depth camera in pixels
-    #[arg(long, value_name = "FX,FY,CX,CY", conflicts_with = "camera_file")]
+    #[arg(long, value_name = "FX,FY,CX,CY", conflicts_with = "camera_file", allow_hyphen_values = true)]
     pub camera: Option<Intrinsics>,
-    /// Intrinsics as JSON: fx, fy, cx, cy, or Open3D's intrinsic_matrix
-    #[arg(long, value_name = "FILE.json")]
+    /// Intrinsics and lens distortion from a file: JSON (fx, fy, cx, cy, or Open3D's), the YAML of a ROS camera_info, a 3x3
+    /// matrix as text, or COLMAP's cameras.txt
+    #[arg(long, value_name = "FILE")]
     pub camera_file: Option<PathBuf>,
     /// Depth units in a metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM
-    #[arg(long, value_name = "UNITS_PER_METRE")]
+    #[arg(long, value_name = "UNITS_PER_METRE", allow_negative_numbers = true)]
     pub depth_scale: Option<f64>,
+}
+
+#[derive(clap::Args)]
+pub struct PoseArgs {
+    /// Where the sensor of a cloud stands, and how it is turned (a unit quaternion), instead of what the file says; it looks
+    /// along its z axis
+    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", allow_hyphen_values = true)]
+    pub sensor_pose: Option<Pose>,
+}
+
+impl PoseArgs {
+    /// The pose that the user gave.
+    pub fn pose(&self) -> Result<Option<SensorPose>> {
+        let Some(Pose(numbers)) = self.sensor_pose else { return Ok(None) };
+        let pose = SensorPose::from_viewpoint(numbers);
+        pose.validate().context("--sensor-pose")?;
+        Ok(Some(pose))
+    }
 }
 
 impl CameraArgs {
     /// The camera for frames of this shape; `None` if the user gave none.
-    pub fn camera(&self, (width, height): (usize, usize)) -> Result<Option<Camera>> {
-        let mut camera = match (&self.camera, &self.camera_file) {
-            (Some(Intrinsics([fx, fy, cx, cy])), _) => {
-                Camera { width, height, fx: *fx, fy: *fy, cx: *cx, cy: *cy, ..Camera::kinect_v1() }
-            }
-            (None, Some(file)) => read_camera(file, (width, height))?,
-            (None, None) => return Ok(None),
-        };
-        if let Some(scale) = self.depth_scale {
-            camera.depth_units_per_metre = scale;
-        }
-        camera.validate()?;
-        Ok(Some(camera))
+    pub fn camera(&self, shape: (usize, usize)) -> Result<Option<Camera>> {
+        self.read(Some(shape))
     }
 
     /// The camera for frames whose shape is not known yet: 0x0 where it was not said.
     pub fn camera_of_any_shape(&self) -> Result<Option<Camera>> {
+        self.read(None)
+    }
+
+    fn read(&self, shape: Option<(usize, usize)>) -> Result<Option<Camera>> {
         let mut camera = match (&self.camera, &self.camera_file) {
-            (Some(Intrinsics([fx, fy, cx, cy])), _) => {
-                Camera { width: 0, height: 0, fx: *fx, fy: *fy, cx: *cx, cy: *cy, ..Camera::kinect_v1() }
-            }
-            (None, Some(file)) => {
-                let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
-                Camera::from_json_of_any_shape(&text).with_context(|| file.display().to_string())?
-            }
+            (Some(Intrinsics([fx, fy, cx, cy])), _) => Camera::new(shape.unwrap_or_default(), [*fx, *fy], [*cx, *cy]),
+            (None, Some(file)) => io::read_camera(file, shape)?,
             (None, None) => return Ok(None),
         };
         if let Some(scale) = self.depth_scale {
             camera.depth_units_per_metre = scale;
         }
         // Whatever the shape is to be, the rest must describe a camera.
-        Camera { width: camera.width.max(1), height: camera.height.max(1), ..camera }.validate()?;
+        camera.with_shape((camera.width.max(1), camera.height.max(1))).validate()?;
         Ok(Some(camera))
     }
 
@@ -62,7 +68,7 @@ impl CameraArgs {
         self.camera(shape)?.with_context(|| {
             format!(
                 "{}: a depth image of {width}x{height} needs its camera: add --camera FX,FY,CX,CY or --camera-file \
-                 FILE.json, and --depth-scale if a unit is not a millimetre (Kinect v1: --camera 525,525,319.5,239.5)",
+                 FILE, and --depth-scale if a unit is not a millimetre (Kinect v1: --camera 525,525,319.5,239.5)",
                 file.display()
             )
         })
@@ -77,12 +83,23 @@ impl std::str::FromStr for Intrinsics {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
-        numbers.and_then(|numbers| numbers.try_into().ok()).map(Self).ok_or_else(|| "4 numbers: FX,FY,CX,CY".to_owned())
+        numbers(text).map(Self).ok_or_else(|| "4 numbers: FX,FY,CX,CY".to_owned())
     }
 }
 
-fn read_camera(file: &Path, shape: (usize, usize)) -> Result<Camera> {
-    let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
-    Camera::from_json(&text, shape).with_context(|| file.display().to_string())
+/// Position in metres and quaternion of a sensor.
+#[derive(Clone, Copy)]
+pub struct Pose([f64; 7]);
+
+impl std::str::FromStr for Pose {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        numbers(text).map(Self).ok_or_else(|| "7 numbers: X,Y,Z,QW,QX,QY,QZ".to_owned())
+    }
+}
+
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    numbers?.try_into().ok()
 }

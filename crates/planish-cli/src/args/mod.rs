@@ -11,7 +11,7 @@ use planish::Outputs;
 use planish::io::Encoding;
 
 pub use bench::{BenchArgs, BenchCommand, BenchGpuArgs, ExperimentArgs};
-pub use camera::CameraArgs;
+pub use camera::{CameraArgs, PoseArgs};
 pub use smoothing::{EngineArg, SmoothingArgs};
 
 /// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
@@ -66,6 +66,8 @@ pub struct SmoothArgs {
     pub smoothing: SmoothingArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
+    #[command(flatten)]
+    pub pose: PoseArgs,
     /// Fields to add to the points, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
     pub fields: Vec<FieldArg>,
@@ -87,6 +89,10 @@ pub struct SmoothArgs {
 pub struct InfoArgs {
     /// The file
     pub file: PathBuf,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub pose: PoseArgs,
     /// Print one JSON object to standard output
     #[arg(long)]
     pub json: bool,
@@ -234,12 +240,10 @@ pub enum EncodingArg {
 /// The outputs that fields are made from.
 pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
     let wants = |field| fields.contains(&field);
-    Outputs {
-        normals: wants(FieldArg::Normals),
-        curvature: wants(FieldArg::Curvature),
-        status: wants(FieldArg::Status),
-        ..Outputs::POINTS
-    }
+    Outputs::POINTS
+        .with_normals(wants(FieldArg::Normals))
+        .with_curvature(wants(FieldArg::Curvature))
+        .with_status(wants(FieldArg::Status))
 }
 
 impl SmoothArgs {

@@ -3,7 +3,8 @@
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use planish::{
-    Edges, Engine, Frame, GpuOptions, OrganizedCloud, Outputs, Radius, Sensor, SmoothParams, SmootherOptions, Strength,
+    Edges, Engine, Frame, GpuOptions, OrganizedCloud, Outputs, Radius, SensorModel, SmoothParams, SmootherOptions,
+    Strength,
 };
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -22,11 +23,24 @@ pub enum PresetArg {
 pub enum SensorArg {
     /// Kinect v1, Xtion, PrimeSense (the default)
     Kinect1,
-    /// Stereo as a RealSense D400
-    Stereo,
+    /// RealSense D415
+    D415,
+    /// RealSense D435
+    #[value(alias = "stereo")]
+    D435,
+    /// RealSense D455
+    D455,
+    /// Azure Kinect, Orbbec Femto Bolt
+    #[value(alias = "femto")]
+    AzureKinect,
+    /// RealSense L515
+    L515,
+    /// iPhone and iPad lidar
+    #[value(alias = "ipad")]
+    Iphone,
     /// Depth without noise
     Exact,
-    /// Estimated from the depths of the frame
+    /// Estimated from the frame
     Auto,
 }
 
@@ -44,6 +58,17 @@ pub enum EngineArg {
     Cpu,
     Gpu,
     Reference,
+}
+
+impl EngineArg {
+    pub fn engine(self) -> Engine {
+        match self {
+            Self::Auto => Engine::Auto,
+            Self::Cpu => Engine::Cpu,
+            Self::Gpu => Engine::Gpu,
+            Self::Reference => Engine::Reference,
+        }
+    }
 }
 
 /// How to smooth; what is not given is taken from the preset.
@@ -104,7 +129,7 @@ impl SmoothingArgs {
         self.params_for(None)
     }
 
-    /// The parameters for a frame. Points without a grid are smoothed without a sensor.
+    /// The parameters for a frame. General clouds are smoothed without a sensor.
     pub fn params_for(&self, cloud: Option<&OrganizedCloud>) -> Result<SmoothParams> {
         let sensor = self.sensor_of(cloud)?;
         let mut params = match self.preset {
@@ -113,6 +138,7 @@ impl SmoothingArgs {
             Some(PresetArg::Strong) => SmoothParams::for_sensor(sensor, Strength::Strong),
             Some(PresetArg::Paper) => SmoothParams::paper(),
         };
+        params.sensor = sensor;
         params.window = self.window.unwrap_or(params.window);
         params.stride = self.stride.unwrap_or(params.stride);
         params.degree = self.degree.unwrap_or(params.degree);
@@ -120,14 +146,14 @@ impl SmoothingArgs {
         match self.radius {
             None => {}
             Some(RadiusArg::Sensor) => {
-                params.radius = Radius::Sensor { depth_step_at_1m: sensor.depth_step_at_1m };
+                params.radius = Radius::Sensor;
             }
             Some(RadiusArg::Metres(radius_m)) => params.radius = Radius::Fixed { radius_m },
         }
         match self.edges {
             None => {}
             Some(EdgesArg::Off) => params.edges = Edges::Off,
-            Some(EdgesArg::Robust) => params.edges = Edges::Robust { noise_at_1m: sensor.noise_at_1m },
+            Some(EdgesArg::Robust) => params.edges = Edges::Robust,
         }
         params.validate()?;
         Ok(params)
@@ -144,28 +170,28 @@ impl SmoothingArgs {
     }
 
     /// Whose noise it is; of a frame, where it is to be estimated.
-    fn sensor_of(&self, cloud: Option<&OrganizedCloud>) -> Result<Sensor> {
+    fn sensor_of(&self, cloud: Option<&OrganizedCloud>) -> Result<SensorModel> {
         Ok(match (self.sensor, cloud) {
-            (None | Some(SensorArg::Kinect1), _) | (Some(SensorArg::Auto), None) => Sensor::KINECT_V1,
-            (Some(SensorArg::Stereo), _) => Sensor::STEREO,
-            (Some(SensorArg::Exact), _) => Sensor::EXACT,
-            (Some(SensorArg::Auto), Some(cloud)) => Sensor::estimate(cloud)
+            (None | Some(SensorArg::Kinect1), _) | (Some(SensorArg::Auto), None) => SensorModel::KINECT_V1,
+            (Some(SensorArg::D415), _) => SensorModel::REALSENSE_D415,
+            (Some(SensorArg::D435), _) => SensorModel::REALSENSE_D435,
+            (Some(SensorArg::D455), _) => SensorModel::REALSENSE_D455,
+            (Some(SensorArg::AzureKinect), _) => SensorModel::AZURE_KINECT,
+            (Some(SensorArg::L515), _) => SensorModel::REALSENSE_L515,
+            (Some(SensorArg::Iphone), _) => SensorModel::APPLE_LIDAR,
+            (Some(SensorArg::Exact), _) => SensorModel::EXACT,
+            (Some(SensorArg::Auto), Some(cloud)) => SensorModel::estimate(cloud)
                 .context("--sensor auto: too few depths to estimate a sensor from; name one, as --sensor kinect1")?,
         })
     }
 
-    /// The noise by which floating pixels are told, if they are to be removed.
-    pub fn floating_noise_at_1m(&self, cloud: Option<&OrganizedCloud>) -> Result<Option<f32>> {
-        Ok(if self.remove_floating { Some(self.sensor_of(cloud)?.noise_at_1m) } else { None })
+    /// The sensor by whose noise floating pixels are told, if they are to be removed.
+    pub fn floating_sensor(&self, cloud: Option<&OrganizedCloud>) -> Result<Option<SensorModel>> {
+        if self.remove_floating { self.sensor_of(cloud).map(Some) } else { Ok(None) }
     }
 
     pub fn engine(&self) -> Engine {
-        match self.engine {
-            EngineArg::Auto => Engine::Auto,
-            EngineArg::Cpu => Engine::Cpu,
-            EngineArg::Gpu => Engine::Gpu,
-            EngineArg::Reference => Engine::Reference,
-        }
+        self.engine.engine()
     }
 
     /// What a smoother is opened with.
@@ -173,8 +199,12 @@ impl SmoothingArgs {
         if self.adapter.is_some() && self.engine() != Engine::Gpu {
             bail!("--adapter chooses among GPUs: it needs --engine gpu");
         }
-        let gpu = GpuOptions { adapter: self.adapter.clone(), ..GpuOptions::default() };
-        Ok(SmootherOptions { engine: self.engine(), outputs, threads: self.threads, gpu, ..SmootherOptions::default() })
+        let gpu = GpuOptions::default().with_adapter(self.adapter.clone());
+        Ok(SmootherOptions::default()
+            .with_engine(self.engine())
+            .with_outputs(outputs)
+            .with_threads(self.threads)
+            .with_gpu(gpu))
     }
 }
 

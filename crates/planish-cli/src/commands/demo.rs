@@ -6,7 +6,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use planish::evaluate::{Errors, errors, flat_pixels};
-use planish::io::{Encoding, write_cloud, write_rgb_png};
+use planish::internal::write_rgb_png;
+use planish::io::{Encoding, write_cloud};
 use planish::render::{difference_normals, error_map, relief, side_by_side, stacked};
 use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 use planish::{Camera, Error, Outputs, Smoothed, Smoother, Xyz};
@@ -28,10 +29,10 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
         KinectSimulator::new(KinectNoise::default(), camera, args.seed).frame(&truth, 0).map_err(Error::from)?;
     let raw = frame.deproject().map_err(Error::from)?;
 
-    if let Some(noise_at_1m) = args.smoothing.floating_noise_at_1m(Some(&raw))? {
-        frame.remove_floating(noise_at_1m);
+    if let Some(sensor) = args.smoothing.floating_sensor(Some(&raw))? {
+        frame.remove_floating(&sensor);
     }
-    let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
+    let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
     let mut smoother =
         Smoother::open_with(args.smoothing.params_for(Some(&raw))?, &options, (camera.width, camera.height))?;
     let mut smoothed = Smoothed::default();

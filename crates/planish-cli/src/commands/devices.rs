@@ -44,7 +44,7 @@ pub fn run(args: &DevicesArgs) -> Result<ExitCode> {
         gpus,
         auto: Auto {
             engine: smoother.engine().name(),
-            reason: smoother.chosen_because().unwrap_or_default().to_owned(),
+            reason: smoother.chosen_because().map(ToString::to_string).unwrap_or_default(),
         },
     };
     if args.json {
@@ -57,13 +57,13 @@ pub fn run(args: &DevicesArgs) -> Result<ExitCode> {
 
 fn print_text(Devices { cpu, gpus, auto }: &Devices) {
     println!("cpu    {} of {}; {} threads", cpu.simd, cpu.simd_levels.join(", "), cpu.threads);
-    for GpuAdapter { index, name, kind, backend, driver } in gpus {
+    for GpuAdapter { index, name, kind, backend, driver, .. } in gpus {
         let kind = match kind {
             AdapterKind::Discrete => "discrete GPU",
             AdapterKind::Integrated => "integrated GPU",
             AdapterKind::Virtual => "virtual GPU",
             AdapterKind::Software => "software, only taken by name",
-            AdapterKind::Other => "of unknown kind, only taken by name",
+            _ => "of unknown kind, only taken by name",
         };
         println!("gpu {index}  {name}; {kind}; {backend}, {driver}");
     }

@@ -8,9 +8,10 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{Case, Evaluation, Report, Suite, TileReport, jitter_mm, tile_planes};
-use planish::io::{self, Contents, Encoding, write_cloud, write_rgb_png};
+use planish::internal::write_rgb_png;
+use planish::io::{self, Contents, Encoding, write_cloud};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
-use planish::{DepthFrame, Error, Frame, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
+use planish::{DepthFrame, Error, IntoFrame, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
 use plotters::series::PointSeries;
 use serde::Serialize;
@@ -55,17 +56,18 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
 /// A real cloud, whose truth nobody knows.
 fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
     let mut cloud = organized(io::read(file)?.1, &args.camera, file)?;
-    if let Some(noise_at_1m) = args.smoothing.floating_noise_at_1m(Some(&cloud))? {
-        cloud.remove_floating(noise_at_1m);
+    if let Some(sensor) = args.smoothing.floating_sensor(Some(&cloud))? {
+        cloud.remove_floating(&sensor);
     }
     let (width, height) = (cloud.width(), cloud.height());
     let (points, normals) = match &args.results {
         Some(result) => result_in(result, (width, height))?,
         None => {
-            let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
+            let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
             let mut smoothed = Smoothed::default();
             let params = args.smoothing.params_for(Some(&cloud))?;
-            let params = args.smoothing.at_resolution_of(params, Frame::from(&cloud));
+            let frame = (&cloud).into_frame().map_err(Error::from)?;
+            let params = args.smoothing.at_resolution_of(params, frame);
             Smoother::open_with(params, &options, (width, height))?.smooth(&cloud, &mut smoothed)?;
             (smoothed.points, smoothed.normals.context("normals were asked for")?)
         }
@@ -184,8 +186,8 @@ struct Method {
 impl Method {
     fn smooth(&mut self, frame: &DepthFrame, smoothing: &SmoothingArgs) -> Result<()> {
         let mut frame = frame.clone();
-        if let Some(noise_at_1m) = smoothing.floating_noise_at_1m(None)?.filter(|_| self.name != PAPER) {
-            frame.remove_floating(noise_at_1m);
+        if let Some(sensor) = smoothing.floating_sensor(None)?.filter(|_| self.name != PAPER) {
+            frame.remove_floating(&sensor);
         }
         let start = Instant::now();
         self.smoother.smooth(&frame, &mut self.smoothed)?;
@@ -204,7 +206,7 @@ impl Method {
 /// The 2011 report's setting, to compare with, and the one that was asked for.
 fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     let camera = Suite::default().camera;
-    let options = args.smoothing.options(Outputs { normals: true, ..Outputs::POINTS })?;
+    let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
     let method = |(name, params): (&'static str, SmoothParams)| {
         let smoother = Smoother::open_with(params, &options, (camera.width, camera.height))?;
         let (smoothed, evaluation) = (Smoothed::default(), Evaluation::default());

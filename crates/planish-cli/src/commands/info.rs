@@ -5,7 +5,10 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use planish::io::{self, Contents, Format};
-use planish::{Attribute, AttributeValues, PointCloud, Sensor};
+use planish::{
+    Attribute, AttributeValues, DepthFrame, DepthView, Error, OrganizedCloud, PointCloud, PointsView, RangeRule,
+    SensorModel,
+};
 use serde::Serialize;
 
 use crate::args::InfoArgs;
@@ -21,24 +24,33 @@ struct Info {
     /// Smallest and largest x, y, z in metres.
     bounds_m: Option<[[f64; 3]; 2]>,
     median_z_m: Option<f64>,
-    /// Metres between neighbouring pixels at 1 m.
+    /// Metres between neighbouring pixels at a range of 1 m.
     pixel_pitch_at_1m: Option<f64>,
+    /// How ranges are measured: `depth` of a camera, `distance` from another sensor, `constant` where the sensor is unknown.
+    range: Option<&'static str>,
+    /// Position and orientation (quaternion w, x, y, z) of the sensor, where the file states them.
+    sensor_pose: Option<[f64; 7]>,
     /// What --sensor auto would take the sensor for.
     sensor: Option<SensorInfo>,
     /// Smallest and largest raw value of a depth image.
     raw_depth: Option<[u16; 2]>,
 }
 
-/// Both grow with z².
+/// Coefficients of 1, z and z², in metres.
 #[derive(Serialize)]
 struct SensorInfo {
-    depth_step_at_1m: f32,
-    noise_at_1m: f32,
+    step: [f32; 3],
+    sigma: [f32; 3],
 }
 
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
-    let (format, contents) = io::read(&args.file)?;
-    let info = describe(format, &contents);
+    let (format, mut contents) = io::read(&args.file)?;
+    if let (Some(pose), Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points)) =
+        (args.pose.pose()?, &mut contents)
+    {
+        points.pose = pose;
+    }
+    let info = describe(args, format, &contents)?;
     if args.json {
         println!("{}", serde_json::to_string(&info)?);
     } else {
@@ -47,18 +59,20 @@ pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn describe(format: Format, contents: &Contents) -> Info {
+fn describe(args: &InfoArgs, format: Format, contents: &Contents) -> Result<Info> {
     let (width, height) = contents.shape();
     let mut info = Info {
         format: format.name(),
         width,
         height,
-        organized: !matches!(contents, Contents::Points(_)),
+        organized: !matches!(contents, Contents::General(_)),
         fields: vec!["depth".into()],
         valid_points: 0,
         bounds_m: None,
         median_z_m: None,
         pixel_pitch_at_1m: None,
+        range: None,
+        sensor_pose: None,
         sensor: None,
         raw_depth: None,
     };
@@ -67,28 +81,52 @@ fn describe(format: Format, contents: &Contents) -> Info {
             let valid = || image.raw.iter().copied().filter(|&raw| raw != 0 && raw != planish::SATURATED_DEPTH);
             info.valid_points = valid().count();
             info.raw_depth = valid().min().zip(valid().max()).map(|(min, max)| [min, max]);
+            if let Some(camera) = args.camera.camera((width, height))? {
+                let frame = DepthFrame::from_image(camera, image.clone()).map_err(Error::from)?;
+                describe_grid(&frame.deproject().map_err(Error::from)?, &mut info)?;
+            }
         }
         Contents::DepthMetres { depth_m, .. } => {
             let mut z: Vec<f64> =
                 depth_m.iter().filter(|z| **z > 0.0 && z.is_finite()).map(|&z| f64::from(z)).collect();
             info.valid_points = z.len();
             info.median_z_m = median(&mut z);
+            if let Some(camera) = args.camera.camera((width, height))? {
+                let view = DepthView::from_metres(depth_m, &camera).map_err(Error::from)?;
+                describe_grid(&view.deproject().map_err(Error::from)?, &mut info)?;
+            }
         }
         Contents::Organized(cloud) => {
-            info.pixel_pitch_at_1m = cloud.pixel_pitch_at_1m();
-            info.sensor = Sensor::estimate(cloud)
-                .map(|Sensor { depth_step_at_1m, noise_at_1m }| SensorInfo { depth_step_at_1m, noise_at_1m });
-            describe_points(&cloud.points, &mut info);
+            let mut cloud = cloud.clone();
+            cloud.camera = args.camera.camera((width, height))?;
+            describe_grid(&cloud, &mut info)?;
+            info.fields = fields(&cloud.points);
         }
-        Contents::Points(cloud) => describe_points(cloud, &mut info),
+        Contents::General(cloud) => {
+            describe_points(cloud, &mut info);
+            info.fields = fields(cloud);
+        }
+        _ => {}
     }
-    info
+    Ok(info)
+}
+
+fn describe_grid(cloud: &OrganizedCloud, info: &mut Info) -> Result<()> {
+    let view = PointsView::from_organized(cloud).map_err(Error::from)?;
+    info.range = match view.range_rule() {
+        RangeRule::Depth { .. } => Some("depth"),
+        RangeRule::Distance { .. } => Some("distance"),
+        RangeRule::Constant { .. } => Some("constant"),
+        _ => None,
+    };
+    info.pixel_pitch_at_1m = cloud.pixel_pitch_at_1m();
+    info.sensor = SensorModel::estimate(cloud).map(|model| SensorInfo { step: model.step, sigma: model.sigma });
+    describe_points(&cloud.points, info);
+    Ok(())
 }
 
 fn describe_points(cloud: &PointCloud, info: &mut Info) {
-    let position = if cloud.position_columns.double { "F8" } else { "F4" };
-    info.fields = ["x", "y", "z"].iter().map(|axis| format!("{axis}:{position}")).collect();
-    info.fields.extend(cloud.attributes.iter().map(field));
+    info.sensor_pose = (!cloud.pose.is_identity()).then(|| cloud.pose.viewpoint());
     info.valid_points = cloud.valid_points();
     let valid = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)).map(|i| {
         let p = cloud.positions.get(i);
@@ -99,6 +137,12 @@ fn describe_points(cloud: &PointCloud, info: &mut Info) {
         [[0, 1, 2].map(|axis| low[axis].min(p[axis])), [0, 1, 2].map(|axis| high[axis].max(p[axis]))]
     });
     info.median_z_m = median(&mut valid.iter().map(|p| p[2]).collect::<Vec<_>>());
+}
+
+fn fields(cloud: &PointCloud) -> Vec<String> {
+    let position = if cloud.position_columns.double { "F8" } else { "F4" };
+    let positions = ["x", "y", "z"].iter().map(|axis| format!("{axis}:{position}"));
+    positions.chain(cloud.attributes.iter().map(field)).collect()
 }
 
 /// `name:TYPE`, with the number of values if there are several.
@@ -124,7 +168,7 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
     let kind = match (is_depth, info.organized) {
         (true, _) => "depth image",
         (false, true) => "organized cloud",
-        (false, false) => "points, not organized",
+        (false, false) => "general cloud",
     };
     let pixels = info.width * info.height;
     println!("{}: {}, {kind}", file.display(), info.format);
@@ -143,13 +187,33 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
     if let Some(z) = info.median_z_m {
         println!("  median z      {z:.4} m");
     }
-    if let Some(pitch) = info.pixel_pitch_at_1m {
-        println!("  pixel pitch   {:.3} mm at 1 m (focal length {:.1} px)", 1e3 * pitch, 1.0 / pitch);
+    if let Some(pose) = info.sensor_pose {
+        println!("  sensor pose   {}", pose.map(|number| number.to_string()).join(" "));
     }
-    if let Some(SensorInfo { depth_step_at_1m, noise_at_1m }) = info.sensor {
-        let [step, noise] = [depth_step_at_1m, noise_at_1m].map(|metres| 1e3 * metres);
+    match (info.range, info.pixel_pitch_at_1m) {
+        (Some("depth"), Some(pitch)) => {
+            println!("  pixel pitch   {:.3} mm at 1 m (focal length {:.1} px)", 1e3 * pitch, 1.0 / pitch);
+        }
+        (Some("distance"), Some(pitch)) => {
+            println!(
+                "  pixel pitch   {:.3} mm at a distance of 1 m from the sensor; the grid is no camera's",
+                1e3 * pitch
+            );
+        }
+        (Some("constant"), _) => {
+            println!("  pixel pitch   unknown: neither is the sensor's position (see --sensor-pose)")
+        }
+        _ => {}
+    }
+    if let Some(SensorInfo { step, sigma }) = info.sensor {
+        let at = |[c0, c1, c2]: [f32; 3], z: f32| 1e3 * (c0 + z * (c1 + z * c2));
         println!(
-            "  sensor        steps of {step:.2} mm and noise of {noise:.2} mm at 1 m (a Kinect v1 has 2.85 and 1.80)"
+            "  sensor        steps of {:.2} mm and noise of {:.2} mm at 1 m, {:.2} and {:.2} mm at 3 m",
+            at(step, 1.0),
+            at(sigma, 1.0),
+            at(step, 3.0),
+            at(sigma, 3.0)
         );
+        println!("                (a Kinect v1 has 2.85 and 1.80, 25.65 and 16.20)");
     }
 }

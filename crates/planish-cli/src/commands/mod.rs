@@ -15,8 +15,8 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use planish::OrganizedCloud;
-use planish::io::{Contents, deproject_metres};
-use planish::{DepthFrame, Error};
+use planish::io::Contents;
+use planish::{DepthFrame, DepthView, Error};
 
 use crate::args::CameraArgs;
 
@@ -34,16 +34,19 @@ fn organized(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<Org
             Ok(cloud)
         }
         Contents::Depth(image) => {
-            let frame = DepthFrame::new(camera.required(shape, file)?, image).map_err(Error::from)?;
+            let frame = DepthFrame::from_image(camera.required(shape, file)?, image).map_err(Error::from)?;
             Ok(frame.deproject().map_err(Error::from)?)
         }
         Contents::DepthMetres { depth_m, .. } => {
-            Ok(deproject_metres(camera.required(shape, file)?, &depth_m).map_err(Error::from)?)
+            let camera = camera.required(shape, file)?;
+            let view = DepthView::from_metres(&depth_m, &camera).map_err(Error::from)?;
+            Ok(view.deproject().map_err(Error::from)?)
         }
-        Contents::Points(cloud) => bail!(
-            "{}: {} points that are not organized (HEIGHT is 1); an organized cloud or a depth image is needed",
+        Contents::General(cloud) => bail!(
+            "{}: a general cloud of {} points (its height is 1); an organized cloud or a depth image is needed",
             file.display(),
             cloud.len()
         ),
+        _ => bail!("{}: not a frame of a kind that is known here", file.display()),
     }
 }

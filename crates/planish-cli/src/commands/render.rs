@@ -3,7 +3,8 @@
 use std::process::ExitCode;
 
 use anyhow::Result;
-use planish::io::{self, write_rgb_png};
+use planish::internal::write_rgb_png;
+use planish::io;
 use planish::render::{colours, normals_of, relief, side_by_side};
 
 use super::organized;

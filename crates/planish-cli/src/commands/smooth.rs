@@ -10,8 +10,8 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::{self, CloudRef, Contents, Format};
 use planish::{
-    Camera, DepthFrame, DepthImage, Engine, Error, Frame, OrganizedCloud, Outputs, PointCloud, Radius, SmoothParams,
-    Smoothed, Smoother, estimate_radius_m, smooth_points,
+    Camera, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, Radius, RangeRule,
+    SensorModel, SensorPose, SmoothParams, Smoothed, Smoother, estimate_radius_m,
 };
 use serde::Serialize;
 
@@ -31,6 +31,8 @@ struct Report {
     width: usize,
     height: usize,
     points_in: usize,
+    /// How many of those became holes.
+    points_lost: usize,
     status: StatusCounts,
     read_ms: f64,
     smooth_ms: SmoothTimes,
@@ -66,7 +68,7 @@ struct FolderReport {
 }
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
-    // Those of clouds without a grid; with --sensor auto the first frame says those of all others.
+    // Those of general clouds; with --sensor auto the first frame says those of all others.
     let params = args.smoothing.params_for(None)?;
     // Options that contradict each other are refused whatever the input turns out to be.
     args.smoothing.options(Outputs::POINTS)?;
@@ -74,7 +76,8 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         args,
         params,
         sensor_known: false,
-        floating_noise_at_1m: None,
+        floating_sensor: None,
+        pose: args.pose.pose()?,
         open: None,
         smoothed: Smoothed::default(),
     };
@@ -179,8 +182,8 @@ fn print_report(report: &Report) {
     );
 }
 
-/// What an engine is open for: shape, outputs, parameters.
-type OpenFor = ((usize, usize), Outputs, SmoothParams);
+/// What an engine is open for: grid, outputs, parameters.
+type OpenFor = (Option<(usize, usize)>, Outputs, SmoothParams);
 
 /// Smooths file after file, keeping the engine open while shape, outputs and parameters stay.
 struct Worker<'a> {
@@ -188,8 +191,10 @@ struct Worker<'a> {
     params: SmoothParams,
     /// Whether the parameters are those of the frames' sensor.
     sensor_known: bool,
-    /// By which noise floating pixels are told, if they are to be removed.
-    floating_noise_at_1m: Option<f32>,
+    /// By whose noise floating pixels are told, if they are to be removed.
+    floating_sensor: Option<SensorModel>,
+    /// Instead of what the files say.
+    pose: Option<SensorPose>,
     open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
 }
@@ -197,7 +202,7 @@ struct Worker<'a> {
 /// What is written, once the input has been smoothed.
 enum Output {
     Organized(OrganizedCloud),
-    Points(PointCloud),
+    General(PointCloud),
     /// Depth as raw values, or in metres if the input was.
     Depth {
         camera: Camera,
@@ -208,41 +213,54 @@ enum Output {
 impl Worker<'_> {
     fn smooth_file(&mut self, input: &Path, output: &Path) -> Result<Report> {
         let start = Instant::now();
-        let (format, contents) = io::read(input)?;
+        let (format, mut contents) = io::read(input)?;
         let read_ms = ms_since(start);
         let (width, height) = contents.shape();
+        self.set_pose(input, &mut contents)?;
 
-        let (mut result, points_in, times_ms, engine) = match contents {
-            Contents::Points(cloud) => {
-                let (times_ms, engine) = self.smooth_general(input, &cloud)?;
-                let points_in = cloud.valid_points();
-                (Output::Points(cloud), points_in, times_ms, engine)
+        let (mut result, points, times_ms) = match contents {
+            Contents::General(cloud) => {
+                let (points, times_ms) = self.smooth_general(input, output, &cloud)?;
+                (Output::General(cloud), points, times_ms)
             }
             contents => self.smooth_organized(input, output, contents)?,
         };
         let written_format = Format::of_extension(output);
         match &mut result {
             Output::Organized(cloud) => self.apply(&mut cloud.points, format, written_format)?,
-            Output::Points(cloud) => self.apply(cloud, format, written_format)?,
+            Output::General(cloud) => self.apply(cloud, format, written_format)?,
             Output::Depth { .. } => {}
         }
 
         let start = Instant::now();
         self.write(output, &result)?;
+        let (smoother, ..) = self.open.as_ref().context("no engine is open")?;
         Ok(Report {
             input: input.to_path_buf(),
             output: output.to_path_buf(),
-            engine: engine.name(),
-            adapter: self.adapter(engine),
-            engine_reason: self.chosen_because(),
+            engine: smoother.engine().name(),
+            adapter: smoother.gpu_name().map(str::to_owned),
+            engine_reason: smoother.chosen_because().map(ToString::to_string),
             width,
             height,
-            points_in,
+            points_in: points.valid,
+            points_lost: points.lost,
             status: self.status_counts(),
             read_ms,
             smooth_ms: times_ms,
             write_ms: ms_since(start),
         })
+    }
+
+    /// Puts the user's pose in place of the file's.
+    fn set_pose(&self, input: &Path, contents: &mut Contents) -> Result<()> {
+        let Some(pose) = self.pose else { return Ok(()) };
+        match contents {
+            Contents::Organized(cloud) => cloud.points.pose = pose,
+            Contents::General(cloud) => cloud.pose = pose,
+            _ => bail!("{}: depth is in its camera's own frame; --sensor-pose is for clouds", input.display()),
+        }
+        Ok(())
     }
 
     /// Smooths an organized cloud or a depth image.
@@ -251,7 +269,7 @@ impl Worker<'_> {
         input: &Path,
         output: &Path,
         contents: Contents,
-    ) -> Result<(Output, usize, SmoothTimes, Engine)> {
+    ) -> Result<(Output, PointCounts, SmoothTimes)> {
         let shape = contents.shape();
         let in_metres = matches!(contents, Contents::DepthMetres { .. });
         let depth_out = match Format::of_extension(output) {
@@ -259,17 +277,18 @@ impl Worker<'_> {
             Some(Format::Npy) => contents.is_depth(),
             _ => false,
         };
-        let mut outputs = Outputs { status: true, ..self.args.outputs() };
+        let mut outputs = self.args.outputs().with_status(true);
         // Depth in metres is made from points and normals; raw depth by the engine, which then gives nothing else.
         if depth_out && in_metres {
             outputs.normals = true;
         } else if depth_out {
-            outputs = Outputs { status: true, ..Outputs::DEPTH };
+            outputs = Outputs::DEPTH.with_status(true);
         }
         // A raw depth image goes to the engine as it is.
         let mut depth = match &contents {
             Contents::Depth(image) => {
-                Some(DepthFrame::new(self.args.camera.required(shape, input)?, image.clone()).map_err(Error::from)?)
+                let camera = self.args.camera.required(shape, input)?;
+                Some(DepthFrame::from_image(camera, image.clone()).map_err(Error::from)?)
             }
             _ => None,
         };
@@ -277,25 +296,70 @@ impl Worker<'_> {
         if !self.sensor_known {
             let of_frame = || input.display().to_string();
             self.params = self.args.smoothing.params_for(Some(&cloud)).with_context(of_frame)?;
-            self.floating_noise_at_1m =
-                self.args.smoothing.floating_noise_at_1m(Some(&cloud)).with_context(of_frame)?;
+            self.floating_sensor = self.args.smoothing.floating_sensor(Some(&cloud)).with_context(of_frame)?;
             self.sensor_known = true;
         }
-        if let Some(noise_at_1m) = self.floating_noise_at_1m {
-            let count = cloud.remove_floating(noise_at_1m);
+        if let Some(sensor) = self.floating_sensor {
+            let count = cloud.remove_floating(&sensor);
             eprintln!("{}: {count} floating pixels became holes", input.display());
             depth.iter_mut().for_each(|depth| {
-                depth.remove_floating(noise_at_1m);
+                depth.remove_floating(&sensor);
             });
         }
-        let frame = depth.as_ref().map_or(Frame::Cloud(&cloud), Frame::Depth);
+        let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
+        let frame =
+            depth.as_ref().map_or_else(|| (&cloud).into_frame(), |depth| depth.into_frame()).map_err(of_input)?;
+        say_range_rule(input, frame);
         let depth_camera = match cloud.camera {
             _ if !depth_out => None,
             None => bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display()),
             camera => camera,
         };
+        // Every frame gets what it gets alone, whatever came before it.
+        let params = self.args.smoothing.at_resolution_of(self.params, frame);
+        let (points, times_ms) = self.smooth(output, frame, outputs, params)?;
+        let result = match depth_camera {
+            Some(camera) => Output::Depth { camera, in_metres },
+            None => Output::Organized(cloud),
+        };
+        Ok((result, points, times_ms))
+    }
 
-        self.open(frame, outputs)?;
+    fn smooth_general(
+        &mut self,
+        input: &Path,
+        output: &Path,
+        cloud: &PointCloud,
+    ) -> Result<(PointCounts, SmoothTimes)> {
+        let mut params = self.params;
+        if self.args.smoothing.remove_floating {
+            bail!("{}: a general cloud; --remove-floating needs the pixels around each point", input.display());
+        }
+        let engine = self.args.smoothing.engine();
+        if !engine.capabilities().general {
+            bail!("{}: a general cloud, which --engine {} does not smooth", input.display(), engine.name());
+        }
+        if !self.args.smoothing.has_radius() {
+            let radius_m = estimate_radius_m(cloud).with_context(|| {
+                format!("{}: no radius can be estimated from these points: add --radius METRES", input.display())
+            })?;
+            eprintln!("{}: a general cloud; radius {radius_m:.4} m from the spacing of the points", input.display());
+            params.radius = Radius::Fixed { radius_m };
+        }
+        let outputs = self.args.outputs().with_status(true);
+        let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
+        self.smooth(output, cloud.into_frame().map_err(of_input)?, outputs, params)
+    }
+
+    /// Smooths a frame as often as is asked for, and says if many points were lost.
+    fn smooth(
+        &mut self,
+        output: &Path,
+        frame: Frame<'_>,
+        outputs: Outputs,
+        params: SmoothParams,
+    ) -> Result<(PointCounts, SmoothTimes)> {
+        self.open(frame, outputs, params)?;
         let mut times_ms = Vec::new();
         for _ in 0..self.args.repeat {
             let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
@@ -308,70 +372,28 @@ impl Worker<'_> {
             result?;
             times_ms.push(ms_since(start));
         }
-        let engine = self.engine();
-        let points_in = cloud.points.valid_points();
-        let result = match depth_camera {
-            Some(camera) => Output::Depth { camera, in_metres },
-            None => Output::Organized(cloud),
+        let [_, lost, ..] = self.smoothed.status_counts().unwrap_or_default();
+        let valid = match frame {
+            Frame::Depth(depth) => depth.valid_pixels(),
+            Frame::Points(points) => points.valid_points(),
         };
-        Ok((result, points_in, summarize(times_ms), engine))
-    }
-
-    fn smooth_general(&mut self, input: &Path, cloud: &PointCloud) -> Result<(SmoothTimes, Engine)> {
-        let mut params = self.params;
-        if self.args.smoothing.remove_floating {
-            bail!("{}: the points are not organized; --remove-floating needs the pixels around each", input.display());
+        if lost as f64 > LOST_SHARE_TOLD * valid as f64 {
+            let share = 100.0 * lost as f64 / valid as f64;
+            let cause = likely_cause(frame, &params);
+            eprintln!(
+                "{}: {lost} of {valid} valid points ({share:.1} %) became holes: they have fewer than 3 neighbours. {cause}",
+                output.display()
+            );
         }
-        match self.args.smoothing.engine() {
-            Engine::Auto | Engine::Reference => {}
-            engine => bail!(
-                "{}: the points are not organized; only --engine reference smooths those, not {}",
-                input.display(),
-                engine.name()
-            ),
-        }
-        if !self.args.smoothing.has_radius() {
-            let radius_m = estimate_radius_m(cloud).with_context(|| {
-                format!("{}: no radius can be estimated from these points: add --radius METRES", input.display())
-            })?;
-            eprintln!("{}: not organized; radius {radius_m:.4} m from the spacing of the points", input.display());
-            params.radius = Radius::Fixed { radius_m };
-        }
-        let outputs = Outputs { status: true, ..self.args.outputs() };
-        let mut times_ms = Vec::new();
-        for _ in 0..self.args.repeat {
-            let start = Instant::now();
-            smooth_points(cloud, params, outputs, self.args.smoothing.threads, &mut self.smoothed)?;
-            times_ms.push(ms_since(start));
-        }
-        Ok((summarize(times_ms), Engine::Reference))
-    }
-
-    /// The engine that is open.
-    fn engine(&self) -> Engine {
-        self.open.as_ref().map_or(Engine::Auto, |(smoother, ..)| smoother.engine())
-    }
-
-    /// Why `auto` chose as it did.
-    fn chosen_because(&self) -> Option<String> {
-        let (smoother, ..) = self.open.as_ref()?;
-        smoother.chosen_because().map(str::to_owned)
-    }
-
-    /// The GPU's name, where that is the engine.
-    fn adapter(&self, engine: Engine) -> Option<String> {
-        let (smoother, ..) = self.open.as_ref().filter(|_| engine == Engine::Gpu)?;
-        smoother.gpu_name().map(str::to_owned)
+        Ok((PointCounts { valid, lost }, summarize(times_ms)))
     }
 
     /// Opens an engine for frames like this, if none is.
-    fn open(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<()> {
-        // Every frame gets what it gets alone, whatever came before it.
-        let wanted = (frame.shape(), outputs, self.args.smoothing.at_resolution_of(self.params, frame));
+    fn open(&mut self, frame: Frame<'_>, outputs: Outputs, params: SmoothParams) -> Result<()> {
+        let wanted = (frame.grid(), outputs, params);
         if self.open.as_ref().is_none_or(|(_, has)| *has != wanted) {
             let options = self.args.smoothing.options(outputs)?;
-            let (shape, _, params) = wanted;
-            self.open = Some((Smoother::open_with(params, &options, shape)?, wanted));
+            self.open = Some((Smoother::open_with(params, &options, frame.grid())?, wanted));
         }
         Ok(())
     }
@@ -391,7 +413,7 @@ impl Worker<'_> {
         let encoding = self.args.encoding();
         match result {
             Output::Organized(cloud) => io::write_cloud(output, CloudRef::Organized(cloud), encoding)?,
-            Output::Points(cloud) => io::write_cloud(output, CloudRef::Points(cloud), encoding)?,
+            Output::General(cloud) => io::write_cloud(output, CloudRef::General(cloud), encoding)?,
             Output::Depth { camera, in_metres: true } if Format::of_extension(output) == Some(Format::Npy) => {
                 let depth_m = self.smoothed.to_depth_m(camera).map_err(Error::from)?;
                 io::write_depth_metres(output, camera.width, &depth_m)?;
@@ -410,6 +432,50 @@ impl Worker<'_> {
     fn status_counts(&self) -> StatusCounts {
         let [hole, too_few, degenerate, plane, quadratic, cubic] = self.smoothed.status_counts().unwrap_or_default();
         StatusCounts { hole, too_few, degenerate, plane, polynomial: quadratic + cubic }
+    }
+}
+
+/// How many points came in, and how many of those became holes.
+struct PointCounts {
+    valid: usize,
+    lost: usize,
+}
+
+/// More points than this share that are lost are told.
+const LOST_SHARE_TOLD: f64 = 0.01;
+
+/// Says in a line if the ranges of a grid are not the depths of a camera.
+fn say_range_rule(input: &Path, frame: Frame<'_>) {
+    let Frame::Points(points) = frame else { return };
+    let input = input.display();
+    let known = !points.pose().is_identity();
+    match points.range_rule() {
+        RangeRule::Distance { .. } if known => {
+            eprintln!("{input}: the grid is no camera's at the sensor pose; ranges are distances from there");
+        }
+        RangeRule::Distance { .. } => eprintln!(
+            "{input}: the grid is not that of a camera at the origin that looks along +z; ranges are distances from the origin \
+             (--sensor-pose says where the sensor stands)"
+        ),
+        RangeRule::Constant { spacing_m } => eprintln!(
+            "{input}: it cannot be told where the sensor stood; smoothed by the spacing of the points, {spacing_m:.4} m \
+             (--sensor-pose says where the sensor stands)"
+        ),
+        _ => {}
+    }
+}
+
+/// Why points have too few neighbours, as far as the parameters tell, and what would help.
+fn likely_cause(frame: Frame<'_>, params: &SmoothParams) -> String {
+    match (params.radius, frame) {
+        (Radius::Fixed { radius_m }, _) => format!(
+            "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or --radius sensor"
+        ),
+        (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
+            "Likely they stand alone, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
+                .to_owned()
+        }
+        _ => "Likely they stand alone between holes or behind each other: try --radius METRES".to_owned(),
     }
 }
 

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::source::{self, Source, SourceFrame, SourceOptions};
 use planish::stream::{self, FolderSink, Latency, Sink, SinkFormat, StreamEvent, StreamOptions, StreamStatistics};
-use planish::{DeviceError, Error, Outputs};
+use planish::{DeviceError, Error, Outputs, SensorModel};
 use serde::Serialize;
 
 use crate::args::{CameraArgs, LimitArgs, StreamArgs, StreamFormatArg, outputs_of};
@@ -71,8 +71,8 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     };
     let stop = stop_on_ctrl_c()?;
     let mut source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
-    if let Some(noise_at_1m) = args.smoothing.floating_noise_at_1m(None)? {
-        source = Box::new(WithoutFloating { source, noise_at_1m });
+    if let Some(sensor) = args.smoothing.floating_sensor(None)? {
+        source = Box::new(WithoutFloating { source, sensor });
     }
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
@@ -140,7 +140,7 @@ pub fn open_source(
 /// A source whose floating pixels are holes.
 struct WithoutFloating {
     source: Box<dyn Source>,
-    noise_at_1m: f32,
+    sensor: SensorModel,
 }
 
 impl Source for WithoutFloating {
@@ -148,10 +148,10 @@ impl Source for WithoutFloating {
         let mut frame = self.source.next_frame()?;
         match &mut frame {
             Some(SourceFrame::Depth(depth)) => {
-                depth.remove_floating(self.noise_at_1m);
+                depth.remove_floating(&self.sensor);
             }
             Some(SourceFrame::Cloud { cloud, .. }) => {
-                cloud.remove_floating(self.noise_at_1m);
+                cloud.remove_floating(&self.sensor);
             }
             None => {}
         }
@@ -318,8 +318,8 @@ mod tests {
                 return Err(DeviceError::Gone { what: "the test's camera".into() }.into());
             }
             self.frames -= 1;
-            let camera = Camera { width: 4, height: 3, ..Camera::kinect_v1() };
-            Ok(Some(SourceFrame::Depth(DepthFrame { camera, raw: vec![1000; 12], rgb: None, timestamp_s: None })))
+            let camera = Camera::kinect_v1().with_shape((4, 3));
+            Ok(Some(SourceFrame::Depth(DepthFrame::new(camera, vec![1000; 12]).unwrap())))
         }
     }
 

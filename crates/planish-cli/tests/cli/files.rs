@@ -103,7 +103,7 @@ fn general_clouds_are_smoothed_with_a_radius_from_their_spacing() {
     io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
     let result = planish(&["smooth", str(&input), str(&output)]);
     assert!(result.status.success() && text(&result.stderr).contains("radius"));
-    let Contents::Points(smoothed) = io::read(&output).unwrap().1 else { panic!("points") };
+    let Contents::General(smoothed) = io::read(&output).unwrap().1 else { panic!("points") };
     assert_eq!(smoothed.len(), cloud.len());
 }
 

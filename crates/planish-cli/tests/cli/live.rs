@@ -81,11 +81,10 @@ fn a_kinect_that_plays_a_recording_is_recorded_and_streams_back() {
     let (scene, pose) = Scene::tabletop(1);
     let truth = scene.render(&camera, &pose);
     let simulator = KinectSimulator::new(KinectNoise::default(), camera, 1);
-    let frames: Vec<DepthFrame> = (0..6)
-        .map(|i| DepthFrame { timestamp_s: Some(i as f64 / 30.0), ..simulator.frame(&truth, i).unwrap() })
-        .collect();
+    let frames: Vec<DepthFrame> =
+        (0..6).map(|i| simulator.frame(&truth, i).unwrap().with_timestamp_s(i as f64 / 30.0)).collect();
     let played = folder.path().join("played");
-    planish::source::write_freenect_recording(&played, &frames).unwrap();
+    planish::internal::write_freenect_recording(&played, &frames).unwrap();
 
     let kinect = |arguments: &[&str], recording: &Path| {
         Command::new(env!("CARGO_BIN_EXE_planish"))

@@ -39,7 +39,7 @@ fn refused(arguments: &[&str]) -> String {
 }
 
 fn small_frame(seed: u64) -> DepthFrame {
-    let camera = Camera { width: 160, height: 120, fx: 131.25, fy: 131.25, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() };
+    let camera = Camera::new((160, 120), [131.25, 131.25], [79.5, 59.5]);
     let (scene, pose) = Scene::tabletop(seed);
     let truth = scene.render(&camera, &pose);
     KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).unwrap()

@@ -1,33 +1,20 @@
 //! Edges kept: the surface that a point lies on is taken from the planes around it (docs/method.md, section 10).
 //!
-//! A pass of its own fits the first planes of all pixels; they are kept in planes of numbers laid out as [`Planes`].
+//! A pass of its own fits the first planes of all pixels; each of their numbers is a channel laid out as the padded frame.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
-use super::halves::Halves;
+use super::padded::PaddedFrame;
 use super::plane::Plane;
-use super::planes::Planes;
+use super::polynomial_in_range;
+use super::row_tasks::SplitRows;
 use super::vector::{Mask, Vec3, splat};
 use super::window::Window;
+use crate::method::{DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NEIGHBOURS, MIN_NOISE, NARROW_WIDTH};
 use crate::params::{Edges, SmoothParams, edge_shift_px};
-use crate::radius::MAX_RADIUS_M;
+use crate::range::{MAX_RADIUS_M, RangeRules};
 
-/// A plane through fewer points than this says too little.
-const MIN_NEIGHBOURS: f32 = 6.0;
-/// The noise is at least this share of the radius.
-const MIN_NOISE: f32 = 0.01;
-/// How much a plane's distance from p weighs beside its own residual, both squared.
-const DISTANCE_WEIGHT: f32 = 0.5;
-/// Neighbours count up to so many deviations of the noise from the surface.
-const WIDTH: f32 = 1.8;
-
-/// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a disc.
-const DOUBT_WEIGHT: f32 = 0.01;
-
-/// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
-const MIN_INCIDENCE_COSINE: f32 = 0.05;
-
-/// What is kept of a first plane, a number each.
+/// What is kept of a first plane, a channel each.
 const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
 /// The variance along the normal and what the plane is in doubt, in m²; infinite where the neighbours are too few, or on a line.
@@ -35,14 +22,13 @@ const RESIDUAL: usize = 4;
 const CURVATURE: usize = 5;
 /// How many neighbours; negative where they are on a line.
 const COUNT: usize = 6;
-const NUMBERS: usize = 7;
+const CHANNELS: usize = 7;
 
 /// The first planes of a frame.
 pub(super) struct FirstPlanes {
-    numbers: [Vec<f32>; NUMBERS],
+    channels: [Vec<f32>; CHANNELS],
     row_len: usize,
     reach: usize,
-    noise_at_1m: f32,
     /// Pixels to the planes that are asked.
     shift: usize,
 }
@@ -51,33 +37,32 @@ pub(super) struct FirstPlanes {
 pub(super) struct FirstRows<'a> {
     /// The first row's number in the image.
     pub(super) first: usize,
-    numbers: [&'a mut [f32]; NUMBERS],
+    channels: [&'a mut [f32]; CHANNELS],
     row_len: usize,
     reach: usize,
-    noise_at_1m: f32,
 }
 
-/// The standard deviation of depth at z, between bounds whose squares are within f32, whatever the coordinates.
+/// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
 #[inline(always)]
-fn noise<S: Simd>(simd: S, noise_at_1m: f32, z: S::f32s, radius: S::f32s) -> S::f32s {
-    let noise = (z * z * splat(simd, noise_at_1m)).max(radius * splat(simd, MIN_NOISE));
+pub(super) fn noise<S: Simd>(simd: S, rules: &RangeRules, range: S::f32s, radius: S::f32s) -> S::f32s {
+    let noise = polynomial_in_range(simd, rules.sigma, range).max(radius * splat(simd, MIN_NOISE));
     noise.max(splat(simd, 1e-15)).min(splat(simd, MAX_RADIUS_M))
 }
 
-impl Halves for FirstRows<'_> {
+impl SplitRows for FirstRows<'_> {
     fn count(&self) -> usize {
-        self.numbers[0].len() / self.row_len
+        self.channels[0].len() / self.row_len
     }
 
     fn split_at(self, rows: usize) -> (Self, Self) {
-        let Self { first, numbers, row_len, reach, noise_at_1m } = self;
-        let [mut before, mut after]: [[&mut [f32]; NUMBERS]; 2] = Default::default();
-        for (k, number) in numbers.into_iter().enumerate() {
-            (before[k], after[k]) = number.split_at_mut(rows * row_len);
+        let Self { first, channels, row_len, reach } = self;
+        let [mut before, mut after]: [[&mut [f32]; CHANNELS]; 2] = Default::default();
+        for (k, channel) in channels.into_iter().enumerate() {
+            (before[k], after[k]) = channel.split_at_mut(rows * row_len);
         }
         (
-            Self { first, numbers: before, row_len, reach, noise_at_1m },
-            Self { first: first + rows, numbers: after, row_len, reach, noise_at_1m },
+            Self { first, channels: before, row_len, reach },
+            Self { first: first + rows, channels: after, row_len, reach },
         )
     }
 }
@@ -95,17 +80,16 @@ impl FirstRows<'_> {
         simd: S,
         at: usize,
         p: Vec3<S>,
-        radius: S::f32s,
+        noise: S::f32s,
         plane: &Plane<S>,
         n: S::f32s,
     ) {
-        let noise = noise(simd, self.noise_at_1m, p.z, radius);
         let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
         let along = plane.normal.dot(p);
         let seen: Mask<S> =
             (along * along).simd_ge(p.dot(p) * splat(simd, MIN_INCIDENCE_COSINE * MIN_INCIDENCE_COSINE));
         let usable = n.simd_ge(splat(simd, MIN_NEIGHBOURS)) & !plane.degenerate & seen;
-        let numbers = [
+        let channels = [
             plane.normal.x,
             plane.normal.y,
             plane.normal.z,
@@ -114,7 +98,7 @@ impl FirstRows<'_> {
             plane.curvature,
             plane.degenerate.select(-n, n),
         ];
-        for (kept, values) in self.numbers.iter_mut().zip(numbers) {
+        for (kept, values) in self.channels.iter_mut().zip(channels) {
             values.store_slice(&mut kept[at..at + S::f32s::LEN]);
         }
     }
@@ -130,41 +114,42 @@ pub(super) struct Surface<S: Simd> {
 }
 
 impl FirstPlanes {
-    /// Room for the planes of frames that have these `planes`; `None` if edges are not kept.
-    pub(super) fn new(params: &SmoothParams, planes: &Planes) -> Option<Self> {
-        let Edges::Robust { noise_at_1m } = params.edges else { return None };
+    /// Room for the planes of frames with this padding; `None` if edges are not kept.
+    pub(super) fn new(params: &SmoothParams, padded: &PaddedFrame) -> Option<Self> {
+        if params.edges == Edges::Off {
+            return None;
+        }
         Some(Self {
-            numbers: std::array::from_fn(|_| vec![0.0; planes.z.len()]),
-            row_len: planes.row_len,
+            channels: std::array::from_fn(|_| vec![0.0; padded.z.len()]),
+            row_len: padded.row_len,
             reach: params.reach_px(),
-            noise_at_1m,
             shift: edge_shift_px(params.window * params.stride) as usize,
         })
     }
 
-    /// Bytes of the planes' numbers.
+    /// Bytes of the planes' channels.
     pub(super) fn bytes(&self) -> usize {
-        self.numbers.iter().map(|number| size_of_val(&number[..])).sum()
+        self.channels.iter().map(|channel| size_of_val(&channel[..])).sum()
     }
 
     /// The rows of the image.
     pub(super) fn rows(&mut self, height: usize) -> FirstRows<'_> {
         let (row_len, reach) = (self.row_len, self.reach);
         let image = reach * row_len..(reach + height) * row_len;
-        let numbers = self.numbers.each_mut().map(|n| &mut n[image.clone()]);
-        FirstRows { first: 0, numbers, row_len, reach, noise_at_1m: self.noise_at_1m }
+        let channels = self.channels.each_mut().map(|channel| &mut channel[image.clone()]);
+        FirstRows { first: 0, channels, row_len, reach }
     }
 
     #[inline(always)]
-    fn load<S: Simd>(&self, simd: S, number: usize, at: usize) -> S::f32s {
-        S::f32s::from_slice(simd, &self.numbers[number][at..at + S::f32s::LEN])
+    fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
+        S::f32s::from_slice(simd, &self.channels[channel][at..at + S::f32s::LEN])
     }
 
     #[inline(always)]
     fn normal<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
         let [x, y, z] = [NORMAL, NORMAL + 1, NORMAL + 2].map(
             #[inline(always)]
-            |number| self.load(simd, number, at),
+            |channel| self.load(simd, channel, at),
         );
         Vec3::new(x, y, z)
     }
@@ -178,9 +163,9 @@ impl FirstPlanes {
         p: Vec3<S>,
         valid: Mask<S>,
         radius: S::f32s,
+        noise: S::f32s,
     ) -> Surface<S> {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-        let noise = noise(simd, self.noise_at_1m, p.z, radius);
         let per_variance = one / (noise * noise);
         let radius_squared = radius * radius;
         let here = window.centre_index();
@@ -224,7 +209,7 @@ impl FirstPlanes {
                 degenerate: count.simd_lt(zero),
             },
             n: valid.select(count.abs(), zero),
-            width: own.select(splat(simd, WIDTH) * noise, splat(simd, f32::INFINITY)),
+            width: own.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY)),
         }
     }
 }

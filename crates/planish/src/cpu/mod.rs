@@ -1,7 +1,8 @@
 //! The CPU engine: docs/method.md in f32, a vector of neighbouring pixels at a time, for organized clouds.
 //!
-//! The stages have the reference's names, one file each, and are written once over the SIMD level; [`level`] says which
-//! there are. A frame becomes padded planes ([`planes`]), tasks take bands of rows ([`rows`]), and each vector of pixels
+//! The stages have the reference's names, one file each, and are written once over the SIMD level; [`SimdLevel`] says which
+//! there are. A frame is copied into a padded one ([`padded`]), tasks take bands of its rows ([`row_tasks`], [`output`]), and each
+//! vector of pixels
 //! goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]; where edges are kept, [`edges`]
 //! fits the planes of all pixels in a pass of its own before. A pixel's result depends on
 //! its window alone, so threads change nothing; lanes are independent, so neither does a pixel's place in its vector.
@@ -11,14 +12,13 @@
 
 mod edges;
 mod eigen;
-mod halves;
-mod level;
 mod math;
+mod output;
+mod padded;
 mod plane;
-mod planes;
 mod polynomial;
 mod project;
-mod rows;
+mod row_tasks;
 mod solve;
 #[cfg(test)]
 mod tests;
@@ -28,24 +28,24 @@ mod window;
 
 use std::time::{Duration, Instant};
 
-use fearless_simd::{Level, Simd, SimdBase, SimdMask, dispatch};
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
-use crate::devices::FrameTimings;
+use crate::camera::Rays;
+use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
-use crate::frame::Frame;
+use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::SmoothParams;
-use crate::radius::{MAX_RADIUS_M, RadiusRule};
-use crate::smoothed::{Outputs, Smoothed};
+use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, RangeRules};
+use crate::simd_level::SimdLevel;
 use crate::threads::Threads;
+use crate::timings::FrameTimings;
 use edges::{FirstPlanes, FirstRows};
-use halves::{Halves, over};
-use planes::Planes;
+use output::OutputRows;
+use padded::PaddedFrame;
 use polynomial::{Terms, Weighting};
-use rows::Rows;
+use row_tasks::{SplitRows, run_on_rows};
 use vector::{Mask, Vec3, splat};
 use window::{Gate, MAX_CANDIDATES, Window};
-
-pub use level::SimdLevel;
 
 /// What a kernel needs to know of the parameters.
 struct Kernel {
@@ -53,30 +53,43 @@ struct Kernel {
     side: usize,
     stride: usize,
     degree: u32,
-    radius: RadiusRule,
+    rules: RangeRules,
     bandwidth_m: Option<f32>,
 }
 
-impl RadiusRule {
+/// c0 + c1 z + c2 z².
+#[inline(always)]
+fn polynomial_in_range<S: Simd>(simd: S, [c0, c1, c2]: [f32; 3], range: S::f32s) -> S::f32s {
+    (range * splat(simd, c2) + splat(simd, c1)) * range + splat(simd, c0)
+}
+
+impl RangeRules {
+    /// The ranges of points in the sensor's frame. Beyond the limit the radius is at its own; the square stays finite.
     #[inline(always)]
-    fn at<S: Simd>(&self, simd: S, z: S::f32s) -> S::f32s {
-        let grown = (z.abs() * splat(simd, self.linear)).max(z * z * splat(simd, self.quadratic));
+    fn range<S: Simd>(&self, simd: S, p: Vec3<S>) -> S::f32s {
+        let range = if self.by_distance { p.dot(p).sqrt() } else { p.z.abs() };
+        range.min(splat(simd, MAX_RANGE_M))
+    }
+
+    #[inline(always)]
+    fn radius<S: Simd>(&self, simd: S, range: S::f32s) -> S::f32s {
+        let radius = (range * splat(simd, self.linear)).max(polynomial_in_range(simd, self.radius, range));
         // A coordinate of 1e30 has an infinite radius by this rule; what is computed from it must stay finite.
-        (splat(simd, self.constant) + grown).min(splat(simd, MAX_RADIUS_M))
+        radius.min(splat(simd, MAX_RADIUS_M))
     }
 }
 
 /// The CPU engine with its buffers.
 pub(crate) struct Cpu {
     params: SmoothParams,
-    outputs: Outputs,
+    wants_depth: bool,
     level: Level,
     /// `None` runs on the calling thread.
     threads: Option<Threads>,
-    planes: Planes,
+    padded: PaddedFrame,
     /// Where edges are kept.
     first_planes: Option<FirstPlanes>,
-    pitches: Vec<f64>,
+    rays: Rays,
     timings: FrameTimings,
 }
 
@@ -97,87 +110,83 @@ impl Cpu {
             })?,
         };
         let threads = if threads == Some(1) { None } else { Some(Threads::open(threads)?) };
-        let planes = Planes::new(shape.0, shape.1, params.reach_px());
-        let first_planes = FirstPlanes::new(&params, &planes);
-        Ok(Self {
-            params,
-            outputs,
-            level,
-            threads,
-            planes,
-            first_planes,
-            pitches: Vec::new(),
-            timings: FrameTimings::default(),
-        })
+        let padded = PaddedFrame::new(shape.0, shape.1, params.reach_px());
+        let first_planes = FirstPlanes::new(&params, &padded);
+        let (rays, timings) = (Rays::default(), FrameTimings::default());
+        Ok(Self { params, wants_depth: outputs.depth, level, threads, padded, first_planes, rays, timings })
     }
 
-    /// Bytes of its planes.
-    pub(crate) fn buffer_bytes(&self) -> u64 {
-        (self.planes.bytes() + self.first_planes.as_ref().map_or(0, FirstPlanes::bytes)) as u64
+    /// Fills the padded frame and smooths all rows, on the threads of the pool that it is called in or on the calling one.
+    fn smooth_rows(&mut self, frame: &AdmittedFrame<'_>, kernel: &Kernel, out: SmoothedMut<'_>, parallel: bool) {
+        let level = self.level;
+        let start = Instant::now();
+        self.padded.fill(frame, &self.rays, parallel);
+        let filled = Instant::now();
+        let padded = &self.padded;
+        if let Some(first_planes) = &mut self.first_planes {
+            let fit =
+                |mut rows: FirstRows<'_>| dispatch!(level, simd => fit_first_planes(simd, padded, kernel, &mut rows));
+            run_on_rows(first_planes.rows(frame.frame.shape().1), parallel, &fit);
+        }
+        let first_planes = self.first_planes.as_ref();
+        let smooth = |mut rows: OutputRows<'_>| match kernel.degree {
+            1 => dispatch!(level, simd => smooth_rows_simd::<_, 1>(simd, padded, first_planes, kernel, &mut rows)),
+            2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, padded, first_planes, kernel, &mut rows)),
+            _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, padded, first_planes, kernel, &mut rows)),
+        };
+        run_on_rows(OutputRows::all(frame, &self.rays, out), parallel, &smooth);
+        self.timings = FrameTimings { upload: filled - start, kernel: filled.elapsed(), readback: Duration::ZERO };
     }
+}
 
-    /// Where the time of the last frame went.
-    pub(crate) fn timings(&self) -> FrameTimings {
-        self.timings
-    }
-
-    pub(crate) fn smooth(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
-        let (width, height) = frame.shape();
-        out.prepare(width, height, self.outputs);
+impl ImmediateEngine for Cpu {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let is_depth = matches!(frame.frame, crate::frame::Frame::Depth(_));
+        if let Some(camera) = frame.frame.camera().filter(|_| is_depth || self.wants_depth) {
+            self.rays.set(camera);
+        }
         let kernel = Kernel {
             side: 2 * self.params.window as usize + 1,
             stride: self.params.stride as usize,
             degree: self.params.degree,
-            radius: RadiusRule::new(&self.params, frame, &mut self.pitches),
+            rules: RangeRules::new(&self.params, &frame.geometry),
             bandwidth_m: self.params.bandwidth_m,
         };
-        let rows = Rows::all(out);
         match self.threads.take() {
-            None => self.smooth_rows_of(frame, &kernel, rows, false),
+            None => self.smooth_rows(frame, &kernel, out, false),
             Some(threads) => {
-                threads.install(|| self.smooth_rows_of(frame, &kernel, rows, true));
+                threads.install(|| self.smooth_rows(frame, &kernel, out, true));
                 self.threads = Some(threads);
             }
         }
         Ok(())
     }
 
-    /// Fills the planes and smooths all rows, on the threads of the pool that it is called in or on the calling one.
-    fn smooth_rows_of(&mut self, frame: Frame<'_>, kernel: &Kernel, rows: Rows<'_>, parallel: bool) {
-        let level = self.level;
-        let start = Instant::now();
-        self.planes.fill(frame, parallel);
-        let filled = Instant::now();
-        let planes = &self.planes;
-        if let Some(first_planes) = &mut self.first_planes {
-            let fit =
-                |mut rows: FirstRows<'_>| dispatch!(level, simd => first_planes_simd(simd, planes, kernel, &mut rows));
-            over(first_planes.rows(frame.shape().1), parallel, &fit);
-        }
-        let first_planes = self.first_planes.as_ref();
-        let smooth = |mut rows: Rows<'_>| match kernel.degree {
-            1 => dispatch!(level, simd => smooth_rows_simd::<_, 1>(simd, planes, first_planes, kernel, &mut rows)),
-            2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, planes, first_planes, kernel, &mut rows)),
-            _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, planes, first_planes, kernel, &mut rows)),
-        };
-        over(rows, parallel, &smooth);
-        self.timings = FrameTimings { upload: filled - start, kernel: filled.elapsed(), readback: Duration::ZERO };
+    fn timings(&self) -> Option<FrameTimings> {
+        Some(self.timings)
+    }
+
+    /// Of its padded frame and first planes.
+    fn buffer_bytes(&self) -> u64 {
+        (self.padded.bytes() + self.first_planes.as_ref().map_or(0, FirstPlanes::bytes)) as u64
     }
 }
 
 /// The first planes of some rows, where edges are kept.
 #[inline(always)]
-fn first_planes_simd<S: Simd>(simd: S, planes: &Planes, kernel: &Kernel, rows: &mut FirstRows<'_>) {
+fn fit_first_planes<S: Simd>(simd: S, padded: &PaddedFrame, kernel: &Kernel, rows: &mut FirstRows<'_>) {
     let mut gates = [0; MAX_CANDIDATES];
     for row in 0..rows.count() {
-        for u in (0..planes.width).step_by(S::f32s::LEN) {
-            let window = Window::at(planes, kernel, u, rows.first + row);
+        for u in (0..padded.width).step_by(S::f32s::LEN) {
+            let window = Window::at(padded, kernel, u, rows.first + row);
             let p = window.centre(simd);
             // What is kept for a hole is not looked at.
             if valid_points(simd, p).any_true() {
-                let radius = kernel.radius.at(simd, p.z);
+                let range = kernel.rules.range(simd, p);
+                let radius = kernel.rules.radius(simd, range);
+                let noise = edges::noise(simd, &kernel.rules, range, radius);
                 let sums = window.sums(simd, p, radius, &mut gates);
-                rows.store(simd, rows.index(row, u), p, radius, &plane::fit(simd, p, &sums), sums.n);
+                rows.store(simd, rows.index(row, u), p, noise, &plane::fit(simd, p, &sums), sums.n);
             }
         }
     }
@@ -186,15 +195,15 @@ fn first_planes_simd<S: Simd>(simd: S, planes: &Planes, kernel: &Kernel, rows: &
 #[inline(always)]
 fn smooth_rows_simd<S: Simd, const D: usize>(
     simd: S,
-    planes: &Planes,
+    padded: &PaddedFrame,
     first_planes: Option<&FirstPlanes>,
     kernel: &Kernel,
-    rows: &mut Rows<'_>,
+    rows: &mut OutputRows<'_>,
 ) {
     let mut scratch = Scratch { gates: [0; MAX_CANDIDATES], terms: Terms::new(simd) };
     for row in 0..rows.count() {
         for u in (0..rows.width).step_by(S::f32s::LEN) {
-            let window = Window::at(planes, kernel, u, rows.first + row);
+            let window = Window::at(padded, kernel, u, rows.first + row);
             smooth_vector::<S, D>(simd, kernel, &window, first_planes, &mut scratch, rows, row, u);
         }
     }
@@ -223,7 +232,7 @@ fn smooth_vector<S: Simd, const D: usize>(
     window: &Window<'_>,
     first_planes: Option<&FirstPlanes>,
     scratch: &mut Scratch<S>,
-    rows: &mut Rows<'_>,
+    rows: &mut OutputRows<'_>,
     row: usize,
     u: usize,
 ) {
@@ -233,14 +242,16 @@ fn smooth_vector<S: Simd, const D: usize>(
         rows.store_holes(row, u, S::f32s::LEN);
         return;
     }
-    let radius = kernel.radius.at(simd, p.z);
+    let range = kernel.rules.range(simd, p);
+    let radius = kernel.rules.radius(simd, range);
     let (plane, n, gate, width) = match first_planes {
         None => {
             let sums = window.sums(simd, p, radius, &mut scratch.gates);
             (plane::fit(simd, p, &sums), sums.n, Gate::Known(&scratch.gates), None)
         }
         Some(first_planes) => {
-            let surface = first_planes.surface(simd, window, p, valid, radius);
+            let noise = edges::noise(simd, &kernel.rules, range, radius);
+            let surface = first_planes.surface(simd, window, p, valid, radius, noise);
             (surface.plane, surface.n, Gate::Radius(radius), Some(surface.width))
         }
     };
@@ -257,5 +268,5 @@ fn smooth_vector<S: Simd, const D: usize>(
         let c = solve::solve::<S, D>(simd, &fit.moments, n);
         project::project::<S, D>(simd, p, &plane, Some((&fit, c)), radius, n, rows.has_normals())
     };
-    rows.store(row, u, &projected, &plane, n);
+    rows.store(row, u, p, &projected, &plane, n);
 }

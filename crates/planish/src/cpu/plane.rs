@@ -7,12 +7,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::eigen::{Symmetric, smallest_eigenvector};
 use super::vector::{Mask, Vec3, splat};
 use super::window::Sums;
-
-/// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
-const DEGENERATE_RATIO: f32 = 1e-4;
-
-/// More doubt than this makes no difference, and its square is far from the end of f32.
-const MAX_DOUBT: f32 = 1e6;
+use crate::method::{DEGENERATE_RATIO, MAX_DOUBT};
 
 pub(super) struct Plane<S: Simd> {
     /// Unit normal, towards the sensor.

@@ -16,6 +16,7 @@ use super::plane::Plane;
 use super::unroll::unroll;
 use super::vector::{Vec3, splat};
 use super::window::{Gate, Window};
+use crate::method::{MAX_OFF_SURFACE, SQRT_LOG2_E};
 
 /// Moments of degree 3 + 3: more than are used for smaller degrees.
 const MAX_MOMENTS: usize = 28;
@@ -38,9 +39,6 @@ pub(super) struct Weighting<'a, S: Simd> {
     /// How far from the plane a neighbour counts; `None` as far as it is one.
     pub(super) width: Option<S::f32s>,
 }
-
-/// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
-const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 
 /// Candidates whose terms are kept at once: their four values for each stay in the first-level cache.
 const CHUNK: usize = 64;
@@ -121,8 +119,6 @@ pub(super) fn moments<S: Simd, const D: usize>(
 ) -> Fit<S> {
     let zero = splat(simd, 0.0);
     let (u, v) = tangents(simd, plane.normal);
-    // Lengths are measured in units in which the exponent is a² + b² + f²: exp(-x²) = 2^(-x² log2 e).
-    const SQRT_LOG2_E: f32 = 1.201_122_4;
     let per_metre = splat(simd, SQRT_LOG2_E) / weighting.bandwidth;
     let narrowing = match weighting.width {
         None => zero,

@@ -4,8 +4,8 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::plane::Plane;
 use super::polynomial::Fit;
-use super::solve::coefficient_count;
 use super::vector::{Mask, Vec3, splat};
+use crate::method::coefficient_count;
 
 pub(super) struct Projected<S: Simd> {
     pub(super) point: Vec3<S>,

@@ -8,18 +8,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::polynomial::Moments;
 use super::unroll::unroll;
 use super::vector::{Mask, splat};
-
-/// A pivot at or below this share of its own diagonal entry is not supported.
-const PIVOT_RATIO: f32 = 3e-2;
-
-/// The exponents (i, j) of the monomials a^i b^j, ordered by degree.
-const MONOMIALS: [(usize, usize); 10] =
-    [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
-
-/// Number of coefficients of a polynomial of degree D in two variables.
-pub(super) const fn coefficient_count(degree: usize) -> usize {
-    (degree + 1) * (degree + 2) / 2
-}
+use crate::method::{MONOMIALS, PIVOT_RATIO, coefficient_count};
 
 /// c_00, c_10 and c_01 in the units of the moments.
 // In the copies of the loops whose conditions are false, values are set that nothing reads.

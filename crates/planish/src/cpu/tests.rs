@@ -4,11 +4,11 @@ use fearless_simd::{Level, Simd, dispatch};
 use glam::{DMat3, DVec3};
 
 use super::eigen::{Symmetric, smallest_eigenvector, tangents};
-use super::level::SimdLevel;
 use super::math::{cos_third_acos, exp2};
 use super::polynomial::Moments;
 use super::solve::solve;
 use super::vector::{Vec3, splat};
+use crate::simd_level::SimdLevel;
 use crate::simulate::Random;
 
 /// Runs the same test at every level of this machine.

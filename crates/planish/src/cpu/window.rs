@@ -8,7 +8,7 @@ use std::ops::Range;
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::Kernel;
-use super::planes::Planes;
+use super::padded::PaddedFrame;
 use super::vector::{Mask, Vec3, splat};
 
 /// Most candidates a window has: 15 x 15.
@@ -17,7 +17,7 @@ pub(super) const MAX_CANDIDATES: usize = 225;
 /// The candidates around a vector of pixels.
 #[derive(Clone, Copy)]
 pub(super) struct Window<'a> {
-    planes: &'a Planes,
+    padded: &'a PaddedFrame,
     /// Index of the first candidate of the first lane.
     first: usize,
     pub(super) side: usize,
@@ -47,15 +47,15 @@ pub(super) struct Sums<S: Simd> {
 impl<'a> Window<'a> {
     /// The window around the pixels from (u, v) on.
     #[inline(always)]
-    pub(super) fn at(planes: &'a Planes, kernel: &Kernel, u: usize, v: usize) -> Self {
-        Self { planes, first: v * planes.row_len + u, side: kernel.side, stride: kernel.stride }
+    pub(super) fn at(padded: &'a PaddedFrame, kernel: &Kernel, u: usize, v: usize) -> Self {
+        Self { padded, first: v * padded.row_len + u, side: kernel.side, stride: kernel.stride }
     }
 
-    /// Where the first centre pixel is in the planes.
+    /// Where the first centre pixel is in the padded frame.
     #[inline(always)]
     pub(super) fn centre_index(&self) -> usize {
         let half = self.side / 2 * self.stride;
-        self.first + half * self.planes.row_len + half
+        self.first + half * self.padded.row_len + half
     }
 
     /// The points of the centre pixels themselves.
@@ -69,9 +69,9 @@ impl<'a> Window<'a> {
     pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
         let lanes = at..at + S::f32s::LEN;
         Vec3::new(
-            S::f32s::from_slice(simd, &self.planes.x[lanes.clone()]),
-            S::f32s::from_slice(simd, &self.planes.y[lanes.clone()]),
-            S::f32s::from_slice(simd, &self.planes.z[lanes]),
+            S::f32s::from_slice(simd, &self.padded.x[lanes.clone()]),
+            S::f32s::from_slice(simd, &self.padded.y[lanes.clone()]),
+            S::f32s::from_slice(simd, &self.padded.z[lanes]),
         )
     }
 
@@ -80,7 +80,7 @@ impl<'a> Window<'a> {
     fn for_each<S: Simd>(&self, simd: S, rows: Range<usize>, mut visit: impl FnMut(usize, Vec3<S>)) {
         let mut index = rows.start * self.side;
         for row in rows {
-            let start = self.first + row * self.stride * self.planes.row_len;
+            let start = self.first + row * self.stride * self.padded.row_len;
             for column in 0..self.side {
                 visit(index, self.load(simd, start + column * self.stride));
                 index += 1;

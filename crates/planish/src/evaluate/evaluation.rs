@@ -5,10 +5,10 @@ use serde::Serialize;
 
 use super::suite::{Case, Gauges};
 use super::{edge_band, flat_pixels};
-use crate::cloud::Xyz;
 use crate::frame::DepthFrame;
-use crate::params::KINECT_V1_DEPTH_STEP_AT_1M;
+use crate::sensor::SensorModel;
 use crate::simulate::{Gauge, NO_OBJECT, Truth};
+use crate::xyz::Xyz;
 
 /// Only pixels further than this from every break count as flat.
 const FLAT_MARGIN_PX: usize = 6;
@@ -346,7 +346,7 @@ fn angle_deg(a: DVec3, b: DVec3) -> f64 {
 
 /// The depth step of a Kinect v1.
 fn step_m(z: f64) -> f64 {
-    f64::from(KINECT_V1_DEPTH_STEP_AT_1M) * z * z
+    SensorModel::KINECT_V1.step_m(z)
 }
 
 /// Whether the point of pixel i is on no surface.
@@ -392,7 +392,7 @@ pub(super) fn plane(points: Vec<DVec3>) -> Option<(DVec3, DVec3, f64)> {
         covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z);
     }
     covariance *= 1.0 / points.len() as f64;
-    let ([smallest, ..], [normal, ..]) = crate::reference::symmetric_eigen(covariance);
+    let ([smallest, ..], [normal, ..]) = crate::eigen::symmetric_eigen(covariance);
     let normal = if normal.dot(centre) > 0.0 { -normal } else { normal };
     Some((normal, centre, smallest.max(0.0).sqrt()))
 }

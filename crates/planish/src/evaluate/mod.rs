@@ -8,8 +8,8 @@ mod suite;
 mod tiles;
 
 use crate::camera::Camera;
-use crate::cloud::Xyz;
 use crate::simulate::{NO_OBJECT, Truth};
+use crate::xyz::Xyz;
 
 pub use evaluation::{AngleReport, Evaluation, RangeReport, Report, jitter_mm};
 pub use suite::{Case, Gauges, Suite};

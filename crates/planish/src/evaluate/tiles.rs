@@ -4,9 +4,10 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::evaluation::plane;
-use crate::cloud::{OrganizedCloud, Xyz};
-use crate::params::KINECT_V1_NOISE_AT_1M;
+use crate::cloud::OrganizedCloud;
+use crate::sensor::SensorModel;
 use crate::simulate::Random;
+use crate::xyz::Xyz;
 
 /// Side of a tile in pixels: 64 in each.
 const TILE_PX: usize = 8;
@@ -92,7 +93,7 @@ pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
     }
     let at = |i: usize| DVec3::from_array(points.get(i).map(f64::from));
     let on = |p: DVec3, (normal, foot): (DVec3, DVec3)| {
-        let noise_m = f64::from(KINECT_V1_NOISE_AT_1M) * p.z * p.z;
+        let noise_m = SensorModel::KINECT_V1.sigma_m(p.z);
         (p - foot).dot(normal).abs() <= ON_PLANE_DEVIATIONS * noise_m
     };
     let mut random = Random::new(1, 7);
@@ -168,7 +169,7 @@ mod tests {
             (0..truth.objects.len()).filter(|&i| truth.objects[i] == 0 && cloud.positions().is_finite(i)).count();
         assert!(of_wall > walls * 3 / 4 && of_wall * 1000 > found.pixels.len() * 999, "{of_wall} of {walls}");
         let rms_m = found.variance_m2(cloud.positions()).sqrt();
-        let noise_m = f64::from(KINECT_V1_NOISE_AT_1M) * 4.0;
+        let noise_m = SensorModel::KINECT_V1.sigma_m(2.0);
         assert!((0.6..1.2).contains(&(rms_m / noise_m)), "{rms_m} {noise_m}");
         let on_wall = found.pixels.iter().copied().filter(|&i| truth.objects[i] == 0).collect();
         assert!(LargestPlane { pixels: on_wall }.variance_m2(&truth.points) < 1e-12);

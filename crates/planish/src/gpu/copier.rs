@@ -5,20 +5,20 @@ use std::thread::{self, JoinHandle};
 
 use super::Flight;
 use super::device::GpuDevice;
-use crate::devices::FrameTimings;
 use crate::error::EngineError;
 use crate::smoothed::Smoothed;
 use crate::threads::Threads;
+use crate::timings::FrameTimings;
 
-/// The planes of the points are copied at once: one thread alone is slower than the bus.
+/// The channels of the points are copied at once: one thread alone is slower than the bus.
 const COPY_THREADS: usize = 3;
 
-type Result = std::result::Result<(Smoothed, Option<FrameTimings>), EngineError>;
+type CopyResult = Result<(Smoothed, Option<FrameTimings>), EngineError>;
 
 struct Job {
     flight: Flight,
     buffer: Smoothed,
-    done: Sender<Result>,
+    done: Sender<CopyResult>,
 }
 
 /// The thread; dropping this waits until it has done the jobs that it has.
@@ -29,10 +29,10 @@ pub(super) struct Copier {
 }
 
 /// A result that is being copied.
-pub(super) struct Copied(Receiver<Result>);
+pub(super) struct Copied(Receiver<CopyResult>);
 
 impl Copier {
-    pub(super) fn start() -> std::result::Result<Self, EngineError> {
+    pub(super) fn start() -> Result<Self, EngineError> {
         let (jobs, queue) = channel::<Box<Job>>();
         // Threads of its own: a worker of rayon's pool may be what waits for the copy, and then no other is free for it.
         let pool = Threads::open(Some(COPY_THREADS))?;
@@ -40,7 +40,7 @@ impl Copier {
             for job in queue {
                 let Job { flight, mut buffer, done } = *job;
                 let result = flight.land().map(|view| {
-                    pool.install(|| view.copy_to(0, &mut buffer));
+                    pool.install(|| view.copy_frame_to(0, &mut buffer));
                     (buffer, view.timings())
                 });
                 // Nobody waits where the smoother was dropped.
@@ -72,7 +72,7 @@ impl Drop for Copier {
 }
 
 impl Copied {
-    pub(super) fn wait(self, gpu: &GpuDevice) -> Result {
+    pub(super) fn wait(self, gpu: &GpuDevice) -> CopyResult {
         self.0.recv().unwrap_or_else(|_| Err(gpu.failed("the thread that copies results is gone")))
     }
 }

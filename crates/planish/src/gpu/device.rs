@@ -22,8 +22,8 @@ const STEP: Duration = Duration::from_millis(1);
 /// How long to ask a device that fails whether it is lost.
 const LOSS_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// How long a thread looks again and again before it sleeps: most frames are done by then, and waking up from sleep costs 30
-/// to 60 µs. The software adapter needs the CPU for itself.
+/// How long a waiter spins before it blocks: most frames are done by then, and waking up costs 30 to 60 µs. The software adapter
+/// needs the CPU for itself.
 const SPIN: Duration = Duration::from_millis(1);
 
 /// Locks whether or not another thread panicked while it held the lock: what the locks here guard is whole at any time.
@@ -88,6 +88,7 @@ pub(crate) fn list() -> Vec<GpuAdapter> {
 static OPEN: Mutex<Vec<(usize, Weak<GpuDevice>)>> = Mutex::new(Vec::new());
 
 /// Destroys the devices that are open.
+#[cfg(any(test, feature = "internal"))]
 pub(super) fn lose_open() {
     for device in lock(&OPEN).iter().filter_map(|(_, device)| device.upgrade()) {
         device.device.destroy();
@@ -154,6 +155,28 @@ impl GpuDevice {
                 .get_or_insert_with(|| EngineError::Device { device: device_name.clone(), reason: error.to_string() });
         }));
 
+        let spin = if is_software { Duration::ZERO } else { SPIN };
+        Ok(Self::new(device, queue, name.to_owned(), limits, features, fault, spin))
+    }
+
+    /// A device of the host program's, whose callbacks are left alone: what is lost or refused is seen where it is waited for.
+    #[cfg(feature = "wgpu-interop")]
+    pub(super) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
+        let info = device.adapter_info();
+        let spin = if info.device_type == wgpu::DeviceType::Cpu { Duration::ZERO } else { SPIN };
+        let (limits, features) = (device.limits(), device.features());
+        Self::new(device, queue, info.name, limits, features, Arc::default(), spin)
+    }
+
+    fn new(
+        device: wgpu::Device,
+        queue: wgpu::Queue,
+        name: String,
+        limits: wgpu::Limits,
+        features: wgpu::Features,
+        fault: Arc<Mutex<Option<EngineError>>>,
+        spin: Duration,
+    ) -> Self {
         let storage = |read_only| wgpu::BindingType::Buffer {
             ty: wgpu::BufferBindingType::Storage { read_only },
             has_dynamic_offset: false,
@@ -181,10 +204,10 @@ impl GpuDevice {
             bind_group_layouts: &[Some(&bind_group_layout)],
             immediate_size: 0,
         });
-        Ok(Self {
+        Self {
             device,
             queue,
-            name: name.to_owned(),
+            name,
             limits,
             features,
             bind_group_layout,
@@ -193,8 +216,8 @@ impl GpuDevice {
             fault,
             turn: Mutex::default(),
             submitting: AtomicUsize::new(0),
-            spin: if is_software { Duration::ZERO } else { SPIN },
-        })
+            spin,
+        }
     }
 
     /// The fault of this device, if it has one.

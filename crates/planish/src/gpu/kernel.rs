@@ -6,10 +6,11 @@
 use std::fmt::Write;
 
 use super::layout::{InputKind, constants};
+use crate::method::{MONOMIALS, PIVOT_RATIO, coefficient_count};
+use crate::outputs::Outputs;
 use crate::params::{Edges, SmoothParams, edge_shift_px};
-use crate::smoothed::Outputs;
 
-/// What a kernel does of a frame's way.
+/// Which part of the work on a frame a kernel does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Pass {
     /// All of it: edges are off.
@@ -25,7 +26,7 @@ impl Pass {
     pub(super) fn of(edges: Edges) -> &'static [Self] {
         match edges {
             Edges::Off => &[Self::Whole],
-            Edges::Robust { .. } => &[Self::FirstPlanes, Self::Surfaces],
+            Edges::Robust => &[Self::FirstPlanes, Self::Surfaces],
         }
     }
 
@@ -34,13 +35,6 @@ impl Pass {
         if self == Self::FirstPlanes { "fit_first_planes" } else { "smooth_frames" }
     }
 }
-
-/// A pivot at or below this share of its own diagonal entry is not supported.
-const PIVOT_RATIO: f32 = 3e-2;
-
-/// The exponents (i, j) of the monomials a^i b^j, ordered by degree.
-const MONOMIALS: [(usize, usize); 10] =
-    [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
 
 /// Everything that is compiled into a kernel; what is not here may differ from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -83,7 +77,9 @@ impl KernelKey {
         let (kind, outputs) = match pass {
             Pass::Whole => (kind, outputs),
             Pass::FirstPlanes => (kind, Outputs::POINTS),
-            Pass::Surfaces => (InputKind::Points, outputs),
+            // It reads the points that the first pass kept, and the measured ones only where they may be turned.
+            Pass::Surfaces if kind == InputKind::DepthMetres => (InputKind::Depth, outputs),
+            Pass::Surfaces => (kind, outputs),
         };
         Self { window, stride, degree, pass, kind, outputs, bounds_checks, tiled }
     }
@@ -141,15 +137,14 @@ impl KernelKey {
             text += &solve(degree);
             text += include_str!("shaders/project_polynomial.wgsl");
         }
+        text += match self.kind {
+            InputKind::Points => include_str!("shaders/cloud_frame.wgsl"),
+            InputKind::Depth | InputKind::DepthMetres => include_str!("shaders/own_frame.wgsl"),
+        };
         text += include_str!("shaders/output.wgsl");
         text += include_str!("shaders/smooth.wgsl");
         text
     }
-}
-
-/// Number of coefficients of a polynomial of a degree in two variables.
-const fn coefficient_count(degree: usize) -> usize {
-    (degree + 1) * (degree + 2) / 2
 }
 
 /// The exponents with i + j <= degree.

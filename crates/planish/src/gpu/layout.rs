@@ -2,7 +2,8 @@
 //! writes are both made from.
 //!
 //! Everything is in 32-bit words. A frame of the input is its [`FrameHeader`], the rays of its columns and rows, and its
-//! samples: depth, two pixels a word, or x, y and z, a plane each. A frame of the output is its planes of f32 (points,
+//! samples: raw depth, two pixels a word, depth in metres, or x, y and z, a channel each. A frame of the output is its channels of
+//! f32 (points,
 //! normals, curvature, of those that are wanted), then rows of packed codes: status and neighbours four pixels a word, depth
 //! two. A packed row begins at a whole word. Frames of a batch follow each other. Where edges are kept, the first pass leaves
 //! the planes of all pixels on the device for the second.
@@ -13,29 +14,45 @@ use std::ops::Range;
 use bytemuck::{Pod, Zeroable};
 
 use crate::camera::SATURATED_DEPTH;
-use crate::smoothed::{GRAZING_COSINE, Outputs, Status};
+use crate::frame::Frame;
+use crate::method;
+use crate::outputs::Outputs;
+use crate::range::{MAX_RADIUS_M, MAX_RANGE_M};
+use crate::smoothed::GRAZING_COSINE;
+use crate::status::Status;
 
 /// What holds for a whole frame.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub(super) struct FrameHeader {
     pub(super) metres_per_unit: f32,
     pub(super) units_per_metre: f32,
-    /// r(z) = constant + max(linear |z|, quadratic z²).
-    pub(super) radius_constant: f32,
+    /// With the range z, r = max(linear z, radius polynomial).
     pub(super) radius_linear: f32,
-    pub(super) radius_quadratic: f32,
+    pub(super) radius: [f32; 3],
+    /// Coefficients of the standard deviation of depth, where edges are kept.
+    pub(super) sigma: [f32; 3],
     /// 0 is the radius.
     pub(super) bandwidth: f32,
-    /// The standard deviation of depth at 1 m, where edges are kept.
-    pub(super) noise: f32,
+    /// The sum of the flags below.
+    pub(super) flags: u32,
+    /// cloud_from_sensor, row by row, and its translation, if the flag says so.
+    pub(super) rotation: [f32; 9],
+    pub(super) translation: [f32; 3],
 }
 
-/// Numbers that are kept of a first plane and its point, where edges are kept (first_planes.wgsl).
-const FIRST_NUMBERS: usize = 10;
+/// The range is the distance from the sensor.
+pub(super) const BY_DISTANCE: u32 = 1;
+/// The samples are in another frame than the sensor's.
+pub(super) const TURNED: u32 = 2;
+/// The ray of a pixel is that of its point: the lens is distorted.
+pub(super) const RAYS_OF_POINTS: u32 = 4;
+
+/// Channels that are kept of a first plane and its point, where edges are kept (first_planes.wgsl).
+const FIRST_CHANNELS: usize = 10;
 
 const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
-const _: () = assert!(size_of::<FrameHeader>() == 28);
+const _: () = assert!(size_of::<FrameHeader>() == 92);
 
 /// The uniform of a dispatch.
 #[repr(C)]
@@ -52,8 +69,23 @@ const _: () = assert!(size_of::<Batch>() == 16);
 /// What the samples of a frame are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum InputKind {
+    /// Raw 16-bit values.
     Depth,
+    /// Depth in metres.
+    DepthMetres,
     Points,
+}
+
+impl InputKind {
+    /// How a frame goes up. Depth seen through a distorted lens is deprojected by the host, which has a ray for each pixel.
+    pub(super) fn of(frame: &Frame<'_>) -> Self {
+        match frame {
+            Frame::Depth(depth) if !depth.camera().distortion.is_none() => Self::Points,
+            Frame::Depth(depth) if depth.is_metres() => Self::DepthMetres,
+            Frame::Depth(_) => Self::Depth,
+            Frame::Points(_) => Self::Points,
+        }
+    }
 }
 
 /// Where everything of one frame is, in words from the frame's beginning.
@@ -80,6 +112,7 @@ impl Layout {
     pub(super) fn input_words(&self) -> usize {
         let samples = match self.kind {
             InputKind::Depth => self.pixels().div_ceil(2),
+            InputKind::DepthMetres => self.pixels(),
             InputKind::Points => 3 * self.pixels(),
         };
         self.rays().end + samples
@@ -87,15 +120,15 @@ impl Layout {
 
     /// Where the x, y and z of the points are in the output.
     pub(super) fn points(&self) -> Option<[Range<usize>; 3]> {
-        self.outputs.points.then(|| self.three_planes(planes(self.outputs).points))
+        self.outputs.points.then(|| self.three_channels(channels(self.outputs).points))
     }
 
     pub(super) fn normals(&self) -> Option<[Range<usize>; 3]> {
-        self.outputs.normals.then(|| self.three_planes(planes(self.outputs).normals))
+        self.outputs.normals.then(|| self.three_channels(channels(self.outputs).normals))
     }
 
     pub(super) fn curvature(&self) -> Option<Range<usize>> {
-        self.outputs.curvature.then(|| self.plane(planes(self.outputs).curvature))
+        self.outputs.curvature.then(|| self.channel(channels(self.outputs).curvature))
     }
 
     pub(super) fn status(&self) -> Option<Range<usize>> {
@@ -113,12 +146,12 @@ impl Layout {
     /// Words of a frame of the output.
     pub(super) fn output_words(&self) -> usize {
         let packed = self.packed().into_iter().flatten().map(|range| range.end).max();
-        packed.unwrap_or(planes(self.outputs).count * self.pixels())
+        packed.unwrap_or(channels(self.outputs).count * self.pixels())
     }
 
     /// Words of the first planes of a frame.
     pub(super) fn first_words(&self) -> usize {
-        if self.keeps_edges { FIRST_NUMBERS * self.pixels() } else { 0 }
+        if self.keeps_edges { FIRST_CHANNELS * self.pixels() } else { 0 }
     }
 
     /// The uniform of a dispatch over frames of this layout.
@@ -131,17 +164,17 @@ impl Layout {
         }
     }
 
-    fn plane(&self, plane: usize) -> Range<usize> {
-        plane * self.pixels()..(plane + 1) * self.pixels()
+    fn channel(&self, channel: usize) -> Range<usize> {
+        channel * self.pixels()..(channel + 1) * self.pixels()
     }
 
-    fn three_planes(&self, first: usize) -> [Range<usize>; 3] {
-        [first, first + 1, first + 2].map(|plane| self.plane(plane))
+    fn three_channels(&self, first: usize) -> [Range<usize>; 3] {
+        [first, first + 1, first + 2].map(|channel| self.channel(channel))
     }
 
     /// Status, neighbours, depth.
     fn packed(&self) -> [Option<Range<usize>>; 3] {
-        let mut at = planes(self.outputs).count * self.pixels();
+        let mut at = channels(self.outputs).count * self.pixels();
         let Outputs { status, neighbours, depth, .. } = self.outputs;
         [(status, 4), (neighbours, 4), (depth, 2)].map(|(wanted, in_word)| {
             wanted.then(|| {
@@ -153,18 +186,18 @@ impl Layout {
     }
 }
 
-/// The numbers of the planes in the output; those of a plane that is not wanted mean nothing.
-struct Planes {
+/// The numbers of the channels in the output; those of one that is not wanted mean nothing.
+struct Channels {
     points: usize,
     normals: usize,
     curvature: usize,
     count: usize,
 }
 
-fn planes(outputs: Outputs) -> Planes {
+fn channels(outputs: Outputs) -> Channels {
     let normals = if outputs.points { 3 } else { 0 };
     let curvature = normals + if outputs.normals { 3 } else { 0 };
-    Planes { points: 0, normals, curvature, count: curvature + usize::from(outputs.curvature) }
+    Channels { points: 0, normals, curvature, count: curvature + usize::from(outputs.curvature) }
 }
 
 /// The constants of this description in WGSL.
@@ -174,22 +207,27 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         // Writing to a string does not fail.
         let _ = writeln!(text, "const {name}: {wgsl_type} = {value};");
     };
-    let Planes { points, normals, curvature, count } = planes(outputs);
+    let Channels { points, normals, curvature, count } = channels(outputs);
     let words = [
         ("HEADER_WORDS", HEADER_WORDS),
         ("METRES_PER_UNIT", std::mem::offset_of!(FrameHeader, metres_per_unit) / 4),
         ("UNITS_PER_METRE", std::mem::offset_of!(FrameHeader, units_per_metre) / 4),
-        ("RADIUS_CONSTANT", std::mem::offset_of!(FrameHeader, radius_constant) / 4),
         ("RADIUS_LINEAR", std::mem::offset_of!(FrameHeader, radius_linear) / 4),
-        ("RADIUS_QUADRATIC", std::mem::offset_of!(FrameHeader, radius_quadratic) / 4),
+        ("RADIUS", std::mem::offset_of!(FrameHeader, radius) / 4),
+        ("SIGMA", std::mem::offset_of!(FrameHeader, sigma) / 4),
         ("BANDWIDTH", std::mem::offset_of!(FrameHeader, bandwidth) / 4),
-        ("NOISE", std::mem::offset_of!(FrameHeader, noise) / 4),
-        ("FIRST_NUMBERS", FIRST_NUMBERS),
+        ("FLAGS", std::mem::offset_of!(FrameHeader, flags) / 4),
+        ("ROTATION", std::mem::offset_of!(FrameHeader, rotation) / 4),
+        ("TRANSLATION", std::mem::offset_of!(FrameHeader, translation) / 4),
+        ("BY_DISTANCE", BY_DISTANCE as usize),
+        ("TURNED", TURNED as usize),
+        ("RAYS_OF_POINTS", RAYS_OF_POINTS as usize),
+        ("FIRST_CHANNELS", FIRST_CHANNELS),
         ("SATURATED_DEPTH", usize::from(SATURATED_DEPTH)),
-        ("POINTS_PLANE", points),
-        ("NORMALS_PLANE", normals),
-        ("CURVATURE_PLANE", curvature),
-        ("PLANES", count),
+        ("POINTS_CHANNEL", points),
+        ("NORMALS_CHANNEL", normals),
+        ("CURVATURE_CHANNEL", curvature),
+        ("CHANNELS", count),
         ("STATUS_HOLE", Status::Hole as usize),
         ("STATUS_TOO_FEW", Status::TooFew as usize),
         ("STATUS_DEGENERATE", Status::Degenerate as usize),
@@ -201,7 +239,9 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         constant(name, "u32", format!("{value}u"));
     }
     let flags = [
-        ("IS_DEPTH", kind == InputKind::Depth),
+        ("IS_RAW_DEPTH", kind == InputKind::Depth),
+        ("IS_DEPTH_METRES", kind == InputKind::DepthMetres),
+        ("IS_POINTS", kind == InputKind::Points),
         ("WANTS_POINTS", outputs.points),
         ("WANTS_NORMALS", outputs.normals),
         ("WANTS_CURVATURE", outputs.curvature),
@@ -212,7 +252,24 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
     for (name, value) in flags {
         constant(name, "bool", value.to_string());
     }
-    constant("GRAZING_COSINE", "f32", format!("{GRAZING_COSINE:?}"));
+    let numbers = [
+        ("GRAZING_COSINE", GRAZING_COSINE),
+        ("MAX_RADIUS_M", MAX_RADIUS_M),
+        ("MAX_RANGE_M", MAX_RANGE_M),
+        ("DEGENERATE_RATIO", method::DEGENERATE_RATIO),
+        ("MAX_DOUBT", method::MAX_DOUBT),
+        ("MIN_NEIGHBOURS", method::MIN_NEIGHBOURS),
+        ("MIN_NOISE", method::MIN_NOISE),
+        ("DISTANCE_WEIGHT", method::DISTANCE_WEIGHT),
+        ("NARROW_WIDTH", method::NARROW_WIDTH),
+        ("DOUBT_WEIGHT", method::DOUBT_WEIGHT),
+        ("MIN_INCIDENCE_COSINE", method::MIN_INCIDENCE_COSINE),
+        ("SQRT_LOG2_E", method::SQRT_LOG2_E),
+        ("MAX_OFF_SURFACE", method::MAX_OFF_SURFACE),
+    ];
+    for (name, value) in numbers {
+        constant(name, "f32", format!("{value:?}"));
+    }
     text
 }
 

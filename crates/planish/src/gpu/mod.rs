@@ -12,6 +12,7 @@ mod layout;
 mod slot;
 #[cfg(test)]
 mod tests;
+mod upload;
 mod view;
 
 use std::collections::VecDeque;
@@ -21,34 +22,37 @@ use std::thread;
 
 use rayon::prelude::*;
 
-use crate::camera::Rays;
-use crate::devices::{FrameTimings, GpuAdapter, GpuOptions, Transfer, choose};
+use crate::devices::{GpuAdapter, GpuOptions, Transfer, choose};
+use crate::engine::{AdmittedFrame, SmoothingEngine};
 use crate::error::{EngineError, Error, FrameError};
-use crate::frame::Frame;
+use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, SmoothParams};
-use crate::smoothed::{Outputs, Smoothed};
+use crate::smoothed::Smoothed;
+use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 use copier::{Copied, Copier};
 use device::{GpuDevice, lock};
 use kernel::{KernelKey, Pass};
 use layout::{InputKind, Layout};
 use slot::Slot;
-pub(crate) use view::MappedView;
+use upload::Uploader;
+use view::MappedView;
 
 /// The adapters of this machine.
 pub(crate) fn adapters() -> Vec<GpuAdapter> {
     device::list()
 }
 
-/// Destroys the open devices, for tests.
-pub(crate) fn lose_devices() {
+/// Destroys the devices that are open, as a reset of the driver does, for tests of what comes after.
+#[cfg(any(test, feature = "internal"))]
+pub fn lose_devices() {
     device::lose_open();
 }
 
 /// Slots that wait for their next frames; views give theirs back from any thread.
 type FreeSlots = Arc<Mutex<Vec<Slot>>>;
 
-/// A submission on its way through the device.
+/// A submission that the device has not finished, or whose result was not received.
 struct Flight {
     gpu: Arc<GpuDevice>,
     slot: Slot,
@@ -83,8 +87,7 @@ pub(crate) struct Gpu {
     options: GpuOptions,
     shape: (usize, usize),
     free: FreeSlots,
-    rays: Rays,
-    pitches: Vec<f64>,
+    uploader: Uploader,
     pending: VecDeque<Pending>,
     copier: Option<Copier>,
     timings: Option<FrameTimings>,
@@ -93,6 +96,7 @@ pub(crate) struct Gpu {
 }
 
 impl Gpu {
+    /// Opens an adapter by the options.
     pub(crate) fn open(
         params: SmoothParams,
         outputs: Outputs,
@@ -101,6 +105,30 @@ impl Gpu {
     ) -> Result<Self, EngineError> {
         let adapters = adapters();
         let gpu = GpuDevice::open(choose(&adapters, options.adapter.as_deref())?)?;
+        Self::open_device(gpu, params, outputs, options, shape)
+    }
+
+    /// Opens on a device of the host program's.
+    #[cfg(feature = "wgpu-interop")]
+    pub(crate) fn open_on(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        params: SmoothParams,
+        outputs: Outputs,
+        options: &GpuOptions,
+        shape: (usize, usize),
+    ) -> Result<Self, EngineError> {
+        let gpu = Arc::new(GpuDevice::of_host(device.clone(), queue.clone()));
+        Self::open_device(gpu, params, outputs, options, shape)
+    }
+
+    fn open_device(
+        gpu: Arc<GpuDevice>,
+        params: SmoothParams,
+        outputs: Outputs,
+        options: &GpuOptions,
+        shape: (usize, usize),
+    ) -> Result<Self, EngineError> {
         let mut options = options.clone();
         let lacks = |reason: &str| EngineError::Unavailable {
             engine: "gpu",
@@ -108,7 +136,7 @@ impl Gpu {
         };
         let needed = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
         if options.timestamps && !gpu.features.contains(needed) {
-            return Err(lacks("takes no time stamps"));
+            return Err(lacks("has no time stamps"));
         }
         let direct = gpu.features.contains(wgpu::Features::MAPPABLE_PRIMARY_BUFFERS);
         options.transfer = match options.transfer {
@@ -117,122 +145,54 @@ impl Gpu {
             Transfer::Auto => Transfer::Staged,
             chosen => chosen,
         };
-        let engine = Self {
+        let mut engine = Self {
             gpu,
             params,
             outputs,
             options,
             shape,
             free: Arc::default(),
-            rays: Rays::default(),
-            pitches: Vec::new(),
+            uploader: Uploader::new(params),
             pending: VecDeque::new(),
             copier: None,
             timings: None,
             bytes: Arc::default(),
         };
         // What can be refused is refused now, and what takes long is done now.
-        let [depth, points] = [InputKind::Depth, InputKind::Points].map(|kind| engine.layout(kind));
-        engine.check_limits(depth, 1)?;
-        engine.check_limits(points, 1)?;
-        let slot = engine.slot(depth, 1)?;
-        lock(&engine.free).push(slot);
-        let gpu = &engine.gpu;
-        let [depth, points] = [depth, points].map(|layout| {
-            let keys: Vec<_> = engine.kernel_keys(layout.kind).collect();
-            move || keys.into_iter().try_for_each(|key| gpu.kernel(key).map(drop))
-        });
-        // Drivers compile on the calling thread: two at once take as long as one.
-        let (depth, points) = thread::scope(|scope| {
-            let depth = scope.spawn(depth);
-            let points = points();
-            (depth.join().unwrap_or_else(|_| Err(gpu.failed("a kernel was not compiled"))), points)
-        });
-        depth.and(points)?;
+        let kinds = [InputKind::Depth, InputKind::DepthMetres, InputKind::Points];
+        for kind in kinds {
+            engine.check_limits(engine.layout(kind), 1)?;
+        }
+        engine.compile(&kinds)?;
+        engine.warm_up()?;
         Ok(engine)
     }
 
-    /// The adapter's name.
-    pub(crate) fn device_name(&self) -> &str {
-        &self.gpu.name
+    /// Compiles the kernels of all kinds of input. Drivers compile on the calling thread: several at once take as long as one.
+    fn compile(&self, kinds: &[InputKind]) -> Result<(), EngineError> {
+        let mut keys: Vec<KernelKey> = kinds.iter().flat_map(|&kind| self.kernel_keys(kind)).collect();
+        let mut seen = std::collections::HashSet::new();
+        keys.retain(|key| seen.insert(*key));
+        let gpu = &self.gpu;
+        thread::scope(|scope| {
+            let compiling: Vec<_> =
+                keys.into_iter().map(|key| scope.spawn(move || gpu.kernel(key).map(drop))).collect();
+            let joined = compiling.into_iter().map(|thread| thread.join());
+            joined.map(|result| result.unwrap_or_else(|_| Err(gpu.failed("a kernel was not compiled")))).collect()
+        })
     }
 
-    pub(crate) fn smooth(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
-        let view = self.launch(&[frame])?.land()?;
-        self.timings = view.timings();
-        view.copy_to(0, out);
-        Ok(())
-    }
-
-    /// The times on the device of the last call of `smooth` or `smooth_batch`.
-    pub(crate) fn timings(&self) -> Option<FrameTimings> {
-        self.timings
-    }
-
-    /// Smooths many frames, as many in one submission as the device takes.
-    pub(crate) fn smooth_batch(&mut self, frames: &[Frame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
-        let (mut done, mut timings) = (0, None::<FrameTimings>);
-        while let Some(&first) = frames.get(done) {
-            let kind = kind_of(first);
-            let most = self.frames_at_once(self.layout(kind));
-            let alike = frames[done..].iter().take_while(|&&frame| kind_of(frame) == kind).count();
-            // Submissions of one size use one slot.
-            let count = alike.div_ceil(alike.div_ceil(most));
-            let view = self.launch(&frames[done..done + count])?.land()?;
-            out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_to(i, out));
-            if let Some(more) = view.timings() {
-                *timings.get_or_insert_default() += more;
-            }
-            done += count;
+    /// Computes a frame of holes in every slot and starts the thread that copies: what a driver does once for a buffer or a
+    /// kernel it does here, and not while a camera waits.
+    fn warm_up(&mut self) -> Result<(), EngineError> {
+        self.copier.get_or_insert(Copier::start()?);
+        let layout = self.layout(InputKind::Depth);
+        let mut landed = Vec::new();
+        for _ in 0..self.options.slots {
+            let slot = self.slot(layout, 1)?;
+            landed.push(self.submit_slot(slot)?.land()?);
         }
-        self.timings = timings;
         Ok(())
-    }
-
-    /// Sends a frame on its way; its result is received in the order of submission. With a buffer the result is copied there
-    /// by another thread as soon as it is there, without one it stays where it is.
-    pub(crate) fn submit(&mut self, frame: Frame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
-        let in_flight = self.pending.len();
-        if in_flight >= self.options.slots {
-            return Err(EngineError::Full { in_flight }.into());
-        }
-        let flight = self.launch(&[frame])?;
-        self.pending.push_back(match buffer {
-            None => Pending::InPlace(Box::new(flight)),
-            Some(buffer) => {
-                let copier = match &self.copier {
-                    Some(copier) => copier,
-                    None => self.copier.insert(Copier::start()?),
-                };
-                Pending::Copied(copier.copy(flight, buffer))
-            }
-        });
-        Ok(())
-    }
-
-    /// The result of the oldest frame in flight; `None` if there is none.
-    pub(crate) fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
-        match self.pending.pop_front() {
-            None => Ok(None),
-            Some(Pending::InPlace(flight)) => Ok(Some(SmoothedView::mapped(flight.land()?))),
-            Some(Pending::Copied(copied)) => {
-                let (smoothed, timings) = copied.wait(&self.gpu)?;
-                Ok(Some(SmoothedView::owned(smoothed, timings)))
-            }
-        }
-    }
-
-    /// Bytes of the buffers of all slots.
-    pub(crate) fn buffer_bytes(&self) -> u64 {
-        self.bytes.load(Ordering::Relaxed)
-    }
-
-    pub(crate) fn in_flight(&self) -> usize {
-        self.pending.len()
-    }
-
-    pub(crate) fn max_in_flight(&self) -> usize {
-        self.options.slots
     }
 
     fn layout(&self, kind: InputKind) -> Layout {
@@ -308,29 +268,110 @@ impl Gpu {
     }
 
     /// Writes frames of one kind into a slot and submits it.
-    fn launch(&mut self, frames: &[Frame<'_>]) -> Result<Flight, Error> {
-        let Some(&first) = frames.first() else {
+    fn launch(&mut self, frames: &[AdmittedFrame<'_>]) -> Result<Flight, Error> {
+        let Some(first) = frames.first() else {
             return Err(FrameError::LengthMismatch { what: "a batch".into(), len: 0, expected: 1 }.into());
         };
-        if self.outputs.depth && frames.iter().any(|frame| frame.camera().is_none()) {
-            return Err(FrameError::MissingCamera { what: "depth as an output" }.into());
-        }
         self.gpu.check()?;
-        let kind = kind_of(first);
-        let layout = self.layout(kind);
+        let layout = self.layout(InputKind::of(&first.frame));
         self.check_limits(layout, frames.len())?;
-        let kernels = self.kernels(kind)?;
         let mut slot = self.slot(layout, frames.len())?;
-        slot.write(&self.gpu, frames, &self.params, &mut self.rays, &mut self.pitches)?;
+        slot.write(&self.gpu, frames, &mut self.uploader)?;
+        Ok(self.submit_slot(slot)?)
+    }
+
+    /// Submits a slot whose frames are written.
+    fn submit_slot(&self, slot: Slot) -> Result<Flight, EngineError> {
+        let kind = slot.layout.kind;
+        let kernels = self.kernels(kind)?;
         let submission = slot.submit(&self.gpu, &kernels, self.workgroups(kind));
         self.gpu.check()?;
         Ok(Flight { gpu: Arc::clone(&self.gpu), slot, submission, free: Arc::clone(&self.free) })
     }
 }
 
-fn kind_of(frame: Frame<'_>) -> InputKind {
-    match frame {
-        Frame::Depth(_) => InputKind::Depth,
-        Frame::Cloud(_) => InputKind::Points,
+impl SmoothingEngine for Gpu {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let view = self.launch(std::slice::from_ref(frame))?.land()?;
+        self.timings = view.timings();
+        view.copy_frame_into(0, out);
+        Ok(())
+    }
+
+    /// As many frames in one submission as the device takes.
+    fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
+        let (mut done, mut timings) = (0, None::<FrameTimings>);
+        while let Some(first) = frames.get(done) {
+            let kind = InputKind::of(&first.frame);
+            let most = self.frames_at_once(self.layout(kind));
+            let alike = frames[done..].iter().take_while(|frame| InputKind::of(&frame.frame) == kind).count();
+            // Submissions of one size use one slot.
+            let count = alike.div_ceil(alike.div_ceil(most));
+            let view = self.launch(&frames[done..done + count])?.land()?;
+            out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_frame_to(i, out));
+            if let Some(more) = view.timings() {
+                *timings.get_or_insert_default() += more;
+            }
+            done += count;
+        }
+        self.timings = timings;
+        Ok(())
+    }
+
+    /// With a buffer the result is copied there by another thread as soon as it is there, without one it stays where it is.
+    fn submit(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
+        let in_flight = self.pending.len();
+        if in_flight >= self.options.slots {
+            return Err(EngineError::Full { in_flight }.into());
+        }
+        let flight = self.launch(std::slice::from_ref(frame))?;
+        self.pending.push_back(match buffer {
+            None => Pending::InPlace(Box::new(flight)),
+            Some(buffer) => {
+                let copier = match &self.copier {
+                    Some(copier) => copier,
+                    None => self.copier.insert(Copier::start()?),
+                };
+                Pending::Copied(copier.copy(flight, buffer))
+            }
+        });
+        Ok(())
+    }
+
+    fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        match self.pending.pop_front() {
+            None => Ok(None),
+            Some(Pending::InPlace(flight)) => {
+                let view = flight.land()?;
+                let timings = view.timings();
+                Ok(Some(SmoothedView::in_place(Box::new(view), timings)))
+            }
+            Some(Pending::Copied(copied)) => {
+                let (smoothed, timings) = copied.wait(&self.gpu)?;
+                Ok(Some(SmoothedView::owned(smoothed, timings)))
+            }
+        }
+    }
+
+    fn in_flight(&self) -> usize {
+        self.pending.len()
+    }
+
+    fn max_in_flight(&self) -> usize {
+        self.options.slots
+    }
+
+    /// On the device.
+    fn timings(&self) -> Option<FrameTimings> {
+        self.timings
+    }
+
+    /// Of all slots.
+    fn buffer_bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    fn device_name(&self) -> Option<&str> {
+        Some(&self.gpu.name)
     }
 }

@@ -1,4 +1,4 @@
-//! A slot: the buffers that one frame, or one batch of frames, goes through on its way up, through the kernel and back.
+//! A slot: the buffers of one frame, or one batch of frames, in flight: upload, kernel, readback.
 //!
 //! Two ways. *Staged*: the host writes an upload buffer, the device copies it, the kernel runs on memory of its own, and the
 //! result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes the host's buffers itself, so that
@@ -11,14 +11,12 @@ use std::time::Duration;
 use bytemuck::bytes_of;
 
 use super::device::{GpuDevice, TIMEOUT, lock};
-use super::layout::{FrameHeader, InputKind, Layout};
-use crate::camera::Rays;
-use crate::cloud::Xyz;
-use crate::devices::{FrameTimings, Transfer};
+use super::layout::Layout;
+use super::upload::Uploader;
+use crate::devices::Transfer;
+use crate::engine::AdmittedFrame;
 use crate::error::EngineError;
-use crate::frame::Frame;
-use crate::params::{Edges, SmoothParams};
-use crate::radius::RadiusRule;
+use crate::timings::FrameTimings;
 
 /// Bytes in a word.
 const WORD: u64 = 4;
@@ -157,63 +155,21 @@ impl Slot {
     pub(super) fn write(
         &mut self,
         gpu: &GpuDevice,
-        frames: &[Frame<'_>],
-        params: &SmoothParams,
-        rays: &mut Rays,
-        pitches: &mut Vec<f64>,
+        frames: &[AdmittedFrame<'_>],
+        uploader: &mut Uploader,
     ) -> Result<(), EngineError> {
         let mut range = self.upload.get_mapped_range_mut(..).map_err(|error| gpu.failed(error))?;
-        for (i, &frame) in frames.iter().enumerate() {
+        for (i, frame) in frames.iter().enumerate() {
             let first = i * self.layout.input_words();
-            let mut put = |word: usize, bytes: &[u8]| {
+            uploader.write(&self.layout, frame, &mut |word: usize, bytes: &[u8]| {
                 let at = (first + word) * WORD as usize;
                 range.slice(at..at + bytes.len()).copy_from_slice(bytes);
-            };
-            let rule = RadiusRule::new(params, frame, pitches);
-            let (metres_per_unit, units_per_metre) = frame
-                .camera()
-                .map_or((0.0, 0.0), |camera| (camera.metres_per_unit(), camera.depth_units_per_metre as f32));
-            let header = FrameHeader {
-                metres_per_unit,
-                units_per_metre,
-                radius_constant: rule.constant,
-                radius_linear: rule.linear,
-                radius_quadratic: rule.quadratic,
-                bandwidth: params.bandwidth_m.unwrap_or(0.0),
-                noise: match params.edges {
-                    Edges::Off => 0.0,
-                    Edges::Robust { noise_at_1m } => noise_at_1m,
-                },
-            };
-            put(0, bytes_of(&header));
-            let wants_rays = self.layout.kind == InputKind::Depth || self.layout.outputs.depth;
-            if let Some(camera) = frame.camera().filter(|_| wants_rays) {
-                rays.set(camera);
-                let at = self.layout.rays();
-                put(at.start, bytemuck::cast_slice(&rays.x));
-                put(at.start + self.layout.width, bytemuck::cast_slice(&rays.y));
-            }
-            let samples = self.layout.rays().end;
-            match frame {
-                Frame::Depth(depth) => {
-                    let (pairs, rest) = depth.raw.split_at(depth.raw.len() / 2 * 2);
-                    put(samples, bytemuck::cast_slice(pairs));
-                    if let [last] = rest {
-                        put(samples + pairs.len() / 2, bytes_of(&[*last, 0]));
-                    }
-                }
-                Frame::Cloud(cloud) => {
-                    let Xyz { x, y, z } = cloud.positions();
-                    for (plane, values) in [x, y, z].into_iter().enumerate() {
-                        put(samples + plane * self.layout.pixels(), bytemuck::cast_slice(values));
-                    }
-                }
-            }
+            });
         }
         Ok(())
     }
 
-    /// Sends the frames on their way, and asks for the buffers back when they have gone it.
+    /// Submits the frames, and asks for the buffers back when they are done.
     pub(super) fn submit(
         &self,
         gpu: &GpuDevice,

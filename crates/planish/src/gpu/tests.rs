@@ -8,7 +8,7 @@ use super::device::{self, GpuDevice};
 use super::kernel;
 use super::*;
 use crate::camera::Camera;
-use crate::frame::DepthFrame;
+use crate::frame::{DepthFrame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::simulate::{KinectNoise, KinectSimulator, Random, Scene};
 
 /// The device of the tests; says SKIP where there is none.
@@ -184,7 +184,7 @@ fn the_solve_finds_coefficients_and_drops_what_is_not_supported() {
 }
 
 fn frame() -> DepthFrame {
-    let camera = Camera { width: 64, height: 48, fx: 52.5, fy: 52.5, cx: 31.5, cy: 23.5, ..Camera::kinect_v1() };
+    let camera = Camera::new((64, 48), [52.5; 2], [31.5, 23.5]);
     let (scene, pose) = Scene::tabletop(1);
     KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&scene.render(&camera, &pose), 0).unwrap()
 }
@@ -193,8 +193,11 @@ fn frame() -> DepthFrame {
 fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
     let Some((_, adapter)) = device("a lost device") else { return };
     // A device of its own: others of this process go on with theirs.
-    let options = GpuOptions { adapter: Some(adapter.index.to_string()), ..GpuOptions::default() };
+    let options = GpuOptions::default().with_adapter(adapter.index.to_string());
     let frame = frame();
+    let frame = frame.into_frame().unwrap();
+    let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
+    let frame = AdmittedFrame { frame, geometry };
     let open = || Gpu::open(SmoothParams::paper(), Outputs::ALL, &options, (64, 48)).unwrap();
     let mut lost = open();
     let own = device::open_alone(&adapter).unwrap();
@@ -202,24 +205,25 @@ fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
     lock(&lost.free).clear();
 
     let mut smoothed = Smoothed::default();
-    lost.smooth(Frame::Depth(&frame), &mut smoothed).unwrap();
-    lost.submit(Frame::Depth(&frame), None).unwrap();
-    lost.submit(Frame::Depth(&frame), Some(Smoothed::default())).unwrap();
+    smoothed.prepare(64, 48, Outputs::ALL);
+    lost.smooth(&frame, smoothed.as_mut()).unwrap();
+    lost.submit(&frame, None).unwrap();
+    lost.submit(&frame, Some(Smoothed::default())).unwrap();
     lost.gpu.device.destroy();
     let is_lost = |error: Error| match error {
         Error::Engine(EngineError::Lost { .. }) => {}
         other => panic!("{other}"),
     };
-    is_lost(lost.smooth(Frame::Depth(&frame), &mut smoothed).unwrap_err());
+    is_lost(lost.smooth(&frame, smoothed.as_mut()).unwrap_err());
     // What was in flight either came back before or is lost; nothing hangs, nothing panics.
     for _ in 0..2 {
         if let Err(error) = lost.receive() {
             is_lost(error);
         }
     }
-    is_lost(lost.submit(Frame::Depth(&frame), None).unwrap_err());
+    is_lost(lost.submit(&frame, None).unwrap_err());
     assert!(lost.gpu.check().is_err());
-    open().smooth(Frame::Depth(&frame), &mut smoothed).unwrap();
+    open().smooth(&frame, smoothed.as_mut()).unwrap();
 }
 
 #[test]

@@ -5,18 +5,15 @@ use std::ops::Range;
 use super::device::lock;
 use super::layout::Layout;
 use super::{Flight, FreeSlots, Slot};
-use crate::devices::FrameTimings;
 use crate::error::EngineError;
-use crate::smoothed::{Smoothed, Status};
-
-/// Status by code; codes that no kernel writes are holes.
-const STATUS: [Status; 8] = {
-    let [hole, few, line, plane, quadratic, cubic] = Status::ALL;
-    [hole, few, line, plane, quadratic, cubic, hole, hole]
-};
+use crate::outputs::{SmoothedMut, VectorsMut};
+use crate::smoothed::Smoothed;
+use crate::status::Status;
+use crate::timings::FrameTimings;
+use crate::view::ResultInPlace;
 
 /// The mapped result of a submission. Dropped, it gives its slot back.
-pub(crate) struct MappedView {
+pub(super) struct MappedView {
     layout: Layout,
     timings: Option<FrameTimings>,
     /// `None` while it is dropped.
@@ -32,11 +29,7 @@ impl MappedView {
         Ok(Self { layout: slot.layout, timings, mapped: Some((words, slot)), free })
     }
 
-    pub(crate) fn shape(&self) -> (usize, usize) {
-        (self.layout.width, self.layout.height)
-    }
-
-    pub(crate) fn timings(&self) -> Option<FrameTimings> {
+    pub(super) fn timings(&self) -> Option<FrameTimings> {
         self.timings
     }
 
@@ -47,16 +40,12 @@ impl MappedView {
         bytemuck::cast_slice(bytes.get(4 * (first + words.start)..4 * (first + words.end)).unwrap_or_default())
     }
 
-    pub(crate) fn points(&self, frame: usize) -> Option<[&[f32]; 3]> {
-        Some(self.layout.points()?.map(|plane| self.values(frame, plane)))
+    fn points_of(&self, frame: usize) -> Option<[&[f32]; 3]> {
+        Some(self.layout.points()?.map(|channel| self.values(frame, channel)))
     }
 
-    pub(crate) fn normals(&self, frame: usize) -> Option<[&[f32]; 3]> {
-        Some(self.layout.normals()?.map(|plane| self.values(frame, plane)))
-    }
-
-    pub(crate) fn curvature(&self, frame: usize) -> Option<&[f32]> {
-        Some(self.values(frame, self.layout.curvature()?))
+    fn normals_of(&self, frame: usize) -> Option<[&[f32]; 3]> {
+        Some(self.layout.normals()?.map(|channel| self.values(frame, channel)))
     }
 
     /// The rows of packed values: each has the image's width, and up to 3 bytes of padding behind it.
@@ -66,48 +55,98 @@ impl MappedView {
         values.chunks_exact(values.len() / self.layout.height).map(move |row| &row[..width])
     }
 
-    pub(crate) fn depth_rows(&self, frame: usize) -> Option<impl Iterator<Item = &[u16]>> {
-        Some(self.rows(frame, self.layout.depth()?))
+    fn codes(&self, frame: usize, words: Range<usize>) -> impl Iterator<Item = u8> {
+        self.rows::<u8>(frame, words).flatten().copied()
     }
 
-    pub(crate) fn status(&self, frame: usize) -> Option<Vec<Status>> {
-        let codes = self.rows::<u8>(frame, self.layout.status()?).flatten();
-        Some(codes.map(|&code| STATUS[usize::from(code & 7)]).collect())
-    }
-
-    /// Copies a frame of the result out, its planes in parallel.
-    pub(crate) fn copy_to(&self, frame: usize, out: &mut Smoothed) {
+    /// Copies a frame of the result out into buffers of its own.
+    pub(super) fn copy_frame_to(&self, frame: usize, out: &mut Smoothed) {
         out.prepare(self.layout.width, self.layout.height, self.layout.outputs);
-        let mut copies: Vec<(&mut [f32], &[f32])> = Vec::with_capacity(7);
-        if let Some([x, y, z]) = self.points(frame) {
-            copies.extend([(&mut out.points.x[..], x), (&mut out.points.y[..], y), (&mut out.points.z[..], z)]);
-        }
-        if let (Some([x, y, z]), Some(to)) = (self.normals(frame), &mut out.normals) {
-            copies.extend([(&mut to.x[..], x), (&mut to.y[..], y), (&mut to.z[..], z)]);
-        }
-        if let (Some(from), Some(to)) = (self.curvature(frame), &mut out.curvature) {
-            copies.push((to, from));
-        }
+        self.copy_frame_into(frame, out.as_mut());
+    }
+
+    /// Copies what there are buffers for of a frame of the result, its channels in parallel.
+    pub(super) fn copy_frame_into(&self, frame: usize, out: SmoothedMut<'_>) {
         rayon::scope(|scope| {
-            for (to, from) in copies {
+            for (from, to) in [(self.points_of(frame), out.points), (self.normals_of(frame), out.normals)] {
+                let (Some(from), Some(to)) = (from, to) else { continue };
+                match to {
+                    VectorsMut::Planes(to) => {
+                        for (from, to) in from.into_iter().zip(to) {
+                            scope.spawn(move |_| to.copy_from_slice(from));
+                        }
+                    }
+                    VectorsMut::Rows(to) => spawn_interleaving(scope, from, to, |row, xyz| *row = xyz),
+                    VectorsMut::Rows4(to) => {
+                        spawn_interleaving(scope, from, to, |row, xyz| row[..3].copy_from_slice(&xyz));
+                    }
+                }
+            }
+            if let (Some(words), Some(to)) = (self.layout.curvature(), out.curvature) {
+                let from = self.values(frame, words);
                 scope.spawn(move |_| to.copy_from_slice(from));
             }
-            if let (Some(rows), Some(to)) = (self.depth_rows(frame), &mut out.depth) {
-                for (to, from) in to.chunks_exact_mut(self.layout.width).zip(rows) {
+            if let (Some(words), Some(to)) = (self.layout.depth(), out.depth) {
+                for (to, from) in to.chunks_exact_mut(self.layout.width).zip(self.rows(frame, words)) {
                     to.copy_from_slice(from);
                 }
             }
-            if let (Some(words), Some(to)) = (self.layout.status(), &mut out.status) {
-                for (to, &code) in to.iter_mut().zip(self.rows::<u8>(frame, words).flatten()) {
-                    *to = STATUS[usize::from(code & 7)];
-                }
+            if let (Some(words), Some(to)) = (self.layout.status(), out.status) {
+                to.iter_mut().zip(self.codes(frame, words)).for_each(|(to, code)| *to = Status::of_code(code));
             }
-            if let (Some(words), Some(to)) = (self.layout.neighbours(), &mut out.neighbours) {
-                for (to, &count) in to.iter_mut().zip(self.rows::<u8>(frame, words).flatten()) {
-                    *to = u32::from(count);
-                }
+            if let (Some(words), Some(to)) = (self.layout.neighbours(), out.neighbours) {
+                to.iter_mut().zip(self.codes(frame, words)).for_each(|(to, count)| *to = u32::from(count));
             }
         });
+    }
+}
+
+/// Vectors that one task interleaves.
+const VECTORS_PER_TASK: usize = 1 << 16;
+
+fn spawn_interleaving<'s, T: Send>(
+    scope: &rayon::Scope<'s>,
+    [x, y, z]: [&'s [f32]; 3],
+    to: &'s mut [T],
+    set: fn(&mut T, [f32; 3]),
+) {
+    let from = x.chunks(VECTORS_PER_TASK).zip(y.chunks(VECTORS_PER_TASK)).zip(z.chunks(VECTORS_PER_TASK));
+    for (to, ((x, y), z)) in to.chunks_mut(VECTORS_PER_TASK).zip(from) {
+        scope.spawn(move |_| {
+            for (to, ((&x, &y), &z)) in to.iter_mut().zip(x.iter().zip(y).zip(z)) {
+                set(to, [x, y, z]);
+            }
+        });
+    }
+}
+
+impl ResultInPlace for MappedView {
+    fn shape(&self) -> (usize, usize) {
+        (self.layout.width, self.layout.height)
+    }
+
+    fn points(&self) -> Option<[&[f32]; 3]> {
+        self.points_of(0)
+    }
+
+    fn normals(&self) -> Option<[&[f32]; 3]> {
+        self.normals_of(0)
+    }
+
+    fn curvature(&self) -> Option<&[f32]> {
+        Some(self.values(0, self.layout.curvature()?))
+    }
+
+    fn depth_rows(&self) -> Option<Vec<&[u16]>> {
+        Some(self.rows(0, self.layout.depth()?).collect())
+    }
+
+    fn status(&self) -> Option<Vec<Status>> {
+        Some(self.codes(0, self.layout.status()?).map(Status::of_code).collect())
+    }
+
+    fn copy_to(&self, out: &mut Smoothed) {
+        self.copy_frame_to(0, out);
     }
 }
 

@@ -1,7 +1,8 @@
 //! Between a file's columns, x, y and z among them, and a cloud's positions and attributes.
 
-use crate::cloud::{Attribute, AttributeValues, PointCloud, PositionColumns, Xyz};
+use crate::cloud::{Attribute, AttributeValues, PointCloud, PositionColumns};
 use crate::error::FormatError;
+use crate::xyz::Xyz;
 
 /// Runs the same code on the vector inside, whatever its type.
 macro_rules! with_values {

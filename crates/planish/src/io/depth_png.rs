@@ -2,9 +2,9 @@
 
 use std::io::Cursor;
 
-use crate::cloud::validate_shape;
 use crate::error::FormatError;
 use crate::frame::DepthImage;
+use crate::xyz::validate_shape;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
     let malformed = |error: png::DecodingError| FormatError::Malformed(format!("damaged PNG: {error}"));

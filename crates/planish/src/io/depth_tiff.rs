@@ -6,9 +6,9 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{Compression, TiffEncoder, colortype};
 use tiff::{ColorType, TiffError};
 
-use crate::cloud::validate_shape;
 use crate::error::FormatError;
 use crate::frame::DepthImage;
+use crate::xyz::validate_shape;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
     let malformed = |error: TiffError| FormatError::Malformed(format!("damaged TIFF: {error}"));

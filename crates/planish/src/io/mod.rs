@@ -1,13 +1,14 @@
 //! Files: what they hold, and how they are written so that nothing is lost and nothing is left half-written.
 //!
-//! A format is told by its contents first, then by the file's extension. Every reader checks what a header claims against
+//! A format is detected from the contents first, then from the file's extension. Every reader checks what a header claims against
 //! the bytes that are there before it allocates.
 
+mod camera_file;
 mod columns;
 mod depth_png;
 mod depth_tiff;
 mod npy;
-pub mod pcd;
+mod pcd;
 mod ply;
 mod rgb_png;
 mod text;
@@ -17,17 +18,37 @@ use std::io::Write;
 use std::path::Path;
 
 use crate::camera::Camera;
-use crate::cloud::{OrganizedCloud, PointCloud, Xyz};
-use crate::error::{FormatError, FrameError, IoError};
+use crate::cloud::{OrganizedCloud, PointCloud};
+use crate::error::{FormatError, IoError};
 use crate::frame::{DepthFrame, DepthImage};
 
+pub use camera_file::{camera_to_json, parse_camera, read_camera};
 pub use pcd::Encoding;
-pub use rgb_png::{RgbImage, read_rgb_png, write_rgb_png};
+pub use rgb_png::RgbImage;
+#[cfg(feature = "stream")]
+pub(crate) use rgb_png::{read_rgb_png, write_rgb_png};
 
-type Result<T> = std::result::Result<T, FormatError>;
+pub(crate) type FormatResult<T> = Result<T, FormatError>;
+
+/// The beginning of a text from a file, for error messages.
+pub(crate) fn quoted(text: &str) -> String {
+    const MOST: usize = 80;
+    match text.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{:?}...", &text[..end]),
+        None => format!("{text:?}"),
+    }
+}
+
+/// For the project's own tests and pictures.
+#[cfg(feature = "internal")]
+pub(crate) mod internal {
+    pub use super::pcd::lzf;
+    pub use super::rgb_png::{read_rgb_png, write_rgb_png};
+}
 
 /// The file formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Format {
     /// The point cloud library's PCD v0.7.
     Pcd,
@@ -83,7 +104,7 @@ impl Format {
         }
     }
 
-    fn of_output(path: &Path) -> Result<Self> {
+    fn of_output(path: &Path) -> FormatResult<Self> {
         Self::of_extension(path).ok_or_else(|| {
             FormatError::Unsupported(
                 "cannot tell the format to write: end the name in .pcd, .ply, .png, .tiff or .npy".into(),
@@ -94,6 +115,7 @@ impl Format {
 
 /// What a file holds.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum Contents {
     /// A 16-bit depth image; it needs a camera to become points.
     Depth(DepthImage),
@@ -108,8 +130,8 @@ pub enum Contents {
     },
     /// Points on a pixel grid.
     Organized(OrganizedCloud),
-    /// Points in any order.
-    Points(PointCloud),
+    /// A general cloud: points in any order.
+    General(PointCloud),
 }
 
 impl Contents {
@@ -119,7 +141,7 @@ impl Contents {
             Self::Depth(image) => (image.width, image.height),
             Self::DepthMetres { width, height, .. } => (*width, *height),
             Self::Organized(cloud) => (cloud.width(), cloud.height()),
-            Self::Points(cloud) => (cloud.len(), 1),
+            Self::General(cloud) => (cloud.len(), 1),
         }
     }
 
@@ -129,32 +151,18 @@ impl Contents {
     }
 }
 
-/// Puts depth in metres and its camera together to an organized cloud.
-pub fn deproject_metres(camera: Camera, depth_m: &[f32]) -> std::result::Result<OrganizedCloud, FrameError> {
-    camera.validate()?;
-    let (rays_x, rays_y) = (camera.rays_x(), camera.rays_y());
-    let point = |(i, &z): (usize, &f32)| {
-        let z = if z > 0.0 { z } else { f32::NAN };
-        [rays_x[i % camera.width] * z, rays_y[(i / camera.width) % camera.height] * z, z]
-    };
-    let positions: Xyz = depth_m.iter().enumerate().map(point).collect();
-    let mut cloud = OrganizedCloud::from_positions(camera.width, camera.height, positions)?;
-    cloud.camera = Some(camera);
-    Ok(cloud)
-}
-
 /// Reads a file of any format.
-pub fn read(path: &Path) -> std::result::Result<(Format, Contents), IoError> {
+pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
     read_bytes(path).map_err(IoError::at(path))
 }
 
-fn read_bytes(path: &Path) -> Result<(Format, Contents)> {
+fn read_bytes(path: &Path) -> FormatResult<(Format, Contents)> {
     let bytes = fs::read(path)?;
     decode(&bytes, Format::of_extension(path))
 }
 
 /// Reads a file's contents; `announced` is the format that its name announces, used where the contents do not tell.
-pub fn decode(bytes: &[u8], announced: Option<Format>) -> Result<(Format, Contents)> {
+pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, Contents)> {
     if bytes.is_empty() {
         return Err(FormatError::Malformed("the file is empty".into()));
     }
@@ -180,12 +188,12 @@ pub(crate) struct Gridded {
     pub(crate) points: PointCloud,
 }
 
-fn organized_if_grid(gridded: Gridded) -> Result<Contents> {
+fn organized_if_grid(gridded: Gridded) -> FormatResult<Contents> {
     let Gridded { width, height, points } = gridded;
     if height > 1 {
         Ok(Contents::Organized(OrganizedCloud::new(width, height, points)?))
     } else {
-        Ok(Contents::Points(points))
+        Ok(Contents::General(points))
     }
 }
 
@@ -194,15 +202,15 @@ fn organized_if_grid(gridded: Gridded) -> Result<Contents> {
 pub enum CloudRef<'a> {
     /// Points on a pixel grid.
     Organized(&'a OrganizedCloud),
-    /// Points in any order.
-    Points(&'a PointCloud),
+    /// A general cloud.
+    General(&'a PointCloud),
 }
 
 impl<'a> CloudRef<'a> {
     fn points(self) -> &'a PointCloud {
         match self {
             Self::Organized(cloud) => &cloud.points,
-            Self::Points(points) => points,
+            Self::General(points) => points,
         }
     }
 
@@ -210,7 +218,7 @@ impl<'a> CloudRef<'a> {
     fn grid(self) -> (usize, usize) {
         match self {
             Self::Organized(cloud) => (cloud.width(), cloud.height()),
-            Self::Points(points) => (points.len(), 1),
+            Self::General(points) => (points.len(), 1),
         }
     }
 }
@@ -223,16 +231,12 @@ impl<'a> From<&'a OrganizedCloud> for CloudRef<'a> {
 
 impl<'a> From<&'a PointCloud> for CloudRef<'a> {
     fn from(cloud: &'a PointCloud) -> Self {
-        Self::Points(cloud)
+        Self::General(cloud)
     }
 }
 
 /// Writes a cloud in the format of the path's extension: PCD, PLY or NPY (positions alone).
-pub fn write_cloud<'a>(
-    path: &Path,
-    cloud: impl Into<CloudRef<'a>>,
-    encoding: Encoding,
-) -> std::result::Result<(), IoError> {
+pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
     let cloud = cloud.into();
     let encode = || {
         cloud.points().validate()?;
@@ -249,7 +253,7 @@ pub fn write_cloud<'a>(
 }
 
 /// Writes a depth image in the format of the path's extension: 16-bit PNG, TIFF or NPY.
-pub fn write_depth(path: &Path, image: &DepthImage) -> std::result::Result<(), IoError> {
+pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
     let encode = || match Format::of_output(path)? {
         Format::DepthPng => depth_png::encode(image),
         Format::DepthTiff => depth_tiff::encode(image),
@@ -262,12 +266,12 @@ pub fn write_depth(path: &Path, image: &DepthImage) -> std::result::Result<(), I
 }
 
 /// Writes depth in metres as a NumPy array of f32, [height, width].
-pub fn write_depth_metres(path: &Path, width: usize, depth_m: &[f32]) -> std::result::Result<(), IoError> {
+pub fn write_depth_metres(path: &Path, width: usize, depth_m: &[f32]) -> Result<(), IoError> {
     npy::encode_depth_metres(width, depth_m).and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
 /// Writes a file so that it is there whole or not at all: under another name beside it, then renamed.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
@@ -294,9 +298,9 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
 
 impl DepthFrame {
     /// Reads a 16-bit depth image (PNG, TIFF or NPY) and puts it together with its camera.
-    pub fn read(path: &Path, camera: Camera) -> std::result::Result<Self, IoError> {
+    pub fn read(path: &Path, camera: Camera) -> Result<Self, IoError> {
         let frame = || match read_bytes(path)?.1 {
-            Contents::Depth(image) => Ok(Self::new(camera, image)?),
+            Contents::Depth(image) => Ok(Self::from_image(camera, image)?),
             _ => Err(FormatError::Unsupported("not a 16-bit depth image".into())),
         };
         frame().map_err(IoError::at(path))
@@ -305,7 +309,7 @@ impl DepthFrame {
 
 impl OrganizedCloud {
     /// Reads an organized cloud (PCD, PLY or NPY).
-    pub fn read(path: &Path) -> std::result::Result<Self, IoError> {
+    pub fn read(path: &Path) -> Result<Self, IoError> {
         let cloud = || match read_bytes(path)?.1 {
             Contents::Organized(cloud) => Ok(cloud),
             _ => Err(FormatError::Unsupported("not an organized cloud".into())),

@@ -3,10 +3,11 @@
 use npyz::{AutoSerialize, DType, NpyFile, Order, TypeChar, WriterBuilder};
 
 use super::{CloudRef, Contents, organized_if_grid};
-use crate::cloud::{PointCloud, validate_shape};
+use crate::cloud::PointCloud;
 use crate::error::FormatError;
 use crate::frame::DepthImage;
 use crate::io::Gridded;
+use crate::xyz::validate_shape;
 
 const LAYOUTS: &str = "depth is [H, W] of u16 or f32 (metres), points are [H, W, 3] or [N, 3] of f32";
 
@@ -72,7 +73,7 @@ pub(super) fn encode_points(cloud: CloudRef<'_>) -> Result<Vec<u8>, FormatError>
     let (width, height) = cloud.grid();
     let shape = match cloud {
         CloudRef::Organized(_) => vec![height as u64, width as u64, 3],
-        CloudRef::Points(_) => vec![width as u64, 3],
+        CloudRef::General(_) => vec![width as u64, 3],
     };
     let (positions, origin) = (&cloud.points().positions, cloud.points().origin_m);
     if origin == [0.0; 3] {

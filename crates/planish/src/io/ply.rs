@@ -12,8 +12,9 @@ use ply_rs_bw::writer::Writer;
 
 use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
 use super::{CloudRef, Encoding, Gridded, text};
-use crate::cloud::{Attribute, AttributeValues, MAX_PIXELS};
+use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
+use crate::xyz::MAX_PIXELS;
 
 /// A vertex or grid cell as it is read: its values in the order of the properties.
 #[derive(Default)]

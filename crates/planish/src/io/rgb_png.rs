@@ -41,7 +41,7 @@ fn decode(bytes: &[u8]) -> Result<RgbImage, FormatError> {
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(malformed)?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
-    crate::cloud::validate_shape(width, height)?;
+    crate::xyz::validate_shape(width, height)?;
     let size = reader.output_buffer_size().unwrap_or(usize::MAX);
     // Deflate reaches 1 : 1032 at the most, and 1-bit pixels become bytes.
     if size / 8800 > bytes.len() {

@@ -5,6 +5,7 @@ use glam::DVec3;
 
 use super::plane::{self, Plane};
 use crate::params::{SmoothParams, edge_shift_px};
+use crate::sensor::SensorModel;
 
 /// A plane through fewer points than this says too little.
 const MIN_NEIGHBOURS: usize = 6;
@@ -31,33 +32,31 @@ pub(super) struct FirstPlane {
 }
 
 /// `None` where the neighbours are too few, on a line, or on a plane seen from its edge.
-pub(super) fn first_plane(p: DVec3, offsets: &[DVec3], radius_m: f64, noise_at_1m: f64) -> Option<FirstPlane> {
+pub(super) fn first_plane(p: DVec3, offsets: &[DVec3], noise_m: f64) -> Option<FirstPlane> {
     let plane = if offsets.len() < MIN_NEIGHBOURS { None } else { plane::fit(offsets, p) }?;
     if plane.normal.dot(p).abs() < MIN_INCIDENCE_COSINE * p.length() {
         return None;
     }
-    let noise_m = noise_m(p, radius_m, noise_at_1m);
     let residual = plane.smallest_variance + DOUBT_WEIGHT * plane.doubt * noise_m * noise_m;
     Some(FirstPlane { at: p, plane, residual })
 }
 
-/// The standard deviation of depth at p.
-fn noise_m(p: DVec3, radius_m: f64, noise_at_1m: f64) -> f64 {
-    (noise_at_1m * p.z * p.z).max(MIN_NOISE * radius_m)
+/// The standard deviation of depth at a range.
+pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 {
+    sensor.sigma_m(range_m).max(MIN_NOISE * radius_m)
 }
 
 /// The first planes of a frame.
 pub(super) struct FirstPlanes {
     width: usize,
     planes: Vec<Option<FirstPlane>>,
-    noise_at_1m: f64,
     /// Pixels to the planes that are asked.
     shift_px: isize,
 }
 
 impl FirstPlanes {
-    pub(super) fn new(width: usize, planes: Vec<Option<FirstPlane>>, noise_at_1m: f64, params: &SmoothParams) -> Self {
-        Self { width, planes, noise_at_1m, shift_px: edge_shift_px(params.window * params.stride) as isize }
+    pub(super) fn new(width: usize, planes: Vec<Option<FirstPlane>>, params: &SmoothParams) -> Self {
+        Self { width, planes, shift_px: edge_shift_px(params.window * params.stride) as isize }
     }
 
     fn get(&self, u: Option<usize>, v: Option<usize>) -> Option<&FirstPlane> {
@@ -68,9 +67,14 @@ impl FirstPlanes {
     /// The plane that p at a pixel lies on, as its own and the eight planes around it say, and how far from it a neighbour
     /// counts; `None` where it has no first plane of its own, or the
     /// plane is further away than the radius.
-    pub(super) fn surface(&self, (u, v): (usize, usize), p: DVec3, radius_m: f64) -> Option<(Plane, f64)> {
+    pub(super) fn surface(
+        &self,
+        (u, v): (usize, usize),
+        p: DVec3,
+        radius_m: f64,
+        noise_m: f64,
+    ) -> Option<(Plane, f64)> {
         let own = self.get(Some(u), Some(v))?;
-        let noise_m = noise_m(p, radius_m, self.noise_at_1m);
         let (mut normal, mut height_m, mut total) = (DVec3::ZERO, 0.0, 0.0);
         for dv in [-self.shift_px, 0, self.shift_px] {
             for du in [-self.shift_px, 0, self.shift_px] {

@@ -3,26 +3,27 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{PointResult, smooth_point, store};
-use crate::cloud::PointCloud;
+use super::{PointResult, smooth_point};
 use crate::error::Error;
-use crate::params::SmoothParams;
-use crate::smoothed::{Outputs, Smoothed};
+use crate::frame::FrameGeometry;
+use crate::neighbours::NeighbourSearch;
+use crate::params::{Radius, SmoothParams};
 use crate::threads::Threads;
-use crate::unorganized::NeighbourSearch;
 
-/// Smooths every point of the cloud; order and number are kept.
-pub(crate) fn smooth_general(
-    cloud: &PointCloud,
-    params: SmoothParams,
-    radius_m: f32,
-    outputs: Outputs,
-    threads: Option<usize>,
-    out: &mut Smoothed,
-) -> Result<(), Error> {
+/// Smooths every point of the cloud; order and number are kept. Displacements and normals are in the sensor's frame.
+pub(super) fn smooth(
+    params: &SmoothParams,
+    threads: &Threads,
+    points: &[DVec3],
+    geometry: &FrameGeometry,
+) -> Result<Vec<PointResult>, Error> {
+    // Without a grid there is no other: the smoother was not opened.
+    let Radius::Fixed { radius_m } = params.radius else { return Ok(vec![PointResult::hole(); points.len()]) };
     let radius_m = f64::from(radius_m);
-    let sensor = DVec3::from_array(std::array::from_fn(|axis| cloud.viewpoint[axis] - cloud.origin_m[axis]));
-    let points: Vec<DVec3> = cloud.positions.iter().map(|p| DVec3::from_array(p.map(f64::from))).collect();
+    // Turned like the sensor, but not moved: it may stand so far away that moved points would lose digits.
+    let turn = |p: DVec3| geometry.cloud_from_sensor.map_or(p, |transform| transform.rotation.transpose() * p);
+    let sensor = turn(geometry.sensor_position());
+    let points: Vec<DVec3> = points.iter().map(|&p| turn(p)).collect();
     let search = NeighbourSearch::new(&points)?;
 
     let smooth = |neighbours: &mut Vec<usize>, &p: &DVec3| {
@@ -31,10 +32,7 @@ pub(crate) fn smooth_general(
         }
         search.within(p, radius_m, neighbours);
         let offsets: Vec<DVec3> = neighbours.iter().map(|&i| points[i] - p).collect();
-        smooth_point(p, sensor, &offsets, radius_m, &params)
+        smooth_point(p, sensor, &offsets, radius_m, params)
     };
-    let results: Vec<_> = Threads::open(threads)?.install(|| points.par_iter().map_init(Vec::new, smooth).collect());
-    out.prepare(points.len(), 1, outputs);
-    store(results.into_iter(), out);
-    Ok(())
+    Ok(threads.install(|| points.par_iter().map_init(Vec::new, smooth).collect()))
 }

@@ -2,10 +2,10 @@
 //! so it shares no code with them and is never optimised.
 //!
 //! One file a stage: [`radius`] (section 3), [`window`] (2), [`plane`] (4), [`polynomial`] and [`solve`] (5, 6),
-//! [`project`] (7), [`edges`] (10). General clouds differ in the neighbours only: [`general`] (8).
+//! [`project`] (7), [`edges`] (10). General clouds differ in the neighbours only: [`general`] (8). All compute in the sensor's
+//! frame (11); results are turned back at the end.
 
 mod edges;
-mod eigen;
 mod general;
 mod plane;
 mod polynomial;
@@ -17,21 +17,21 @@ mod window;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::cloud::OrganizedCloud;
+use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameGeometry};
+use crate::outputs::SmoothedMut;
 use crate::params::{Edges, SmoothParams};
-use crate::smoothed::{Outputs, Smoothed, Status};
+use crate::status::Status;
 use crate::threads::Threads;
 use plane::Plane;
+use window::Grid;
 
-pub(crate) use eigen::symmetric_eigen;
-pub(crate) use general::smooth_general;
-
-/// What the reference finds for one point.
+/// What the reference finds for one point, in the sensor's frame.
 #[derive(Debug, Clone, Copy)]
 struct PointResult {
-    position: DVec3,
+    /// From the measured point to the smoothed one; NaN for a hole.
+    displacement: DVec3,
     normal: DVec3,
     curvature: f64,
     status: Status,
@@ -40,7 +40,7 @@ struct PointResult {
 
 impl PointResult {
     fn hole() -> Self {
-        Self { position: DVec3::NAN, normal: DVec3::NAN, curvature: f64::NAN, status: Status::Hole, neighbours: 0 }
+        Self { displacement: DVec3::NAN, normal: DVec3::NAN, curvature: f64::NAN, status: Status::Hole, neighbours: 0 }
     }
 }
 
@@ -51,7 +51,12 @@ fn smooth_point(p: DVec3, sensor: DVec3, offsets: &[DVec3], radius_m: f64, param
         return PointResult { status: Status::TooFew, neighbours, ..PointResult::hole() };
     }
     let Some(plane) = plane::fit(offsets, p - sensor) else {
-        return PointResult { position: p, status: Status::Degenerate, neighbours, ..PointResult::hole() };
+        return PointResult {
+            displacement: DVec3::ZERO,
+            status: Status::Degenerate,
+            neighbours,
+            ..PointResult::hole()
+        };
     };
     surface_point(p, sensor, offsets, radius_m, params, &plane, f64::INFINITY)
 }
@@ -68,87 +73,110 @@ fn surface_point(
 ) -> PointResult {
     let bandwidth_m = params.bandwidth_m.map_or(radius_m, f64::from);
     let polynomial = polynomial::fit(offsets, plane, radius_m, bandwidth_m, width_m, params.degree);
-    let (position, normal, status) = project::project(p, sensor, plane, polynomial.as_ref(), radius_m);
-    PointResult { position, normal, curvature: plane.curvature, status, neighbours: offsets.len() as u32 }
+    let (displacement, normal, status) = project::project(p, sensor, plane, polynomial.as_ref(), radius_m);
+    PointResult { displacement, normal, curvature: plane.curvature, status, neighbours: offsets.len() as u32 }
 }
 
-/// The reference engine for organized clouds.
+/// The reference engine.
 pub(crate) struct Reference {
     params: SmoothParams,
-    outputs: Outputs,
     threads: Threads,
 }
 
+impl ImmediateEngine for Reference {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let points: Vec<DVec3> = match frame.frame {
+            Frame::Depth(depth) => {
+                let cloud = depth.deproject()?;
+                cloud.positions().iter().map(|p| DVec3::from_array(p.map(f64::from))).collect()
+            }
+            Frame::Points(points) => (0..points.len()).map(|i| points.point(i)).collect(),
+        };
+        let results = match frame.frame.grid() {
+            None => general::smooth(&self.params, &self.threads, &points, &frame.geometry)?,
+            Some((width, height)) => {
+                let points = match frame.geometry.cloud_from_sensor {
+                    None => points.clone(),
+                    Some(transform) => points.iter().map(|&p| transform.to_sensor(p)).collect(),
+                };
+                self.smooth_grid(&Grid { points, width, height }, &frame.geometry)
+            }
+        };
+        store(frame, &points, &results, out);
+        Ok(())
+    }
+}
+
 impl Reference {
-    pub(crate) fn open(params: SmoothParams, outputs: Outputs, threads: Option<usize>) -> Result<Self, EngineError> {
-        Ok(Self { params, outputs, threads: Threads::open(threads)? })
+    pub(crate) fn open(params: SmoothParams, threads: Option<usize>) -> Result<Self, EngineError> {
+        Ok(Self { params, threads: Threads::open(threads)? })
     }
 
-    pub(crate) fn smooth(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
-        let pitch_at_1m = frame.pixel_pitch_at_1m(&mut Vec::new());
-        let deprojected;
-        let cloud = match frame {
-            Frame::Cloud(cloud) => cloud,
-            Frame::Depth(depth) => {
-                deprojected = depth.deproject()?;
-                &deprojected
-            }
-        };
+    /// Smooths a grid of points in the sensor's frame.
+    fn smooth_grid(&self, grid: &Grid, geometry: &FrameGeometry) -> Vec<PointResult> {
         let first_planes = match self.params.edges {
             Edges::Off => None,
-            Edges::Robust { noise_at_1m } => {
-                let noise_at_1m = f64::from(noise_at_1m);
+            Edges::Robust => {
                 let first_plane = |p: DVec3, offsets: &[DVec3], radius_m: f64, _: (usize, usize)| {
-                    edges::first_plane(p, offsets, radius_m, noise_at_1m)
+                    let noise_m = edges::noise_m(&self.params.sensor, geometry.range_m(p), radius_m);
+                    edges::first_plane(p, offsets, noise_m)
                 };
-                let planes = self.for_each_pixel(cloud, pitch_at_1m, None, first_plane);
-                Some(edges::FirstPlanes::new(cloud.width(), planes, noise_at_1m, &self.params))
+                let planes = self.for_each_pixel(grid, geometry, None, first_plane);
+                Some(edges::FirstPlanes::new(grid.width, planes, &self.params))
             }
         };
-        let smooth = |p: DVec3, offsets: &[DVec3], radius_m: f64, pixel: (usize, usize)| match first_planes
-            .as_ref()
-            .and_then(|planes| planes.surface(pixel, p, radius_m))
-        {
-            None => smooth_point(p, DVec3::ZERO, offsets, radius_m, &self.params),
-            Some((plane, width_m)) => surface_point(p, DVec3::ZERO, offsets, radius_m, &self.params, &plane, width_m),
+        let smooth = |p: DVec3, offsets: &[DVec3], radius_m: f64, pixel: (usize, usize)| {
+            let noise_m = edges::noise_m(&self.params.sensor, geometry.range_m(p), radius_m);
+            match first_planes.as_ref().and_then(|planes| planes.surface(pixel, p, radius_m, noise_m)) {
+                None => smooth_point(p, DVec3::ZERO, offsets, radius_m, &self.params),
+                Some((plane, width_m)) => {
+                    surface_point(p, DVec3::ZERO, offsets, radius_m, &self.params, &plane, width_m)
+                }
+            }
         };
-        let results = self.for_each_pixel(cloud, pitch_at_1m, PointResult::hole(), smooth);
-        out.prepare(cloud.width(), cloud.height(), self.outputs);
-        store(results.into_iter(), out);
-        Ok(())
+        self.for_each_pixel(grid, geometry, PointResult::hole(), smooth)
     }
 
     /// `work` on every valid point, its neighbours' offsets, its radius and its pixel; `hole` for the others.
     fn for_each_pixel<T: Clone + Send + Sync>(
         &self,
-        cloud: &OrganizedCloud,
-        pitch_at_1m: f64,
+        grid: &Grid,
+        geometry: &FrameGeometry,
         hole: T,
         work: impl Fn(DVec3, &[DVec3], f64, (usize, usize)) -> T + Sync,
     ) -> Vec<T> {
         let pixel = |offsets: &mut Vec<DVec3>, u: usize, v: usize| {
-            let Some(p) = window::point(cloud, u, v) else { return hole.clone() };
-            let radius_m = radius::radius_m(&self.params, pitch_at_1m, p.z);
-            window::gather(cloud, u, v, &self.params, radius_m, offsets);
+            let Some(p) = grid.point(u, v) else { return hole.clone() };
+            let radius_m = radius::radius_m(&self.params, geometry, p);
+            window::gather(grid, u, v, &self.params, radius_m, offsets);
             work(p, offsets, radius_m, (u, v))
         };
         let row = |v: usize| {
             let mut offsets = Vec::new();
-            (0..cloud.width()).map(|u| pixel(&mut offsets, u, v)).collect::<Vec<_>>()
+            (0..grid.width).map(|u| pixel(&mut offsets, u, v)).collect::<Vec<_>>()
         };
-        let rows: Vec<_> = self.threads.install(|| (0..cloud.height()).into_par_iter().map(row).collect());
+        let rows: Vec<_> = self.threads.install(|| (0..grid.height).into_par_iter().map(row).collect());
         rows.into_iter().flatten().collect()
     }
 }
 
-/// Rounds the results to f32 into whichever outputs are there.
-fn store(results: impl Iterator<Item = PointResult>, out: &mut Smoothed) {
-    for (i, result) in results.enumerate() {
-        if !out.points.is_empty() {
-            out.points.set(i, result.position.as_vec3().to_array());
+/// Turns the results back into the cloud's frame, as displacements of the measured points, and rounds them to f32 into
+/// whichever buffers are there.
+fn store(frame: &AdmittedFrame<'_>, points: &[DVec3], results: &[PointResult], mut out: SmoothedMut<'_>) {
+    let rotation = frame.geometry.cloud_from_sensor.map(|transform| transform.rotation);
+    let turned = |vector: DVec3| rotation.map_or(vector, |rotation| rotation * vector);
+    let to_f32 = |vector: DVec3| vector.to_array().map(|value| value as f32);
+    let mut rays = crate::camera::Rays::default();
+    if let Some(camera) = frame.frame.camera() {
+        rays.set(camera);
+    }
+    let (width, _) = frame.frame.shape();
+    for (i, result) in results.iter().enumerate() {
+        if let Some(points_out) = &mut out.points {
+            points_out.set(i, to_f32(points[i] + turned(result.displacement)));
         }
         if let Some(normals) = &mut out.normals {
-            normals.set(i, result.normal.as_vec3().to_array());
+            normals.set(i, to_f32(turned(result.normal)));
         }
         if let Some(curvature) = &mut out.curvature {
             curvature[i] = result.curvature as f32;
@@ -158,6 +186,12 @@ fn store(results: impl Iterator<Item = PointResult>, out: &mut Smoothed) {
         }
         if let Some(neighbours) = &mut out.neighbours {
             neighbours[i] = result.neighbours;
+        }
+        if let (Some(depth), Some(camera)) = (&mut out.depth, frame.frame.camera()) {
+            let ray = rays.at(i % width, i / width).map(f64::from);
+            let in_sensor = frame.geometry.cloud_from_sensor.map_or(points[i], |t| t.to_sensor(points[i]));
+            let depth_m = project::depth_along_ray_m(ray, in_sensor + result.displacement, result.normal);
+            depth[i] = camera.raw_depth(depth_m as f32);
         }
     }
 }

@@ -4,7 +4,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::eigen::symmetric_eigen;
+use crate::eigen::symmetric_eigen;
 
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
 const DEGENERATE_RATIO: f64 = 1e-4;

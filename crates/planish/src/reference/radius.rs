@@ -1,16 +1,21 @@
-//! The radius of a neighbourhood (docs/method.md, section 3), in metres.
+//! The radius of a neighbourhood (docs/method.md, sections 3 and 11), in metres.
 
+use glam::DVec3;
+
+use crate::frame::{FrameGeometry, RangeRule};
 use crate::params::{Radius, SmoothParams};
 
-/// r(z) of a point at depth `z_m`; `pitch_at_1m` is 1/fx.
-pub(super) fn radius_m(params: &SmoothParams, pitch_at_1m: f64, z_m: f64) -> f64 {
+/// r of a point in the sensor's frame.
+pub(super) fn radius_m(params: &SmoothParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
-        Radius::Sensor { depth_step_at_1m } => {
-            let z = z_m.abs();
-            let pitch = z * pitch_at_1m;
-            let step = f64::from(depth_step_at_1m) * z * z;
-            (1.5 * f64::from(params.window * params.stride) * pitch).max(4.0 * step)
+        Radius::Sensor => {
+            let range_m = geometry.range_m(p);
+            let spacing_m = match geometry.rule {
+                RangeRule::Constant { spacing_m } => spacing_m,
+                _ => range_m * geometry.rule.pitch_at_1m(),
+            };
+            (1.5 * f64::from(params.window * params.stride) * spacing_m).max(4.0 * params.sensor.step_m(range_m))
         }
     }
 }

@@ -13,7 +13,7 @@ use super::scene::{NO_OBJECT, Truth};
 use crate::camera::Camera;
 use crate::error::FrameError;
 use crate::frame::DepthFrame;
-use crate::params::KINECT_V1_DEPTH_STEP_AT_1M;
+use crate::sensor::SensorModel;
 
 /// The parts of the noise. The default is a Kinect v1; [`KinectNoise::NONE`] rounds to millimetres and nothing else.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +43,7 @@ pub struct KinectNoise {
 impl Default for KinectNoise {
     fn default() -> Self {
         Self {
-            depth_step_at_1m: f64::from(KINECT_V1_DEPTH_STEP_AT_1M),
+            depth_step_at_1m: SensorModel::KINECT_V1.step_m(1.0),
             fixed_pattern_rms: 0.5,
             fixed_pattern_correlation_px: 2.5,
             temporal_rms: 0.3,

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::camera::Camera;
-use crate::cloud::Xyz;
+use crate::xyz::Xyz;
 
 /// The object id of a pixel whose ray meets nothing.
 pub const NO_OBJECT: u16 = u16::MAX;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{Error, FormatError, IoError};
-use crate::frame::DepthFrame;
+use crate::frame::{DepthFrame, DepthView};
 use crate::io::{self, Contents, Format};
 
 /// Reads frame files in the order of their names, or one without end.
@@ -67,22 +67,18 @@ pub(super) fn read_frame(file: &Path, camera: Option<Camera>) -> Result<SourceFr
     match contents {
         Contents::Depth(image) => {
             let camera = of_shape(camera.ok_or_else(needs_camera)?);
-            Ok(SourceFrame::Depth(DepthFrame::new(camera, image)?))
+            Ok(SourceFrame::Depth(DepthFrame::from_image(camera, image)?))
         }
         Contents::DepthMetres { depth_m, .. } => {
             let camera = of_shape(camera.ok_or_else(needs_camera)?);
-            if (camera.width, camera.height) != (width, height) {
-                let problem = format!("is {width}x{height}, its camera {}x{}", camera.width, camera.height);
-                return Err(malformed(file, problem).into());
-            }
-            Ok(SourceFrame::Cloud { cloud: io::deproject_metres(camera, &depth_m)?, timestamp_s: None })
+            camera.check_shape((width, height)).map_err(|error| malformed(file, error.to_string()))?;
+            let cloud = DepthView::from_metres(&depth_m, &camera)?.deproject()?;
+            Ok(SourceFrame::Cloud { cloud, timestamp_s: None })
         }
         Contents::Organized(mut cloud) => {
             cloud.camera = camera.map(of_shape);
             Ok(SourceFrame::Cloud { cloud, timestamp_s: None })
         }
-        Contents::Points(_) => {
-            Err(malformed(file, "the points are not organized; a stream needs frames of a camera").into())
-        }
+        Contents::General(_) => Err(malformed(file, "a general cloud; a stream needs frames on a grid").into()),
     }
 }

@@ -23,27 +23,11 @@ const HOLE_DISPARITY: u16 = 2047;
 const REACH_M: f64 = 10.0;
 
 /// The infrared camera, which raw disparity is in: N. Burrus, "Kinect calibration", 2011.
-const INFRARED_CAMERA: Camera = Camera {
-    width: 640,
-    height: 480,
-    fx: 594.21434,
-    fy: 591.04054,
-    cx: 339.30781,
-    cy: 242.73914,
-    depth_units_per_metre: 1000.0,
-};
+const INFRARED_CAMERA: Camera = Camera::new((640, 480), [594.21434, 591.04054], [339.30781, 242.73914]);
 
 /// The colour camera beside it, and the way from a point of the infrared camera to one of this, from the same source. Axes as
 /// ours: x to the right, y down.
-const COLOUR_CAMERA: Camera = Camera {
-    width: 640,
-    height: 480,
-    fx: 529.21508,
-    fy: 525.56394,
-    cx: 328.94272,
-    cy: 267.48068,
-    depth_units_per_metre: 1000.0,
-};
+const COLOUR_CAMERA: Camera = Camera::new((640, 480), [529.21508, 525.56394], [328.94272, 267.48068]);
 const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
     0.999_846_29,
     -0.001_477_91,
@@ -86,6 +70,7 @@ pub fn disparity_depth_m(disparity: u16) -> f64 {
 }
 
 /// The disparity whose depth is nearest; a hole for what is out of reach.
+#[cfg(any(test, feature = "internal"))]
 fn depth_disparity(depth_m: f32) -> u16 {
     let disparity = ((f64::from(depth_m) / 0.1236).atan() - 1.1863) * 2842.5;
     if disparity >= 0.0 && disparity < f64::from(HOLE_DISPARITY) { disparity.round() as u16 } else { HOLE_DISPARITY }
@@ -167,6 +152,7 @@ fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>,
 
 /// Writes frames of a Kinect v1 as a recording that libfreenect's playback library gives to programs: depth becomes the nearest
 /// disparity, colour goes along.
+#[cfg(any(test, feature = "internal"))]
 pub fn write_freenect_recording(folder: &Path, frames: &[DepthFrame]) -> Result<(), Error> {
     fs::create_dir_all(folder).map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
     let mut index = String::new();

@@ -14,11 +14,17 @@ use std::path::{Path, PathBuf};
 
 use crate::camera::Camera;
 use crate::cloud::OrganizedCloud;
-use crate::error::{Error, FormatError, IoError, ParamError};
-use crate::frame::{DepthFrame, Frame};
+use crate::error::{Error, FormatError, FrameError, IoError, ParamError};
+use crate::frame::{DepthFrame, Frame, IntoFrame};
 
 pub use files::FileSource;
-pub use freenect::{FreenectRecording, disparity_depth_m, write_freenect_recording};
+pub use freenect::FreenectRecording;
+
+/// For the project's own tests.
+#[cfg(feature = "internal")]
+pub(crate) mod internal {
+    pub use super::freenect::{disparity_depth_m, write_freenect_recording};
+}
 pub use kinect::KinectSource;
 pub use paced::Paced;
 pub use synthetic::SyntheticSource;
@@ -39,11 +45,11 @@ pub enum SourceFrame {
 }
 
 impl SourceFrame {
-    /// The frame as a smoother takes it.
-    pub fn as_frame(&self) -> Frame<'_> {
+    /// Width and height in pixels.
+    pub fn shape(&self) -> (usize, usize) {
         match self {
-            Self::Depth(depth) => Frame::Depth(depth),
-            Self::Cloud { cloud, .. } => Frame::Cloud(cloud),
+            Self::Depth(depth) => (depth.camera.width, depth.camera.height),
+            Self::Cloud { cloud, .. } => (cloud.width(), cloud.height()),
         }
     }
 
@@ -52,6 +58,15 @@ impl SourceFrame {
         match self {
             Self::Depth(depth) => depth.timestamp_s,
             Self::Cloud { timestamp_s, .. } => *timestamp_s,
+        }
+    }
+}
+
+impl<'a> IntoFrame<'a> for &'a SourceFrame {
+    fn into_frame(self) -> Result<Frame<'a>, FrameError> {
+        match self {
+            SourceFrame::Depth(depth) => depth.into_frame(),
+            SourceFrame::Cloud { cloud, .. } => cloud.into_frame(),
         }
     }
 }
@@ -136,7 +151,7 @@ fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> R
 
 /// The camera for frames of a shape: one that leaves its own open takes it.
 fn with_shape(camera: Camera, (width, height): (usize, usize)) -> Camera {
-    if (camera.width, camera.height) == (0, 0) { Camera { width, height, ..camera } } else { camera }
+    if (camera.width, camera.height) == (0, 0) { camera.with_shape((width, height)) } else { camera }
 }
 
 /// An error about a file or source of that name.

@@ -49,15 +49,9 @@ impl TumSource {
             return Err(malformed(folder, "the data set lists no depth images").into());
         }
         let file = folder.join("camera.json");
-        let own = if file.is_file() {
-            let at = |problem| IoError { path: file.clone(), problem };
-            let text = fs::read_to_string(&file).map_err(|error| at(error.into()))?;
-            Some(Camera::from_json_of_any_shape(&text).map_err(at)?)
-        } else {
-            None
-        };
+        let own = if file.is_file() { Some(io::read_camera(&file, None)?) } else { None };
         let units = units_per_metre.or(own.map(|own| own.depth_units_per_metre)).unwrap_or(UNITS_PER_METRE);
-        let camera = camera.or(own).unwrap_or(Camera { width: 0, height: 0, ..Camera::kinect_v1() });
+        let camera = camera.or(own).unwrap_or(Camera::kinect_v1().with_shape((0, 0)));
         let camera = Camera { depth_units_per_metre: units, ..camera };
         Ok(Self { folder: folder.to_path_buf(), camera, entries, next: 0 })
     }
@@ -194,7 +188,7 @@ impl TumRecorder {
         self.append("depth.txt", &format!("{name} {depth}\n"))?;
         if self.frames == 0 {
             let camera = Camera { depth_units_per_metre: UNITS_PER_METRE, ..camera };
-            self.write("camera.json", &camera.to_json())?;
+            self.write("camera.json", &io::camera_to_json(&camera))?;
         }
         self.frames += 1;
         Ok(())

@@ -61,6 +61,8 @@ struct State {
     ended: bool,
     /// Nobody takes any more.
     closed: bool,
+    /// The engine is open.
+    ready: bool,
     frames: u64,
     dropped: u64,
     dropped_by_source: u64,
@@ -134,6 +136,21 @@ impl Mailbox {
         self.changed.notify_all();
     }
 
+    /// The engine is open: what comes from now on is taken in its time.
+    pub(super) fn set_ready(&self) {
+        let mut state = self.lock();
+        if !state.ready {
+            state.ready = true;
+            self.changed.notify_all();
+        }
+    }
+
+    /// Waits until the engine is open, or nobody takes any more.
+    pub(super) fn wait_ready(&self) {
+        let waiting = |state: &mut State| !state.ready && !state.closed;
+        drop(self.changed.wait_while(self.lock(), waiting).unwrap_or_else(PoisonError::into_inner));
+    }
+
     pub(super) fn is_closed(&self) -> bool {
         self.lock().closed
     }
@@ -157,7 +174,8 @@ mod tests {
     use std::thread;
 
     use super::*;
-    use crate::cloud::{OrganizedCloud, Xyz};
+    use crate::cloud::OrganizedCloud;
+    use crate::xyz::Xyz;
 
     fn item(number: usize) -> Item {
         let positions: Xyz = [[number as f32; 3]].into_iter().collect();

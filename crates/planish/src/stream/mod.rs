@@ -16,10 +16,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
+use crate::frame::IntoFrame;
 use crate::params::SmoothParams;
 use crate::smoothed::Smoothed;
-use crate::smoother::{Engine, Smoother, SmootherOptions};
+use crate::smoother::Smoother;
 use crate::source::{Source, SourceFrame};
 use crate::view::SmoothedView;
 use mailbox::{Mailbox, Policy, TimeSpent};
@@ -156,12 +158,19 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
     let _end = EndOf(mailbox);
     // A live source that fails again and again has nothing more to give; any other comes to its end.
     let mut failures = 0;
+    let (mut is_ready, mut missed_before) = (false, 0);
     while !mailbox.is_closed() {
-        mailbox.set_dropped_by_source(source.dropped());
+        mailbox.set_dropped_by_source(source.dropped().saturating_sub(missed_before));
         match mailbox.capture_time.on(|| source.next_frame()) {
             Ok(Some(frame)) => {
                 failures = 0;
                 mailbox.put(Ok((frame, Instant::now())));
+                if source.is_live() && !is_ready {
+                    // Opening an engine takes longer than many frames; those are none that it was too slow for.
+                    mailbox.wait_ready();
+                    missed_before = source.dropped();
+                    is_ready = true;
+                }
             }
             Ok(None) => break,
             Err(error) => {
@@ -209,8 +218,8 @@ impl Stream<'_> {
                 break;
             }
             let in_flight = self.pending.len();
-            // The engines of the CPU have the result when they have the frame.
-            let flies = |smoother: &&Smoother| smoother.engine() == Engine::Gpu;
+            // Other engines have the result when they have the frame.
+            let flies = |smoother: &&Smoother| smoother.capabilities().pipelined;
             let most = self.smoother.as_ref().filter(flies).map_or(1, Smoother::max_in_flight);
             // With frames in flight nothing is waited for but their results.
             let next = match in_flight {
@@ -223,6 +232,8 @@ impl Stream<'_> {
                     Ok((frame, since)) => {
                         self.submit(Pending { frame, since }, tell)?;
                         submitted += 1;
+                        // The engine is open: from now on a live source is kept up with.
+                        mailbox.set_ready();
                     }
                     Err((error, true)) => {
                         // What came before is not lost with the source.
@@ -246,9 +257,9 @@ impl Stream<'_> {
     }
 
     fn submit(&mut self, pending: Pending, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
-        let shape = pending.frame.as_frame().shape();
+        let shape = pending.frame.shape();
         let of_shape = self.params.filter(|_| shape == self.shape);
-        let found = || self.options.params.at_known_resolution_of(pending.frame.as_frame());
+        let found = || self.options.params.at_known_resolution_of(pending.frame.into_frame().ok()?);
         let params = of_shape.or_else(|| if self.options.adapt_stride { found() } else { Some(self.options.params) });
         let changes = |of: Option<SmoothParams>| of.unwrap_or(self.options.params);
         if shape != self.shape || changes(params) != changes(self.params) {
@@ -278,7 +289,7 @@ impl Stream<'_> {
         let params = self.params.unwrap_or(self.options.params);
         let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
         self.statistics.engine = smoother.engine();
-        self.smooth_time.on(|| smoother.submit(frame.as_frame(), Smoothed::default()))
+        self.smooth_time.on(|| smoother.submit(frame, Smoothed::default()))
     }
 
     /// Takes the oldest result and gives it to the sinks.
@@ -344,7 +355,7 @@ impl Stream<'_> {
             let params = self.params.unwrap_or(self.options.params);
             let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
             self.statistics.engine = smoother.engine();
-            smoother.submit(frame.as_frame(), Smoothed::default())?;
+            smoother.submit(frame, Smoothed::default())?;
             // Received without recovering in turn.
             let Some(view) = smoother.receive()? else { return Ok(()) };
             self.deliver(view, tell);

@@ -12,11 +12,12 @@ use rerun::blueprint::{
 use rerun::{DepthImage, Points3D, RecordingStream, RecordingStreamBuilder, Scalars, SpawnOptions, ViewCoordinates};
 
 use super::{Sink, StreamFrame};
-use crate::cloud::{OrganizedCloud, Xyz};
+use crate::cloud::OrganizedCloud;
 use crate::error::{DeviceError, Error, FormatError, FrameError, IoError};
+use crate::outputs::Outputs;
 use crate::render::{difference_normals, relief};
-use crate::smoothed::Outputs;
 use crate::source::SourceFrame;
+use crate::xyz::Xyz;
 
 /// The rate shown is that of so many results.
 const RATE_FRAMES: usize = 30;
@@ -170,7 +171,7 @@ fn points(cloud: &OrganizedCloud, positions: &Xyz) -> Points3D {
 }
 
 fn depth_image(source: &SourceFrame) -> DepthImage {
-    let (width, height) = source.as_frame().shape();
+    let (width, height) = source.shape();
     let shape = [width as u32, height as u32];
     match source {
         SourceFrame::Depth(depth) => {

@@ -10,7 +10,7 @@ use super::{StreamFrame, StreamStatistics};
 use crate::error::{EngineError, Error, IoError};
 use crate::frame::DepthImage;
 use crate::io::{self, CloudRef, Encoding};
-use crate::smoothed::Outputs;
+use crate::outputs::Outputs;
 use crate::source::SourceFrame;
 
 /// Takes results, one after another.

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 
-use crate::smoother::Engine;
+use crate::engines::Engine;
 
 /// Counts and times of a stream.
 #[derive(Debug, Clone)]

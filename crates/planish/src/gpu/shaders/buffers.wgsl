@@ -21,6 +21,10 @@ fn header(frame: u32, field: u32) -> f32 {
     return bitcast<f32>(input[frame * batch.input_words + field]);
 }
 
+fn header_bits(frame: u32, field: u32) -> u32 {
+    return input[frame * batch.input_words + field];
+}
+
 fn is_finite(bits: u32) -> bool {
     return (bits & 0x7f800000u) != 0x7f800000u;
 }

@@ -1,23 +1,18 @@
 // The plane that a point lies on, as its own first plane and the eight around it say (docs/method.md, section 10).
 
-// How much a plane's distance from p weighs beside its own residual, both squared.
-const DISTANCE_WEIGHT: f32 = 0.5;
-// Neighbours count up to so many deviations of the noise from the surface.
-const NARROW_WIDTH: f32 = 1.8;
-
-fn smooth_point(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>) -> Result {
-    let radius = radius_at(frame, p.z);
-    let found = plane_at(frame, pixel, p, radius);
-    let n = u32(found.n);
+fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
+    let range = range_of(frame, p);
+    let radius = radius_at(frame, range);
+    let surface = plane_at(frame, pixel, p, radius, noise_at(frame, range, radius));
+    let n = u32(surface.n);
     if n < 3u {
         return no_result(STATUS_TOO_FEW, n);
     }
-    return result_of(frame, pixel, home, p, radius, found);
+    return result_of(frame, pixel, window, p, radius, surface);
 }
 
-fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, radius: f32) -> Found {
+fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, radius: f32, noise: f32) -> LocalSurface {
     let own = pixel.y * batch.width + pixel.x;
-    let noise = noise_at(frame, p.z, radius);
     let per_variance = 1.0 / (noise * noise);
     var normal = vec3<f32>(0.0);
     var height = 0.0;
@@ -67,5 +62,5 @@ fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, radius: f32) -> Found {
         plane.normal = normal * (sign / sqrt(dot(normal, normal)));
         plane.height = sign * height / total;
     }
-    return Found(plane, abs(count), width);
+    return LocalSurface(plane, abs(count), width);
 }

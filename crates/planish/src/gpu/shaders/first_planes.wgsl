@@ -1,9 +1,9 @@
 // What is kept of the first pass where edges are kept, pixel by pixel: its point and its first plane (docs/method.md, section
-// 10). A plane of numbers for each, one frame after another.
+// 10). A channel for each number, one frame after another.
 
 @group(0) @binding(3) var<storage, read_write> first_planes: array<f32>;
 
-// The numbers in their order: the point (NO_POINT for a hole), the normal, the height over the point, the variance along the
+// The channels in their order: the point (NO_POINT for a hole), the normal, the height over the point, the variance along the
 // normal and what the plane is in doubt in m² (NOT_USABLE where the neighbours are too few, on a line, or on a plane seen from
 // its edge), the curvature, and how many neighbours, negative
 // where they are on a line.
@@ -17,27 +17,23 @@ const FIRST_COUNT: u32 = 9u;
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
 
-// The noise is at least this share of the radius.
-const MIN_NOISE: f32 = 0.01;
-
-// The standard deviation of depth at z, between bounds whose squares are within f32, whatever the coordinates.
-fn noise_at(frame: u32, z: f32, radius: f32) -> f32 {
-    let range = min(abs(z), 1e12);
-    return clamp(max(range * range * header(frame, NOISE), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
+// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
+fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
+    return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
 }
 
-fn first_at(frame: u32, number: u32, pixel: u32) -> u32 {
-    return (frame * FIRST_NUMBERS + number) * (batch.width * batch.height) + pixel;
+fn first_at(frame: u32, channel: u32, pixel: u32) -> u32 {
+    return (frame * FIRST_CHANNELS + channel) * (batch.width * batch.height) + pixel;
 }
 
-fn first_vec3(frame: u32, number: u32, pixel: u32) -> vec3<f32> {
-    let at = first_at(frame, number, pixel);
+fn first_vec3(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+    let at = first_at(frame, channel, pixel);
     let pixels = batch.width * batch.height;
     return vec3<f32>(first_planes[at], first_planes[at + pixels], first_planes[at + 2u * pixels]);
 }
 
-fn keep_vec3(frame: u32, number: u32, pixel: u32, value: vec3<f32>) {
-    let at = first_at(frame, number, pixel);
+fn keep_vec3(frame: u32, channel: u32, pixel: u32, value: vec3<f32>) {
+    let at = first_at(frame, channel, pixel);
     let pixels = batch.width * batch.height;
     first_planes[at] = value.x;
     first_planes[at + pixels] = value.y;

@@ -1,12 +1,5 @@
 // The first pass where edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
 
-// A plane through fewer points than this says too little.
-const MIN_NEIGHBOURS: f32 = 6.0;
-// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a disc.
-const DOUBT_WEIGHT: f32 = 0.01;
-// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
-const MIN_INCIDENCE_COSINE: f32 = 0.05;
-
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn fit_first_planes(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -21,20 +14,21 @@ fn fit_first_planes(
         return;
     }
     let at = pixel.y * batch.width + pixel.x;
-    let home = home_of(frame, pixel, local.xy);
-    let p = candidate(home, WINDOW, WINDOW);
+    let window = window_origin_of(frame, pixel, local.xy);
+    let p = candidate(window, WINDOW, WINDOW);
     keep_vec3(frame, FIRST_POINT, at, p);
     if p.x == NO_POINT {
         return;
     }
-    let radius = radius_at(frame, p.z);
-    let sums = sums_of(home, p, radius * radius);
+    let range = range_of(frame, p);
+    let radius = radius_at(frame, range);
+    let sums = sums_of(window, p, radius * radius);
     let plane = plane_of(p, sums);
     // Scaled, since the squares of p may be too large.
     let ray = p / max(max(abs(p.x), abs(p.y)), max(abs(p.z), MIN_POSITIVE));
     let is_seen = abs(dot(plane.normal, ray)) >= MIN_INCIDENCE_COSINE * sqrt(dot(ray, ray));
     let is_usable = sums.n >= MIN_NEIGHBOURS && !plane.is_degenerate && is_seen;
-    let noise = noise_at(frame, p.z, radius);
+    let noise = noise_at(frame, range, radius);
     let residual = min(fma(noise * noise * DOUBT_WEIGHT, plane.doubt, plane.residual), NOT_USABLE);
     keep_vec3(frame, FIRST_NORMAL, at, plane.normal);
     first_planes[first_at(frame, FIRST_HEIGHT, at)] = plane.height;

@@ -1,6 +1,6 @@
 // The frame as the camera gave it: depth or points, one struct of words a frame (layout.rs).
 //
-// Stage: copy or deproject (docs/method.md, section 1), in metres. What depth becomes is finite, since Camera::validate keeps
+// Stage: copy or deproject (docs/method.md, section 1), in metres, into the sensor's frame (11). What depth becomes is finite, since Camera::validate keeps
 // rays and units within bounds.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
@@ -9,22 +9,44 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     }
     let base = frame * batch.input_words + HEADER_WORDS;
     let pixel = u32(y) * batch.width + u32(x);
-    if IS_DEPTH {
-        let samples = base + batch.width + batch.height;
-        let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
-        if raw == 0u || raw == SATURATED_DEPTH {
-            return vec3<f32>(NO_POINT);
-        }
-        let z = f32(raw) * header(frame, METRES_PER_UNIT);
-        let ray_x = bitcast<f32>(input[base + u32(x)]);
-        let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
-        return vec3<f32>(ray_x * z, ray_y * z, z);
+    let samples = base + batch.width + batch.height;
+    if IS_RAW_DEPTH || IS_DEPTH_METRES {
+        return deproject(frame, base, x, y, depth_at(frame, samples, pixel));
     }
     let pixels = batch.width * batch.height;
-    let samples = base + batch.width + batch.height;
     let bits = vec3<u32>(input[samples + pixel], input[samples + pixels + pixel], input[samples + 2u * pixels + pixel]);
-    if is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z) {
-        return bitcast<vec3<f32>>(bits);
+    if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
+        return vec3<f32>(NO_POINT);
     }
-    return vec3<f32>(NO_POINT);
+    let p = bitcast<vec3<f32>>(bits);
+    if (header_bits(frame, FLAGS) & TURNED) == 0u {
+        return p;
+    }
+    // The transposed rotation: rows and columns of cloud_from_sensor change places. Clamped, so that it stays finite.
+    let q = clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, TRANSLATION);
+    return fma(vec3<f32>(q.x), header_vec3(frame, ROTATION),
+        fma(vec3<f32>(q.y), header_vec3(frame, ROTATION + 3u), q.z * header_vec3(frame, ROTATION + 6u)));
+}
+
+fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
+    return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
+}
+
+// Depth in metres; 0 for a hole.
+fn depth_at(frame: u32, samples: u32, pixel: u32) -> f32 {
+    if IS_RAW_DEPTH {
+        let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
+        return select(f32(raw) * header(frame, METRES_PER_UNIT), 0.0, raw == 0u || raw == SATURATED_DEPTH);
+    }
+    let bits = input[samples + pixel];
+    return select(0.0, bitcast<f32>(bits), is_finite(bits));
+}
+
+fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
+    if z <= 0.0 {
+        return vec3<f32>(NO_POINT);
+    }
+    let ray_x = bitcast<f32>(input[base + u32(x)]);
+    let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
+    return vec3<f32>(ray_x * z, ray_y * z, z);
 }

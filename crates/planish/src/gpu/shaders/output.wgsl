@@ -1,10 +1,10 @@
-// The result as it is read back: planes of words for numbers, rows of packed bytes and half words for codes (layout.rs).
+// The result as it is read back: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
 //
 // NaN is written by its bits and never computed. Packed rows start at whole words, so a row of a tile is whole words too.
 
 const NAN_BITS: u32 = 0x7fc00000u;
 
-struct Result {
+struct PixelResult {
     point: vec3<u32>,
     normal: vec3<u32>,
     curvature: u32,
@@ -14,14 +14,17 @@ struct Result {
 
 var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
 
-fn no_result(status: u32, n: u32) -> Result {
-    return Result(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, status | (n << 8u));
+fn no_result(status: u32, n: u32) -> PixelResult {
+    return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, status | (n << 8u));
 }
 
 // What the camera would have measured: where the pixel's ray meets the tangent plane, in raw units.
-fn raw_depth_of(frame: u32, pixel: vec2<u32>, projected: Projected) -> u32 {
+fn raw_depth_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, projected: Projected) -> u32 {
     let rays = frame * batch.input_words + HEADER_WORDS;
-    let ray = vec3<f32>(bitcast<f32>(input[rays + pixel.x]), bitcast<f32>(input[rays + batch.width + pixel.y]), 1.0);
+    var ray = vec3<f32>(bitcast<f32>(input[rays + pixel.x]), bitcast<f32>(input[rays + batch.width + pixel.y]), 1.0);
+    if has_ray_of_point(frame) {
+        ray = vec3<f32>(p.xy / p.z, 1.0);
+    }
     let along = dot(ray, projected.normal);
     var depth = projected.point.z;
     if abs(along) > GRAZING_COSINE * sqrt(dot(ray, ray)) {
@@ -34,11 +37,11 @@ fn raw_depth_of(frame: u32, pixel: vec2<u32>, projected: Projected) -> u32 {
     return 0u;
 }
 
-fn store_plane(frame: u32, plane: u32, pixel: u32, bits: u32) {
-    output[frame * batch.output_words + plane * batch.width * batch.height + pixel] = bits;
+fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
+    output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;
 }
 
-// Packed rows of `shift`ed fields of `bits` bits each, behind the planes; one thread a word.
+// Packed rows of `shift`ed fields of `bits` bits each, behind the channels; one thread a word.
 fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
     let in_word = 32u / bits;
     let words_in_tile_row = TILE_WIDTH / in_word;
@@ -57,27 +60,27 @@ fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift:
     output[frame * batch.output_words + rows_at + y * row_words + at] = packed;
 }
 
-fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: Result) {
+fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: PixelResult) {
     if pixel.x < batch.width && pixel.y < batch.height {
         let at = pixel.y * batch.width + pixel.x;
         if WANTS_POINTS {
-            store_plane(frame, POINTS_PLANE, at, result.point.x);
-            store_plane(frame, POINTS_PLANE + 1u, at, result.point.y);
-            store_plane(frame, POINTS_PLANE + 2u, at, result.point.z);
+            store_word(frame, POINTS_CHANNEL, at, result.point.x);
+            store_word(frame, POINTS_CHANNEL + 1u, at, result.point.y);
+            store_word(frame, POINTS_CHANNEL + 2u, at, result.point.z);
         }
         if WANTS_NORMALS {
-            store_plane(frame, NORMALS_PLANE, at, result.normal.x);
-            store_plane(frame, NORMALS_PLANE + 1u, at, result.normal.y);
-            store_plane(frame, NORMALS_PLANE + 2u, at, result.normal.z);
+            store_word(frame, NORMALS_CHANNEL, at, result.normal.x);
+            store_word(frame, NORMALS_CHANNEL + 1u, at, result.normal.y);
+            store_word(frame, NORMALS_CHANNEL + 2u, at, result.normal.z);
         }
         if WANTS_CURVATURE {
-            store_plane(frame, CURVATURE_PLANE, at, result.curvature);
+            store_word(frame, CURVATURE_CHANNEL, at, result.curvature);
         }
     }
     if WANTS_STATUS || WANTS_NEIGHBOURS || WANTS_DEPTH {
         codes[thread] = result.codes;
         workgroupBarrier();
-        var rows_at = PLANES * batch.width * batch.height;
+        var rows_at = CHANNELS * batch.width * batch.height;
         if WANTS_STATUS {
             store_packed(frame, rows_at, origin, thread, 0u, 8u);
             rows_at += batch.height * ((batch.width + 3u) / 4u);

@@ -1,10 +1,5 @@
 // The plane of a neighbourhood by principal component analysis (docs/method.md, section 4). Metres, relative to p.
 
-// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
-const DEGENERATE_RATIO: f32 = 1e-4;
-
-const MAX_DOUBT: f32 = 1e6;
-
 struct Plane {
     // Unit normal, towards the sensor.
     normal: vec3<f32>,
@@ -21,7 +16,7 @@ struct Plane {
 }
 
 // The plane that a point lies on, as one of the passes found it.
-struct Found {
+struct LocalSurface {
     plane: Plane,
     // How many neighbours.
     n: f32,

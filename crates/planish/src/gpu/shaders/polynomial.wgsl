@@ -6,11 +6,6 @@
 // place of the line that names them, one statement for each moment; the loops stay rolled, or the kernel outgrows the
 // instruction cache.
 
-const SQRT_LOG2_E: f32 = 1.2011224;
-
-// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
-const MAX_OFF_SURFACE: f32 = 11.541560;
-
 struct Fit {
     moments: Moments,
     // In-plane axes, of unit length.
@@ -22,8 +17,8 @@ struct Fit {
 
 // Second pass over the window. The gate is that of the first pass in these units: a candidate within rounding of the radius may
 // pass one and not the other, as it may in another engine.
-fn fit_of(home: Home, p: vec3<f32>, radius_squared: f32, found: Found, bandwidth: f32) -> Fit {
-    let plane = found.plane;
+fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
+    let plane = surface.plane;
     let tangents = tangents_of(plane.normal);
     let per_metre = SQRT_LOG2_E / bandwidth;
     let a_axis = tangents.u * per_metre;
@@ -32,11 +27,11 @@ fn fit_of(home: Home, p: vec3<f32>, radius_squared: f32, found: Found, bandwidth
     let f_offset = plane.height * per_metre;
     let gate = radius_squared * per_metre * per_metre;
     // f² counts so many times more in the weight of section 10.
-    let narrowing = (bandwidth / found.width) * (bandwidth / found.width);
+    let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
     var s: Moments;
     for (var row = 0u; row < SIDE; row++) {
         for (var column = 0u; column < SIDE; column++) {
-            let e = candidate(home, column, row) - p;
+            let e = candidate(window, column, row) - p;
             let a = fma(e.x, a_axis.x, fma(e.y, a_axis.y, e.z * a_axis.z));
             let b = fma(e.x, b_axis.x, fma(e.y, b_axis.y, e.z * b_axis.z));
             let above_p = fma(e.x, f_axis.x, fma(e.y, f_axis.y, e.z * f_axis.z));

@@ -16,12 +16,12 @@ fn project_on_polynomial(p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, rad
     return Projected(fma(vec3<f32>(height), plane.normal, p), normal, status);
 }
 
-fn surface_of(frame: u32, home: Home, p: vec3<f32>, radius: f32, found: Found) -> Projected {
-    if found.n < 6.0 {
-        return project_on_plane(p, found.plane);
+fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> Projected {
+    if surface.n < 6.0 {
+        return project_on_plane(p, surface.plane);
     }
     let own_bandwidth = header(frame, BANDWIDTH);
     let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
-    let fit = fit_of(home, p, radius * radius, found, bandwidth);
-    return project_on_polynomial(p, found.plane, fit, solve(fit.moments, found.n), radius, found.n);
+    let fit = fit_of(window, p, radius * radius, surface, bandwidth);
+    return project_on_polynomial(p, surface.plane, fit, solve(fit.moments, surface.n), radius, surface.n);
 }

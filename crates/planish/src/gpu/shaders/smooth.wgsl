@@ -1,26 +1,26 @@
 // From the plane that each point lies on to its result: sections 5 to 7.
 
 // Of a point with 3 neighbours or more.
-fn result_of(frame: u32, pixel: vec2<u32>, home: Home, p: vec3<f32>, radius: f32, found: Found) -> Result {
-    let n = u32(found.n);
-    if found.plane.is_degenerate {
+fn result_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
+    let n = u32(surface.n);
+    if surface.plane.is_degenerate {
         var result = no_result(STATUS_DEGENERATE, n);
-        result.point = bitcast<vec3<u32>>(p);
+        result.point = bitcast<vec3<u32>>(point_in_cloud(frame, pixel, p, p));
         if WANTS_DEPTH {
             // Without a normal the depth is the point's own.
-            result.codes |= raw_depth_of(frame, pixel, Projected(p, vec3<f32>(0.0), STATUS_DEGENERATE)) << 16u;
+            result.codes |= raw_depth_of(frame, pixel, p, Projected(p, vec3<f32>(0.0), STATUS_DEGENERATE)) << 16u;
         }
         return result;
     }
-    let projected = surface_of(frame, home, p, radius, found);
+    let projected = surface_of(frame, window, p, radius, surface);
     var codes = projected.status | (n << 8u);
     if WANTS_DEPTH {
-        codes |= raw_depth_of(frame, pixel, projected) << 16u;
+        codes |= raw_depth_of(frame, pixel, p, projected) << 16u;
     }
-    return Result(
-        bitcast<vec3<u32>>(projected.point),
-        bitcast<vec3<u32>>(projected.normal),
-        bitcast<u32>(found.plane.curvature),
+    return PixelResult(
+        bitcast<vec3<u32>>(point_in_cloud(frame, pixel, p, projected.point)),
+        bitcast<vec3<u32>>(direction_in_cloud(frame, projected.normal)),
+        bitcast<u32>(surface.plane.curvature),
         codes,
     );
 }
@@ -35,11 +35,11 @@ fn smooth_frames(
     let origin = origin_of(group);
     let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
     load_candidates(frame, origin, thread);
-    let home = home_of(frame, pixel, local.xy);
-    let p = candidate(home, WINDOW, WINDOW);
+    let window = window_origin_of(frame, pixel, local.xy);
+    let p = candidate(window, WINDOW, WINDOW);
     var result = no_result(STATUS_HOLE, 0u);
     if p.x != NO_POINT {
-        result = smooth_point(frame, pixel, home, p);
+        result = smooth_point(frame, pixel, window, p);
     }
     store(frame, origin, pixel, thread, result);
 }

@@ -1,5 +1,5 @@
 // Degree 1: the plane is the surface (docs/method.md, section 5).
 
-fn surface_of(frame: u32, home: Home, p: vec3<f32>, radius: f32, found: Found) -> Projected {
-    return project_on_plane(p, found.plane);
+fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> Projected {
+    return project_on_plane(p, surface.plane);
 }

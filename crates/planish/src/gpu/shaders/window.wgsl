@@ -4,9 +4,6 @@
 
 const SIDE: u32 = 2u * WINDOW + 1u;
 
-// A radius beyond this makes no difference to any scene, and its square is far from the end of f32.
-const MAX_RADIUS_M: f32 = 1e6;
-
 // One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: a tile's first pixel. STRIDE workgroups
 // share a block of rows, each with its rows STRIDE apart.
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
@@ -23,11 +20,25 @@ struct Sums {
     rest: vec3<f32>,
 }
 
-fn radius_at(frame: u32, z: f32) -> f32 {
-    // Beyond the clamp the radius is at its limit or fixed; the square stays finite.
-    let range = min(abs(z), 1e18);
-    let grown = max(range * header(frame, RADIUS_LINEAR), range * range * header(frame, RADIUS_QUADRATIC));
-    return min(header(frame, RADIUS_CONSTANT) + grown, MAX_RADIUS_M);
+// The range of a point. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
+fn range_of(frame: u32, p: vec3<f32>) -> f32 {
+    if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
+        // Scaled, since the squares of p may be too large.
+        let largest = max(max(abs(p.x), abs(p.y)), max(abs(p.z), MIN_POSITIVE));
+        let scaled = p / largest;
+        return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
+    }
+    return min(abs(p.z), MAX_RANGE_M);
+}
+
+// Coefficients of 1, z and z² in the header, from a field on.
+fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
+    return fma(fma(range, header(frame, field + 2u), header(frame, field + 1u)), range, header(frame, field));
+}
+
+fn radius_at(frame: u32, range: f32) -> f32 {
+    let radius = max(range * header(frame, RADIUS_LINEAR), polynomial_in_range(frame, RADIUS, range));
+    return min(radius, MAX_RADIUS_M);
 }
 
 fn square(e: vec3<f32>) -> f32 {
@@ -35,11 +46,11 @@ fn square(e: vec3<f32>) -> f32 {
 }
 
 // First pass. Masks instead of a branch: with so little to skip, branching costs more.
-fn sums_of(home: Home, p: vec3<f32>, radius_squared: f32) -> Sums {
+fn sums_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32) -> Sums {
     var sums: Sums;
     for (var row = 0u; row < SIDE; row++) {
         for (var column = 0u; column < SIDE; column++) {
-            let offset = candidate(home, column, row) - p;
+            let offset = candidate(window, column, row) - p;
             let is_neighbour = square(offset) <= radius_squared;
             let e = select(vec3<f32>(0.0), offset, is_neighbour);
             sums.n += select(0.0, 1.0, is_neighbour);

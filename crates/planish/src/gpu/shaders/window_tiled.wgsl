@@ -13,7 +13,7 @@ var<workgroup> tile_y: array<f32, TILE_AREA>;
 var<workgroup> tile_z: array<f32, TILE_AREA>;
 
 // Where a pixel's candidates are: the index of the first.
-alias Home = u32;
+alias WindowOrigin = u32;
 
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
     let first = vec2<i32>(origin) - i32(REACH);
@@ -26,11 +26,11 @@ fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
     workgroupBarrier();
 }
 
-fn home_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> Home {
+fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
     return local.y * PITCH + local.x;
 }
 
-fn candidate(home: Home, column: u32, row: u32) -> vec3<f32> {
-    let at = home + row * PITCH + column * STRIDE;
+fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
+    let at = window + row * PITCH + column * STRIDE;
     return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
 }

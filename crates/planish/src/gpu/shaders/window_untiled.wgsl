@@ -1,7 +1,7 @@
 // The candidates straight from the frame, for windows whose tile outgrows workgroup memory (docs/method.md, section 2).
 
 // Where a pixel's candidates are: the frame, and the first candidate's column and row.
-struct Home {
+struct WindowOrigin {
     frame: u32,
     x: i32,
     y: i32,
@@ -10,11 +10,11 @@ struct Home {
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
 }
 
-fn home_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> Home {
+fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
     let first = vec2<i32>(pixel) - i32(WINDOW * STRIDE);
-    return Home(frame, first.x, first.y);
+    return WindowOrigin(frame, first.x, first.y);
 }
 
-fn candidate(home: Home, column: u32, row: u32) -> vec3<f32> {
-    return point_at(home.frame, home.x + i32(column * STRIDE), home.y + i32(row * STRIDE));
+fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
+    return point_at(window.frame, window.x + i32(column * STRIDE), window.y + i32(row * STRIDE));
 }

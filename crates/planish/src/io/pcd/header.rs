@@ -3,8 +3,10 @@
 use std::fmt::Write;
 
 use super::Encoding;
-use crate::cloud::{Attribute, AttributeValues, IDENTITY_VIEWPOINT, MAX_PIXELS};
+use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
+use crate::pose::SensorPose;
+use crate::xyz::MAX_PIXELS;
 
 /// What a header may have in bytes; real ones have a few hundred.
 const MAX_HEADER_BYTES: usize = 64 * 1024;
@@ -284,7 +286,7 @@ impl<'a> Entries<'a> {
         {
             return malformed(format!("POINTS is {stated}, but WIDTH x HEIGHT is {width} x {height} = {points}"));
         }
-        let viewpoint = self.viewpoint.unwrap_or(IDENTITY_VIEWPOINT);
+        let viewpoint = self.viewpoint.unwrap_or(SensorPose::IDENTITY.viewpoint());
         Ok(Header { fields, width, height, viewpoint, encoding: self.encoding })
     }
 }

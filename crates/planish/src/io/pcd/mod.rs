@@ -13,6 +13,7 @@ use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
 use crate::io::columns::{cloud_from_columns, columns_from_cloud};
 use crate::io::{CloudRef, Gridded, text};
+use crate::pose::SensorPose;
 use header::{Field, Header};
 
 /// How the points of a PCD or PLY file are stored.
@@ -50,7 +51,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Gridded, FormatError> {
         Encoding::BinaryCompressed => binary::decode_compressed(&header, body)?,
     };
     let mut points = cloud_from_columns(columns)?;
-    points.viewpoint = header.viewpoint;
+    points.pose = SensorPose::from_viewpoint(header.viewpoint);
     Ok(Gridded { width: header.width, height: header.height, points })
 }
 
@@ -62,7 +63,7 @@ pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
     }
     let (width, height) = cloud.grid();
     let fields = columns.iter().map(Field::of).collect::<Result<Vec<_>, _>>()?;
-    let header = Header { fields, width, height, viewpoint: cloud.points().viewpoint, encoding };
+    let header = Header { fields, width, height, viewpoint: cloud.points().pose.viewpoint(), encoding };
     let mut bytes = header.text().into_bytes();
     match encoding {
         Encoding::Ascii => text::write(&columns, header.points(), &mut bytes),

@@ -1,0 +1,341 @@
+//! What the experiments share: frames, results held against the reference, and timing.
+
+use std::cell::RefCell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use planish::agreement::{Agreement, radii_m};
+use planish::{
+    Engine, EngineError, Error, FrameTimings, IntoFrame, OrganizedCloud, SmoothParams, Smoothed, Smoother,
+    SmootherOptions, Xyz,
+};
+
+use super::engines::{self, Clock, Load, Subject, Way};
+use super::frames::Input;
+use super::timing::Timing;
+use crate::Options;
+
+/// What an engine is timed at.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Frames {
+    /// One frame; on a GPU its result is read where the device puts it.
+    One,
+    /// One frame, its result copied to the host's own memory on a GPU too.
+    OneCopiedOut,
+    /// So many copies of the frame, as points, one under the other in one.
+    Tall(usize),
+    /// So many times the frame at once; the results are copied out.
+    Batch(usize),
+}
+
+/// How long a measurement goes on.
+#[derive(Clone, Copy)]
+pub enum Patience {
+    /// For a figure that stands by itself: 100 frames and 3 s, but no more than 20 s unless three take longer.
+    Long,
+    /// For one of many: 20 frames and 1 s, but no more than 3 s.
+    Short,
+}
+
+/// A measurement with what was in memory meanwhile.
+pub struct Timed {
+    pub time: Timing,
+    /// The engine's stages in each of the measurements, where it tells them.
+    pub stages: Vec<FrameTimings>,
+    pub buffer_bytes: u64,
+    /// Of the process, where the system tells it.
+    pub process_mib: Option<f64>,
+}
+
+/// What the experiments run with.
+pub struct Bench<'a> {
+    pub options: &'a Options,
+    pub inputs: Vec<Input>,
+    /// Set by Ctrl-C: what is measured until then is kept.
+    pub stop: &'a AtomicBool,
+    /// The reference's last result, with the frame and the setting that it is of.
+    reference: RefCell<Option<(usize, SmoothParams, Smoothed)>>,
+    /// What could not be measured, and why.
+    skipped: RefCell<Vec<String>>,
+}
+
+/// A measurement that Ctrl-C cut short.
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted")]
+struct Interrupted;
+
+impl<'a> Bench<'a> {
+    pub fn new(options: &'a Options, inputs: Vec<Input>, stop: &'a AtomicBool) -> Self {
+        let (reference, skipped) = (RefCell::default(), RefCell::default());
+        Self { options, inputs, stop, reference, skipped }
+    }
+
+    pub fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// A bar over so many steps; nothing where standard error is no terminal.
+    pub fn bar(&self, name: &'static str, steps: usize) -> Result<ProgressBar> {
+        let style = ProgressStyle::with_template("{msg} {bar:30} {pos} of {len}, {eta} left")?;
+        Ok(ProgressBar::new(steps as u64).with_style(style).with_message(name))
+    }
+
+    /// The engines to measure. CPU engines at every SIMD level and with one and all threads if `all_levels`.
+    pub fn subjects(&self, all_levels: bool) -> Result<Vec<Subject>> {
+        engines::subjects(&self.options.engines, all_levels)
+    }
+
+    /// The same without the reference, which takes seconds where the others take milliseconds.
+    pub fn fast_subjects(&self) -> Result<Vec<Subject>> {
+        let mut subjects = self.subjects(false)?;
+        subjects.retain(|subject| subject.options.engine != Engine::Reference);
+        Ok(subjects)
+    }
+
+    /// What was measured; nothing where the measurement was cut short, or where the engine has no room for such frames or does
+    /// not open, which is said at the end. Anything else that fails is an error, a wrong result before all.
+    pub fn attempt<T>(&self, what: &str, measured: Result<T>) -> Result<Option<T>> {
+        let error = match measured {
+            Ok(measured) => return Ok(Some(measured)),
+            Err(error) => error,
+        };
+        if error.is::<Interrupted>() {
+            return Ok(None);
+        }
+        match error.downcast_ref::<Error>() {
+            Some(Error::Engine(
+                EngineError::Limit { .. } | EngineError::OutOfMemory { .. } | EngineError::Unavailable { .. },
+            )) => {
+                self.skipped.borrow_mut().push(format!("{what}: {error}"));
+                Ok(None)
+            }
+            _ => Err(error),
+        }
+    }
+
+    /// What could not be measured since this was asked the last time.
+    pub fn take_skipped(&self) -> Vec<String> {
+        self.skipped.take()
+    }
+
+    /// Many values of what `one` measures, in milliseconds, once it is warm.
+    pub fn measure(&self, patience: Patience, mut one: impl FnMut() -> Result<f64>) -> Result<Timing> {
+        // A GPU that was idle takes a third of a second to come to its full clock.
+        let (fewest, runs, least_ms, most_ms, warm_up_ms) = match patience {
+            _ if self.options.quick => (1, 20, 0, 400, 100),
+            Patience::Long => (3, 100, 3_000, 20_000, 300),
+            Patience::Short => (1, 20, 1_000, 3_000, 300),
+        };
+        let [least, most, warm_up] = [least_ms, most_ms, warm_up_ms].map(Duration::from_millis);
+        let (mut values, mut start) = (Vec::new(), Instant::now());
+        values.push(one()?);
+        // What takes long is as warm as it gets.
+        if start.elapsed() < warm_up {
+            while start.elapsed() < warm_up && !self.stopped() {
+                one()?;
+            }
+            values.clear();
+            start = Instant::now();
+        }
+        loop {
+            if self.stopped() {
+                return Err(Interrupted.into());
+            }
+            let (elapsed, count) = (start.elapsed(), values.len());
+            if (elapsed >= most && count >= fewest) || (elapsed >= least && count >= runs) {
+                return Ok(Timing::of(values));
+            }
+            values.push(one()?);
+        }
+    }
+
+    /// Times one frame after another going a way through an engine, `block` of them in each measurement.
+    pub fn time_way(
+        &self,
+        subject: &Subject,
+        params: SmoothParams,
+        input: &Input,
+        way: Way,
+        block: usize,
+    ) -> Result<Timing> {
+        let mut load = Load::open(subject, params, way, vec![input.frame()?])?;
+        load.show(|points| self.hold(subject, params, input, points, 1))?;
+        self.measure(Patience::Long, || {
+            let start = Instant::now();
+            for _ in 0..block {
+                load.once()?;
+            }
+            Ok(ms(start.elapsed()) / block as f64)
+        })
+    }
+
+    /// Times an engine at some frames by a clock, and keeps its stages if the subject has time stamps.
+    pub fn time_frames(
+        &self,
+        subject: &Subject,
+        clock: Clock,
+        params: SmoothParams,
+        input: &Input,
+        frames: Frames,
+    ) -> Result<Timed> {
+        let tall;
+        let (copies, way, frames) = match frames {
+            // The engines of the CPU write where they are told to: in place is what they do.
+            Frames::One if !subject.is_gpu() => (1, Way::CopiedOut, vec![input.frame()?]),
+            Frames::One => (1, Way::InPlace, vec![input.frame()?]),
+            Frames::OneCopiedOut => (1, Way::CopiedOut, vec![input.frame()?]),
+            Frames::Tall(copies) => {
+                tall = one_under_the_other(&input.cloud, copies)?;
+                (
+                    copies,
+                    if subject.is_gpu() { Way::InPlace } else { Way::CopiedOut },
+                    vec![(&tall).into_frame().map_err(Error::from)?],
+                )
+            }
+            Frames::Batch(frames) => (1, Way::Batch, vec![input.frame()?; frames]),
+        };
+        let stamped = if clock == Clock::Device { subject.with_time_stamps() } else { subject.clone() };
+        let mut load = Load::open(&stamped, params, way, frames)?;
+        load.show(|points| self.hold(subject, params, input, points, copies))?;
+        let mut stages = Vec::new();
+        let time = self.measure(Patience::Short, || {
+            let start = Instant::now();
+            let told = load.once()?;
+            let waited = ms(start.elapsed());
+            stages.extend(told);
+            match (clock, told) {
+                (Clock::Host, _) => Ok(waited),
+                (Clock::Device, Some(told)) => Ok(ms(told.kernel)),
+                (Clock::Device, None) => bail!("{}: no time stamps came back", subject.name),
+            }
+        })?;
+        // Those of the warming up came first.
+        let stages = stages.split_off(stages.len().saturating_sub(time.runs));
+        Ok(Timed { time, stages, buffer_bytes: load.buffer_bytes(), process_mib: resident_mib() })
+    }
+
+    /// What an engine makes of a frame.
+    pub fn smooth(&self, subject: &Subject, params: SmoothParams, input: &Input, points: &mut Xyz) -> Result<()> {
+        Load::open(subject, params, Way::CopiedOut, vec![input.frame()?])?.show(|found| {
+            self.hold(subject, params, input, found, 1)?;
+            let [x, y, z] = found.map(<[f32]>::to_vec);
+            *points = Xyz { x, y, z };
+            Ok(())
+        })
+    }
+
+    /// Holds points against the reference's; wrong ones are an error. They are of the input's frame, or of `copies` of it one under
+    /// the other, whose rows near a seam see the next copy and are left out.
+    fn hold(
+        &self,
+        subject: &Subject,
+        params: SmoothParams,
+        input: &Input,
+        points: [&[f32]; 3],
+        copies: usize,
+    ) -> Result<()> {
+        let (width, height) = input.shape();
+        let mut known = self.reference.borrow_mut();
+        let expected = match known.take() {
+            Some((of, with, expected)) if of == input.index && with == params => expected,
+            _ => {
+                let options = SmootherOptions::default().with_engine(Engine::Reference);
+                let mut expected = Smoothed::default();
+                Smoother::open_with(params, &options, input.shape())?.smooth(input.frame()?, &mut expected)?;
+                expected
+            }
+        };
+        let mut agreement = Agreement::default();
+        let reach = params.reach_px();
+        let radii_m = radii_m(&input.cloud, params);
+        for copy in 0..copies {
+            let of_copy = points.map(|plane| plane.get(copy * width * height..).unwrap_or_default());
+            let first = if copy == 0 { 0 } else { reach.min(height) };
+            let end = if copy + 1 == copies { height } else { height.saturating_sub(reach).max(first) };
+            agreement.add_points(of_copy, &expected, first * width..end * width, |i| radii_m[i]);
+        }
+        *known = Some((input.index, params, expected));
+        let misses = agreement.misses();
+        if !misses.is_empty() {
+            bail!("a wrong result is not timed: {}, {}: {}", subject.name, input.describe(), misses.join("; "));
+        }
+        Ok(())
+    }
+}
+
+/// A cloud `copies` times in one.
+fn one_under_the_other(cloud: &OrganizedCloud, copies: usize) -> Result<OrganizedCloud> {
+    let Xyz { x, y, z } = cloud.positions();
+    let positions = Xyz { x: x.repeat(copies), y: y.repeat(copies), z: z.repeat(copies) };
+    let tall = OrganizedCloud::from_positions(cloud.width(), copies * cloud.height(), positions);
+    Ok(tall.map_err(Error::from)?)
+}
+
+/// What the process has in memory, by the system's word; `None` where it has none.
+fn resident_mib() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
+    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1024.0)
+}
+
+pub fn ms(time: Duration) -> f64 {
+    1e3 * time.as_secs_f64()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulated_inputs;
+
+    fn quick() -> Options {
+        Options { quick: true, ..Options::default() }
+    }
+
+    #[test]
+    fn a_wrong_result_is_an_error_and_is_not_timed() {
+        let (options, stop) = (quick(), AtomicBool::new(false));
+        let bench = Bench::new(&options, simulated_inputs().unwrap(), &stop);
+        let (input, params) = (&bench.inputs[1], SmoothParams::paper().with_window(1));
+        let subject = engines::subjects(&[Engine::Cpu], false).unwrap().remove(0);
+        let mut right = Smoothed::default();
+        Smoother::open_with(params, &subject.options, input.shape())
+            .unwrap()
+            .smooth(input.frame().unwrap(), &mut right)
+            .unwrap();
+        let hold = |points: &Xyz, params, copies| {
+            bench.hold(&subject, params, input, [&points.x, &points.y, &points.z], copies)
+        };
+        hold(&right.points, params, 1).unwrap();
+        let mut wrong = right.points.clone();
+        wrong.y.iter_mut().for_each(|y| *y += 1e-4);
+        let error = hold(&wrong, params, 1).unwrap_err().to_string();
+        assert!(error.contains("a wrong result is not timed: cpu") && error.contains("simulated table"), "{error}");
+        // Another setting is held against a reference of its own.
+        assert!(hold(&right.points, params.with_window(2), 1).is_err());
+        // Two copies, the second of them wrong away from the seam.
+        let twice = |second: &Xyz| -> Xyz { right.points.iter().chain(second.iter()).collect() };
+        hold(&twice(&right.points), params, 2).unwrap();
+        assert!(hold(&twice(&wrong), params, 2).is_err());
+        assert!(hold(&right.points, params, 2).is_err(), "the second copy is missing");
+    }
+
+    #[test]
+    fn what_does_not_fit_is_left_out_and_said_and_ctrl_c_ends_quietly() {
+        let (options, stop) = (quick(), AtomicBool::new(false));
+        let bench = Bench::new(&options, simulated_inputs().unwrap(), &stop);
+        let limit = EngineError::Limit { device: "small".into(), what: "bytes in a buffer", allowed: 1, needed: 2 };
+        let result = bench.attempt("32 copies", Err::<(), _>(Error::from(limit).into())).unwrap();
+        assert!(result.is_none());
+        let skipped = bench.take_skipped();
+        assert!(
+            skipped.len() == 1 && skipped[0].starts_with("32 copies: ") && skipped[0].contains("small"),
+            "{skipped:?}"
+        );
+        assert!(bench.attempt("wrong", Err::<(), _>(anyhow::anyhow!("a wrong result"))).is_err());
+        stop.store(true, Ordering::Relaxed);
+        let measured = bench.measure(Patience::Short, || Ok(1.0));
+        assert!(bench.attempt("cut short", measured).unwrap().is_none() && bench.take_skipped().is_empty());
+    }
+}

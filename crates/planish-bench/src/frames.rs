@@ -1,0 +1,68 @@
+//! The frames that the experiments run on: depth as a camera gives it, or an organized cloud.
+
+use anyhow::Result;
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{Camera, DepthFrame, Error, Frame, IntoFrame, OrganizedCloud};
+
+/// A frame under a name.
+pub struct Input {
+    /// Its place among the others: two may have one name.
+    pub(crate) index: usize,
+    name: String,
+    /// Where the frame is depth.
+    depth: Option<DepthFrame>,
+    /// The frame, or what its depth is as points.
+    pub(crate) cloud: OrganizedCloud,
+}
+
+impl Input {
+    /// A depth frame under a name; `index` is its place among the others.
+    ///
+    /// # Errors
+    /// If the frame is malformed.
+    pub fn of_depth(index: usize, name: String, depth: DepthFrame) -> Result<Self> {
+        let cloud = depth.deproject().map_err(Error::from)?;
+        Ok(Self { index, name, depth: Some(depth), cloud })
+    }
+
+    /// An organized cloud under a name.
+    pub fn of_cloud(index: usize, name: String, cloud: OrganizedCloud) -> Self {
+        Self { index, name, depth: None, cloud }
+    }
+
+    /// What the engines are given.
+    pub(crate) fn frame(&self) -> Result<Frame<'_>> {
+        let frame = self.depth.as_ref().map_or_else(|| (&self.cloud).into_frame(), |depth| depth.into_frame());
+        Ok(frame.map_err(Error::from)?)
+    }
+
+    pub(crate) fn shape(&self) -> (usize, usize) {
+        (self.cloud.width(), self.cloud.height())
+    }
+
+    /// Its name, shape and kind.
+    pub(crate) fn describe(&self) -> String {
+        let (width, height) = self.shape();
+        let kind = if self.depth.is_some() { "16-bit depth" } else { "points" };
+        format!("{}, {width}x{height} as {kind}", self.name)
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+}
+
+/// The frames of the experiments if the user gives none: a simulated room and a simulated table.
+///
+/// # Errors
+/// If the simulator fails.
+pub fn simulated_inputs() -> Result<Vec<Input>> {
+    let camera = Camera::kinect_v1();
+    let of_scene = |(index, (name, (scene, pose))): (usize, (&str, (Scene, _)))| {
+        let truth = scene.render(&camera, &pose);
+        let depth = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).map_err(Error::from)?;
+        Input::of_depth(index, name.to_owned(), depth)
+    };
+    let scenes = [("simulated room", Scene::room(1)), ("simulated table", Scene::tabletop(1))];
+    scenes.into_iter().enumerate().map(of_scene).collect()
+}

@@ -1,0 +1,402 @@
+//! `planish bench gpu`: kernels by time stamps of the device, frames by the host's clock.
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use planish::agreement::{Agreement, radii_m};
+use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::{
+    Camera, DepthFrame, Edges, Engine, Error, IntoFrame, OrganizedCloud, Outputs, Radius, SmoothParams, Smoothed,
+    SmoothedView, Smoother, SmootherOptions, Transfer,
+};
+use serde::Serialize;
+
+use super::timing::Spread;
+
+const KINECT_SHAPE: (usize, usize) = (640, 480);
+/// How long frames run before the first that is timed: a GPU that was idle takes as long to come to its full clock.
+const WARM_UP: Duration = Duration::from_millis(300);
+
+#[derive(Serialize)]
+struct Report {
+    adapter: String,
+    input: String,
+    frames: u32,
+    kernels: Vec<KernelRow>,
+    one_at_a_time: Vec<LatencyRow>,
+    in_flight: Vec<ThroughputRow>,
+    batches: Vec<BatchRow>,
+    /// From a device that is open to a smoother: kernel compiled, memory had.
+    open_ms: f64,
+    first_frame_ms: f64,
+}
+
+#[derive(Serialize)]
+struct KernelRow {
+    window: u32,
+    stride: u32,
+    degree: u32,
+    keeps_edges: bool,
+    kernel_us: Spread,
+    /// The same with the shader's checks of bounds on.
+    checked_kernel_us: Spread,
+}
+
+#[derive(Serialize)]
+struct LatencyRow {
+    setting: &'static str,
+    what: &'static str,
+    transfer: String,
+    microseconds: Spread,
+}
+
+#[derive(Serialize)]
+struct ThroughputRow {
+    setting: &'static str,
+    what: &'static str,
+    transfer: String,
+    slots: usize,
+    frames_per_second: f64,
+}
+
+#[derive(Serialize)]
+struct BatchRow {
+    frames: usize,
+    kernel_us: f64,
+    kernel_us_a_frame: f64,
+}
+
+/// How a result is taken.
+#[derive(Clone, Copy, PartialEq)]
+enum Take {
+    PointsInPlace,
+    PointsCopied,
+    DepthInPlace,
+}
+
+impl Take {
+    const ALL: [Self; 3] = [Self::PointsInPlace, Self::PointsCopied, Self::DepthInPlace];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::PointsInPlace => "depth to points, read in place",
+            Self::PointsCopied => "depth to points, copied out",
+            Self::DepthInPlace => "depth to depth, read in place",
+        }
+    }
+
+    fn outputs(self) -> Outputs {
+        if self == Self::DepthInPlace { Outputs::DEPTH } else { Outputs::POINTS }
+    }
+
+    /// Looks at a result, so that it is there.
+    fn touch(view: &SmoothedView) {
+        black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
+        black_box(view.depth_rows().map(|rows| rows[rows.len() / 2][0]));
+    }
+}
+
+/// The settings that whole frames are timed with, each both ways over the bus.
+fn timed_settings() -> impl Iterator<Item = ((&'static str, SmoothParams), Transfer)> {
+    let settings = [("paper", SmoothParams::paper()), ("default", SmoothParams::default())];
+    settings.into_iter().flat_map(|setting| [Transfer::Staged, Transfer::Direct].map(|transfer| (setting, transfer)))
+}
+
+/// What to measure of the GPU engine.
+#[derive(Debug, Clone)]
+pub struct GpuOptions {
+    /// A frame of a camera at 640x480 with a focal length of 525, under a name; else a simulated one.
+    pub input: Option<(String, OrganizedCloud)>,
+    /// Which GPU, by its index or part of its name; else the first real one.
+    pub adapter: Option<String>,
+    /// Frames for each figure.
+    pub runs: u32,
+    /// Print one JSON object.
+    pub json: bool,
+}
+
+struct Bench<'a> {
+    args: &'a GpuOptions,
+    depth: DepthFrame,
+    cloud: OrganizedCloud,
+}
+
+/// Measures the GPU engine and prints the figures.
+///
+/// # Errors
+/// If there is no such GPU, or a result is wrong.
+pub fn run(args: &GpuOptions) -> Result<()> {
+    let (input, depth) = frame(args)?;
+    let cloud = depth.deproject().map_err(Error::from)?;
+    let bench = Bench { args, depth, cloud };
+    let paper = SmoothParams::paper();
+    let start = Instant::now();
+    let mut smoother = bench.open(paper, |_| ())?;
+    let open_ms = 1e3 * start.elapsed().as_secs_f64();
+    let start = Instant::now();
+    smoother.smooth(&bench.depth, &mut Smoothed::default())?;
+    let first_frame_ms = 1e3 * start.elapsed().as_secs_f64();
+
+    let report = Report {
+        adapter: smoother.gpu_name().unwrap_or_default().to_owned(),
+        input,
+        frames: args.runs,
+        kernels: bench.kernels()?,
+        one_at_a_time: bench.one_at_a_time()?,
+        in_flight: bench.in_flight()?,
+        batches: bench.batches()?,
+        open_ms,
+        first_frame_ms,
+    };
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        print_text(&report);
+    }
+    Ok(())
+}
+
+/// The frame of a file, or a simulated one, as a Kinect's depth.
+fn frame(args: &GpuOptions) -> Result<(String, DepthFrame)> {
+    let camera = Camera::kinect_v1();
+    let Some((name, cloud)) = &args.input else {
+        let (scene, pose) = Scene::room(1);
+        let truth = scene.render(&camera, &pose);
+        let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).map_err(Error::from)?;
+        return Ok(("a simulated room".to_owned(), frame));
+    };
+    let (width, height) = (cloud.width(), cloud.height());
+    if (width, height) != KINECT_SHAPE {
+        bail!("{name}: {width}x{height}; the benchmark takes frames of 640x480");
+    }
+    let raw = cloud.positions().z.iter().map(|&z| camera.raw_depth(z)).collect();
+    Ok((name.clone(), DepthFrame::new(camera, raw).map_err(Error::from)?))
+}
+
+impl Bench<'_> {
+    fn open(&self, params: SmoothParams, change: impl FnOnce(&mut SmootherOptions)) -> Result<Smoother> {
+        let gpu = planish::GpuOptions::default().with_adapter(self.args.adapter.clone()).with_bounds_checks(false);
+        let mut options = SmootherOptions::default().with_engine(Engine::Gpu).with_gpu(gpu);
+        change(&mut options);
+        Ok(Smoother::open_with(params, &options, KINECT_SHAPE)?)
+    }
+
+    /// Holds a setting's result against the reference's.
+    fn check(&self, params: SmoothParams, reference: &Smoothed, bounds_checks: bool) -> Result<()> {
+        let frames =
+            [(&self.depth).into_frame().map_err(Error::from)?, (&self.cloud).into_frame().map_err(Error::from)?];
+        for transfer in [Transfer::Staged, Transfer::Direct] {
+            let mut smoother = self.open(params, |options| {
+                options.outputs = Outputs::ALL.with_depth(true);
+                options.gpu.bounds_checks = bounds_checks;
+                options.gpu.transfer = transfer;
+            })?;
+            // Alone, and in a batch.
+            let mut results = vec![Smoothed::default(); 4];
+            for (frame, result) in frames.into_iter().zip(&mut results) {
+                smoother.smooth(frame, result)?;
+            }
+            smoother.smooth_batch(&frames, &mut results[2..])?;
+            let radii_m = radii_m(&self.cloud, params);
+            for result in &results {
+                let mut agreement = Agreement::default();
+                agreement.add(result, reference, |i| radii_m[i]);
+                let misses = agreement.misses();
+                if !misses.is_empty() {
+                    bail!("a wrong result is not timed: {params:?}: {}", misses.join("; "));
+                }
+                let (found, expected) = (result.depth.iter().flatten(), reference.depth.iter().flatten());
+                let far = found.zip(expected).filter(|(a, b)| a.abs_diff(**b) > 1).count();
+                // Where the reference has another status, its depth may be another too.
+                if far > self.depth.raw.len() / 10_000 {
+                    bail!("a wrong result is not timed: {params:?}: {far} depths are off by more than a unit");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Of what `one` measures, once it is warm.
+    fn spread(&self, mut one: impl FnMut() -> Result<f64>) -> Result<Spread> {
+        let start = Instant::now();
+        while start.elapsed() < WARM_UP {
+            one()?;
+        }
+        Ok(Spread::of((0..self.args.runs).map(|_| one()).collect::<Result<_>>()?))
+    }
+
+    fn kernels(&self) -> Result<Vec<KernelRow>> {
+        let fixed = Radius::Fixed { radius_m: 0.03 };
+        let off = |window, stride, degree, radius| {
+            SmoothParams::paper().with_window(window).with_stride(stride).with_radius(radius).with_degree(degree)
+        };
+        let settings = [
+            off(3, 1, 3, fixed),
+            off(3, 3, 2, Radius::Sensor),
+            off(5, 1, 3, fixed),
+            off(7, 1, 3, fixed),
+            off(1, 1, 2, fixed),
+            off(3, 1, 1, fixed),
+            SmoothParams::default().with_edges(Edges::Off),
+            SmoothParams::default(),
+        ];
+        let row = |params: SmoothParams| {
+            let mut reference = Smoothed::default();
+            let outputs = Outputs::ALL.with_depth(true);
+            let options = SmootherOptions::default().with_engine(Engine::Reference).with_outputs(outputs);
+            Smoother::open_with(params, &options, KINECT_SHAPE)?.smooth(&self.depth, &mut reference)?;
+            let time = |bounds_checks| {
+                self.check(params, &reference, bounds_checks)?;
+                let mut smoother = self.open(params, |options| {
+                    options.gpu.transfer = Transfer::Staged;
+                    options.gpu.timestamps = true;
+                    options.gpu.bounds_checks = bounds_checks;
+                })?;
+                let mut one = || -> Result<f64> {
+                    smoother.submit_in_place(&self.depth)?;
+                    let timings = smoother.receive()?.and_then(|view| view.timings());
+                    Ok(timings.map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
+                };
+                self.spread(&mut one)
+            };
+            let SmoothParams { window, stride, degree, edges, .. } = params;
+            let keeps_edges = edges != Edges::Off;
+            let (kernel_us, checked_kernel_us) = (time(false)?, time(true)?);
+            Ok(KernelRow { window, stride, degree, keeps_edges, kernel_us, checked_kernel_us })
+        };
+        settings.into_iter().map(row).collect()
+    }
+
+    /// From depth in the host's memory to the result in the host's memory, waiting for each frame.
+    fn one_at_a_time(&self) -> Result<Vec<LatencyRow>> {
+        let mut rows = Vec::new();
+        for ((setting, params), transfer) in timed_settings() {
+            for take in Take::ALL {
+                let mut smoother = self.open(params, |options| {
+                    options.outputs = take.outputs();
+                    options.gpu.transfer = transfer;
+                })?;
+                let mut smoothed = Smoothed::default();
+                let mut one = || -> Result<f64> {
+                    let start = Instant::now();
+                    if take == Take::PointsCopied {
+                        smoother.smooth(&self.depth, &mut smoothed)?;
+                    } else {
+                        smoother.submit_in_place(&self.depth)?;
+                        smoother.receive()?.iter().for_each(Take::touch);
+                    }
+                    Ok(1e6 * start.elapsed().as_secs_f64())
+                };
+                rows.push(LatencyRow {
+                    setting,
+                    what: take.name(),
+                    transfer: format!("{transfer:?}").to_lowercase(),
+                    microseconds: self.spread(&mut one)?,
+                });
+            }
+        }
+        Ok(rows)
+    }
+
+    /// Frames a second with as many in flight as there are slots.
+    fn in_flight(&self) -> Result<Vec<ThroughputRow>> {
+        let mut rows = Vec::new();
+        for ((setting, params), transfer) in timed_settings() {
+            for take in Take::ALL {
+                for slots in [2, 3, 4] {
+                    let mut smoother = self.open(params, |options| {
+                        options.outputs = take.outputs();
+                        options.gpu.transfer = transfer;
+                        options.gpu.slots = slots;
+                    })?;
+                    let mut spare = Vec::new();
+                    let mut one = |smoother: &mut Smoother| -> Result<()> {
+                        if smoother.in_flight() == slots
+                            && let Some(view) = smoother.receive()?
+                        {
+                            Take::touch(&view);
+                            if take == Take::PointsCopied {
+                                spare.push(view.into_smoothed());
+                            }
+                        }
+                        match take {
+                            Take::PointsCopied => smoother.submit(&self.depth, spare.pop().unwrap_or_default())?,
+                            _ => smoother.submit_in_place(&self.depth)?,
+                        }
+                        Ok(())
+                    };
+                    let start = Instant::now();
+                    while start.elapsed() < WARM_UP {
+                        one(&mut smoother)?;
+                    }
+                    let timed = 5 * self.args.runs;
+                    let start = Instant::now();
+                    (0..timed).try_for_each(|_| one(&mut smoother))?;
+                    let frames_per_second = f64::from(timed) / start.elapsed().as_secs_f64();
+                    while smoother.receive()?.is_some() {}
+                    rows.push(ThroughputRow {
+                        setting,
+                        what: take.name(),
+                        transfer: format!("{transfer:?}").to_lowercase(),
+                        slots,
+                        frames_per_second,
+                    });
+                }
+            }
+        }
+        Ok(rows)
+    }
+
+    fn batches(&self) -> Result<Vec<BatchRow>> {
+        let mut smoother = self.open(SmoothParams::paper(), |options| {
+            options.gpu.transfer = Transfer::Staged;
+            options.gpu.timestamps = true;
+        })?;
+        let row = |count: usize| {
+            let frames = vec![(&self.depth).into_frame().map_err(Error::from)?; count];
+            let mut out = vec![Smoothed::default(); count];
+            let mut one = || -> Result<f64> {
+                smoother.smooth_batch(&frames, &mut out)?;
+                Ok(smoother.timings().map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
+            };
+            let kernel_us = self.spread(&mut one)?.median;
+            Ok(BatchRow { frames: count, kernel_us, kernel_us_a_frame: kernel_us / count as f64 })
+        };
+        [1, 2, 6, 16, 64].into_iter().map(row).collect()
+    }
+}
+
+fn print_text(report: &Report) {
+    println!("{}, {}, 640x480, medians of {} frames", report.adapter, report.input, report.frames);
+    println!(
+        "every setting agrees with the reference; a smoother opens in {:.0} ms, its first frame takes {:.2} ms",
+        report.open_ms, report.first_frame_ms
+    );
+    println!(
+        "\n| window, stride, degree | edges | kernel, µs (p5 to p95) | with bounds checks, µs |\n|---|---|---|---|"
+    );
+    for row in &report.kernels {
+        let Spread { p5, median, p95, .. } = row.kernel_us;
+        println!(
+            "| {}, {}, {} | {} | {median:.1} ({p5:.1} to {p95:.1}) | {:.1} |",
+            row.window,
+            row.stride,
+            row.degree,
+            if row.keeps_edges { "robust" } else { "off" },
+            row.checked_kernel_us.median
+        );
+    }
+    println!("\n| one frame at a time | setting | transfer | p50, µs | p99, µs |\n|---|---|---|---|---|");
+    for LatencyRow { setting, what, transfer, microseconds } in &report.one_at_a_time {
+        println!("| {what} | {setting} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
+    }
+    println!("\n| frames in flight | setting | transfer | slots | frames a second |\n|---|---|---|---|---|");
+    for ThroughputRow { setting, what, transfer, slots, frames_per_second } in &report.in_flight {
+        println!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
+    }
+    println!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
+    for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {
+        println!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
+    }
+}

@@ -1,0 +1,120 @@
+//! The experiments behind `planish bench`: the engines measured on this machine, each result held against the reference before
+//! it is timed. The command converts arguments and calls this.
+
+mod connectivity;
+mod engines;
+mod experiment;
+mod frames;
+mod gpu;
+mod plot;
+mod profile;
+mod quality;
+mod record;
+mod scaleup;
+mod section;
+mod speedup;
+mod timing;
+
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Result, bail};
+use planish::Engine;
+
+use experiment::Bench;
+pub use frames::{Input, simulated_inputs};
+pub use gpu::{GpuOptions as GpuBenchOptions, run as run_gpu};
+use record::{Document, Origin};
+use section::Section;
+
+/// An experiment of the 2011 report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Experiment {
+    /// Times of a frame, and how many times faster than the serial method that is.
+    Speedup,
+    /// Time over the candidates of a window.
+    Connectivity,
+    /// The scene several times over, as a tall cloud and as a batch; threads.
+    Scaleup,
+    /// Where the time of a frame goes.
+    Profile,
+    /// A frame raw and smoothed, and its largest plane before and after.
+    Quality,
+}
+
+impl Experiment {
+    /// All of them, in the report's order.
+    pub const ALL: [Self; 5] = [Self::Speedup, Self::Connectivity, Self::Scaleup, Self::Profile, Self::Quality];
+
+    fn run(self, bench: &Bench<'_>) -> Result<Section> {
+        match self {
+            Self::Speedup => speedup::run(bench),
+            Self::Connectivity => connectivity::run(bench),
+            Self::Scaleup => scaleup::run(bench),
+            Self::Profile => profile::run(bench),
+            Self::Quality => quality::run(bench),
+        }
+    }
+}
+
+/// What to measure, and where the results go.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// Which engines; none, or `Auto` among them, are all that this machine has but GPUs in software.
+    pub engines: Vec<Engine>,
+    /// Fewer and shorter measurements: all five in about a minute on two cores.
+    pub quick: bool,
+    /// Folder for each experiment's JSON, Markdown and plots.
+    pub out: Option<PathBuf>,
+    /// A Markdown file whose block of results is written again.
+    pub update: Option<PathBuf>,
+    /// The program's version and compiler, for the record.
+    pub version: &'static str,
+    /// The compiler it was built with.
+    pub rustc: &'static str,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    /// All was measured.
+    Whole,
+    /// `stop` was set: what was measured until then is kept.
+    Interrupted,
+}
+
+/// Runs experiments on frames and prints their tables.
+///
+/// # Errors
+/// If a result is wrong, an engine that was asked for is not there, or a file cannot be written.
+pub fn run(experiments: &[Experiment], options: &Options, inputs: Vec<Input>, stop: &AtomicBool) -> Result<Ended> {
+    let out = options.out.as_deref();
+    if options.update.is_some() && experiments.len() < Experiment::ALL.len() {
+        bail!("--update writes a block with all experiments: use it with `planish bench all`");
+    }
+    let document = options.update.as_ref().zip(out).map(|(file, out)| Document::open(file, out)).transpose()?;
+    let bench = Bench::new(options, inputs, stop);
+    let origin = Origin::here(options);
+    println!("{}", origin.markdown());
+    let mut sections = Vec::new();
+    for experiment in experiments {
+        let mut section = experiment.run(&bench)?;
+        section.note_skipped(bench.take_skipped());
+        if bench.stopped() {
+            section.note("Ended by Ctrl-C: not all was measured.");
+        }
+        section.print();
+        if let Some(out) = out {
+            section.write(out, &origin)?;
+        }
+        sections.push(section);
+        if bench.stopped() {
+            eprintln!("ended by Ctrl-C; what was measured until then is above");
+            return Ok(Ended::Interrupted);
+        }
+    }
+    if let Some(document) = document {
+        document.update(&origin, &sections)?;
+    }
+    Ok(Ended::Whole)
+}

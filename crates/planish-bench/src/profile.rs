@@ -1,0 +1,136 @@
+//! The profile: where the time of one frame goes.
+
+use anyhow::{Result, bail};
+use planish::{FrameTimings, SmoothParams};
+use serde::Serialize;
+
+use super::engines::{Clock, Subject};
+use super::experiment::{Bench, Frames, Timed, ms};
+use super::frames::Input;
+use super::plot::{Scale, bars};
+use super::section::Section;
+use super::timing::{Spread, milliseconds};
+
+#[derive(Serialize)]
+struct Row {
+    engine: String,
+    stages: Vec<Stage>,
+    noisy: bool,
+}
+
+#[derive(Serialize)]
+struct Stage {
+    name: &'static str,
+    ms: f64,
+}
+
+/// Medians of a frame's stages.
+struct Stages {
+    upload: f64,
+    kernel: f64,
+    readback: f64,
+    /// All of them.
+    engine: f64,
+    /// By the host's clock.
+    whole: f64,
+    noisy: bool,
+}
+
+pub fn run(context: &Bench<'_>) -> Result<Section> {
+    let mut section = Section::new("profile", "Profile");
+    let Some(input) = context.inputs.first() else { return Ok(section) };
+    let subjects = context.fast_subjects()?;
+    let bar = context.bar("profile", subjects.len())?;
+    let mut rows = Vec::new();
+    for subject in subjects.iter().filter(|_| !context.stopped()) {
+        bar.inc(1);
+        if subject.is_gpu() && !subject.clocks()?.contains(&Clock::Device) {
+            section.note(format!("{} takes no time stamps.", subject.name));
+            continue;
+        }
+        let row = if subject.is_gpu() { of_gpu(context, subject, input) } else { of_cpu(context, subject, input) };
+        rows.extend(context.attempt(&subject.name, row)?);
+    }
+    bar.finish_and_clear();
+    section.note(format!(
+        "{}; window 3, degree 3, 3 cm. Neighbours and plane are what a frame of planes alone takes (degree 1), polynomial and solve \
+         the difference. A CPU's stages follow each other; its results are written where they are wanted. A GPU's copies are \
+         made stages of their own for this (its kernel otherwise reads and writes the host's memory itself); copying out is what a \
+         frame takes longer by it than one that is read where the device puts it. The report's own shares are not known here.",
+        input.describe()
+    ));
+    if subjects.is_empty() {
+        section.note("Not run with the reference alone.");
+    }
+    section.table(
+        &["engine", "stage", "ms", "share"],
+        rows.iter().flat_map(|row| {
+            let total: f64 = row.stages.iter().map(|stage| stage.ms).sum();
+            row.stages.iter().map(move |stage| {
+                let share = format!("{:.1} %", 100.0 * stage.ms / total);
+                let mark = if row.noisy { " ~" } else { "" };
+                vec![row.engine.clone(), stage.name.into(), milliseconds(stage.ms) + mark, share]
+            })
+        }),
+    );
+    section.note_noise(rows.iter().map(|row| row.noisy));
+    for (i, row) in rows.iter().enumerate() {
+        let title = format!("Where a frame's time goes, {}", row.engine);
+        let stages: Vec<_> = row.stages.iter().map(|stage| (stage.name.to_owned(), stage.ms)).collect();
+        section.svg(&format!("profile-{i}.svg"), &title, bars(&title, "ms", Scale::FromZero, &stages, &[])?);
+    }
+    section.json = serde_json::to_value(&rows)?;
+    Ok(section)
+}
+
+fn of_cpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> {
+    let planes = stages(context, subject, input, 1, Frames::One)?;
+    let all = stages(context, subject, input, 3, Frames::One)?;
+    Ok(Row {
+        engine: subject.name.clone(),
+        noisy: planes.noisy || all.noisy,
+        stages: vec![
+            Stage { name: "copy in, deproject", ms: all.upload },
+            Stage { name: "neighbours and plane", ms: planes.kernel },
+            Stage { name: "polynomial and solve", ms: all.kernel - planes.kernel },
+            Stage { name: "room for the result, going to the threads", ms: all.whole - all.engine },
+        ],
+    })
+}
+
+fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> {
+    let planes = stages(context, subject, input, 1, Frames::One)?;
+    let all = stages(context, subject, input, 3, Frames::One)?;
+    let copied_out = stages(context, subject, input, 3, Frames::OneCopiedOut)?;
+    Ok(Row {
+        engine: subject.name.clone(),
+        noisy: planes.noisy || all.noisy || copied_out.noisy,
+        stages: vec![
+            Stage { name: "copy to the device", ms: all.upload },
+            Stage { name: "deproject, neighbours and plane", ms: planes.kernel },
+            Stage { name: "polynomial and solve", ms: all.kernel - planes.kernel },
+            Stage { name: "copy to the host", ms: all.readback },
+            Stage { name: "host: write, submit, wait", ms: all.whole - all.engine },
+            Stage { name: "host: copy the result out", ms: copied_out.whole - all.whole },
+        ],
+    })
+}
+
+/// The stages of a frame smoothed by a degree.
+fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, frames: Frames) -> Result<Stages> {
+    let params = SmoothParams::paper().with_degree(degree);
+    let stamped = subject.with_time_stamps();
+    let Timed { time, stages, .. } = context.time_frames(&stamped, Clock::Host, params, input, frames)?;
+    if stages.is_empty() {
+        bail!("{}: no time stamps came back", subject.name);
+    }
+    let median = |of: &dyn Fn(&FrameTimings) -> f64| Spread::of(stages.iter().map(of).collect()).median;
+    Ok(Stages {
+        upload: median(&|times| ms(times.upload)),
+        kernel: median(&|times| ms(times.kernel)),
+        readback: median(&|times| ms(times.readback)),
+        engine: median(&|times| ms(times.upload + times.kernel + times.readback)),
+        whole: time.ms.median,
+        noisy: time.noisy,
+    })
+}

@@ -1,0 +1,80 @@
+//! The picture of the report: a frame raw and smoothed, and how flat its largest plane is before and after.
+
+use anyhow::Result;
+use planish::evaluate::largest_plane;
+use planish::render::{difference_normals, half_size, relief, side_by_side};
+use planish::{Engine, SmoothParams, Xyz};
+use serde::Serialize;
+
+use super::engines::subjects;
+use super::experiment::Bench;
+use super::section::{Drawing, Figure, Section};
+
+#[derive(Serialize)]
+struct Row {
+    frame: String,
+    setting: &'static str,
+    /// Points of the raw frame on its largest plane.
+    points: usize,
+    raw_variance_mm2: f64,
+    smoothed_variance_mm2: f64,
+}
+
+pub fn run(context: &Bench<'_>) -> Result<Section> {
+    let mut section = Section::new("quality", "Quality");
+    // The CPU engine, which is everywhere, unless others were asked for.
+    let asked = &context.options.engines;
+    let by_cpu = asked.is_empty() || asked.contains(&Engine::Cpu) || asked.contains(&Engine::Auto);
+    let subjects = if by_cpu { subjects(&[Engine::Cpu], false)? } else { context.subjects(false)? };
+    let subject = subjects.into_iter().next();
+    let Some(subject) = subject else { return Ok(section) };
+    let mut rows = Vec::new();
+    for (i, input) in context.inputs.iter().enumerate().filter(|_| !context.stopped()) {
+        let (width, height) = input.shape();
+        let Some(plane) = largest_plane(&input.cloud).filter(|_| height > 1) else {
+            section.note(format!("{}: no plane was found.", input.describe()));
+            continue;
+        };
+        let bumps = |points: &Xyz| relief(width, height, &difference_normals(width, height, points));
+        let mut pictures = vec![bumps(input.cloud.positions())];
+        for (setting, params) in
+            [("paper", SmoothParams::paper()), ("default", SmoothParams::default().at_resolution_of(input.frame()?))]
+        {
+            let mut points = Xyz::default();
+            let smoothed = context.smooth(&subject, params, input, &mut points);
+            if context.attempt(&subject.name, smoothed)?.is_none() {
+                continue;
+            }
+            rows.push(Row {
+                frame: input.name().to_owned(),
+                setting,
+                points: plane.pixels.len(),
+                raw_variance_mm2: 1e6 * plane.variance_m2(input.cloud.positions()),
+                smoothed_variance_mm2: 1e6 * plane.variance_m2(&points),
+            });
+            pictures.push(bumps(&points));
+        }
+        section.figures.push(Figure {
+            file: format!("quality-{i}.png"),
+            title: format!("Relief of {}: raw, paper, default", input.name()),
+            content: Drawing::Png(half_size(&side_by_side(&pictures))),
+        });
+    }
+    section.note(format!(
+        "By {}. Variance of the largest plane's points about it, before and after; the pictures, at half their size, are raw, paper, \
+         default.",
+        subject.name
+    ));
+    section.table(
+        &["frame", "setting", "points", "raw, mm²", "smoothed, mm²", "share"],
+        rows.iter().map(|row| {
+            let (raw, smoothed) = (row.raw_variance_mm2, row.smoothed_variance_mm2);
+            let share = format!("{:.0} %", 100.0 * smoothed / raw);
+            let (raw, smoothed) = (format!("{raw:.2}"), format!("{smoothed:.2}"));
+            vec![row.frame.clone(), row.setting.into(), row.points.to_string(), raw, smoothed, share]
+        }),
+    );
+    section.note("The report's plane kept about half of its variance.");
+    section.json = serde_json::to_value(&rows)?;
+    Ok(section)
+}

@@ -1,0 +1,107 @@
+//! What an experiment says: text with tables, JSON, plots and pictures.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use planish::Error;
+use planish::internal::write_rgb_png;
+use planish::io::{RgbImage, write_whole};
+use serde_json::{Value, json};
+
+use super::record::Origin;
+
+/// One experiment's results.
+pub struct Section {
+    /// Of its files.
+    pub name: &'static str,
+    text: String,
+    pub json: Value,
+    pub figures: Vec<Figure>,
+}
+
+pub struct Figure {
+    /// The name of its file.
+    pub file: String,
+    pub title: String,
+    pub content: Drawing,
+}
+
+pub enum Drawing {
+    Svg(String),
+    Png(RgbImage),
+}
+
+impl Section {
+    pub fn new(name: &'static str, title: &str) -> Self {
+        Self { name, text: format!("## {title}\n"), json: Value::Null, figures: Vec::new() }
+    }
+
+    /// Adds a table: its header, and a row for each of `rows`.
+    pub fn table(&mut self, header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
+        let line = |cells: &mut dyn Iterator<Item = String>| {
+            format!("| {} |\n", cells.map(|cell| cell.replace('|', "\\|")).collect::<Vec<_>>().join(" | "))
+        };
+        self.text += "\n";
+        self.text += &line(&mut header.iter().map(|cell| (*cell).to_owned()));
+        self.text += &line(&mut header.iter().map(|_| "---".to_owned()));
+        for row in rows {
+            self.text += &line(&mut row.into_iter());
+        }
+    }
+
+    /// Adds a sentence.
+    pub fn note(&mut self, text: impl AsRef<str>) {
+        self.text += "\n";
+        self.text += text.as_ref();
+        self.text += "\n";
+    }
+
+    /// Says so where measurements were noisy.
+    pub fn note_noise(&mut self, timings: impl IntoIterator<Item = bool>) {
+        let (all, noisy) = timings.into_iter().fold((0, 0), |(all, noisy), is| (all + 1, noisy + usize::from(is)));
+        if noisy > 0 {
+            self.note(format!(
+                "The machine was not quiet: {noisy} of {all} times varied by more than they should (marked ~)."
+            ));
+        }
+    }
+
+    pub fn svg(&mut self, file: &str, title: &str, svg: String) {
+        self.figures.push(Figure { file: file.to_owned(), title: title.to_owned(), content: Drawing::Svg(svg) });
+    }
+
+    /// Text and figures as Markdown, for a document that reaches the figures by `folder`, which ends in a slash or is empty.
+    pub fn markdown(&self, folder: &str) -> String {
+        let figures = self.figures.iter().map(|figure| format!("\n![{}]({folder}{})\n", figure.title, figure.file));
+        self.text.clone() + &figures.collect::<String>()
+    }
+
+    pub fn print(&self) {
+        println!("{}", self.text);
+    }
+
+    /// Says what could not be measured, and why.
+    pub fn note_skipped(&mut self, skipped: Vec<String>) {
+        skipped.into_iter().for_each(|what| self.note(format!("Not measured: {what}.")));
+    }
+
+    /// Writes it into a folder, the numbers with where they come from.
+    pub fn write(&self, folder: &Path, origin: &Origin) -> Result<()> {
+        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        let write = |name: &str, bytes: &[u8]| {
+            let file = folder.join(name);
+            write_whole(&file, bytes).with_context(|| file.display().to_string())
+        };
+        write(&format!("{}.md", self.name), self.markdown("").as_bytes())?;
+        let json = json!({ "origin": origin, "results": self.json });
+        write(&format!("{}.json", self.name), serde_json::to_string_pretty(&json)?.as_bytes())?;
+        for figure in &self.figures {
+            match &figure.content {
+                Drawing::Svg(svg) => write(&figure.file, svg.as_bytes())?,
+                Drawing::Png(image) => write_rgb_png(&folder.join(&figure.file), image).map_err(Error::from)?,
+            }
+        }
+        Ok(())
+    }
+}

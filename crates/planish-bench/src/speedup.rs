@@ -1,0 +1,129 @@
+//! Experiment 1: how long a frame takes, from the host's memory to the host's memory, and how many times faster that is than the
+//! general serial method.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use planish::{Engine, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions};
+use serde::Serialize;
+
+use super::engines::Way;
+use super::experiment::{Bench, Patience, ms};
+use super::frames::Input;
+use super::plot::{Scale, bars};
+use super::section::Section;
+use super::timing::Timing;
+
+/// The 2011 report: frames a second by its GPU, a frame by the general method on its CPU, its two speedups.
+const REPORT_FPS: f64 = 7.0;
+const REPORT_CPU_S: f64 = 4.76;
+const REPORT_SPEEDUPS: [f64; 2] = [32.9, 57.6];
+/// Of fewer measurements than this the 99th percentile is not told.
+const FRAMES_FOR_P99: usize = 100;
+/// Frames in one measurement of those in flight, which come in bursts.
+const BLOCK: usize = 16;
+
+#[derive(Serialize)]
+struct Row {
+    frame: String,
+    engine: String,
+    /// Of a frame; with frames in flight from one result to the next, over blocks.
+    time: Timing,
+    frames: usize,
+    frames_per_second: f64,
+    times_the_serial_method: f64,
+}
+
+/// How a GPU's frames go, what its name is followed by, and how many are measured at once.
+const GPU_WAYS: [(&str, Way, usize); 4] = [
+    (", one at a time, copied out", Way::CopiedOut, 1),
+    (", one at a time, read in place", Way::InPlace, 1),
+    (", in flight, copied out", Way::CopiedOutInFlight, BLOCK),
+    (", in flight, read in place", Way::InPlaceInFlight, BLOCK),
+];
+
+pub fn run(context: &Bench<'_>) -> Result<Section> {
+    let mut section = Section::new("speedup", "Speedup");
+    section.note(
+        "The 2011 report's setting (window 3, degree 3, 3 cm), from the frame in the host's memory to the points in the host's \
+         memory. The serial method takes all neighbours within 3 cm by a k-d tree, on one thread, in f64; it computes something \
+         else, and is not held against the reference.",
+    );
+    let subjects = context.subjects(true)?;
+    let inputs = if context.options.quick { &context.inputs[..1] } else { &context.inputs[..] };
+    let bar = context.bar("speedup", inputs.len() * (subjects.len() + 1))?;
+    let mut rows: Vec<Vec<Row>> = Vec::new();
+    for input in inputs {
+        let Some(serial) = context.attempt("the serial method", serial(context, input))? else { break };
+        bar.inc(1);
+        let row = |engine: String, time: Timing, frames: usize| {
+            let ms = time.ms.median;
+            let frame = input.describe();
+            let times_the_serial_method = serial.ms.median / ms;
+            Row { frame, engine, time, frames, frames_per_second: 1e3 / ms, times_the_serial_method }
+        };
+        let mut of_input = vec![row("general serial method".into(), serial, serial.runs)];
+        for subject in &subjects {
+            let ways = if subject.is_gpu() { &GPU_WAYS[..] } else { &[("", Way::CopiedOut, 1)] };
+            for &(name, way, block) in ways.iter().filter(|_| !context.stopped()) {
+                let engine = format!("{}{name}", subject.name);
+                let timed = context.time_way(subject, SmoothParams::paper(), input, way, block);
+                if let Some(time) = context.attempt(&engine, timed)? {
+                    of_input.push(row(engine, time, block * time.runs));
+                }
+            }
+            bar.inc(1);
+        }
+        rows.push(of_input);
+    }
+    bar.finish_and_clear();
+    let [low, high] = REPORT_SPEEDUPS;
+    let across = format!("times as many frames a second (lines: the report's {low} and {high})");
+    for (i, (of_input, input)) in rows.iter().zip(inputs).enumerate() {
+        section.note(format!("{}:", input.describe()));
+        section.table(
+            &["engine", "ms a frame, median", "ms, p99", "of frames", "frames a second", "times the serial method"],
+            of_input.iter().map(cells),
+        );
+        let title = format!("Times the serial method, {}", input.describe());
+        let bars_of: Vec<_> = of_input.iter().map(|row| (row.engine.clone(), row.times_the_serial_method)).collect();
+        let svg = bars(&title, &across, Scale::Logarithmic, &bars_of, &REPORT_SPEEDUPS)?;
+        section.svg(&format!("speedup-{i}.svg"), &title, svg);
+    }
+    section.note(format!(
+        "The report had {REPORT_FPS:.0} frames a second, {low} and {high} times its CPU, which took up to {REPORT_CPU_S} s a \
+         frame. In flight, a frame's time is from one result to the next, over blocks of {BLOCK}; each is under way as long as one \
+         alone or longer. p99 is told of {FRAMES_FOR_P99} measurements or more."
+    ));
+    section.note_noise(rows.iter().flatten().map(|row| row.time.noisy));
+    section.json = serde_json::to_value(rows.iter().flatten().collect::<Vec<_>>())?;
+    Ok(section)
+}
+
+fn cells(row: &Row) -> Vec<String> {
+    let Row { engine, time, frames, frames_per_second, times_the_serial_method, .. } = row;
+    let p99 = if time.runs >= FRAMES_FOR_P99 { format!("{:.3}", time.ms.p99) } else { "-".to_owned() };
+    let fps = significant(*frames_per_second);
+    vec![engine.clone(), time.cell(), p99, frames.to_string(), fps, significant(*times_the_serial_method)]
+}
+
+/// A rate or a ratio in a table.
+fn significant(value: f64) -> String {
+    let digits = match value {
+        _ if value < 10.0 => 2,
+        _ if value < 100.0 => 1,
+        _ => 0,
+    };
+    format!("{value:.digits$}")
+}
+
+fn serial(context: &Bench<'_>, input: &Input) -> Result<Timing> {
+    let options = SmootherOptions::new(Engine::Reference, Outputs::POINTS).with_threads(Some(1));
+    let mut smoother = Smoother::open_with(SmoothParams::paper(), &options, None)?;
+    let mut smoothed = Smoothed::default();
+    context.measure(Patience::Long, || {
+        let start = Instant::now();
+        smoother.smooth(&input.cloud.points, &mut smoothed)?;
+        Ok(ms(start.elapsed()))
+    })
+}

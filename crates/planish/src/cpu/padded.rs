@@ -1,0 +1,110 @@
+//! The frame with a border: the input of every window load.
+//!
+//! Stage: copy or deproject (docs/method.md, section 1), into the sensor's frame (11). Layout: x, y and z each as rows of
+//! `row_len` values, `reach` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 behind its last column, so
+//! that every load of a window, at every vector of pixels, is a plain load inside the buffer. A NaN fails the gate, and so does
+//! everything not finite: an infinite distance is over every radius.
+
+use super::row_tasks::{SplitRows, halve};
+use crate::camera::{Rays, RowRays, RowRaysY, depth_m};
+use crate::engine::AdmittedFrame;
+use crate::frame::{DepthSamples, Frame};
+
+/// The widest vector of f32 that any SIMD level has.
+pub(super) const MAX_LANES: usize = 16;
+
+/// Rows that one task fills: enough to be worth a task.
+const ROWS_PER_TASK: usize = 32;
+
+pub(super) struct PaddedFrame {
+    pub(super) x: Vec<f32>,
+    pub(super) y: Vec<f32>,
+    pub(super) z: Vec<f32>,
+    /// Values from one row to the next.
+    pub(super) row_len: usize,
+    pub(super) width: usize,
+    height: usize,
+    /// Border in pixels: window times stride.
+    reach: usize,
+}
+
+/// Rows of the three buffers, image rows only.
+struct PaddedRows<'a> {
+    /// The first row's number in the image.
+    first: usize,
+    row_len: usize,
+    xyz: [&'a mut [f32]; 3],
+}
+
+impl SplitRows for PaddedRows<'_> {
+    fn count(&self) -> usize {
+        self.xyz[0].len() / self.row_len
+    }
+
+    fn split_at(self, rows: usize) -> (Self, Self) {
+        let Self { first, row_len, xyz } = self;
+        let [(x, x_rest), (y, y_rest), (z, z_rest)] = xyz.map(|values| values.split_at_mut(rows * row_len));
+        (Self { first, row_len, xyz: [x, y, z] }, Self { first: first + rows, row_len, xyz: [x_rest, y_rest, z_rest] })
+    }
+}
+
+impl PaddedFrame {
+    pub(super) fn new(width: usize, height: usize, reach: usize) -> Self {
+        let row_len = reach + width.next_multiple_of(MAX_LANES) + reach;
+        let len = row_len * (height + 2 * reach) + MAX_LANES;
+        let nan = || vec![f32::NAN; len];
+        Self { x: nan(), y: nan(), z: nan(), row_len, width, height, reach }
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        3 * size_of_val(&self.x[..])
+    }
+
+    /// Takes a frame of the shape that this was made for; `rays` are its camera's.
+    pub(super) fn fill(&mut self, admitted: &AdmittedFrame<'_>, rays: &Rays, parallel: bool) {
+        let (row_len, width, reach) = (self.row_len, self.width, self.reach);
+        let image = reach * row_len..(reach + self.height) * row_len;
+        let xyz = [&mut self.x[image.clone()], &mut self.y[image.clone()], &mut self.z[image]];
+        let rows = PaddedRows { first: 0, row_len, xyz };
+        let geometry = &admitted.geometry;
+        let fill_rows = |rows: PaddedRows<'_>| {
+            let count = rows.count();
+            let PaddedRows { first, xyz: [x, y, z], .. } = rows;
+            for row in 0..count {
+                let (v, at) = (first + row, row * row_len + reach..row * row_len + reach + width);
+                let (x, y, z) = (&mut x[at.clone()], &mut y[at.clone()], &mut z[at]);
+                match admitted.frame {
+                    Frame::Points(points) => {
+                        points.copy_to_sensor(geometry, v * width..(v + 1) * width, x, y, z);
+                    }
+                    Frame::Depth(depth) => {
+                        match depth.row(v) {
+                            DepthSamples::U16(raw) => {
+                                let metres_per_unit = depth.camera().metres_per_unit();
+                                z.iter_mut().zip(raw).for_each(|(z, &raw)| *z = depth_m(raw, metres_per_unit));
+                            }
+                            DepthSamples::F32(metres) => z.iter_mut().zip(metres).for_each(|(z, &metres)| {
+                                *z = if metres > 0.0 && metres.is_finite() { metres } else { f32::NAN };
+                            }),
+                        }
+                        deproject_row(rays.row(v), z, x, y);
+                    }
+                }
+            }
+        };
+        if parallel {
+            halve(ROWS_PER_TASK, rows, &fill_rows);
+        } else {
+            fill_rows(rows);
+        }
+    }
+}
+
+/// Equal bit for bit to [`crate::DepthFrame::deproject`].
+fn deproject_row(rays: RowRays<'_>, z: &[f32], x: &mut [f32], y: &mut [f32]) {
+    x.iter_mut().zip(rays.x).zip(z).for_each(|((x, ray_x), z)| *x = ray_x * z);
+    match rays.y {
+        RowRaysY::Same(ray_y) => y.iter_mut().zip(z).for_each(|(y, z)| *y = ray_y * z),
+        RowRaysY::Each(rays_y) => y.iter_mut().zip(rays_y).zip(z).for_each(|((y, ray_y), z)| *y = ray_y * z),
+    }
+}

@@ -1,0 +1,39 @@
+//! Tasks of a few rows each: rows are halved among threads until they are few.
+
+use std::ops::RangeInclusive;
+
+/// Rows of one task: enough that a task costs nothing beside them, and that its rows find most candidates in its core's cache;
+/// few enough that many threads end together.
+const ROWS_PER_TASK: RangeInclusive<usize> = 4..=8;
+
+/// Tasks for each thread, where there are rows enough.
+const TASKS_PER_THREAD: usize = 8;
+
+/// Some rows of something, which can be split.
+pub(super) trait SplitRows: Send + Sized {
+    fn count(&self) -> usize;
+
+    /// The first so many rows, and the rest.
+    fn split_at(self, rows: usize) -> (Self, Self);
+}
+
+/// `work` on all rows; if `parallel`, a few at a time, on the threads of the pool that it is called in.
+pub(super) fn run_on_rows<R: SplitRows>(rows: R, parallel: bool, work: &(impl Fn(R) + Sync)) {
+    if !parallel {
+        work(rows);
+        return;
+    }
+    let tasks = TASKS_PER_THREAD * rayon::current_num_threads();
+    halve(rows.count().div_ceil(tasks).clamp(*ROWS_PER_TASK.start(), *ROWS_PER_TASK.end()), rows, work);
+}
+
+/// `work` on at most so many rows at a time, in parallel.
+pub(super) fn halve<R: SplitRows>(most: usize, rows: R, work: &(impl Fn(R) + Sync)) {
+    if rows.count() <= most {
+        work(rows);
+        return;
+    }
+    let half = rows.count() / 2;
+    let (upper, lower) = rows.split_at(half);
+    rayon::join(|| halve(most, upper, work), || halve(most, lower, work));
+}

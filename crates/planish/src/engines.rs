@@ -1,0 +1,276 @@
+//! The engines that there are, what each can do, how it is opened, and which one `Auto` takes. Adding an engine touches this
+//! file and its own folder.
+
+use crate::cpu::Cpu;
+use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
+use crate::engine::{Immediate, SmoothingEngine};
+use crate::error::{EngineError, Error};
+use crate::outputs::Outputs;
+use crate::params::SmoothParams;
+use crate::reference::Reference;
+use crate::simd_level::SimdLevel;
+
+/// Which implementation computes the result. All agree within docs/method.md, section 9.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
+pub enum Engine {
+    /// A real GPU if there is one, else the CPU; for general clouds an engine that takes them. [`Smoother::engine`] says which.
+    ///
+    /// [`Smoother::engine`]: crate::Smoother::engine
+    #[default]
+    Auto,
+    /// f32 SIMD on the CPU.
+    Cpu,
+    /// f32 on a GPU through wgpu, in builds with the feature `gpu`.
+    Gpu,
+    /// f64, written to be read: the oracle of the others.
+    Reference,
+}
+
+/// What an engine can do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Capabilities {
+    /// Frames on a grid: depth images and organized clouds.
+    pub grids: bool,
+    /// General clouds.
+    pub general: bool,
+    /// Keeping edges, in frames on a grid.
+    pub edges: bool,
+    /// Depth as an output.
+    pub depth_out: bool,
+    /// Whether submitted frames are computed while the caller goes on, so that several in flight are worth their latency.
+    pub pipelined: bool,
+}
+
+impl Engine {
+    /// The engines that compute, `Auto` left out.
+    pub const ALL: [Self; 3] = [Self::Cpu, Self::Gpu, Self::Reference];
+
+    /// The name used on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+            Self::Reference => "reference",
+        }
+    }
+
+    /// What this engine can do; of `Auto` what it finds an engine for, if frames in flight are left out.
+    pub fn capabilities(self) -> Capabilities {
+        let on_grids = Capabilities { grids: true, general: false, edges: true, depth_out: true, pipelined: false };
+        match self {
+            Self::Cpu => on_grids,
+            Self::Gpu => Capabilities { pipelined: true, ..on_grids },
+            Self::Auto | Self::Reference => Capabilities { general: true, ..on_grids },
+        }
+    }
+}
+
+/// Why [`Engine::Auto`] took its engine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ChoiceReason {
+    /// This adapter is a real GPU.
+    RealGpu(GpuAdapter),
+    /// The build has no GPU engine.
+    NoGpuInBuild,
+    /// There is no adapter.
+    NoAdapter,
+    /// The adapters that there are, are no GPUs.
+    NoRealGpu(Vec<GpuAdapter>),
+    /// There is a GPU, but it did not open.
+    GpuFailed(GpuAdapter, String),
+    /// No other engine smooths general clouds.
+    GeneralCloud,
+}
+
+impl std::fmt::Display for ChoiceReason {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::RealGpu(adapter) => return write!(f, "{} is a GPU", adapter.name),
+            Self::GeneralCloud => return f.write_str("the only engine for general clouds"),
+            Self::NoGpuInBuild => f.write_str("this build has no GPU engine"),
+            Self::NoAdapter => f.write_str("no GPU adapter was found"),
+            Self::NoRealGpu(adapters) => match &adapters[..] {
+                [only] => write!(f, "the only adapter, {}, is no GPU", only.name),
+                _ => f.write_str("none of the adapters is a GPU"),
+            },
+            Self::GpuFailed(adapter, error) => write!(f, "{} did not open: {error}", adapter.name),
+        }?;
+        write!(f, "; the CPU has {}", SimdLevel::best().name())
+    }
+}
+
+/// How to open a smoother, beside the parameters of the method.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct SmootherOptions {
+    /// Which engine. One that is asked for by name never falls back to another; only a stream goes on with the CPU when its GPU
+    /// is lost twice.
+    pub engine: Engine,
+    /// Which results to compute.
+    pub outputs: Outputs,
+    /// How many threads the CPU engines use; `None` is one for each core.
+    pub threads: Option<usize>,
+    /// Which instruction set the CPU engine uses; `None` is the widest of this machine.
+    pub simd: Option<SimdLevel>,
+    /// How to open the GPU engine.
+    pub gpu: GpuOptions,
+}
+
+impl SmootherOptions {
+    /// An engine and what it is to compute.
+    pub fn new(engine: Engine, outputs: Outputs) -> Self {
+        Self { engine, outputs, ..Self::default() }
+    }
+
+    /// The same with another engine.
+    pub fn with_engine(self, engine: Engine) -> Self {
+        Self { engine, ..self }
+    }
+
+    /// The same with other outputs.
+    pub fn with_outputs(self, outputs: Outputs) -> Self {
+        Self { outputs, ..self }
+    }
+
+    /// The same with so many threads of the CPU engines; `None` is one for each core.
+    pub fn with_threads(self, threads: Option<usize>) -> Self {
+        Self { threads, ..self }
+    }
+
+    /// The same with another instruction set of the CPU engine; `None` is the widest of this machine.
+    pub fn with_simd(self, simd: Option<SimdLevel>) -> Self {
+        Self { simd, ..self }
+    }
+
+    /// The same with other options of the GPU engine.
+    pub fn with_gpu(self, gpu: GpuOptions) -> Self {
+        Self { gpu, ..self }
+    }
+}
+
+/// The GPU adapters of this machine in the order of their indices. Empty without drivers, or in a build without the feature
+/// `gpu`.
+pub fn gpu_adapters() -> Vec<GpuAdapter> {
+    #[cfg(feature = "gpu")]
+    return crate::gpu::adapters();
+    #[cfg(not(feature = "gpu"))]
+    Vec::new()
+}
+
+/// The engine that [`Engine::Auto`] takes for frames on a grid among these adapters, and why: a real GPU if there is one, else
+/// the CPU.
+pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
+    match real_gpu(adapters) {
+        Some(adapter) => (Engine::Gpu, ChoiceReason::RealGpu(adapter.clone())),
+        None if cfg!(not(feature = "gpu")) => (Engine::Cpu, ChoiceReason::NoGpuInBuild),
+        None if adapters.is_empty() => (Engine::Cpu, ChoiceReason::NoAdapter),
+        None => (Engine::Cpu, ChoiceReason::NoRealGpu(adapters.to_vec())),
+    }
+}
+
+/// An engine that was opened, which one it is, and why `Auto` took it.
+pub(crate) type Opened = (Box<dyn SmoothingEngine>, Engine, Option<ChoiceReason>);
+
+/// Opens the engine of the options for frames on a grid, or for general clouds.
+pub(crate) fn open(
+    params: SmoothParams,
+    options: &SmootherOptions,
+    grid: Option<(usize, usize)>,
+) -> Result<Opened, Error> {
+    if options.engine != Engine::Auto {
+        return Ok((open_named(options.engine, params, options, grid)?, options.engine, None));
+    }
+    let Some(grid) = grid else {
+        // The first that takes them.
+        let engine = Engine::ALL.into_iter().find(|engine| engine.capabilities().general).unwrap_or(Engine::Reference);
+        return Ok((open_named(engine, params, options, None)?, engine, Some(ChoiceReason::GeneralCloud)));
+    };
+    let (mut engine, mut reason) = auto_choice(&gpu_adapters());
+    if let ChoiceReason::RealGpu(adapter) = &reason {
+        let gpu = GpuOptions { adapter: Some(adapter.index.to_string()), ..options.gpu.clone() };
+        match open_named(engine, params, &options.clone().with_gpu(gpu), Some(grid)) {
+            Ok(opened) => return Ok((opened, engine, Some(reason))),
+            Err(error) => (engine, reason) = (Engine::Cpu, ChoiceReason::GpuFailed(adapter.clone(), error.to_string())),
+        }
+    }
+    Ok((open_named(engine, params, options, Some(grid))?, engine, Some(reason)))
+}
+
+fn open_named(
+    engine: Engine,
+    params: SmoothParams,
+    options: &SmootherOptions,
+    grid: Option<(usize, usize)>,
+) -> Result<Box<dyn SmoothingEngine>, Error> {
+    let SmootherOptions { outputs, threads, simd, ref gpu, .. } = *options;
+    match (engine, grid) {
+        (Engine::Cpu | Engine::Auto, Some(shape)) => {
+            let cpu = Cpu::open(params, outputs, threads, simd, shape)?;
+            Ok(Box::new(Immediate::new(cpu, outputs, gpu.slots, gpu.timestamps)))
+        }
+        (Engine::Gpu, Some(shape)) => open_gpu(params, outputs, gpu, shape),
+        (Engine::Reference, _) => {
+            let reference = Reference::open(params, threads)?;
+            Ok(Box::new(Immediate::new(reference, outputs, gpu.slots, false)))
+        }
+        (engine, None) => {
+            let able = Engine::ALL.into_iter().filter(|engine| engine.capabilities().general);
+            let names: Vec<_> = able.map(Engine::name).collect();
+            let reason = format!("it does not smooth general clouds; use auto or {}", names.join(", "));
+            Err(EngineError::Unavailable { engine: engine.name(), reason }.into())
+        }
+    }
+}
+
+#[cfg(feature = "gpu")]
+fn open_gpu(
+    params: SmoothParams,
+    outputs: Outputs,
+    options: &GpuOptions,
+    shape: (usize, usize),
+) -> Result<Box<dyn SmoothingEngine>, Error> {
+    Ok(Box::new(crate::gpu::Gpu::open(params, outputs, options, shape)?))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn open_gpu(_: SmoothParams, _: Outputs, _: &GpuOptions, _: (usize, usize)) -> Result<Box<dyn SmoothingEngine>, Error> {
+    let reason = "this build is without it; build with the feature gpu, or use auto, cpu or reference".to_owned();
+    Err(EngineError::Unavailable { engine: "gpu", reason }.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::devices::AdapterKind;
+
+    fn adapter(index: usize, name: &str, kind: AdapterKind) -> GpuAdapter {
+        GpuAdapter { index, name: name.into(), kind, backend: "vulkan".into(), driver: "1".into() }
+    }
+
+    #[test]
+    fn auto_takes_a_real_gpu_and_never_software() {
+        let software = adapter(0, "llvmpipe", AdapterKind::Software);
+        let discrete = adapter(2, "NVIDIA H200", AdapterKind::Discrete);
+        let all = [software.clone(), discrete.clone()];
+        assert_eq!(auto_choice(&all), (Engine::Gpu, ChoiceReason::RealGpu(discrete)));
+        let (engine, reason) = auto_choice(&all[..1]);
+        assert_eq!(engine, Engine::Cpu);
+        assert!(!cfg!(feature = "gpu") || reason.to_string().contains("llvmpipe"), "{reason}");
+        assert_eq!(auto_choice(&[]).0, Engine::Cpu);
+    }
+
+    #[test]
+    fn auto_can_do_what_some_engine_can() {
+        let auto = Engine::Auto.capabilities();
+        for engine in Engine::ALL {
+            let Capabilities { grids, general, edges, depth_out, .. } = engine.capabilities();
+            let within =
+                [(grids, auto.grids), (general, auto.general), (edges, auto.edges), (depth_out, auto.depth_out)];
+            assert!(within.into_iter().all(|(able, auto)| !able || auto), "{engine:?}");
+        }
+    }
+}

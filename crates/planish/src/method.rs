@@ -1,0 +1,36 @@
+//! Constants of the method for the f32 engines, once for CPU and GPU; the reference has its own (docs/method.md).
+
+/// A neighbourhood whose second extent is below this share of its first (as variances) is a line (section 4).
+pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
+/// A pivot at or below this share of its own diagonal entry is not supported (section 6).
+pub(crate) const PIVOT_RATIO: f32 = 3e-2;
+/// Lengths are measured in units of g/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
+pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
+
+// Section 10.
+
+/// More doubt than this makes no difference, and its square is far from the end of f32.
+pub(crate) const MAX_DOUBT: f32 = 1e6;
+/// A plane through fewer points than this says too little.
+pub(crate) const MIN_NEIGHBOURS: f32 = 6.0;
+/// The noise is at least this share of the radius.
+pub(crate) const MIN_NOISE: f32 = 0.01;
+/// How much a plane's distance from p weighs beside its own residual, both squared.
+pub(crate) const DISTANCE_WEIGHT: f32 = 0.5;
+/// Neighbours count up to so many deviations of the noise from the surface.
+pub(crate) const NARROW_WIDTH: f32 = 1.8;
+/// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a disc.
+pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
+/// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
+pub(crate) const MIN_INCIDENCE_COSINE: f32 = 0.05;
+/// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
+pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
+
+/// The exponents (i, j) of the monomials a^i b^j, ordered by degree (section 5).
+pub(crate) const MONOMIALS: [(usize, usize); 10] =
+    [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
+
+/// Number of coefficients of a polynomial of a degree in two variables: 3, 6, 10.
+pub(crate) const fn coefficient_count(degree: usize) -> usize {
+    (degree + 1) * (degree + 2) / 2
+}

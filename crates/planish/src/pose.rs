@@ -1,0 +1,118 @@
+//! Where the sensor stands that took a cloud: its position and orientation in the frame of the cloud's points.
+
+use glam::{DMat3, DQuat, DVec3};
+
+use crate::error::{FrameError, ParamError};
+
+/// How far from 1 the length of a quaternion may be: files round to a few digits.
+const LENGTH_TOLERANCE: f64 = 0.01;
+
+/// Position and orientation of a sensor, as PCD's VIEWPOINT states them: cloud_from_sensor.
+///
+/// The sensor looks along its own +z, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the origin that
+/// looks along +z; since files state it where nothing is known, a cloud with that pose is checked against it (docs/method.md,
+/// section 11).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SensorPose {
+    /// Position of the sensor in metres.
+    pub position_m: [f64; 3],
+    /// Orientation as a unit quaternion (w, x, y, z): turns directions in the sensor's frame into the cloud's.
+    pub orientation: [f64; 4],
+}
+
+impl SensorPose {
+    /// A sensor at the origin that is not turned.
+    pub const IDENTITY: Self = Self { position_m: [0.0; 3], orientation: [1.0, 0.0, 0.0, 0.0] };
+
+    /// The pose of a PCD VIEWPOINT: x, y, z, then the quaternion w, x, y, z.
+    pub fn from_viewpoint([x, y, z, qw, qx, qy, qz]: [f64; 7]) -> Self {
+        Self { position_m: [x, y, z], orientation: [qw, qx, qy, qz] }
+    }
+
+    /// The seven numbers of a PCD VIEWPOINT.
+    pub fn viewpoint(&self) -> [f64; 7] {
+        let ([x, y, z], [qw, qx, qy, qz]) = (self.position_m, self.orientation);
+        [x, y, z, qw, qx, qy, qz]
+    }
+
+    /// Whether it says no more than a file without a pose: the identity, or nothing but zeros, as some writers leave it.
+    pub fn is_identity(&self) -> bool {
+        self.position_m == [0.0; 3] && (self.orientation == [1.0, 0.0, 0.0, 0.0] || self.orientation == [0.0; 4])
+    }
+
+    /// Refuses positions that are not finite and quaternions that are not of unit length.
+    pub fn validate(&self) -> Result<(), FrameError> {
+        self.transform().map(drop)
+    }
+
+    /// The transform from the sensor's frame to the cloud's.
+    pub(crate) fn transform(&self) -> Result<RigidTransform, FrameError> {
+        let bad = |field, value: String, allowed| Err(FrameError::BadPose(ParamError { field, value, allowed }));
+        if self.is_identity() {
+            return Ok(RigidTransform::IDENTITY);
+        }
+        let [w, x, y, z] = self.orientation;
+        let quaternion = DQuat::from_xyzw(x, y, z, w);
+        // False for a NaN.
+        let is_unit = (quaternion.length() - 1.0).abs() <= LENGTH_TOLERANCE;
+        if !is_unit {
+            let allowed = "a quaternion w, x, y, z of length 1";
+            return bad("orientation", format!("{:?}", self.orientation), allowed);
+        }
+        let translation = DVec3::from_array(self.position_m);
+        if !translation.is_finite() {
+            return bad("position_m", format!("{:?}", self.position_m), "three finite numbers in metres");
+        }
+        Ok(RigidTransform { rotation: DMat3::from_quat(quaternion.normalize()), translation })
+    }
+}
+
+impl Default for SensorPose {
+    fn default() -> Self {
+        Self::IDENTITY
+    }
+}
+
+/// cloud_from_sensor: p_cloud = rotation p_sensor + translation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct RigidTransform {
+    pub(crate) rotation: DMat3,
+    pub(crate) translation: DVec3,
+}
+
+impl RigidTransform {
+    pub(crate) const IDENTITY: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+
+    pub(crate) fn is_identity(&self) -> bool {
+        *self == Self::IDENTITY
+    }
+
+    /// A point of the cloud in the sensor's frame.
+    pub(crate) fn to_sensor(self, point_in_cloud: DVec3) -> DVec3 {
+        self.rotation.transpose() * (point_in_cloud - self.translation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_looks_forward() {
+        // The usual optical frame of a camera that looks along the robot's +x.
+        let pose = SensorPose::from_viewpoint([0.1, 0.0, 0.6, 0.5, -0.5, 0.5, -0.5]);
+        let ahead = pose.transform().unwrap().to_sensor(DVec3::new(2.1, 0.0, 0.6));
+        assert!((ahead - DVec3::new(0.0, 0.0, 2.0)).length() < 1e-12, "{ahead}");
+        assert_eq!(SensorPose::from_viewpoint(pose.viewpoint()), pose);
+    }
+
+    #[test]
+    fn poses_that_are_none_are_refused_and_zeros_are_the_identity() {
+        let pose = |viewpoint| SensorPose::from_viewpoint(viewpoint);
+        assert!(pose([0.0; 7]).transform().unwrap().is_identity());
+        for bad in [[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0]] {
+            assert!(pose(bad).validate().unwrap_err().to_string().contains("length 1"));
+        }
+        assert!(pose([f64::NAN, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]).validate().is_err());
+    }
+}

@@ -1,0 +1,52 @@
+//! What grows with range, radius and noise, as the f32 engines compute it (docs/method.md, sections 3 and 10).
+
+use crate::frame::{FrameGeometry, RangeRule, assumed_range_m};
+use crate::params::{Radius, SmoothParams};
+
+/// A radius beyond this makes no difference to any scene, and its square is far from the end of f32: a coordinate of 1e30 has
+/// an infinite radius by the rule, and what is computed from it must stay finite.
+pub(crate) const MAX_RADIUS_M: f32 = 1e6;
+
+/// The square of a larger range would leave f32; its radius is at the limit or fixed.
+pub(crate) const MAX_RANGE_M: f32 = 1e18;
+
+/// The rules of one frame: with the range z, r = max(linear z, step polynomial), sigma = sigma polynomial.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RangeRules {
+    /// Of z in the radius, for the spacing of the pixels.
+    pub(crate) linear: f32,
+    /// Coefficients of 1, z and z² in the radius: four depth steps, or the fixed radius.
+    pub(crate) radius: [f32; 3],
+    /// Coefficients of 1, z and z² in the noise.
+    pub(crate) sigma: [f32; 3],
+    /// Whether the range is the distance from the sensor rather than the depth along its axis.
+    pub(crate) by_distance: bool,
+}
+
+impl RangeRules {
+    pub(crate) fn new(params: &SmoothParams, geometry: &FrameGeometry) -> Self {
+        let mut rules = Self {
+            linear: 0.0,
+            radius: [0.0; 3],
+            sigma: params.sensor.sigma,
+            by_distance: matches!(geometry.rule, RangeRule::Distance { .. }),
+        };
+        match params.radius {
+            Radius::Fixed { radius_m } => rules.radius[0] = radius_m,
+            Radius::Sensor => {
+                rules.linear = (1.5 * params.reach_px() as f64 * geometry.rule.pitch_at_1m()) as f32;
+                rules.radius = params.sensor.step.map(|c| 4.0 * c);
+            }
+        }
+        if let RangeRule::Constant { spacing_m } = geometry.rule {
+            let range_m = assumed_range_m(spacing_m);
+            rules.sigma = [params.sensor.sigma_m(range_m) as f32, 0.0, 0.0];
+            if params.radius == Radius::Sensor {
+                let by_spacing = 1.5 * params.reach_px() as f64 * spacing_m;
+                rules.linear = 0.0;
+                rules.radius = [by_spacing.max(4.0 * params.sensor.step_m(range_m)) as f32, 0.0, 0.0];
+            }
+        }
+        rules
+    }
+}

@@ -1,0 +1,68 @@
+//! What became of a pixel.
+
+/// What became of a pixel (docs/method.md, section 7).
+#[repr(u8)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Status {
+    /// No measurement came in, none goes out.
+    #[default]
+    Hole = 0,
+    /// Fewer than 3 neighbours: the output is a hole.
+    TooFew = 1,
+    /// The neighbours lie on a line: the point stays as measured and has no normal.
+    Degenerate = 2,
+    /// The foot of the point on the plane.
+    Plane = 3,
+    /// On a polynomial of degree 2.
+    Polynomial2 = 4,
+    /// On a polynomial of degree 3.
+    Polynomial3 = 5,
+}
+
+impl Status {
+    /// Every status, in the order of their codes.
+    pub const ALL: [Self; 6] =
+        [Self::Hole, Self::TooFew, Self::Degenerate, Self::Plane, Self::Polynomial2, Self::Polynomial3];
+
+    /// Whether the output has a finite point.
+    pub fn has_point(self) -> bool {
+        self >= Self::Degenerate
+    }
+
+    /// Whether the output has a normal and a curvature.
+    pub fn has_normal(self) -> bool {
+        self >= Self::Plane
+    }
+
+    /// The status of a code; a hole for codes that there are not.
+    #[inline(always)]
+    pub(crate) fn of_code(code: u8) -> Self {
+        // With room for every 3-bit index: no code needs a check.
+        const BY_CODE: [Status; 8] = {
+            let [hole, few, line, plane, quadratic, cubic] = Status::ALL;
+            [hole, few, line, plane, quadratic, cubic, hole, hole]
+        };
+        BY_CODE[usize::from(code & 7)]
+    }
+
+    /// The status of a point that was put on a polynomial of that degree.
+    pub fn of_degree(degree: u32) -> Self {
+        match degree {
+            3 => Self::Polynomial3,
+            2 => Self::Polynomial2,
+            _ => Self::Plane,
+        }
+    }
+}
+
+impl PartialOrd for Status {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Status {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        (*self as u8).cmp(&(*other as u8))
+    }
+}

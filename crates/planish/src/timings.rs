@@ -1,0 +1,41 @@
+//! Where the time of a frame went.
+
+use std::ops::AddAssign;
+use std::time::Duration;
+
+/// Where the time of one frame or batch went: on a GPU's device, or in the CPU engine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct FrameTimings {
+    /// Copying the input to the device's memory, next to nothing where the kernel reads the host's; on the CPU copying or
+    /// deprojecting it into the padded frame that the kernel reads.
+    pub upload: Duration,
+    /// The kernel; where edges are kept, with the pass before it.
+    pub kernel: Duration,
+    /// Copying the result to the host's memory; next to nothing where the kernel writes it there, as the CPU engine does.
+    pub readback: Duration,
+}
+
+impl AddAssign for FrameTimings {
+    fn add_assign(&mut self, more: Self) {
+        self.upload += more.upload;
+        self.kernel += more.kernel;
+        self.readback += more.readback;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_add_up_stage_by_stage() {
+        let times = |ms: [u64; 3]| {
+            let [upload, kernel, readback] = ms.map(Duration::from_millis);
+            FrameTimings { upload, kernel, readback }
+        };
+        let mut sum = times([1, 20, 300]);
+        sum += times([4, 50, 600]);
+        assert_eq!(sum, times([5, 70, 900]));
+    }
+}
