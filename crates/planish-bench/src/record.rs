@@ -161,7 +161,10 @@ mod tests {
         let mut section = Section::new("speedup", "Speedup");
         section.svg("plot.svg", "a plot", String::new());
         for _ in 0..2 {
-            Document::open(&file, &out).unwrap().update(&Origin::here(), std::slice::from_ref(&section)).unwrap();
+            Document::open(&file, &out)
+                .unwrap()
+                .update(&Origin::here(&Options::default()), std::slice::from_ref(&section))
+                .unwrap();
         }
         let text = fs::read_to_string(&file).unwrap();
         assert!(text.starts_with("a\n<!-- planish bench one -->\n\n`planish"), "{text}");

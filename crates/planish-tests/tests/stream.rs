@@ -76,13 +76,7 @@ fn options(engine: Engine) -> StreamOptions {
         Engine::Gpu => TestEngine::gpu(true).options(Outputs::POINTS),
         engine => SmootherOptions::default().with_engine(engine),
     };
-    StreamOptions {
-        params: SmoothParams::default(),
-        adapt_stride: false,
-        smoother,
-        max_frames: None,
-        max_duration: None,
-    }
+    StreamOptions::new(SmoothParams::default(), smoother)
 }
 
 fn run(source: impl Source + 'static, options: &StreamOptions, sink: Seen) -> (StreamStatistics, Vec<String>) {
@@ -192,7 +186,7 @@ fn strides_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
                 warnings.push(warning);
             }
         };
-        let options = StreamOptions { adapt_stride, ..options(Engine::Cpu) };
+        let options = options(Engine::Cpu).with_adapt_stride(adapt_stride);
         let sinks: Vec<Box<dyn Sink>> = vec![Box::new(points.clone())];
         let statistics = stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), tell).unwrap();
         assert_eq!((statistics.unreadable, statistics.frames_out, warnings.len()), (1, 4, 1), "{warnings:?}");
@@ -262,10 +256,10 @@ fn a_sink_that_is_too_slow_for_a_live_stream_holds_nothing_up() {
             written_by_then = Some(written.lock().unwrap().len());
             let_go.send(()).unwrap();
         }
-        StreamEvent::Frame(_) => {}
+        _ => {}
     };
     let source = Box::new(Still(frame(small_camera(), 0)));
-    let options = StreamOptions { max_frames: Some(FRAMES), ..options(Engine::Cpu) };
+    let options = options(Engine::Cpu).with_max_frames(Some(FRAMES));
     let statistics = stream::run(source, &options, vec![Box::new(sink)], &AtomicBool::new(false), tell).unwrap();
     // All were smoothed while the sink had not written one; it got what it held and what waited for it, and no more.
     assert_eq!((statistics.frames_out, written_by_then, warnings), (FRAMES, Some(0), 1));

@@ -64,19 +64,15 @@ fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
     let results = Arc::new(Mutex::new(Vec::new()));
     let source = OneByOne { frame, next: 0, results: Arc::clone(&results) };
     let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());
-    let options = StreamOptions {
-        params: SmoothParams::default(),
-        adapt_stride: false,
-        smoother: SmootherOptions::default().with_engine(Engine::Gpu).with_gpu(gpu),
-        max_frames: None,
-        max_duration: None,
-    };
+    let options =
+        StreamOptions::new(SmoothParams::default(), SmootherOptions::default().with_engine(Engine::Gpu).with_gpu(gpu));
     let (mut warnings, gpu_frames) = (Vec::new(), std::sync::atomic::AtomicU64::new(0));
     let tell = |event: StreamEvent<'_>| match event {
         StreamEvent::Warning(warning) => warnings.push(warning),
         StreamEvent::Frame(statistics) => {
             gpu_frames.fetch_add(u64::from(statistics.engine == Engine::Gpu), Ordering::Relaxed);
         }
+        _ => {}
     };
     let sinks: Vec<Box<dyn Sink>> = vec![Box::new(Seen(Arc::clone(&results)))];
     let statistics = stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), tell).unwrap();

@@ -33,14 +33,10 @@ fn main() -> Result<(), Error> {
     let name = std::env::args().nth(1).unwrap_or_else(|| "synthetic".to_owned());
     // Paced as a camera, where the source is none.
     let fps = (!name.starts_with("kinect")).then_some(30.0);
-    let source = source::open(&name, &SourceOptions { fps, ..SourceOptions::default() })?;
-    let options = StreamOptions {
-        params: SmoothParams::default(),
-        adapt_stride: true,
-        smoother: SmootherOptions::default(),
-        max_frames: None,
-        max_duration: Some(Duration::from_secs(5)),
-    };
+    let source = source::open(&name, &SourceOptions::default().with_fps(fps))?;
+    let options = StreamOptions::new(SmoothParams::default(), SmootherOptions::default())
+        .with_adapt_stride(true)
+        .with_max_duration(Some(Duration::from_secs(5)));
     let statistics = stream::run(source, &options, vec![Box::new(MeanDepth)], &AtomicBool::new(false), |event| {
         if let StreamEvent::Warning(warning) = event {
             eprintln!("{warning}");

@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 
 use planish::source::{Source, SourceFrame};
 use planish::stream::{self, StreamOptions};
-use planish::{Camera, DepthFrame, DepthImage, Error, SmoothParams, SmootherOptions};
+use planish::{Camera, DepthFrame, Error, SmoothParams, SmootherOptions};
 
 /// A camera that sees a wall, waving.
 struct MyCamera {
@@ -22,7 +22,7 @@ impl Source for MyCamera {
         let Camera { width, height, .. } = self.camera;
         let wall = 1500.0 + 50.0 * f64::from(self.frames).sin();
         let raw = vec![wall as u16; width * height];
-        let mut frame = DepthFrame::new(self.camera, DepthImage { width, height, raw })?;
+        let mut frame = DepthFrame::new(self.camera, raw)?;
         frame.timestamp_s = Some(f64::from(self.frames) / 30.0);
         Ok(Some(SourceFrame::Depth(frame)))
     }
@@ -35,13 +35,7 @@ impl Source for MyCamera {
 
 fn main() -> Result<(), Error> {
     let source = MyCamera { camera: Camera::kinect_v1(), frames: 0 };
-    let options = StreamOptions {
-        params: SmoothParams::default(),
-        adapt_stride: true,
-        smoother: SmootherOptions::default(),
-        max_frames: None,
-        max_duration: None,
-    };
+    let options = StreamOptions::new(SmoothParams::default(), SmootherOptions::default()).with_adapt_stride(true);
     let statistics = stream::run(Box::new(source), &options, Vec::new(), &AtomicBool::new(false), |_| ())?;
     println!("{} frames, {:.1} a second", statistics.frames_out, statistics.fps());
     Ok(())

@@ -88,6 +88,7 @@ impl Default for Outputs {
 
 /// A buffer of the caller's for vectors, one for each pixel.
 #[derive(Debug)]
+#[non_exhaustive]
 pub enum VectorsMut<'a> {
     /// x, y and z in slices of their own.
     Planes([&'a mut [f32]; 3]),

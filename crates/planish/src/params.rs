@@ -43,6 +43,7 @@ const STRIDES: RangeInclusive<u32> = 1..=8;
 
 /// How far and how much to smooth; the pixels are those for a sensor with noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Strength {
     /// 49 candidates over 13x13 pixels: for small things.
     Light,

@@ -4,6 +4,7 @@ use fearless_simd::Level;
 
 /// An instruction set. The engine takes the widest that the machine has; a narrower one can be asked for to compare.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum SimdLevel {
     /// Plain scalar code, where nothing better is compiled in.
     Scalar,

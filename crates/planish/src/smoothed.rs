@@ -3,7 +3,7 @@
 use crate::camera::{Camera, Rays};
 use crate::cloud::PointCloud;
 use crate::error::FrameError;
-use crate::frame::DepthImage;
+use crate::frame::{DepthImage, Frame};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::status::Status;
 use crate::xyz::Xyz;
@@ -53,6 +53,19 @@ impl Smoothed {
             neighbours: self.neighbours.as_deref_mut(),
             depth: self.depth.as_deref_mut(),
         }
+    }
+
+    /// How many valid points of its frame became holes, as far as the outputs tell.
+    pub fn lost_points(&self, frame: Frame<'_>) -> usize {
+        if let Some(counts) = self.status_counts() {
+            return counts[Status::TooFew as usize];
+        }
+        let left = match &self.depth {
+            _ if !self.points.is_empty() => (0..self.points.len()).filter(|&i| self.points.is_finite(i)).count(),
+            Some(depth) => depth.iter().filter(|raw| **raw != 0).count(),
+            None => return 0,
+        };
+        frame.valid_points().saturating_sub(left)
     }
 
     /// How many pixels have each status, in the order of [`Status::ALL`]; `None` if the status was not asked for.

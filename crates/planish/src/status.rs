@@ -3,6 +3,7 @@
 /// What became of a pixel (docs/method.md, section 7).
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum Status {
     /// No measurement came in, none goes out.
     #[default]

@@ -35,7 +35,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
         match source.next_frame()? {
             None => break,
             Some(SourceFrame::Depth(frame)) => recorder.add(&frame)?,
-            Some(SourceFrame::Cloud { .. }) => {
+            Some(_) => {
                 bail!("{}: gives clouds; a data set in TUM layout has depth images", args.source)
             }
         }

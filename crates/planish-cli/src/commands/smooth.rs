@@ -373,10 +373,7 @@ impl Worker<'_> {
             times_ms.push(ms_since(start));
         }
         let [_, lost, ..] = self.smoothed.status_counts().unwrap_or_default();
-        let valid = match frame {
-            Frame::Depth(depth) => depth.valid_pixels(),
-            Frame::Points(points) => points.valid_points(),
-        };
+        let valid = frame.valid_points();
         if lost as f64 > LOST_SHARE_TOLD * valid as f64 {
             let share = 100.0 * lost as f64 / valid as f64;
             let cause = likely_cause(frame, &params);

@@ -62,13 +62,10 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if args.rerun || args.rrd.is_some() {
         outputs.points = true;
     }
-    let options = StreamOptions {
-        params,
-        adapt_stride: args.smoothing.adapts_stride(),
-        smoother: args.smoothing.options(outputs)?,
-        max_frames: args.limits.frames,
-        max_duration: args.limits.max_duration()?,
-    };
+    let options = StreamOptions::new(params, args.smoothing.options(outputs)?)
+        .with_adapt_stride(args.smoothing.adapts_stride())
+        .with_max_frames(args.limits.frames)
+        .with_max_duration(args.limits.max_duration()?);
     let stop = stop_on_ctrl_c()?;
     let mut source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
     if let Some(sensor) = args.smoothing.floating_sensor(None)? {
@@ -118,11 +115,10 @@ pub fn open_source(
     limits: &LimitArgs,
     stop: &Arc<AtomicBool>,
 ) -> Result<Box<dyn Source>> {
-    let options = SourceOptions {
-        camera: camera.camera_of_any_shape()?,
-        tum_units_per_metre: camera.depth_scale,
-        fps: limits.fps,
-    };
+    let options = SourceOptions::default()
+        .with_camera(camera.camera_of_any_shape()?)
+        .with_tum_units_per_metre(camera.depth_scale)
+        .with_fps(limits.fps);
     let source = source::open(name, &options)?;
     let until = limits.max_duration()?.map(|longest| Instant::now() + longest);
     if !limits.reconnect {
@@ -153,7 +149,7 @@ impl Source for WithoutFloating {
             Some(SourceFrame::Cloud { cloud, .. }) => {
                 cloud.remove_floating(&self.sensor);
             }
-            None => {}
+            _ => {}
         }
         Ok(frame)
     }
@@ -258,6 +254,7 @@ impl StatusLine {
                     self.bar.tick();
                 }
             }
+            _ => {}
         }
     }
 
@@ -271,7 +268,7 @@ fn ms(duration: Duration) -> f64 {
 }
 
 fn report(statistics: &StreamStatistics) -> Report {
-    let Latency { p50, p95, p99, max } = statistics.latency();
+    let Latency { p50, p95, p99, max, .. } = statistics.latency();
     Report {
         frames_in: statistics.frames_in,
         frames_out: statistics.frames_out,

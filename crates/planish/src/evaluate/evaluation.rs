@@ -29,6 +29,7 @@ const ANGLES_DEG: [(f64, f64); 3] = [(0.0, 30.0), (30.0, 60.0), (60.0, 75.0)];
 
 /// Flat surfaces in a range of z.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct RangeReport {
     /// Nearest z in metres.
     pub near_m: f64,
@@ -52,6 +53,7 @@ pub struct RangeReport {
 
 /// Flat surfaces in a range of the angle between normal and ray.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct AngleReport {
     /// Smallest angle in degrees.
     pub from_deg: f64,
@@ -67,6 +69,7 @@ pub struct AngleReport {
 
 /// What a method makes of the suite. What was not there to be measured is NaN (null in JSON).
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Report {
     /// Flat surfaces by z.
     pub ranges: Vec<RangeReport>,

@@ -14,6 +14,7 @@ const TILE_PX: usize = 8;
 
 /// Planes fitted to tiles of 64 pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct TileReport {
     /// Tiles without a hole that have no depth step in them.
     pub tiles: usize,
@@ -69,6 +70,7 @@ const INNER_PX: usize = 2;
 
 /// A plane that many points of a frame lie on.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct LargestPlane {
     /// The pixels whose points, and those of all around, are on it: its largest piece, in order.
     pub pixels: Vec<usize>,

@@ -104,12 +104,7 @@ impl FrameGeometry {
                 let rule = RangeRule::Depth { pitch_at_1m: Some(1.0 / depth.camera().fx) };
                 Self { cloud_from_sensor: None, rule }
             }
-            // Ranges matter to nothing in general clouds, nor where nothing grows with them: but an unknown sensor must be
-            // placed for the normals.
             Frame::Points(points) if points.grid().is_none() => Self::new(points.transform(), unknown),
-            Frame::Points(points) if !needs_range && !points.pose().is_identity() => {
-                Self::new(points.transform(), unknown)
-            }
             Frame::Points(points) => Self::of_points(&points, needs_range, scratch),
         }
     }
@@ -120,12 +115,17 @@ impl FrameGeometry {
         if let Some(camera) = points.camera() {
             return Self { rule: RangeRule::Depth { pitch_at_1m: Some(1.0 / camera.fx) }, ..assumed };
         }
-        let Some(grid) = points.grid() else { return assumed };
-        let sample = Sample { points, geometry: assumed, width: grid.0, height: grid.1 };
-        if sample.is_of_a_camera(scratch) {
-            let pitch_at_1m = if needs_range { sample.camera_pitch(scratch) } else { None };
-            return Self { rule: RangeRule::Depth { pitch_at_1m }, ..assumed };
+        let Some((width, height)) = points.grid() else { return assumed };
+        let sample = Sample { points, geometry: assumed, width, height };
+        // PCL's grabbers state a pose of the camera, and write the points in its own frame nevertheless.
+        let own = Sample { geometry: Self::new(points.origin_transform(), assumed.rule), ..sample };
+        for sample in [&sample, &own] {
+            if sample.is_of_a_camera(scratch) {
+                let pitch_at_1m = if needs_range { sample.camera_pitch(scratch) } else { None };
+                return Self { rule: RangeRule::Depth { pitch_at_1m }, ..sample.geometry };
+            }
         }
+        let grid = (width, height);
         let GeometryScratch { pitches, horizontal, vertical, .. } = scratch;
         sample.neighbours(horizontal, [LAG_PX.min(grid.0 - 1), 0]);
         sample.neighbours(vertical, [0, LAG_PX.min(grid.1 - 1)]);
@@ -194,6 +194,7 @@ impl OrganizedCloud {
 }
 
 /// Points of a cloud that are looked at.
+#[derive(Clone, Copy)]
 struct Sample<'a, 'p> {
     points: &'a PointsView<'p>,
     geometry: FrameGeometry,
@@ -372,6 +373,16 @@ mod tests {
         for (rule, _) in [rule_of(seen_by_a_camera(), SensorPose::IDENTITY), rule_of(moved, pose)] {
             let RangeRule::Depth { pitch_at_1m: Some(pitch) } = rule else { panic!("{rule:?}") };
             assert!((pitch * 52.5 - 1.0).abs() < 1e-3, "{pitch}");
+        }
+    }
+
+    #[test]
+    fn a_camera_in_its_own_frame_is_one_whatever_pose_the_file_states() {
+        // As PCL's OpenNI grabber writes it, and with a pose in a world.
+        for viewpoint in [[0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0], BASE_POSE] {
+            let (rule, sensor) = rule_of(seen_by_a_camera(), SensorPose::from_viewpoint(viewpoint));
+            assert!(matches!(rule, RangeRule::Depth { pitch_at_1m: Some(_) }), "{rule:?}");
+            assert_eq!(sensor, DVec3::ZERO);
         }
     }
 

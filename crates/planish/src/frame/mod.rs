@@ -90,6 +90,7 @@ impl DepthFrame {
 
 /// A frame of either kind, borrowed and well formed.
 #[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
 pub enum Frame<'a> {
     /// A depth image with its camera.
     Depth(DepthView<'a>),
@@ -111,6 +112,14 @@ impl<'a> Frame<'a> {
         match self {
             Self::Depth(depth) => depth.shape(),
             Self::Points(points) => points.grid().unwrap_or((points.len(), 1)),
+        }
+    }
+
+    /// How many pixels or points are no holes.
+    pub fn valid_points(&self) -> usize {
+        match self {
+            Self::Depth(depth) => depth.valid_pixels(),
+            Self::Points(points) => points.valid_points(),
         }
     }
 

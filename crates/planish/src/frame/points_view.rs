@@ -14,6 +14,7 @@ use crate::xyz::{MAX_PIXELS, validate_shape};
 
 /// The type of a coordinate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Scalar {
     /// IEEE 754, 32 bits.
     F32,
@@ -249,6 +250,11 @@ impl<'a> PointsView<'a> {
         // A view with a pose that is none does not exist.
         let transform = self.pose.transform().unwrap_or(RigidTransform::IDENTITY);
         RigidTransform { translation: transform.translation - self.origin_m, ..transform }
+    }
+
+    /// The same of a sensor at the origin of the file's coordinates that is not turned.
+    pub(crate) fn origin_transform(&self) -> RigidTransform {
+        RigidTransform { translation: -self.origin_m, ..RigidTransform::IDENTITY }
     }
 
     /// Point `i` relative to the origin.

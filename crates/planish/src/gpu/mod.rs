@@ -177,8 +177,8 @@ impl Gpu {
         thread::scope(|scope| {
             let compiling: Vec<_> =
                 keys.into_iter().map(|key| scope.spawn(move || gpu.kernel(key).map(drop))).collect();
-            let joined = compiling.into_iter().map(|thread| thread.join());
-            joined.map(|result| result.unwrap_or_else(|_| Err(gpu.failed("a kernel was not compiled")))).collect()
+            let failed = || Err(gpu.failed("a kernel was not compiled"));
+            compiling.into_iter().try_for_each(|thread| thread.join().unwrap_or_else(|_| failed()))
         })
     }
 

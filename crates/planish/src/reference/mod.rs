@@ -85,6 +85,19 @@ pub(crate) struct Reference {
 
 impl ImmediateEngine for Reference {
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let (points, results) = self.results(frame)?;
+        store(frame, &points, &results, out);
+        Ok(())
+    }
+}
+
+impl Reference {
+    pub(crate) fn open(params: SmoothParams, threads: Option<usize>) -> Result<Self, EngineError> {
+        Ok(Self { params, threads: Threads::open(threads)? })
+    }
+
+    /// The points as measured, in the cloud's frame, and their results in the sensor's.
+    fn results(&self, frame: &AdmittedFrame<'_>) -> Result<(Vec<DVec3>, Vec<PointResult>), Error> {
         let points: Vec<DVec3> = match frame.frame {
             Frame::Depth(depth) => {
                 let cloud = depth.deproject()?;
@@ -102,14 +115,7 @@ impl ImmediateEngine for Reference {
                 self.smooth_grid(&Grid { points, width, height }, &frame.geometry)
             }
         };
-        store(frame, &points, &results, out);
-        Ok(())
-    }
-}
-
-impl Reference {
-    pub(crate) fn open(params: SmoothParams, threads: Option<usize>) -> Result<Self, EngineError> {
-        Ok(Self { params, threads: Threads::open(threads)? })
+        Ok((points, results))
     }
 
     /// Smooths a grid of points in the sensor's frame.
@@ -192,6 +198,79 @@ fn store(frame: &AdmittedFrame<'_>, points: &[DVec3], results: &[PointResult], m
             let in_sensor = frame.geometry.cloud_from_sensor.map_or(points[i], |t| t.to_sensor(points[i]));
             let depth_m = project::depth_along_ray_m(ray, in_sensor + result.displacement, result.normal);
             depth[i] = camera.raw_depth(depth_m as f32);
+        }
+    }
+}
+
+#[cfg(test)]
+#[cfg(feature = "simulate")]
+mod tests {
+    use super::*;
+    use crate::camera::Camera;
+    use crate::frame::{GeometryScratch, IntoFrame, PointsView};
+    use crate::params::Radius;
+    use crate::pose::SensorPose;
+    use crate::simulate::{KinectNoise, KinectSimulator, Scene};
+
+    /// Section 11: a cloud and its pose that are moved together give the same result, moved; here in f64, on a grid and without.
+    #[test]
+    fn a_rigid_motion_moves_the_result_to_a_nanometre() {
+        let camera = Camera::new((96, 72), [78.75; 2], [47.5, 35.5]);
+        let (scene, pose) = Scene::room(2);
+        let truth = scene.render(&camera, &pose);
+        let frame = KinectSimulator::new(KinectNoise::default(), camera, 2).frame(&truth, 0).unwrap();
+        let cloud = frame.deproject().unwrap();
+        let own: Vec<[f64; 3]> = cloud.positions().iter().map(|p| p.map(f64::from)).collect();
+        let settings = [
+            (SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), true),
+            (SmoothParams::default().with_stride(1), true),
+            (SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), false),
+        ];
+        let viewpoints = [
+            [0.1, 0.0, 0.6, 0.5, -0.5, 0.5, -0.5],
+            [-2.0, 31.0, 4.0, 0.0, 1.0, 0.0, 0.0],
+            [3.0, -1.0, 2.0, 0.1, 0.7, -0.5, 0.5],
+        ];
+        for (params, on_grid) in settings {
+            let engine = Reference::open(params, None).unwrap();
+            let results = |points: &[[f64; 3]], pose: SensorPose| {
+                let view = PointsView::from_rows_f64(points).unwrap();
+                let view = if on_grid { view.with_grid(96, 72).unwrap() } else { view };
+                let frame = view.with_pose(pose).unwrap().into_frame().unwrap();
+                let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
+                let rotation = geometry.cloud_from_sensor.map_or(glam::DMat3::IDENTITY, |t| t.rotation);
+                (engine.results(&AdmittedFrame { frame, geometry }).unwrap(), rotation)
+            };
+            let ((_, expected), _) = results(&own, SensorPose::IDENTITY);
+            assert!(expected.iter().filter(|result| result.status.has_normal()).count() > 3000);
+            for viewpoint in viewpoints {
+                let length = viewpoint[3..].iter().map(|c| c * c).sum::<f64>().sqrt();
+                let mut unit = viewpoint;
+                unit[3..].iter_mut().for_each(|c| *c /= length);
+                let pose = SensorPose::from_viewpoint(unit);
+                let transform = pose.transform().unwrap();
+                let moved: Vec<[f64; 3]> = own
+                    .iter()
+                    .map(|&p| (transform.rotation * DVec3::from_array(p) + transform.translation).to_array())
+                    .collect();
+                let ((points, found), rotation) = results(&moved, pose);
+                let mut differing = 0;
+                for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                    if found.status != expected.status || found.neighbours != expected.neighbours {
+                        differing += 1;
+                        continue;
+                    }
+                    if !found.status.has_point() {
+                        continue;
+                    }
+                    // What the engine gives, against what it gives of the cloud that was not moved, moved.
+                    let found_m = points[i] + rotation * found.displacement;
+                    let own_m = DVec3::from_array(own[i]) + expected.displacement;
+                    let off_m = (found_m - (transform.rotation * own_m + transform.translation)).length();
+                    assert!(off_m < 1e-9, "{viewpoint:?}, point {i}: {off_m:e}");
+                }
+                assert!(differing <= 1, "{viewpoint:?}: {differing}");
+            }
         }
     }
 }

@@ -143,9 +143,8 @@ fn least_squares(intervals: &[Interval], powers: &[i32]) -> Option<([f64; 3], f6
         }
         for row in (0..n).filter(|&row| row != pivot) {
             let factor = matrix[row][pivot] / matrix[pivot][pivot];
-            for column in 0..=n {
-                matrix[row][column] -= factor * matrix[pivot][column];
-            }
+            let of_pivot = matrix[pivot].clone();
+            matrix[row].iter_mut().zip(of_pivot).for_each(|(value, above)| *value -= factor * above);
         }
     }
     let solution: Vec<f64> = (0..n).map(|row| matrix[row][n] / matrix[row][row]).collect();
@@ -176,7 +175,8 @@ fn median(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-#[cfg(all(test, feature = "simulate"))]
+#[cfg(test)]
+#[cfg(feature = "simulate")]
 mod tests {
     use super::*;
     use crate::camera::Camera;

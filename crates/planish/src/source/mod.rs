@@ -32,6 +32,7 @@ pub use tum::{TumRecorder, TumSource};
 
 /// A frame that owns its data.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum SourceFrame {
     /// A depth image with its camera, time stamp and perhaps colour.
     Depth(DepthFrame),
@@ -92,6 +93,7 @@ pub trait Source: Send {
 
 /// What a source on the command line may need beside its name.
 #[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
 pub struct SourceOptions {
     /// The camera; depth images need one. One of width and height 0 is of the frames' shape, whatever that is; any other must
     /// have it.
@@ -100,6 +102,23 @@ pub struct SourceOptions {
     pub tum_units_per_metre: Option<f64>,
     /// Paces a source that has no time of its own as live; frames a second.
     pub fps: Option<f64>,
+}
+
+impl SourceOptions {
+    /// The same with a camera, or without.
+    pub fn with_camera(self, camera: Option<Camera>) -> Self {
+        Self { camera, ..self }
+    }
+
+    /// The same with other units of a data set in TUM layout, or its own.
+    pub fn with_tum_units_per_metre(self, tum_units_per_metre: Option<f64>) -> Self {
+        Self { tum_units_per_metre, ..self }
+    }
+
+    /// The same paced as live, or not.
+    pub fn with_fps(self, fps: Option<f64>) -> Self {
+        Self { fps, ..self }
+    }
 }
 
 /// Opens `kinect[:INDEX]`, `synthetic[:SEED]`, a data set in TUM RGB-D layout, a recording of libfreenect, a folder of frames, or

@@ -35,7 +35,11 @@ pub use statistics::{Latency, StreamStatistics};
 /// How many frames of a source that is not live are read ahead.
 const READ_AHEAD: usize = 4;
 
+/// A frame that loses more points than this share is told of.
+const LOST_SHARE_TOLD: f64 = 0.01;
+
 /// A frame with its result, as sinks get it.
+#[non_exhaustive]
 pub struct StreamFrame {
     /// Its number among those smoothed, from 0.
     pub index: u64,
@@ -50,7 +54,8 @@ pub struct StreamFrame {
 }
 
 /// How a stream runs.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
+#[non_exhaustive]
 pub struct StreamOptions {
     /// What to smooth with.
     pub params: SmoothParams,
@@ -65,8 +70,31 @@ pub struct StreamOptions {
     pub max_duration: Option<Duration>,
 }
 
+impl StreamOptions {
+    /// Strides as given, no limits.
+    pub fn new(params: SmoothParams, smoother: SmootherOptions) -> Self {
+        Self { params, smoother, ..Self::default() }
+    }
+
+    /// The same with strides shortened for coarse pixels, or not.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The same with an end after so many frames, or without.
+    pub fn with_max_frames(self, max_frames: Option<u64>) -> Self {
+        Self { max_frames, ..self }
+    }
+
+    /// The same with an end after so long, or without.
+    pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
+        Self { max_duration, ..self }
+    }
+}
+
 /// What the caller is told while a stream runs.
 #[derive(Debug)]
+#[non_exhaustive]
 pub enum StreamEvent<'a> {
     /// Another frame is smoothed.
     Frame(&'a StreamStatistics),
@@ -113,6 +141,7 @@ pub fn run(
             shape: (0, 0),
             params: None,
             reopened: false,
+            told_lost_points: false,
             pending: VecDeque::new(),
             sinks,
             statistics: StreamStatistics::start(),
@@ -195,6 +224,7 @@ struct Stream<'a> {
     /// Those for frames of this shape, once a frame has said how coarse its pixels are.
     params: Option<SmoothParams>,
     reopened: bool,
+    told_lost_points: bool,
     pending: VecDeque<Pending>,
     sinks: Vec<SinkThread>,
     statistics: StreamStatistics,
@@ -314,6 +344,7 @@ impl Stream<'_> {
         self.statistics.add(latency);
         let index = self.statistics.frames_out - 1;
         let smoothed = view.into_smoothed();
+        self.tell_lost_points(&frame, &smoothed, tell);
         let frame = Arc::new(StreamFrame { index, source: frame, smoothed, latency, received });
         for sink in &mut self.sinks {
             if let Some(warning) = sink.give(&frame, self.live) {
@@ -321,6 +352,19 @@ impl Stream<'_> {
             }
         }
         tell(StreamEvent::Frame(&self.statistics));
+    }
+
+    /// Tells once if a frame lost more than a hundredth of its points.
+    fn tell_lost_points(&mut self, frame: &SourceFrame, smoothed: &Smoothed, tell: &mut impl FnMut(StreamEvent<'_>)) {
+        let Some(frame) = frame.into_frame().ok().filter(|_| !self.told_lost_points) else { return };
+        let (lost, valid) = (smoothed.lost_points(frame), frame.valid_points());
+        if lost as f64 > LOST_SHARE_TOLD * valid as f64 {
+            self.told_lost_points = true;
+            tell(StreamEvent::Warning(format!(
+                "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the radius; \
+                 a larger radius keeps them, or the sensor's pose where it is missing"
+            )));
+        }
     }
 
     /// After an error of a GPU: opens it once more, then the CPU engine, and smooths what was on its way again, in its order.

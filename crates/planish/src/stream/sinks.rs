@@ -29,6 +29,7 @@ pub trait Sink: Send {
 
 /// What a folder is filled with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum SinkFormat {
     /// Organized clouds, binary.
     Pcd,

@@ -8,6 +8,7 @@ use crate::engines::Engine;
 
 /// Counts and times of a stream.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct StreamStatistics {
     /// Frames that the source gave.
     pub frames_in: u64,
@@ -39,6 +40,7 @@ pub struct StreamStatistics {
 
 /// Times from when the source gave a frame until its result was there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Latency {
     /// Half of the frames took no longer.
     pub p50: Duration,

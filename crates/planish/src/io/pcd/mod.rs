@@ -18,6 +18,7 @@ use header::{Field, Header};
 
 /// How the points of a PCD or PLY file are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Encoding {
     /// Text.
     Ascii,

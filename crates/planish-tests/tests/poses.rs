@@ -1,0 +1,297 @@
+//! Clouds in any frame (docs/method.md, section 11): rigid motions change nothing but the frame, and no cloud loses its points.
+
+use planish::agreement::{Agreement, radii_m};
+use planish::{
+    Camera, DepthFrame, Distortion, OrganizedCloud, Outputs, PointsView, RangeRule, SensorPose, SimdLevel,
+    SmoothParams, Smoothed, Status,
+};
+use planish_tests::engines::{TestEngine, test_adapter};
+use planish_tests::scenes::{simulated, small_camera};
+use proptest::prelude::*;
+
+/// The engines of this machine under their names.
+fn engines() -> Vec<(&'static str, TestEngine)> {
+    let cpu = ("cpu", TestEngine::cpu(SimdLevel::best()));
+    let gpu = test_adapter().map(|_| ("gpu", TestEngine::gpu(true)));
+    if gpu.is_none() {
+        eprintln!("SKIP poses on the GPU: no adapter");
+    }
+    [cpu].into_iter().chain(gpu).collect()
+}
+
+/// A rotation by a unit quaternion (w, x, y, z), row by row.
+fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+fn rotate(pose: &SensorPose, v: [f64; 3]) -> [f64; 3] {
+    rotation(pose.orientation).map(|row| (0..3).map(|k| row[k] * v[k]).sum())
+}
+
+fn transform(pose: &SensorPose, p: [f64; 3]) -> [f64; 3] {
+    let turned = rotate(pose, p);
+    [0, 1, 2].map(|k| turned[k] + pose.position_m[k])
+}
+
+/// The cloud of a camera in the frame that the camera has this pose in, rounded to f32, without its camera.
+fn moved(cloud: &OrganizedCloud, pose: SensorPose) -> OrganizedCloud {
+    let point = |p: [f32; 3]| transform(&pose, p.map(f64::from)).map(|value| value as f32);
+    let positions = cloud.positions().iter().map(point).collect();
+    let mut moved = OrganizedCloud::from_positions(cloud.width(), cloud.height(), positions).unwrap();
+    moved.points.pose = pose;
+    moved
+}
+
+/// A robot's base frame: x forward, y left, z up; the camera looks forward from 0.6 m.
+const BASE: SensorPose = SensorPose { position_m: [0.1, 0.0, 0.6], orientation: [0.5, -0.5, 0.5, -0.5] };
+
+fn pose() -> impl Strategy<Value = SensorPose> {
+    ([-1.0..1.0, -1.0..1.0, -1.0..1.0f64], [-3.0..3.0, -3.0..3.0, -3.0..3.0f64]).prop_map(|(turn, position_m)| {
+        let length: f64 = turn.iter().map(|c| c * c).sum::<f64>().sqrt().max(1e-3);
+        let (sin, cos) = (1.5 * length).sin_cos();
+        SensorPose {
+            position_m,
+            orientation: [cos, sin * turn[0] / length, sin * turn[1] / length, sin * turn[2] / length],
+        }
+    })
+}
+
+/// Holds a result in a moved frame against that of the cloud in the camera's own.
+fn assert_moved(what: &str, found: &Smoothed, own: &Smoothed, pose: &SensorPose, radii_m: &[f64]) {
+    let mut expected = own.clone();
+    for i in 0..own.points.len() {
+        expected.points.set(i, transform(pose, own.points.get(i).map(f64::from)).map(|value| value as f32));
+    }
+    let mut agreement = Agreement::default();
+    agreement.add(found, &expected, |i| radii_m[i]);
+    let misses = agreement.misses();
+    assert!(misses.is_empty(), "{what}: {misses:?}");
+    let (normals, own_normals) = (found.normals.as_ref().unwrap(), own.normals.as_ref().unwrap());
+    // Of surfaces: the normal of a few points apart is rounding.
+    let curvature = own.curvature.as_ref().unwrap();
+    let is_surface = |i: usize| own.neighbours.as_ref().unwrap()[i] >= 12 && curvature[i] < 0.02;
+    let off = (0..normals.len()).filter(|&i| is_surface(i) && normals.is_finite(i)).filter(|&i| {
+        let expected = rotate(pose, own_normals.get(i).map(f64::from));
+        let cosine: f64 = normals.get(i).into_iter().zip(expected).map(|(a, b)| f64::from(a) * b).sum();
+        cosine < 0.9999
+    });
+    assert!(off.count() <= normals.len() / 500, "{what}: normals");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 8, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_rigid_motion_of_cloud_and_pose_moves_the_result(pose in pose(), paper in any::<bool>()) {
+        let own = simulated(3, true, small_camera());
+        let params = if paper { SmoothParams::paper() } else { SmoothParams::default().with_stride(1) };
+        let cloud = moved(&own, pose);
+        let radii = radii_m(&own, params);
+        let of_own = TestEngine::REFERENCE.smooth(&own, params);
+        assert_moved("reference", &TestEngine::REFERENCE.smooth(&cloud, params), &of_own, &pose, &radii);
+        for (name, engine) in engines() {
+            assert_moved(name, &engine.smooth(&cloud, params), &of_own, &pose, &radii);
+        }
+    }
+}
+
+fn share_with_points(smoothed: &Smoothed, cloud: &OrganizedCloud) -> f64 {
+    let points = smoothed.status.as_ref().unwrap().iter().filter(|status| status.has_normal()).count();
+    points as f64 / cloud.points.valid_points() as f64
+}
+
+/// A wall of 64x48 points, 2 m before a camera with a Kinect's field of view.
+fn wall() -> OrganizedCloud {
+    let camera = Camera::new((64, 48), [52.5; 2], [31.5, 23.5]);
+    DepthFrame::new(camera, vec![2000; 64 * 48]).unwrap().deproject().unwrap()
+}
+
+#[test]
+fn walls_in_other_frames_come_out_whole_and_face_their_sensor() {
+    let overhead = SensorPose { position_m: [0.0, 0.0, 4.0], orientation: [0.0, 1.0, 0.0, 0.0] };
+    for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
+        for pose in [BASE, overhead] {
+            let cloud = moved(&wall(), pose);
+            let forgotten = {
+                let mut cloud = cloud.clone();
+                cloud.points.pose = SensorPose::IDENTITY;
+                cloud
+            };
+            // What other programs write who know where the sensor is, but not how it is turned.
+            let unturned = {
+                let mut cloud = cloud.clone();
+                cloud.points.pose.orientation = SensorPose::IDENTITY.orientation;
+                cloud
+            };
+            for params in [SmoothParams::default().with_stride(1), SmoothParams::paper().with_radius_m(0.15)] {
+                for (how, cloud) in [("posed", &cloud), ("without its pose", &forgotten), ("unturned", &unturned)] {
+                    let smoothed = engine.smooth(cloud, params);
+                    assert_eq!(share_with_points(&smoothed, cloud), 1.0, "{name}, {how}, {params:?}");
+                    if how == "without its pose" {
+                        continue;
+                    }
+                    let normals = smoothed.normals.as_ref().unwrap();
+                    let away = |i: usize| {
+                        let (p, n) = (cloud.positions().get(i), normals.get(i));
+                        (0..3).map(|k| n[k] * (p[k] - pose.position_m[k] as f32)).sum::<f32>() > 0.0
+                    };
+                    assert!(!(0..normals.len()).any(away), "{name}, {how}: normals face away");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_georeferenced_grid_keeps_its_points_and_its_millimetres() {
+    let spacing = 0.05;
+    let origin = [437_512.0, 5_417_233.0, 312.0];
+    let height = |u: usize, v: usize| 0.3 * (0.1 * u as f64).sin() + 0.02 * v as f64;
+    let rows: Vec<[f64; 3]> = (0..80 * 60)
+        .map(|i| {
+            let (u, v) = (i % 80, i / 80);
+            [origin[0] + spacing * u as f64, origin[1] + spacing * v as f64, origin[2] + height(u, v)]
+        })
+        .collect();
+    let view = PointsView::from_rows_f64(&rows).unwrap().with_grid(80, 60).unwrap().with_origin(origin);
+    assert!(matches!(view.range_rule(), RangeRule::Constant { spacing_m } if (spacing_m - spacing).abs() < 0.01));
+    for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
+        let smoothed = engine.smooth(view, SmoothParams::default().with_stride(1));
+        assert!(smoothed.status.as_ref().unwrap().iter().all(|status| status.has_normal()), "{name}");
+        let normals = smoothed.normals.as_ref().unwrap();
+        assert!(normals.z.iter().all(|z| *z > 0.0), "{name}: they face up");
+        for i in (0..rows.len()).filter(|i| (8..72).contains(&(i % 80)) && (8..52).contains(&(i / 80))) {
+            let z = height(i % 80, i / 80);
+            assert!((f64::from(smoothed.points.z[i]) - z).abs() < 2e-2, "{name}, {i}: {z} {}", smoothed.points.z[i]);
+        }
+    }
+}
+
+#[test]
+fn every_layout_of_input_and_output_has_the_same_bits() {
+    use planish::{SmoothedMut, Smoother};
+    let cloud = moved(&simulated(2, false, small_camera()), BASE);
+    let (rows, rows_f64): (Vec<[f32; 3]>, Vec<[f64; 3]>) =
+        cloud.positions().iter().map(|p| (p, p.map(f64::from))).unzip();
+    let outputs = Outputs::ALL;
+    for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
+        for pose in [BASE, SensorPose::IDENTITY] {
+            let views = [
+                PointsView::from_planes(&cloud.positions().x, &cloud.positions().y, &cloud.positions().z).unwrap(),
+                PointsView::from_rows(&rows).unwrap(),
+                PointsView::from_rows_f64(&rows_f64).unwrap(),
+            ]
+            .map(|view| view.with_grid(160, 120).unwrap().with_pose(pose).unwrap());
+            let params = SmoothParams::default().with_stride(1);
+            let expected = engine.smooth(views[0], params);
+            let mut smoother = Smoother::open_with(params, &engine.options(outputs), (160, 120)).unwrap();
+            for view in views {
+                let len = view.len();
+                let (mut points, mut normals) = (vec![[0f32; 3]; len], vec![[7f32; 4]; len]);
+                let (mut curvature, mut neighbours) = (vec![0f32; len], vec![0u32; len]);
+                let mut status = vec![Status::Hole; len];
+                let out = SmoothedMut::new()
+                    .with_points(&mut points)
+                    .with_normals(&mut normals)
+                    .with_curvature(&mut curvature)
+                    .with_status(&mut status)
+                    .with_neighbours(&mut neighbours);
+                smoother.smooth_into(view, out).unwrap();
+                let bits = |v: [f32; 3]| v.map(f32::to_bits);
+                assert!(points.iter().zip(expected.points.iter()).all(|(a, b)| bits(*a) == bits(b)), "{name}");
+                let expected_normals = expected.normals.as_ref().unwrap();
+                let of_row = |row: &[f32; 4]| bits([row[0], row[1], row[2]]);
+                assert!(normals.iter().zip(expected_normals.iter()).all(|(a, b)| of_row(a) == bits(b)), "{name}");
+                assert!(normals.iter().all(|row| row[3] == 7.0), "{name}: the fourth value is the caller's");
+                assert_eq!(status, *expected.status.as_ref().unwrap());
+                assert_eq!(neighbours, *expected.neighbours.as_ref().unwrap());
+                let expected = expected.curvature.as_ref().unwrap();
+                assert!(curvature.iter().zip(expected).all(|(a, b)| a.to_bits() == b.to_bits()));
+            }
+            let mut short = vec![[0f32; 3]; 10];
+            let error = smoother.smooth_into(views[0], SmoothedMut::new().with_points(&mut short)).unwrap_err();
+            assert!(error.to_string().contains("10 values where 19200"), "{error}");
+            let mut depth = vec![0; views[0].len()];
+            let error = smoother.smooth_into(views[0], SmoothedMut::new().with_depth(&mut depth)).unwrap_err();
+            assert!(error.to_string().contains("without depth"), "{error}");
+        }
+    }
+}
+
+#[test]
+fn depth_in_metres_and_with_strides_is_the_same_frame() {
+    use planish::DepthView;
+    let camera = small_camera();
+    let cloud = simulated(1, true, camera);
+    let raw: Vec<u16> = cloud.positions().z.iter().map(|&z| camera.raw_depth(z)).collect();
+    let metres: Vec<f32> = raw.iter().map(|&raw| camera.depth_m(raw)).collect();
+    let padded = |row: &[u16]| row.iter().copied().chain([9; 11]).collect::<Vec<_>>();
+    let strided: Vec<u16> = raw.chunks(160).flat_map(padded).collect();
+    let outputs = Outputs::ALL.with_depth(true);
+    for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
+        let expected = engine.smooth_to(DepthView::new(&raw, &camera).unwrap(), SmoothParams::default(), outputs);
+        for view in [
+            DepthView::from_metres(&metres, &camera).unwrap(),
+            DepthView::with_row_stride(&strided, 171, &camera).unwrap(),
+        ] {
+            let found = engine.smooth_to(view, SmoothParams::default(), outputs);
+            assert_eq!(format!("{found:?}"), format!("{expected:?}"), "{name}");
+        }
+    }
+}
+
+#[test]
+fn depth_through_a_distorted_lens_agrees_on_all_engines() {
+    let distortion = Distortion::from_opencv(&[0.12, -0.25, 1e-3, -5e-4, 0.08]).unwrap();
+    let camera = small_camera();
+    let cloud = simulated(4, false, camera);
+    let raw: Vec<u16> = cloud.positions().z.iter().map(|&z| camera.raw_depth(z)).collect();
+    let camera = camera.with_distortion(distortion);
+    let frame = DepthFrame::new(camera, raw).unwrap();
+    let straight = frame.deproject().unwrap();
+    assert!((straight.positions().x[300] - cloud.positions().x[300]).abs() > 1e-3, "the lens bends");
+    let outputs = Outputs::ALL.with_depth(true);
+    for params in [SmoothParams::paper(), SmoothParams::default().with_stride(1)] {
+        let expected = TestEngine::REFERENCE.smooth_to(&frame, params, outputs);
+        let radii = radii_m(&straight, params);
+        for (name, engine) in engines() {
+            let found = engine.smooth_to(&frame, params, outputs);
+            let mut agreement = Agreement::default();
+            agreement.add(&found, &expected, |i| radii[i]);
+            let misses = agreement.misses();
+            assert!(misses.is_empty(), "{name}: {misses:?}");
+            let depths = found.depth.as_ref().unwrap().iter().zip(expected.depth.as_ref().unwrap());
+            assert!(depths.filter(|(a, b)| a.abs_diff(**b) > 1).count() < 20, "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_moved_cloud_has_depth_along_its_cameras_rays() {
+    let camera = small_camera();
+    let own = simulated(5, true, camera);
+    let mut cloud = moved(&own, BASE);
+    cloud.camera = Some(camera);
+    let outputs = Outputs::ALL.with_depth(true);
+    for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
+        let expected = engine.smooth_to(&own, SmoothParams::paper(), outputs).depth.unwrap();
+        let found = engine.smooth_to(&cloud, SmoothParams::paper(), outputs).depth.unwrap();
+        let far = found.iter().zip(&expected).filter(|(a, b)| a.abs_diff(**b) > 1).count();
+        assert!(far < 20, "{name}: {far}");
+    }
+}
+
+#[test]
+fn threads_change_no_bit_of_a_moved_cloud() {
+    let cloud = moved(&simulated(6, false, small_camera()), BASE);
+    let of_threads = |threads| {
+        let engine = TestEngine { threads: Some(threads), ..TestEngine::cpu(SimdLevel::best()) };
+        format!("{:?}", engine.smooth(&cloud, SmoothParams::default()))
+    };
+    let one = of_threads(1);
+    assert!([2, 3, 8].into_iter().all(|threads| of_threads(threads) == one));
+}
