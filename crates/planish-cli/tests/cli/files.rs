@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use planish::io::{self, Contents, Encoding};
-use planish::{AttributeValues, DepthImage, OrganizedCloud};
+use planish::io::{self, Contents, Encoding, write_cloud};
+use planish::{AttributeValues, DepthImage, OrganizedCloud, SensorPose};
 use serde_json::Value;
 
 use super::{CAMERA, ok, planish, refused, small_frame, str, text, with_frame};
@@ -280,11 +280,12 @@ fn sensors_strengths_and_edges_are_chosen_by_name() {
     };
     let usual = smooth(&[]);
     assert_eq!(smooth(&["--preset", "default", "--sensor", "kinect1", "--edges", "robust"]), usual);
-    let choices: [&[&str]; 7] = [
+    let choices: [&[&str]; 8] = [
         &["--preset", "light"],
         &["--preset", "strong"],
         &["--edges", "off"],
-        &["--sensor", "stereo"],
+        &["--sensor", "d435"],
+        &["--sensor", "azure-kinect"],
         &["--sensor", "exact"],
         &["--sensor", "auto"],
         &["--remove-floating"],
@@ -296,8 +297,9 @@ fn sensors_strengths_and_edges_are_chosen_by_name() {
     // The estimate needs a frame, and a stream has none yet.
     assert!(refused(&["stream", "synthetic", "--sensor", "auto", "--frames", "1"]).contains("planish info"));
     let info: Value = serde_json::from_str(&ok(&["info", str(&path), "--json"])).unwrap();
-    let step = info["sensor"]["depth_step_at_1m"].as_f64().unwrap();
-    assert!((2e-3..5e-3).contains(&step), "{step}");
+    let step = |k: usize| info["sensor"]["step"][k].as_f64().unwrap();
+    let step_m = step(0) + 2.0 * step(1) + 4.0 * step(2);
+    assert!((8e-3..20e-3).contains(&step_m), "at 2 m: {step_m}");
 }
 
 #[test]
@@ -321,4 +323,83 @@ fn strides_follow_the_resolution_unless_they_are_given() {
         cloud.points.positions.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>()
     };
     assert_eq!(points(&fs::read(saved.join("000000.pcd")).unwrap()), points(&found));
+}
+
+/// A wall of 64x48 points 2 m before a camera, as a robot has it in its base frame: x forward, z up.
+fn wall_in_base_frame() -> OrganizedCloud {
+    let point = |i: usize| {
+        let (right, down) = (((i % 64) as f32 - 31.5) / 52.5 * 2.0, ((i / 64) as f32 - 23.5) / 52.5 * 2.0);
+        [2.1, -right, 0.6 - down]
+    };
+    OrganizedCloud::from_positions(64, 48, (0..64 * 48).map(point).collect()).unwrap()
+}
+
+#[test]
+fn a_cloud_in_another_frame_keeps_its_points_with_its_pose_by_option_or_without() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("wall.pcd"), folder.path().join("smooth.pcd"));
+    let viewpoint = "0.1,0,0.6,0.5,-0.5,0.5,-0.5";
+    let mut cloud = wall_in_base_frame();
+    let smooth = |cloud: &OrganizedCloud, more: &[&str]| {
+        write_cloud(&input, cloud, Encoding::Binary).unwrap();
+        let arguments = ["smooth", str(&input), str(&output), "--engine", "cpu", "--json"];
+        let run = planish(&[&arguments[..], more].concat());
+        assert!(run.status.success(), "{}", text(&run.stderr));
+        let report: Value = serde_json::from_slice(&run.stdout).unwrap();
+        assert_eq!((report["points_in"].as_u64(), report["points_lost"].as_u64()), (Some(3072), Some(0)));
+        (fs::read(&output).unwrap(), text(&run.stderr).to_owned())
+    };
+    let (_, said) = smooth(&cloud, &[]);
+    assert!(said.contains("--sensor-pose"), "{said}");
+    let (_, said) = smooth(&cloud, &["--sensor-pose", viewpoint]);
+    assert_eq!(said, "");
+    cloud.points.pose = SensorPose::from_viewpoint([0.1, 0.0, 0.6, 0.5, -0.5, 0.5, -0.5]);
+    let (posed, said) = smooth(&cloud, &[]);
+    assert_eq!(said, "");
+    let Contents::Organized(posed) = io::decode(&posed, None).unwrap().1 else { panic!() };
+    assert_eq!(posed.points.pose, cloud.points.pose, "the file keeps its viewpoint");
+    assert!(posed.positions().x.iter().all(|x| (x - 2.1).abs() < 1e-5));
+
+    assert!(refused(&["smooth", str(&input), str(&output), "--sensor-pose", "0,0,0,2,0,0,0"]).contains("length 1"));
+    assert!(refused(&["smooth", str(&input), str(&output), "--sensor-pose", "1,2,3"]).contains("7 numbers"));
+    let info = ok(&["info", str(&input), "--sensor-pose", viewpoint]);
+    assert!(info.contains("sensor pose") && info.contains("focal length 52.5"), "{info}");
+}
+
+#[test]
+fn points_that_become_holes_are_told_with_a_cause() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("wall.pcd"), folder.path().join("smooth.pcd"));
+    write_cloud(&input, &wall_in_base_frame(), Encoding::Binary).unwrap();
+    let run = planish(&["smooth", str(&input), str(&output), "--radius", "0.001"]);
+    assert!(run.status.success());
+    let said = text(&run.stderr);
+    assert!(said.contains("3072 of 3072 valid points (100.0 %)") && said.contains("--radius"), "{said}");
+}
+
+#[test]
+fn camera_files_of_other_programs_are_read() {
+    let (folder, ..) = with_frame();
+    let camera = small_frame(1).camera;
+    let (depth, file) = (folder.path().join("depth.png"), folder.path().join("camera.txt"));
+    let image =
+        DepthImage { width: camera.width, height: camera.height, raw: vec![1500; camera.width * camera.height] };
+    io::write_depth(&depth, &image).unwrap();
+    let smooth = |text: &str| {
+        fs::write(&file, text).unwrap();
+        let output = folder.path().join("out.pcd");
+        ok(&["smooth", str(&depth), str(&output), "--camera-file", str(&file)]);
+        ok(&["info", str(&depth), "--camera-file", str(&file)]);
+        fs::read(output).unwrap()
+    };
+    let planish::Camera { width, height, fx, fy, cx, cy, .. } = camera;
+    let flat = smooth(&format!("{{\"fx\":{fx},\"fy\":{fy},\"cx\":{cx},\"cy\":{cy}}}"));
+    assert_eq!(flat, smooth(&format!("{fx} 0 {cx}\n0 {fy} {cy}\n0 0 1\n")));
+    assert_eq!(flat, smooth(&format!("1 PINHOLE {width} {height} {fx} {fy} {} {}", cx + 0.5, cy + 0.5)));
+    let info = format!(
+        "image_width: {width}\nimage_height: {height}\ncamera_matrix: {{data: [{fx}, 0, {cx}, 0, {fy}, {cy}, 0, 0, 1]}}\n\
+         distortion_model: plumb_bob\ndistortion_coefficients: {{data: [K1, 0, 0, 0, 0]}}\n"
+    );
+    assert_eq!(flat, smooth(&info.replace("K1", "0")));
+    assert_ne!(flat, smooth(&info.replace("K1", "0.1")));
 }

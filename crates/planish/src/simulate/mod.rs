@@ -7,7 +7,7 @@
 //! use planish::Camera;
 //! use planish::simulate::{KinectNoise, KinectSimulator, Scene};
 //!
-//! let camera = Camera { width: 160, height: 120, fx: 131.0, fy: 131.0, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() };
+//! let camera = Camera::new((160, 120), [131.0; 2], [79.5, 59.5]);
 //! let (scene, pose) = Scene::tabletop(1);
 //! let truth = scene.render(&camera, &pose);
 //! let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).unwrap();
