@@ -61,7 +61,8 @@ impl Smoothed {
             return counts[Status::TooFew as usize];
         }
         let left = match &self.depth {
-            _ if !self.points.is_empty() => (0..self.points.len()).filter(|&i| self.points.is_finite(i)).count(),
+            // Points are holes in all coordinates or in none.
+            _ if !self.points.is_empty() => self.points.z.iter().filter(|z| z.is_finite()).count(),
             Some(depth) => depth.iter().filter(|raw| **raw != 0).count(),
             None => return 0,
         };

@@ -117,13 +117,16 @@ impl FrameGeometry {
         }
         let Some((width, height)) = points.grid() else { return assumed };
         let sample = Sample { points, geometry: assumed, width, height };
-        // PCL's grabbers state a pose of the camera, and write the points in its own frame nevertheless.
+        let of_camera = |sample: &Sample<'_, '_>, scratch: &mut GeometryScratch| {
+            let pitch_at_1m = if needs_range { sample.camera_pitch(scratch) } else { None };
+            Self { rule: RangeRule::Depth { pitch_at_1m }, ..sample.geometry }
+        };
+        if sample.is_of_a_camera(scratch) {
+            return of_camera(&sample, scratch);
+        }
         let own = Sample { geometry: Self::new(points.origin_transform(), assumed.rule), ..sample };
-        for sample in [&sample, &own] {
-            if sample.is_of_a_camera(scratch) {
-                let pitch_at_1m = if needs_range { sample.camera_pitch(scratch) } else { None };
-                return Self { rule: RangeRule::Depth { pitch_at_1m }, ..sample.geometry };
-            }
+        if !points.pose().is_identity() && own.is_of_a_camera(scratch) && own.is_likelier_than(&sample, scratch) {
+            return of_camera(&own, scratch);
         }
         let grid = (width, height);
         let GeometryScratch { pitches, horizontal, vertical, .. } = scratch;
@@ -209,6 +212,20 @@ impl Sample<'_, '_> {
         (point.is_finite() && self.points.point(i) != DVec3::ZERO).then_some(point)
     }
 
+    /// Whether a camera at the origin of coordinates, rather than at the stated pose, took the points. PCL's grabbers state how
+    /// the camera is turned and write the points in its own frame nevertheless; others do so with its position.
+    fn is_likelier_than(&self, stated: &Self, scratch: &mut GeometryScratch) -> bool {
+        if stated.points.pose().position_m == [0.0; 3] {
+            return true;
+        }
+        let GeometryScratch { pitches, horizontal, .. } = scratch;
+        let [own, stated] = [self, stated].map(|sample| {
+            sample.neighbours(horizontal, [LAG_PX.min(sample.width - 1), 0]);
+            spread(horizontal.iter().map(|pair| pair.angle), pitches)
+        });
+        own < CLEARLY_LESS * stated
+    }
+
     fn rows(&self) -> impl Iterator<Item = usize> + Clone + use<> {
         (0..self.height).step_by(self.height.div_ceil(SAMPLED_ROWS))
     }
@@ -242,6 +259,21 @@ impl Sample<'_, '_> {
     fn camera_pitch(&self, scratch: &mut GeometryScratch) -> Option<f64> {
         let pitches = &mut scratch.pitches;
         pitches.clear();
+        if let (Some([x, _, z]), None) = (self.points.plain_planes(), self.geometry.cloud_from_sensor) {
+            for row in self.rows() {
+                let pixels = row * self.width..(row + 1) * self.width;
+                let tangents = x[pixels.clone()].iter().zip(&z[pixels]).map(|(&x, &z)| f64::from(x) / f64::from(z));
+                let mut left = f64::NAN;
+                for tangent in tangents {
+                    let pitch = (tangent - left).abs();
+                    if pitch.is_finite() && pitch > 0.0 {
+                        pitches.push(pitch);
+                    }
+                    left = tangent;
+                }
+            }
+            return quantile(pitches, 0.5);
+        }
         for row in self.rows() {
             let mut left = None;
             for column in 0..self.width {

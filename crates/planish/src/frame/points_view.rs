@@ -227,6 +227,11 @@ impl<'a> PointsView<'a> {
 
     /// How many points are finite.
     pub fn valid_points(&self) -> usize {
+        if let Positions::Planes([x, y, z]) = self.positions {
+            // Written so that it is compiled to vectors: times 0 is 0 for what is finite.
+            let is_finite = |((x, y), z): ((&f32, &f32), &f32)| x * 0.0 + y * 0.0 + z * 0.0 == 0.0;
+            return x.iter().zip(y).zip(z).filter(|point| is_finite(*point)).count();
+        }
         (0..self.len).filter(|&i| self.point(i).is_finite()).count()
     }
 
