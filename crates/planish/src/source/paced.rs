@@ -31,8 +31,11 @@ impl Source for Paced {
         if due > now {
             thread::sleep(due - now);
         }
-        // From when it was due, not from when it came, so that delays do not add up.
-        self.next = Some(due.max(now.checked_sub(self.interval).unwrap_or(now)) + self.interval);
+        // From when it was due, not from when it came, so that delays do not add up; the frames of a longer delay are gone.
+        let missed = now.saturating_duration_since(due).as_nanos() / self.interval.as_nanos().max(1);
+        let missed = u32::try_from(missed).unwrap_or(u32::MAX);
+        self.next =
+            due.checked_add(self.interval.saturating_mul(missed.saturating_add(1))).or(Some(now + self.interval));
         Ok(frame)
     }
 

@@ -148,6 +148,8 @@ pub fn run(
             smooth_time: TimeSpent::default(),
         };
         let result = stream.run(&mailbox, stop, &mut tell);
+        // What comes while the engine is closed is not missed.
+        mailbox.close();
         let Stream { sinks, mut statistics, smooth_time, .. } = stream;
         statistics.time_smoothing = smooth_time.total();
         for sink in sinks {
