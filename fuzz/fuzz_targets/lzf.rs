@@ -5,7 +5,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use planish::io::pcd::lzf::{compress, decompress};
+use planish::internal::lzf::{compress, decompress};
 
 fuzz_target!(|bytes: &[u8]| {
     for size in [0, bytes.len(), 4 * bytes.len(), 1 << 20] {

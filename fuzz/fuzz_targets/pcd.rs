@@ -10,7 +10,7 @@ use planish::io::{Contents, Format, decode};
 fuzz_target!(|bytes: &[u8]| {
     match decode(bytes, Some(Format::Pcd)) {
         Ok((Format::Pcd, Contents::Organized(cloud))) => cloud.points.validate().expect("fields of one length"),
-        Ok((Format::Pcd, Contents::Points(cloud))) => cloud.validate().expect("fields of one length"),
+        Ok((Format::Pcd, Contents::General(cloud))) => cloud.validate().expect("fields of one length"),
         _ => {}
     }
 });

@@ -336,3 +336,39 @@ fn smoothers_and_views_go_to_other_threads() {
     is_send::<Smoother>();
     is_send::<planish::SmoothedView>();
 }
+
+#[test]
+fn a_device_of_the_host_program_gives_the_same_bits() {
+    use planish::wgpu;
+    let Some(adapter) = adapter("a device of the host program") else { return };
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    let own = adapters.into_iter().find(|own| own.get_info().name == adapter.name).unwrap();
+    let request = wgpu::DeviceDescriptor { required_limits: own.limits(), ..Default::default() };
+    let (device, queue) = pollster::block_on(own.request_device(&request)).unwrap();
+    let depth = frame(2);
+    for params in [SmoothParams::paper(), SmoothParams::default()] {
+        let options = SmootherOptions::default().with_outputs(EVERYTHING);
+        let mut smoother = Smoother::open_on(&device, &queue, params, &options, SHAPE).unwrap();
+        assert_eq!((smoother.engine(), smoother.gpu_name()), (Engine::Gpu, Some(adapter.name.as_str())));
+        let mut smoothed = Smoothed::default();
+        smoother.smooth(&depth, &mut smoothed).unwrap();
+        let expected = TestEngine::gpu(true).smooth_to(&depth, params, EVERYTHING);
+        assert_eq!(format!("{smoothed:?}"), format!("{expected:?}"));
+        smoother.submit(&depth, Smoothed::default()).unwrap();
+        smoother.submit_in_place(&depth).unwrap();
+        while let Some(view) = smoother.receive().unwrap() {
+            assert_eq!(format!("{:?}", view.into_smoothed()), format!("{expected:?}"));
+        }
+    }
+    // The device is the host's still.
+    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size: 64,
+        usage: wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    queue.write_buffer(&buffer, 0, &[1; 64]);
+    queue.submit([]);
+    assert!(device.poll(wgpu::PollType::wait_indefinitely()).is_ok());
+}

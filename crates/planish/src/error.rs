@@ -2,7 +2,9 @@
 //!
 //! A pixel that cannot be smoothed is never an error: it has a [`Status`](crate::Status).
 
-use std::path::{Path, PathBuf};
+#[cfg(feature = "io")]
+use std::path::Path;
+use std::path::PathBuf;
 
 /// A parameter outside its range.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -100,9 +100,7 @@ pub use camera::{Camera, Distortion, SATURATED_DEPTH};
 pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns};
 pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
 pub use engines::{Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters};
-#[cfg(any(feature = "io", feature = "stream"))]
-pub use error::{DeviceError, FormatError, IoError};
-pub use error::{EngineError, Error, FrameError, ParamError};
+pub use error::{DeviceError, EngineError, Error, FormatError, FrameError, IoError, ParamError};
 pub use frame::{DepthFrame, DepthImage, DepthView, Frame, IntoFrame, PointLayout, PointsView, RangeRule, Scalar};
 pub use neighbours::estimate_radius_m;
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};

@@ -126,6 +126,7 @@ impl<'a> DepthView<'a> {
     }
 
     /// All samples, if its rows follow each other without a gap.
+    #[cfg(any(test, feature = "gpu"))]
     pub(crate) fn contiguous(&self) -> Option<DepthSamples<'a>> {
         let pixels = self.camera.width * self.camera.height;
         (self.row_stride == self.camera.width).then(|| match self.samples {
@@ -134,6 +135,7 @@ impl<'a> DepthView<'a> {
         })
     }
 
+    #[cfg(feature = "gpu")]
     pub(crate) fn is_metres(&self) -> bool {
         matches!(self.samples, DepthSamples::F32(_))
     }

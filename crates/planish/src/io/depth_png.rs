@@ -31,5 +31,28 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
 
 pub(super) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
     let bytes: Vec<u8> = image.raw.iter().flat_map(|raw| raw.to_be_bytes()).collect();
-    super::rgb_png::encode(image.width, image.height, png::ColorType::Grayscale, png::BitDepth::Sixteen, &bytes)
+    encode_png(image.width, image.height, png::ColorType::Grayscale, png::BitDepth::Sixteen, &bytes)
+}
+
+/// A PNG of big-endian samples.
+pub(super) fn encode_png(
+    width: usize,
+    height: usize,
+    colour: png::ColorType,
+    depth: png::BitDepth,
+    data: &[u8],
+) -> Result<Vec<u8>, FormatError> {
+    let failed = |error: png::EncodingError| FormatError::Unsupported(format!("no PNG of {width}x{height}: {error}"));
+    let (Ok(columns), Ok(rows)) = (u32::try_from(width), u32::try_from(height)) else {
+        return Err(FormatError::Unsupported(format!("{width}x{height} pixels are too many for a PNG")));
+    };
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, columns, rows);
+    encoder.set_color(colour);
+    encoder.set_depth(depth);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header().map_err(failed)?;
+    writer.write_image_data(data).map_err(failed)?;
+    writer.finish().map_err(failed)?;
+    Ok(bytes)
 }

@@ -10,6 +10,7 @@ mod depth_tiff;
 mod npy;
 mod pcd;
 mod ply;
+#[cfg(any(feature = "internal", feature = "stream"))]
 mod rgb_png;
 mod text;
 
@@ -24,7 +25,6 @@ use crate::frame::{DepthFrame, DepthImage};
 
 pub use camera_file::{camera_to_json, parse_camera, read_camera};
 pub use pcd::Encoding;
-pub use rgb_png::RgbImage;
 #[cfg(feature = "stream")]
 pub(crate) use rgb_png::{read_rgb_png, write_rgb_png};
 
@@ -37,6 +37,17 @@ pub(crate) fn quoted(text: &str) -> String {
         Some((end, _)) => format!("{:?}...", &text[..end]),
         None => format!("{text:?}"),
     }
+}
+
+/// A picture, 3 bytes (red, green, blue) a pixel, row by row.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RgbImage {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// 3 * width * height bytes.
+    pub rgb: Vec<u8>,
 }
 
 /// For the project's own tests and pictures.

@@ -3,18 +3,9 @@
 use std::io::Cursor;
 use std::path::Path;
 
+use super::RgbImage;
+use super::depth_png::encode_png;
 use crate::error::{FormatError, IoError};
-
-/// A picture, 3 bytes (red, green, blue) a pixel, row by row.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RgbImage {
-    /// Width in pixels.
-    pub width: usize,
-    /// Height in pixels.
-    pub height: usize,
-    /// 3 * width * height bytes.
-    pub rgb: Vec<u8>,
-}
 
 /// Writes a picture; one that has no colour as grey, in a third of the bytes.
 pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
@@ -22,9 +13,9 @@ pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     let pixels = image.rgb.chunks_exact(3);
     let encoded = if pixels.clone().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]) {
         let grey: Vec<u8> = pixels.map(|pixel| pixel[0]).collect();
-        encode(width, height, png::ColorType::Grayscale, eight, &grey)
+        encode_png(width, height, png::ColorType::Grayscale, eight, &grey)
     } else {
-        encode(width, height, png::ColorType::Rgb, eight, &image.rgb)
+        encode_png(width, height, png::ColorType::Rgb, eight, &image.rgb)
     };
     encoded.and_then(|bytes| super::write_whole(path, &bytes)).map_err(IoError::at(path))
 }
@@ -52,26 +43,4 @@ fn decode(bytes: &[u8]) -> Result<RgbImage, FormatError> {
     let channels = size / (width * height);
     let rgb = |pixel: &[u8]| if channels < 3 { [pixel[0]; 3] } else { [pixel[0], pixel[1], pixel[2]] };
     Ok(RgbImage { width, height, rgb: buffer.chunks_exact(channels).flat_map(rgb).collect() })
-}
-
-pub(super) fn encode(
-    width: usize,
-    height: usize,
-    colour: png::ColorType,
-    depth: png::BitDepth,
-    data: &[u8],
-) -> Result<Vec<u8>, FormatError> {
-    let failed = |error: png::EncodingError| FormatError::Unsupported(format!("no PNG of {width}x{height}: {error}"));
-    let (Ok(columns), Ok(rows)) = (u32::try_from(width), u32::try_from(height)) else {
-        return Err(FormatError::Unsupported(format!("{width}x{height} pixels are too many for a PNG")));
-    };
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, columns, rows);
-    encoder.set_color(colour);
-    encoder.set_depth(depth);
-    encoder.set_compression(png::Compression::Fast);
-    let mut writer = encoder.write_header().map_err(failed)?;
-    writer.write_image_data(data).map_err(failed)?;
-    writer.finish().map_err(failed)?;
-    Ok(bytes)
 }

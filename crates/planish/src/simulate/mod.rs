@@ -22,6 +22,7 @@ mod scenes;
 /// The linear algebra of scenes and poses.
 pub use glam::{DMat3, DVec3};
 pub use kinect::{KinectNoise, KinectSimulator};
+#[cfg(any(test, feature = "evaluate"))]
 pub(crate) use random::Random;
 pub use scene::{NO_OBJECT, Pose, Scene, Shape, Truth};
 pub use scenes::Gauge;

@@ -5,6 +5,7 @@
 //! camera beside it saw: each point takes the colour of the pixel that it falls on there.
 
 use std::f64::consts::PI;
+#[cfg(any(test, feature = "internal"))]
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,6 +16,7 @@ use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{Error, IoError};
 use crate::frame::DepthFrame;
+#[cfg(any(test, feature = "internal"))]
 use crate::io;
 
 /// Raw disparities from here on are holes.
