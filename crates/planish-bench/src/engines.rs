@@ -88,7 +88,7 @@ pub fn subjects(asked: &[Engine], all_levels: bool) -> Result<Vec<Subject>> {
         let named = asked.contains(&Engine::Gpu);
         let adapters = gpu_adapters();
         if named && adapters.is_empty() {
-            bail!("--engine gpu: there is no adapter (`planish devices` says what is there, and why)");
+            bail!("--engine gpu: there is no adapter (`planish devices` lists what there is, and why)");
         }
         // A software adapter is measured if asked for: it is slower than the CPU that it runs on.
         for adapter in adapters.iter().filter(|adapter| named || adapter.kind != AdapterKind::Software) {

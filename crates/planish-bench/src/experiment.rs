@@ -182,7 +182,7 @@ impl<'a> Bench<'a> {
     ) -> Result<Timed> {
         let tall;
         let (copies, way, frames) = match frames {
-            // The engines of the CPU write where they are told to: in place is what they do.
+            // The CPU engines write into the given buffers, which is in place.
             Frames::One if !subject.is_gpu() => (1, Way::CopiedOut, vec![input.frame()?]),
             Frames::One => (1, Way::InPlace, vec![input.frame()?]),
             Frames::OneCopiedOut => (1, Way::CopiedOut, vec![input.frame()?]),

@@ -1,4 +1,4 @@
-//! What an experiment says: text with tables, JSON, plots and pictures.
+//! The report of an experiment: text with tables, JSON, plots and pictures.
 
 use std::fs;
 use std::path::Path;
@@ -57,7 +57,7 @@ impl Section {
         self.text += "\n";
     }
 
-    /// Says so where measurements were noisy.
+    /// Notes which measurements were noisy.
     pub fn note_noise(&mut self, timings: impl IntoIterator<Item = bool>) {
         let (all, noisy) = timings.into_iter().fold((0, 0), |(all, noisy), is| (all + 1, noisy + usize::from(is)));
         if noisy > 0 {
@@ -81,7 +81,7 @@ impl Section {
         println!("{}", self.text);
     }
 
-    /// Says what could not be measured, and why.
+    /// Notes what could not be measured, and why.
     pub fn note_skipped(&mut self, skipped: Vec<String>) {
         skipped.into_iter().for_each(|what| self.note(format!("Not measured: {what}.")));
     }

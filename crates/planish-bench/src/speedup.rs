@@ -93,7 +93,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     section.note(format!(
         "The report had {REPORT_FPS:.0} frames a second, {low} and {high} times its CPU, which took up to {REPORT_CPU_S} s a \
          frame. In flight, a frame's time is from one result to the next, over blocks of {BLOCK}; each is under way as long as one \
-         alone or longer. p99 is told of {FRAMES_FOR_P99} measurements or more."
+         alone or longer. p99 is given for {FRAMES_FOR_P99} measurements or more."
     ));
     section.note_noise(rows.iter().flatten().map(|row| row.time.noisy));
     section.json = serde_json::to_value(rows.iter().flatten().collect::<Vec<_>>())?;

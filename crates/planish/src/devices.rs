@@ -127,7 +127,7 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
     let names = || adapters.iter().map(|a| format!("{} {}", a.index, a.name)).collect::<Vec<_>>().join(", ");
     match wanted {
         None => real_gpu(adapters).ok_or_else(|| {
-            unavailable(format!("there is no real GPU; a software adapter is only taken by name ({})", names()))
+            unavailable(format!("no real GPU; a software adapter is only used if selected by name ({})", names()))
         }),
         Some(wanted) => {
             let lower = wanted.to_lowercase();

@@ -238,7 +238,7 @@ fn open_gpu(
 
 #[cfg(not(feature = "gpu"))]
 fn open_gpu(_: SmoothParams, _: Outputs, _: &GpuOptions, _: (usize, usize)) -> Result<Box<dyn SmoothingEngine>, Error> {
-    let reason = "this build is without it; build with the feature gpu, or use auto, cpu or reference".to_owned();
+    let reason = "not in this build; enable the feature gpu, or use auto, cpu or reference".to_owned();
     Err(EngineError::Unavailable { engine: "gpu", reason }.into())
 }
 

@@ -18,7 +18,7 @@ pub struct ParamError {
     pub allowed: &'static str,
 }
 
-/// A frame that cannot be what it says it is.
+/// A malformed frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FrameError {
@@ -106,7 +106,7 @@ pub enum FrameError {
     BadCamera(ParamError),
 }
 
-/// An engine that cannot be had, or that failed.
+/// An engine that is unavailable, or that failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EngineError {
@@ -132,7 +132,7 @@ pub enum EngineError {
         /// What is needed.
         needed: u64,
     },
-    /// The device has no memory left.
+    /// The device is out of memory.
     #[error("the GPU {device} could not allocate {bytes} bytes: {reason}")]
     OutOfMemory {
         /// The device's name.
@@ -150,7 +150,7 @@ pub enum EngineError {
         /// What the driver said.
         reason: String,
     },
-    /// The driver refused what it should have accepted.
+    /// The driver reported an error.
     #[error("the GPU {device} failed: {reason}")]
     Device {
         /// The device's name.
@@ -158,8 +158,8 @@ pub enum EngineError {
         /// What the driver said.
         reason: String,
     },
-    /// As many frames are in flight as may be: receive one first.
-    #[error("{in_flight} frames are in flight, as many as may be: receive one before the next is submitted")]
+    /// The maximum number of frames is in flight: receive one first.
+    #[error("{in_flight} frames are in flight, the maximum: receive one before submitting the next")]
     Full {
         /// How many are in flight.
         in_flight: usize,
@@ -174,7 +174,7 @@ pub enum EngineError {
     },
 }
 
-/// A camera or a viewer that cannot be had, or that is gone.
+/// A camera or a viewer that is unavailable, or that is gone.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeviceError {
@@ -245,10 +245,10 @@ pub enum Error {
     /// A frame that cannot be used.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// An engine that cannot be had, or that failed.
+    /// An engine that is unavailable, or that failed.
     #[error(transparent)]
     Engine(#[from] EngineError),
-    /// A camera or a viewer that cannot be had, or that is gone.
+    /// A camera or a viewer that is unavailable, or that is gone.
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// A file that could not be read or written.

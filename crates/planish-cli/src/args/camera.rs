@@ -21,8 +21,8 @@ pub struct CameraArgs {
 
 #[derive(clap::Args)]
 pub struct PoseArgs {
-    /// Where the sensor of a cloud stands, and how it is turned (a unit quaternion), instead of what the file says; it looks
-    /// along its z axis
+    /// Pose of the sensor in the cloud's frame: position in metres and unit quaternion, instead of the file's. The sensor looks
+    /// along its own z axis, x to the right, y down
     #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", allow_hyphen_values = true)]
     pub sensor_pose: Option<Pose>,
 }

@@ -28,19 +28,19 @@ pub enum Command {
     Demo(DemoArgs),
     /// Smooth a file, or every frame of a folder
     Smooth(SmoothArgs),
-    /// Say what a file holds
+    /// Show what a file contains
     Info(InfoArgs),
     /// Draw the relief of an organized cloud
     Render(RenderArgs),
-    /// Smooth frames as they come: from a Kinect, a data set, a folder, the simulator
+    /// Smooth frames live: from a Kinect, a data set, a folder, the simulator
     Stream(StreamArgs),
-    /// Record frames as they come into a data set in TUM layout
+    /// Record a source as a data set in TUM layout
     Record(RecordArgs),
-    /// Say what this machine computes with: instruction sets, GPUs, and what `auto` takes
+    /// List instruction sets and GPUs of this machine, and what `auto` chooses
     Devices(DevicesArgs),
-    /// Measure how good the surface is: on simulated frames against their truth, or on a file by itself
+    /// Measure surface quality: of simulated frames against their truth, or of a file by itself
     Evaluate(EvaluateArgs),
-    /// Measure the engines, each result held against the reference first
+    /// Benchmark the engines; each result is checked against the reference first
     Bench(BenchArgs),
 }
 
@@ -49,7 +49,7 @@ pub struct DemoArgs {
     /// Folder for raw.pcd, smoothed.pcd and before-after.png
     #[arg(long, value_name = "DIR", default_value = "planish-demo")]
     pub out: PathBuf,
-    /// Which scene and which noise
+    /// Seed of the scene and the noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     #[command(flatten)]
@@ -71,10 +71,10 @@ pub struct SmoothArgs {
     /// Fields to add to the points, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
     pub fields: Vec<FieldArg>,
-    /// How the points of a .pcd or .ply are stored
+    /// Encoding of the points in a .pcd or .ply
     #[arg(long, value_enum)]
     pub encoding: Option<EncodingArg>,
-    /// File type for a folder of results, when it is not that of the input
+    /// File extension of the results of a folder, if not that of the inputs
     #[arg(long, value_name = "EXTENSION")]
     pub format: Option<String>,
     /// Smooth the loaded frame this many times, for timing
@@ -143,16 +143,16 @@ pub struct StreamArgs {
 
 #[derive(clap::Args)]
 pub struct LimitArgs {
-    /// Give frames so many a second, as a live camera does; else as fast as they are taken
+    /// Pace the source to N frames a second, as a live camera; else as fast as possible
     #[arg(long, value_name = "N")]
     pub fps: Option<f64>,
-    /// End after so many frames
+    /// Stop after N frames
     #[arg(long, value_name = "N")]
     pub frames: Option<u64>,
-    /// End after so many seconds
+    /// Stop after S seconds
     #[arg(long, value_name = "S")]
     pub duration: Option<f64>,
-    /// Wait for a camera that was unplugged to come back
+    /// Wait for an unplugged camera to come back
     #[arg(long)]
     pub reconnect: bool,
 }
@@ -190,20 +190,20 @@ pub struct DevicesArgs {
 
 #[derive(clap::Args)]
 pub struct EvaluateArgs {
-    /// Simulate so many seeds, from 1 on; three frames each
+    /// Simulate seeds 1 to N, three frames each
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
-    /// Simulate this seed alone
+    /// Simulate only this seed
     #[arg(long, value_name = "SEED", conflicts_with = "seeds")]
     pub seed: Option<u64>,
-    /// A real organized cloud, or a depth image with --camera: how flat it is piece by piece, before and after
+    /// A real organized cloud, or a depth image with --camera: its flatness tile by tile, before and after
     #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "out"])]
     pub input: Option<PathBuf>,
-    /// Write the simulated frames as organized clouds into this folder and do nothing else, for other programs to smooth
+    /// Only write the simulated frames into this folder as organized clouds, for other programs to smooth
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
     pub export: Option<PathBuf>,
-    /// Measure what another program made of those: organized clouds of the same names, perhaps with normals, in this folder; with
-    /// --input the one that it made of that file
+    /// Measure the output of another program instead: organized clouds of the same names (normals optional) in this folder, or
+    /// with --input that one file
     #[arg(long, value_name = "DIR|FILE")]
     pub results: Option<PathBuf>,
     /// Folder for report.json, error-over-z.svg and, but with --results, an error map of each frame of the first seed
@@ -224,7 +224,7 @@ pub enum FieldArg {
     Normals,
     /// Surface variation
     Curvature,
-    /// What became of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3
+    /// Status of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3
     Status,
     /// Nothing (the default)
     None,

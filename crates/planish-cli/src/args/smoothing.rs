@@ -11,7 +11,7 @@ use planish::{
 pub enum PresetArg {
     /// 49 candidates over 13x13 pixels (without noise 5x5): for small things
     Light,
-    /// 121 candidates over 31x31 pixels (without noise 11x11): what the library recommends
+    /// 121 candidates over 31x31 pixels (without noise 11x11): recommended
     Default,
     /// 225 candidates over 43x43 pixels (without noise 15x15): for walls, floors and far ranges
     Strong,
@@ -48,7 +48,7 @@ pub enum SensorArg {
 pub enum EdgesArg {
     /// Every neighbour counts: edges are rounded off
     Off,
-    /// Neighbours that are not on the point's surface do not count
+    /// Neighbours off the point's surface do not count
     Robust,
 }
 
@@ -71,25 +71,25 @@ impl EngineArg {
     }
 }
 
-/// How to smooth; what is not given is taken from the preset.
+/// How to smooth; values not given come from the preset.
 #[derive(clap::Args)]
 pub struct SmoothingArgs {
-    /// A named setting; the options below change single values of it
+    /// A named setting; the options below override single values
     #[arg(long, value_enum)]
     pub preset: Option<PresetArg>,
-    /// Whose noise it is: it sets the radius and how well edges are told from noise
+    /// Which sensor took the frames: its depth steps set the radius, its noise what counts as an edge
     #[arg(long, value_enum)]
     pub sensor: Option<SensorArg>,
-    /// What becomes of creases and steps
+    /// Whether creases and steps are kept
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
-    /// Turn pixels that float between two surfaces into holes first
+    /// First turn pixels that float between two surfaces into holes
     #[arg(long)]
     pub remove_floating: bool,
     /// Half width of the window: (2K+1)² candidates, K from 1 to 7
     #[arg(long, value_name = "K")]
     pub window: Option<u32>,
-    /// Distance between candidates in pixels, 1 to 8; else that of the preset, shorter where pixels are coarser than a Kinect v1's
+    /// Distance between candidates in pixels, 1 to 8; by default the preset's, shorter where pixels are coarser than a Kinect v1's
     #[arg(long, value_name = "S")]
     pub stride: Option<u32>,
     /// Radius of a neighbourhood in metres, or `sensor`: growing with distance as the sensor's noise does
@@ -101,14 +101,13 @@ pub struct SmoothingArgs {
     /// Bandwidth of the Gaussian weights in metres; else the radius
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     pub bandwidth: Option<f32>,
-    /// Which engine computes; one asked for by name never falls back to another (but a stream goes on with the CPU when its
-    /// GPU is lost twice)
+    /// Which engine to use; one requested by name never falls back to another (except in a stream that loses its GPU twice)
     #[arg(long, value_enum, default_value = "auto")]
     pub engine: EngineArg,
-    /// Which GPU with --engine gpu, by its index or part of its name (see `planish devices`); else the first real one
+    /// Which GPU to use with --engine gpu: index or part of the name (see `planish devices`); by default the first real one
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
-    /// Threads of the CPU engines; else one for each core
+    /// Threads of the CPU engines; by default one per core
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
 }
@@ -123,7 +122,7 @@ impl SmoothingArgs {
     pub fn params(&self) -> Result<SmoothParams> {
         if matches!(self.sensor, Some(SensorArg::Auto)) {
             bail!(
-                "--sensor auto needs a frame to look at: `planish info` of an organized cloud says what it sees, name the nearest sensor here"
+                "--sensor auto needs a frame to estimate from, and a stream has none yet: run `planish info` on one, then name the nearest sensor"
             );
         }
         self.params_for(None)
@@ -185,7 +184,7 @@ impl SmoothingArgs {
         })
     }
 
-    /// The sensor by whose noise floating pixels are told, if they are to be removed.
+    /// The sensor whose noise decides which pixels float, if those are to be removed.
     pub fn floating_sensor(&self, cloud: Option<&OrganizedCloud>) -> Result<Option<SensorModel>> {
         if self.remove_floating { self.sensor_of(cloud).map(Some) } else { Ok(None) }
     }

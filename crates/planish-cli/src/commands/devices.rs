@@ -62,13 +62,13 @@ fn print_text(Devices { cpu, gpus, auto }: &Devices) {
             AdapterKind::Discrete => "discrete GPU",
             AdapterKind::Integrated => "integrated GPU",
             AdapterKind::Virtual => "virtual GPU",
-            AdapterKind::Software => "software, only taken by name",
-            _ => "of unknown kind, only taken by name",
+            AdapterKind::Software => "software, only used if selected",
+            _ => "unknown kind, only used if selected",
         };
         println!("gpu {index}  {name}; {kind}; {backend}, {driver}");
     }
     if cfg!(not(feature = "gpu")) {
-        println!("gpu    not in this build, which is without the feature gpu");
+        println!("gpu    not in this build (feature gpu)");
     } else if gpus.is_empty() {
         println!("gpu    none found: it needs a driver for Vulkan, Metal or DirectX 12 (on Linux libvulkan.so.1 too)");
     }

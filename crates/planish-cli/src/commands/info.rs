@@ -1,4 +1,4 @@
-//! `planish info`: what a file holds.
+//! `planish info`: what a file contains.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -214,6 +214,6 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
             at(step, 3.0),
             at(sigma, 3.0)
         );
-        println!("                (a Kinect v1 has 2.85 and 1.80, 25.65 and 16.20)");
+        println!("                (a Kinect v1: 2.85 and 1.80, 25.65 and 16.20)");
     }
 }

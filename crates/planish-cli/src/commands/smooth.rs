@@ -68,7 +68,7 @@ struct FolderReport {
 }
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
-    // Those of general clouds; with --sensor auto the first frame says those of all others.
+    // For general clouds; with --sensor auto the first frame determines the parameters of all others.
     let params = args.smoothing.params_for(None)?;
     // Options that contradict each other are refused whatever the input turns out to be.
     args.smoothing.options(Outputs::POINTS)?;
@@ -191,7 +191,7 @@ struct Worker<'a> {
     params: SmoothParams,
     /// Whether the parameters are those of the frames' sensor.
     sensor_known: bool,
-    /// By whose noise floating pixels are told, if they are to be removed.
+    /// The sensor whose noise decides which pixels float, if those are to be removed.
     floating_sensor: Option<SensorModel>,
     /// Instead of what the files say.
     pose: Option<SensorPose>,
@@ -351,7 +351,7 @@ impl Worker<'_> {
         self.smooth(output, cloud.into_frame().map_err(of_input)?, outputs, params)
     }
 
-    /// Smooths a frame as often as is asked for, and says if many points were lost.
+    /// Smooths a frame as many times as requested, and reports if many points were lost.
     fn smooth(
         &mut self,
         output: &Path,
@@ -438,25 +438,27 @@ struct PointCounts {
     lost: usize,
 }
 
-/// More points than this share that are lost are told.
+/// A larger share of lost points than this is reported.
 const LOST_SHARE_TOLD: f64 = 0.01;
 
-/// Says in a line if the ranges of a grid are not the depths of a camera.
+/// Reports in one line if the ranges of a grid are not the depths of a camera.
 fn say_range_rule(input: &Path, frame: Frame<'_>) {
     let Frame::Points(points) = frame else { return };
     let input = input.display();
     let known = !points.pose().is_identity();
     match points.range_rule() {
         RangeRule::Distance { .. } if known => {
-            eprintln!("{input}: the grid is no camera's at the sensor pose; ranges are distances from there");
+            eprintln!(
+                "{input}: the grid is not that of a camera at the stated sensor pose; ranges are distances from the sensor"
+            );
         }
         RangeRule::Distance { .. } => eprintln!(
             "{input}: the grid is not that of a camera at the origin that looks along +z; ranges are distances from the origin \
-             (--sensor-pose says where the sensor stands)"
+             (give the sensor's pose with --sensor-pose)"
         ),
         RangeRule::Constant { spacing_m } => eprintln!(
-            "{input}: it cannot be told where the sensor stood; smoothed by the spacing of the points, {spacing_m:.4} m \
-             (--sensor-pose says where the sensor stands)"
+            "{input}: the sensor's position is unknown; smoothed by the spacing of the points, {spacing_m:.4} m \
+             (give the sensor's pose with --sensor-pose)"
         ),
         _ => {}
     }
@@ -469,10 +471,10 @@ fn likely_cause(frame: Frame<'_>, params: &SmoothParams) -> String {
             "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or --radius sensor"
         ),
         (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
-            "Likely they stand alone, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
+            "Likely they are isolated, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
                 .to_owned()
         }
-        _ => "Likely they stand alone between holes or behind each other: try --radius METRES".to_owned(),
+        _ => "Likely they are isolated between holes: try --radius METRES".to_owned(),
     }
 }
 

@@ -44,7 +44,7 @@ pub(super) struct GpuDevice {
     /// Whose turn it is to call wgpu for what has run. Of two threads that ask at once, wgpu 30 may see the queue empty in one
     /// before it sees in the other that the last submission has run, and panics.
     turn: Mutex<()>,
-    /// Threads that wait for their turn to submit: who waits lets them go first.
+    /// Threads that wait for their turn to submit: waiters let them go first.
     submitting: AtomicUsize,
     spin: Duration,
 }
@@ -133,7 +133,7 @@ impl GpuDevice {
         }))
         .map_err(|error| EngineError::Unavailable {
             engine: "gpu",
-            reason: format!("the adapter {name} cannot be opened: {error}"),
+            reason: format!("the adapter {name} could not be opened: {error}"),
         })?;
 
         let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
@@ -236,7 +236,7 @@ impl GpuDevice {
         self.loss().or_else(|| self.check().err()).unwrap_or_else(failure)
     }
 
-    /// The loss of the device. It is told only to who asks, when there is nothing more to do, and if another thread asked at the
+    /// The loss of the device. It is reported only when polled, once there is nothing more to do, and if another thread polled at the
     /// same time, a little later.
     fn loss(&self) -> Option<EngineError> {
         let until = Instant::now() + LOSS_TIMEOUT;
@@ -365,11 +365,11 @@ impl GpuDevice {
             }
             std::hint::spin_loop();
         }
-        // By small steps, since who submits waits for the turn.
+        // In small steps, since submitters wait for the turn.
         let until = Instant::now() + TIMEOUT;
         while Instant::now() < until {
             if self.submitting.load(Ordering::Relaxed) > 0 {
-                // The lock is not fair: who wants it must find it free for a while.
+                // The lock is not fair: leave it free for a while.
                 std::thread::sleep(Duration::from_micros(50));
                 continue;
             }
@@ -377,6 +377,6 @@ impl GpuDevice {
                 return self.check();
             }
         }
-        Err(self.lose(format!("it has not answered for {} s", TIMEOUT.as_secs())))
+        Err(self.lose(format!("no answer for {} s", TIMEOUT.as_secs())))
     }
 }

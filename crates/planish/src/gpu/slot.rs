@@ -65,7 +65,7 @@ impl Drop for Counted {
 /// How many buffers the host has back after a submission, and how many it will not get back.
 ///
 /// Any thread that calls the device may run the callbacks that count, also a little after another has seen the submission
-/// done: who needs the buffers waits for the counts.
+/// done: a thread that needs the buffers waits for the counts.
 #[derive(Default)]
 struct Mapped {
     counts: Mutex<(usize, usize)>,

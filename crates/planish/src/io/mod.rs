@@ -1,4 +1,4 @@
-//! Files: what they hold, and how they are written so that nothing is lost and nothing is left half-written.
+//! Reading and writing files; nothing is lost and nothing is left half-written.
 //!
 //! A format is detected from the contents first, then from the file's extension. Every reader checks what a header claims against
 //! the bytes that are there before it allocates.
@@ -85,7 +85,7 @@ impl Format {
         }
     }
 
-    /// The format that a file's extension announces.
+    /// The format of a file's extension.
     pub fn of_extension(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "pcd" => Some(Self::Pcd),
@@ -97,7 +97,7 @@ impl Format {
         }
     }
 
-    /// The format that the first bytes of a file show.
+    /// The format that a file's first bytes identify.
     fn of_contents(bytes: &[u8]) -> Option<Self> {
         let starts = |magic: &[u8]| bytes.starts_with(magic);
         if starts(b"ply\n") || starts(b"ply\r") {
@@ -124,7 +124,7 @@ impl Format {
     }
 }
 
-/// What a file holds.
+/// The contents of a file.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Contents {

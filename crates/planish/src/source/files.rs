@@ -45,7 +45,7 @@ impl Source for FileSource {
             return Ok(Some(frame.clone()));
         }
         let Some(file) = self.files.get(self.next) else { return Ok(None) };
-        // Counted first, so that who goes on after an error gets the file after it.
+        // Counted first, so that a caller that continues after an error gets the next file.
         self.next += 1;
         let frame = read_frame(file, self.camera)?;
         if self.repeats {

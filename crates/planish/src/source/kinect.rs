@@ -212,7 +212,7 @@ impl KinectSource {
         let failed = |error: std::io::Error| DeviceError::Failed { what: format!("no thread for the Kinect: {error}") };
         let thread = thread::Builder::new().name("planish-kinect".into()).spawn(work).map_err(failed)?;
         let source = Self { newest, dropped, arrived, ended, stop: Some(stop), thread: Some(thread) };
-        // The thread says that it runs, or ends with the reason.
+        // The thread reports that it runs, or ends with the reason.
         match opened.recv() {
             Ok(()) => Ok(source),
             Err(_) => {

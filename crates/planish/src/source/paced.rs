@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::{Source, SourceFrame};
 use crate::error::{Error, ParamError};
 
-/// Gives the frames of another source in their time, as a live camera would: who comes late finds the next one.
+/// Gives the frames of another source in their time, as a live camera would: a late caller gets the next one.
 pub struct Paced {
     source: Box<dyn Source>,
     interval: Duration,

@@ -100,7 +100,7 @@ fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
     read_list(list)?.into_iter().map(line).collect()
 }
 
-/// Lines of depth and colour, in either order: told by the folders that they name.
+/// Lines of depth and colour, in either order, distinguished by the folders that they name.
 fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
     let line = |words: Vec<String>| {
         let [first_s, first, second_s, second] = &words[..] else {

@@ -84,7 +84,7 @@ impl Mailbox {
         let mut state = self.lock();
         match self.policy {
             Policy::NewestWins => {
-                // Errors are told, whatever comes after them.
+                // Errors are kept, whatever comes after them.
                 let before = state.items.len();
                 if item.is_ok() {
                     state.items.retain(|item| item.is_err());

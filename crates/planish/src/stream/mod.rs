@@ -35,7 +35,7 @@ pub use statistics::{Latency, StreamStatistics};
 /// How many frames of a source that is not live are read ahead.
 const READ_AHEAD: usize = 4;
 
-/// A frame that loses more points than this share is told of.
+/// A frame that loses a larger share of its points than this is reported.
 const LOST_SHARE_TOLD: f64 = 0.01;
 
 /// A frame with its result, as sinks get it.
@@ -64,7 +64,7 @@ pub struct StreamOptions {
     pub adapt_stride: bool,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
-    /// End after so many frames.
+    /// Stop after N frames.
     pub max_frames: Option<u64>,
     /// End after so long.
     pub max_duration: Option<Duration>,
@@ -92,7 +92,7 @@ impl StreamOptions {
     }
 }
 
-/// What the caller is told while a stream runs.
+/// What a running stream reports to the caller.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum StreamEvent<'a> {
@@ -103,7 +103,7 @@ pub enum StreamEvent<'a> {
     Warning(String),
 }
 
-/// A frame on its way, with what is needed to smooth it again should its device be lost.
+/// A frame in flight, with what is needed to smooth it again if its device is lost.
 struct Pending {
     frame: SourceFrame,
     since: Instant,
@@ -113,7 +113,7 @@ struct Pending {
 /// `stop` is set when it returns.
 ///
 /// Frames of another shape than the last reopen the smoother. A GPU that is lost is opened once more, and after that the CPU
-/// engine takes over; the order of the frames is kept. A frame or a sink that fails is told and counted, and the stream goes on.
+/// engine takes over; the order of the frames is kept. A frame or a sink that fails is reported and counted, and the stream continues.
 pub fn run(
     source: Box<dyn Source>,
     options: &StreamOptions,
@@ -369,7 +369,7 @@ impl Stream<'_> {
         }
     }
 
-    /// After an error of a GPU: opens it once more, then the CPU engine, and smooths what was on its way again, in its order.
+    /// After a GPU error: reopens the GPU once, then falls back to the CPU engine, and smooths the frames in flight again, in order.
     fn recover(&mut self, error: Error, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         let mut error = error;
         loop {
@@ -395,7 +395,7 @@ impl Stream<'_> {
         }
     }
 
-    /// Smooths what is on its way one by one.
+    /// Smooths the frames in flight one by one.
     fn smooth_pending(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         while let Some(Pending { frame, .. }) = self.pending.front() {
             let params = self.params.unwrap_or(self.options.params);

@@ -120,7 +120,7 @@ impl SinkThread {
         Ok(Self { name, frames: Some(frames), thread: Some(thread), dropped: 0, warned: false, time })
     }
 
-    /// Gives it a result; says, once, what is wrong with it.
+    /// Gives it a result; returns a warning, once, if it failed.
     pub(super) fn give(&mut self, frame: &Arc<StreamFrame>, live: bool) -> Option<String> {
         let frames = self.frames.as_ref()?;
         let given = if live {
@@ -152,7 +152,7 @@ impl SinkThread {
         }
     }
 
-    /// Waits until it has written everything; says if it failed, and counts.
+    /// Waits until it has written everything, and counts; returns a warning if it failed.
     pub(super) fn finish(mut self, statistics: &mut StreamStatistics) -> Option<String> {
         let had_failed = self.frames.take().is_none();
         statistics.dropped_by_sinks += self.dropped;
