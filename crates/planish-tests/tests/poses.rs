@@ -157,7 +157,7 @@ fn a_georeferenced_grid_keeps_its_points_and_its_millimetres() {
             [origin[0] + spacing * u as f64, origin[1] + spacing * v as f64, origin[2] + height(u, v)]
         })
         .collect();
-    let view = PointsView::from_rows_f64(&rows).unwrap().with_grid(80, 60).unwrap().with_origin(origin);
+    let view = PointsView::from_rows_f64(&rows).unwrap().with_grid(80, 60).unwrap().with_origin(origin).unwrap();
     assert!(matches!(view.range_rule(), RangeRule::Constant { spacing_m } if (spacing_m - spacing).abs() < 0.01));
     for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
         let smoothed = engine.smooth(view, SmoothParams::default().with_stride(1));

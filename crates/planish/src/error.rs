@@ -59,7 +59,9 @@ pub enum FrameError {
         height: usize,
     },
     /// A frame with a grid for a smoother of general clouds, or a general cloud for one of frames.
-    #[error("the frame {found}, but the smoother was opened for {expected}: open another one")]
+    #[error(
+        "the frame {found}, but the smoother was opened for {expected}: open another one, or give the view its grid"
+    )]
     GridMismatch {
         /// What the frame is.
         found: String,
@@ -83,7 +85,7 @@ pub enum FrameError {
         output: &'static str,
     },
     /// A sensor pose that is none.
-    #[error("sensor pose: {0}; without a usable pose, override it")]
+    #[error("sensor pose: {0}")]
     BadPose(ParamError),
     /// A buffer whose length does not follow from the shape.
     #[error("{what} has {len} values where {expected} are needed")]

@@ -7,6 +7,9 @@ use crate::error::{FrameError, ParamError};
 /// How far from 1 the length of a quaternion may be: files round to a few digits.
 const LENGTH_TOLERANCE: f64 = 0.01;
 
+/// No sensor stands farther from the origin of its coordinates.
+const MAX_POSITION_M: f64 = 1e9;
+
 /// Position and orientation of a sensor, as PCD's VIEWPOINT states them: cloud_from_sensor.
 ///
 /// The sensor looks along its own +z, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the origin that
@@ -27,6 +30,11 @@ impl SensorPose {
     /// The pose of a PCD VIEWPOINT: x, y, z, then the quaternion w, x, y, z.
     pub fn from_viewpoint([x, y, z, qw, qx, qy, qz]: [f64; 7]) -> Self {
         Self { position_m: [x, y, z], orientation: [qw, qx, qy, qz] }
+    }
+
+    /// The pose of a position and a quaternion in the order x, y, z, w, as ROS and Eigen store it.
+    pub fn from_xyzw(position_m: [f64; 3], [x, y, z, w]: [f64; 4]) -> Self {
+        Self { position_m, orientation: [w, x, y, z] }
     }
 
     /// The seven numbers of a PCD VIEWPOINT.
@@ -52,7 +60,9 @@ impl SensorPose {
             return Ok(RigidTransform::IDENTITY);
         }
         let [w, x, y, z] = self.orientation;
-        let quaternion = DQuat::from_xyzw(x, y, z, w);
+        // Some writers leave zeros where they know the position alone.
+        let is_unknown = self.orientation == [0.0; 4];
+        let quaternion = if is_unknown { DQuat::IDENTITY } else { DQuat::from_xyzw(x, y, z, w) };
         // False for a NaN.
         let is_unit = (quaternion.length() - 1.0).abs() <= LENGTH_TOLERANCE;
         if !is_unit {
@@ -60,8 +70,9 @@ impl SensorPose {
             return bad("orientation", format!("{:?}", self.orientation), allowed);
         }
         let translation = DVec3::from_array(self.position_m);
-        if !translation.is_finite() {
-            return bad("position_m", format!("{:?}", self.position_m), "three finite numbers in metres");
+        let is_within = self.position_m.iter().all(|coordinate| coordinate.abs() <= MAX_POSITION_M);
+        if !is_within {
+            return bad("position_m", format!("{:?}", self.position_m), "three numbers in metres, at most 1e9 each");
         }
         Ok(RigidTransform { rotation: DMat3::from_quat(quaternion.normalize()), translation })
     }
@@ -110,9 +121,12 @@ mod tests {
     fn poses_that_are_none_are_refused_and_zeros_are_the_identity() {
         let pose = |viewpoint| SensorPose::from_viewpoint(viewpoint);
         assert!(pose([0.0; 7]).transform().unwrap().is_identity());
-        for bad in [[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0]] {
+        let unturned = pose([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0]).transform().unwrap();
+        assert_eq!(unturned.rotation, DMat3::IDENTITY);
+        for bad in [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0]] {
             assert!(pose(bad).validate().unwrap_err().to_string().contains("length 1"));
         }
         assert!(pose([f64::NAN, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]).validate().is_err());
+        assert!(pose([0.0, 1e39, 0.0, 1.0, 0.0, 0.0, 0.0]).validate().is_err());
     }
 }

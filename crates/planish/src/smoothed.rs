@@ -80,7 +80,8 @@ impl Smoothed {
 
     /// The smoothed surface as a depth image: what the camera would have measured (docs/method.md, section 7).
     ///
-    /// Ask for normals: without them the depths are the points' own, which are off on slanted surfaces.
+    /// Ask for normals: without them the depths are the points' own, which are off on slanted surfaces. The result must be in the
+    /// camera's frame: of a cloud with another pose, ask the smoother for depth instead.
     pub fn to_depth(&self, camera: &Camera) -> Result<DepthImage, FrameError> {
         let raw = self.to_depth_m(camera)?.into_iter().map(|depth_m| camera.raw_depth(depth_m)).collect();
         Ok(DepthImage { width: self.width, height: self.height, raw })

@@ -220,9 +220,12 @@ impl Smoother {
             (found, expected) => {
                 let describe = |grid: Option<(usize, usize)>| match grid {
                     Some((width, height)) => format!("a grid of {width}x{height}"),
-                    None => "general clouds".to_owned(),
+                    None => "general clouds (no grid)".to_owned(),
                 };
-                let found = format!("is of {}", describe(found));
+                let found = match found {
+                    Some(_) => format!("has {}", describe(found)),
+                    None => "is a general cloud".to_owned(),
+                };
                 return Err(FrameError::GridMismatch { found, expected: describe(expected) });
             }
         }

@@ -13,10 +13,10 @@ pub mod stream;
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use planish::OrganizedCloud;
 use planish::io::Contents;
-use planish::{DepthFrame, DepthView, Error};
+use planish::{Camera, DepthFrame, DepthView, Error, PointsView, RangeRule};
 
 use crate::args::CameraArgs;
 
@@ -30,7 +30,10 @@ fn organized(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<Org
     let shape = contents.shape();
     match contents {
         Contents::Organized(mut cloud) => {
-            cloud.camera = camera.camera(shape)?;
+            if let Some(camera) = camera.camera(shape)? {
+                check_camera(&cloud, &camera).with_context(|| file.display().to_string())?;
+                cloud.camera = Some(camera);
+            }
             Ok(cloud)
         }
         Contents::Depth(image) => {
@@ -49,4 +52,27 @@ fn organized(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<Org
         ),
         _ => bail!("{}: not a frame of a kind that is known here", file.display()),
     }
+}
+
+/// A camera whose focal length differs by more than this factor from that of the points is another one.
+const FOCAL_LENGTH_FACTOR: f64 = 1.25;
+
+/// Refuses a camera that contradicts the points of a cloud.
+fn check_camera(cloud: &OrganizedCloud, camera: &Camera) -> Result<()> {
+    let view = PointsView::from_organized(cloud).map_err(Error::from)?;
+    match view.range_rule() {
+        RangeRule::Depth { pitch_at_1m: Some(pitch) } => {
+            let ratio = camera.fx * pitch;
+            if !(1.0 / FOCAL_LENGTH_FACTOR..=FOCAL_LENGTH_FACTOR).contains(&ratio) {
+                bail!(
+                    "the camera has fx = {}, but the points have {:.1}: give the camera of this cloud, or none",
+                    camera.fx,
+                    1.0 / pitch
+                );
+            }
+        }
+        RangeRule::Depth { .. } => {}
+        _ => bail!("the grid is not that of a camera in this frame: give --sensor-pose, or no camera"),
+    }
+    Ok(())
 }

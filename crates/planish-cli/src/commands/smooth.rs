@@ -10,13 +10,13 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::{self, CloudRef, Contents, Format};
 use planish::{
-    Camera, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, Radius, RangeRule,
-    SensorModel, SensorPose, SmoothParams, Smoothed, Smoother, estimate_radius_m,
+    Camera, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, PointsView, Radius,
+    RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother, estimate_radius_m,
 };
 use serde::Serialize;
 
 use super::{ms_since, organized};
-use crate::args::SmoothArgs;
+use crate::args::{FieldArg, SmoothArgs};
 
 /// What is said of one frame.
 #[derive(Serialize)]
@@ -277,6 +277,13 @@ impl Worker<'_> {
             Some(Format::Npy) => contents.is_depth(),
             _ => false,
         };
+        if in_metres && self.args.camera.depth_scale.is_some() {
+            bail!("{}: depth as floats is in metres; --depth-scale is for 16-bit images", input.display());
+        }
+        let has_fields = self.args.fields.iter().any(|field| *field != FieldArg::None);
+        if has_fields && (depth_out || Format::of_extension(output) == Some(Format::Npy)) {
+            bail!("{}: has no place for --fields; write .pcd or .ply", output.display());
+        }
         let mut outputs = self.args.outputs().with_status(true);
         // Depth in metres is made from points and normals; raw depth by the engine, which then gives nothing else.
         if depth_out && in_metres {
@@ -300,6 +307,10 @@ impl Worker<'_> {
             self.sensor_known = true;
         }
         if let Some(sensor) = self.floating_sensor {
+            let view = PointsView::from_organized(&cloud).map_err(Error::from)?;
+            if matches!(view.range_rule(), RangeRule::Constant { .. }) {
+                bail!("{}: --remove-floating needs the sensor's position: give --sensor-pose", input.display());
+            }
             let count = cloud.remove_floating(&sensor);
             eprintln!("{}: {count} floating pixels became holes", input.display());
             depth.iter_mut().for_each(|depth| {
@@ -309,7 +320,7 @@ impl Worker<'_> {
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
         let frame =
             depth.as_ref().map_or_else(|| (&cloud).into_frame(), |depth| depth.into_frame()).map_err(of_input)?;
-        say_range_rule(input, frame);
+        report_range_rule(input, frame, self.pose.is_some());
         let depth_camera = match cloud.camera {
             _ if !depth_out => None,
             None => bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display()),
@@ -441,24 +452,22 @@ struct PointCounts {
 /// A larger share of lost points than this is reported.
 const LOST_SHARE_TOLD: f64 = 0.01;
 
-/// Reports in one line if the ranges of a grid are not the depths of a camera.
-fn say_range_rule(input: &Path, frame: Frame<'_>) {
+/// Reports in one line if the ranges of a grid are not the depths of a camera. Whoever gives a pose knows where the sensor stands.
+fn report_range_rule(input: &Path, frame: Frame<'_>, pose_is_given: bool) {
     let Frame::Points(points) = frame else { return };
     let input = input.display();
-    let known = !points.pose().is_identity();
     match points.range_rule() {
-        RangeRule::Distance { .. } if known => {
-            eprintln!(
-                "{input}: the grid is not that of a camera at the stated sensor pose; ranges are distances from the sensor"
-            );
-        }
+        RangeRule::Distance { .. } if pose_is_given => {}
+        RangeRule::Distance { .. } if !points.pose().is_identity() => eprintln!(
+            "{input}: the grid is not that of a camera at the stated sensor pose; ranges are distances from the sensor"
+        ),
         RangeRule::Distance { .. } => eprintln!(
-            "{input}: the grid is not that of a camera at the origin that looks along +z; ranges are distances from the origin \
-             (give the sensor's pose with --sensor-pose)"
+            "{input}: the grid is not that of a camera at the origin looking along +z; ranges are distances from the origin, and \
+             normals face it (give the sensor's pose with --sensor-pose)"
         ),
         RangeRule::Constant { spacing_m } => eprintln!(
-            "{input}: the sensor's position is unknown; smoothed by the spacing of the points, {spacing_m:.4} m \
-             (give the sensor's pose with --sensor-pose)"
+            "{input}: the sensor's position is unknown; smoothed by the spacing of the points, {spacing_m:.4} m, with normals to one \
+             side of the surface (give the sensor's pose with --sensor-pose)"
         ),
         _ => {}
     }

@@ -18,6 +18,8 @@ pub struct Distortion {
 
 /// Newton steps until the ray of a pixel is found; from the distorted position as a start, wide lenses take some ten.
 const MAX_STEPS: usize = 50;
+/// Directions between the centre and a ray that are checked for a fold.
+const FOLD_SAMPLES: u32 = 24;
 /// The residual of a ray that is found, in units of the focal length: a millionth of a pixel.
 const RESIDUAL: f64 = 1e-9;
 
@@ -88,12 +90,23 @@ impl Distortion {
                 return None;
             }
             if error_x.hypot(error_y) <= RESIDUAL {
-                return Some([x, y]);
+                return self.is_before_fold(x, y).then_some([x, y]);
             }
             x += (yy * error_x - xy * error_y) / determinant;
             y += (xx * error_y - xy * error_x) / determinant;
         }
         None
+    }
+}
+
+impl Distortion {
+    /// Whether the image does not fold over itself between its centre and a direction.
+    fn is_before_fold(&self, x: f64, y: f64) -> bool {
+        (1..FOLD_SAMPLES).all(|i| {
+            let share = f64::from(i) / f64::from(FOLD_SAMPLES);
+            let (_, [xx, xy, yy]) = self.distort(share * x, share * y);
+            xx * yy - xy * xy > 0.0 && xx > 0.0
+        })
     }
 }
 
@@ -141,6 +154,12 @@ mod tests {
         let barrel = Distortion::from_opencv(&[-0.4, 0.0, 0.0, 0.0]).unwrap();
         assert!(barrel.undistort([0.3, 0.3]).is_some());
         assert_eq!(barrel.undistort([2.0, 2.0]), None);
+        // Newton's method may jump over the fold, at r = 1.04 here, to the branch behind it.
+        let folding = Distortion::from_opencv(&[-0.4, 0.05, 0.0, 0.0]).unwrap();
+        for i in 0..200 {
+            let found = folding.undistort([0.02 * f64::from(i), 0.0]);
+            assert!(found.is_none_or(|[x, _]| x < 1.04), "{i}: {found:?}");
+        }
         assert_eq!(Distortion::from_opencv(&[0.1; 3]), None);
         assert!(Distortion::from_opencv(&[0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).is_some());
     }

@@ -115,11 +115,19 @@ impl<'a> OutputRows<'a> {
             }
         }
         if let (Some(DepthOutput { camera, rays }), Some(depth)) = (self.depth, &mut self.out.depth) {
+            // Through a distorted lens the ray of a pixel is that of its point.
+            let by_point = rays.are_distorted();
             let rays = rays.row(self.first + row);
             let (point, normal) = (&projected.point, &projected.normal);
             for (lane, out) in depth[at.clone()].iter_mut().enumerate() {
                 let (point, normal) = (in_lane(point, lane).to_array(), in_lane(normal, lane).to_array());
-                *out = camera.raw_depth(depth_along_ray_m(rays.at(u + lane), point, normal));
+                let ray = if by_point {
+                    let p = in_lane(&p, lane);
+                    [p.x / p.z, p.y / p.z]
+                } else {
+                    rays.at(u + lane)
+                };
+                *out = camera.raw_depth(depth_along_ray_m(ray, point, normal));
             }
         }
         if let Some(curvature) = &mut self.out.curvature {

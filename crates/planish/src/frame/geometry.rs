@@ -45,6 +45,8 @@ const LAG_PX: usize = 4;
 const RAY_LAW_TOLERANCE: f64 = 0.1;
 /// Points behind the sensor, as a share, from which on the grid is no camera's.
 const MAX_BEHIND: f64 = 0.01;
+/// Corners of pixels that turn the other way, as a share, from which on the grid is no camera's.
+const MAX_TURNED: f64 = 0.1;
 /// One spread is clearly less than another if it is below this share of it.
 const CLEARLY_LESS: f64 = 0.7;
 /// Angles of this spread are the same, lenses and scanners being what they are: a factor of 1.6.
@@ -82,8 +84,10 @@ pub(crate) struct GeometryScratch {
     pitches: Vec<f64>,
     tangents: Vec<f64>,
     spreads: Vec<f64>,
+    medians: Vec<f64>,
     horizontal: Vec<NeighbourPair>,
     vertical: Vec<NeighbourPair>,
+    extent: Vec<DVec3>,
 }
 
 /// Two neighbours on the grid.
@@ -112,24 +116,25 @@ impl FrameGeometry {
     /// Of points on a grid.
     pub(super) fn of_points(points: &PointsView<'_>, needs_range: bool, scratch: &mut GeometryScratch) -> Self {
         let assumed = Self::new(points.transform(), RangeRule::Depth { pitch_at_1m: None });
-        if let Some(camera) = points.camera() {
-            return Self { rule: RangeRule::Depth { pitch_at_1m: Some(1.0 / camera.fx) }, ..assumed };
-        }
-        let Some((width, height)) = points.grid() else { return assumed };
+        let Some(grid @ (width, height)) = points.grid() else { return assumed };
         let sample = Sample { points, geometry: assumed, width, height };
+        let known_pitch = points.camera().map(|camera| 1.0 / camera.fx);
         let of_camera = |sample: &Sample<'_, '_>, scratch: &mut GeometryScratch| {
-            let pitch_at_1m = if needs_range { sample.camera_pitch(scratch) } else { None };
+            let pitch_at_1m = known_pitch.or_else(|| if needs_range { sample.camera_pitch(scratch) } else { None });
             Self { rule: RangeRule::Depth { pitch_at_1m }, ..sample.geometry }
         };
-        if sample.is_of_a_camera(scratch) {
+        let has_pose = !points.pose().is_identity();
+        if (known_pitch.is_some() && !has_pose) || sample.is_of_a_camera(scratch) {
             return of_camera(&sample, scratch);
         }
         let own = Sample { geometry: Self::new(points.origin_transform(), assumed.rule), ..sample };
-        if !points.pose().is_identity() && own.is_of_a_camera(scratch) && own.is_likelier_than(&sample, scratch) {
+        if has_pose && own.is_of_a_camera(scratch) && own.is_likelier_than(&sample, scratch) {
             return of_camera(&own, scratch);
         }
-        let grid = (width, height);
-        let GeometryScratch { pitches, horizontal, vertical, .. } = scratch;
+        if known_pitch.is_some() {
+            return of_camera(&sample, scratch);
+        }
+        let GeometryScratch { pitches, horizontal, vertical, extent, .. } = scratch;
         sample.neighbours(horizontal, [LAG_PX.min(grid.0 - 1), 0]);
         sample.neighbours(vertical, [0, LAG_PX.min(grid.1 - 1)]);
         let mut median_of = |pairs: &[NeighbourPair], value: fn(&NeighbourPair) -> f64| {
@@ -152,15 +157,17 @@ impl FrameGeometry {
         let pairs = if horizontal.is_empty() { vertical } else { horizontal };
         let of_angle = spread(pairs.iter().map(|pair| pair.angle), pitches);
         let of_spacing = spread(pairs.iter().map(|pair| pair.spacing_m), pitches);
-        let Some(extent) = Extent::of(&sample) else { return distance };
+        let Some(extent) = Extent::of(&sample, extent) else { return distance };
         let to_origin_m = (extent.centre - assumed.sensor_position()).length();
-        let is_seen_from_origin = of_angle < SMALL_SPREAD || of_angle < CLEARLY_LESS * of_spacing;
-        if is_seen_from_origin && to_origin_m <= MAX_EXTENTS * extent.radius_m {
+        let has_even_angles = of_angle < SMALL_SPREAD || of_angle < CLEARLY_LESS * of_spacing;
+        // It sees every surface from the front: corners of pixels all turn the same way.
+        let [one, other] = sample.turns();
+        let sees_one_side = f64::from(one.min(other)) <= MAX_TURNED * f64::from(one + other);
+        if has_even_angles && sees_one_side && to_origin_m <= MAX_EXTENTS * extent.radius_m {
             return distance;
         }
-        let origin_is_outside = (extent.radius_m..=MAX_EXTENTS * extent.radius_m).contains(&to_origin_m);
-        let rule = RangeRule::Constant { spacing_m };
-        if origin_is_outside { Self { rule, ..assumed } } else { Self::new(extent.sensor_above(), rule) }
+        let origin = (to_origin_m <= MAX_EXTENTS * extent.radius_m).then(|| assumed.sensor_position());
+        Self::new(extent.sensor_beside(origin), RangeRule::Constant { spacing_m })
     }
 
     fn new(transform: RigidTransform, rule: RangeRule) -> Self {
@@ -230,28 +237,69 @@ impl Sample<'_, '_> {
         (0..self.height).step_by(self.height.div_ceil(SAMPLED_ROWS))
     }
 
-    /// Whether all points of a column lie on rays that have the same X/z, before the sensor.
+    /// Whether the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along rows, and columns go
+    /// to the right where rows go down.
     fn is_of_a_camera(&self, scratch: &mut GeometryScratch) -> bool {
-        let GeometryScratch { tangents, spreads, .. } = scratch;
-        spreads.clear();
-        let (mut low, mut high, mut behind, mut count) = (f64::INFINITY, f64::NEG_INFINITY, 0, 0);
-        for column in (0..self.width).step_by(self.width.div_ceil(SAMPLED_COLUMNS)) {
-            tangents.clear();
-            for p in self.rows().filter_map(|row| self.point(row * self.width + column)) {
-                count += 1;
-                behind += usize::from(p.z <= 0.0);
-                tangents.extend((p.x / p.z).is_finite().then_some(p.x / p.z));
-            }
-            tangents.sort_by(f64::total_cmp);
-            // A stray pixel at either end is none of the camera's.
-            let cut = usize::from(tangents.len() >= 5);
-            if let [first, .., last] = tangents[cut.min(tangents.len())..tangents.len() - cut.min(tangents.len())] {
-                spreads.push(last - first);
-                (low, high) = (low.min(first), high.max(last));
+        let columns = || (0..self.width).step_by(self.width.div_ceil(SAMPLED_COLUMNS));
+        let points = self.rows().flat_map(|row| columns().map(move |column| row * self.width + column));
+        let (mut behind, mut count) = (0u32, 0u32);
+        for p in points.filter_map(|i| self.point(i)) {
+            count += 1;
+            behind += u32::from(p.z <= 0.0);
+        }
+        let [right_handed, left_handed] = self.turns();
+        let is_rare = |part: u32, of: u32, share: f64| f64::from(part) <= share * f64::from(of);
+        is_rare(behind, count, MAX_BEHIND)
+            && is_rare(left_handed, left_handed + right_handed, MAX_TURNED)
+            && self.is_constant(columns(), |column, row| (column, row), |p| p.x / p.z, self.rows(), scratch)
+            && self.is_constant(self.rows(), |row, column| (column, row), |p| p.y / p.z, columns(), scratch)
+    }
+
+    /// How many corners of pixels turn right-handed, as a camera's do, and how many the other way: the sign of the determinant of
+    /// three neighbouring rays, whatever the surface and the noise.
+    fn turns(&self) -> [u32; 2] {
+        let mut turns = [0, 0];
+        for row in self.rows().filter(|row| row + 1 < self.height) {
+            for column in (0..self.width - 1).step_by(self.width.div_ceil(SAMPLED_COLUMNS)) {
+                let i = row * self.width + column;
+                let neighbours = self.point(i + 1).zip(self.point(i + self.width));
+                let Some((p, (right, below))) = self.point(i).zip(neighbours) else { continue };
+                let determinant = right.cross(below).dot(p);
+                turns[usize::from(determinant < 0.0)] += u32::from(determinant != 0.0);
             }
         }
-        let follows_law = quantile(spreads, 0.5).is_none_or(|spread| spread <= RAY_LAW_TOLERANCE * (high - low));
-        follows_law && behind as f64 <= MAX_BEHIND * f64::from(count as u32)
+        turns
+    }
+
+    /// Whether a tangent is the same along lines of pixels: all but a tenth of its extent over the lines.
+    fn is_constant<L: Iterator<Item = usize>, P: Iterator<Item = usize> + Clone>(
+        &self,
+        lines: L,
+        pixel: fn(usize, usize) -> (usize, usize),
+        tangent: fn(DVec3) -> f64,
+        positions: P,
+        scratch: &mut GeometryScratch,
+    ) -> bool {
+        let GeometryScratch { tangents, spreads, medians, .. } = scratch;
+        spreads.clear();
+        medians.clear();
+        for line in lines {
+            tangents.clear();
+            tangents.extend(positions.clone().filter_map(|position| {
+                let (column, row) = pixel(line, position);
+                self.point(row * self.width + column).map(tangent).filter(|tangent| tangent.is_finite())
+            }));
+            tangents.sort_by(f64::total_cmp);
+            // A stray pixel at either end is none of the camera's.
+            let cut = if tangents.len() >= 5 { 1 } else { 0 };
+            if let [first, .., last] = tangents[cut..tangents.len() - cut] {
+                spreads.push(last - first);
+                medians.push(tangents[tangents.len() / 2]);
+            }
+        }
+        let (low, high) = (quantile(medians, 0.05), quantile(medians, 0.95));
+        let extent = high.zip(low).map_or(0.0, |(high, low)| high - low);
+        quantile(spreads, 0.5).is_none_or(|spread| spread <= RAY_LAW_TOLERANCE * extent)
     }
 
     /// 1/fx of a camera: in a pinhole image X/Z grows by exactly that from a pixel to its right neighbour, whatever the surface;
@@ -312,7 +360,7 @@ impl Sample<'_, '_> {
     }
 }
 
-/// How large a cloud is, and how it lies.
+/// How large a cloud is, and how it lies; stray points left out.
 struct Extent {
     centre: DVec3,
     /// Root mean square of the distance from the centre.
@@ -321,15 +369,28 @@ struct Extent {
     normal: DVec3,
 }
 
+/// Points farther from the middle than so many median distances are stray ones, or stand for no data.
+const MAX_MEDIAN_DISTANCES: f64 = 5.0;
+/// The origin is on one side of a cloud if it is so far off its plane, as a share of its distance.
+const CLEARLY_BESIDE: f64 = 0.2;
+
 impl Extent {
-    fn of(sample: &Sample<'_, '_>) -> Option<Self> {
+    fn of(sample: &Sample<'_, '_>, points: &mut Vec<DVec3>) -> Option<Self> {
         let columns = (0..sample.width).step_by(sample.width.div_ceil(SAMPLED_COLUMNS));
-        let points = sample.rows().flat_map(|row| columns.clone().map(move |column| row * sample.width + column));
-        let points: Vec<DVec3> =
-            points.filter(|&i| sample.point(i).is_some()).map(|i| sample.points.point(i)).collect();
+        let pixels = sample.rows().flat_map(|row| columns.clone().map(move |column| row * sample.width + column));
+        points.clear();
+        points.extend(pixels.filter(|&i| sample.point(i).is_some()).map(|i| sample.points.point(i)));
+        let median_of = |points: &mut [DVec3], value: &dyn Fn(&DVec3) -> f64| {
+            let middle = points.len() / 2;
+            let median = points.select_nth_unstable_by(middle, |a, b| value(a).total_cmp(&value(b))).1;
+            value(median)
+        };
         if points.is_empty() {
             return None;
         }
+        let middle = DVec3::new(median_of(points, &|p| p.x), median_of(points, &|p| p.y), median_of(points, &|p| p.z));
+        let typical_m = median_of(points, &|p| p.distance(middle));
+        points.retain(|p| p.distance(middle) <= MAX_MEDIAN_DISTANCES * typical_m);
         let n = points.len() as f64;
         let centre = points.iter().sum::<DVec3>() / n;
         let mut covariance = DMat3::ZERO;
@@ -342,9 +403,14 @@ impl Extent {
         (radius_m > 0.0).then_some(Self { centre, radius_m, normal })
     }
 
-    /// A sensor that looks down on the cloud: not so far away that f32 would lose its coordinates.
-    fn sensor_above(&self) -> RigidTransform {
-        RigidTransform { rotation: DMat3::IDENTITY, translation: self.centre + 4.0 * self.radius_m * self.normal }
+    /// A sensor that looks along the cloud's normal, from the side of the origin if that is clearly on one, else from above; not so
+    /// far away that f32 would lose the coordinates.
+    fn sensor_beside(&self, origin: Option<DVec3>) -> RigidTransform {
+        let to_origin = origin.map_or(DVec3::ZERO, |origin| origin - self.centre);
+        let is_outside = to_origin.length() > self.radius_m;
+        let is_below = is_outside && to_origin.dot(self.normal) < -CLEARLY_BESIDE * to_origin.length();
+        let side = if is_below { -self.normal } else { self.normal };
+        RigidTransform { rotation: DMat3::IDENTITY, translation: self.centre + 4.0 * self.radius_m * side }
     }
 }
 
@@ -409,6 +475,21 @@ mod tests {
     }
 
     #[test]
+    fn stray_points_and_overhead_views_make_no_camera_of_a_turned_one() {
+        let transform = SensorPose::from_viewpoint(BASE_POSE).transform().unwrap();
+        let raised = |p: DVec3| transform.rotation * p + DVec3::new(0.0, 0.0, 3.0);
+        let stray = |(i, p): (usize, DVec3)| if i % 64 == 20 && i % 5 == 0 { p.with_z(1e-4) } else { p };
+        let (rule, _) =
+            rule_of(seen_by_a_camera().into_iter().map(raised).enumerate().map(stray), SensorPose::IDENTITY);
+        assert!(!matches!(rule, RangeRule::Depth { .. }), "{rule:?}");
+        // Looking down on a floor, in a frame with z up.
+        let overhead = SensorPose::from_viewpoint([0.0, 0.0, 4.0, 0.0, 1.0, 0.0, 0.0]).transform().unwrap();
+        let floor = seen_by_a_camera().into_iter().map(|p| overhead.rotation * p + overhead.translation);
+        let (rule, _) = rule_of(floor, SensorPose::IDENTITY);
+        assert!(!matches!(rule, RangeRule::Depth { .. }), "{rule:?}");
+    }
+
+    #[test]
     fn a_camera_in_its_own_frame_is_one_whatever_pose_the_file_states() {
         // As PCL's OpenNI grabber writes it, and with a pose in a world.
         for viewpoint in [[0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0], BASE_POSE] {
@@ -452,6 +533,15 @@ mod tests {
         let (rule, sensor) = rule_of(terrain(DVec3::ZERO), SensorPose::IDENTITY);
         let RangeRule::Constant { spacing_m } = rule else { panic!("{rule:?}") };
         assert!((spacing_m - 0.5).abs() < 0.01 && sensor.z > 5.0, "{spacing_m} {sensor}");
+        // At its corner, at a height, and with values that stand for no data.
+        let (beside, sensor) = rule_of(terrain(DVec3::new(20.0, 15.0, 0.0)), SensorPose::IDENTITY);
+        assert!(!matches!(beside, RangeRule::Depth { .. }) && sensor.z >= 0.0, "{beside:?} {sensor}");
+        let northwards = |p: DVec3| DVec3::new(p.x, -p.y, p.z);
+        let (high, _) = rule_of(terrain(DVec3::new(-100.0, -75.0, 100.0)).map(northwards), SensorPose::IDENTITY);
+        assert!(!matches!(high, RangeRule::Depth { .. }), "{high:?}");
+        let nodata = |(i, p): (usize, DVec3)| if i % 600 == 7 { DVec3::new(p.x, p.y, -3.4e38) } else { p };
+        let (holed, sensor) = rule_of(terrain(DVec3::ZERO).enumerate().map(nodata), SensorPose::IDENTITY);
+        assert!(matches!(holed, RangeRule::Constant { .. }) && (5.0..100.0).contains(&sensor.z), "{holed:?} {sensor}");
         let (far, sensor) = rule_of(terrain(DVec3::new(3.2e5, 5.6e5, 120.0)), SensorPose::IDENTITY);
         assert!(matches!(far, RangeRule::Constant { .. }) && sensor.z > 120.0, "{far:?} {sensor}");
     }

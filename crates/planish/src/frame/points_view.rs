@@ -8,7 +8,7 @@ use super::check_rows;
 use super::geometry::{FrameGeometry, GeometryScratch, RangeRule};
 use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
-use crate::error::FrameError;
+use crate::error::{FrameError, ParamError};
 use crate::pose::{RigidTransform, SensorPose};
 use crate::xyz::{MAX_PIXELS, validate_shape};
 
@@ -121,7 +121,7 @@ impl<'a> PointsView<'a> {
             Scalar::F64 => 8,
         };
         let positions = Positions::Interleaved { bytes, layout, row_points: width };
-        if width == 0 && height <= 1 {
+        if (width, height) == (0, 0) || (width, height) == (0, 1) {
             return Ok(Self::of(positions, 0));
         }
         let point_end = layout.offsets.iter().map(|offset| offset.saturating_add(size)).max().unwrap_or(0);
@@ -129,6 +129,7 @@ impl<'a> PointsView<'a> {
             let (what, stride) = ("point stride", layout.point_stride);
             return Err(FrameError::BadStride { what, stride, least: point_end });
         }
+        validate_shape(width, height)?;
         let row_bytes = (width - 1).checked_mul(layout.point_stride).and_then(|row| row.checked_add(point_end));
         let row_stride = if height == 1 { row_bytes.unwrap_or(usize::MAX) } else { layout.row_stride };
         check_rows("points, in bytes,", bytes.len(), (row_bytes.unwrap_or(usize::MAX), height), row_stride)?;
@@ -151,6 +152,7 @@ impl<'a> PointsView<'a> {
     /// Borrows a general cloud.
     pub fn from_cloud(cloud: &'a PointCloud) -> Result<Self, FrameError> {
         cloud.positions.check_len("positions", cloud.len())?;
+        check_origin(cloud.origin_m)?;
         let positions = &cloud.positions;
         let view = Self::from_planes(&positions.x, &positions.y, &positions.z)?;
         Self { origin_m: DVec3::from_array(cloud.origin_m), ..view }.with_pose(cloud.pose)
@@ -190,9 +192,11 @@ impl<'a> PointsView<'a> {
     }
 
     /// Subtracts an origin near the data from the points and the pose: results are relative to it, and rounded to f32 there.
-    pub fn with_origin(self, origin_m: [f64; 3]) -> Self {
+    pub fn with_origin(self, origin_m: [f64; 3]) -> Result<Self, FrameError> {
+        check_origin(origin_m)?;
         let origin_m = DVec3::from_array(origin_m);
-        Self { origin_m, subtracted_m: origin_m, ..self }
+        // Positions may be relative to another origin already.
+        Ok(Self { origin_m, subtracted_m: self.subtracted_m + (origin_m - self.origin_m), ..self })
     }
 
     /// How many points there are, holes included.
@@ -323,6 +327,14 @@ impl<'a> PointsView<'a> {
             [*x, *y, *z] = self.point_in_sensor(i, geometry).to_array().map(|value| value as f32);
         }
     }
+}
+
+fn check_origin(origin_m: [f64; 3]) -> Result<(), FrameError> {
+    if origin_m.into_iter().all(f64::is_finite) {
+        return Ok(());
+    }
+    let (field, value) = ("origin_m", format!("{origin_m:?}"));
+    Err(FrameError::BadPose(ParamError { field, value, allowed: "three finite numbers in metres" }))
 }
 
 fn check_planes([len, y, z]: [usize; 3]) -> Result<(), FrameError> {

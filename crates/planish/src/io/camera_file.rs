@@ -88,23 +88,55 @@ fn from_json(text: &str) -> FormatResult<Camera> {
         intrinsic_matrix: Option<[f64; 9]>,
         fx: Option<f64>,
         fy: Option<f64>,
+        #[serde(alias = "ppx")]
         cx: Option<f64>,
+        #[serde(alias = "ppy")]
         cy: Option<f64>,
         #[serde(alias = "depth_units_per_metre")]
         depth_scale: Option<f64>,
-        #[serde(default)]
+        #[serde(
+            default,
+            alias = "distortion_coefficients",
+            alias = "dist_coeffs",
+            alias = "coeffs",
+            alias = "D",
+            alias = "d"
+        )]
         distortion: Vec<f64>,
+        /// Row by row, as OpenCV and ROS have it.
+        #[serde(rename = "K", alias = "k", alias = "camera_matrix")]
+        matrix: Option<[f64; 9]>,
+        k1: Option<f64>,
+        k2: Option<f64>,
+        p1: Option<f64>,
+        p2: Option<f64>,
+        k3: Option<f64>,
+        k4: Option<f64>,
+        k5: Option<f64>,
+        k6: Option<f64>,
     }
-    let file: File = serde_json::from_str(text).map_err(|error| malformed(format!("not a camera file: {error}")))?;
-    let (focal_length, centre) = match (file.intrinsic_matrix, file.fx, file.fy, file.cx, file.cy) {
+    let error = |error: serde_json::Error| malformed(format!("not a camera file: {error}"));
+    let mut value: serde_json::Value = serde_json::from_str(text).map_err(error)?;
+    // Open3D's PinholeCameraParameters have them one level down.
+    if let Some(intrinsic) = value.get_mut("intrinsic").map(serde_json::Value::take) {
+        value = intrinsic;
+    }
+    let file: File = serde_json::from_value(value).map_err(error)?;
+    let (focal_length, centre) = match (file.intrinsic_matrix, file.matrix, file.fx, file.fy, file.cx, file.cy) {
         (Some(m), ..) => ([m[0], m[4]], [m[6], m[7]]),
-        (None, Some(fx), Some(fy), Some(cx), Some(cy)) => ([fx, fy], [cx, cy]),
-        _ => return Err(malformed("the camera file lacks intrinsics".into())),
+        (None, Some(m), ..) => ([m[0], m[4]], [m[2], m[5]]),
+        (None, None, Some(fx), Some(fy), Some(cx), Some(cy)) => ([fx, fy], [cx, cy]),
+        _ => return Err(malformed("the camera file lacks intrinsics: fx, fy, cx and cy, or a matrix".into())),
+    };
+    let single = [file.k1, file.k2, file.p1, file.p2, file.k3, file.k4, file.k5, file.k6];
+    let coefficients = match single.iter().any(Option::is_some) {
+        true => single.map(Option::unwrap_or_default).to_vec(),
+        false => file.distortion,
     };
     let shape = (file.width.unwrap_or(0), file.height.unwrap_or(0));
     Ok(Camera::new(shape, focal_length, centre)
         .with_depth_units_per_metre(file.depth_scale.unwrap_or(1000.0))
-        .with_distortion(distortion_of(&file.distortion)?))
+        .with_distortion(distortion_of(&coefficients)?))
 }
 
 /// A 3x3 matrix: nine numbers and nothing else.
@@ -143,11 +175,14 @@ fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<FormatResult
 
 fn colmap_camera(line: &str) -> FormatResult<Camera> {
     let words: Vec<&str> = line.split_whitespace().collect();
-    let numbers: Option<Vec<f64>> = words.iter().skip(2).map(|word| word.parse().ok()).collect();
-    let numbers = numbers.filter(|numbers| numbers.len() > 2);
-    let Some([width, height, parameters @ ..]) = numbers.as_deref() else {
+    let parsed = |range: std::ops::RangeFrom<usize>| {
+        words.get(range)?.iter().map(|word| word.parse::<f64>().ok()).collect::<Option<Vec<f64>>>()
+    };
+    let size = |at: usize| words.get(at)?.parse::<usize>().ok();
+    let (Some(width), Some(height), Some(parameters)) = (size(2), size(3), parsed(4..)) else {
         return Err(malformed(format!("not a line of COLMAP's cameras.txt: {}", super::quoted(line))));
     };
+    let parameters = &parameters[..];
     let (focal_length, centre, distortion) = match (words[1], parameters) {
         ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], vec![]),
         ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], vec![]),
@@ -164,7 +199,7 @@ fn colmap_camera(line: &str) -> FormatResult<Camera> {
             )));
         }
     };
-    let camera = Camera::new((*width as usize, *height as usize), focal_length, centre.map(|c| c - 0.5));
+    let camera = Camera::new((width, height), focal_length, centre.map(|c| c - 0.5));
     Ok(camera.with_distortion(distortion_of(&distortion)?))
 }
 
@@ -200,7 +235,7 @@ fn from_camera_info(text: &str) -> FormatResult<Camera> {
     let is_known = |model: &str| matches!(model, "plumb_bob" | "rational_polynomial" | "none" | "");
     let distorts = coefficients.iter().any(|c| *c != 0.0);
     match file.distortion_model.as_deref() {
-        Some(model) if distorts && !is_known(model) => {
+        Some(model) if !is_known(model) => {
             return Err(FormatError::Unsupported(format!(
                 "the distortion model {}: plumb_bob and rational_polynomial are understood; rectify the images first",
                 super::quoted(model)
@@ -224,6 +259,9 @@ mod tests {
         let files = [
             r#"{"width":640,"height":480,"intrinsic_matrix":[525.0,0,0,0,525.0,0,319.5,239.5,1]}"#,
             r#"{"fx":525,"fy":525,"cx":319.5,"cy":239.5,"depth_scale":1000}"#,
+            r#"{"class_name":"PinholeCameraParameters","extrinsic":[1],"intrinsic":{"width":640,"height":480,"intrinsic_matrix":[525,0,0,0,525,0,319.5,239.5,1]}}"#,
+            r#"{"K":[525,0,319.5,0,525,239.5,0,0,1],"coeffs":[0,0,0,0,0]}"#,
+            r#"{"width":640,"height":480,"fx":525,"fy":525,"ppx":319.5,"ppy":239.5}"#,
             "525 0 319.5\n0 525 239.5\n0 0 1\n",
             "# Camera list\n# CAMERA_ID, MODEL, ...\n1 PINHOLE 640 480 525 525 320 240\n",
             "image_width: 640\nimage_height: 480\ncamera_name: depth\ncamera_matrix:\n  rows: 3\n  cols: 3\n  \
@@ -248,6 +286,8 @@ mod tests {
         let info = "image_width: 640\nimage_height: 480\ncamera_matrix: {data: [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}\n\
                     distortion_model: plumb_bob\ndistortion_coefficients: {data: [0.1, -0.2, 0.001, 0.002, 0.03]}";
         assert_eq!(parse_camera(info, SHAPE).unwrap(), expected);
+        let single = r#"{"fx":525,"fy":525,"cx":319.5,"cy":239.5,"k1":0.1,"k2":-0.2,"p1":0.001,"p2":0.002,"k3":0.03}"#;
+        assert_eq!(parse_camera(single, SHAPE).unwrap(), expected);
         let fisheye = info.replace("plumb_bob", "equidistant");
         assert!(parse_camera(&fisheye, SHAPE).unwrap_err().to_string().contains("rectify"));
     }

@@ -3,10 +3,11 @@
 use npyz::{AutoSerialize, DType, NpyFile, Order, TypeChar, WriterBuilder};
 
 use super::{CloudRef, Contents, organized_if_grid};
-use crate::cloud::PointCloud;
+use crate::cloud::{Attribute, PointCloud};
 use crate::error::FormatError;
 use crate::frame::DepthImage;
 use crate::io::Gridded;
+use crate::io::columns::cloud_from_columns;
 use crate::xyz::validate_shape;
 
 const LAYOUTS: &str = "depth is [H, W] of u16 or f32 (metres), points are [H, W, 3] or [N, 3] of f32";
@@ -31,6 +32,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Contents, FormatError> {
             validate_shape(width, height)?;
             Ok(Contents::Depth(DepthImage { width, height, raw: file.into_vec().map_err(read)? }))
         }
+        (&[n, 3], TypeChar::Float, 8) => points_f64(n, 1, file.into_vec().map_err(read)?),
         (&[n, 3], TypeChar::Float, _) => points(n, 1, floats(file, size)?),
         (&[height, width], TypeChar::Float, 4 | 8) => {
             validate_shape(width, height)?;
@@ -39,7 +41,10 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Contents, FormatError> {
         }
         (&[height, width, 3], TypeChar::Float, _) => {
             validate_shape(width, height)?;
-            points(width, height, floats(file, size)?)
+            match size {
+                8 => points_f64(width, height, file.into_vec().map_err(read)?),
+                _ => points(width, height, floats(file, size)?),
+            }
         }
         _ => unsupported(format!("shape {shape:?} and type {kind:?} of {size} bytes")),
     }
@@ -60,6 +65,16 @@ fn points(width: usize, height: usize, values: Vec<f32>) -> Result<Contents, For
     organized_if_grid(Gridded { width, height, points: PointCloud::new(positions) })
 }
 
+/// Kept relative to an origin where they are far from it, and written as f64 again.
+fn points_f64(width: usize, height: usize, values: Vec<f64>) -> Result<Contents, FormatError> {
+    let column = |axis: usize| {
+        let values: Vec<f64> = values.iter().skip(axis).step_by(3).copied().collect();
+        Attribute { name: ["x", "y", "z"][axis].to_owned(), count: 1, values: values.into() }
+    };
+    let points = cloud_from_columns(vec![column(0), column(1), column(2)])?;
+    organized_if_grid(Gridded { width, height, points })
+}
+
 fn encode<T: AutoSerialize + Copy>(shape: &[u64], values: impl Iterator<Item = T>) -> Result<Vec<u8>, FormatError> {
     let mut bytes = Vec::new();
     let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd()?;
@@ -76,7 +91,7 @@ pub(super) fn encode_points(cloud: CloudRef<'_>) -> Result<Vec<u8>, FormatError>
         CloudRef::General(_) => vec![width as u64, 3],
     };
     let (positions, origin) = (&cloud.points().positions, cloud.points().origin_m);
-    if origin == [0.0; 3] {
+    if origin == [0.0; 3] && !cloud.points().position_columns.double {
         encode(&shape, positions.iter().flatten())
     } else {
         let far = |p: [f32; 3]| [0, 1, 2].map(|axis| origin[axis] + f64::from(p[axis]));

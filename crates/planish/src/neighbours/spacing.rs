@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::NeighbourSearch;
-use crate::cloud::PointCloud;
+use crate::frame::{Frame, IntoFrame};
 
 /// Points that are asked for their neighbours.
 const SAMPLE: usize = 1000;
@@ -14,10 +14,10 @@ const FACTOR: f64 = 2.5;
 
 /// A radius in metres that gives most points some 50 neighbours: 2.5 times the median distance to the 8th neighbour.
 ///
-/// `None` if there are fewer than 9 finite points, or they coincide.
-pub fn estimate_radius_m(cloud: &PointCloud) -> Option<f32> {
-    let points: Vec<DVec3> =
-        cloud.positions.iter().map(|p| DVec3::from_array(p.map(f64::from))).filter(|p| p.is_finite()).collect();
+/// `None` if there are fewer than 9 finite points, or they coincide, or it is a depth image.
+pub fn estimate_radius_m<'a>(cloud: impl IntoFrame<'a>) -> Option<f32> {
+    let Ok(Frame::Points(view)) = cloud.into_frame() else { return None };
+    let points: Vec<DVec3> = (0..view.len()).map(|i| view.point(i)).filter(|p| p.is_finite()).collect();
     let search = NeighbourSearch::new(&points).ok()?;
     let step = points.len().div_ceil(SAMPLE).max(1);
     let mut distances: Vec<f64> =
@@ -33,6 +33,7 @@ pub fn estimate_radius_m(cloud: &PointCloud) -> Option<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::PointCloud;
     use crate::xyz::Xyz;
 
     #[test]

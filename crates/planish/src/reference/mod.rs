@@ -194,8 +194,12 @@ fn store(frame: &AdmittedFrame<'_>, points: &[DVec3], results: &[PointResult], m
             neighbours[i] = result.neighbours;
         }
         if let (Some(depth), Some(camera)) = (&mut out.depth, frame.frame.camera()) {
-            let ray = rays.at(i % width, i / width).map(f64::from);
             let in_sensor = frame.geometry.cloud_from_sensor.map_or(points[i], |t| t.to_sensor(points[i]));
+            // Through a distorted lens the ray of a pixel is that of its point.
+            let ray = match camera.distortion.is_none() {
+                true => rays.at(i % width, i / width).map(f64::from),
+                false => [in_sensor.x / in_sensor.z, in_sensor.y / in_sensor.z],
+            };
             let depth_m = project::depth_along_ray_m(ray, in_sensor + result.displacement, result.normal);
             depth[i] = camera.raw_depth(depth_m as f32);
         }

@@ -2,7 +2,7 @@
 
 use super::{NOISE_IN_STEPS, SensorModel};
 use crate::cloud::OrganizedCloud;
-use crate::frame::PointsView;
+use crate::frame::{PointsView, RangeRule};
 
 /// Pixels between the three depths of a second difference: far enough that noise is hardly correlated, near enough that most
 /// surfaces are straight.
@@ -33,12 +33,16 @@ struct Interval {
 
 impl SensorModel {
     /// Estimates the model from a frame: the step from the gaps between the ranges that occur, the noise from how much ranges
-    /// in a row deviate from a straight line. `None` where too little is seen.
+    /// in a row deviate from a straight line. `None` where too little is seen, or ranges are unknown.
     ///
     /// Both are robust means over intervals of the range, and as many coefficients are fitted as the spread of ranges supports: one
     /// surface at 1 m says nothing of how noise grows, and gets the z² law. A scene of nothing but leaves is taken for noise.
     pub fn estimate(cloud: &OrganizedCloud) -> Option<Self> {
-        let ranges = PointsView::from_organized(cloud).ok()?.ranges_m();
+        let view = PointsView::from_organized(cloud).ok()?;
+        if matches!(view.range_rule(), RangeRule::Constant { .. }) {
+            return None;
+        }
+        let ranges = view.ranges_m();
         let mut bends: Vec<(f64, f64)> = Vec::new();
         for row in ranges.chunks_exact(cloud.width()) {
             for u in LAG_PX..row.len().saturating_sub(LAG_PX) {
