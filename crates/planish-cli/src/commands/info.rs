@@ -196,12 +196,12 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
         }
         (Some("distance"), Some(pitch)) => {
             println!(
-                "  pixel pitch   {:.3} mm at a distance of 1 m from the sensor; the grid is no camera's",
+                "  pixel pitch   {:.3} mm at a distance of 1 m from the sensor; not the grid of a camera",
                 1e3 * pitch
             );
         }
         (Some("constant"), _) => {
-            println!("  pixel pitch   unknown: neither is the sensor's position (see --sensor-pose)")
+            println!("  pixel pitch   unknown, and so is the sensor's position (see --sensor-pose)")
         }
         _ => {}
     }
