@@ -208,7 +208,8 @@ fn numpys_own_files_are_read() {
     };
     let points: Vec<u8> = [1.0f64, 2.0, 3.0, 4.0, 5.0, 6.0].iter().flat_map(|v| v.to_le_bytes()).collect();
     let (_, contents) = io::decode(&npy("<f8", "(2, 3)", points), None).unwrap();
-    let expected = PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
+    let mut expected = PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
+    expected.position_columns.double = true;
     assert_eq!(contents, Contents::General(expected));
     let depth: Vec<u8> = [1.5f32, 0.0, 2.5, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
     let (_, contents) = io::decode(&npy("<f4", "(2, 2)", depth), None).unwrap();

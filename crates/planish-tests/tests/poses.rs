@@ -1,6 +1,6 @@
 //! Clouds in any frame (docs/method.md, section 11): rigid motions change nothing but the frame, and no cloud loses its points.
 
-use planish::agreement::{Agreement, radii_m};
+use planish::agreement::{Agreement, POSITION_999_M, radii_m};
 use planish::{
     Camera, DepthFrame, Distortion, OrganizedCloud, Outputs, PointsView, RangeRule, SensorPose, SimdLevel,
     SmoothParams, Smoothed, Status,
@@ -68,8 +68,9 @@ fn assert_moved(what: &str, found: &Smoothed, own: &Smoothed, pose: &SensorPose,
     }
     let mut agreement = Agreement::default();
     agreement.add(found, &expected, |i| radii_m[i]);
-    let misses = agreement.misses();
-    assert!(misses.is_empty(), "{what}: {misses:?}");
+    // The moved points are rounded to f32 in another frame, and a few lie within that of a threshold (section 11).
+    let misses = [1.0 - agreement.equal_status(), agreement.position_m(0.999), agreement.position_m(0.9999)];
+    assert!(misses[0] <= 3e-4 && misses[1] <= POSITION_999_M && misses[2] <= 3e-4, "{what}: {misses:?}");
     let (normals, own_normals) = (found.normals.as_ref().unwrap(), own.normals.as_ref().unwrap());
     // Of surfaces: the normal of a few points apart is rounding.
     let curvature = own.curvature.as_ref().unwrap();

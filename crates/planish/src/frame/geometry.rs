@@ -37,8 +37,9 @@ const KINECT_FOCAL_LENGTH_PX: f64 = 525.0;
 const MAX_ASSUMED_RANGE_M: f64 = 5.0;
 /// Rows that are looked at.
 const SAMPLED_ROWS: usize = 16;
-/// Columns that are looked at to tell whether the grid is a camera's.
-const SAMPLED_COLUMNS: usize = 64;
+/// Columns and rows that are looked at to tell whether the grid is a camera's.
+const SAMPLED_COLUMNS: usize = 24;
+const LAW_ROWS: usize = 12;
 /// Neighbours for the spacing are so many pixels apart: their distance is larger, and the noise of it no more.
 const LAG_PX: usize = 4;
 /// X/z along a column may vary by this share of its extent over the image: lenses distort by less, turned cameras by more.
@@ -237,11 +238,15 @@ impl Sample<'_, '_> {
         (0..self.height).step_by(self.height.div_ceil(SAMPLED_ROWS))
     }
 
+    fn law_rows(&self) -> impl Iterator<Item = usize> + Clone + use<> {
+        (0..self.height).step_by(self.height.div_ceil(LAW_ROWS))
+    }
+
     /// Whether the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along rows, and columns go
     /// to the right where rows go down.
     fn is_of_a_camera(&self, scratch: &mut GeometryScratch) -> bool {
         let columns = || (0..self.width).step_by(self.width.div_ceil(SAMPLED_COLUMNS));
-        let points = self.rows().flat_map(|row| columns().map(move |column| row * self.width + column));
+        let points = self.law_rows().flat_map(|row| columns().map(move |column| row * self.width + column));
         let (mut behind, mut count) = (0u32, 0u32);
         for p in points.filter_map(|i| self.point(i)) {
             count += 1;
@@ -251,15 +256,15 @@ impl Sample<'_, '_> {
         let is_rare = |part: u32, of: u32, share: f64| f64::from(part) <= share * f64::from(of);
         is_rare(behind, count, MAX_BEHIND)
             && is_rare(left_handed, left_handed + right_handed, MAX_TURNED)
-            && self.is_constant(columns(), |column, row| (column, row), |p| p.x / p.z, self.rows(), scratch)
-            && self.is_constant(self.rows(), |row, column| (column, row), |p| p.y / p.z, columns(), scratch)
+            && self.is_constant(columns(), |column, row| (column, row), |p| p.x / p.z, self.law_rows(), scratch)
+            && self.is_constant(self.law_rows(), |row, column| (column, row), |p| p.y / p.z, columns(), scratch)
     }
 
     /// How many corners of pixels turn right-handed, as a camera's do, and how many the other way: the sign of the determinant of
     /// three neighbouring rays, whatever the surface and the noise.
     fn turns(&self) -> [u32; 2] {
         let mut turns = [0, 0];
-        for row in self.rows().filter(|row| row + 1 < self.height) {
+        for row in self.law_rows().filter(|row| row + 1 < self.height) {
             for column in (0..self.width - 1).step_by(self.width.div_ceil(SAMPLED_COLUMNS)) {
                 let i = row * self.width + column;
                 let neighbours = self.point(i + 1).zip(self.point(i + self.width));
