@@ -34,20 +34,22 @@ impl SensorModel {
     /// (Khoshelham & Elberink 2012); the noise of real frames after a line is taken out of 8 pixels is 1.66e-3 to 1.88e-3 z²
     /// (docs/method.md, section 10).
     pub const KINECT_V1: Self = Self { step: [0.0, 0.0, 2.85e-3], sigma: [0.0, 0.0, 1.8e-3] };
-    /// RealSense D415 at 1280x720: baseline 55 mm, focal length 915 px (horizontal field of view 70°).
-    pub const REALSENSE_D415: Self = Self::realsense_d400(0.055, 915.0);
+    /// RealSense D415 at 1280x720: baseline 55 mm, focal length 1005 px (horizontal field of view 65°).
+    pub const REALSENSE_D415: Self = Self::realsense_d400(0.055, 1005.0);
     /// RealSense D435 at 848x480: baseline 50 mm, focal length 424 px (90°). The D435i and D405 families differ in baseline:
     /// [`SensorModel::realsense_d400`] takes it.
     pub const REALSENSE_D435: Self = Self::realsense_d400(0.050, 424.0);
     /// RealSense D455 at 848x480: baseline 95 mm, focal length 424 px (90°).
     pub const REALSENSE_D455: Self = Self::realsense_d400(0.095, 424.0);
     /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: standard deviations of 0.61 mm at 0.8 m,
-    /// 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413), the polynomial through them.
+    /// 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413; the figures are still to be checked
+    /// against the paper), the polynomial through them. The paper's bound is 17 mm in all modes.
     pub const AZURE_KINECT: Self = Self::from_noise([4.1e-4, 1.8e-4, 9.3e-5]);
-    /// RealSense L515: standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m (Intel's data sheet), the line through them.
+    /// RealSense L515: standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m (Intel's data sheet; still to be checked against
+    /// it), the line through them.
     pub const REALSENSE_L515: Self = Self::from_noise([8.75e-4, 1.625e-3, 0.0]);
-    /// Depth of iPhone and iPad lidars: half of the ±1 cm that Luetzenburg et al. 2021 (Scientific Reports 11:22221) found,
-    /// whatever the range.
+    /// Depth of iPhone and iPad lidars: half of the ±1 cm that Luetzenburg et al. 2021 (Scientific Reports 11:22221) found
+    /// (still to be checked against the paper), whatever the range.
     pub const APPLE_LIDAR: Self = Self::from_noise([5e-3, 0.0, 0.0]);
     /// Depth without noise: rendered, or averaged for long.
     pub const EXACT: Self = Self { step: [0.0; 3], sigma: [0.0; 3] };
