@@ -145,10 +145,10 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    fn adapter(index: usize, name: &str, kind: AdapterKind) -> GpuAdapter {
+    pub(crate) fn adapter(index: usize, name: &str, kind: AdapterKind) -> GpuAdapter {
         GpuAdapter { index, name: name.into(), kind, backend: "vulkan".into(), driver: "1".into() }
     }
 

@@ -246,10 +246,7 @@ fn open_gpu(_: SmoothParams, _: Outputs, _: &GpuOptions, _: (usize, usize)) -> R
 mod tests {
     use super::*;
     use crate::devices::AdapterKind;
-
-    fn adapter(index: usize, name: &str, kind: AdapterKind) -> GpuAdapter {
-        GpuAdapter { index, name: name.into(), kind, backend: "vulkan".into(), driver: "1".into() }
-    }
+    use crate::devices::tests::adapter;
 
     #[test]
     fn auto_takes_a_real_gpu_and_never_software() {

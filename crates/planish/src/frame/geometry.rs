@@ -3,8 +3,11 @@
 //! Engines work in the sensor's frame, where it stands at the origin and looks along +z, and move each measured point by the
 //! displacement that they find, turned back into the cloud's frame.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
+use super::sample::{
+    CLEARLY_LESS, Extent, GeometryScratch, LAG_PX, MAX_TURNED, NeighbourPair, Sample, quantile, spread,
+};
 use super::{Frame, PointsView};
 use crate::cloud::OrganizedCloud;
 use crate::pose::RigidTransform;
@@ -35,21 +38,6 @@ pub enum RangeRule {
 const KINECT_FOCAL_LENGTH_PX: f64 = 525.0;
 /// Sensor models end here: where the range is unknown, none larger than this is assumed.
 const MAX_ASSUMED_RANGE_M: f64 = 5.0;
-/// Rows that are looked at.
-const SAMPLED_ROWS: usize = 16;
-/// Columns and rows that are looked at to tell whether the grid is a camera's.
-const SAMPLED_COLUMNS: usize = 24;
-const LAW_ROWS: usize = 12;
-/// Neighbours for the spacing are so many pixels apart: their distance is larger, and the noise of it no more.
-const LAG_PX: usize = 4;
-/// X/z along a column may vary by this share of its extent over the image: lenses distort by less, turned cameras by more.
-const RAY_LAW_TOLERANCE: f64 = 0.1;
-/// Points behind the sensor, as a share, from which on the grid is no camera's.
-const MAX_BEHIND: f64 = 0.01;
-/// Corners of pixels that turn the other way, as a share, from which on the grid is no camera's.
-const MAX_TURNED: f64 = 0.1;
-/// One spread is clearly less than another if it is below this share of it.
-const CLEARLY_LESS: f64 = 0.7;
 /// Angles of this spread are the same, lenses and scanners being what they are: a factor of 1.6.
 const SMALL_SPREAD: f64 = 0.5;
 /// An unknown sensor may be assumed at the origin of coordinates that is at most so many extents of the cloud away.
@@ -77,27 +65,6 @@ pub(crate) struct FrameGeometry {
     /// `None` where the cloud's frame is the sensor's.
     pub(crate) cloud_from_sensor: Option<RigidTransform>,
     pub(crate) rule: RangeRule,
-}
-
-/// Room for samples of a frame, kept from frame to frame.
-#[derive(Debug, Default)]
-pub(crate) struct GeometryScratch {
-    pitches: Vec<f64>,
-    tangents: Vec<f64>,
-    spreads: Vec<f64>,
-    medians: Vec<f64>,
-    horizontal: Vec<NeighbourPair>,
-    vertical: Vec<NeighbourPair>,
-    extent: Vec<DVec3>,
-}
-
-/// Two neighbours on the grid.
-#[derive(Debug, Clone, Copy)]
-struct NeighbourPair {
-    /// Between points of neighbouring pixels.
-    spacing_m: f64,
-    /// Between their directions from the sensor.
-    angle: f64,
 }
 
 impl FrameGeometry {
@@ -202,237 +169,6 @@ impl OrganizedCloud {
     pub fn pixel_pitch_at_1m(&self) -> Option<f64> {
         PointsView::from_organized(self).ok()?.range_rule().known_pitch_at_1m()
     }
-}
-
-/// Points of a cloud that are looked at.
-#[derive(Clone, Copy)]
-struct Sample<'a, 'p> {
-    points: &'a PointsView<'p>,
-    geometry: FrameGeometry,
-    width: usize,
-    height: usize,
-}
-
-impl Sample<'_, '_> {
-    /// A point in the sensor's frame; `None` for a hole, and for zeros, which some writers mean as one.
-    fn point(&self, i: usize) -> Option<DVec3> {
-        let point = self.points.point_in_sensor(i, &self.geometry);
-        (point.is_finite() && self.points.point(i) != DVec3::ZERO).then_some(point)
-    }
-
-    /// Whether a camera at the origin of coordinates, rather than at the stated pose, took the points. PCL's grabbers state how
-    /// the camera is turned and write the points in its own frame nevertheless; others do so with its position.
-    fn is_likelier_than(&self, stated: &Self, scratch: &mut GeometryScratch) -> bool {
-        if stated.points.pose().position_m == [0.0; 3] {
-            return true;
-        }
-        let GeometryScratch { pitches, horizontal, .. } = scratch;
-        let [own, stated] = [self, stated].map(|sample| {
-            sample.neighbours(horizontal, [LAG_PX.min(sample.width - 1), 0]);
-            spread(horizontal.iter().map(|pair| pair.angle), pitches)
-        });
-        own < CLEARLY_LESS * stated
-    }
-
-    fn rows(&self) -> impl Iterator<Item = usize> + Clone + use<> {
-        (0..self.height).step_by(self.height.div_ceil(SAMPLED_ROWS))
-    }
-
-    fn law_rows(&self) -> impl Iterator<Item = usize> + Clone + use<> {
-        (0..self.height).step_by(self.height.div_ceil(LAW_ROWS))
-    }
-
-    /// Whether the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along rows, and columns go
-    /// to the right where rows go down.
-    fn is_of_a_camera(&self, scratch: &mut GeometryScratch) -> bool {
-        let columns = || (0..self.width).step_by(self.width.div_ceil(SAMPLED_COLUMNS));
-        let points = self.law_rows().flat_map(|row| columns().map(move |column| row * self.width + column));
-        let (mut behind, mut count) = (0u32, 0u32);
-        for p in points.filter_map(|i| self.point(i)) {
-            count += 1;
-            behind += u32::from(p.z <= 0.0);
-        }
-        let [right_handed, left_handed] = self.turns();
-        let is_rare = |part: u32, of: u32, share: f64| f64::from(part) <= share * f64::from(of);
-        is_rare(behind, count, MAX_BEHIND)
-            && is_rare(left_handed, left_handed + right_handed, MAX_TURNED)
-            && self.is_constant(columns(), |column, row| (column, row), |p| p.x / p.z, self.law_rows(), scratch)
-            && self.is_constant(self.law_rows(), |row, column| (column, row), |p| p.y / p.z, columns(), scratch)
-    }
-
-    /// How many corners of pixels turn right-handed, as a camera's do, and how many the other way: the sign of the determinant of
-    /// three neighbouring rays, whatever the surface and the noise.
-    fn turns(&self) -> [u32; 2] {
-        let mut turns = [0, 0];
-        for row in self.law_rows().filter(|row| row + 1 < self.height) {
-            for column in (0..self.width - 1).step_by(self.width.div_ceil(SAMPLED_COLUMNS)) {
-                let i = row * self.width + column;
-                let neighbours = self.point(i + 1).zip(self.point(i + self.width));
-                let Some((p, (right, below))) = self.point(i).zip(neighbours) else { continue };
-                let determinant = right.cross(below).dot(p);
-                turns[usize::from(determinant < 0.0)] += u32::from(determinant != 0.0);
-            }
-        }
-        turns
-    }
-
-    /// Whether a tangent is the same along lines of pixels: all but a tenth of its extent over the lines.
-    fn is_constant<L: Iterator<Item = usize>, P: Iterator<Item = usize> + Clone>(
-        &self,
-        lines: L,
-        pixel: fn(usize, usize) -> (usize, usize),
-        tangent: fn(DVec3) -> f64,
-        positions: P,
-        scratch: &mut GeometryScratch,
-    ) -> bool {
-        let GeometryScratch { tangents, spreads, medians, .. } = scratch;
-        spreads.clear();
-        medians.clear();
-        for line in lines {
-            tangents.clear();
-            tangents.extend(positions.clone().filter_map(|position| {
-                let (column, row) = pixel(line, position);
-                self.point(row * self.width + column).map(tangent).filter(|tangent| tangent.is_finite())
-            }));
-            tangents.sort_by(f64::total_cmp);
-            // A stray pixel at either end is none of the camera's.
-            let cut = if tangents.len() >= 5 { 1 } else { 0 };
-            if let [first, .., last] = tangents[cut..tangents.len() - cut] {
-                spreads.push(last - first);
-                medians.push(tangents[tangents.len() / 2]);
-            }
-        }
-        let (low, high) = (quantile(medians, 0.05), quantile(medians, 0.95));
-        let extent = high.zip(low).map_or(0.0, |(high, low)| high - low);
-        quantile(spreads, 0.5).is_none_or(|spread| spread <= RAY_LAW_TOLERANCE * extent)
-    }
-
-    /// 1/fx of a camera: in a pinhole image X/Z grows by exactly that from a pixel to its right neighbour, whatever the surface;
-    /// the median of that difference over a sample of the rows.
-    fn camera_pitch(&self, scratch: &mut GeometryScratch) -> Option<f64> {
-        let pitches = &mut scratch.pitches;
-        pitches.clear();
-        if let (Some([x, _, z]), None) = (self.points.plain_planes(), self.geometry.cloud_from_sensor) {
-            for row in self.rows() {
-                let pixels = row * self.width..(row + 1) * self.width;
-                let tangents = x[pixels.clone()].iter().zip(&z[pixels]).map(|(&x, &z)| f64::from(x) / f64::from(z));
-                let mut left = f64::NAN;
-                for tangent in tangents {
-                    let pitch = (tangent - left).abs();
-                    if pitch.is_finite() && pitch > 0.0 {
-                        pitches.push(pitch);
-                    }
-                    left = tangent;
-                }
-            }
-            return quantile(pitches, 0.5);
-        }
-        for row in self.rows() {
-            let mut left = None;
-            for column in 0..self.width {
-                let point = self.points.point_in_sensor(row * self.width + column, &self.geometry);
-                let tangent = point.is_finite().then_some(point.x / point.z);
-                if let (Some(left), Some(tangent)) = (left, tangent) {
-                    let pitch: f64 = f64::abs(tangent - left);
-                    if pitch.is_finite() && pitch > 0.0 {
-                        pitches.push(pitch);
-                    }
-                }
-                left = tangent;
-            }
-        }
-        quantile(pitches, 0.5)
-    }
-
-    /// Pairs of points so many columns and rows apart, in the sampled rows.
-    fn neighbours(&self, pairs: &mut Vec<NeighbourPair>, [columns, rows]: [usize; 2]) {
-        pairs.clear();
-        let lag = columns + rows;
-        if lag == 0 {
-            return;
-        }
-        for row in self.rows().filter(|row| row + rows < self.height) {
-            for column in 0..self.width - columns {
-                let i = row * self.width + column;
-                let Some((p, q)) = self.point(i).zip(self.point(i + columns + rows * self.width)) else { continue };
-                let spacing_m = p.distance(q) / lag as f64;
-                let angle = p.cross(q).length() / (p.length() * q.length()) / lag as f64;
-                if spacing_m > 0.0 && angle > 0.0 && spacing_m.is_finite() && angle.is_finite() {
-                    pairs.push(NeighbourPair { spacing_m, angle });
-                }
-            }
-        }
-    }
-}
-
-/// How large a cloud is, and how it lies; stray points left out.
-struct Extent {
-    centre: DVec3,
-    /// Root mean square of the distance from the centre.
-    radius_m: f64,
-    /// Of the plane through the sampled points, upwards.
-    normal: DVec3,
-}
-
-/// Points farther from the middle than so many median distances are stray ones, or stand for no data.
-const MAX_MEDIAN_DISTANCES: f64 = 5.0;
-/// The origin is on one side of a cloud if it is so far off its plane, as a share of its distance.
-const CLEARLY_BESIDE: f64 = 0.2;
-
-impl Extent {
-    fn of(sample: &Sample<'_, '_>, points: &mut Vec<DVec3>) -> Option<Self> {
-        let columns = (0..sample.width).step_by(sample.width.div_ceil(SAMPLED_COLUMNS));
-        let pixels = sample.rows().flat_map(|row| columns.clone().map(move |column| row * sample.width + column));
-        points.clear();
-        points.extend(pixels.filter(|&i| sample.point(i).is_some()).map(|i| sample.points.point(i)));
-        let median_of = |points: &mut [DVec3], value: &dyn Fn(&DVec3) -> f64| {
-            let middle = points.len() / 2;
-            let median = points.select_nth_unstable_by(middle, |a, b| value(a).total_cmp(&value(b))).1;
-            value(median)
-        };
-        if points.is_empty() {
-            return None;
-        }
-        let middle = DVec3::new(median_of(points, &|p| p.x), median_of(points, &|p| p.y), median_of(points, &|p| p.z));
-        let typical_m = median_of(points, &|p| p.distance(middle));
-        points.retain(|p| p.distance(middle) <= MAX_MEDIAN_DISTANCES * typical_m);
-        let n = points.len() as f64;
-        let centre = points.iter().sum::<DVec3>() / n;
-        let mut covariance = DMat3::ZERO;
-        for d in points.iter().map(|&p| p - centre) {
-            covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-        }
-        let radius_m = ((covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z) / n).sqrt();
-        let (_, [axis, ..]) = crate::eigen::symmetric_eigen(covariance);
-        let normal = if axis.z < 0.0 { -axis } else { axis };
-        (radius_m > 0.0).then_some(Self { centre, radius_m, normal })
-    }
-
-    /// A sensor that looks along the cloud's normal, from the side of the origin if that is clearly on one, else from above; not so
-    /// far away that f32 would lose the coordinates.
-    fn sensor_beside(&self, origin: Option<DVec3>) -> RigidTransform {
-        let to_origin = origin.map_or(DVec3::ZERO, |origin| origin - self.centre);
-        let is_outside = to_origin.length() > self.radius_m;
-        let is_below = is_outside && to_origin.dot(self.normal) < -CLEARLY_BESIDE * to_origin.length();
-        let side = if is_below { -self.normal } else { self.normal };
-        RigidTransform { rotation: DMat3::IDENTITY, translation: self.centre + 4.0 * self.radius_m * side }
-    }
-}
-
-/// ln of the ratio of the quantiles at 80 and 20 %.
-fn spread(values: impl Iterator<Item = f64>, scratch: &mut Vec<f64>) -> f64 {
-    scratch.clear();
-    scratch.extend(values);
-    match (quantile(scratch, 0.8), quantile(scratch, 0.2)) {
-        (Some(high), Some(low)) => (high / low).ln(),
-        _ => 0.0,
-    }
-}
-
-/// The value at a share of all values in order; `None` of none.
-fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
-    let at = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 mod depth_view;
 mod geometry;
 mod points_view;
+mod sample;
 
 use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
@@ -12,8 +13,9 @@ use crate::xyz::validate_shape;
 pub(crate) use depth_view::DepthSamples;
 pub use depth_view::DepthView;
 pub use geometry::RangeRule;
-pub(crate) use geometry::{FrameGeometry, GeometryScratch, assumed_range_m};
+pub(crate) use geometry::{FrameGeometry, assumed_range_m};
 pub use points_view::{PointLayout, PointsView, Scalar};
+pub(crate) use sample::GeometryScratch;
 
 /// A 16-bit depth image, row by row, without the camera that took it. 0 and 65535 are holes.
 #[derive(Debug, Clone, PartialEq, Eq)]

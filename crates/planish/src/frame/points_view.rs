@@ -5,7 +5,8 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::check_rows;
-use super::geometry::{FrameGeometry, GeometryScratch, RangeRule};
+use super::geometry::{FrameGeometry, RangeRule};
+use super::sample::GeometryScratch;
 use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
 use crate::error::{FrameError, ParamError};

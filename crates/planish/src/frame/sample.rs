@@ -1,0 +1,273 @@
+//! What a sample of a grid's points tells: whether they lie as a camera's do, how far apart they are, and how they extend.
+
+use glam::{DMat3, DVec3};
+
+use super::PointsView;
+use super::geometry::FrameGeometry;
+use crate::pose::RigidTransform;
+
+/// Rows that are looked at.
+const SAMPLED_ROWS: usize = 16;
+/// Columns that are looked at.
+const SAMPLED_COLUMNS: usize = 24;
+/// Rows that are looked at to tell whether the grid is a camera's.
+const LAW_ROWS: usize = 12;
+/// Neighbours for the spacing are so many pixels apart: their distance is larger, and the noise of it no more.
+pub(super) const LAG_PX: usize = 4;
+/// X/z along a column may vary by this share of its extent over the image: lenses distort by less, turned cameras by more.
+const RAY_LAW_TOLERANCE: f64 = 0.1;
+/// Points behind the sensor, as a share, from which on the grid is no camera's.
+const MAX_BEHIND: f64 = 0.01;
+/// Corners of pixels that turn the other way, as a share, from which on the grid is no camera's.
+pub(super) const MAX_TURNED: f64 = 0.1;
+/// One spread is clearly less than another if it is below this share of it.
+pub(super) const CLEARLY_LESS: f64 = 0.7;
+
+/// Room for samples of a frame, kept from frame to frame.
+#[derive(Debug, Default)]
+pub(crate) struct GeometryScratch {
+    pub(super) pitches: Vec<f64>,
+    tangents: Vec<f64>,
+    spreads: Vec<f64>,
+    medians: Vec<f64>,
+    pub(super) horizontal: Vec<NeighbourPair>,
+    pub(super) vertical: Vec<NeighbourPair>,
+    pub(super) extent: Vec<DVec3>,
+}
+
+/// Two neighbours on the grid.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct NeighbourPair {
+    /// Between points of neighbouring pixels.
+    pub(super) spacing_m: f64,
+    /// Between their directions from the sensor.
+    pub(super) angle: f64,
+}
+
+/// Points of a cloud that are looked at.
+#[derive(Clone, Copy)]
+pub(super) struct Sample<'a, 'p> {
+    pub(super) points: &'a PointsView<'p>,
+    pub(super) geometry: FrameGeometry,
+    pub(super) width: usize,
+    pub(super) height: usize,
+}
+
+impl Sample<'_, '_> {
+    /// A point in the sensor's frame; `None` for a hole, and for zeros, which some writers mean as one.
+    fn point(&self, i: usize) -> Option<DVec3> {
+        let point = self.points.point_in_sensor(i, &self.geometry);
+        (point.is_finite() && self.points.point(i) != DVec3::ZERO).then_some(point)
+    }
+
+    /// Whether a camera at the origin of coordinates, rather than at the stated pose, took the points. PCL's grabbers state how
+    /// the camera is turned and write the points in its own frame nevertheless; others do so with its position.
+    pub(super) fn is_likelier_than(&self, stated: &Self, scratch: &mut GeometryScratch) -> bool {
+        if stated.points.pose().position_m == [0.0; 3] {
+            return true;
+        }
+        let GeometryScratch { pitches, horizontal, .. } = scratch;
+        let [own, stated] = [self, stated].map(|sample| {
+            sample.neighbours(horizontal, [LAG_PX.min(sample.width - 1), 0]);
+            spread(horizontal.iter().map(|pair| pair.angle), pitches)
+        });
+        own < CLEARLY_LESS * stated
+    }
+
+    fn rows(&self) -> impl Iterator<Item = usize> + Clone + use<> {
+        (0..self.height).step_by(self.height.div_ceil(SAMPLED_ROWS))
+    }
+
+    fn law_rows(&self) -> impl Iterator<Item = usize> + Clone + use<> {
+        (0..self.height).step_by(self.height.div_ceil(LAW_ROWS))
+    }
+
+    /// Whether the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along rows, and columns go
+    /// to the right where rows go down.
+    pub(super) fn is_of_a_camera(&self, scratch: &mut GeometryScratch) -> bool {
+        let columns = || (0..self.width).step_by(self.width.div_ceil(SAMPLED_COLUMNS));
+        let points = self.law_rows().flat_map(|row| columns().map(move |column| row * self.width + column));
+        let (mut behind, mut count) = (0u32, 0u32);
+        for p in points.filter_map(|i| self.point(i)) {
+            count += 1;
+            behind += u32::from(p.z <= 0.0);
+        }
+        let [right_handed, left_handed] = self.turns();
+        let is_rare = |part: u32, of: u32, share: f64| f64::from(part) <= share * f64::from(of);
+        is_rare(behind, count, MAX_BEHIND)
+            && is_rare(left_handed, left_handed + right_handed, MAX_TURNED)
+            && self.is_constant(columns(), |column, row| (column, row), |p| p.x / p.z, self.law_rows(), scratch)
+            && self.is_constant(self.law_rows(), |row, column| (column, row), |p| p.y / p.z, columns(), scratch)
+    }
+
+    /// How many corners of pixels turn right-handed, as a camera's do, and how many the other way: the sign of the determinant of
+    /// three neighbouring rays, whatever the surface and the noise.
+    pub(super) fn turns(&self) -> [u32; 2] {
+        let mut turns = [0, 0];
+        for row in self.law_rows().filter(|row| row + 1 < self.height) {
+            for column in (0..self.width - 1).step_by(self.width.div_ceil(SAMPLED_COLUMNS)) {
+                let i = row * self.width + column;
+                let neighbours = self.point(i + 1).zip(self.point(i + self.width));
+                let Some((p, (right, below))) = self.point(i).zip(neighbours) else { continue };
+                let determinant = right.cross(below).dot(p);
+                turns[usize::from(determinant < 0.0)] += u32::from(determinant != 0.0);
+            }
+        }
+        turns
+    }
+
+    /// Whether a tangent is the same along lines of pixels: all but a tenth of its extent over the lines.
+    fn is_constant<L: Iterator<Item = usize>, P: Iterator<Item = usize> + Clone>(
+        &self,
+        lines: L,
+        pixel: fn(usize, usize) -> (usize, usize),
+        tangent: fn(DVec3) -> f64,
+        positions: P,
+        scratch: &mut GeometryScratch,
+    ) -> bool {
+        let GeometryScratch { tangents, spreads, medians, .. } = scratch;
+        spreads.clear();
+        medians.clear();
+        for line in lines {
+            tangents.clear();
+            tangents.extend(positions.clone().filter_map(|position| {
+                let (column, row) = pixel(line, position);
+                self.point(row * self.width + column).map(tangent).filter(|tangent| tangent.is_finite())
+            }));
+            tangents.sort_by(f64::total_cmp);
+            // A stray pixel at either end is none of the camera's.
+            let cut = if tangents.len() >= 5 { 1 } else { 0 };
+            if let [first, .., last] = tangents[cut..tangents.len() - cut] {
+                spreads.push(last - first);
+                medians.push(tangents[tangents.len() / 2]);
+            }
+        }
+        let (low, high) = (quantile(medians, 0.05), quantile(medians, 0.95));
+        let extent = high.zip(low).map_or(0.0, |(high, low)| high - low);
+        quantile(spreads, 0.5).is_none_or(|spread| spread <= RAY_LAW_TOLERANCE * extent)
+    }
+
+    /// 1/fx of a camera: in a pinhole image X/Z grows by exactly that from a pixel to its right neighbour, whatever the surface;
+    /// the median of that difference over a sample of the rows.
+    pub(super) fn camera_pitch(&self, scratch: &mut GeometryScratch) -> Option<f64> {
+        let pitches = &mut scratch.pitches;
+        pitches.clear();
+        let planes = self.points.plain_planes().filter(|_| self.geometry.cloud_from_sensor.is_none());
+        for row in self.rows() {
+            let pixels = row * self.width..(row + 1) * self.width;
+            match planes {
+                Some([x, _, z]) => {
+                    let samples = x[pixels.clone()].iter().zip(&z[pixels]);
+                    add_pitches(samples.map(|(&x, &z)| f64::from(x) / f64::from(z)), pitches);
+                }
+                None => {
+                    let points = pixels.map(|i| self.points.point_in_sensor(i, &self.geometry));
+                    add_pitches(points.map(|p| if p.is_finite() { p.x / p.z } else { f64::NAN }), pitches);
+                }
+            }
+        }
+        quantile(pitches, 0.5)
+    }
+
+    /// Pairs of points so many columns and rows apart, in the sampled rows.
+    pub(super) fn neighbours(&self, pairs: &mut Vec<NeighbourPair>, [columns, rows]: [usize; 2]) {
+        pairs.clear();
+        let lag = columns + rows;
+        if lag == 0 {
+            return;
+        }
+        for row in self.rows().filter(|row| row + rows < self.height) {
+            for column in 0..self.width - columns {
+                let i = row * self.width + column;
+                let Some((p, q)) = self.point(i).zip(self.point(i + columns + rows * self.width)) else { continue };
+                let spacing_m = p.distance(q) / lag as f64;
+                let angle = p.cross(q).length() / (p.length() * q.length()) / lag as f64;
+                if spacing_m > 0.0 && angle > 0.0 && spacing_m.is_finite() && angle.is_finite() {
+                    pairs.push(NeighbourPair { spacing_m, angle });
+                }
+            }
+        }
+    }
+}
+
+/// Adds what a tangent changes by from each pixel of a row to the next; those that are not numbers are holes.
+fn add_pitches(tangents: impl Iterator<Item = f64>, pitches: &mut Vec<f64>) {
+    let mut left = f64::NAN;
+    for tangent in tangents {
+        let pitch = (tangent - left).abs();
+        if pitch.is_finite() && pitch > 0.0 {
+            pitches.push(pitch);
+        }
+        left = tangent;
+    }
+}
+
+/// How large a cloud is, and how it lies; stray points left out.
+pub(super) struct Extent {
+    pub(super) centre: DVec3,
+    /// Root mean square of the distance from the centre.
+    pub(super) radius_m: f64,
+    /// Of the plane through the sampled points, upwards.
+    normal: DVec3,
+}
+
+/// Points farther from the middle than so many median distances are stray ones, or stand for no data.
+const MAX_MEDIAN_DISTANCES: f64 = 5.0;
+/// The origin is on one side of a cloud if it is so far off its plane, as a share of its distance.
+const CLEARLY_BESIDE: f64 = 0.2;
+
+impl Extent {
+    pub(super) fn of(sample: &Sample<'_, '_>, points: &mut Vec<DVec3>) -> Option<Self> {
+        let columns = (0..sample.width).step_by(sample.width.div_ceil(SAMPLED_COLUMNS));
+        let pixels = sample.rows().flat_map(|row| columns.clone().map(move |column| row * sample.width + column));
+        points.clear();
+        points.extend(pixels.filter(|&i| sample.point(i).is_some()).map(|i| sample.points.point(i)));
+        let median_of = |points: &mut [DVec3], value: &dyn Fn(&DVec3) -> f64| {
+            let middle = points.len() / 2;
+            let median = points.select_nth_unstable_by(middle, |a, b| value(a).total_cmp(&value(b))).1;
+            value(median)
+        };
+        if points.is_empty() {
+            return None;
+        }
+        let middle = DVec3::new(median_of(points, &|p| p.x), median_of(points, &|p| p.y), median_of(points, &|p| p.z));
+        let typical_m = median_of(points, &|p| p.distance(middle));
+        points.retain(|p| p.distance(middle) <= MAX_MEDIAN_DISTANCES * typical_m);
+        let n = points.len() as f64;
+        let centre = points.iter().sum::<DVec3>() / n;
+        let mut covariance = DMat3::ZERO;
+        for d in points.iter().map(|&p| p - centre) {
+            covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        }
+        let radius_m = ((covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z) / n).sqrt();
+        let (_, [axis, ..]) = crate::eigen::symmetric_eigen(covariance);
+        let normal = if axis.z < 0.0 { -axis } else { axis };
+        (radius_m > 0.0).then_some(Self { centre, radius_m, normal })
+    }
+
+    /// A sensor that looks along the cloud's normal, from the side of the origin if that is clearly on one, else from above; not so
+    /// far away that f32 would lose the coordinates.
+    pub(super) fn sensor_beside(&self, origin: Option<DVec3>) -> RigidTransform {
+        let to_origin = origin.map_or(DVec3::ZERO, |origin| origin - self.centre);
+        let is_outside = to_origin.length() > self.radius_m;
+        let is_below = is_outside && to_origin.dot(self.normal) < -CLEARLY_BESIDE * to_origin.length();
+        let side = if is_below { -self.normal } else { self.normal };
+        RigidTransform { rotation: DMat3::IDENTITY, translation: self.centre + 4.0 * self.radius_m * side }
+    }
+}
+
+/// ln of the ratio of the quantiles at 80 and 20 %.
+pub(super) fn spread(values: impl Iterator<Item = f64>, scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values);
+    match (quantile(scratch, 0.8), quantile(scratch, 0.2)) {
+        (Some(high), Some(low)) => (high / low).ln(),
+        _ => 0.0,
+    }
+}
+
+/// The value at a share of all values in order; `None` of none.
+pub(super) fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    let at = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)
+}
