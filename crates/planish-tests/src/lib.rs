@@ -3,5 +3,6 @@
 pub mod data;
 pub mod engines;
 pub mod parity;
+pub mod poses;
 pub mod scenes;
 pub mod tolerances;

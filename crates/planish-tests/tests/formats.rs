@@ -89,7 +89,7 @@ proptest! {
 
     #[test]
     fn ply_keeps_every_scalar_field_it_can_hold(mut cloud in cloud()) {
-        // No padding, no 64-bit integers, one value a property, and no viewpoint.
+        // No padding, no 64-bit integers, one value a property; the pose by another test, since it is written as a matrix.
         cloud.points.attributes.retain(|a| {
             a.name != "_" && a.count == 1 && !matches!(a.values, AttributeValues::I64(_) | AttributeValues::U64(_))
         });
@@ -220,6 +220,46 @@ fn numpys_own_files_are_read() {
     assert!(!cloud.positions().is_finite(1));
     assert!(io::decode(&npy("<f4", "(9, 9999999999)", vec![0; 16]), None).is_err());
     assert!(io::decode(&npy("<i4", "(2, 2)", vec![0; 16]), None).is_err());
+}
+
+#[test]
+fn a_ply_states_pose_and_grid_as_pcl_does() {
+    // What PCL 1.13 writes of an organized cloud with a sensor pose; its faces and cameras stand behind the vertices.
+    let camera: String = ["view_px", "view_py", "view_pz"]
+        .into_iter()
+        .map(str::to_owned)
+        .chain(["x", "y", "z"].into_iter().flat_map(|axis| ["x", "y", "z"].map(|of| format!("{axis}_axis{of}"))))
+        .chain(["focal", "scalex", "scaley", "centerx", "centery"].map(str::to_owned))
+        .map(|name| format!("property float {name}\n"))
+        .chain(["property int viewportx\nproperty int viewporty\nproperty float k1\nproperty float k2\n".to_owned()])
+        .collect();
+    let text = format!(
+        "ply\nformat ascii 1.0\ncomment PCL generated\nelement vertex 4\nproperty float x\nproperty float y\n\
+         property float z\nelement camera 1\n{camera}end_header\n0 0 1\nnan nan nan\n1 0 1\n1 1 1\n\
+         0.1 0 0.6 0 0 1 -1 0 0 0 -1 0 0 0 0 0 0 2 2 0 0\n"
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("pcl.ply");
+    std::fs::write(&path, text).unwrap();
+    let mut cloud = OrganizedCloud::read(&path).unwrap();
+    assert_eq!((cloud.width(), cloud.height(), cloud.points.valid_points()), (2, 2, 3));
+    let pose = SensorPose::from_viewpoint([f64::from(0.1f32), 0.0, f64::from(0.6f32), 0.5, -0.5, 0.5, -0.5]);
+    let near = |a: &SensorPose, b: &SensorPose, tolerance: f64| {
+        (0..7).all(|k| (a.viewpoint()[k].abs() - b.viewpoint()[k].abs()).abs() <= tolerance)
+    };
+    assert!(near(&cloud.points.pose, &pose, 1e-6), "{:?}", cloud.points.pose);
+    // Far from the origin f32 would move the sensor.
+    for position_m in [pose.position_m, [437_512.25, 5_417_233.125, 312.0625]] {
+        cloud.points.pose.position_m = position_m;
+        for encoding in [Encoding::Ascii, Encoding::Binary] {
+            planish::io::write_cloud(&path, &cloud, encoding).unwrap();
+            let again = OrganizedCloud::read(&path).unwrap();
+            assert!(near(&again.points.pose, &cloud.points.pose, 1e-6), "{encoding:?}: {:?}", again.points.pose);
+        }
+    }
+    cloud.points.pose = SensorPose::IDENTITY;
+    planish::io::write_cloud(&path, &cloud, Encoding::Ascii).unwrap();
+    assert!(!std::fs::read_to_string(&path).unwrap().contains("camera"), "nothing to state");
 }
 
 #[test]

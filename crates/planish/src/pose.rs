@@ -37,6 +37,24 @@ impl SensorPose {
         Self { position_m, orientation: [w, x, y, z] }
     }
 
+    /// The pose of a position and a rotation matrix, row by row; `None` if the matrix is no rotation within 1 %.
+    pub(crate) fn from_rotation(position_m: [f64; 3], rows: [[f64; 3]; 3]) -> Option<Self> {
+        let rotation = DMat3::from_cols_array_2d(&rows).transpose();
+        let off = rotation * rotation.transpose() - DMat3::IDENTITY;
+        // False for a NaN.
+        let is_rotation =
+            off.to_cols_array().iter().all(|value| value.abs() <= LENGTH_TOLERANCE) && rotation.determinant() > 0.0;
+        let [x, y, z, w] = DQuat::from_mat3(&rotation).normalize().to_array();
+        let pose = Self::from_xyzw(position_m, [x, y, z, w]);
+        (is_rotation && pose.validate().is_ok()).then_some(pose)
+    }
+
+    /// The rotation cloud_from_sensor, row by row.
+    pub(crate) fn rotation(&self) -> [[f64; 3]; 3] {
+        let rotation = self.transform().unwrap_or(RigidTransform::IDENTITY).rotation;
+        rotation.transpose().to_cols_array_2d()
+    }
+
     /// The seven numbers of a PCD VIEWPOINT.
     pub fn viewpoint(&self) -> [f64; 7] {
         let ([x, y, z], [qw, qx, qy, qz]) = (self.position_m, self.orientation);
@@ -115,6 +133,18 @@ mod tests {
         let ahead = pose.transform().unwrap().to_sensor(DVec3::new(2.1, 0.0, 0.6));
         assert!((ahead - DVec3::new(0.0, 0.0, 2.0)).length() < 1e-12, "{ahead}");
         assert_eq!(SensorPose::from_viewpoint(pose.viewpoint()), pose);
+    }
+
+    #[test]
+    fn a_rotation_matrix_is_a_pose_and_back() {
+        let pose = SensorPose::from_viewpoint([1.0, 2.0, 3.0, 0.5, -0.5, 0.5, -0.5]);
+        let again = SensorPose::from_rotation(pose.position_m, pose.rotation()).unwrap();
+        let off = |k: usize| (again.viewpoint()[k].abs() - pose.viewpoint()[k].abs()).abs();
+        assert!((0..7).all(|k| off(k) < 1e-12), "{again:?}");
+        assert_eq!(pose.rotation()[0], [0.0, 0.0, 1.0], "the robot's x is the camera's z");
+        for none in [[[0.0; 3]; 3], [[f64::NAN; 3]; 3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]] {
+            assert_eq!(SensorPose::from_rotation([0.0; 3], none), None);
+        }
     }
 
     #[test]

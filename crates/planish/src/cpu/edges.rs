@@ -73,21 +73,21 @@ impl FirstRows<'_> {
         row * self.row_len + self.reach + u
     }
 
-    /// Keeps the planes of the points p from an index on.
+    /// Keeps the planes of the points at the end of rays, from an index on.
     #[inline(always)]
     pub(super) fn store<S: Simd>(
         &mut self,
         simd: S,
         at: usize,
-        p: Vec3<S>,
+        ray: Vec3<S>,
         noise: S::f32s,
         plane: &Plane<S>,
         n: S::f32s,
     ) {
         let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
-        let along = plane.normal.dot(p);
+        let along = plane.normal.dot(ray);
         let seen: Mask<S> =
-            (along * along).simd_ge(p.dot(p) * splat(simd, MIN_INCIDENCE_COSINE * MIN_INCIDENCE_COSINE));
+            (along * along).simd_ge(ray.dot(ray) * splat(simd, MIN_INCIDENCE_COSINE * MIN_INCIDENCE_COSINE));
         let usable = n.simd_ge(splat(simd, MIN_NEIGHBOURS)) & !plane.degenerate & seen;
         let channels = [
             plane.normal.x,
@@ -154,13 +154,16 @@ impl FirstPlanes {
         Vec3::new(x, y, z)
     }
 
-    /// The planes that the points p at the window's centre lie on, as their own and the eight planes around them say.
+    /// The planes that the points p at the window's centre, at the end of rays, lie on, as their own and the eight planes around
+    /// them say.
+    #[allow(clippy::too_many_arguments)]
     #[inline(always)]
     pub(super) fn surface<S: Simd>(
         &self,
         simd: S,
         window: &Window<'_>,
         p: Vec3<S>,
+        ray: Vec3<S>,
         valid: Mask<S>,
         radius: S::f32s,
         noise: S::f32s,
@@ -197,7 +200,7 @@ impl FirstPlanes {
         let own = own & height.abs().simd_le(radius);
         let length = own.select(normal.dot(normal), one).sqrt();
         // The other way round it is the same plane.
-        let away: Mask<S> = normal.dot(p).simd_gt(zero);
+        let away: Mask<S> = normal.dot(ray).simd_gt(zero);
         let sign = away.select(-one, one);
         Surface {
             plane: Plane {

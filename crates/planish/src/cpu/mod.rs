@@ -2,10 +2,10 @@
 //!
 //! The stages have the reference's names, one file each, and are written once over the SIMD level; [`SimdLevel`] says which
 //! there are. A frame is copied into a padded one ([`padded`]), tasks take bands of its rows ([`row_tasks`], [`output`]), and each
-//! vector of pixels
-//! goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]; where edges are kept, [`edges`]
-//! fits the planes of all pixels in a pass of its own before. A pixel's result depends on
-//! its window alone, so threads change nothing; lanes are independent, so neither does a pixel's place in its vector.
+//! vector of pixels goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]; where edges are
+//! kept, [`edges`] fits the planes of all pixels in a pass of its own before. All of it is in the cloud's frame; what depends on
+//! the sensor is asked of [`sensor`]. A pixel's result depends on its window alone, so threads change nothing; lanes are
+//! independent, so neither does a pixel's place in its vector.
 
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
@@ -19,6 +19,7 @@ mod plane;
 mod polynomial;
 mod project;
 mod row_tasks;
+mod sensor;
 mod solve;
 #[cfg(test)]
 mod tests;
@@ -44,6 +45,7 @@ use output::OutputRows;
 use padded::PaddedFrame;
 use polynomial::{Terms, Weighting};
 use row_tasks::{SplitRows, run_on_rows};
+use sensor::Sensor;
 use vector::{Mask, Vec3, splat};
 use window::{Gate, MAX_CANDIDATES, Window};
 
@@ -54,6 +56,7 @@ struct Kernel {
     stride: usize,
     degree: u32,
     rules: RangeRules,
+    sensor: Sensor,
     bandwidth_m: Option<f32>,
 }
 
@@ -64,18 +67,20 @@ fn polynomial_in_range<S: Simd>(simd: S, [c0, c1, c2]: [f32; 3], range: S::f32s)
 }
 
 impl RangeRules {
-    /// The ranges of points in the sensor's frame. Beyond the limit the radius is at its own; the square stays finite.
-    #[inline(always)]
-    fn range<S: Simd>(&self, simd: S, p: Vec3<S>) -> S::f32s {
-        let range = if self.by_distance { p.dot(p).sqrt() } else { p.z.abs() };
-        range.min(splat(simd, MAX_RANGE_M))
-    }
-
     #[inline(always)]
     fn radius<S: Simd>(&self, simd: S, range: S::f32s) -> S::f32s {
         let radius = (range * splat(simd, self.linear)).max(polynomial_in_range(simd, self.radius, range));
         // A coordinate of 1e30 has an infinite radius by this rule; what is computed from it must stay finite.
         radius.min(splat(simd, MAX_RADIUS_M))
+    }
+}
+
+impl Kernel {
+    /// The ranges at the end of rays. Beyond the limit the radius is at its own; the square stays finite.
+    #[inline(always)]
+    fn range<S: Simd>(&self, simd: S, ray: Vec3<S>) -> S::f32s {
+        let range = if self.rules.by_distance { ray.dot(ray).sqrt() } else { self.sensor.depth(simd, ray).abs() };
+        range.min(splat(simd, MAX_RANGE_M))
     }
 }
 
@@ -150,6 +155,7 @@ impl ImmediateEngine for Cpu {
             stride: self.params.stride as usize,
             degree: self.params.degree,
             rules: RangeRules::new(&self.params, &frame.geometry),
+            sensor: Sensor::new(&frame.geometry),
             bandwidth_m: self.params.bandwidth_m,
         };
         match self.threads.take() {
@@ -182,11 +188,12 @@ fn fit_first_planes<S: Simd>(simd: S, padded: &PaddedFrame, kernel: &Kernel, row
             let p = window.centre(simd);
             // What is kept for a hole is not looked at.
             if valid_points(simd, p).any_true() {
-                let range = kernel.rules.range(simd, p);
+                let ray = kernel.sensor.ray(simd, p);
+                let range = kernel.range(simd, ray);
                 let radius = kernel.rules.radius(simd, range);
                 let noise = edges::noise(simd, &kernel.rules, range, radius);
                 let sums = window.sums(simd, p, radius, &mut gates);
-                rows.store(simd, rows.index(row, u), p, noise, &plane::fit(simd, p, &sums), sums.n);
+                rows.store(simd, rows.index(row, u), ray, noise, &plane::fit(simd, ray, &sums), sums.n);
             }
         }
     }
@@ -242,31 +249,33 @@ fn smooth_vector<S: Simd, const D: usize>(
         rows.store_holes(row, u, S::f32s::LEN);
         return;
     }
-    let range = kernel.rules.range(simd, p);
+    let ray = kernel.sensor.ray(simd, p);
+    let range = kernel.range(simd, ray);
     let radius = kernel.rules.radius(simd, range);
     let (plane, n, gate, width) = match first_planes {
         None => {
             let sums = window.sums(simd, p, radius, &mut scratch.gates);
-            (plane::fit(simd, p, &sums), sums.n, Gate::Known(&scratch.gates), None)
+            (plane::fit(simd, ray, &sums), sums.n, Gate::Known(&scratch.gates), None)
         }
         Some(first_planes) => {
             let noise = edges::noise(simd, &kernel.rules, range, radius);
-            let surface = first_planes.surface(simd, window, p, valid, radius, noise);
+            let surface = first_planes.surface(simd, window, p, ray, valid, radius, noise);
             (surface.plane, surface.n, Gate::Radius(radius), Some(surface.width))
         }
     };
     let projected = if D == 1 {
-        project::project::<S, D>(simd, p, &plane, None, radius, n, rows.has_normals())
+        project::project::<S, D>(simd, p, ray, &plane, None, radius, n, rows.has_normals())
     } else {
         let bandwidth = kernel.bandwidth_m.map_or(
             radius,
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
+        let tangents = kernel.sensor.tangents(simd, plane.normal);
         let weighting = Weighting { gate, bandwidth, width };
-        let fit = polynomial::moments::<S, D>(simd, window, p, &plane, &weighting, &mut scratch.terms);
+        let fit = polynomial::moments::<S, D>(simd, window, p, &plane, tangents, &weighting, &mut scratch.terms);
         let c = solve::solve::<S, D>(simd, &fit.moments, n);
-        project::project::<S, D>(simd, p, &plane, Some((&fit, c)), radius, n, rows.has_normals())
+        project::project::<S, D>(simd, p, ray, &plane, Some((&fit, c)), radius, n, rows.has_normals())
     };
     rows.store(row, u, p, &projected, &plane, n);
 }

@@ -1,17 +1,16 @@
 //! The rows of a result: split between tasks, written a vector at a time, straight into the caller's buffers.
 //!
-//! Points and normals come in the sensor's frame. Where that is not the cloud's, the displacement of each point is turned back
-//! and added to the point as it was measured (docs/method.md, section 11). Depth is made here too (section 7).
+//! Depth is made here too (docs/method.md, section 7).
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
+use glam::Vec3;
 
 use super::plane::Plane;
 use super::project::Projected;
 use super::row_tasks::SplitRows;
-use super::vector::Vec3;
+use super::vector::Vec3 as Lanes3;
 use crate::camera::{Camera, Rays};
 use crate::engine::AdmittedFrame;
-use crate::frame::{Frame, PointsView};
 use crate::outputs::{SmoothedMut, VectorsMut};
 use crate::pose::RigidTransform;
 use crate::smoothed::depth_along_ray_m;
@@ -24,22 +23,16 @@ pub(super) struct OutputRows<'a> {
     pub(super) width: usize,
     rows: usize,
     out: SmoothedMut<'a>,
-    /// How results come back into the cloud's frame, where that is not the sensor's.
-    turned: Option<Turned<'a>>,
     /// With what depth is made, where it is wanted.
     depth: Option<DepthOutput<'a>>,
-}
-
-#[derive(Clone, Copy)]
-struct Turned<'a> {
-    measured: PointsView<'a>,
-    cloud_from_sensor: RigidTransform,
 }
 
 #[derive(Clone, Copy)]
 struct DepthOutput<'a> {
     camera: &'a Camera,
     rays: &'a Rays,
+    /// Where the sensor stands, if the cloud's frame is another than its own.
+    cloud_from_sensor: Option<RigidTransform>,
 }
 
 impl SplitRows for OutputRows<'_> {
@@ -48,7 +41,7 @@ impl SplitRows for OutputRows<'_> {
     }
 
     fn split_at(self, rows: usize) -> (Self, Self) {
-        let Self { first, width, turned, depth, out, .. } = self;
+        let Self { first, width, depth, out, .. } = self;
         let at = rows * width;
         let (points, points_rest) = out.points.map(|vectors| vectors.split_at(at)).unzip();
         let (normals, normals_rest) = out.normals.map(|vectors| vectors.split_at(at)).unzip();
@@ -66,8 +59,8 @@ impl SplitRows for OutputRows<'_> {
             depth: raw_rest,
         };
         (
-            Self { first, width, rows, out: upper, turned, depth },
-            Self { first: first + rows, width, rows: self.rows - rows, out: lower, turned, depth },
+            Self { first, width, rows, out: upper, depth },
+            Self { first: first + rows, width, rows: self.rows - rows, out: lower, depth },
         )
     }
 }
@@ -76,13 +69,10 @@ impl<'a> OutputRows<'a> {
     /// All rows of a frame's result; `rays` are its camera's.
     pub(super) fn all(admitted: &AdmittedFrame<'a>, rays: &'a Rays, out: SmoothedMut<'a>) -> Self {
         let (width, height) = admitted.frame.shape();
-        let turned = match (admitted.frame, admitted.geometry.cloud_from_sensor) {
-            (Frame::Points(measured), Some(cloud_from_sensor)) => Some(Turned { measured, cloud_from_sensor }),
-            _ => None,
-        };
         let camera = admitted.frame.camera().filter(|_| out.depth.is_some());
-        let depth = camera.map(|camera| DepthOutput { camera, rays });
-        Self { first: 0, width, rows: height, out, turned, depth }
+        let depth =
+            camera.map(|camera| DepthOutput { camera, rays, cloud_from_sensor: admitted.geometry.cloud_from_sensor });
+        Self { first: 0, width, rows: height, out, depth }
     }
 
     /// Whether normals are needed.
@@ -96,38 +86,33 @@ impl<'a> OutputRows<'a> {
         &mut self,
         row: usize,
         u: usize,
-        p: Vec3<S>,
+        p: Lanes3<S>,
         projected: &Projected<S>,
         plane: &Plane<S>,
         n: S::f32s,
     ) {
         let end = self.width.min(u + S::f32s::LEN);
         let at = row * self.width + u..row * self.width + end;
-        if let Some(turned) = self.turned {
-            let first = (self.first + row) * self.width + u;
-            turned.store(&mut self.out, first, at.clone(), p, projected);
-        } else {
-            if let Some(points) = &mut self.out.points {
-                put_vectors(points, at.clone(), projected.point);
-            }
-            if let Some(normals) = &mut self.out.normals {
-                put_vectors(normals, at.clone(), projected.normal);
-            }
+        if let Some(points) = &mut self.out.points {
+            put_vectors(points, at.clone(), projected.point);
         }
-        if let (Some(DepthOutput { camera, rays }), Some(depth)) = (self.depth, &mut self.out.depth) {
+        if let Some(normals) = &mut self.out.normals {
+            put_vectors(normals, at.clone(), projected.normal);
+        }
+        if let (Some(output), Some(depth)) = (self.depth, &mut self.out.depth) {
             // Through a distorted lens the ray of a pixel is that of its point.
-            let by_point = rays.are_distorted();
-            let rays = rays.row(self.first + row);
-            let (point, normal) = (&projected.point, &projected.normal);
+            let by_point = output.rays.are_distorted();
+            let rays = output.rays.row(self.first + row);
             for (lane, out) in depth[at.clone()].iter_mut().enumerate() {
-                let (point, normal) = (in_lane(point, lane).to_array(), in_lane(normal, lane).to_array());
+                let point = output.point_in_sensor(in_lane(&projected.point, lane));
+                let normal = output.direction_in_sensor(in_lane(&projected.normal, lane));
                 let ray = if by_point {
-                    let p = in_lane(&p, lane);
+                    let p = output.point_in_sensor(in_lane(&p, lane));
                     [p.x / p.z, p.y / p.z]
                 } else {
                     rays.at(u + lane)
                 };
-                *out = camera.raw_depth(depth_along_ray_m(ray, point, normal));
+                *out = output.camera.raw_depth(depth_along_ray_m(ray, point.to_array(), normal.to_array()));
             }
         }
         if let Some(curvature) = &mut self.out.curvature {
@@ -181,41 +166,26 @@ impl<'a> OutputRows<'a> {
     }
 }
 
-impl Turned<'_> {
-    /// Stores points and normals in the cloud's frame; `first` is the number of the first point in the cloud.
-    #[inline(always)]
-    fn store<S: Simd>(
-        &self,
-        out: &mut SmoothedMut<'_>,
-        first: usize,
-        at: std::ops::Range<usize>,
-        p: Vec3<S>,
-        projected: &Projected<S>,
-    ) {
-        let rotation = self.cloud_from_sensor.rotation.as_mat3();
-        let moved = projected.point.sub(p);
-        for (lane, i) in at.enumerate() {
-            if let Some(points) = &mut out.points {
-                let point = self.measured.point(first + lane) + (rotation * in_lane(&moved, lane)).as_dvec3();
-                points.set(i, point.to_array().map(|value| value as f32));
-            }
-            if let Some(normals) = &mut out.normals {
-                normals.set(i, (rotation * in_lane(&projected.normal, lane)).to_array());
-            }
-        }
+impl DepthOutput<'_> {
+    fn point_in_sensor(&self, p: Vec3) -> Vec3 {
+        self.cloud_from_sensor.map_or(p, |transform| transform.to_sensor(p.as_dvec3()).as_vec3())
+    }
+
+    fn direction_in_sensor(&self, v: Vec3) -> Vec3 {
+        self.cloud_from_sensor.map_or(v, |transform| (transform.rotation.transpose() * v.as_dvec3()).as_vec3())
     }
 }
 
 /// The vector of one lane.
 #[inline(always)]
-fn in_lane<S: Simd>(v: &Vec3<S>, lane: usize) -> glam::Vec3 {
-    glam::Vec3::new(v.x.as_slice()[lane], v.y.as_slice()[lane], v.z.as_slice()[lane])
+fn in_lane<S: Simd>(v: &Lanes3<S>, lane: usize) -> Vec3 {
+    Vec3::new(v.x.as_slice()[lane], v.y.as_slice()[lane], v.z.as_slice()[lane])
 }
 
 /// Stores vectors, as many as there is room for: fewer than all lanes at the right border.
 #[inline(always)]
-fn put_vectors<S: Simd>(out: &mut VectorsMut<'_>, at: std::ops::Range<usize>, vectors: Vec3<S>) {
-    let Vec3 { x, y, z } = vectors;
+fn put_vectors<S: Simd>(out: &mut VectorsMut<'_>, at: std::ops::Range<usize>, vectors: Lanes3<S>) {
+    let Lanes3 { x, y, z } = vectors;
     match out {
         VectorsMut::Planes([out_x, out_y, out_z]) => {
             put(x, &mut out_x[at.clone()]);

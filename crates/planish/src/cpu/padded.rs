@@ -1,6 +1,6 @@
 //! The frame with a border: the input of every window load.
 //!
-//! Stage: copy or deproject (docs/method.md, section 1), into the sensor's frame (11). Layout: x, y and z each as rows of
+//! Stage: copy or deproject (docs/method.md, section 1), in the cloud's frame. Layout: x, y and z each as rows of
 //! `row_len` values, `reach` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 behind its last column, so
 //! that every load of a window, at every vector of pixels, is a plain load inside the buffer. A NaN fails the gate, and so does
 //! everything not finite: an infinite distance is over every radius.
@@ -66,7 +66,6 @@ impl PaddedFrame {
         let image = reach * row_len..(reach + self.height) * row_len;
         let xyz = [&mut self.x[image.clone()], &mut self.y[image.clone()], &mut self.z[image]];
         let rows = PaddedRows { first: 0, row_len, xyz };
-        let geometry = &admitted.geometry;
         let fill_rows = |rows: PaddedRows<'_>| {
             let count = rows.count();
             let PaddedRows { first, xyz: [x, y, z], .. } = rows;
@@ -75,7 +74,7 @@ impl PaddedFrame {
                 let (x, y, z) = (&mut x[at.clone()], &mut y[at.clone()], &mut z[at]);
                 match admitted.frame {
                     Frame::Points(points) => {
-                        points.copy_to_sensor(geometry, v * width..(v + 1) * width, x, y, z);
+                        points.copy_to(v * width..(v + 1) * width, x, y, z);
                     }
                     Frame::Depth(depth) => {
                         match depth.row(v) {

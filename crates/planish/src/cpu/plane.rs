@@ -24,8 +24,9 @@ pub(super) struct Plane<S: Simd> {
     pub(super) degenerate: Mask<S>,
 }
 
+/// `ray` leads from the sensor to p.
 #[inline(always)]
-pub(super) fn fit<S: Simd>(simd: S, p: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
+pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     let inverse_n = splat(simd, 1.0) / sums.n.max(splat(simd, 1.0));
     let c = sums.e.scale(inverse_n);
     let matrix = Symmetric {
@@ -41,7 +42,7 @@ pub(super) fn fit<S: Simd>(simd: S, p: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     let residual = l0.max(splat(simd, 0.0));
     let curvature = residual / (l0 + l1 + l2).max(splat(simd, f32::MIN_POSITIVE));
     let degenerate = l1.simd_le(l2 * splat(simd, DEGENERATE_RATIO));
-    let away: Mask<S> = eigen.vector.dot(p).simd_gt(splat(simd, 0.0));
+    let away: Mask<S> = eigen.vector.dot(ray).simd_gt(splat(simd, 0.0));
     let normal = eigen.vector.scale(away.select(splat(simd, -1.0), splat(simd, 1.0)));
     let doubt = (l2 / (l1 - residual).max(splat(simd, f32::MIN_POSITIVE))).min(splat(simd, MAX_DOUBT));
     Plane { normal, height: c.dot(normal), residual, doubt, curvature, degenerate }

@@ -10,7 +10,6 @@ use std::ops::Range;
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
-use super::eigen::tangents;
 use super::math::exp2;
 use super::plane::Plane;
 use super::unroll::unroll;
@@ -107,18 +106,18 @@ pub(super) struct Fit<S: Simd> {
     pub(super) metres: S::f32s,
 }
 
-/// Second pass over the window: accumulates the moments of degree D.
+/// Second pass over the window: accumulates the moments of degree D over the plane, whose tangents are the in-plane axes.
 #[inline(always)]
 pub(super) fn moments<S: Simd, const D: usize>(
     simd: S,
     window: &Window<'_>,
     p: Vec3<S>,
     plane: &Plane<S>,
+    [u, v]: [Vec3<S>; 2],
     weighting: &Weighting<'_, S>,
     terms: &mut Terms<S>,
 ) -> Fit<S> {
     let zero = splat(simd, 0.0);
-    let (u, v) = tangents(simd, plane.normal);
     let per_metre = splat(simd, SQRT_LOG2_E) / weighting.bandwidth;
     let narrowing = match weighting.width {
         None => zero,

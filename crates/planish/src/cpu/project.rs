@@ -15,11 +15,14 @@ pub(super) struct Projected<S: Simd> {
     pub(super) status: S::f32s,
 }
 
-/// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c.
+/// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c. `ray` leads from
+/// the sensor to p.
+#[allow(clippy::too_many_arguments)]
 #[inline(always)]
 pub(super) fn project<S: Simd, const D: usize>(
     simd: S,
     p: Vec3<S>,
+    ray: Vec3<S>,
     plane: &Plane<S>,
     fit: Option<(&Fit<S>, [S::f32s; 3])>,
     radius: S::f32s,
@@ -41,7 +44,7 @@ pub(super) fn project<S: Simd, const D: usize>(
                 .add_scaled(-(slope_a * fit.metres), fit.a_axis)
                 .add_scaled(-(slope_b * fit.metres), fit.b_axis);
             let length = tilted.dot(tilted).sqrt();
-            let away: Mask<S> = tilted.dot(p).simd_gt(splat(simd, 0.0));
+            let away: Mask<S> = tilted.dot(ray).simd_gt(splat(simd, 0.0));
             let scale = away.select(splat(simd, -1.0), splat(simd, 1.0)) / length;
             normal = tilted.scale(scale).or(on_surface, normal);
         }

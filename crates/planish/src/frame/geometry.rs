@@ -1,7 +1,6 @@
 //! Where the sensor of a frame stands, and what the range of a point is (docs/method.md, section 11).
 //!
-//! Engines work in the sensor's frame, where it stands at the origin and looks along +z, and move each measured point by the
-//! displacement that they find, turned back into the cloud's frame.
+//! The sensor's frame is the one in which it stands at the origin and looks along +z.
 
 use glam::DVec3;
 

@@ -311,23 +311,6 @@ impl<'a> PointsView<'a> {
             [*x, *y, *z] = self.point(i).to_array().map(|value| value as f32);
         }
     }
-
-    /// Copies points in the sensor's frame, computed in f64 and rounded to f32.
-    pub(crate) fn copy_to_sensor(
-        &self,
-        geometry: &FrameGeometry,
-        points: Range<usize>,
-        x: &mut [f32],
-        y: &mut [f32],
-        z: &mut [f32],
-    ) {
-        if geometry.cloud_from_sensor.is_none() {
-            return self.copy_to(points, x, y, z);
-        }
-        for (((i, x), y), z) in points.zip(x).zip(y).zip(z) {
-            [*x, *y, *z] = self.point_in_sensor(i, geometry).to_array().map(|value| value as f32);
-        }
-    }
 }
 
 fn check_origin(origin_m: [f64; 3]) -> Result<(), FrameError> {

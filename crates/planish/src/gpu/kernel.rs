@@ -77,7 +77,7 @@ impl KernelKey {
         let (kind, outputs) = match pass {
             Pass::Whole => (kind, outputs),
             Pass::FirstPlanes => (kind, Outputs::POINTS),
-            // It reads the points that the first pass kept, and the measured ones only where they may be turned.
+            // It reads the points that the first pass kept.
             Pass::Surfaces if kind == InputKind::DepthMetres => (InputKind::Depth, outputs),
             Pass::Surfaces => (kind, outputs),
         };
@@ -118,6 +118,7 @@ impl KernelKey {
         };
         text += include_str!("shaders/window.wgsl");
         text += include_str!("shaders/eigen.wgsl");
+        text += include_str!("shaders/sensor.wgsl");
         text += include_str!("shaders/plane.wgsl");
         text += match self.pass {
             Pass::FirstPlanes => {
@@ -137,10 +138,6 @@ impl KernelKey {
             text += &solve(degree);
             text += include_str!("shaders/project_polynomial.wgsl");
         }
-        text += match self.kind {
-            InputKind::Points => include_str!("shaders/cloud_frame.wgsl"),
-            InputKind::Depth | InputKind::DepthMetres => include_str!("shaders/own_frame.wgsl"),
-        };
         text += include_str!("shaders/output.wgsl");
         text += include_str!("shaders/smooth.wgsl");
         text

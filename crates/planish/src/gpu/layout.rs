@@ -36,8 +36,8 @@ pub(super) struct FrameHeader {
     pub(super) bandwidth: f32,
     /// The sum of the flags below.
     pub(super) flags: u32,
-    /// cloud_from_sensor, row by row, and its translation, if the flag says so.
-    pub(super) rotation: [f32; 9],
+    /// The sensor's axes in the cloud's frame, the columns of cloud_from_sensor, and its translation, if the flag says so.
+    pub(super) axes: [f32; 9],
     pub(super) translation: [f32; 3],
 }
 
@@ -217,7 +217,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("SIGMA", std::mem::offset_of!(FrameHeader, sigma) / 4),
         ("BANDWIDTH", std::mem::offset_of!(FrameHeader, bandwidth) / 4),
         ("FLAGS", std::mem::offset_of!(FrameHeader, flags) / 4),
-        ("ROTATION", std::mem::offset_of!(FrameHeader, rotation) / 4),
+        ("AXES", std::mem::offset_of!(FrameHeader, axes) / 4),
         ("TRANSLATION", std::mem::offset_of!(FrameHeader, translation) / 4),
         ("BY_DISTANCE", BY_DISTANCE as usize),
         ("TURNED", TURNED as usize),

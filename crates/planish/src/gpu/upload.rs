@@ -62,7 +62,7 @@ impl Uploader {
         }
         if let Some(transform) = admitted.geometry.cloud_from_sensor {
             header.flags |= TURNED;
-            header.rotation = transform.rotation.transpose().to_cols_array().map(|value| value as f32);
+            header.axes = transform.rotation.to_cols_array().map(|value| value as f32);
             header.translation = transform.translation.to_array().map(|value| value as f32);
         }
         header

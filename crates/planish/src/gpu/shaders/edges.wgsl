@@ -1,9 +1,10 @@
 // The plane that a point lies on, as its own first plane and the eight around it say (docs/method.md, section 10).
 
 fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
-    let range = range_of(frame, p);
+    let ray = ray_to(frame, p);
+    let range = range_of(frame, ray);
     let radius = radius_at(frame, range);
-    let surface = plane_at(frame, pixel, p, radius, noise_at(frame, range, radius));
+    let surface = plane_at(frame, pixel, p, ray, radius, noise_at(frame, range, radius));
     let n = u32(surface.n);
     if n < 3u {
         return no_result(STATUS_TOO_FEW, n);
@@ -11,7 +12,7 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>
     return result_of(frame, pixel, window, p, radius, surface);
 }
 
-fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, radius: f32, noise: f32) -> LocalSurface {
+fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> LocalSurface {
     let own = pixel.y * batch.width + pixel.x;
     let per_variance = 1.0 / (noise * noise);
     var normal = vec3<f32>(0.0);
@@ -58,7 +59,7 @@ fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, radius: f32, noise: f32)
         width = 1e18;
     } else {
         // The other way round it is the same plane.
-        let sign = select(1.0, -1.0, dot(normal, p) > 0.0);
+        let sign = select(1.0, -1.0, dot(normal, ray) > 0.0);
         plane.normal = normal * (sign / sqrt(dot(normal, normal)));
         plane.height = sign * height / total;
     }

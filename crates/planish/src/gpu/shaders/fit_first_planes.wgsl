@@ -20,13 +20,14 @@ fn fit_first_planes(
     if p.x == NO_POINT {
         return;
     }
-    let range = range_of(frame, p);
+    let ray = ray_to(frame, p);
+    let range = range_of(frame, ray);
     let radius = radius_at(frame, range);
     let sums = sums_of(window, p, radius * radius);
-    let plane = plane_of(p, sums);
-    // Scaled, since the squares of p may be too large.
-    let ray = p / max(max(abs(p.x), abs(p.y)), max(abs(p.z), MIN_POSITIVE));
-    let is_seen = abs(dot(plane.normal, ray)) >= MIN_INCIDENCE_COSINE * sqrt(dot(ray, ray));
+    let plane = plane_of(ray, sums);
+    // Scaled, since the squares may be too large.
+    let direction = ray / max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
+    let is_seen = abs(dot(plane.normal, direction)) >= MIN_INCIDENCE_COSINE * sqrt(dot(direction, direction));
     let is_usable = sums.n >= MIN_NEIGHBOURS && !plane.is_degenerate && is_seen;
     let noise = noise_at(frame, range, radius);
     let residual = min(fma(noise * noise * DOUBT_WEIGHT, plane.doubt, plane.residual), NOT_USABLE);

@@ -1,7 +1,7 @@
 // The frame as the camera gave it: depth or points, one struct of words a frame (layout.rs).
 //
-// Stage: copy or deproject (docs/method.md, section 1), in metres, into the sensor's frame (11). What depth becomes is finite, since Camera::validate keeps
-// rays and units within bounds.
+// Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. What depth becomes is finite, since
+// Camera::validate keeps rays and units within bounds.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
@@ -18,18 +18,7 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
         return vec3<f32>(NO_POINT);
     }
-    let p = bitcast<vec3<f32>>(bits);
-    if (header_bits(frame, FLAGS) & TURNED) == 0u {
-        return p;
-    }
-    // The transposed rotation: rows and columns of cloud_from_sensor change places. Clamped, so that it stays finite.
-    let q = clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, TRANSLATION);
-    return fma(vec3<f32>(q.x), header_vec3(frame, ROTATION),
-        fma(vec3<f32>(q.y), header_vec3(frame, ROTATION + 3u), q.z * header_vec3(frame, ROTATION + 6u)));
-}
-
-fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
-    return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
+    return bitcast<vec3<f32>>(bits);
 }
 
 // Depth in metres; 0 for a hole.

@@ -22,13 +22,22 @@ fn no_result(status: u32, n: u32) -> PixelResult {
 fn raw_depth_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, projected: Projected) -> u32 {
     let rays = frame * batch.input_words + HEADER_WORDS;
     var ray = vec3<f32>(bitcast<f32>(input[rays + pixel.x]), bitcast<f32>(input[rays + batch.width + pixel.y]), 1.0);
-    if has_ray_of_point(frame) {
-        ray = vec3<f32>(p.xy / p.z, 1.0);
+    var measured = p;
+    var point = projected.point;
+    var normal = projected.normal;
+    if is_turned(frame) {
+        measured = along_axes(frame, ray_to(frame, p));
+        point = along_axes(frame, ray_to(frame, point));
+        normal = along_axes(frame, normal);
     }
-    let along = dot(ray, projected.normal);
-    var depth = projected.point.z;
+    // Through a distorted lens the ray of a pixel is that of its point.
+    if IS_POINTS && (header_bits(frame, FLAGS) & RAYS_OF_POINTS) != 0u {
+        ray = vec3<f32>(measured.xy / measured.z, 1.0);
+    }
+    let along = dot(ray, normal);
+    var depth = point.z;
     if abs(along) > GRAZING_COSINE * sqrt(dot(ray, ray)) {
-        depth = dot(projected.point, projected.normal) / along;
+        depth = dot(point, normal) / along;
     }
     let raw = round(depth * header(frame, UNITS_PER_METRE));
     if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {

@@ -1,11 +1,12 @@
 // The plane that a point lies on: that of its own window (docs/method.md, section 4).
 
 fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
-    let radius = radius_at(frame, range_of(frame, p));
+    let ray = ray_to(frame, p);
+    let radius = radius_at(frame, range_of(frame, ray));
     let sums = sums_of(window, p, radius * radius);
     let n = u32(sums.n);
     if n < 3u {
         return no_result(STATUS_TOO_FEW, n);
     }
-    return result_of(frame, pixel, window, p, radius, LocalSurface(plane_of(p, sums), sums.n, 0.0));
+    return result_of(frame, pixel, window, p, radius, LocalSurface(plane_of(ray, sums), sums.n, 0.0));
 }

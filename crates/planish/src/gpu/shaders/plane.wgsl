@@ -24,14 +24,15 @@ struct LocalSurface {
     width: f32,
 }
 
-fn plane_of(p: vec3<f32>, sums: Sums) -> Plane {
+// `ray` leads from the sensor to p.
+fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let inverse_n = 1.0 / sums.n;
     let c = sums.e * inverse_n;
     // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
     let x_row = fma(sums.x_row, vec3<f32>(inverse_n), -(c.x * c));
     let rest = fma(sums.rest, vec3<f32>(inverse_n), -(c.yyz * c.yzz));
     let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));
-    let normal = select(eigen.vector, -eigen.vector, dot(eigen.vector, p) > 0.0);
+    let normal = select(eigen.vector, -eigen.vector, dot(eigen.vector, ray) > 0.0);
     let l = eigen.values;
     let residual = max(l.x, 0.0);
     let curvature = residual / max(l.x + l.y + l.z, MIN_POSITIVE);

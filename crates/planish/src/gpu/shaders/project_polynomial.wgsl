@@ -2,7 +2,7 @@
 
 // `c` is c_00, c_10 and c_01 in the units of the fit. A point that would move further than the radius takes the foot on the
 // plane; so does one whose height is no number.
-fn project_on_polynomial(p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
+fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
     let height = c.x / fit.per_metre + plane.height;
     if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {
         return project_on_plane(p, plane);
@@ -10,7 +10,7 @@ fn project_on_polynomial(p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, rad
     var normal = plane.normal;
     if WANTS_NORMALS || WANTS_DEPTH {
         normal = plane.normal - c.y * fit.u - c.z * fit.v;
-        normal *= select(1.0, -1.0, dot(normal, p) > 0.0) / sqrt(dot(normal, normal));
+        normal *= select(1.0, -1.0, dot(normal, ray_to(frame, p)) > 0.0) / sqrt(dot(normal, normal));
     }
     let status = select(STATUS_POLYNOMIAL_2, STATUS_POLYNOMIAL_3, DEGREE == 3u && n >= 10.0);
     return Projected(fma(vec3<f32>(height), plane.normal, p), normal, status);
@@ -22,6 +22,6 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     }
     let own_bandwidth = header(frame, BANDWIDTH);
     let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
-    let fit = fit_of(window, p, radius * radius, surface, bandwidth);
-    return project_on_polynomial(p, surface.plane, fit, solve(fit.moments, surface.n), radius, surface.n);
+    let fit = fit_of(frame, window, p, radius * radius, surface, bandwidth);
+    return project_on_polynomial(frame, p, surface.plane, fit, solve(fit.moments, surface.n), radius, surface.n);
 }

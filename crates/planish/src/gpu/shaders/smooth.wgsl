@@ -5,7 +5,7 @@ fn result_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>, r
     let n = u32(surface.n);
     if surface.plane.is_degenerate {
         var result = no_result(STATUS_DEGENERATE, n);
-        result.point = bitcast<vec3<u32>>(point_in_cloud(frame, pixel, p, p));
+        result.point = bitcast<vec3<u32>>(p);
         if WANTS_DEPTH {
             // Without a normal the depth is the point's own.
             result.codes |= raw_depth_of(frame, pixel, p, Projected(p, vec3<f32>(0.0), STATUS_DEGENERATE)) << 16u;
@@ -18,8 +18,8 @@ fn result_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>, r
         codes |= raw_depth_of(frame, pixel, p, projected) << 16u;
     }
     return PixelResult(
-        bitcast<vec3<u32>>(point_in_cloud(frame, pixel, p, projected.point)),
-        bitcast<vec3<u32>>(direction_in_cloud(frame, projected.normal)),
+        bitcast<vec3<u32>>(projected.point),
+        bitcast<vec3<u32>>(projected.normal),
         bitcast<u32>(surface.plane.curvature),
         codes,
     );

@@ -20,15 +20,15 @@ struct Sums {
     rest: vec3<f32>,
 }
 
-// The range of a point. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
-fn range_of(frame: u32, p: vec3<f32>) -> f32 {
+// The range at the end of a ray. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
+fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
     if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
-        // Scaled, since the squares of p may be too large.
-        let largest = max(max(abs(p.x), abs(p.y)), max(abs(p.z), MIN_POSITIVE));
-        let scaled = p / largest;
+        // Scaled, since the squares may be too large.
+        let largest = max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
+        let scaled = ray / largest;
         return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
     }
-    return min(abs(p.z), MAX_RANGE_M);
+    return min(abs(depth_of(frame, ray)), MAX_RANGE_M);
 }
 
 // Coefficients of 1, z and z² in the header, from a field on.

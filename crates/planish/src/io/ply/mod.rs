@@ -1,7 +1,10 @@
 //! PLY, ascii and binary: the vertices with all their properties. Faces and other elements are not read.
 //!
 //! A grid is stated as by range scanners and PCL: `obj_info num_cols W` and `obj_info num_rows H`, with a vertex for every
-//! pixel, or with an element `range_grid` that says which pixels have one.
+//! pixel, or with an element `range_grid` that says which pixels have one; or, with the sensor's pose, by PCL's element
+//! [`camera`].
+
+mod camera;
 
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
@@ -9,6 +12,8 @@ use ply_rs_bw::ply::{
     PropertyType, ScalarType,
 };
 use ply_rs_bw::writer::Writer;
+
+use camera::PlyCamera;
 
 use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
 use super::{CloudRef, Encoding, Gridded, text};
@@ -43,7 +48,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Gridded, FormatError> {
         check_size(element, bytes.len())?;
     }
     let mut columns = empty_columns(vertex)?;
-    let cells = match header.encoding {
+    let Body { cells, camera } = match header.encoding {
         PlyEncoding::Ascii => read_text(&header, reader.into_inner(), &mut columns)?,
         _ => read_binary(&header, &mut reader, &mut columns)?,
     };
@@ -62,9 +67,14 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Gridded, FormatError> {
                 vertex.count
             ));
         }
-        _ => (vertex.count, 1),
+        _ => {
+            let of_camera = camera.grid.filter(|(width, height)| width.checked_mul(*height) == Some(vertex.count));
+            of_camera.unwrap_or((vertex.count, 1))
+        }
     };
-    Ok(Gridded { width, height, points: cloud_from_columns(columns)? })
+    let mut points = cloud_from_columns(columns)?;
+    points.pose = camera.pose.unwrap_or_default();
+    Ok(Gridded { width, height, points })
 }
 
 fn damaged(error: impl Into<std::io::Error>) -> FormatError {
@@ -74,16 +84,32 @@ fn damaged(error: impl Into<std::io::Error>) -> FormatError {
 /// The vertex of each pixel, if there is an element `range_grid`.
 type Cells = Option<Vec<Option<usize>>>;
 
+/// What stands behind the header, beside the vertices.
+#[derive(Default)]
+struct Body {
+    cells: Cells,
+    camera: PlyCamera,
+}
+
+/// The columns of an element `camera`; `None` for another one, or one that nobody writes.
+fn camera_columns(name: &str, element: &ElementDef) -> Option<Vec<Attribute>> {
+    if name == "camera" && element.count == 1 { empty_columns(element).ok() } else { None }
+}
+
 /// The elements up to the last one of interest: what lies behind it does not matter.
 fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef)> {
-    let last = header.elements.keys().rposition(|name| name == "vertex" || name == "range_grid").unwrap_or(0);
+    let last = header
+        .elements
+        .keys()
+        .rposition(|name| matches!(name.as_str(), "vertex" | "range_grid" | "camera"))
+        .unwrap_or(0);
     header.elements.iter().map(|(name, element)| (name.as_str(), element)).take(last + 1)
 }
 
 /// Reads a text body by itself: the library's grammar knows neither `nan` nor `inf`, and a hole is written so.
-fn read_text(header: &Header, body: &[u8], columns: &mut [Attribute]) -> Result<Cells, FormatError> {
+fn read_text(header: &Header, body: &[u8], columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let mut body = text::Body::new(body)?;
-    let mut cells = None;
+    let mut found = Body::default();
     for (name, element) in elements_to_read(header) {
         let mut line =
             || body.line().ok_or_else(|| FormatError::Malformed(format!("the file ends within element {name}")));
@@ -95,21 +121,26 @@ fn read_text(header: &Header, body: &[u8], columns: &mut [Attribute]) -> Result<
                         line.split_ascii_whitespace().map(|word| word.parse().ok()).collect();
                     cell_of(words.as_deref().and_then(<[usize]>::split_first).map(|(_, indices)| indices))
                 };
-                cells = Some((0..element.count).map(|_| cell(line()?)).collect::<Result<_, _>>()?);
+                found.cells = Some((0..element.count).map(|_| cell(line()?)).collect::<Result<_, _>>()?);
             }
             _ => {
+                if let Some(mut columns) = camera_columns(name, element) {
+                    body.read(&mut columns, 1)?;
+                    found.camera = PlyCamera::of(&columns);
+                    continue;
+                }
                 for _ in 0..element.count {
                     line()?;
                 }
             }
         }
     }
-    Ok(cells)
+    Ok(found)
 }
 
-fn read_binary(header: &Header, reader: &mut Reader<&[u8]>, columns: &mut [Attribute]) -> Result<Cells, FormatError> {
+fn read_binary(header: &Header, reader: &mut Reader<&[u8]>, columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let parser = Parser::<Record>::new();
-    let mut cells = None;
+    let mut found = Body::default();
     for (name, element) in elements_to_read(header) {
         let records = parser.read_payload_for_element(reader, element, header).map_err(damaged)?;
         match name {
@@ -120,12 +151,17 @@ fn read_binary(header: &Header, reader: &mut Reader<&[u8]>, columns: &mut [Attri
                     let indices: Option<Vec<usize>> = indices.map(|list| list.iter().map(|&i| i as usize).collect());
                     cell_of(indices.as_deref())
                 };
-                cells = Some(records.iter().map(cell).collect::<Result<_, _>>()?);
+                found.cells = Some(records.iter().map(cell).collect::<Result<_, _>>()?);
             }
-            _ => {}
+            _ => {
+                if let Some(mut columns) = camera_columns(name, element) {
+                    records.into_iter().try_for_each(|record| push(&mut columns, record))?;
+                    found.camera = PlyCamera::of(&columns);
+                }
+            }
         }
     }
-    Ok(cells)
+    Ok(found)
 }
 
 /// A cell of the grid lists no or one vertex.
@@ -248,9 +284,44 @@ impl PropertyAccess for Row<'_> {
 
 pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
     let columns: Vec<Attribute> = columns_from_cloud(cloud.points()).into_iter().flat_map(ply_columns).collect();
-    let mut vertex = ElementDef::new("vertex".into());
-    vertex.count = cloud.points().len();
-    for column in &columns {
+    let points = cloud.points().len();
+    let vertex = element_of("vertex", points, &columns);
+    if vertex.properties.len() != columns.len() {
+        return Err(FormatError::Unsupported("two fields have the same name; PLY allows each once".into()));
+    }
+    let pose = &cloud.points().pose;
+    let camera = if pose.is_identity() { Vec::new() } else { PlyCamera::columns(pose, cloud.grid()) };
+    let mut header = Header::new();
+    header.encoding = match encoding {
+        Encoding::Ascii => PlyEncoding::Ascii,
+        Encoding::Binary | Encoding::BinaryCompressed => PlyEncoding::BinaryLittleEndian,
+    };
+    if let CloudRef::Organized(cloud) = cloud {
+        header.obj_infos = vec![format!("num_cols {}", cloud.width()), format!("num_rows {}", cloud.height())];
+    }
+    header.elements.add(vertex);
+    if !camera.is_empty() {
+        header.elements.add(element_of("camera", 1, &camera));
+    }
+    let writer = Writer::<Row<'_>>::new();
+    let mut bytes = Vec::new();
+    writer.write_header(&mut bytes, &header)?;
+    for (name, columns, rows) in [("vertex", &columns, points), ("camera", &camera, usize::from(!camera.is_empty()))] {
+        if header.encoding == PlyEncoding::Ascii {
+            text::write(columns, rows, &mut bytes);
+        } else if rows > 0 {
+            let rows: Vec<Row<'_>> = (0..rows).map(|index| Row { columns, index }).collect();
+            writer.write_payload_of_element(&mut bytes, &rows, &header.elements[name], &header)?;
+        }
+    }
+    Ok(bytes)
+}
+
+/// The definition of an element with these columns.
+fn element_of(name: &str, count: usize, columns: &[Attribute]) -> ElementDef {
+    let mut element = ElementDef::new(name.into());
+    element.count = count;
+    for column in columns {
         let scalar = match column.values {
             AttributeValues::I8(_) => ScalarType::Char,
             AttributeValues::U8(_) => ScalarType::UChar,
@@ -261,31 +332,9 @@ pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
             AttributeValues::F32(_) => ScalarType::Float,
             AttributeValues::F64(_) | AttributeValues::I64(_) | AttributeValues::U64(_) => ScalarType::Double,
         };
-        vertex.properties.add(PropertyDef::new(column.name.clone(), PropertyType::Scalar(scalar)));
+        element.properties.add(PropertyDef::new(column.name.clone(), PropertyType::Scalar(scalar)));
     }
-    if vertex.properties.len() != columns.len() {
-        return Err(FormatError::Unsupported("two fields have the same name; PLY allows each once".into()));
-    }
-    let mut header = Header::new();
-    header.encoding = match encoding {
-        Encoding::Ascii => PlyEncoding::Ascii,
-        Encoding::Binary | Encoding::BinaryCompressed => PlyEncoding::BinaryLittleEndian,
-    };
-    if let CloudRef::Organized(cloud) = cloud {
-        header.obj_infos = vec![format!("num_cols {}", cloud.width()), format!("num_rows {}", cloud.height())];
-    }
-    header.elements.add(vertex);
-    let writer = Writer::<Row<'_>>::new();
-    let mut bytes = Vec::new();
-    writer.write_header(&mut bytes, &header)?;
-    let points = cloud.points().len();
-    if header.encoding == PlyEncoding::Ascii {
-        text::write(&columns, points, &mut bytes);
-    } else {
-        let rows: Vec<Row<'_>> = (0..points).map(|index| Row { columns: &columns, index }).collect();
-        writer.write_payload_of_element(&mut bytes, &rows, &header.elements["vertex"], &header)?;
-    }
-    Ok(bytes)
+    element
 }
 
 /// What PLY can hold of a column: one property a value, no padding, no 64-bit integers.

@@ -1,0 +1,38 @@
+//! Clouds in other frames than their sensor's.
+
+use planish::{OrganizedCloud, SensorPose};
+
+/// A robot's base frame: x forward, y left, z up; the camera looks forward from a height of 0.6 m.
+pub const BASE: SensorPose = SensorPose { position_m: [0.1, 0.0, 0.6], orientation: [0.5, -0.5, 0.5, -0.5] };
+
+/// A rotation by a unit quaternion (w, x, y, z), row by row.
+fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+/// A direction turned from the sensor's frame into the cloud's.
+pub fn rotate(pose: &SensorPose, v: [f64; 3]) -> [f64; 3] {
+    rotation(pose.orientation).map(|row| (0..3).map(|k| row[k] * v[k]).sum())
+}
+
+/// A point moved from the sensor's frame into the cloud's.
+pub fn transform(pose: &SensorPose, p: [f64; 3]) -> [f64; 3] {
+    let turned = rotate(pose, p);
+    [0, 1, 2].map(|k| turned[k] + pose.position_m[k])
+}
+
+/// The cloud of a camera in the frame that the camera has this pose in, rounded to f32, without its camera.
+///
+/// # Panics
+/// If the cloud is not well formed.
+pub fn moved(cloud: &OrganizedCloud, pose: SensorPose) -> OrganizedCloud {
+    let point = |p: [f32; 3]| transform(&pose, p.map(f64::from)).map(|value| value as f32);
+    let positions = cloud.positions().iter().map(point).collect();
+    let mut moved = OrganizedCloud::from_positions(cloud.width(), cloud.height(), positions).expect("an allowed shape");
+    moved.points.pose = pose;
+    moved
+}
