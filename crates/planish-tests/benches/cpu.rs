@@ -7,8 +7,7 @@ use divan::Bencher;
 use divan::counter::ItemsCount;
 use planish::agreement::{Agreement, radii_m};
 use planish::{
-    Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, SmoothedMut, Smoother,
-    SmootherOptions, Xyz,
+    Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
 };
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::simulated;
@@ -79,35 +78,6 @@ fn simd(bencher: Bencher<'_, '_>, name: &str) {
 #[divan::bench(args = [(320, 240), (640, 480), (1280, 720), (1920, 1080)], sample_count = 10)]
 fn size(bencher: Bencher<'_, '_>, shape: (usize, usize)) {
     time(bencher, &simulated(1, true, camera(shape)), SmoothParams::default(), options(2));
-}
-
-/// Points and normals into buffers of the caller's: in planes, or interleaved. Compare the two.
-#[divan::bench(args = ["planes", "rows", "rows of four"], sample_count = 60)]
-fn buffers(bencher: Bencher<'_, '_>, layout: &str) {
-    let (cloud, params) = (frame(), SmoothParams::default());
-    let outputs = Outputs::POINTS.with_normals(true);
-    let mut smoother = Smoother::open_with(params, &options(2).with_outputs(outputs), (cloud.width(), cloud.height()))
-        .expect("an engine");
-    let len = cloud.points.len();
-    let (mut points, mut normals) = (Xyz::filled(len, 0.0), Xyz::filled(len, 0.0));
-    let (mut rows, mut normal_rows) = (vec![[0f32; 3]; len], vec![[0f32; 3]; len]);
-    let (mut rows4, mut normal_rows4) = (vec![[0f32; 4]; len], vec![[0f32; 4]; len]);
-    bencher.bench_local(|| {
-        let out = match layout {
-            "planes" => SmoothedMut::new().with_points(&mut points).with_normals(&mut normals),
-            "rows" => SmoothedMut::new().with_points(&mut rows).with_normals(&mut normal_rows),
-            _ => SmoothedMut::new().with_points(&mut rows4).with_normals(&mut normal_rows4),
-        };
-        smoother.smooth_into(&cloud, out).expect("a result");
-    });
-    let expected = TestEngine::cpu(SimdLevel::best()).smooth_to(&cloud, params, outputs);
-    let bits = |v: [f32; 3]| v.map(f32::to_bits);
-    let found = |i: usize| match layout {
-        "planes" => points.get(i),
-        "rows" => rows[i],
-        _ => [rows4[i][0], rows4[i][1], rows4[i][2]],
-    };
-    assert!((0..len).all(|i| bits(found(i)) == bits(expected.points.get(i))), "a wrong result");
 }
 
 #[divan::bench(args = ["points", "normals", "curvature", "status", "neighbours", "all"], sample_count = 20)]

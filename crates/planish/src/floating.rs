@@ -1,14 +1,14 @@
-//! Pixels that float between two surfaces, as sensors make them beside steps: an optional stage before the engines.
+//! Pixels that float between two surfaces, a sensor artefact at depth steps: an optional stage before the engines.
 
 use crate::cloud::OrganizedCloud;
 use crate::frame::{DepthFrame, PointsView};
 use crate::sensor::SensorModel;
 
-/// A neighbour supports a pixel if their depths differ by no more than so many deviations of the noise.
+/// A neighbour supports a pixel if their depths differ by no more than this many standard deviations of the noise.
 const SUPPORT_DEVIATIONS: f64 = 6.0;
 /// And by at least this share of the depth, since surfaces slope: 60° at a focal length of 170 pixels, 80° at one of 525.
 const SUPPORT_SHARE: f64 = 0.01;
-/// A pixel with fewer of its eight neighbours in support floats. A straight edge gives four, a wire two, and its end one.
+/// A pixel supported by fewer of its eight neighbours floats. A straight edge has four, a wire two, and its end one.
 const MIN_SUPPORT: usize = 2;
 
 /// Which pixels float, by their ranges: fewer than two of their eight neighbours are within six deviations of the noise, or a
@@ -23,7 +23,7 @@ fn floating(width: usize, ranges_m: &[f64], sensor: &SensorModel) -> Vec<bool> {
         let mut support = 0;
         for y in v.saturating_sub(1)..(v + 2).min(height) {
             for x in u.saturating_sub(1)..(u + 2).min(width) {
-                // A hole is within nothing.
+                // False for a hole.
                 support += usize::from((ranges_m[y * width + x] - range_m).abs() <= near_m);
             }
         }

@@ -7,12 +7,12 @@ use crate::io::RgbImage;
 use crate::simulate::{NO_OBJECT, Truth};
 use crate::xyz::Xyz;
 
-/// Normals from the differences of neighbouring pixels, towards the sensor: they show every bump of the points.
+/// Returns normals from differences of neighbouring pixels, towards the sensor; they show every bump of the points.
 ///
-/// A hole has none (NaN), and neither has a pixel without a valid neighbour on either side along x or y.
+/// NaN for a hole, and for a pixel without a valid neighbour on either side along x or y.
 pub fn difference_normals(width: usize, height: usize, positions: &Xyz) -> Xyz {
     let point = |u: usize, v: usize| Vec3::from_array(positions.get(v * width + u));
-    // From the neighbour before to the one behind; from the pixel itself at borders and beside holes.
+    // From the previous neighbour to the next; from the pixel itself at borders and beside holes.
     let difference = |before: Option<Vec3>, at: Vec3, behind: Option<Vec3>| {
         let (before, behind) = (before.filter(|p| p.is_finite()), behind.filter(|p| p.is_finite()));
         behind.unwrap_or(at) - before.unwrap_or(at)
@@ -45,7 +45,7 @@ pub fn normals_of(cloud: &OrganizedCloud) -> Xyz {
     }
 }
 
-/// Relief: each pixel lit from the upper left by its normal; black where there is none.
+/// Renders relief: each pixel lit from the upper left by its normal; black where there is none.
 pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
     let light = Vec3::new(-0.5, -0.6, -0.6).normalize();
     let shade = |normal: [f32; 3]| {
@@ -60,14 +60,14 @@ pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
     RgbImage { width, height, rgb: normals.iter().flat_map(shade).collect() }
 }
 
-/// The colours of a cloud; `None` if it has none.
+/// Renders the colours of a cloud; `None` if it has none.
 pub fn colours(cloud: &OrganizedCloud) -> Option<RgbImage> {
     let rgb = cloud.points.rgb()?.into_iter().flatten().collect();
     Some(RgbImage { width: cloud.width(), height: cloud.height(), rgb })
 }
 
-/// Distance of the points from the truth along its normal: blue in front of the surface, red behind, white on it, full
-/// colour at `full_scale_m`; black where there is no point.
+/// Renders the distance of the points from the truth along its normal: blue in front of the surface, red behind it, white on it,
+/// saturated at `full_scale_m`; black where there is no point.
 pub fn error_map(truth: &Truth, points: &Xyz, full_scale_m: f32) -> RgbImage {
     let colour = |i: usize| {
         if truth.objects[i] == NO_OBJECT || !points.is_finite(i) {
@@ -86,7 +86,7 @@ pub fn error_map(truth: &Truth, points: &Xyz, full_scale_m: f32) -> RgbImage {
     }
 }
 
-/// Pictures of one size beside each other with a thin line between them.
+/// Places pictures of one size side by side, with a thin line between them.
 pub fn side_by_side(pictures: &[RgbImage]) -> RgbImage {
     const LINE_PX: usize = 4;
     let Some(first) = pictures.first() else { return RgbImage { width: 0, height: 0, rgb: Vec::new() } };
@@ -104,12 +104,12 @@ pub fn side_by_side(pictures: &[RgbImage]) -> RgbImage {
     RgbImage { width: total, height, rgb }
 }
 
-/// A picture at half its size: each pixel the mean of four. A last column or row that has no partner is left out.
+/// Halves a picture: each pixel is the mean of four. An odd last column or row is left out.
 pub fn half_size(picture: &RgbImage) -> RgbImage {
     let (width, height) = (picture.width / 2, picture.height / 2);
     let mean = |i: usize| {
         let (u, v, channel) = (i / 3 % width, i / 3 / width, i % 3);
-        // What the picture lacks is black.
+        // Outside the picture is black.
         let at = |u, v| u32::from(*picture.rgb.get(3 * (v * picture.width + u) + channel).unwrap_or(&0));
         let sum = at(2 * u, 2 * v) + at(2 * u + 1, 2 * v) + at(2 * u, 2 * v + 1) + at(2 * u + 1, 2 * v + 1);
         ((sum + 2) / 4) as u8
@@ -117,7 +117,7 @@ pub fn half_size(picture: &RgbImage) -> RgbImage {
     RgbImage { width, height, rgb: (0..3 * width * height).map(mean).collect() }
 }
 
-/// Two pictures of one width, one over the other.
+/// Stacks two pictures of one width.
 pub fn stacked(upper: RgbImage, lower: &RgbImage) -> RgbImage {
     let mut rgb = upper.rgb;
     rgb.extend(std::iter::repeat_n(255, 3 * 4 * upper.width));

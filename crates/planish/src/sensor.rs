@@ -42,14 +42,14 @@ impl SensorModel {
     /// RealSense D455 at 848x480: baseline 95 mm, focal length 424 px (90°).
     pub const REALSENSE_D455: Self = Self::realsense_d400(0.095, 424.0);
     /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: standard deviations of 0.61 mm at 0.8 m,
-    /// 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413; the figures are still to be checked
-    /// against the paper), the polynomial through them. The paper's bound is 17 mm in all modes.
+    /// 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413; of the paper only the bound of 17 mm for
+    /// all modes and ranges is verified here, not these three figures), the polynomial through them.
     pub const AZURE_KINECT: Self = Self::from_noise([4.1e-4, 1.8e-4, 9.3e-5]);
-    /// RealSense L515: standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m (Intel's data sheet; still to be checked against
-    /// it), the line through them.
+    /// RealSense L515: standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m on 95 % reflectivity (Intel's product page, quoted
+    /// in librealsense issue 5808), the line through them.
     pub const REALSENSE_L515: Self = Self::from_noise([8.75e-4, 1.625e-3, 0.0]);
-    /// Depth of iPhone and iPad lidars: half of the ±1 cm that Luetzenburg et al. 2021 (Scientific Reports 11:22221) found
-    /// (still to be checked against the paper), whatever the range.
+    /// Depth of iPhone and iPad lidars: half of the absolute accuracy of ±1 cm that Luetzenburg et al. 2021 (Scientific Reports
+    /// 11:22221) found for small objects, at any range.
     pub const APPLE_LIDAR: Self = Self::from_noise([5e-3, 0.0, 0.0]);
     /// Depth without noise: rendered, or averaged for long.
     pub const EXACT: Self = Self { step: [0.0; 3], sigma: [0.0; 3] };

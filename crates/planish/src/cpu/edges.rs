@@ -1,6 +1,6 @@
-//! Edges kept: the surface that a point lies on is taken from the planes around it (docs/method.md, section 10).
+//! Edge preservation: the surface that a point lies on is found from the planes around it (docs/method.md, section 10).
 //!
-//! A pass of its own fits the first planes of all pixels; each of their numbers is a channel laid out as the padded frame.
+//! A separate pass fits the first planes of all pixels; each of their numbers is a channel laid out like the padded frame.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -14,13 +14,13 @@ use crate::method::{DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NEI
 use crate::params::{Edges, SmoothParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
 
-/// What is kept of a first plane, a channel each.
+// The channels of a first plane.
 const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
-/// The variance along the normal and what the plane is in doubt, in m²; infinite where the neighbours are too few, or on a line.
+/// The variance along the normal plus the plane's uncertainty, in m²; infinite where the neighbours are too few, or on a line.
 const RESIDUAL: usize = 4;
 const CURVATURE: usize = 5;
-/// How many neighbours; negative where they are on a line.
+/// The number of neighbours; negative where they are on a line.
 const COUNT: usize = 6;
 const CHANNELS: usize = 7;
 
@@ -29,11 +29,11 @@ pub(super) struct FirstPlanes {
     channels: [Vec<f32>; CHANNELS],
     row_len: usize,
     reach: usize,
-    /// Pixels to the planes that are asked.
+    /// Distance in pixels to the eight planes considered.
     shift: usize,
 }
 
-/// Some rows of them.
+/// A band of rows of them.
 pub(super) struct FirstRows<'a> {
     /// The first row's number in the image.
     pub(super) first: usize,
@@ -73,7 +73,7 @@ impl FirstRows<'_> {
         row * self.row_len + self.reach + u
     }
 
-    /// Keeps the planes of the points at the end of rays, from an index on.
+    /// Stores the planes of the points at the end of rays, from an index on.
     #[inline(always)]
     pub(super) fn store<S: Simd>(
         &mut self,
@@ -154,8 +154,8 @@ impl FirstPlanes {
         Vec3::new(x, y, z)
     }
 
-    /// The planes that the points p at the window's centre, at the end of rays, lie on, as their own and the eight planes around
-    /// them say.
+    /// Returns the planes that the points p at the window's centre, at the end of rays, lie on, from their own first planes and the
+    /// eight around them.
     #[allow(clippy::too_many_arguments)]
     #[inline(always)]
     pub(super) fn surface<S: Simd>(
@@ -186,7 +186,7 @@ impl FirstPlanes {
                     (to_plane * to_plane).mul_add(splat(simd, DISTANCE_WEIGHT), self.load(simd, RESIDUAL, at));
                 let root = one / residual.mul_add(per_variance, one);
                 let square = root * root;
-                // What is not usable has an infinite residual, and weighs nothing; what is not near may be anything.
+                // An unusable plane has an infinite residual, hence no weight; one that is not near may hold anything.
                 let weight = near.select(square * square, zero);
                 normal = normal.add_scaled(weight, n.or(near, Vec3::splat(simd, 0.0)));
                 height = weight.mul_add(near.select(to_plane, zero), height);
@@ -195,7 +195,7 @@ impl FirstPlanes {
         }
         let count = self.load(simd, COUNT, here);
         let own: Mask<S> = self.load(simd, RESIDUAL, here).simd_lt(splat(simd, f32::INFINITY)) & valid;
-        // Planes that agree on nothing may be further away than a point may move.
+        // Planes that disagree may lie further away than a point may move.
         let height = height / own.select(total, one);
         let own = own & height.abs().simd_le(radius);
         let length = own.select(normal.dot(normal), one).sqrt();

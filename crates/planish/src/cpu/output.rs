@@ -16,14 +16,14 @@ use crate::pose::RigidTransform;
 use crate::smoothed::depth_along_ray_m;
 use crate::status::Status;
 
-/// Some rows of every output that is wanted.
+/// A band of rows of every requested output.
 pub(super) struct OutputRows<'a> {
     /// The first row's number in the image.
     pub(super) first: usize,
     pub(super) width: usize,
     rows: usize,
     out: SmoothedMut<'a>,
-    /// With what depth is made, where it is wanted.
+    /// What computing depth needs, if requested.
     depth: Option<DepthOutput<'a>>,
 }
 
@@ -75,7 +75,7 @@ impl<'a> OutputRows<'a> {
         Self { first: 0, width, rows: height, out, depth }
     }
 
-    /// Whether normals are needed.
+    /// Whether normals must be computed.
     pub(super) fn has_normals(&self) -> bool {
         self.out.normals.is_some() || self.depth.is_some()
     }
@@ -118,7 +118,7 @@ impl<'a> OutputRows<'a> {
         if let Some(curvature) = &mut self.out.curvature {
             let out = &mut curvature[at.clone()];
             put(plane.curvature, out);
-            // A normal and a curvature are there together, where the status says so.
+            // Curvature is present exactly where the normal is.
             for (value, &status) in out.iter_mut().zip(projected.status.as_slice()) {
                 if status < 3.0 {
                     *value = f32::NAN;
@@ -139,7 +139,7 @@ impl<'a> OutputRows<'a> {
         }
     }
 
-    /// The same where every pixel is a hole.
+    /// Writes holes for the pixels from column u on.
     #[inline(always)]
     pub(super) fn store_holes(&mut self, row: usize, u: usize, lanes: usize) {
         let end = self.width.min(u + lanes);
@@ -176,13 +176,13 @@ impl DepthOutput<'_> {
     }
 }
 
-/// The vector of one lane.
+/// Extracts the vector of one lane.
 #[inline(always)]
 fn in_lane<S: Simd>(v: &Lanes3<S>, lane: usize) -> Vec3 {
     Vec3::new(v.x.as_slice()[lane], v.y.as_slice()[lane], v.z.as_slice()[lane])
 }
 
-/// Stores vectors, as many as there is room for: fewer than all lanes at the right border.
+/// Stores vectors; fewer than all lanes at the right border.
 #[inline(always)]
 fn put_vectors<S: Simd>(out: &mut VectorsMut<'_>, at: std::ops::Range<usize>, vectors: Lanes3<S>) {
     let Lanes3 { x, y, z } = vectors;

@@ -1,9 +1,9 @@
 //! The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //!
 //! The weight is 2^-(a² + b² + f²), with a, b the in-plane coordinates and f the height over the plane, all in units of the
-//! bandwidth over sqrt(log2 e). The reference takes h for a and b; the unit changes neither the polynomial nor what is
-//! dropped, since a pivot scales as its diagonal does, and this one saves a multiplication. Moments: M_ij = sum w a^i b^j for i + j <= 2 D, and
-//! T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and b: one fused
+//! bandwidth over sqrt(log2 e). The reference divides a and b by h; the unit changes neither the polynomial nor which monomials
+//! are dropped, since a pivot scales as its diagonal does, and this one saves a multiplication. Moments: M_ij = sum w a^i b^j for
+//! i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and b: one fused
 //! multiply-add each, and plain additions for j = 0.
 
 use std::ops::Range;
@@ -17,7 +17,7 @@ use super::vector::{Vec3, splat};
 use super::window::{Gate, Window};
 use crate::method::{MAX_OFF_SURFACE, SQRT_LOG2_E};
 
-/// Moments of degree 3 + 3: more than are used for smaller degrees.
+/// Number of moments for degree 3, the most.
 const MAX_MOMENTS: usize = 28;
 const MAX_RIGHT_SIDES: usize = 10;
 
@@ -27,26 +27,26 @@ struct Frame<S: Simd> {
     b_axis: Vec3<S>,
     f_axis: Vec3<S>,
     f_offset: S::f32s,
-    /// f² counts so many times more in the weight; 0 without [`edges`](super::edges).
+    /// Extra factor of f² in the weight; 0 without [`edges`](super::edges).
     narrowing: S::f32s,
 }
 
-/// What makes a neighbour, and what it weighs.
+/// Which candidates are neighbours, and their weights.
 pub(super) struct Weighting<'a, S: Simd> {
     pub(super) gate: Gate<'a, S>,
     pub(super) bandwidth: S::f32s,
-    /// How far from the plane a neighbour counts; `None` as far as it is one.
+    /// How far from the plane a neighbour counts; `None` for no limit.
     pub(super) width: Option<S::f32s>,
 }
 
-/// Candidates whose terms are kept at once: their four values for each stay in the first-level cache.
+/// Candidates whose terms are kept at once; their four values each fit the first-level cache.
 const CHUNK: usize = 64;
 
-/// What each candidate contributes: weight (0 if it is no neighbour) and coordinates.
+/// The contribution of each candidate: weight (0 for one that is no neighbour) and coordinates.
 ///
-/// Computing these first and summing them afterwards, in loops of their own, is a third faster than one loop over all:
-/// that one has so many operations a candidate that the processor's scheduler holds not even two candidates at once, and
-/// waits for the chain of exponential and powers.
+/// Computing all terms first and summing them in a second loop is a third faster than a single loop, which has so many
+/// operations per candidate that the processor's scheduler cannot overlap two candidates and stalls on the chain of exponential
+/// and powers.
 pub(super) struct Terms<S: Simd> {
     w: [S::f32s; CHUNK],
     a: [S::f32s; CHUNK],
@@ -59,13 +59,13 @@ pub(super) struct Moments<S: Simd> {
     t: [S::f32s; MAX_RIGHT_SIDES],
 }
 
-/// Where M_ij stands when i + j goes up to `degree`: for every i a run over j.
+/// Index of M_ij for i + j up to `degree`: for every i a run over j.
 const fn place(degree: usize, i: usize, j: usize) -> usize {
     i * (2 * degree + 3 - i) / 2 + j
 }
 
 impl<S: Simd> Moments<S> {
-    /// Moments given by M_ij and T_ij.
+    /// Creates moments from M_ij and T_ij.
     #[cfg(test)]
     pub(super) fn from_fn<const D: usize>(
         simd: S,
@@ -83,26 +83,26 @@ impl<S: Simd> Moments<S> {
         moments
     }
 
-    /// M_ij of a fit of degree D.
+    /// Returns M_ij of a fit of degree D.
     #[inline(always)]
     pub(super) fn m<const D: usize>(&self, i: usize, j: usize) -> S::f32s {
         self.m[place(2 * D, i, j)]
     }
 
-    /// T_ij of a fit of degree D.
+    /// Returns T_ij of a fit of degree D.
     #[inline(always)]
     pub(super) fn t<const D: usize>(&self, i: usize, j: usize) -> S::f32s {
         self.t[place(D, i, j)]
     }
 }
 
-/// The moments, and what turns coefficients back to metres.
+/// The moments, and the units that turn coefficients back into metres.
 pub(super) struct Fit<S: Simd> {
     pub(super) moments: Moments<S>,
     /// In-plane axes, unit vectors in units of a metre.
     pub(super) a_axis: Vec3<S>,
     pub(super) b_axis: Vec3<S>,
-    /// Metres in a unit of a, b and f.
+    /// Metres per unit of a, b and f.
     pub(super) metres: S::f32s,
 }
 
@@ -140,7 +140,7 @@ pub(super) fn moments<S: Simd, const D: usize>(
         } else {
             terms.fill::<true>(simd, window, &p, &weighting.gate, rows.clone(), &frame);
         }
-        // The rows of moments that fit the registers together.
+        // In groups of rows that fit the registers.
         if D == 3 {
             accumulate::<S, D, 0, 2, 0, 1>(&mut moments, terms, len);
             accumulate::<S, D, 2, 7, 1, 7>(&mut moments, terms, len);
@@ -159,9 +159,9 @@ impl<S: Simd> Terms<S> {
         Self { w: zeros, a: zeros, b: zeros, f: zeros }
     }
 
-    /// The terms of the candidates in some rows of the window.
+    /// Computes the terms of the candidates in some rows of the window.
     ///
-    /// Not inlined: the sums, which live in registers before and after, would be moved around in its loop.
+    /// Not inlined: the sums, kept in registers before and after it, would be spilled in its loop.
     #[inline(never)]
     fn fill<const NARROW: bool>(
         &mut self,

@@ -48,21 +48,21 @@ impl Sensor {
     /// (section 6) must not depend on the cloud's.
     #[inline(always)]
     pub(super) fn tangents<S: Simd>(&self, simd: S, n: Vec3<S>) -> [Vec3<S>; 2] {
-        match &self.0 {
-            None => tangents(simd, n).into(),
-            Some(placed) => {
-                let [x, y, z] = placed.axes.map(
-                    #[inline(always)]
-                    |axis| in_every_lane(simd, axis),
-                );
-                let (u, v) = tangents(simd, Vec3::new(n.dot(x), n.dot(y), n.dot(z)));
-                [u, v].map(
-                    #[inline(always)]
-                    |t| x.scale(t.x).add_scaled(t.y, y).add_scaled(t.z, z),
-                )
-            }
-        }
+        let Some(placed) = &self.0 else {
+            let (u, v) = tangents(simd, n);
+            return [u, v];
+        };
+        let [x, y, z] = placed.axes;
+        let (x, y, z) = (in_every_lane(simd, x), in_every_lane(simd, y), in_every_lane(simd, z));
+        let (u, v) = tangents(simd, Vec3::new(n.dot(x), n.dot(y), n.dot(z)));
+        [along(x, y, z, u), along(x, y, z, v)]
     }
+}
+
+/// A vector given along three axes.
+#[inline(always)]
+fn along<S: Simd>(x: Vec3<S>, y: Vec3<S>, z: Vec3<S>, v: Vec3<S>) -> Vec3<S> {
+    x.scale(v.x).add_scaled(v.y, y).add_scaled(v.z, z)
 }
 
 #[inline(always)]

@@ -1,4 +1,4 @@
-//! What a method makes of the suite, summed up.
+//! The scores of a method on the suite.
 
 use glam::{DMat3, DVec3};
 use serde::Serialize;
@@ -10,15 +10,15 @@ use crate::sensor::SensorModel;
 use crate::simulate::{Gauge, NO_OBJECT, Truth};
 use crate::xyz::Xyz;
 
-/// Only pixels further than this from every break count as flat.
+/// Only pixels further than this from every discontinuity count as flat, in pixels.
 const FLAT_MARGIN_PX: usize = 6;
-/// Pixels up to this far from a step are its band.
+/// Pixels up to this far from a step form its band.
 const EDGE_MARGIN_PX: usize = 3;
-/// Around a pixel the true surface is looked for so far.
+/// The true surface is searched this many pixels around a pixel.
 const NEAREST_PX: usize = 4;
-/// A point of the band further from every surface than this, and than three depth steps, floats between two.
+/// A point of the band further than this and three depth steps from every surface floats between two.
 const FLYING_M: f64 = 0.01;
-/// The faces of a crease are measured so far from it, and in pieces of so many rows.
+/// The faces of a crease are measured up to this many pixels from it, in pieces of this many rows.
 const CREASE_PX: usize = 6;
 const CREASE_ROWS: usize = 24;
 
@@ -39,7 +39,7 @@ pub struct RangeReport {
     pub pixels: usize,
     /// Root of the mean squared distance to the true surface along its normal, in millimetres.
     pub rmse_mm: f64,
-    /// Its mean, positive towards the camera, in millimetres.
+    /// Mean of that distance, positive towards the camera, in millimetres.
     pub bias_mm: f64,
     /// The same in depth steps of a Kinect v1.
     pub bias_steps: f64,
@@ -67,7 +67,7 @@ pub struct AngleReport {
     pub normal_mean_deg: f64,
 }
 
-/// What a method makes of the suite. What was not there to be measured is NaN (null in JSON).
+/// The scores of a method on the suite. What could not be measured is NaN (null in JSON).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Report {
@@ -79,7 +79,7 @@ pub struct Report {
     pub over_z: Vec<(f64, f64)>,
     /// Within 3 pixels of a step: mean distance to the nearest true surface, in millimetres.
     pub edge_mean_mm: f64,
-    /// Share of the points there that float between two surfaces: over 1 cm and three depth steps from either.
+    /// Share of the points there that float between two surfaces: more than 1 cm and three depth steps from either.
     pub flying_share: f64,
     /// Mean error of the angle of a 90° edge at 1 m, between planes through the points up to 6 pixels from it, in degrees.
     pub crease_deg: f64,
@@ -89,7 +89,7 @@ pub struct Report {
     pub cylinder_radius_bias: f64,
     /// Share of the measured pixels that have no point.
     pub lost_share: f64,
-    /// Share of the measured pixels that were on a surface, did not float, and have no point.
+    /// Share of the measured pixels on a surface (not floating) that have no point.
     pub lost_true_share: f64,
     /// Pixels with a point that were not measured.
     pub invented: usize,
@@ -157,7 +157,7 @@ impl Flat {
     }
 }
 
-/// How far a pixel's point and normal are from the truth.
+/// The errors of a pixel's point and normal.
 struct PixelError {
     /// Distance to the true tangent plane, positive towards the camera.
     off_m: f64,
@@ -165,7 +165,7 @@ struct PixelError {
     normal_deg: Option<f64>,
 }
 
-/// Sums up what one method makes of cases.
+/// Accumulates the scores of a method over cases.
 #[derive(Debug, Clone, Default)]
 pub struct Evaluation {
     ranges: [Flat; 3],
@@ -183,7 +183,7 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// Adds a result: points in camera coordinates, pixel by pixel as the case's frame has them, and their normals.
+    /// Adds a result: points in camera coordinates, one per pixel of the case's frame, and their normals.
     pub fn add(&mut self, case: &Case, points: &Xyz, normals: &Xyz) {
         let truth = &case.truth;
         for (i, &raw) in case.frame.raw.iter().enumerate() {
@@ -241,7 +241,7 @@ impl Evaluation {
     fn add_shapes(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz) {
         let flat = flat_pixels(truth, FLAT_MARGIN_PX);
         for i in (0..flat.len()).filter(|&i| flat[i] && points.is_finite(i)) {
-            // Steeper than this the sensor itself loses and shifts points.
+            // On steeper surfaces the sensor itself loses and shifts points.
             if truth.incidence_cosine(i) < 0.5 {
                 continue;
             }
@@ -260,7 +260,7 @@ impl Evaluation {
     /// The angle between planes through the points on either side of the edge, piece by piece along it.
     fn add_crease(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz) {
         let (width, height) = (truth.camera.width, truth.camera.height);
-        // Where a row passes from the face that looks to the left to the one that looks to the right.
+        // Where a row passes from the left face to the right one.
         let edge = |v: usize| -> Option<usize> {
             let row = v * width;
             (CREASE_PX..width.saturating_sub(CREASE_PX)).find(|&u| {
@@ -284,7 +284,7 @@ impl Evaluation {
         }
     }
 
-    /// The sums as they stand.
+    /// Returns the scores so far.
     pub fn report(&self) -> Report {
         let range = |(flat, (near_m, far_m)): (&Flat, (f64, f64))| RangeReport {
             near_m,
@@ -323,8 +323,8 @@ impl Evaluation {
     }
 }
 
-/// How much the points of a camera that does not move stir before surfaces that do not: the root mean square over flat pixels of
-/// their deviation along the true normal over the `results`, in millimetres. Pixels that are not in every result are left out.
+/// Returns the temporal noise of a static camera before a static scene: the root mean square, over flat pixels and `results`, of
+/// the deviation along the true normal from its mean, in millimetres. Pixels that are not in every result are left out.
 pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     let flat = flat_pixels(truth, FLAT_MARGIN_PX);
     let mut stir = Sum::default();
@@ -357,14 +357,15 @@ fn floats(truth: &Truth, i: usize, p: DVec3) -> bool {
     distance_to_surface(truth, i, p) > FLYING_M.max(3.0 * step_m(p.z))
 }
 
-/// What the camera measured at pixel i.
+/// Returns what the camera measured at pixel i.
 fn measured_point(frame: &DepthFrame, i: usize, raw: u16) -> DVec3 {
     let camera = &frame.camera;
     let (u, v, z) = ((i % camera.width) as f64, (i / camera.width) as f64, f64::from(camera.depth_m(raw)));
     DVec3::new((u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy, z)
 }
 
-/// Distance of a point to the true surface around pixel i: each pixel's is a disc in its tangent plane, as wide as a pixel.
+/// Returns the distance of a point to the true surface around pixel i; each pixel's surface is a disc in its tangent plane, as
+/// wide as a pixel.
 fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
     let (width, height) = (truth.camera.width, truth.camera.height);
     let (u, v) = (i % width, i / width);
@@ -383,8 +384,8 @@ fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
     nearest.sqrt()
 }
 
-/// The plane that fits some points best: its normal, towards the camera, their centroid on it, and their RMS distance from it.
-/// `None` for too few.
+/// Fits a plane to points: its normal, towards the camera, their centroid on it, and their RMS distance from it. `None` for too
+/// few.
 pub(super) fn plane(points: Vec<DVec3>) -> Option<(DVec3, DVec3, f64)> {
     if points.len() < 12 {
         return None;

@@ -1,7 +1,6 @@
-//! How good a surface is: against the truth of simulated frames, or by itself.
+//! Surface quality: against the ground truth of simulated frames, or without one.
 //!
-//! [`Suite`] gives the frames, [`Evaluation`] sums up what a method makes of them, whichever that is. [`tile_planes`] needs no
-//! truth.
+//! [`Suite`] has the frames, [`Evaluation`] the scores of any method on them. [`tile_planes`] needs no ground truth.
 
 mod evaluation;
 mod suite;
@@ -28,8 +27,7 @@ pub struct Errors {
 
 /// Compares points and normals with the truth over the pixels that `selected` is true for.
 ///
-/// The distance is to the tangent plane of the true surface at the pixel, so that a point that moved sideways along the
-/// surface is not in error. Pixels without a point are left out, those without a normal of the normal error only.
+/// The distance is to the tangent plane of the true surface at the pixel, so that a shift along the surface is no error. Pixels without a point are left out, those without a normal of the normal error only.
 pub fn errors(truth: &Truth, points: &Xyz, normals: &Xyz, selected: impl Fn(usize) -> bool) -> Errors {
     let (mut pixels, mut squares, mut with_normal, mut angles) = (0usize, 0.0, 0usize, 0.0);
     for i in (0..truth.objects.len()).filter(|&i| truth.objects[i] != NO_OBJECT && selected(i)) {
@@ -56,7 +54,7 @@ fn dot(a: [f64; 3], b: [f32; 3]) -> f64 {
     (0..3).map(|k| a[k] * f64::from(b[k])).sum()
 }
 
-/// For each pixel whether its surface goes on without a step, a crease or another object for `margin_px` pixels around.
+/// Marks the pixels with no step, crease or other object within `margin_px` pixels.
 pub fn flat_pixels(truth: &Truth, margin_px: usize) -> Vec<bool> {
     let breaks = |i: usize, j: usize| {
         truth.objects[i] != truth.objects[j] || truth.is_step(i, j) || {
@@ -67,14 +65,14 @@ pub fn flat_pixels(truth: &Truth, margin_px: usize) -> Vec<bool> {
     within(&truth.camera, &broken_pixels(truth, breaks), margin_px).into_iter().map(|near| !near).collect()
 }
 
-/// For each pixel whether the surface steps at most `margin_px` pixels away: the bands on both sides of each discontinuity.
+/// Marks the pixels within `margin_px` pixels of a step, on both sides.
 pub fn edge_band(truth: &Truth, margin_px: usize) -> Vec<bool> {
     let steps = broken_pixels(truth, |i, j| truth.is_step(i, j));
     let near = within(&truth.camera, &steps, margin_px);
     (0..near.len()).map(|i| near[i] && truth.objects[i] != NO_OBJECT).collect()
 }
 
-/// Pixels without a surface, or with a break to one of their four neighbours.
+/// Marks pixels without a surface, or with a discontinuity to one of their four neighbours.
 fn broken_pixels(truth: &Truth, breaks: impl Fn(usize, usize) -> bool) -> Vec<bool> {
     let (width, height) = (truth.camera.width, truth.camera.height);
     let at_break = |i: usize| {
@@ -88,10 +86,10 @@ fn broken_pixels(truth: &Truth, breaks: impl Fn(usize, usize) -> bool) -> Vec<bo
     (0..width * height).map(at_break).collect()
 }
 
-/// Whether one of the pixels in the box of `margin_px` around each is marked.
+/// Dilates marks by a box of `margin_px` around each pixel.
 fn within(camera: &Camera, marked: &[bool], margin_px: usize) -> Vec<bool> {
     let (width, height) = (camera.width, camera.height);
-    // First along the rows, then along the columns.
+    // Along rows first, then along columns.
     let in_row = |i: usize| {
         let (u, row) = (i % width, i / width * width);
         (u.saturating_sub(margin_px)..(u + margin_px + 1).min(width)).any(|u| marked[row + u])

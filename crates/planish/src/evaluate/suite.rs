@@ -1,11 +1,11 @@
-//! The frames that methods are measured on: seeded scenes with the noise of a Kinect v1, and the gauges in them.
+//! The frames that methods are evaluated on: seeded scenes with the noise of a Kinect v1, and the gauges in them.
 
 use crate::camera::Camera;
 use crate::error::FrameError;
 use crate::frame::DepthFrame;
 use crate::simulate::{Gauge, KinectNoise, KinectSimulator, Scene, Truth};
 
-/// Three frames a seed: a table, a room, and shapes of known size.
+/// Three frames per seed: a table, a room, and shapes of known size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Suite {
     /// The camera; it has the field of view of a Kinect v1 at any resolution.
@@ -20,7 +20,7 @@ impl Default for Suite {
     }
 }
 
-/// What a frame has to be measured.
+/// What is measured on a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Gauges {
     /// Surfaces and edges, by range and angle.
@@ -43,7 +43,7 @@ pub struct Case {
 }
 
 impl Suite {
-    /// The cases of a seed.
+    /// Returns the cases of a seed.
     pub fn cases(&self, seed: u64) -> Result<Vec<Case>, FrameError> {
         let (table, room, shapes) = (Scene::tabletop(seed), Scene::room(seed), Scene::gauges(seed));
         let gauge = shapes.2;
@@ -61,7 +61,7 @@ impl Suite {
         scenes.into_iter().map(case).collect()
     }
 
-    /// Frames of a camera that does not move before a table.
+    /// Returns frames of a static camera before a table.
     pub fn still(&self, seed: u64, frames: u64) -> Result<(Truth, Vec<DepthFrame>), FrameError> {
         let (scene, pose) = Scene::tabletop(seed);
         let truth = scene.render(&self.camera, &pose);

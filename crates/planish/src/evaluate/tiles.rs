@@ -1,4 +1,4 @@
-//! A surface by itself, where no truth is known: how flat it is piece by piece, and where it is a plane.
+//! Measures that need no ground truth: how flat a surface is tile by tile, and where it is a plane.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -16,7 +16,7 @@ const TILE_PX: usize = 8;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct TileReport {
-    /// Tiles without a hole that have no depth step in them.
+    /// Number of tiles without holes or depth steps.
     pub tiles: usize,
     /// Median over the tiles of the RMS distance from their plane, in millimetres.
     pub rms_mm: f64,
@@ -24,8 +24,8 @@ pub struct TileReport {
     pub normal_deg: f64,
 }
 
-/// Fits a plane to every tile of 8x8 pixels that has all its points in `measured`, which says where tiles are: the same for
-/// every method. Tiles that span more than a twentieth of their range in z are left out.
+/// Fits a plane to every tile of 8x8 pixels whose points are all in `measured`, so that every method is measured on the same
+/// tiles. Tiles that span more than a twentieth of their range in z are left out.
 pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> TileReport {
     let (width, height) = (measured.width(), measured.height());
     let (mut rms_m, mut angles_deg) = (Vec::new(), Vec::new());
@@ -57,27 +57,27 @@ pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> Ti
     }
 }
 
-/// Planes tried for the largest, and points they are tried on.
+/// Number of candidate planes, and of points that each is scored on.
 const TRIALS: usize = 400;
 const TRIED_POINTS: usize = 2000;
-/// How often the plane is fitted again to the points that lie on it.
+/// How often the plane is refitted to its inliers.
 const REFITS: usize = 4;
-/// A point is on a plane if it is within so many deviations of a Kinect v1's noise.
+/// Inliers are within this many standard deviations of a Kinect v1's noise.
 const ON_PLANE_DEVIATIONS: f64 = 3.0;
 
-/// Only pixels whose neighbours up to this far are on the plane too are of it: not where something else passes through it.
+/// A pixel belongs to the plane only if its neighbours up to this far do, so that other objects crossing it are left out.
 const INNER_PX: usize = 2;
 
-/// A plane that many points of a frame lie on.
+/// A dominant plane of a frame.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LargestPlane {
-    /// The pixels whose points, and those of all around, are on it: its largest piece, in order.
+    /// The pixels of its largest connected piece, in order.
     pub pixels: Vec<usize>,
 }
 
 impl LargestPlane {
-    /// Variance in m² of the points of its pixels about the plane that fits them best; NaN for too few.
+    /// Returns the variance in m² of the points of its pixels about their best-fitting plane; NaN for too few.
     pub fn variance_m2(&self, points: &Xyz) -> f64 {
         let there = self.pixels.iter().copied().filter(|&i| points.is_finite(i));
         let points = there.map(|i| DVec3::from_array(points.get(i).map(f64::from))).collect();
@@ -85,8 +85,7 @@ impl LargestPlane {
     }
 }
 
-/// The plane with the most points of a frame within the noise, by random sample consensus; the same for the same frame. `None`
-/// for fewer than a hundred points.
+/// Finds the plane with the most inliers by random sample consensus, deterministically. `None` for fewer than a hundred points.
 pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
     let (width, height, points) = (cloud.width(), cloud.height(), cloud.positions());
     let valid: Vec<usize> = (0..points.len()).filter(|&i| points.is_finite(i)).collect();
@@ -110,7 +109,7 @@ pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
             best = (count, (normal, a));
         }
     }
-    // Three points are a rough plane; those that lie on it are a better one.
+    // Three points give a rough plane; its inliers a better one.
     let mut found = best.1;
     for _ in 0..REFITS {
         let (normal, centre, _) = plane(valid.iter().map(|&i| at(i)).filter(|&p| on(p, found)).collect())?;
@@ -124,7 +123,7 @@ pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
             .all(|v| (u.saturating_sub(INNER_PX)..across.min(width)).all(|u| is_on[v * width + u]))
     };
     let mut open: Vec<bool> = (0..points.len()).map(is_inner).collect();
-    // The plane goes on through the room; of where it meets other things only its own piece counts.
+    // An infinite plane cuts through other objects; only the largest connected piece is the surface.
     let mut pixels = Vec::new();
     for first in 0..open.len() {
         let mut piece = Vec::new();

@@ -1,7 +1,7 @@
-//! The device: which adapters there are, opening one, its kernels, and its loss.
+//! Devices: listing and opening adapters, compiled kernels, device loss.
 //!
-//! A device is shared by all smoothers of the process that ask for its adapter, and closed with the last of them. Its faults
-//! are kept: once lost, every call says so, and the next smoother opens a fresh one.
+//! A device is shared by all smoothers of the process on its adapter, and closed with the last of them. A fault is kept: once
+//! the device is lost, every call returns that error, and the next smoother opens a fresh one.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -13,20 +13,20 @@ use super::kernel::KernelKey;
 use crate::devices::{AdapterKind, GpuAdapter};
 use crate::error::EngineError;
 
-/// A device that has not answered for so long will not.
+/// A device that has not answered for this long counts as hung.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// How long a thread sleeps before it lets others have their turn.
+/// How long a waiter sleeps to let other threads take the lock.
 const STEP: Duration = Duration::from_millis(1);
 
-/// How long to ask a device that fails whether it is lost.
+/// How long to poll a failing device for its loss.
 const LOSS_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// How long a waiter spins before it blocks: most frames are done by then, and waking up costs 30 to 60 µs. The software adapter
-/// needs the CPU for itself.
+/// How long a waiter spins before it blocks: most frames are done by then, and waking up costs 30 to 60 µs. Not on software
+/// adapters, which need the CPU.
 const SPIN: Duration = Duration::from_millis(1);
 
-/// Locks whether or not another thread panicked while it held the lock: what the locks here guard is whole at any time.
+/// Locks, ignoring poisoning: the state behind the locks here is consistent at any time.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -41,16 +41,15 @@ pub(super) struct GpuDevice {
     pipeline_layout: wgpu::PipelineLayout,
     kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
     fault: Arc<Mutex<Option<EngineError>>>,
-    /// Whose turn it is to call wgpu for what has run. Of two threads that ask at once, wgpu 30 may see the queue empty in one
-    /// before it sees in the other that the last submission has run, and panics.
+    /// Serializes polling. If two threads poll at once, wgpu 30 may see an empty queue in one before it records the last
+    /// submission as done in the other, and panics.
     turn: Mutex<()>,
-    /// Threads that wait for their turn to submit: waiters let them go first.
+    /// Threads waiting to submit; pollers let them go first.
     submitting: AtomicUsize,
     spin: Duration,
 }
 
-/// The adapters of this machine, in the order of their indices. They are looked for once: asking the drivers takes longer than
-/// opening a device.
+/// Returns the adapters of this machine, in order of their indices. Enumerated once, as that takes longer than opening a device.
 fn adapters() -> &'static [wgpu::Adapter] {
     static ADAPTERS: OnceLock<Vec<wgpu::Adapter>> = OnceLock::new();
     ADAPTERS.get_or_init(|| {
@@ -79,15 +78,15 @@ fn describe(index: usize, info: &wgpu::AdapterInfo) -> GpuAdapter {
     }
 }
 
-/// What [`crate::gpu_adapters`] lists.
+/// Returns what [`crate::gpu_adapters`] lists.
 pub(crate) fn list() -> Vec<GpuAdapter> {
     adapters().iter().enumerate().map(|(index, adapter)| describe(index, &adapter.get_info())).collect()
 }
 
-/// The open devices by the index of their adapter.
+/// The open devices, by adapter index.
 static OPEN: Mutex<Vec<(usize, Weak<GpuDevice>)>> = Mutex::new(Vec::new());
 
-/// Destroys the devices that are open.
+/// Destroys the open devices.
 #[cfg(any(test, feature = "internal"))]
 pub(super) fn lose_open() {
     for device in lock(&OPEN).iter().filter_map(|(_, device)| device.upgrade()) {
@@ -95,14 +94,14 @@ pub(super) fn lose_open() {
     }
 }
 
-/// A device that nobody else shares, to be lost on purpose.
+/// Opens a device that is not shared, to be lost on purpose.
 #[cfg(test)]
 pub(super) fn open_alone(chosen: &GpuAdapter) -> Result<GpuDevice, EngineError> {
     GpuDevice::open_adapter(&adapters()[chosen.index], &chosen.name)
 }
 
 impl GpuDevice {
-    /// Opens the adapter of that index, or shares the device that is open.
+    /// Opens the adapter with this index, or shares its open device.
     pub(super) fn open(chosen: &GpuAdapter) -> Result<Arc<Self>, EngineError> {
         let mut open = lock(&OPEN);
         open.retain(|(_, device)| device.strong_count() > 0);
@@ -141,7 +140,7 @@ impl GpuDevice {
         let (lost, failed) = (Arc::clone(&fault), Arc::clone(&fault));
         let device_name = name.to_owned();
         device.set_device_lost_callback(move |reason, message| {
-            // Whatever else went wrong, went wrong because of it.
+            // The loss explains all other errors.
             let mut fault = lock(&lost);
             if !matches!(*fault, Some(EngineError::Lost { .. })) {
                 let reason = format!("{message} ({reason:?})");
@@ -150,7 +149,7 @@ impl GpuDevice {
         });
         let device_name = name.to_owned();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            // The first error is the cause of the others.
+            // The first error explains later ones.
             lock(&failed)
                 .get_or_insert_with(|| EngineError::Device { device: device_name.clone(), reason: error.to_string() });
         }));
@@ -159,7 +158,7 @@ impl GpuDevice {
         Ok(Self::new(device, queue, name.to_owned(), limits, features, fault, spin))
     }
 
-    /// A device of the host program's, whose callbacks are left alone: what is lost or refused is seen where it is waited for.
+    /// Wraps a device of the host program, without setting callbacks: loss and errors are seen when waiting.
     #[cfg(feature = "wgpu-interop")]
     pub(super) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         let info = device.adapter_info();
@@ -220,7 +219,7 @@ impl GpuDevice {
         }
     }
 
-    /// The fault of this device, if it has one.
+    /// Returns the fault of this device, if any.
     pub(super) fn check(&self) -> Result<(), EngineError> {
         let fault = lock(&self.fault).clone();
         match fault {
@@ -230,14 +229,14 @@ impl GpuDevice {
         }
     }
 
-    /// What is behind something that failed: the device's fault, or else the failure itself.
+    /// Returns the cause of a failure: the device's fault, or else the failure itself.
     pub(super) fn failed(&self, what: impl ToString) -> EngineError {
         let failure = || EngineError::Device { device: self.name.clone(), reason: what.to_string() };
         self.loss().or_else(|| self.check().err()).unwrap_or_else(failure)
     }
 
-    /// The loss of the device. It is reported only when polled, once there is nothing more to do, and if another thread polled at the
-    /// same time, a little later.
+    /// Returns the loss of the device, if it is lost. wgpu reports it only when polled on an idle queue, and later still if another
+    /// thread polls at the same time.
     fn loss(&self) -> Option<EngineError> {
         let until = Instant::now() + LOSS_TIMEOUT;
         loop {
@@ -250,16 +249,15 @@ impl GpuDevice {
         }
     }
 
-    /// Asks the device; `Ok(false)` is that it is not so far yet.
+    /// Polls the device; `Ok(false)` means not finished.
     ///
-    /// Never once it is lost: wgpu then frees its buffers, also those that somebody still reads. And wgpu panics where the
-    /// driver tells it of the loss.
+    /// Never polls a lost device: wgpu would free its buffers, including those still being read, and panic on the driver's error.
     fn poll(&self, how: wgpu::PollType) -> Result<bool, EngineError> {
         if let Some(lost @ EngineError::Lost { .. }) = &*lock(&self.fault) {
             return Err(lost.clone());
         }
         let _alone = lock(&self.turn);
-        // Another thread may have found the loss while this one waited for its turn.
+        // Another thread may have found the loss in the meantime.
         if let Some(lost @ EngineError::Lost { .. }) = &*lock(&self.fault) {
             return Err(lost.clone());
         }
@@ -271,7 +269,7 @@ impl GpuDevice {
         }
     }
 
-    /// Keeps that the device is lost, if that is not known better.
+    /// Records the loss of the device, unless a fault is known already.
     fn lose(&self, reason: impl ToString) -> EngineError {
         let mut fault = lock(&self.fault);
         match &*fault {
@@ -283,7 +281,7 @@ impl GpuDevice {
         }
     }
 
-    /// Runs what allocates `bytes` on the device; its errors are returned instead of kept.
+    /// Runs an allocation of `bytes` on the device; errors are returned rather than recorded.
     pub(super) fn allocate<T>(&self, bytes: u64, work: impl FnOnce() -> T) -> Result<T, EngineError> {
         self.check()?;
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
@@ -292,7 +290,7 @@ impl GpuDevice {
         let result = work();
         let memory = pollster::block_on(memory.pop());
         let other = pollster::block_on(invalid.pop()).or(pollster::block_on(internal.pop()));
-        // A lost device tells no scope.
+        // Error scopes report nothing on a lost device.
         self.check()?;
         match (memory, other) {
             (Some(error), _) => {
@@ -304,9 +302,9 @@ impl GpuDevice {
         }
     }
 
-    /// The compiled kernel, from those compiled before if it is there.
+    /// Returns a compiled kernel, from the cache if present.
     pub(super) fn kernel(&self, key: KernelKey) -> Result<wgpu::ComputePipeline, EngineError> {
-        // Not locked while it compiles, so that other smoothers go on; two may then compile the same.
+        // Not locked while compiling, so that other smoothers continue; two may then compile the same kernel.
         let known = lock(&self.kernels).get(&key).cloned();
         if let Some(kernel) = known {
             return Ok(kernel);
@@ -331,7 +329,7 @@ impl GpuDevice {
                 module: &module,
                 entry_point: Some(key.pass.entry_point()),
                 compilation_options: wgpu::PipelineCompilationOptions {
-                    // All of it is written before it is read.
+                    // It is fully written before it is read.
                     zero_initialize_workgroup_memory: false,
                     ..Default::default()
                 },
@@ -342,7 +340,7 @@ impl GpuDevice {
         Ok(kernel)
     }
 
-    /// Submits, which polls in passing.
+    /// Submits; wgpu polls while doing so.
     pub(super) fn submit(&self, commands: wgpu::CommandBuffer) -> wgpu::SubmissionIndex {
         self.submitting.fetch_add(1, Ordering::Relaxed);
         let _alone = lock(&self.turn);
@@ -350,7 +348,7 @@ impl GpuDevice {
         self.queue.submit([commands])
     }
 
-    /// Waits until a submission has run and its buffers are mapped.
+    /// Waits until a submission is done and its buffers are mapped.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), EngineError> {
         let spin_until = Instant::now() + self.spin;
         let look =
@@ -365,11 +363,11 @@ impl GpuDevice {
             }
             std::hint::spin_loop();
         }
-        // In small steps, since submitters wait for the turn.
+        // In small steps, since submitters wait for the lock.
         let until = Instant::now() + TIMEOUT;
         while Instant::now() < until {
             if self.submitting.load(Ordering::Relaxed) > 0 {
-                // The lock is not fair: leave it free for a while.
+                // The lock is not fair: leave it free for a moment.
                 std::thread::sleep(Duration::from_micros(50));
                 continue;
             }

@@ -1,7 +1,7 @@
-//! The text of a kernel: the shader files with their constants, and the sums and the solve written out for a degree.
+//! Generates a kernel's WGSL: the shader files with their constants, and the sums and the solve unrolled for a degree.
 //!
-//! Indices into arrays of moments would put them into memory, so each moment is a variable of its own, and the statements over
-//! them are written here (docs/method.md, sections 5 and 6): what `unroll!` does for the CPU engine.
+//! Indexed arrays of moments would live in memory rather than registers, so each moment is a variable of its own, and the
+//! statements over them are generated here (docs/method.md, sections 5 and 6), as `unroll!` does for the CPU engine.
 
 use std::fmt::Write;
 
@@ -36,7 +36,7 @@ impl Pass {
     }
 }
 
-/// Everything that is compiled into a kernel; what is not here may differ from frame to frame.
+/// Everything that is compiled into a kernel; anything else may vary from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct KernelKey {
     pub(super) window: u32,
@@ -51,9 +51,8 @@ pub(super) struct KernelKey {
     pub(super) tiled: bool,
 }
 
-/// Columns and rows of pixels that one workgroup smooths, one a thread: rows of 32, so that a store is a whole line of 128
-/// bytes (over the bus, narrower ones cost a tenth of the frames), and for degree 3, whose moments fill the registers, half as
-/// many threads.
+/// Columns and rows of pixels per workgroup, one per thread: 32 columns, so that a store is a whole line of 128 bytes (over the
+/// bus, narrower ones cost a tenth of the throughput), and half as many threads for degree 3, whose moments fill the registers.
 const fn tile_of(degree: u32) -> [usize; 2] {
     if degree == 3 { [32, 4] } else { [32, 8] }
 }
@@ -73,7 +72,7 @@ impl KernelKey {
         let tile_bytes = 12 * (tile_width + 2 * params.reach_px()) * (tile_height + 2 * window as usize);
         let codes_bytes = 4 * tile_width * tile_height;
         let tiled = tile_bytes + codes_bytes <= workgroup_bytes;
-        // What the kernel does not depend on is the same in its key, so that settings share it.
+        // Fields that the kernel does not depend on are normalized, so that settings share it.
         let (kind, outputs) = match pass {
             Pass::Whole => (kind, outputs),
             Pass::FirstPlanes => (kind, Outputs::POINTS),
@@ -184,7 +183,7 @@ fn moment_sums(degree: usize) -> String {
 
 /// `fn solve`: c_00, c_10 and c_01 by LDL^T, dropping unknowns that the neighbours do not support.
 ///
-/// Neighbours too few for degree 3 drop its unknowns: since the order is by degree, what remains is the solution of degree 2.
+/// With too few neighbours for degree 3 its unknowns are dropped; as the order is by degree, the solution of degree 2 remains.
 pub(super) fn solve(degree: usize) -> String {
     let count = coefficient_count(degree);
     let entry =

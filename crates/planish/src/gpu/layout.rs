@@ -1,12 +1,11 @@
-//! What goes up to the device and what comes back: the one description that the shader's constants and the host's reads and
-//! writes are both made from.
+//! The memory layout of uploads and results: the single description from which the shader's constants and the host's reads and
+//! writes derive.
 //!
 //! Everything is in 32-bit words. A frame of the input is its [`FrameHeader`], the rays of its columns and rows, and its
-//! samples: raw depth, two pixels a word, depth in metres, or x, y and z, a channel each. A frame of the output is its channels of
-//! f32 (points,
-//! normals, curvature, of those that are wanted), then rows of packed codes: status and neighbours four pixels a word, depth
-//! two. A packed row begins at a whole word. Frames of a batch follow each other. Where edges are kept, the first pass leaves
-//! the planes of all pixels on the device for the second.
+//! samples: raw depth, two pixels per word, depth in metres, or x, y and z, one channel each. A frame of the output is its
+//! requested channels of f32 (points, normals, curvature), then rows of packed codes: status and neighbours, four pixels per word,
+//! and depth, two. A packed row starts at a whole word. Frames of a batch are contiguous. With edge preservation, the first pass
+//! leaves the planes of all pixels on the device for the second.
 
 use std::fmt::Write;
 use std::ops::Range;
@@ -21,7 +20,7 @@ use crate::range::{MAX_RADIUS_M, MAX_RANGE_M};
 use crate::smoothed::GRAZING_COSINE;
 use crate::status::Status;
 
-/// What holds for a whole frame.
+/// Parameters of a whole frame.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub(super) struct FrameHeader {
@@ -32,7 +31,7 @@ pub(super) struct FrameHeader {
     pub(super) radius: [f32; 3],
     /// Coefficients of the standard deviation of depth, where edges are kept.
     pub(super) sigma: [f32; 3],
-    /// 0 is the radius.
+    /// 0 stands for the radius.
     pub(super) bandwidth: f32,
     /// The sum of the flags below.
     pub(super) flags: u32,
@@ -48,7 +47,7 @@ pub(super) const TURNED: u32 = 2;
 /// The ray of a pixel is that of its point: the lens is distorted.
 pub(super) const RAYS_OF_POINTS: u32 = 4;
 
-/// Channels that are kept of a first plane and its point, where edges are kept (first_planes.wgsl).
+/// Channels of a first plane and its point (first_planes.wgsl).
 const FIRST_CHANNELS: usize = 10;
 
 const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
@@ -66,7 +65,7 @@ pub(super) struct Batch {
 
 const _: () = assert!(size_of::<Batch>() == 16);
 
-/// What the samples of a frame are.
+/// The kind of a frame's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum InputKind {
     /// Raw 16-bit values.
@@ -77,7 +76,7 @@ pub(super) enum InputKind {
 }
 
 impl InputKind {
-    /// How a frame goes up. Depth seen through a distorted lens is deprojected by the host, which has a ray for each pixel.
+    /// Returns how a frame is uploaded. Depth seen through a distorted lens is deprojected by the host, which has a ray per pixel.
     pub(super) fn of(frame: &Frame<'_>) -> Self {
         match frame {
             Frame::Depth(depth) if !depth.camera().distortion.is_none() => Self::Points,
@@ -88,7 +87,7 @@ impl InputKind {
     }
 }
 
-/// Where everything of one frame is, in words from the frame's beginning.
+/// Offsets within one frame, in words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct Layout {
     pub(super) width: usize,
@@ -103,12 +102,12 @@ impl Layout {
         self.width * self.height
     }
 
-    /// Where the rays are: of the columns, then of the rows.
+    /// Range of the rays: of the columns, then of the rows.
     pub(super) fn rays(&self) -> Range<usize> {
         HEADER_WORDS..HEADER_WORDS + self.width + self.height
     }
 
-    /// Words of a frame of the input.
+    /// Words per frame of the input.
     pub(super) fn input_words(&self) -> usize {
         let samples = match self.kind {
             InputKind::Depth => self.pixels().div_ceil(2),
@@ -118,7 +117,7 @@ impl Layout {
         self.rays().end + samples
     }
 
-    /// Where the x, y and z of the points are in the output.
+    /// Ranges of the points' x, y and z in the output.
     pub(super) fn points(&self) -> Option<[Range<usize>; 3]> {
         self.outputs.points.then(|| self.three_channels(channels(self.outputs).points))
     }
@@ -143,13 +142,13 @@ impl Layout {
         self.packed()[2].clone()
     }
 
-    /// Words of a frame of the output.
+    /// Words per frame of the output.
     pub(super) fn output_words(&self) -> usize {
         let packed = self.packed().into_iter().flatten().map(|range| range.end).max();
         packed.unwrap_or(channels(self.outputs).count * self.pixels())
     }
 
-    /// Words of the first planes of a frame.
+    /// Words of first planes per frame.
     pub(super) fn first_words(&self) -> usize {
         if self.keeps_edges { FIRST_CHANNELS * self.pixels() } else { 0 }
     }
@@ -186,7 +185,7 @@ impl Layout {
     }
 }
 
-/// The numbers of the channels in the output; those of one that is not wanted mean nothing.
+/// Indices of the channels in the output; meaningless for those not requested.
 struct Channels {
     points: usize,
     normals: usize,
@@ -200,7 +199,7 @@ fn channels(outputs: Outputs) -> Channels {
     Channels { points: 0, normals, curvature, count: curvature + usize::from(outputs.curvature) }
 }
 
-/// The constants of this description in WGSL.
+/// Returns the constants of this layout in WGSL.
 pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
     let mut text = String::new();
     let mut constant = |name: &str, wgsl_type: &str, value: String| {

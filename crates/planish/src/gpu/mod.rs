@@ -1,9 +1,9 @@
-//! The GPU engine: docs/method.md in f32, one pixel a thread, through wgpu: Vulkan, Metal or DirectX 12.
+//! The GPU engine: docs/method.md in f32, one thread per pixel, through wgpu: Vulkan, Metal or DirectX 12.
 //!
-//! One kernel a setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) goes from depth or points to the
-//! outputs that are wanted; where edges are kept, one before it fits the planes of all pixels; [`layout`] is the one description of what goes up and comes back. A [`slot::Slot`] has the buffers
-//! of one frame or batch in flight. Results are read where the device put them ([`view`]) or copied out, for frames in flight
-//! by a thread of its own ([`copier`]).
+//! One kernel per setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the requested outputs from
+//! depth or points; with edge preservation, another one before it fits the planes of all pixels. [`layout`] describes uploads and
+//! results. A [`slot::Slot`] has the buffers of one frame or batch in flight. Results are read in mapped memory ([`view`]) or
+//! copied out, for frames in flight by a thread of its own ([`copier`]).
 
 mod copier;
 mod device;
@@ -38,21 +38,21 @@ use slot::Slot;
 use upload::Uploader;
 use view::MappedView;
 
-/// The adapters of this machine.
+/// Lists the adapters of this machine.
 pub(crate) fn adapters() -> Vec<GpuAdapter> {
     device::list()
 }
 
-/// Destroys the devices that are open, as a reset of the driver does, for tests of what comes after.
+/// Destroys the open devices, as a driver reset does, to test recovery.
 #[cfg(any(test, feature = "internal"))]
 pub fn lose_devices() {
     device::lose_open();
 }
 
-/// Slots that wait for their next frames; views give theirs back from any thread.
+/// Free slots; views return theirs from any thread.
 type FreeSlots = Arc<Mutex<Vec<Slot>>>;
 
-/// A submission that the device has not finished, or whose result was not received.
+/// A submission in progress, or whose result has not been received.
 struct Flight {
     gpu: Arc<GpuDevice>,
     slot: Slot,
@@ -69,13 +69,13 @@ impl Flight {
     }
 }
 
-/// A frame that was submitted, by how its result is wanted.
+/// A submitted frame, by how its result is delivered.
 enum Pending {
     InPlace(Box<Flight>),
     Copied(Copied),
 }
 
-/// A submission of several frames has no more bytes than this in a buffer, and no more frames.
+/// Limits of a submission of several frames: bytes per buffer, and frames.
 const MAX_BATCH_BYTES: u64 = 256 << 20;
 const MAX_BATCH_FRAMES: u64 = 64;
 
@@ -158,7 +158,7 @@ impl Gpu {
             timings: None,
             bytes: Arc::default(),
         };
-        // What can be refused is refused now, and what takes long is done now.
+        // Errors and slow work happen here rather than with the first frame.
         let kinds = [InputKind::Depth, InputKind::DepthMetres, InputKind::Points];
         for kind in kinds {
             engine.check_limits(engine.layout(kind), 1)?;
@@ -168,7 +168,7 @@ impl Gpu {
         Ok(engine)
     }
 
-    /// Compiles the kernels of all kinds of input. Drivers compile on the calling thread: several at once take as long as one.
+    /// Compiles the kernels of all kinds of input, in parallel: drivers compile on the calling thread.
     fn compile(&self, kinds: &[InputKind]) -> Result<(), EngineError> {
         let mut keys: Vec<KernelKey> = kinds.iter().flat_map(|&kind| self.kernel_keys(kind)).collect();
         let mut seen = std::collections::HashSet::new();
@@ -182,8 +182,8 @@ impl Gpu {
         })
     }
 
-    /// Computes a frame of holes in every slot and starts the thread that copies: what a driver does once for a buffer or a
-    /// kernel it does here, and not while a camera waits.
+    /// Computes a frame of holes in every slot and starts the copier, so that the driver's one-time work per buffer and kernel
+    /// does not delay the first frames of a camera.
     fn warm_up(&mut self) -> Result<(), EngineError> {
         self.copier.get_or_insert(Copier::start()?);
         let layout = self.layout(InputKind::Depth);
@@ -218,19 +218,19 @@ impl Gpu {
         self.kernel_keys(kind).next().map_or([0; 2], |key| key.workgroups(self.shape))
     }
 
-    /// Bytes that one buffer of the device may have.
+    /// Returns the device's limit of bytes per buffer.
     fn buffer_limit(&self) -> u64 {
         let limits = &self.gpu.limits;
         limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
     }
 
-    /// Bytes of the largest buffer of a frame.
+    /// Returns the bytes of a frame's largest buffer.
     fn frame_bytes(layout: Layout) -> u64 {
         4 * layout.input_words().max(layout.output_words()).max(layout.first_words()) as u64
     }
 
-    /// How many frames of a batch a submission has: within the limits of the device, and of what others that use it, and the
-    /// watchdogs of desktops, bear.
+    /// Returns how many frames of a batch one submission holds: within the device's limits, and short enough for its other users
+    /// and for desktop watchdogs.
     fn frames_at_once(&self, layout: Layout) -> usize {
         let bytes = self.buffer_limit().min(MAX_BATCH_BYTES);
         (bytes / Self::frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize
@@ -254,7 +254,7 @@ impl Gpu {
         }
     }
 
-    /// A free slot for so many frames of a layout, or a new one.
+    /// Returns a free slot for this many frames of a layout, or a new one.
     fn slot(&self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
         let mut free = lock(&self.free);
         match free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
@@ -298,7 +298,7 @@ impl SmoothingEngine for Gpu {
         Ok(())
     }
 
-    /// As many frames in one submission as the device takes.
+    /// Smooths a batch, with as many frames per submission as the device takes.
     fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
         let (mut done, mut timings) = (0, None::<FrameTimings>);
         while let Some(first) = frames.get(done) {
@@ -318,7 +318,7 @@ impl SmoothingEngine for Gpu {
         Ok(())
     }
 
-    /// With a buffer the result is copied there by another thread as soon as it is there, without one it stays where it is.
+    /// With a buffer, the result is copied there by another thread once ready; without one it stays in mapped memory.
     fn submit(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
         let in_flight = self.pending.len();
         if in_flight >= self.options.slots {

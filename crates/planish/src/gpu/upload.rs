@@ -9,7 +9,7 @@ use crate::frame::{DepthSamples, DepthView, Frame, PointsView};
 use crate::params::{Edges, SmoothParams};
 use crate::range::RangeRules;
 
-/// Writes frames, with room that is kept from one to the next.
+/// Writes frames; its scratch buffers are kept from one to the next.
 pub(super) struct Uploader {
     params: SmoothParams,
     rays: Rays,
@@ -22,7 +22,7 @@ impl Uploader {
         Self { params, rays: Rays::default(), raw: Vec::new(), row: Default::default() }
     }
 
-    /// Writes a frame by `put`, which takes the number of a word in the frame and bytes.
+    /// Writes a frame through `put`, which takes the index of a word in the frame, and bytes.
     pub(super) fn write(&mut self, layout: &Layout, admitted: &AdmittedFrame<'_>, put: &mut dyn FnMut(usize, &[u8])) {
         let camera = admitted.frame.camera();
         if let Some(camera) = camera.filter(|_| layout.kind != InputKind::Points || layout.outputs.depth) {
@@ -88,7 +88,7 @@ impl Uploader {
         }
     }
 
-    /// Depth through a distorted lens, as points.
+    /// Writes depth seen through a distorted lens, as points.
     fn write_deprojected(
         &mut self,
         layout: &Layout,
@@ -146,7 +146,7 @@ impl Uploader {
     }
 }
 
-/// Two raw values a word.
+/// Writes two raw values per word.
 fn put_raw(raw: &[u16], samples: usize, put: &mut dyn FnMut(usize, &[u8])) {
     let (pairs, rest) = raw.split_at(raw.len() / 2 * 2);
     put(samples, cast_slice(pairs));

@@ -1,4 +1,4 @@
-//! A result where the device put it: mapped memory, read without a copy.
+//! A result in mapped device memory, read without a copy.
 
 use std::ops::Range;
 
@@ -12,11 +12,11 @@ use crate::status::Status;
 use crate::timings::FrameTimings;
 use crate::view::ResultInPlace;
 
-/// The mapped result of a submission. Dropped, it gives its slot back.
+/// The mapped result of a submission. Returns its slot when dropped.
 pub(super) struct MappedView {
     layout: Layout,
     timings: Option<FrameTimings>,
-    /// `None` while it is dropped.
+    /// `None` only while dropping.
     mapped: Option<(wgpu::BufferView, Slot)>,
     free: FreeSlots,
 }
@@ -33,7 +33,7 @@ impl MappedView {
         self.timings
     }
 
-    /// Words of a frame as values of a type with no invalid bits.
+    /// Returns words of a frame as values of a plain type.
     fn values<T: bytemuck::AnyBitPattern>(&self, frame: usize, words: Range<usize>) -> &[T] {
         let first = frame * self.layout.output_words();
         let bytes = self.mapped.as_ref().map_or(&[][..], |(bytes, _)| bytes);
@@ -48,7 +48,7 @@ impl MappedView {
         Some(self.layout.normals()?.map(|channel| self.values(frame, channel)))
     }
 
-    /// The rows of packed values: each has the image's width, and up to 3 bytes of padding behind it.
+    /// Returns rows of packed values, each of the image's width without the padding of up to 3 bytes after it.
     fn rows<T: bytemuck::AnyBitPattern>(&self, frame: usize, words: Range<usize>) -> impl Iterator<Item = &[T]> {
         let values: &[T] = self.values(frame, words);
         let width = self.layout.width;
@@ -59,13 +59,13 @@ impl MappedView {
         self.rows::<u8>(frame, words).flatten().copied()
     }
 
-    /// Copies a frame of the result out into buffers of its own.
+    /// Copies a frame of the result into a `Smoothed`.
     pub(super) fn copy_frame_to(&self, frame: usize, out: &mut Smoothed) {
         out.prepare(self.layout.width, self.layout.height, self.layout.outputs);
         self.copy_frame_into(frame, out.as_mut());
     }
 
-    /// Copies what there are buffers for of a frame of the result, its channels in parallel.
+    /// Copies a frame of the result into the given buffers, channels in parallel.
     pub(super) fn copy_frame_into(&self, frame: usize, out: SmoothedMut<'_>) {
         rayon::scope(|scope| {
             for (from, to) in [(self.points_of(frame), out.points), (self.normals_of(frame), out.normals)] {
@@ -101,7 +101,7 @@ impl MappedView {
     }
 }
 
-/// Vectors that one task interleaves.
+/// Vectors interleaved per task.
 const VECTORS_PER_TASK: usize = 1 << 16;
 
 fn spawn_interleaving<'s, T: Send>(

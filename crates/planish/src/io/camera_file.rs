@@ -13,7 +13,7 @@ use crate::error::{FormatError, IoError};
 const HELP: &str = "a camera file is JSON with fx, fy, cx, cy or Open3D's intrinsic_matrix, the YAML of a ROS camera_info, a \
                     3x3 matrix as text, or COLMAP's cameras.txt";
 
-/// No camera file is longer.
+/// The largest camera file accepted, in bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
 /// Reads a camera file for frames of `shape` (width, height); a file of another shape is refused.
@@ -48,7 +48,7 @@ pub fn parse_camera(text: &str, shape: Option<(usize, usize)>) -> FormatResult<C
         Some(shape) => camera.with_shape(shape),
         None => camera,
     };
-    // Whatever the shape is to be, the rest must describe a camera.
+    // Whatever the shape turns out to be, the rest must describe a camera.
     let (width, height) = (camera.width.max(1), camera.height.max(1));
     camera.with_shape((width, height)).validate()?;
     Ok(camera)
@@ -117,7 +117,7 @@ fn from_json(text: &str) -> FormatResult<Camera> {
     }
     let error = |error: serde_json::Error| malformed(format!("not a camera file: {error}"));
     let mut value: serde_json::Value = serde_json::from_str(text).map_err(error)?;
-    // Open3D's PinholeCameraParameters have them one level down.
+    // Open3D's PinholeCameraParameters nest them one level deeper.
     if let Some(intrinsic) = value.get_mut("intrinsic").map(serde_json::Value::take) {
         value = intrinsic;
     }

@@ -1,10 +1,10 @@
-//! Between a file's columns, x, y and z among them, and a cloud's positions and attributes.
+//! Conversion between a file's columns, x, y and z among them, and a cloud's positions and attributes.
 
 use crate::cloud::{Attribute, AttributeValues, PointCloud, PositionColumns};
 use crate::error::FormatError;
 use crate::xyz::Xyz;
 
-/// Runs the same code on the vector inside, whatever its type.
+/// Runs the same code on the vector inside, for every type.
 macro_rules! with_values {
     ($values:expr, $v:ident => $body:expr) => {{
         use $crate::cloud::AttributeValues::*;
@@ -41,7 +41,7 @@ pub(super) fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointClo
             ))
         })?;
     }
-    // Those behind go first, so that the indices of the others stay.
+    // From the last to the first, so that the remaining indices stay valid.
     let mut take_order = [0, 1, 2];
     take_order.sort_by_key(|&axis| std::cmp::Reverse(index[axis]));
     let mut taken = [const { None }; 3];
@@ -79,13 +79,13 @@ pub(super) fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointClo
     })
 }
 
-/// 0, or for far coordinates the first finite one in whole metres.
+/// Returns 0, or for far coordinates the first finite one, in whole metres.
 fn origin_of(values: &[f64]) -> f64 {
     let first = values.iter().copied().find(|v| v.is_finite()).unwrap_or(0.0);
     if first.abs() > FAR_M { first.trunc() } else { 0.0 }
 }
 
-/// All columns of a cloud in the order of its file; x, y and z are in the type they had there.
+/// Returns all columns of a cloud in the order of its file; x, y and z in the type they had there.
 pub(super) fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
     let mut columns = cloud.attributes.clone();
     let PositionColumns { index, double } = cloud.position_columns;

@@ -19,7 +19,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
     }
     validate_shape(width, height)?;
     let size = reader.output_buffer_size().unwrap_or(usize::MAX);
-    // Deflate reaches 1 : 1032 at the most.
+    // Deflate compresses by 1032 at most.
     if size / 1100 > bytes.len() {
         return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
     }

@@ -1,4 +1,4 @@
-//! Reading and writing files; nothing is lost and nothing is left half-written.
+//! Reading and writing files, without losing fields and without leaving half-written files.
 //!
 //! A format is detected from the contents first, then from the file's extension. Every reader checks what a header claims against
 //! the bytes that are there before it allocates.
@@ -50,7 +50,7 @@ pub struct RgbImage {
     pub rgb: Vec<u8>,
 }
 
-/// For the project's own tests and pictures.
+/// For this project's own tests and pictures.
 #[cfg(feature = "internal")]
 pub(crate) mod internal {
     pub use super::pcd::lzf;
@@ -74,7 +74,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The name people use.
+    /// The common name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pcd => "PCD",
@@ -172,7 +172,7 @@ fn read_bytes(path: &Path) -> FormatResult<(Format, Contents)> {
     decode(&bytes, Format::of_extension(path))
 }
 
-/// Reads a file's contents; `announced` is the format that its name announces, used where the contents do not tell.
+/// Decodes a file's contents; `announced` is the format of its extension, used where the contents are ambiguous.
 pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, Contents)> {
     if bytes.is_empty() {
         return Err(FormatError::Malformed("the file is empty".into()));
@@ -281,7 +281,7 @@ pub fn write_depth_metres(path: &Path, width: usize, depth_m: &[f32]) -> Result<
     npy::encode_depth_metres(width, depth_m).and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
-/// Writes a file so that it is there whole or not at all: under another name beside it, then renamed.
+/// Writes a file atomically: under a temporary name in the same folder, then renamed.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -297,7 +297,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     builder.prefix(".planish-").suffix(".tmp");
     #[cfg(unix)]
     {
-        // As any new file: what the process's umask leaves of it.
+        // The permissions of any new file: the process's umask applies.
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
@@ -308,7 +308,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
 }
 
 impl DepthFrame {
-    /// Reads a 16-bit depth image (PNG, TIFF or NPY) and puts it together with its camera.
+    /// Reads a 16-bit depth image (PNG, TIFF or NPY) and combines it with its camera.
     pub fn read(path: &Path, camera: Camera) -> Result<Self, IoError> {
         let frame = || match read_bytes(path)?.1 {
             Contents::Depth(image) => Ok(Self::from_image(camera, image)?),

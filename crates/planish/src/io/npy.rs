@@ -50,7 +50,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Contents, FormatError> {
     }
 }
 
-/// The values as f32, whether the file has f32 or f64.
+/// Returns the values as f32, whether the file has f32 or f64.
 fn floats(file: NpyFile<&[u8]>, size: u64) -> Result<Vec<f32>, FormatError> {
     let read = |error: std::io::Error| FormatError::Malformed(format!("damaged NPY: {error}"));
     match size {
@@ -65,7 +65,7 @@ fn points(width: usize, height: usize, values: Vec<f32>) -> Result<Contents, For
     organized_if_grid(Gridded { width, height, points: PointCloud::new(positions) })
 }
 
-/// Kept relative to an origin where they are far from it, and written as f64 again.
+/// Far clouds are kept relative to an origin, and written as f64 again.
 fn points_f64(width: usize, height: usize, values: Vec<f64>) -> Result<Contents, FormatError> {
     let column = |axis: usize| {
         let values: Vec<f64> = values.iter().skip(axis).step_by(3).copied().collect();
@@ -83,7 +83,7 @@ fn encode<T: AutoSerialize + Copy>(shape: &[u64], values: impl Iterator<Item = T
     Ok(bytes)
 }
 
-/// Positions alone, [H, W, 3] or [N, 3]; far clouds as f64 so that nothing is lost.
+/// Encodes the positions only, [H, W, 3] or [N, 3]; far clouds as f64, so that no digits are lost.
 pub(super) fn encode_points(cloud: CloudRef<'_>) -> Result<Vec<u8>, FormatError> {
     let (width, height) = cloud.grid();
     let shape = match cloud {

@@ -1,4 +1,4 @@
-//! 8-bit colour PNG: pictures for people.
+//! 8-bit colour PNG, for pictures.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -7,7 +7,7 @@ use super::RgbImage;
 use super::depth_png::encode_png;
 use crate::error::{FormatError, IoError};
 
-/// Writes a picture; one that has no colour as grey, in a third of the bytes.
+/// Writes a picture; a colourless one as grey, in a third of the bytes.
 pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     let (width, height, eight) = (image.width, image.height, png::BitDepth::Eight);
     let pixels = image.rgb.chunks_exact(3);
@@ -20,7 +20,7 @@ pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     encoded.and_then(|bytes| super::write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
-/// Reads an 8-bit colour PNG; a fourth channel is left out, grey becomes colour.
+/// Reads an 8-bit colour PNG; alpha is dropped, grey is expanded to colour.
 pub fn read_rgb_png(path: &Path) -> Result<RgbImage, IoError> {
     let bytes = std::fs::read(path).map_err(|error| IoError::at(path)(error.into()))?;
     decode(&bytes).map_err(IoError::at(path))
@@ -34,7 +34,7 @@ fn decode(bytes: &[u8]) -> Result<RgbImage, FormatError> {
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     crate::xyz::validate_shape(width, height)?;
     let size = reader.output_buffer_size().unwrap_or(usize::MAX);
-    // Deflate reaches 1 : 1032 at the most, and 1-bit pixels become bytes.
+    // Deflate compresses by 1032 at most, and 1-bit pixels become bytes.
     if size / 8800 > bytes.len() {
         return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
     }

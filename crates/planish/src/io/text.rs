@@ -1,4 +1,4 @@
-//! Points as text, as PCD and PLY have them: a line for each point, values separated by spaces, `nan` for no value.
+//! Points as text, in PCD and PLY: one line per point, values separated by spaces, `nan` for no value.
 
 use std::fmt::{Display, Write};
 use std::str::{FromStr, Lines};
@@ -7,7 +7,7 @@ use super::columns::with_values;
 use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
 
-/// The lines of a text body that say something, numbered from 1.
+/// The non-blank lines of a text body, numbered from 1.
 pub(super) struct Body<'a> {
     lines: std::iter::Enumerate<Lines<'a>>,
     bytes: usize,
@@ -20,7 +20,7 @@ impl<'a> Body<'a> {
         Ok(Self { lines: text.lines().enumerate(), bytes: body.len() })
     }
 
-    /// The next line that is not blank.
+    /// Returns the next non-blank line.
     pub(super) fn line(&mut self) -> Option<(usize, &'a str)> {
         self.lines.find(|(_, line)| !line.trim().is_empty()).map(|(index, line)| (index + 1, line))
     }
@@ -28,7 +28,7 @@ impl<'a> Body<'a> {
     /// Appends `points` lines to the columns.
     pub(super) fn read(&mut self, columns: &mut [Attribute], points: usize) -> Result<(), FormatError> {
         let values: usize = columns.iter().map(|column| column.count).sum();
-        // The shortest value is a digit and what separates it.
+        // The shortest value is one digit and a separator.
         if values.checked_mul(2 * points).is_none_or(|shortest| shortest > self.bytes + 1) {
             return Err(FormatError::Malformed(format!(
                 "the file is cut short: {points} points of {values} values are announced, {} bytes are there",
@@ -59,7 +59,7 @@ fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(),
     if words.next().is_some() { Err(format!("{values} values are needed, here are more")) } else { Ok(()) }
 }
 
-/// Appends a value; `None` if the word is none of this type.
+/// Appends a value; `None` if the word is not of this type.
 fn push(values: &mut AttributeValues, word: &str) -> Option<()> {
     fn parsed<T: FromStr>(values: &mut Vec<T>, word: &str) -> Option<()> {
         values.push(word.parse().ok()?);
@@ -86,7 +86,7 @@ pub(super) fn write(columns: &[Attribute], points: usize, bytes: &mut Vec<u8>) {
 }
 
 fn write_value(text: &mut String, values: &AttributeValues, i: usize) {
-    // Writing to a String cannot fail. PCL knows NaN as "nan" only.
+    // Writing to a String cannot fail. PCL reads NaN as "nan" only.
     let mut write = |value: &dyn Display| {
         let _ = write!(text, "{value}");
     };

@@ -1,11 +1,11 @@
-//! How far apart the points of a general cloud lie, and the radius that follows.
+//! The point spacing of a general cloud, and a radius derived from it.
 
 use glam::DVec3;
 
 use super::NeighbourSearch;
 use crate::frame::{Frame, IntoFrame};
 
-/// Points that are asked for their neighbours.
+/// Number of sampled points.
 const SAMPLE: usize = 1000;
 /// On a surface with even spacing d the 8th neighbour is about 1.4 to 1.6 d away.
 const NEIGHBOUR: usize = 8;

@@ -1,5 +1,5 @@
-//! Edges kept: the surface that a point lies on is taken from the planes around it, and what is not on that surface does not
-//! count (docs/method.md, section 10). Metres.
+//! Edge preservation: the surface that a point lies on is found from the planes around it, and neighbours off that surface are
+//! excluded (docs/method.md, section 10). Metres.
 
 use glam::DVec3;
 
@@ -7,19 +7,19 @@ use super::plane::{self, Plane};
 use crate::params::{SmoothParams, edge_shift_px};
 use crate::sensor::SensorModel;
 
-/// A plane through fewer points than this says too little.
+/// A plane through fewer points than this is not used.
 const MIN_NEIGHBOURS: usize = 6;
 /// The noise is at least this share of the radius.
 const MIN_NOISE: f64 = 0.01;
 /// How much a plane's distance from p weighs beside its own residual, both squared.
 const DISTANCE_WEIGHT: f64 = 0.5;
-/// Neighbours count up to so many deviations of the noise from the surface.
+/// Neighbours count up to this many standard deviations of the noise from the surface.
 const WIDTH: f64 = 1.8;
 
-/// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a disc.
+/// A plane that its points hardly determine counts as noisier: by this share of the noise's variance for a disc.
 const DOUBT_WEIGHT: f64 = 0.01;
 
-/// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
+/// No camera measures a surface steeper than this; what looks like one is a row of points far apart.
 const MIN_INCIDENCE_COSINE: f64 = 0.05;
 
 /// The plane of a pixel's own window.
@@ -27,11 +27,11 @@ const MIN_INCIDENCE_COSINE: f64 = 0.05;
 pub(super) struct FirstPlane {
     at: DVec3,
     plane: Plane,
-    /// Variance of its points about it, and what it is in doubt beside that, in m².
+    /// Variance of its points about it, plus its own uncertainty, in m².
     residual: f64,
 }
 
-/// `None` where the neighbours are too few, on a line, or on a plane seen from its edge.
+/// `None` where the neighbours are too few, on a line, or on a plane seen edge-on.
 pub(super) fn first_plane(p: DVec3, offsets: &[DVec3], noise_m: f64) -> Option<FirstPlane> {
     let plane = if offsets.len() < MIN_NEIGHBOURS { None } else { plane::fit(offsets, p) }?;
     if plane.normal.dot(p).abs() < MIN_INCIDENCE_COSINE * p.length() {
@@ -50,7 +50,7 @@ pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 
 pub(super) struct FirstPlanes {
     width: usize,
     planes: Vec<Option<FirstPlane>>,
-    /// Pixels to the planes that are asked.
+    /// Distance in pixels to the eight planes considered.
     shift_px: isize,
 }
 
@@ -64,9 +64,8 @@ impl FirstPlanes {
         self.planes.get(v * self.width + u)?.as_ref()
     }
 
-    /// The plane that p at a pixel lies on, as its own and the eight planes around it say, and how far from it a neighbour
-    /// counts; `None` where it has no first plane of its own, or the
-    /// plane is further away than the radius.
+    /// Returns the plane that p at a pixel lies on, from its own and the eight first planes around it, and how far from it a
+    /// neighbour counts; `None` if the pixel has no first plane, or the plane is further away than the radius.
     pub(super) fn surface(
         &self,
         (u, v): (usize, usize),
@@ -93,7 +92,7 @@ impl FirstPlanes {
                 total += weight;
             }
         }
-        // Planes that agree on nothing may be further away than a point may move.
+        // Planes that disagree may lie further away than a point may move.
         if (height_m / total).abs() > radius_m {
             return None;
         }

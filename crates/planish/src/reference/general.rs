@@ -17,7 +17,7 @@ pub(super) fn smooth(
     points: &[DVec3],
     geometry: &FrameGeometry,
 ) -> Result<Vec<PointResult>, Error> {
-    // Without a grid there is no other: the smoother was not opened.
+    // General clouds always have a fixed radius: `Smoother::open` refuses any other.
     let Radius::Fixed { radius_m } = params.radius else { return Ok(vec![PointResult::hole(); points.len()]) };
     let radius_m = f64::from(radius_m);
     // Turned like the sensor, but not moved: it may stand so far away that moved points would lose digits.

@@ -1,7 +1,7 @@
-//! The reference engine: docs/method.md to the letter, in f64, written to be read. It is the oracle of the fast engines,
+//! The reference engine: docs/method.md to the letter, in f64, written for readability. It is the oracle of the fast engines,
 //! so it shares no code with them and is never optimised.
 //!
-//! One file a stage: [`radius`] (section 3), [`window`] (2), [`plane`] (4), [`polynomial`] and [`solve`] (5, 6),
+//! One file per stage: [`radius`] (section 3), [`window`] (2), [`plane`] (4), [`polynomial`] and [`solve`] (5, 6),
 //! [`project`] (7), [`edges`] (10). General clouds differ in the neighbours only: [`general`] (8). All compute in the sensor's
 //! frame (11); results are turned back at the end.
 
@@ -27,7 +27,7 @@ use crate::threads::Threads;
 use plane::Plane;
 use window::Grid;
 
-/// What the reference finds for one point, in the sensor's frame.
+/// The reference's result for one point, in the sensor's frame.
 #[derive(Debug, Clone, Copy)]
 struct PointResult {
     /// From the measured point to the smoothed one; NaN for a hole.
@@ -143,7 +143,7 @@ impl Reference {
         self.for_each_pixel(grid, geometry, PointResult::hole(), smooth)
     }
 
-    /// `work` on every valid point, its neighbours' offsets, its radius and its pixel; `hole` for the others.
+    /// Applies `work` to every valid point, its neighbours' offsets, its radius and its pixel; gives `hole` for the others.
     fn for_each_pixel<T: Clone + Send + Sync>(
         &self,
         grid: &Grid,

@@ -8,7 +8,7 @@ use super::solve::solve;
 /// The height of the surface over the plane, f(a, b), by its value and slopes at the foot of p.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Polynomial {
-    /// The degree that the number of neighbours allowed: 2 or 3.
+    /// The degree that the number of neighbours supports: 2 or 3.
     pub degree: u32,
     /// Height over the foot along the normal, c_00, in metres.
     pub height: f64,
@@ -16,7 +16,7 @@ pub(super) struct Polynomial {
     pub gradient: DVec3,
 }
 
-/// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less: f32 can compute with that.
+/// A neighbour far from the surface keeps at least exp(-8) of its weight, which f32 still represents well.
 const MAX_OFF_SURFACE: f64 = 8.0;
 
 /// Number of coefficients of a polynomial of degree d in two variables: 3, 6, 10.
@@ -38,8 +38,8 @@ pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
     (DVec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), DVec3::new(b, sign + n.y * n.y * a, -n.y))
 }
 
-/// Fits the polynomial of the highest degree, up to `degree`, that the neighbours can carry; `None` if that is 1, the
-/// plane itself. Neighbours further from the plane than `width_m` count less and less.
+/// Fits the polynomial of the highest degree, up to `degree`, that the neighbours support; `None` if that is 1, the
+/// plane itself. The weight of neighbours further from the plane than `width_m` falls off.
 pub(super) fn fit(
     offsets: &[DVec3],
     plane: &Plane,

@@ -27,7 +27,7 @@ pub(super) fn project(
     (moved, towards_sensor, Status::of_degree(polynomial.degree))
 }
 
-/// Below this cosine of the angle of incidence the tangent plane tells less than the point itself.
+/// Below this cosine of the angle of incidence the point's own depth is more accurate than the tangent plane.
 const GRAZING_COSINE: f64 = 0.2;
 
 /// The depth where the ray (x, y, 1) of a pixel meets the tangent plane of its smoothed point.

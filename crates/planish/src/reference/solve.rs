@@ -3,8 +3,8 @@
 /// A pivot at or below this share of its own diagonal entry is not supported.
 const PIVOT_RATIO: f64 = 3e-2;
 
-/// Solves A c = t for a symmetric A of `t.len()` rows, given row by row. Unknowns whose pivot falls too low are left out
-/// and get 0; those before them do not change.
+/// Solves A c = t for a symmetric A of `t.len()` rows, given row by row. Unknowns whose pivot is too small are dropped and get
+/// 0; those before them do not change.
 pub(super) fn solve(a: &[Vec<f64>], t: &[f64]) -> Vec<f64> {
     let m = t.len();
     // L below the diagonal and the pivots D; None marks a dropped unknown.

@@ -1,9 +1,9 @@
-//! What a Kinect v1 makes of a noise-free image: each part of its noise is a parameter.
+//! A model of the Kinect v1's noise; each part is a parameter.
 //!
 //! Noise lives in disparity: D = 1/(step z) in units of one disparity step, so that an error of one unit is
 //! step * z² metres of depth (Khoshelham & Elberink 2012). A pixel's disparity gets a fixed pattern that is correlated
-//! over a few pixels (most of the error of a single frame: averaging frames does not remove it), temporal noise, and is
-//! rounded. Around steps of the surface the sensor looks past the edge, mixes both sides, and cannot see what its
+//! over a few pixels (most of the error of a single frame, which averaging frames does not remove), temporal noise, and is
+//! rounded. At depth steps the sensor looks past the edge, mixes both sides, and cannot see what its
 //! projector does not light. Output: u16 millimetres, 0 for no measurement.
 
 use rayon::prelude::*;
@@ -15,7 +15,7 @@ use crate::error::FrameError;
 use crate::frame::DepthFrame;
 use crate::sensor::SensorModel;
 
-/// The parts of the noise. The default is a Kinect v1; [`KinectNoise::NONE`] rounds to millimetres and nothing else.
+/// The parts of the noise. The default is a Kinect v1; [`KinectNoise::NONE`] only rounds to millimetres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KinectNoise {
     /// One disparity unit as depth at 1 m, in metres; it grows with z². 0 leaves the depth unquantized.
@@ -24,9 +24,9 @@ pub struct KinectNoise {
     pub fixed_pattern_rms: f64,
     /// Distance in pixels at which the fixed pattern's correlation has fallen to 1/e.
     pub fixed_pattern_correlation_px: f64,
-    /// RMS of the noise from frame to frame in disparity units.
+    /// RMS of the temporal noise in disparity units.
     pub temporal_rms: f64,
-    /// Standard deviation in pixels by which a pixel at a step looks beside its ray.
+    /// Standard deviation in pixels by which a pixel at a step samples off its ray.
     pub edge_jitter_px: f64,
     /// Probability that a pixel at a step floats between the two surfaces.
     pub flying_pixel_probability: f64,
@@ -86,12 +86,12 @@ const STREAM_FIXED_PATTERN: u64 = 3;
 const STREAM_FRAME: u64 = 4;
 
 impl KinectSimulator {
-    /// A sensor with its own fixed pattern, given by the seed.
+    /// Creates a sensor with a fixed pattern of its own, given by the seed.
     pub fn new(noise: KinectNoise, camera: Camera, seed: u64) -> Self {
         Self { noise, camera, seed, fixed_pattern: fixed_pattern(&noise, &camera, seed) }
     }
 
-    /// Frame number `index` of what `truth` shows: frames differ in the temporal noise alone.
+    /// Returns frame `index` of `truth`; frames differ in their temporal noise only.
     ///
     /// Refuses a truth that was rendered with a camera of another size.
     pub fn frame(&self, truth: &Truth, index: u64) -> Result<DepthFrame, FrameError> {
@@ -131,7 +131,7 @@ impl KinectSimulator {
         }
     }
 
-    /// A depth with an error in disparity units, quantized, limited to the range; 0 if nothing is measured.
+    /// Returns a depth with an error in disparity units, quantized and limited to the range; 0 if nothing is measured.
     fn measure(&self, depth_m: f64, disparity_error: f64) -> u16 {
         let step = self.noise.depth_step_at_1m;
         let measured =
@@ -140,8 +140,8 @@ impl KinectSimulator {
         if in_range { self.camera.raw_depth(measured as f32) } else { 0 }
     }
 
-    /// The pixels of row v that the projector does not light. Going away from the projector, light that starts further
-    /// left must also arrive further left; where something nearer already took that light, there is shadow.
+    /// Marks the pixels of row v that the projector does not light. Away from the projector, light that starts further left must
+    /// also arrive further left; where something nearer has already caught it, there is shadow.
     fn shadow(&self, truth: &Truth, v: usize) -> Vec<bool> {
         let width = self.camera.width;
         let shift = self.noise.projector_baseline_m * self.camera.fx;
@@ -166,7 +166,7 @@ impl KinectSimulator {
         if angle_deg <= start { 0.0 } else { ((angle_deg - start) / (90.0 - start)).min(1.0) }
     }
 
-    /// The depth beside the ray, if that lies beyond a step.
+    /// Returns the depth beside the ray, if that lies across a step.
     fn beyond_step(&self, truth: &Truth, u: usize, v: usize, jitter_u: f64, jitter_v: f64) -> Option<f64> {
         let moved = |at: usize, by: f64, size: usize| {
             (at as f64 + self.noise.edge_jitter_px * by).round().clamp(0.0, size as f64 - 1.0) as usize
@@ -177,7 +177,7 @@ impl KinectSimulator {
     }
 }
 
-/// The depth of a neighbouring pixel across a step, if there is one.
+/// Returns the depth of a neighbouring pixel across a step, if there is one.
 fn step_neighbour(truth: &Truth, u: usize, v: usize) -> Option<f64> {
     let (width, height) = (truth.camera.width, truth.camera.height);
     let i = v * width + u;
@@ -194,7 +194,7 @@ fn step_neighbour(truth: &Truth, u: usize, v: usize) -> Option<f64> {
         .map(|j| f64::from(truth.points.z[j]))
 }
 
-/// White noise through a Gaussian: a Gaussian of deviation s leaves a correlation of exp(-d²/4s²).
+/// Filters white noise by a Gaussian; a deviation of s leaves a correlation of exp(-d²/4s²).
 fn fixed_pattern(noise: &KinectNoise, camera: &Camera, seed: u64) -> Vec<f32> {
     let (width, height) = (camera.width, camera.height);
     let sigma = (noise.fixed_pattern_correlation_px / 2.0).max(0.1);

@@ -1,7 +1,7 @@
 //! Frames with known truth: seeded scenes, ray-cast without noise, and a model of the Kinect v1's noise on top.
 //!
-//! The noise is correlated from pixel to pixel, quantized, and grows with z², as that of the real sensor: filters look
-//! far better on independent noise than they are.
+//! As with the real sensor, the noise is correlated between pixels, quantized, and grows with z²: on independent noise, filters
+//! look far better than they are.
 //!
 //! ```
 //! use planish::Camera;

@@ -3,7 +3,7 @@
 use rand_pcg::Pcg32;
 use rand_pcg::rand_core::Rng;
 
-/// A generator for one purpose: `stream` tells apart the uses of one seed.
+/// A generator for one purpose: `stream` separates the uses of one seed.
 pub(crate) struct Random {
     generator: Pcg32,
     spare_normal: Option<f64>,

@@ -1,4 +1,4 @@
-//! Scenes of simple shapes and their noise-free image. Metres; world and camera axes are x right, y down, z forward.
+//! Scenes of simple shapes and their noise-free images. Metres; world and camera axes are x right, y down, z forward.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::camera::Camera;
 use crate::xyz::Xyz;
 
-/// The object id of a pixel whose ray meets nothing.
+/// The object id of a pixel whose ray hits nothing.
 pub const NO_OBJECT: u16 = u16::MAX;
 
 /// A solid or a plane, in world coordinates.
@@ -48,11 +48,11 @@ pub enum Shape {
     },
 }
 
-/// Where a ray meets a surface: distance in lengths of its direction, and the surface's normal (either way).
+/// Where a ray hits a surface: distance in units of its direction's length, and the surface's normal (either sign).
 type Hit = (f64, DVec3);
 
 impl Shape {
-    /// The first meeting of the ray in front of its origin.
+    /// Returns the first hit of the ray in front of its origin.
     fn intersect(&self, origin: DVec3, direction: DVec3) -> Option<Hit> {
         match *self {
             Self::Plane { point, normal } => {
@@ -101,7 +101,7 @@ impl Shape {
     }
 }
 
-/// False for a NaN, which is a ray that misses.
+/// False for NaN, a ray that misses.
 fn in_front(t: f64) -> bool {
     t > 1e-3 && t.is_finite()
 }
@@ -158,7 +158,7 @@ impl Scene {
         }
     }
 
-    /// Point, normal and object seen by one pixel.
+    /// Returns point, normal and object seen by one pixel.
     fn cast(&self, camera: &Camera, pose: &Pose, u: usize, v: usize) -> (DVec3, DVec3, u16) {
         // With z = 1 the distance along the ray is the depth.
         let ray = DVec3::new((u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy, 1.0);
@@ -181,8 +181,8 @@ impl Truth {
         -n.dot(p) / p.length()
     }
 
-    /// Whether the surface jumps between two pixels: one lies off the tangent plane of the other, seen from either, by over
-    /// a hundredth of their distance, or only one of them has a surface.
+    /// Whether the surface jumps between two pixels: each lies off the other's tangent plane by more than a hundredth of their
+    /// distance, or only one of them has a surface.
     pub fn is_step(&self, i: usize, j: usize) -> bool {
         let seen = |k: usize| self.objects[k] != NO_OBJECT;
         if !(seen(i) && seen(j)) {
@@ -200,7 +200,7 @@ impl Truth {
 mod tests {
     use super::*;
 
-    /// The point and normal that a ray from the origin along z meets.
+    /// Returns point and normal where a ray from the origin along z hits.
     fn probe(shape: Shape, direction: DVec3) -> Option<(DVec3, DVec3)> {
         shape.intersect(DVec3::ZERO, direction).map(|(t, n)| (t * direction, n))
     }

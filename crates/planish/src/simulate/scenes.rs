@@ -28,7 +28,7 @@ impl Scene {
                 world_from_box: DMat3::from_rotation_y(random.between(-0.1, 0.1)),
             },
         ];
-        // One object in each cell of a 4 x 2 grid, so that they neither touch nor hide each other much.
+        // One object per cell of a 4 x 2 grid, so that they neither touch nor occlude each other much.
         for cell in 0..8 {
             let x = -0.45 + 0.3 * f64::from(cell % 4) + random.between(-0.05, 0.05);
             let z = 0.85 + 0.32 * f64::from(cell / 4) + random.between(-0.05, 0.05);

@@ -1,4 +1,4 @@
-//! A folder of frames, or one file again and again.
+//! A folder of frames, or one file repeated.
 
 use std::path::{Path, PathBuf};
 
@@ -8,18 +8,18 @@ use crate::error::{Error, FormatError, IoError};
 use crate::frame::{DepthFrame, DepthView};
 use crate::io::{self, Contents, Format};
 
-/// Reads frame files in the order of their names, or one without end.
+/// Reads the frame files of a folder in order of their names, or repeats one file endlessly.
 pub struct FileSource {
     files: Vec<PathBuf>,
     camera: Option<Camera>,
     next: usize,
-    /// The frame of the one file that is repeated.
+    /// The frame of the repeated file.
     repeated: Option<SourceFrame>,
     repeats: bool,
 }
 
 impl FileSource {
-    /// Every frame file of a folder once, by name. Depth images need a camera.
+    /// Reads every frame file of a folder once, in order of their names. Depth images need a camera.
     pub fn folder(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
         let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
         let entries: Result<Vec<PathBuf>, _> =
@@ -33,7 +33,7 @@ impl FileSource {
         Ok(Self { files, camera, next: 0, repeated: None, repeats: false })
     }
 
-    /// One file, read once and given without end.
+    /// Reads one file and repeats it endlessly.
     pub fn repeat(file: &Path, camera: Option<Camera>) -> Self {
         Self { files: vec![file.to_path_buf()], camera, next: 0, repeated: None, repeats: true }
     }
@@ -45,7 +45,7 @@ impl Source for FileSource {
             return Ok(Some(frame.clone()));
         }
         let Some(file) = self.files.get(self.next) else { return Ok(None) };
-        // Counted first, so that a caller that continues after an error gets the next file.
+        // Advanced first, so that a caller that continues after an error gets the next file.
         self.next += 1;
         let frame = read_frame(file, self.camera)?;
         if self.repeats {

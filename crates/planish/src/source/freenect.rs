@@ -1,8 +1,8 @@
 //! Recordings of libfreenect: a folder with INDEX.txt, depth in d-*.pgm, colour in r-*.ppm, as its tool `fakenect-record` writes.
 //!
 //! Depth there is the Kinect's raw 11-bit disparity, two bytes a pixel, least significant first; 2047 is a hole. A name is
-//! KIND-SECONDS-TICKS.EXTENSION, in the order of time. Disparity is what the infrared camera saw and colour what the colour
-//! camera beside it saw: each point takes the colour of the pixel that it falls on there.
+//! KIND-SECONDS-TICKS.EXTENSION, in order of time. Disparity is the infrared camera's and colour that of the colour camera beside
+//! it: each point takes the colour of the pixel that it projects to there.
 
 use std::f64::consts::PI;
 #[cfg(any(test, feature = "internal"))]
@@ -19,7 +19,7 @@ use crate::frame::DepthFrame;
 #[cfg(any(test, feature = "internal"))]
 use crate::io;
 
-/// Raw disparities from here on are holes.
+/// Raw disparities from this value on are holes.
 const HOLE_DISPARITY: u16 = 2047;
 
 const REACH_M: f64 = 10.0;
@@ -27,8 +27,8 @@ const REACH_M: f64 = 10.0;
 /// The infrared camera, which raw disparity is in: N. Burrus, "Kinect calibration", 2011.
 const INFRARED_CAMERA: Camera = Camera::new((640, 480), [594.21434, 591.04054], [339.30781, 242.73914]);
 
-/// The colour camera beside it, and the way from a point of the infrared camera to one of this, from the same source. Axes as
-/// ours: x to the right, y down.
+/// The colour camera beside it, and the transform from the infrared camera to it, from the same source. Axes are ours: x to the
+/// right, y down.
 const COLOUR_CAMERA: Camera = Camera::new((640, 480), [529.21508, 525.56394], [328.94272, 267.48068]);
 const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
     0.999_846_29,
@@ -43,8 +43,8 @@ const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
 ]);
 const COLOUR_OFFSET_M: DVec3 = DVec3::new(0.019_985_24, -0.000_744_24, -0.010_916_74);
 
-/// Colour for each pixel of a depth frame from disparities: black where there is no depth, or none of its colour camera's
-/// pixels.
+/// Returns a colour for each pixel of a depth frame from disparities: black for holes and points outside the colour camera's
+/// picture.
 fn colour_of_depth(frame: &DepthFrame, rgb: &[u8]) -> Vec<u8> {
     let camera = &frame.camera;
     let colour_at = |(i, &raw): (usize, &u16)| -> Option<[u8; 3]> {
@@ -54,7 +54,7 @@ fn colour_of_depth(frame: &DepthFrame, rgb: &[u8]) -> Vec<u8> {
         let at = COLOUR_FROM_INFRARED * seen + COLOUR_OFFSET_M;
         let (u, v) = (COLOUR_CAMERA.fx * at.x / at.z, COLOUR_CAMERA.fy * at.y / at.z);
         let (u, v) = ((u + COLOUR_CAMERA.cx).round(), (v + COLOUR_CAMERA.cy).round());
-        // Not so where there is no depth, which is NaN.
+        // False for holes, which are NaN.
         let inside = (0.0..640.0).contains(&u) && (0.0..480.0).contains(&v);
         let pixel = inside.then(|| 640 * v as usize + u as usize)?;
         rgb.get(3 * pixel..3 * pixel + 3)?.try_into().ok()
@@ -66,20 +66,20 @@ fn colour_of_depth(frame: &DepthFrame, rgb: &[u8]) -> Vec<u8> {
 /// (OpenKinect, "Imaging Information", 2010), good to some 4 mm at 1 m. NaN for a hole, and beyond the 10 m that the sensor reaches.
 pub fn disparity_depth_m(disparity: u16) -> f64 {
     let angle = f64::from(disparity) / 2842.5 + 1.1863;
-    // The tangent is negative once it has passed its pole.
+    // The tangent is negative beyond its pole.
     let depth_m = 0.1236 * angle.tan();
     if disparity < HOLE_DISPARITY && angle < 0.5 * PI && depth_m <= REACH_M { depth_m } else { f64::NAN }
 }
 
-/// The disparity whose depth is nearest; a hole for what is out of reach.
+/// Returns the disparity whose depth is nearest; a hole for depths out of range.
 #[cfg(any(test, feature = "internal"))]
 fn depth_disparity(depth_m: f32) -> u16 {
     let disparity = ((f64::from(depth_m) / 0.1236).atan() - 1.1863) * 2842.5;
     if disparity >= 0.0 && disparity < f64::from(HOLE_DISPARITY) { disparity.round() as u16 } else { HOLE_DISPARITY }
 }
 
-/// A Kinect's depth frame from its raw disparities, two bytes each, least significant first: millimetres. `rgb` is the picture
-/// of its colour camera.
+/// Converts a Kinect's raw disparities, two bytes each, least significant first, to a depth frame in millimetres. `rgb` is the
+/// picture of its colour camera.
 pub(super) fn frame_of_disparities(
     bytes: &[u8],
     rgb: Option<&[u8]>,
@@ -95,7 +95,7 @@ pub(super) fn frame_of_disparities(
     DepthFrame { rgb, ..frame }
 }
 
-/// Reads a recording: every depth image, with the colour image last taken before it.
+/// Reads a recording: every depth image, with the last colour image taken before it.
 pub struct FreenectRecording {
     /// Depth and colour.
     files: Vec<(PathBuf, Option<PathBuf>)>,
@@ -104,7 +104,7 @@ pub struct FreenectRecording {
 }
 
 impl FreenectRecording {
-    /// Opens the folder that has INDEX.txt. Without a camera it is a usual Kinect's infrared one.
+    /// Opens the folder that has INDEX.txt. The default camera is a typical Kinect's infrared one.
     pub fn open(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
         let index = folder.join("INDEX.txt");
         let text =
@@ -129,7 +129,7 @@ impl Source for FreenectRecording {
         let Some((file, colour)) = self.files.get(self.next) else { return Ok(None) };
         self.next += 1;
         let disparities = read_netpbm(file, "P5", 2)?;
-        // Depth is what counts: a colour image that cannot be read is left out.
+        // Depth matters more: a colour image that cannot be read is left out.
         let rgb = colour.as_deref().and_then(|colour| read_netpbm(colour, "P6", 3).ok());
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         let seconds = name.split('-').nth(1).and_then(|seconds| seconds.parse().ok());
@@ -137,8 +137,8 @@ impl Source for FreenectRecording {
     }
 }
 
-/// The pixels of an image of a recording. Its header is one line, as "P5 640 480 65535", and two bytes of a pixel are not in the
-/// order that PGM asks for.
+/// Returns the pixels of an image of a recording. Its header is one line, such as "P5 640 480 65535", and 16-bit pixels are
+/// little-endian, against the PGM standard.
 fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>, Error> {
     let mut bytes = fs::read(file).map_err(|error| IoError { path: file.to_path_buf(), problem: error.into() })?;
     let end = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |at| at + 1);
@@ -152,8 +152,7 @@ fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>,
     Ok(bytes.split_off(end))
 }
 
-/// Writes frames of a Kinect v1 as a recording that libfreenect's playback library gives to programs: depth becomes the nearest
-/// disparity, colour goes along.
+/// Writes frames of a Kinect v1 as a recording for libfreenect's playback library: depth as the nearest disparity, with colour.
 #[cfg(any(test, feature = "internal"))]
 pub fn write_freenect_recording(folder: &Path, frames: &[DepthFrame]) -> Result<(), Error> {
     fs::create_dir_all(folder).map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;

@@ -1,13 +1,12 @@
-//! A live Kinect v1 through libfreenect, found when it is asked for and never linked.
+//! A live Kinect v1 through libfreenect, loaded at run time and never linked.
 //!
-//! The library is `libfreenect.so.0.5`, or the path in the environment's PLANISH_LIBFREENECT. Depth comes registered to the
-//! colour camera in millimetres where the driver has it, with its colour; else as raw 11-bit disparity, with the colour that the colour camera saw there, converted
-//! by [`disparity_depth_m`](super::disparity_depth_m). One thread owns the device and turns the driver's events into frames;
-//! the newest waits for who takes it.
+//! The library is `libfreenect.so.0.5`, or the path in the environment variable PLANISH_LIBFREENECT. Where the driver supports it,
+//! depth is registered to the colour camera, in millimetres. Otherwise it is raw 11-bit disparity, converted by
+//! [`disparity_depth_m`](super::disparity_depth_m), and each point gets the colour of the pixel that it projects to. One thread owns
+//! the device and turns the driver's events into frames; only the newest is kept.
 //!
-//! The playback library of libfreenect has the same name and plays a recording. It lacks calls, ends the process where it has
-//! no recording, and aborts it where it is asked for a mode that it does not have: it is told by the calls it lacks, and is asked
-//! for 11 bits and RGB, which it has.
+//! The playback library of libfreenect has the same name and plays a recording. It exits the process without a recording, and
+//! aborts it on a mode that it lacks. It is recognized by the functions it lacks, and asked for 11 bits and RGB, which it has.
 
 use std::ffi::{c_int, c_void};
 use std::path::Path;
@@ -25,10 +24,10 @@ use crate::camera::Camera;
 use crate::error::{DeviceError, Error};
 use crate::frame::DepthFrame;
 
-/// Pixels of a frame: both cameras are asked for their medium resolution.
+/// Pixels of a frame: both cameras run at their medium resolution.
 const PIXELS: usize = 640 * 480;
 
-/// A device that gives nothing for so long is gone.
+/// A device that delivers nothing for this long counts as gone.
 const SILENCE: Duration = Duration::from_secs(5);
 
 // From libfreenect.h, version 0.5.
@@ -38,7 +37,7 @@ const DEPTH_11BIT: c_int = 0;
 const DEPTH_REGISTERED: c_int = 4;
 const DEVICE_CAMERA: c_int = 2;
 const LOG_ERROR: c_int = 1;
-/// A signal came while it waited.
+/// A signal interrupted the wait.
 const LIBUSB_INTERRUPTED: c_int = -10;
 
 /// `freenect_frame_mode`.
@@ -70,7 +69,7 @@ type Context = *mut c_void;
 type Device = *mut c_void;
 type FrameCallback = unsafe extern "C" fn(Device, *mut c_void, u32);
 
-/// The calls that are used. They are valid while `_library` is.
+/// The functions used. They are valid as long as `_library` is.
 struct Freenect {
     init: unsafe extern "C" fn(*mut Context, *mut c_void) -> c_int,
     shutdown: unsafe extern "C" fn(Context) -> c_int,
@@ -92,7 +91,7 @@ struct Freenect {
     stop_video: unsafe extern "C" fn(Device) -> c_int,
     stop_depth: unsafe extern "C" fn(Device) -> c_int,
     process_events_timeout: unsafe extern "C" fn(Context, *mut TimeVal) -> c_int,
-    /// Whether it plays a recording.
+    /// Whether this is the playback library.
     is_playback: bool,
     _library: Library,
 }
@@ -142,20 +141,20 @@ impl Freenect {
     }
 }
 
-/// What the callbacks see, through the device's user pointer. They run on the thread that owns it.
+/// The state of the callbacks, behind the device's user pointer. They run on the thread that owns the device.
 struct Events {
     /// Whether depth is registered millimetres; else 11-bit disparities.
     registered: bool,
     /// The caller's camera instead of a usual Kinect's.
     camera: Option<Camera>,
     rgb: Option<Vec<u8>>,
-    /// The last time stamp, and all ticks until then: the device's counter begins anew after 71 s.
+    /// The last time stamp, and all ticks until then: the device's counter wraps after 71 s.
     last_ticks: u32,
     ticks: u64,
     newest: Newest,
 }
 
-/// The newest frame, and the word that there is one.
+/// The newest frame, and the signal that there is one.
 struct Newest {
     frame: Arc<Mutex<Option<DepthFrame>>>,
     arrived: SyncSender<()>,
@@ -167,7 +166,7 @@ impl Newest {
     fn put(&self, frame: DepthFrame) {
         let before = self.frame.lock().unwrap_or_else(PoisonError::into_inner).replace(frame);
         self.dropped.fetch_add(u64::from(before.is_some()), Ordering::Relaxed);
-        // One word is enough for any number of frames.
+        // One signal is enough for any number of frames.
         if let Err(TrySendError::Disconnected(())) = self.arrived.try_send(()) {}
     }
 }
@@ -177,21 +176,21 @@ pub struct KinectSource {
     newest: Arc<Mutex<Option<DepthFrame>>>,
     dropped: Arc<AtomicU64>,
     arrived: Receiver<()>,
-    /// Why the thread ended, from itself.
+    /// The thread reports here why it ended.
     ended: Arc<Mutex<Option<Result<(), DeviceError>>>>,
     stop: Option<SyncSender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl KinectSource {
-    /// Opens the Kinect of that number, 0 for the first; with intrinsics of its own, or a usual Kinect's.
+    /// Opens a Kinect by its number, 0 for the first; with the given intrinsics, or those of a typical Kinect.
     pub fn open(index: u32, camera: Option<Camera>) -> Result<Self, Error> {
         let freenect = Freenect::load()?;
         if freenect.is_playback {
             let folder = std::env::var_os("FAKENECT_PATH").unwrap_or_default();
             let file = Path::new(&folder).join("INDEX.txt");
             if !file.is_file() {
-                // It would end the process.
+                // It would exit the process.
                 let problem =
                     "no recording for the playback library: FAKENECT_PATH names the folder that has INDEX.txt";
                 return Err(malformed(&file, problem).into());
@@ -212,7 +211,7 @@ impl KinectSource {
         let failed = |error: std::io::Error| DeviceError::Failed { what: format!("no thread for the Kinect: {error}") };
         let thread = thread::Builder::new().name("planish-kinect".into()).spawn(work).map_err(failed)?;
         let source = Self { newest, dropped, arrived, ended, stop: Some(stop), thread: Some(thread) };
-        // The thread reports that it runs, or ends with the reason.
+        // The thread reports that it runs, or why it ended.
         match opened.recv() {
             Ok(()) => Ok(source),
             Err(_) => {
@@ -221,7 +220,7 @@ impl KinectSource {
         }
     }
 
-    /// Why the thread ended, if by an error. Waits for it.
+    /// Waits for the thread, and returns the error that ended it, if any.
     fn reason(mut self) -> Option<DeviceError> {
         self.stop = None;
         let _ = self.thread.take().map(JoinHandle::join);
@@ -247,7 +246,7 @@ impl Source for KinectSource {
                     return Err(DeviceError::Gone { what }.into());
                 }
                 Err(RecvTimeoutError::Disconnected) => {
-                    // The thread is at its end; a last frame may have come with it.
+                    // The thread has ended; it may have left a last frame.
                     if let Some(frame) = self.take() {
                         return Ok(Some(frame));
                     }
@@ -336,11 +335,11 @@ unsafe fn run_device(
         GET_USER.set(freenect.get_user);
         (freenect.set_user)(device, (&raw mut events).cast());
         let result = start_streams(freenect, device, registered).and_then(|()| {
-            // Nobody waits for the word where the source was dropped.
+            // Nobody receives the signal once the source is dropped.
             let _ = opened.send(());
             handle_events(freenect, context, stopped)
         });
-        // Stopping what was not started is an error that means nothing.
+        // Stopping a stream that was not started is a harmless error.
         (freenect.stop_depth)(device);
         (freenect.stop_video)(device);
         (freenect.set_user)(device, std::ptr::null_mut());
@@ -369,7 +368,7 @@ unsafe fn start_streams(freenect: &Freenect, device: Device, registered: bool) -
     }
 }
 
-/// Until told to stop, by the end of the channel, or until there are no more.
+/// Handles events until told to stop, the channel closes, or the device has no more.
 ///
 /// # Safety
 /// The context is open, and this is its thread.

@@ -1,7 +1,7 @@
 //! Where frames come from: a camera, a data set, a folder, a file, the simulator.
 //!
-//! A [`Source`] gives one frame after another. [`open`] finds the source that a word on the command line means. Bring your own
-//! camera by implementing [`Source`]: [`stream`](crate::stream) takes any.
+//! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To use a camera of your
+//! own, implement [`Source`]; [`stream`](crate::stream) takes any.
 
 mod files;
 mod freenect;
@@ -20,7 +20,7 @@ use crate::frame::{DepthFrame, Frame, IntoFrame};
 pub use files::FileSource;
 pub use freenect::FreenectRecording;
 
-/// For the project's own tests.
+/// For this project's own tests.
 #[cfg(feature = "internal")]
 pub(crate) mod internal {
     pub use super::freenect::{disparity_depth_m, write_freenect_recording};
@@ -34,7 +34,7 @@ pub use tum::{TumRecorder, TumSource};
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SourceFrame {
-    /// A depth image with its camera, time stamp and perhaps colour.
+    /// A depth image with its camera, time stamp and optional colour.
     Depth(DepthFrame),
     /// An organized cloud.
     Cloud {
@@ -72,35 +72,34 @@ impl<'a> IntoFrame<'a> for &'a SourceFrame {
     }
 }
 
-/// Gives one frame after another.
+/// Delivers one frame after another.
 pub trait Source: Send {
-    /// The next frame; `None` at the end. A live source waits for its next frame.
+    /// Returns the next frame; `None` at the end. A live source waits for it.
     ///
     /// A frame that cannot be read is an error; the caller may go on with the one after it.
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error>;
 
-    /// How many frames a live source has replaced by newer ones before they were taken.
+    /// Returns how many frames a live source has replaced by newer ones before they were taken.
     fn dropped(&self) -> u64 {
         0
     }
 
-    /// Whether frames come in their own time, and one that is not taken is gone. Of those the newest counts; of the others
-    /// every frame does.
+    /// Whether frames arrive at their own pace and are lost if not taken in time. A stream then wants the newest frame; of any
+    /// other source it wants every frame.
     fn is_live(&self) -> bool {
         false
     }
 }
 
-/// What a source on the command line may need beside its name.
+/// What a source named on the command line may need besides its name.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SourceOptions {
-    /// The camera; depth images need one. One of width and height 0 is of the frames' shape, whatever that is; any other must
-    /// have it.
+    /// The camera; depth images need one. Width and height 0 stand for the frames' shape; any other must match it.
     pub camera: Option<Camera>,
-    /// Depth units in a metre of a data set in TUM layout, where they are not its 5000.
+    /// Depth units per metre of a data set in TUM layout, if not its standard 5000.
     pub tum_units_per_metre: Option<f64>,
-    /// Paces a source that has no time of its own as live; frames a second.
+    /// Plays a source that is not live at this rate, in frames per second, as if it were.
     pub fps: Option<f64>,
 }
 
@@ -168,12 +167,12 @@ fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> R
     number.parse().map_err(|_| malformed(Path::new(name), "a whole number is expected behind the colon").into())
 }
 
-/// The camera for frames of a shape: one that leaves its own open takes it.
+/// Returns the camera for frames of a shape; one without a shape takes it.
 fn with_shape(camera: Camera, (width, height): (usize, usize)) -> Camera {
     if (camera.width, camera.height) == (0, 0) { camera.with_shape((width, height)) } else { camera }
 }
 
-/// An error about a file or source of that name.
+/// Returns an error about a file or source of that name.
 fn malformed(path: &Path, problem: impl Into<String>) -> IoError {
     IoError { path: PathBuf::from(path), problem: FormatError::Malformed(problem.into()) }
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::{Source, SourceFrame};
 use crate::error::{Error, ParamError};
 
-/// Gives the frames of another source in their time, as a live camera would: a late caller gets the next one.
+/// Delivers the frames of another source at a fixed rate, as a live camera would: a late caller gets the next one.
 pub struct Paced {
     source: Box<dyn Source>,
     interval: Duration,
@@ -31,7 +31,7 @@ impl Source for Paced {
         if due > now {
             thread::sleep(due - now);
         }
-        // From when it was due, not from when it came, so that delays do not add up; the frames of a longer delay are gone.
+        // Counted from when it was due, not from when it came, so that delays do not add up; frames of a longer delay are dropped.
         let missed = now.saturating_duration_since(due).as_nanos() / self.interval.as_nanos().max(1);
         let missed = u32::try_from(missed).unwrap_or(u32::MAX);
         self.next =

@@ -1,4 +1,4 @@
-//! The simulated camera, moving through a scene.
+//! A simulated camera moving through a scene.
 
 use std::f64::consts::TAU;
 
@@ -8,13 +8,12 @@ use crate::error::Error;
 use crate::frame::DepthFrame;
 use crate::simulate::{KinectNoise, KinectSimulator, Pose, Scene, Truth};
 
-/// Frames of one round of the camera: 2 s at 30 frames a second.
+/// Frames in one round of the camera: 2 s at 30 frames/s.
 const ROUND: u64 = 60;
 
-/// A Kinect v1 that goes round and round before a table, without end, at 30 frames a second by its time stamps.
+/// A Kinect v1 that circles before a table endlessly, at 30 frames/s by its time stamps.
 ///
-/// A round is rendered when the source is opened, since that takes longer than smoothing; the frames of later rounds are those
-/// of the first.
+/// The first round is rendered when the source is opened, since rendering takes longer than smoothing; later rounds repeat it.
 pub struct SyntheticSource {
     scene: Scene,
     start: Pose,
@@ -24,10 +23,10 @@ pub struct SyntheticSource {
 }
 
 impl SyntheticSource {
-    /// Frames per second of the time stamps.
+    /// Frames per second, by the time stamps.
     pub const FPS: f64 = 30.0;
 
-    /// Renders a round of the scene of that seed.
+    /// Renders a round of the scene with this seed.
     pub fn new(seed: u64, camera: Camera) -> Result<Self, Error> {
         camera.validate()?;
         let (scene, start) = Scene::tabletop(seed);
@@ -37,7 +36,7 @@ impl SyntheticSource {
         Ok(source)
     }
 
-    /// What a perfect camera sees in frame number `index`.
+    /// Returns what a perfect camera sees in frame `index`.
     pub fn truth(&self, index: u64) -> Truth {
         let turn = TAU * (index % ROUND) as f64 / ROUND as f64;
         let mut pose = self.start;

@@ -1,6 +1,6 @@
 //! Data sets in the layout of the TUM RGB-D benchmark: depth/ and rgb/ with PNGs, and lists of time stamps and files.
 //!
-//! Depth is in 5000 units a metre. The camera is that of the call, else of `camera.json` beside the lists, which [`TumRecorder`]
+//! Depth has 5000 units per metre. The camera is the caller's, else that of `camera.json` beside the lists, which [`TumRecorder`]
 //! writes, else the benchmark's default of 525, 525, 319.5, 239.5.
 
 use std::fs;
@@ -14,13 +14,13 @@ use crate::error::{Error, FormatError, IoError};
 use crate::frame::{DepthFrame, DepthImage};
 use crate::io::{self, RgbImage};
 
-/// The benchmark's depth units in a metre.
+/// The benchmark's depth units per metre.
 const UNITS_PER_METRE: f64 = 5000.0;
 
-/// A colour further than this in time from a depth image is not its own: the benchmark's own tools take 0.02 s.
+/// Colour and depth images further apart in time than this are not paired, as in the benchmark's own tools (0.02 s).
 const NEAR_IN_TIME_S: f64 = 0.02;
 
-/// Reads a data set in its order.
+/// Reads a data set in order.
 pub struct TumSource {
     folder: PathBuf,
     camera: Camera,
@@ -35,10 +35,10 @@ struct Entry {
 }
 
 impl TumSource {
-    /// Opens the folder that has depth.txt and perhaps rgb.txt, or associations.txt.
+    /// Opens a folder that has depth.txt and optionally rgb.txt, or associations.txt.
     ///
-    /// Depth has 5000 units a metre whatever the camera says, unless `units_per_metre` or the data set's own camera.json says
-    /// otherwise.
+    /// Depth has 5000 units per metre whatever the camera says, unless `units_per_metre` or the data set's own camera.json
+    /// says otherwise.
     pub fn open(folder: &Path, camera: Option<Camera>, units_per_metre: Option<f64>) -> Result<Self, Error> {
         let lists = ["associations.txt", "associate.txt"].map(|name| folder.join(name));
         let entries = match lists.iter().find(|list| list.is_file()) {
@@ -79,7 +79,7 @@ impl Source for TumSource {
     }
 }
 
-/// The lines of a list, split at blanks, without comments.
+/// Returns the lines of a list, split at blanks, without comments.
 fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
     let text = fs::read_to_string(list).map_err(|error| IoError { path: list.to_path_buf(), problem: error.into() })?;
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
@@ -91,7 +91,7 @@ fn timestamp_s(list: &Path, word: &str) -> Result<f64, IoError> {
     number.ok_or_else(|| malformed(list, format!("'{word}' is no time stamp; a line is: seconds file")))
 }
 
-/// Seconds and file of every line.
+/// Returns the time in seconds and the file of every line.
 fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
     let line = |words: Vec<String>| match &words[..] {
         [seconds, file] => Ok((timestamp_s(list, seconds)?, PathBuf::from(file))),
@@ -100,7 +100,7 @@ fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
     read_list(list)?.into_iter().map(line).collect()
 }
 
-/// Lines of depth and colour, in either order, distinguished by the folders that they name.
+/// Returns pairs of depth and colour from lines that list them in either order, told apart by their folders.
 fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
     let line = |words: Vec<String>| {
         let [first_s, first, second_s, second] = &words[..] else {
@@ -113,7 +113,7 @@ fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
     read_list(list)?.into_iter().map(line).collect()
 }
 
-/// Every line of depth.txt with the colour that is nearest to it in time.
+/// Pairs every line of depth.txt with the colour image nearest to it in time.
 fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
     let depths = stamped(&folder.join("depth.txt"))?;
     let list = folder.join("rgb.txt");
@@ -129,7 +129,7 @@ fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
     Ok(depths.into_iter().map(entry).collect())
 }
 
-/// Writes a data set that this project's and others' tools read, without loss.
+/// Writes a data set in TUM layout, without loss.
 pub struct TumRecorder {
     folder: PathBuf,
     frames: u64,
@@ -137,7 +137,7 @@ pub struct TumRecorder {
 }
 
 impl TumRecorder {
-    /// Makes the folders; refuses one that has a data set already.
+    /// Creates the folders; refuses one that already has a data set.
     pub fn create(folder: &Path) -> Result<Self, Error> {
         if folder.join("depth.txt").exists() {
             return Err(malformed(folder, "has a data set already; record into another folder").into());
@@ -162,7 +162,7 @@ impl TumRecorder {
             let units = camera.depth_units_per_metre;
             return Err(loss(format!("{units} depth units a metre are not kept in 5000 without loss")).into());
         }
-        // Holes of either kind become the layout's own.
+        // Both kinds of holes become 0, the layout's own.
         let scaled = |&raw: &u16| match raw {
             crate::camera::SATURATED_DEPTH => Some(0),
             raw => {
@@ -172,7 +172,7 @@ impl TumRecorder {
         let raw: Option<Vec<u16>> = frame.raw.iter().map(scaled).collect();
         let raw = raw.ok_or_else(|| loss("a depth over 13.1 m does not fit the layout".to_owned()))?;
         let seconds = frame.timestamp_s.unwrap_or(self.frames as f64 / 30.0);
-        // Names are time stamps: a clock that stands still or jumps back must not overwrite what is there.
+        // Names are time stamps: a clock that stands still or jumps back must not overwrite earlier files.
         let seconds = if seconds <= self.last_s { self.last_s + 1e-6 } else { seconds };
         self.last_s = seconds;
         let name = format!("{seconds:.6}");
@@ -184,7 +184,7 @@ impl TumRecorder {
             io::write_rgb_png(&self.folder.join(&file), &image)?;
             self.append("rgb.txt", &format!("{name} {file}\n"))?;
         }
-        // After its images: a recording that is cut off is whole up to there.
+        // Written after its images, so that an interrupted recording is whole up to there.
         self.append("depth.txt", &format!("{name} {depth}\n"))?;
         if self.frames == 0 {
             let camera = Camera { depth_units_per_metre: UNITS_PER_METRE, ..camera };

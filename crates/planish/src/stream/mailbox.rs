@@ -1,4 +1,4 @@
-//! Between the thread that takes frames and the one that smooths them.
+//! The queue between the capture thread and the smoothing thread.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,15 +8,15 @@ use std::time::{Duration, Instant};
 use crate::error::Error;
 use crate::source::SourceFrame;
 
-/// A frame and when it came; or an error, and whether the source ends with it.
+/// A frame and its time of arrival; or an error, and whether the source ends with it.
 pub(super) type Item = Result<(SourceFrame, Instant), (Error, bool)>;
 
-/// Time that was spent on something, added up by one thread and read by another.
+/// Accumulated time, added to by one thread and read by another.
 #[derive(Default)]
 pub(super) struct TimeSpent(AtomicU64);
 
 impl TimeSpent {
-    /// Times what `work` takes.
+    /// Adds the time that `work` takes.
     pub(super) fn on<T>(&self, work: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = work();
@@ -29,12 +29,12 @@ impl TimeSpent {
     }
 }
 
-/// What happens to a frame that comes while another waits.
+/// What happens to a frame that arrives while another waits.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Policy {
-    /// The one that waits is dropped.
+    /// It replaces the waiting one.
     NewestWins,
-    /// It waits behind it, and if there are so many the source does.
+    /// It queues behind it; when the queue has this length, the source waits.
     Every(usize),
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Mailbox {
     policy: Policy,
     state: Mutex<State>,
     changed: Condvar,
-    /// What the source spends on its frames, waiting for a live one's included.
+    /// Time spent in the source, including the wait for a live frame.
     pub(super) capture_time: TimeSpent,
 }
 
@@ -59,7 +59,7 @@ struct State {
     items: VecDeque<Box<Item>>,
     /// The source has ended.
     ended: bool,
-    /// Nobody takes any more.
+    /// The receiver is gone.
     closed: bool,
     /// The engine is open.
     ready: bool,
@@ -75,16 +75,16 @@ impl Mailbox {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // The state is whole at any time.
+        // The state is consistent at any time.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Puts an item in; waits for room where every frame counts.
+    /// Adds an item; waits for room if no frame may be dropped.
     pub(super) fn put(&self, item: Item) {
         let mut state = self.lock();
         match self.policy {
             Policy::NewestWins => {
-                // Errors are kept, whatever comes after them.
+                // Errors are never replaced.
                 let before = state.items.len();
                 if item.is_ok() {
                     state.items.retain(|item| item.is_err());
@@ -106,7 +106,7 @@ impl Mailbox {
         self.changed.notify_all();
     }
 
-    /// Takes the oldest item; waits for one as long as is said.
+    /// Takes the oldest item; waits up to a timeout.
     pub(super) fn take(&self, patience: Option<Duration>) -> Taken {
         let mut state = self.lock();
         if let Some(patience) = patience.filter(|patience| !patience.is_zero()) {
@@ -130,13 +130,13 @@ impl Mailbox {
         self.changed.notify_all();
     }
 
-    /// Nobody takes any more: the source is no longer waited for.
+    /// Closes the receiving end, which wakes the source.
     pub(super) fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_all();
     }
 
-    /// The engine is open: what comes from now on is taken in its time.
+    /// Signals that the engine is open and frames are taken from now on.
     pub(super) fn set_ready(&self) {
         let mut state = self.lock();
         if !state.ready {
@@ -145,7 +145,7 @@ impl Mailbox {
         }
     }
 
-    /// Waits until the engine is open, or nobody takes any more.
+    /// Waits until the engine is open or the receiver is gone.
     pub(super) fn wait_ready(&self) {
         let waiting = |state: &mut State| !state.ready && !state.closed;
         drop(self.changed.wait_while(self.lock(), waiting).unwrap_or_else(PoisonError::into_inner));
@@ -155,12 +155,12 @@ impl Mailbox {
         self.lock().closed
     }
 
-    /// How many frames the source itself has dropped so far.
+    /// Sets how many frames the source itself has dropped so far.
     pub(super) fn set_dropped_by_source(&self, dropped: u64) {
         self.lock().dropped_by_source = dropped;
     }
 
-    /// Frames that came, frames dropped for newer ones, and frames that could not be read.
+    /// Returns the numbers of frames received, replaced by newer ones, and unreadable.
     pub(super) fn counts(&self) -> (u64, u64, u64) {
         let state = self.lock();
         let came = state.frames + state.dropped_by_source;
@@ -190,7 +190,7 @@ mod tests {
         }
     }
 
-    /// Everything that is taken while a thread puts `count` items in.
+    /// Returns everything taken while a thread adds `count` items.
     fn taken(policy: Policy, count: usize, put_every: Duration, take_every: Duration) -> (Vec<usize>, (u64, u64, u64)) {
         let mailbox = Arc::new(Mailbox::new(policy));
         let producer = {

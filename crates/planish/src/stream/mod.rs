@@ -1,8 +1,8 @@
-//! Source, smoother, sinks: frames smoothed as they come.
+//! Streams: source, smoother, sinks; frames are smoothed as they arrive.
 //!
-//! A thread takes frames from the source into a mailbox: from a live source the newest waits and older ones are dropped and
-//! counted; of any other every frame is kept, in order. The calling thread smooths, with frames in flight on a GPU. Each sink
-//! has a thread and a short queue of its own, so that none holds up the source or another.
+//! A capture thread moves frames from the source into a mailbox: of a live source only the newest waits, and dropped ones are
+//! counted; of any other every frame is kept, in order. The calling thread smooths, with several frames in flight on a GPU. Each
+//! sink has a thread and a short queue of its own, so that none blocks the source or another sink.
 
 mod mailbox;
 #[cfg(feature = "rerun")]
@@ -32,7 +32,7 @@ pub use self::rerun::RerunSink;
 pub use sinks::{FolderSink, Sink, SinkFormat};
 pub use statistics::{Latency, StreamStatistics};
 
-/// How many frames of a source that is not live are read ahead.
+/// How many frames are read ahead from a source that is not live.
 const READ_AHEAD: usize = 4;
 
 /// A frame that loses a larger share of its points than this is reported.
@@ -41,15 +41,15 @@ const LOST_SHARE_TOLD: f64 = 0.01;
 /// A frame with its result, as sinks get it.
 #[non_exhaustive]
 pub struct StreamFrame {
-    /// Its number among those smoothed, from 0.
+    /// Its index among the frames smoothed, from 0.
     pub index: u64,
-    /// As it came from the source.
+    /// The frame as the source delivered it.
     pub source: SourceFrame,
     /// Its result.
     pub smoothed: Smoothed,
-    /// From when the source gave it until its result was there.
+    /// From its arrival until its result was available.
     pub latency: Duration,
-    /// When its result was there.
+    /// When its result was available.
     pub received: Instant,
 }
 
@@ -57,7 +57,7 @@ pub struct StreamFrame {
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct StreamOptions {
-    /// What to smooth with.
+    /// The parameters of the method.
     pub params: SmoothParams,
     /// Whether strides are shortened for coarse pixels ([`SmoothParams::at_resolution_of`]), by the first frame of a shape that says
     /// how coarse they are.
@@ -66,12 +66,12 @@ pub struct StreamOptions {
     pub smoother: SmootherOptions,
     /// Stop after N frames.
     pub max_frames: Option<u64>,
-    /// End after so long.
+    /// Stop after this time.
     pub max_duration: Option<Duration>,
 }
 
 impl StreamOptions {
-    /// Strides as given, no limits.
+    /// Creates options with strides as given and no limits.
     pub fn new(params: SmoothParams, smoother: SmootherOptions) -> Self {
         Self { params, smoother, ..Self::default() }
     }
@@ -96,10 +96,9 @@ impl StreamOptions {
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum StreamEvent<'a> {
-    /// Another frame is smoothed.
+    /// A frame was smoothed.
     Frame(&'a StreamStatistics),
-    /// Something went wrong that the stream goes on after: a frame that could not be read, a sink that failed, a GPU that was
-    /// lost.
+    /// Something failed that the stream survives: an unreadable frame, a sink, a lost GPU.
     Warning(String),
 }
 
@@ -112,8 +111,8 @@ struct Pending {
 /// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
 /// `stop` is set when it returns.
 ///
-/// Frames of another shape than the last reopen the smoother. A GPU that is lost is opened once more, and after that the CPU
-/// engine takes over; the order of the frames is kept. A frame or a sink that fails is reported and counted, and the stream continues.
+/// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over; frames keep
+/// their order. A frame or sink that fails is reported and counted, and the stream continues.
 pub fn run(
     source: Box<dyn Source>,
     options: &StreamOptions,
@@ -148,7 +147,7 @@ pub fn run(
             smooth_time: TimeSpent::default(),
         };
         let result = stream.run(&mailbox, stop, &mut tell);
-        // What comes while the engine is closed is not missed.
+        // Frames that arrive while the engine is closed are not missed.
         mailbox.close();
         let Stream { sinks, mut statistics, smooth_time, .. } = stream;
         statistics.time_smoothing = smooth_time.total();
@@ -160,7 +159,7 @@ pub fn run(
         result.map(|()| statistics)
     });
     mailbox.close();
-    // A live source is waited for until its next frame; one that waits longer may look at `stop`.
+    // The wait for a live source is bounded, so that `stop` is seen.
     stop.store(true, Ordering::Relaxed);
     if capture.join().is_err() {
         tell(StreamEvent::Warning("the source panicked".to_owned()));
@@ -184,10 +183,10 @@ impl Drop for EndOf<'_> {
     }
 }
 
-/// The capture thread: from the source into the mailbox, until either ends.
+/// The capture thread: moves frames from the source into the mailbox until either ends.
 fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
     let _end = EndOf(mailbox);
-    // A live source that fails again and again has nothing more to give; any other comes to its end.
+    // A live source that fails repeatedly counts as gone; any other ends by itself.
     let mut failures = 0;
     let (mut is_ready, mut missed_before) = (false, 0);
     while !mailbox.is_closed() {
@@ -197,7 +196,7 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
                 failures = 0;
                 mailbox.put(Ok((frame, Instant::now())));
                 if source.is_live() && !is_ready {
-                    // Opening an engine takes longer than many frames; those are none that it was too slow for.
+                    // Opening an engine takes longer than many frames, which must not count as dropped.
                     mailbox.wait_ready();
                     missed_before = source.dropped();
                     is_ready = true;
@@ -220,7 +219,7 @@ struct Stream<'a> {
     options: &'a StreamOptions,
     live: bool,
     smoother: Option<Smoother>,
-    /// Those of the options until a GPU was lost twice.
+    /// The options' own until a GPU was lost twice.
     smoother_options: SmootherOptions,
     shape: (usize, usize),
     /// Those for frames of this shape, once a frame has said how coarse its pixels are.
@@ -250,10 +249,10 @@ impl Stream<'_> {
                 break;
             }
             let in_flight = self.pending.len();
-            // Other engines have the result when they have the frame.
+            // Other engines return the result at once.
             let flies = |smoother: &&Smoother| smoother.capabilities().pipelined;
             let most = self.smoother.as_ref().filter(flies).map_or(1, Smoother::max_in_flight);
-            // With frames in flight nothing is waited for but their results.
+            // With frames in flight, only their results are waited for.
             let next = match in_flight {
                 0 => mailbox.take(Some(Duration::from_millis(100))),
                 _ if in_flight < most => mailbox.take(Some(Duration::ZERO)),
@@ -264,11 +263,11 @@ impl Stream<'_> {
                     Ok((frame, since)) => {
                         self.submit(Pending { frame, since }, tell)?;
                         submitted += 1;
-                        // The engine is open: from now on a live source is kept up with.
+                        // The engine is open: from now on the stream keeps up with a live source.
                         mailbox.set_ready();
                     }
                     Err((error, true)) => {
-                        // What came before is not lost with the source.
+                        // Frames that arrived before the source failed are still smoothed.
                         while !self.pending.is_empty() {
                             self.receive(tell)?;
                         }
@@ -304,7 +303,7 @@ impl Stream<'_> {
         self.pending.push_back(pending);
         match self.submit_last() {
             Ok(()) => Ok(()),
-            // The frame's fault: the others go on.
+            // The frame's fault: the stream continues.
             Err(Error::Frame(error)) => {
                 self.pending.pop_back();
                 self.statistics.unreadable += 1;
@@ -315,7 +314,7 @@ impl Stream<'_> {
         }
     }
 
-    /// Submits the frame that came last.
+    /// Submits the newest frame.
     fn submit_last(&mut self) -> Result<(), Error> {
         let Some(Pending { frame, .. }) = self.pending.back() else { return Ok(()) };
         let params = self.params.unwrap_or(self.options.params);
@@ -324,7 +323,7 @@ impl Stream<'_> {
         self.smooth_time.on(|| smoother.submit(frame, Smoothed::default()))
     }
 
-    /// Takes the oldest result and gives it to the sinks.
+    /// Receives the oldest result and passes it to the sinks.
     fn receive(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         let received = match &mut self.smoother {
             Some(smoother) => self.smooth_time.on(|| smoother.receive()),
@@ -338,7 +337,7 @@ impl Stream<'_> {
         Ok(())
     }
 
-    /// Gives the result of the oldest frame to the sinks.
+    /// Passes the result of the oldest frame to the sinks.
     fn deliver(&mut self, view: SmoothedView, tell: &mut impl FnMut(StreamEvent<'_>)) {
         let Some(Pending { frame, since }) = self.pending.pop_front() else { return };
         let received = Instant::now();
@@ -356,7 +355,7 @@ impl Stream<'_> {
         tell(StreamEvent::Frame(&self.statistics));
     }
 
-    /// Tells once if a frame lost more than a hundredth of its points.
+    /// Warns once if a frame lost more than a hundredth of its points.
     fn tell_lost_points(&mut self, frame: &SourceFrame, smoothed: &Smoothed, tell: &mut impl FnMut(StreamEvent<'_>)) {
         let Some(frame) = frame.into_frame().ok().filter(|_| !self.told_lost_points) else { return };
         let (lost, valid) = (smoothed.lost_points(frame), frame.valid_points());
@@ -402,7 +401,7 @@ impl Stream<'_> {
             let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
             self.statistics.engine = smoother.engine();
             smoother.submit(frame, Smoothed::default())?;
-            // Received without recovering in turn.
+            // Received without a further attempt to recover.
             let Some(view) = smoother.receive()? else { return Ok(()) };
             self.deliver(view, tell);
         }

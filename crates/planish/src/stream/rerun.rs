@@ -19,26 +19,26 @@ use crate::render::{difference_normals, relief};
 use crate::source::SourceFrame;
 use crate::xyz::Xyz;
 
-/// The rate shown is that of so many results.
+/// The rate is averaged over this many results.
 const RATE_FRAMES: usize = 30;
 
-/// A viewer that takes nothing for so long is gone.
+/// A viewer that accepts nothing for this long counts as gone.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// Shows every result in Rerun. The stream's outputs must have points.
+/// Shows every result in Rerun. The stream's outputs must include points.
 ///
-/// A frame of 640x480 is some 7 MB. What has no colours is shaded by relief.
+/// A frame of 640x480 is about 7 MB. Clouds without colours are shaded as relief.
 pub struct RerunSink {
     name: String,
-    /// `None` once it is closed.
+    /// `None` once closed.
     recording: Option<RecordingStream>,
-    /// The file to make, and its name until it is whole.
+    /// The file to write, and its name until it is complete.
     file: Option<(PathBuf, PathBuf)>,
     results: VecDeque<Instant>,
 }
 
 impl RerunSink {
-    /// What a stream must compute for it.
+    /// The outputs that a stream must compute for it.
     pub const OUTPUTS: Outputs = Outputs::POINTS;
 
     /// Starts the viewer, the program `rerun` of version 0.36, and shows results there.
@@ -52,8 +52,8 @@ impl RerunSink {
         Self::start("Rerun".to_owned(), recording, None)
     }
 
-    /// Writes a file that Rerun's viewer opens. It is called `FILE.partial` until it is closed; should the process be killed
-    /// before, the viewer opens that as far as it goes.
+    /// Writes a file for Rerun's viewer. It is called `FILE.partial` until it is closed; if the process is killed before, the
+    /// viewer opens the part that was written.
     pub fn save(file: &Path) -> Result<Self, Error> {
         let mut partial = file.as_os_str().to_owned();
         partial.push(".partial");
@@ -74,7 +74,7 @@ impl RerunSink {
         Ok(Self { name, recording: Some(recording), file, results: VecDeque::new() })
     }
 
-    /// Results a second over the last of them.
+    /// Returns the current rate in results per second.
     fn fps(&mut self, at: Instant) -> Option<f64> {
         self.results.push_back(at);
         if self.results.len() > RATE_FRAMES {
@@ -113,7 +113,7 @@ impl Sink for RerunSink {
         if let Some(fps) = fps {
             logged(recording.log("rate/frames a second", &Scalars::single(fps)))?;
         }
-        // Waited for, so that what the viewer is too slow for stays with the stream, which counts it.
+        // Flushed here, so that results which the viewer is too slow for are dropped, and counted, by the stream.
         let gone = |error| DeviceError::Gone { what: format!("{} takes no more frames: {error}", self.name) };
         Ok(recording.flush_with_timeout(SILENCE).map_err(gone)?)
     }
@@ -121,7 +121,7 @@ impl Sink for RerunSink {
     fn close(&mut self) -> Result<(), Error> {
         let Some(recording) = self.recording.take() else { return Ok(()) };
         let flushed = recording.flush_with_timeout(SILENCE);
-        // The last of the file is written when nothing writes to it any more.
+        // The end of the file is written once the last handle is dropped.
         recording.finalize_deferred_sinks();
         drop(recording);
         match &self.file {
@@ -156,7 +156,7 @@ fn layout() -> Blueprint {
         .with_time_panel(TimePanel::new().with_state(PanelState::Collapsed).with_timeline("frame"))
 }
 
-/// The points that are there, with the cloud's colours or lit as relief. Their radius is half of the pixels' spacing.
+/// Returns the valid points, with the cloud's colours or shaded as relief. Their radius is half the pixel spacing.
 fn points(cloud: &OrganizedCloud, positions: &Xyz) -> Points3D {
     let colours = cloud.points.rgb().unwrap_or_else(|| {
         let (width, height) = (cloud.width(), cloud.height());

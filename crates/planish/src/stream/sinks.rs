@@ -1,4 +1,4 @@
-//! Where results go: folders, or whatever implements [`Sink`]; each on a thread of its own.
+//! Where results go: folders, or any [`Sink`], each on a thread of its own.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,21 +13,21 @@ use crate::io::{self, CloudRef, Encoding};
 use crate::outputs::Outputs;
 use crate::source::SourceFrame;
 
-/// Takes results, one after another.
+/// Consumes results, one after another.
 pub trait Sink: Send {
-    /// Its name, for what is said of it.
+    /// Its name in messages.
     fn name(&self) -> String;
 
-    /// Takes one result.
+    /// Consumes one result.
     fn write(&mut self, frame: &StreamFrame) -> Result<(), Error>;
 
-    /// The last has come.
+    /// Called after the last result.
     fn close(&mut self) -> Result<(), Error> {
         Ok(())
     }
 }
 
-/// What a folder is filled with.
+/// The kind of files that a folder sink writes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SinkFormat {
@@ -35,7 +35,7 @@ pub enum SinkFormat {
     Pcd,
     /// The same as PLY.
     Ply,
-    /// 16-bit depth; the stream's outputs must have depth.
+    /// 16-bit depth; the stream's outputs must include depth.
     DepthPng,
 }
 
@@ -49,7 +49,7 @@ impl SinkFormat {
     }
 }
 
-/// Writes every result to a folder: `000000.pcd` and so on. Each file is whole or not there.
+/// Writes every result to a folder, as `000000.pcd` and so on, each file atomically.
 pub struct FolderSink {
     folder: PathBuf,
     format: SinkFormat,
@@ -57,7 +57,7 @@ pub struct FolderSink {
 }
 
 impl FolderSink {
-    /// Makes the folder. `outputs` are the fields to add to points.
+    /// Creates the folder. `outputs` are the fields to add to points.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
         std::fs::create_dir_all(folder)
             .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
@@ -90,7 +90,7 @@ impl Sink for FolderSink {
     }
 }
 
-/// Results that wait for a sink. A live stream drops what comes when so many wait; any other waits with them.
+/// Length of a sink's queue. When it is full a live stream drops results; any other waits.
 const QUEUE: usize = 4;
 
 /// A sink on its thread.
@@ -120,7 +120,7 @@ impl SinkThread {
         Ok(Self { name, frames: Some(frames), thread: Some(thread), dropped: 0, warned: false, time })
     }
 
-    /// Gives it a result; returns a warning, once, if it failed.
+    /// Queues a result; returns a warning, once, if the sink failed.
     pub(super) fn give(&mut self, frame: &Arc<StreamFrame>, live: bool) -> Option<String> {
         let frames = self.frames.as_ref()?;
         let given = if live {
@@ -143,7 +143,7 @@ impl SinkThread {
         }
     }
 
-    /// Why it failed, once its thread has ended.
+    /// Returns why it failed, once its thread has ended.
     fn reason(&mut self) -> Option<String> {
         match self.thread.take()?.join() {
             Ok(Ok(())) => None,
@@ -152,7 +152,7 @@ impl SinkThread {
         }
     }
 
-    /// Waits until it has written everything, and counts; returns a warning if it failed.
+    /// Waits until it has written everything, and updates the counts; returns a warning if it failed.
     pub(super) fn finish(mut self, statistics: &mut StreamStatistics) -> Option<String> {
         let had_failed = self.frames.take().is_none();
         statistics.dropped_by_sinks += self.dropped;

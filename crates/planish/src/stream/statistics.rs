@@ -1,4 +1,4 @@
-//! What a stream counts and times.
+//! Counts and timings of a stream.
 
 use std::time::{Duration, Instant};
 
@@ -6,11 +6,11 @@ use hdrhistogram::Histogram;
 
 use crate::engines::Engine;
 
-/// Counts and times of a stream.
+/// Counts and timings of a stream.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct StreamStatistics {
-    /// Frames that the source gave.
+    /// Frames that the source delivered.
     pub frames_in: u64,
     /// Frames smoothed.
     pub frames_out: u64,
@@ -18,15 +18,15 @@ pub struct StreamStatistics {
     pub dropped: u64,
     /// Frames that could not be read, or that the engine refused.
     pub unreadable: u64,
-    /// Results that a sink was too slow for.
+    /// Results dropped because a sink was too slow.
     pub dropped_by_sinks: u64,
     /// Sinks that failed.
     pub failed_sinks: u64,
-    /// What the source spent on its frames, waiting for a live one's included. Known at the end, as the next two.
+    /// Time spent in the source, including the wait for a live frame. Known at the end, like the next two.
     pub time_capturing: Duration,
-    /// What the stream spent on handing frames to the engine and waiting for their results.
+    /// Time spent handing frames to the engine and waiting for results.
     pub time_smoothing: Duration,
-    /// What the sinks spent on the results that they took, one after another.
+    /// Time spent in the sinks, summed over them.
     pub time_in_sinks: Duration,
     /// The engine that smoothed the last frame.
     pub engine: Engine,
@@ -34,21 +34,21 @@ pub struct StreamStatistics {
     first: Option<Instant>,
     last: Option<Instant>,
     duration: Option<Duration>,
-    /// In microseconds, up to 100 s with 3 digits. There is always one: its bounds are constants.
+    /// In microseconds, up to 100 s with 3 digits. Never `None`: the bounds are constants.
     latency: Option<Histogram<u64>>,
 }
 
-/// Times from when the source gave a frame until its result was there.
+/// Latency: from a frame's arrival until its result is available.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Latency {
-    /// Half of the frames took no longer.
+    /// Median.
     pub p50: Duration,
-    /// 95 % took no longer.
+    /// 95th percentile.
     pub p95: Duration,
-    /// 99 % took no longer.
+    /// 99th percentile.
     pub p99: Duration,
-    /// None took longer.
+    /// Maximum.
     pub max: Duration,
 }
 
@@ -78,7 +78,7 @@ impl StreamStatistics {
         self.frames_out += 1;
         self.first.get_or_insert(now);
         self.last = Some(now);
-        // Longer than the histogram reaches counts as its end.
+        // Values beyond the histogram's range count as its end.
         if let Some(histogram) = &mut self.latency {
             histogram.saturating_record(latency.as_micros().min(u128::from(u64::MAX)) as u64);
         }
@@ -88,12 +88,12 @@ impl StreamStatistics {
         self.duration = Some(self.started.elapsed());
     }
 
-    /// Since the stream was opened, until it ended.
+    /// Returns the time from opening to the end.
     pub fn duration(&self) -> Duration {
         self.duration.unwrap_or_else(|| self.started.elapsed())
     }
 
-    /// Results a second, from the first to the last.
+    /// Returns results per second, from the first to the last.
     pub fn fps(&self) -> f64 {
         match (self.first, self.last) {
             (Some(first), Some(last)) if last > first => (self.frames_out - 1) as f64 / (last - first).as_secs_f64(),
@@ -101,7 +101,7 @@ impl StreamStatistics {
         }
     }
 
-    /// The spread of the latency.
+    /// Returns the latency's percentiles.
     pub fn latency(&self) -> Latency {
         let at = |share| {
             Duration::from_micros(self.latency.as_ref().map_or(0, |histogram| histogram.value_at_quantile(share)))

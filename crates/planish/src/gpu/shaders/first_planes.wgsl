@@ -1,12 +1,11 @@
-// What is kept of the first pass where edges are kept, pixel by pixel: its point and its first plane (docs/method.md, section
-// 10). A channel for each number, one frame after another.
+// The results of the first pass with edge preservation: each pixel's point and first plane (docs/method.md, section 10). One
+// channel per number, frame after frame.
 
 @group(0) @binding(3) var<storage, read_write> first_planes: array<f32>;
 
-// The channels in their order: the point (NO_POINT for a hole), the normal, the height over the point, the variance along the
-// normal and what the plane is in doubt in m² (NOT_USABLE where the neighbours are too few, on a line, or on a plane seen from
-// its edge), the curvature, and how many neighbours, negative
-// where they are on a line.
+// The channels in order: the point (NO_POINT for a hole), the normal, the height over the point, the variance along the normal
+// plus the plane's uncertainty in m² (NOT_USABLE where the neighbours are too few, on a line, or on a plane seen edge-on), the
+// curvature, and the number of neighbours, negative where they are on a line.
 const FIRST_POINT: u32 = 0u;
 const FIRST_NORMAL: u32 = 3u;
 const FIRST_HEIGHT: u32 = 6u;

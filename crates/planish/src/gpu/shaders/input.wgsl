@@ -1,4 +1,4 @@
-// The frame as the camera gave it: depth or points, one struct of words a frame (layout.rs).
+// The input frame: depth or points (layout.rs).
 //
 // Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. What depth becomes is finite, since
 // Camera::validate keeps rays and units within bounds.

@@ -1,4 +1,4 @@
-// The result as it is read back: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
+// The result in its readback layout: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
 //
 // NaN is written by its bits and never computed. Packed rows start at whole words, so a row of a tile is whole words too.
 
@@ -18,7 +18,7 @@ fn no_result(status: u32, n: u32) -> PixelResult {
     return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, status | (n << 8u));
 }
 
-// What the camera would have measured: where the pixel's ray meets the tangent plane, in raw units.
+// Depth in raw units: where the pixel's ray meets the tangent plane.
 fn raw_depth_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, projected: Projected) -> u32 {
     let rays = frame * batch.input_words + HEADER_WORDS;
     var ray = vec3<f32>(bitcast<f32>(input[rays + pixel.x]), bitcast<f32>(input[rays + batch.width + pixel.y]), 1.0);

@@ -1,4 +1,4 @@
-// The points as the first pass kept them, in metres: the second need not read what came from the camera again.
+// The points as stored by the first pass, in metres, so that the second need not read the input again.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {

@@ -1,4 +1,4 @@
-//! The header of a PCD file: parsed without trusting it, written in the order that the format prescribes.
+//! The header of a PCD file: parsed as untrusted input, written in the order that the format prescribes.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use crate::error::FormatError;
 use crate::pose::SensorPose;
 use crate::xyz::MAX_PIXELS;
 
-/// What a header may have in bytes; real ones have a few hundred.
+/// The largest header accepted, in bytes; real ones have a few hundred.
 const MAX_HEADER_BYTES: usize = 64 * 1024;
 
 /// TYPE and SIZE of a field's values.
@@ -117,7 +117,7 @@ impl Field {
     }
 }
 
-/// What the header says, checked: `width * height` points, sizes that multiply without overflow.
+/// A checked header: `width * height` points, and sizes that multiply without overflow.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Header {
     pub(super) fields: Vec<Field>,
@@ -190,7 +190,7 @@ impl Header {
     }
 }
 
-/// The entries as they are read, before they are held against each other.
+/// The entries as read, before they are checked against each other.
 #[derive(Default)]
 struct Entries<'a> {
     fields: Vec<&'a str>,
@@ -205,7 +205,7 @@ struct Entries<'a> {
 }
 
 impl<'a> Entries<'a> {
-    /// Takes one line; true for the last one, DATA.
+    /// Parses one line; returns true for the last one, DATA.
     fn set(&mut self, key: &str, values: Vec<&'a str>) -> Result<bool, FormatError> {
         match key {
             "VERSION" => {

@@ -4,7 +4,7 @@
 //! back: its upper 3 bits are the length less 2 (7: a further byte is added), its lower 5 bits and the next byte the
 //! distance less 1.
 
-/// A stream that is not LZF, or not of the announced size.
+/// The stream is not LZF, or not of the announced size.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the compressed data are damaged: {0}")]
 pub struct LzfError(&'static str);
@@ -16,7 +16,7 @@ const MAX_LITERALS: usize = 32;
 
 /// Decompresses a stream that holds exactly `size` bytes.
 pub fn decompress(stream: &[u8], size: usize) -> Result<Vec<u8>, LzfError> {
-    // Before anything is allocated: no stream this short can hold that much.
+    // Checked before anything is allocated: a stream this short cannot expand that far.
     if size / MAX_REFERENCE > stream.len() {
         return Err(LzfError("they are too short for the announced size"));
     }
@@ -57,7 +57,7 @@ pub fn decompress(stream: &[u8], size: usize) -> Result<Vec<u8>, LzfError> {
     if out.len() == size { Ok(out) } else { Err(LzfError("they hold less than the announced size")) }
 }
 
-/// Compresses greedily with a table of the last place of every 3 bytes.
+/// Compresses greedily, with a table of the last position of every 3-byte sequence.
 pub fn compress(data: &[u8]) -> Vec<u8> {
     const TABLE_BITS: u32 = 16;
     let mut last_place = vec![usize::MAX; 1 << TABLE_BITS];
@@ -79,7 +79,7 @@ pub fn compress(data: &[u8]) -> Vec<u8> {
             3 + data[at + 3..at + limit].iter().zip(&data[candidate + 3..]).take_while(|(a, b)| a == b).count();
         put_literals(&data[literals_from..at], &mut stream);
         put_reference(at - candidate, length, &mut stream);
-        // The places within the reference are worth finding again, the last two at the least.
+        // Positions inside the reference are worth indexing too, at least the last two.
         let end = at + length;
         for within in at + 1..end.min(data.len().saturating_sub(2)) {
             last_place[hash(within)] = within;

@@ -2,8 +2,8 @@
 //!
 //! Every field is kept with its size, type and count, padding (`_`) included, and so are the grid and the viewpoint.
 //! Binary values are little-endian, point after point; compressed ones are field after field through LZF.
-//! As PCL does, ascii files have a packed colour (`rgb`, `rgba`) as an unsigned integer even where it was a float: an
-//! opaque colour is a NaN as a float, and would be lost.
+//! Like PCL, ascii files store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float: the bits of an
+//! opaque colour are those of a NaN, and would be lost.
 
 mod binary;
 mod header;
@@ -74,7 +74,7 @@ pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
     Ok(bytes)
 }
 
-/// Makes packed colours unsigned integers: as floats in text they could be NaN and lose their bits.
+/// Turns packed colours into unsigned integers: as floats in text they could be NaN and lose their bits.
 fn float_colours_to_integers(columns: &mut [Attribute]) {
     for column in columns.iter_mut().filter(|column| column.name == "rgb" || column.name == "rgba") {
         if let AttributeValues::F32(values) = &column.values {

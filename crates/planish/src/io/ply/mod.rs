@@ -96,7 +96,7 @@ fn camera_columns(name: &str, element: &ElementDef) -> Option<Vec<Attribute>> {
     if name == "camera" && element.count == 1 { empty_columns(element).ok() } else { None }
 }
 
-/// The elements up to the last one of interest: what lies behind it does not matter.
+/// The elements up to the last one of interest; those after it are ignored.
 fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef)> {
     let last = header
         .elements
@@ -106,7 +106,7 @@ fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef)
     header.elements.iter().map(|(name, element)| (name.as_str(), element)).take(last + 1)
 }
 
-/// Reads a text body by itself: the library's grammar knows neither `nan` nor `inf`, and a hole is written so.
+/// Reads a text body without the library, whose grammar lacks `nan` and `inf`, as holes are written.
 fn read_text(header: &Header, body: &[u8], columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let mut body = text::Body::new(body)?;
     let mut found = Body::default();
@@ -164,7 +164,7 @@ fn read_binary(header: &Header, reader: &mut Reader<&[u8]>, columns: &mut [Attri
     Ok(found)
 }
 
-/// A cell of the grid lists no or one vertex.
+/// Returns the vertex that a cell of the grid lists, if any.
 fn cell_of(indices: Option<&[usize]>) -> Result<Option<usize>, FormatError> {
     match indices {
         Some([]) => Ok(None),
@@ -173,7 +173,7 @@ fn cell_of(indices: Option<&[usize]>) -> Result<Option<usize>, FormatError> {
     }
 }
 
-/// The number in a line `obj_info key number`.
+/// Returns the number in a line `obj_info key number`.
 fn info(header: &Header, key: &str) -> Option<usize> {
     let number = |line: &String| line.trim().strip_prefix(key)?.trim().parse().ok();
     header.obj_infos.iter().find_map(number)
@@ -247,7 +247,7 @@ fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, Forma
     Ok(Attribute { values, ..column })
 }
 
-/// A vertex as it is written: a row of the columns. `Default` exists because the trait demands a constructor.
+/// A vertex to be written: a row of the columns. `Default` exists because the trait demands a constructor.
 #[derive(Default)]
 struct Row<'a> {
     columns: &'a [Attribute],
@@ -337,7 +337,7 @@ fn element_of(name: &str, count: usize, columns: &[Attribute]) -> ElementDef {
     element
 }
 
-/// What PLY can hold of a column: one property a value, no padding, no 64-bit integers.
+/// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers.
 fn ply_columns(column: Attribute) -> Vec<Attribute> {
     if column.name == "_" {
         return Vec::new();
