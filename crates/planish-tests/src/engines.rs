@@ -3,8 +3,8 @@
 use std::sync::{Mutex, OnceLock};
 
 use planish::{
-    ChoiceReason, Edges, Engine, GpuAdapter, GpuOptions, IntoFrame, Outputs, Radius, SimdLevel, SmoothParams, Smoothed,
-    Smoother, SmootherOptions, auto_choice, gpu_adapters,
+    ChoiceReason, Edges, Engine, GpuAdapter, GpuOptions, IntoFrame, Outputs, Project, Radius, SimdLevel, SmoothParams,
+    Smoothed, Smoother, SmootherOptions, auto_choice, gpu_adapters,
 };
 
 /// An engine with the choices that must not change its result by more than the tolerances.
@@ -99,7 +99,7 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
 }
 
 /// The corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 3, degrees 1 to 3, both
-/// radius rules; edges off, and kept with one of the rules.
+/// radius rules; edges off, and kept with one of the rules; a third of them along rays, a few with another ridge.
 pub fn parameter_grid() -> Vec<SmoothParams> {
     let fixed = Radius::Fixed { radius_m: 0.03 };
     let corners = [1, 7].into_iter().flat_map(|window| {
@@ -126,5 +126,9 @@ pub fn parameter_grid() -> Vec<SmoothParams> {
     let off: Vec<SmoothParams> = corners.chain(between).chain([bandwidth]).collect();
     let robust = off.iter().enumerate().filter(|(i, _)| i % 4 == 0 || i % 4 == 3);
     let robust = robust.map(|(_, &params)| params.with_edges(Edges::Robust));
-    off.iter().copied().chain(robust).collect()
+    let all = off.iter().copied().chain(robust);
+    all.enumerate()
+        .map(|(i, params)| if i % 3 == 1 { params.with_project(Project::Ray) } else { params })
+        .map(|params| if params.window % 4 == 2 { params.with_ridge(0.3) } else { params })
+        .collect()
 }

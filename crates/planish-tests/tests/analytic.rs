@@ -60,14 +60,13 @@ fn a_quadratic_surface_is_reproduced_from_degree_2_on() {
     let cloud = height_field(31, 0.002, quadratic);
     let distance = |[x, y, z]: [f64; 3]| z - quadratic(x, y);
     let errors = [1, 2, 3].map(|degree| worst(&cloud, &smooth(&cloud, params(degree)), distance));
-    // Degree 1: the mean of the quadratic over the window, 2 * 3 * (4 mm)² and less. Degree 2 sees the surface in the
-    // frame of the tilted tangent plane, where a cubic term of some 1e-6 m remains; degree 3 takes that too.
+    // Degree 1: the mean of the quadratic over the window, 2 * 3 * (4 mm)² and less. Of that the ridge leaves a share of some
+    // 2 % at 1e-3, in proportion to it.
     assert!((2e-5..1e-4).contains(&errors[0]), "{errors:?}");
     assert!(errors[1] < 2e-6, "{errors:?}");
-    assert!(errors[2] < 2e-7, "{errors:?}");
-    // At the vertex the tangent frame is the surface's own: only rounding remains.
-    let smoothed = smooth(&cloud, params(2));
-    assert!((f64::from(smoothed.points.z[15 * 31 + 15]) - 1.0).abs() < 1e-7);
+    assert!(errors[2] < 2e-6, "{errors:?}");
+    let damped = worst(&cloud, &smooth(&cloud, params(2).with_ridge(1e-2)), distance);
+    assert!((5.0 * errors[1]..12.0 * errors[1]).contains(&damped), "{damped} {errors:?}");
 }
 
 #[test]
@@ -89,7 +88,7 @@ fn the_normals_of_a_cubic_surface_need_degree_3() {
     };
     let errors = [2, 3].map(worst_normal_rad);
     assert!((5e-4..5e-3).contains(&errors[0]), "{errors:?}");
-    assert!(errors[1] < 1e-4, "{errors:?}");
+    assert!(errors[1] < 2e-4, "{errors:?}");
 }
 
 #[test]

@@ -196,10 +196,10 @@ fn times_are_told_when_asked_and_bytes_always() {
     // x, y and z, 160 columns being a multiple of 16, 3 pixels of border around them, 16 numbers at the end.
     let padded = (160 + 6) * (120 + 6) + 16;
     assert_eq!(smoother.buffer_bytes(), 4 * 3 * padded);
-    // Planes of seven numbers more.
+    // Planes of eight numbers more.
     let off = open(SmoothParams::default().with_edges(Edges::Off), false).buffer_bytes();
     let mut robust = open(SmoothParams::default(), false);
-    assert_eq!(robust.buffer_bytes(), off / 3 * 10);
+    assert_eq!(robust.buffer_bytes(), off / 3 * 11);
     robust.smooth(&depth, &mut smoothed).unwrap();
     assert!(robust.timings().is_none());
 }

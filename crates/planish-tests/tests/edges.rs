@@ -41,7 +41,7 @@ fn planes_and_paraboloids_stay_where_they_are() {
     let bowl = |x: f64, y: f64| 1.0 + 2.0 * (x * x + y * y);
     let smoothed = smooth(&height_field(41, 0.003, bowl), Edges::Robust);
     let off = worst(41, &smoothed, |[x, y, z]| z - bowl(x, y));
-    assert!(off < 3e-5, "{off:e}");
+    assert!(off < 5e-5, "{off:e}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use planish::agreement::{Agreement, POSITION_999_M, radii_m};
 use planish::{
-    Camera, DepthFrame, Distortion, OrganizedCloud, Outputs, PointsView, RangeRule, SensorPose, SimdLevel,
+    Camera, DepthFrame, Distortion, OrganizedCloud, Outputs, PointsView, Project, RangeRule, SensorPose, SimdLevel,
     SmoothParams, Smoothed, Status,
 };
 use planish_tests::engines::{TestEngine, test_adapter};
@@ -73,6 +73,43 @@ proptest! {
             agreement.add(&result, &reference, |i| radii[i]);
             let misses = agreement.misses();
             assert!(misses.is_empty(), "{name}: {misses:?}");
+        }
+    }
+}
+
+/// The direction from the sensor to a point.
+fn direction(pose: &SensorPose, p: [f32; 3]) -> [f64; 3] {
+    let ray = [0, 1, 2].map(|k| f64::from(p[k]) - pose.position_m[k]);
+    let length = ray.iter().map(|c| c * c).sum::<f64>().sqrt();
+    ray.map(|c| c / length)
+}
+
+#[test]
+fn points_moved_along_rays_stay_on_them_and_have_the_depth_that_comes_out() {
+    let camera = small_camera();
+    let own = simulated(7, true, camera);
+    let mut posed = moved(&own, BASE);
+    posed.camera = Some(camera);
+    for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
+        for (cloud, pose) in [(&own, SensorPose::IDENTITY), (&posed, BASE)] {
+            for params in [SmoothParams::paper(), SmoothParams::default().with_stride(1)] {
+                let params = params.with_project(Project::Ray);
+                let smoothed = engine.smooth_to(cloud, params, Outputs::ALL.with_depth(true));
+                let (depth, mut found) = (smoothed.depth.as_ref().unwrap(), 0);
+                for i in (0..depth.len()).filter(|&i| smoothed.points.is_finite(i)) {
+                    let (before, after) = (cloud.positions().get(i), smoothed.points.get(i));
+                    let turned = direction(&pose, before).into_iter().zip(direction(&pose, after));
+                    let off = turned.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt();
+                    // Both points are rounded to f32, at 5 m to 2.4e-7 m a coordinate.
+                    assert!(off < 1.5e-6, "{name}, {params:?}, pixel {i}: {off:e}");
+                    let inverse = [0, 1, 2].map(|k| f64::from(after[k]) - pose.position_m[k]);
+                    let axis = rotate(&pose, [0.0, 0.0, 1.0]);
+                    let z: f64 = (0..3).map(|k| axis[k] * inverse[k]).sum();
+                    assert!((f64::from(depth[i]) - 1e3 * z).abs() < 0.51, "{name}, pixel {i}: {} {z}", depth[i]);
+                    found += 1;
+                }
+                assert!(found > 10_000, "{name}: {found}");
+            }
         }
     }
 }

@@ -20,7 +20,7 @@ pub const RANGE_M: f64 = 5.0;
 /// The radius of a neighbourhood up to which the tolerances hold as they are.
 pub const RADIUS_M: f64 = 0.25;
 
-/// Nearly all positions: a neighbour within rounding of the gate, or a pivot within rounding of being dropped.
+/// Nearly all positions: the others have a neighbour within rounding of the gate.
 pub const POSITION_9999_M: f64 = 2e-5;
 
 /// How far results are from the reference's, gathered over one or more frames.

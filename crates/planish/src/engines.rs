@@ -209,7 +209,7 @@ fn open_named(
     let SmootherOptions { outputs, threads, simd, ref gpu, .. } = *options;
     match (engine, grid) {
         (Engine::Cpu | Engine::Auto, Some(shape)) => {
-            let cpu = Cpu::open(params, outputs, threads, simd, shape)?;
+            let cpu = Cpu::open(params, threads, simd, shape)?;
             Ok(Box::new(Immediate::new(cpu, outputs, gpu.slots, gpu.timestamps)))
         }
         (Engine::Gpu, Some(shape)) => open_gpu(params, outputs, gpu, shape),

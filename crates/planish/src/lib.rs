@@ -104,7 +104,7 @@ pub use error::{DeviceError, EngineError, Error, FormatError, FrameError, IoErro
 pub use frame::{DepthFrame, DepthImage, DepthView, Frame, IntoFrame, PointLayout, PointsView, RangeRule, Scalar};
 pub use neighbours::estimate_radius_m;
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};
-pub use params::{Edges, Radius, SmoothParams, Strength};
+pub use params::{Edges, Project, Radius, SmoothParams, Strength};
 pub use pose::SensorPose;
 pub use sensor::SensorModel;
 pub use simd_level::SimdLevel;

@@ -2,10 +2,11 @@
 
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line (section 4).
 pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
-/// A pivot at or below this share of its own diagonal entry is not supported (section 6).
-pub(crate) const PIVOT_RATIO: f32 = 3e-2;
 /// Lengths are measured in units of g/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
 pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
+
+/// Below this cosine of the angle of incidence a point moves less and less along its ray (section 7).
+pub(crate) const GRAZING_COSINE: f32 = 0.2;
 
 // Section 10.
 
@@ -29,6 +30,9 @@ pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 /// The exponents (i, j) of the monomials a^i b^j, ordered by degree (section 5).
 pub(crate) const MONOMIALS: [(usize, usize); 10] =
     [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
+
+/// The weights of the monomials in the ridge, the same in every frame (section 6).
+pub(crate) const RIDGE_WEIGHTS: [f32; 10] = [0.0, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 1.0];
 
 /// Number of coefficients of a polynomial of a degree in two variables: 3, 6, 10.
 pub(crate) const fn coefficient_count(degree: usize) -> usize {

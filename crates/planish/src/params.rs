@@ -30,6 +30,17 @@ pub enum Edges {
     Robust,
 }
 
+/// Along which line a point is put onto the fitted surface (docs/method.md, section 7).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Project {
+    /// Along the ray on which it was measured, as depth noise acts: points stay on the rays of their pixels. Where it is not
+    /// known where the sensor stood, and in general clouds, along the normal.
+    Ray,
+    /// Along the normal of its plane.
+    Normal,
+}
+
 /// Less noise than this at 1 m needs no wide windows: it is no more than what rounding to millimetres makes.
 const LITTLE_SIGMA_M: f64 = 3e-4;
 
@@ -40,6 +51,11 @@ const TUNED_FOCAL_LENGTH_PX: f64 = 525.0;
 const ROUNDING: f64 = 0.6;
 /// The strides that are allowed.
 const STRIDES: RangeInclusive<u32> = 1..=8;
+
+/// The ridge of [`SmoothParams::for_sensor`].
+const RIDGE: f32 = 1e-2;
+/// The ridge of [`SmoothParams::paper`] and of sensors without noise: shapes are those of the plain polynomial.
+const SMALL_RIDGE: f32 = 1e-3;
 
 /// How far and how much to smooth; the pixels are those for a sensor with noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -77,6 +93,11 @@ pub struct SmoothParams {
     pub degree: u32,
     /// Bandwidth g of the Gaussian weight exp(-d²/g²) in metres; `None` is the radius.
     pub bandwidth_m: Option<f32>,
+    /// Ridge lambda of the polynomial fit (docs/method.md, section 6): how much its slopes, curvatures and third derivatives are
+    /// damped. A soft degree: small values leave the whole polynomial, large ones the plane. 1e-3 to 100.
+    pub ridge: f32,
+    /// Whether points move along their rays or along normals.
+    pub project: Project,
     /// Whether edges are kept.
     pub edges: Edges,
     /// Whose steps and noise they are: [`Radius::Sensor`] and [`Edges::Robust`] go by it.
@@ -107,7 +128,17 @@ impl SmoothParams {
             Strength::Strong => (7, 1),
         };
         let (radius, edges) = (Radius::Sensor, Edges::Robust);
-        Self { window, stride, radius, degree: 2, bandwidth_m: None, edges, sensor }
+        Self {
+            window,
+            stride,
+            radius,
+            degree: 2,
+            bandwidth_m: None,
+            ridge: if has_noise { RIDGE } else { SMALL_RIDGE },
+            project: Project::Normal,
+            edges,
+            sensor,
+        }
     }
 
     /// The same with another half width of the window, 1 to 7.
@@ -138,6 +169,16 @@ impl SmoothParams {
     /// The same with another bandwidth of the weights in metres; `None` is the radius.
     pub const fn with_bandwidth_m(self, bandwidth_m: Option<f32>) -> Self {
         Self { bandwidth_m, ..self }
+    }
+
+    /// The same with another ridge of the polynomial fit, 1e-3 to 100.
+    pub const fn with_ridge(self, ridge: f32) -> Self {
+        Self { ridge, ..self }
+    }
+
+    /// The same with points moved along their rays or along normals.
+    pub const fn with_project(self, project: Project) -> Self {
+        Self { project, ..self }
     }
 
     /// The same with edges kept or not.
@@ -188,6 +229,8 @@ impl SmoothParams {
             radius,
             degree: 3,
             bandwidth_m: None,
+            ridge: SMALL_RIDGE,
+            project: Project::Normal,
             edges: Edges::Off,
             sensor: SensorModel::KINECT_V1,
         }
@@ -208,6 +251,7 @@ impl SmoothParams {
         if let Radius::Fixed { radius_m } = self.radius {
             real("radius_m", radius_m, 1e-6..=1e3, "1e-6 to 1000 metres")?;
         }
+        real("ridge", self.ridge, 1e-3..=100.0, "1e-3 to 100")?;
         self.sensor.validate()?;
         if let Some(bandwidth_m) = self.bandwidth_m {
             real("bandwidth_m", bandwidth_m, 1e-6..=1e3, "1e-6 to 1000 metres")?;
@@ -296,6 +340,8 @@ mod tests {
             (ok.with_sensor(SensorModel::new([-1.0, 0.0, 0.0], [0.0; 3])), "sensor.step", "[-1.0, 0.0, 0.0]", "three"),
             (ok.with_sensor(SensorModel::new([0.0; 3], [0.0, 0.0, 2.0])), "sensor.sigma", "[0.0, 0.0, 2.0]", "three"),
             (ok.with_bandwidth_m(Some(0.0)), "bandwidth_m", "0", "1e-6 to 1000"),
+            (ok.with_ridge(0.0), "ridge", "0", "1e-3 to 100"),
+            (ok.with_ridge(f32::NAN), "ridge", "NaN", "1e-3 to 100"),
         ];
         for (params, field, value, allowed) in cases {
             let error = params.validate().unwrap_err();

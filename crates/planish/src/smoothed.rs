@@ -4,6 +4,7 @@ use crate::camera::{Camera, Rays};
 use crate::cloud::PointCloud;
 use crate::error::FrameError;
 use crate::frame::{DepthImage, Frame};
+use crate::method::GRAZING_COSINE;
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::status::Status;
 use crate::xyz::Xyz;
@@ -139,9 +140,6 @@ impl PointCloud {
         Ok(())
     }
 }
-
-/// Below this cosine of the angle of incidence (over 78°) the tangent plane tells less than the point itself.
-pub(crate) const GRAZING_COSINE: f32 = 0.2;
 
 fn resize(vectors: &mut Xyz, len: usize) {
     for values in [&mut vectors.x, &mut vectors.y, &mut vectors.z] {

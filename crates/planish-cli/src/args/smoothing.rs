@@ -3,8 +3,8 @@
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use planish::{
-    Edges, Engine, Frame, GpuOptions, OrganizedCloud, Outputs, Radius, SensorModel, SmoothParams, SmootherOptions,
-    Strength,
+    Edges, Engine, Frame, GpuOptions, OrganizedCloud, Outputs, Project, Radius, SensorModel, SmoothParams,
+    SmootherOptions, Strength,
 };
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -50,6 +50,14 @@ pub enum EdgesArg {
     Off,
     /// Neighbours off the point's surface do not count
     Robust,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum ProjectArg {
+    /// Along its ray, as depth noise acts
+    Ray,
+    /// Along the normal of the surface
+    Normal,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -101,6 +109,12 @@ pub struct SmoothingArgs {
     /// Bandwidth of the Gaussian weights in metres; else the radius
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     pub bandwidth: Option<f32>,
+    /// How much the surface's slopes and curvatures are damped, 1e-3 (little) to 100 (a plane)
+    #[arg(long, value_name = "LAMBDA", allow_negative_numbers = true)]
+    pub ridge: Option<f32>,
+    /// Along which line a point is put onto the surface; general clouds always along the normal
+    #[arg(long, value_enum)]
+    pub project: Option<ProjectArg>,
     /// Which engine to use; one requested by name never falls back to another (except in a stream that loses its GPU twice)
     #[arg(long, value_enum, default_value = "auto")]
     pub engine: EngineArg,
@@ -148,6 +162,12 @@ impl SmoothingArgs {
                 params.radius = Radius::Sensor;
             }
             Some(RadiusArg::Metres(radius_m)) => params.radius = Radius::Fixed { radius_m },
+        }
+        params.ridge = self.ridge.unwrap_or(params.ridge);
+        match self.project {
+            None => {}
+            Some(ProjectArg::Ray) => params.project = Project::Ray,
+            Some(ProjectArg::Normal) => params.project = Project::Normal,
         }
         match self.edges {
             None => {}

@@ -22,7 +22,9 @@ const RESIDUAL: usize = 4;
 const CURVATURE: usize = 5;
 /// The number of neighbours; negative where they are on a line.
 const COUNT: usize = 6;
-const CHANNELS: usize = 7;
+/// The square of the extent in m².
+const EXTENT: usize = 7;
+const CHANNELS: usize = 8;
 
 /// The first planes of a frame.
 pub(super) struct FirstPlanes {
@@ -97,6 +99,7 @@ impl FirstRows<'_> {
             usable.select(residual, splat(simd, f32::INFINITY)),
             plane.curvature,
             plane.degenerate.select(-n, n),
+            plane.extent_squared,
         ];
         for (kept, values) in self.channels.iter_mut().zip(channels) {
             values.store_slice(&mut kept[at..at + S::f32s::LEN]);
@@ -208,6 +211,7 @@ impl FirstPlanes {
                 height: own.select(sign * height, self.load(simd, HEIGHT, here)),
                 residual: zero,
                 doubt: one,
+                extent_squared: self.load(simd, EXTENT, here),
                 curvature: self.load(simd, CURVATURE, here),
                 degenerate: count.simd_lt(zero),
             },

@@ -34,8 +34,9 @@ use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 use crate::camera::Rays;
 use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
-use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::SmoothParams;
+use crate::frame::Frame;
+use crate::outputs::SmoothedMut;
+use crate::params::{Project, SmoothParams};
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, RangeRules};
 use crate::simd_level::SimdLevel;
 use crate::threads::Threads;
@@ -58,6 +59,9 @@ struct Kernel {
     rules: RangeRules,
     sensor: Sensor,
     bandwidth_m: Option<f32>,
+    ridge: f32,
+    /// Whether points move along their rays.
+    on_ray: bool,
 }
 
 /// c0 + c1 z + c2 z².
@@ -87,7 +91,6 @@ impl Kernel {
 /// The CPU engine with its buffers.
 pub(crate) struct Cpu {
     params: SmoothParams,
-    wants_depth: bool,
     level: Level,
     /// `None` runs on the calling thread.
     threads: Option<Threads>,
@@ -101,7 +104,6 @@ pub(crate) struct Cpu {
 impl Cpu {
     pub(crate) fn open(
         params: SmoothParams,
-        outputs: Outputs,
         threads: Option<usize>,
         simd: Option<SimdLevel>,
         shape: (usize, usize),
@@ -118,7 +120,7 @@ impl Cpu {
         let padded = PaddedFrame::new(shape.0, shape.1, params.reach_px());
         let first_planes = FirstPlanes::new(&params, &padded);
         let (rays, timings) = (Rays::default(), FrameTimings::default());
-        Ok(Self { params, wants_depth: outputs.depth, level, threads, padded, first_planes, rays, timings })
+        Ok(Self { params, level, threads, padded, first_planes, rays, timings })
     }
 
     /// Fills the padded frame and smooths all rows, on the threads of the pool that it is called in or on the calling one.
@@ -139,16 +141,15 @@ impl Cpu {
             2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, padded, first_planes, kernel, &mut rows)),
             _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, padded, first_planes, kernel, &mut rows)),
         };
-        run_on_rows(OutputRows::all(frame, &self.rays, out), parallel, &smooth);
+        run_on_rows(OutputRows::all(frame, out), parallel, &smooth);
         self.timings = FrameTimings { upload: filled - start, kernel: filled.elapsed(), readback: Duration::ZERO };
     }
 }
 
 impl ImmediateEngine for Cpu {
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
-        let is_depth = matches!(frame.frame, crate::frame::Frame::Depth(_));
-        if let Some(camera) = frame.frame.camera().filter(|_| is_depth || self.wants_depth) {
-            self.rays.set(camera);
+        if let Frame::Depth(depth) = frame.frame {
+            self.rays.set(depth.camera());
         }
         let kernel = Kernel {
             side: 2 * self.params.window as usize + 1,
@@ -157,6 +158,8 @@ impl ImmediateEngine for Cpu {
             rules: RangeRules::new(&self.params, &frame.geometry),
             sensor: Sensor::new(&frame.geometry),
             bandwidth_m: self.params.bandwidth_m,
+            ridge: self.params.ridge,
+            on_ray: self.params.project == Project::Ray && frame.geometry.knows_sensor(),
         };
         match self.threads.take() {
             None => self.smooth_rows(frame, &kernel, out, false),
@@ -192,7 +195,7 @@ fn fit_first_planes<S: Simd>(simd: S, padded: &PaddedFrame, kernel: &Kernel, row
                 let range = kernel.range(simd, ray);
                 let radius = kernel.rules.radius(simd, range);
                 let noise = edges::noise(simd, &kernel.rules, range, radius);
-                let sums = window.sums(simd, p, radius, &mut gates);
+                let sums = window.sums::<S, false>(simd, p, radius, &mut gates);
                 rows.store(simd, rows.index(row, u), ray, noise, &plane::fit(simd, ray, &sums), sums.n);
             }
         }
@@ -254,7 +257,7 @@ fn smooth_vector<S: Simd, const D: usize>(
     let radius = kernel.rules.radius(simd, range);
     let (plane, n, gate, width) = match first_planes {
         None => {
-            let sums = window.sums(simd, p, radius, &mut scratch.gates);
+            let sums = window.sums::<S, true>(simd, p, radius, &mut scratch.gates);
             (plane::fit(simd, ray, &sums), sums.n, Gate::Known(&scratch.gates), None)
         }
         Some(first_planes) => {
@@ -263,19 +266,19 @@ fn smooth_vector<S: Simd, const D: usize>(
             (surface.plane, surface.n, Gate::Radius(radius), Some(surface.width))
         }
     };
+    let projection = rows.projection(kernel.on_ray);
     let projected = if D == 1 {
-        project::project::<S, D>(simd, p, ray, &plane, None, radius, n, rows.has_normals())
+        project::project::<S, D>(simd, p, ray, &plane, None, radius, n, projection)
     } else {
         let bandwidth = kernel.bandwidth_m.map_or(
             radius,
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
-        let tangents = kernel.sensor.tangents(simd, plane.normal);
-        let weighting = Weighting { gate, bandwidth, width };
-        let fit = polynomial::moments::<S, D>(simd, window, p, &plane, tangents, &weighting, &mut scratch.terms);
-        let c = solve::solve::<S, D>(simd, &fit.moments, n);
-        project::project::<S, D>(simd, p, ray, &plane, Some((&fit, c)), radius, n, rows.has_normals())
+        let weighting = Weighting { gate, radius, bandwidth, width };
+        let fit = polynomial::moments::<S, D>(simd, window, p, &plane, &weighting, &mut scratch.terms);
+        let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, kernel.ridge, n);
+        project::project::<S, D>(simd, p, ray, &plane, Some((&fit, c)), radius, n, projection)
     };
-    rows.store(row, u, p, &projected, &plane, n);
+    rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &plane, n);
 }

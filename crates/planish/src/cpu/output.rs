@@ -1,19 +1,14 @@
 //! The rows of a result: split between tasks, written a vector at a time, straight into the caller's buffers.
-//!
-//! Depth is made here too (docs/method.md, section 7).
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
-use glam::Vec3;
 
 use super::plane::Plane;
-use super::project::Projected;
+use super::project::{Projected, Projection};
 use super::row_tasks::SplitRows;
-use super::vector::Vec3 as Lanes3;
-use crate::camera::{Camera, Rays};
+use super::vector::Vec3;
+use crate::camera::Camera;
 use crate::engine::AdmittedFrame;
 use crate::outputs::{SmoothedMut, VectorsMut};
-use crate::pose::RigidTransform;
-use crate::smoothed::depth_along_ray_m;
 use crate::status::Status;
 
 /// A band of rows of every requested output.
@@ -23,16 +18,8 @@ pub(super) struct OutputRows<'a> {
     pub(super) width: usize,
     rows: usize,
     out: SmoothedMut<'a>,
-    /// What computing depth needs, if requested.
-    depth: Option<DepthOutput<'a>>,
-}
-
-#[derive(Clone, Copy)]
-struct DepthOutput<'a> {
-    camera: &'a Camera,
-    rays: &'a Rays,
-    /// Where the sensor stands, if the cloud's frame is another than its own.
-    cloud_from_sensor: Option<RigidTransform>,
+    /// Whose raw units depth is in, if requested.
+    camera: Option<&'a Camera>,
 }
 
 impl SplitRows for OutputRows<'_> {
@@ -41,7 +28,7 @@ impl SplitRows for OutputRows<'_> {
     }
 
     fn split_at(self, rows: usize) -> (Self, Self) {
-        let Self { first, width, depth, out, .. } = self;
+        let Self { first, width, camera, out, .. } = self;
         let at = rows * width;
         let (points, points_rest) = out.points.map(|vectors| vectors.split_at(at)).unzip();
         let (normals, normals_rest) = out.normals.map(|vectors| vectors.split_at(at)).unzip();
@@ -59,34 +46,33 @@ impl SplitRows for OutputRows<'_> {
             depth: raw_rest,
         };
         (
-            Self { first, width, rows, out: upper, depth },
-            Self { first: first + rows, width, rows: self.rows - rows, out: lower, depth },
+            Self { first, width, rows, out: upper, camera },
+            Self { first: first + rows, width, rows: self.rows - rows, out: lower, camera },
         )
     }
 }
 
 impl<'a> OutputRows<'a> {
-    /// All rows of a frame's result; `rays` are its camera's.
-    pub(super) fn all(admitted: &AdmittedFrame<'a>, rays: &'a Rays, out: SmoothedMut<'a>) -> Self {
+    /// All rows of a frame's result.
+    pub(super) fn all(admitted: &AdmittedFrame<'a>, out: SmoothedMut<'a>) -> Self {
         let (width, height) = admitted.frame.shape();
         let camera = admitted.frame.camera().filter(|_| out.depth.is_some());
-        let depth =
-            camera.map(|camera| DepthOutput { camera, rays, cloud_from_sensor: admitted.geometry.cloud_from_sensor });
-        Self { first: 0, width, rows: height, out, depth }
+        Self { first: 0, width, rows: height, out, camera }
     }
 
-    /// Whether normals must be computed.
-    pub(super) fn has_normals(&self) -> bool {
-        self.out.normals.is_some() || self.depth.is_some()
+    /// How points are to be put onto the surface.
+    pub(super) fn projection(&self, on_ray: bool) -> Projection {
+        let needs_depth = self.camera.is_some();
+        Projection { on_ray, needs_normal: self.out.normals.is_some() || on_ray || needs_depth, needs_depth }
     }
 
-    /// Writes the results of the pixels from column u of the `row`-th of these rows on; `p` are the points as measured.
+    /// Writes the results of the pixels from column u of the `row`-th of these rows on; `depth` is the measured depth.
     #[inline(always)]
     pub(super) fn store<S: Simd>(
         &mut self,
         row: usize,
         u: usize,
-        p: Lanes3<S>,
+        depth: S::f32s,
         projected: &Projected<S>,
         plane: &Plane<S>,
         n: S::f32s,
@@ -99,20 +85,10 @@ impl<'a> OutputRows<'a> {
         if let Some(normals) = &mut self.out.normals {
             put_vectors(normals, at.clone(), projected.normal);
         }
-        if let (Some(output), Some(depth)) = (self.depth, &mut self.out.depth) {
-            // Through a distorted lens the ray of a pixel is that of its point.
-            let by_point = output.rays.are_distorted();
-            let rays = output.rays.row(self.first + row);
-            for (lane, out) in depth[at.clone()].iter_mut().enumerate() {
-                let point = output.point_in_sensor(in_lane(&projected.point, lane));
-                let normal = output.direction_in_sensor(in_lane(&projected.normal, lane));
-                let ray = if by_point {
-                    let p = output.point_in_sensor(in_lane(&p, lane));
-                    [p.x / p.z, p.y / p.z]
-                } else {
-                    rays.at(u + lane)
-                };
-                *out = output.camera.raw_depth(depth_along_ray_m(ray, point.to_array(), normal.to_array()));
+        if let (Some(camera), Some(raw)) = (self.camera, &mut self.out.depth) {
+            let smoothed = depth * projected.depth_scale;
+            for (out, &depth_m) in raw[at.clone()].iter_mut().zip(smoothed.as_slice()) {
+                *out = camera.raw_depth(depth_m);
             }
         }
         if let Some(curvature) = &mut self.out.curvature {
@@ -166,26 +142,10 @@ impl<'a> OutputRows<'a> {
     }
 }
 
-impl DepthOutput<'_> {
-    fn point_in_sensor(&self, p: Vec3) -> Vec3 {
-        self.cloud_from_sensor.map_or(p, |transform| transform.to_sensor(p.as_dvec3()).as_vec3())
-    }
-
-    fn direction_in_sensor(&self, v: Vec3) -> Vec3 {
-        self.cloud_from_sensor.map_or(v, |transform| (transform.rotation.transpose() * v.as_dvec3()).as_vec3())
-    }
-}
-
-/// Extracts the vector of one lane.
-#[inline(always)]
-fn in_lane<S: Simd>(v: &Lanes3<S>, lane: usize) -> Vec3 {
-    Vec3::new(v.x.as_slice()[lane], v.y.as_slice()[lane], v.z.as_slice()[lane])
-}
-
 /// Stores vectors; fewer than all lanes at the right border.
 #[inline(always)]
-fn put_vectors<S: Simd>(out: &mut VectorsMut<'_>, at: std::ops::Range<usize>, vectors: Lanes3<S>) {
-    let Lanes3 { x, y, z } = vectors;
+fn put_vectors<S: Simd>(out: &mut VectorsMut<'_>, at: std::ops::Range<usize>, vectors: Vec3<S>) {
+    let Vec3 { x, y, z } = vectors;
     match out {
         VectorsMut::Planes([out_x, out_y, out_z]) => {
             put(x, &mut out_x[at.clone()]);

@@ -18,6 +18,8 @@ pub(super) struct Plane<S: Simd> {
     pub(super) residual: S::f32s,
     /// How little the points determine the normal: l2/(l1 - l0), at most [`MAX_DOUBT`].
     pub(super) doubt: S::f32s,
+    /// Four times the largest variance, 4 l2, in m²: the square of the neighbourhood's in-plane extent.
+    pub(super) extent_squared: S::f32s,
     /// Surface variation l0/(l0+l1+l2).
     pub(super) curvature: S::f32s,
     /// The neighbours lie on a line; the rest means nothing.
@@ -45,7 +47,8 @@ pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     let away: Mask<S> = eigen.vector.dot(ray).simd_gt(splat(simd, 0.0));
     let normal = eigen.vector.scale(away.select(splat(simd, -1.0), splat(simd, 1.0)));
     let doubt = (l2 / (l1 - residual).max(splat(simd, f32::MIN_POSITIVE))).min(splat(simd, MAX_DOUBT));
-    Plane { normal, height: c.dot(normal), residual, doubt, curvature, degenerate }
+    let extent_squared = l2 * splat(simd, 4.0);
+    Plane { normal, height: c.dot(normal), residual, doubt, extent_squared, curvature, degenerate }
 }
 
 /// Mean of a product less the product of the means. All are of the size of the neighbourhood, so little cancels.

@@ -1,15 +1,15 @@
 //! The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //!
 //! The weight is 2^-(a² + b² + f²), with a, b the in-plane coordinates and f the height over the plane, all in units of the
-//! bandwidth over sqrt(log2 e). The reference divides a and b by h; the unit changes neither the polynomial nor which monomials
-//! are dropped, since a pivot scales as its diagonal does, and this one saves a multiplication. Moments: M_ij = sum w a^i b^j for
-//! i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and b: one fused
+//! bandwidth over sqrt(log2 e). The reference divides a and b by h; this unit saves a multiplication, and the ridge is converted
+//! to it. Moments: M_ij = sum w a^i b^j for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and b: one fused
 //! multiply-add each, and plain additions for j = 0.
 
 use std::ops::Range;
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
+use super::eigen::tangents;
 use super::math::exp2;
 use super::plane::Plane;
 use super::unroll::unroll;
@@ -34,6 +34,7 @@ struct Frame<S: Simd> {
 /// Which candidates are neighbours, and their weights.
 pub(super) struct Weighting<'a, S: Simd> {
     pub(super) gate: Gate<'a, S>,
+    pub(super) radius: S::f32s,
     pub(super) bandwidth: S::f32s,
     /// How far from the plane a neighbour counts; `None` for no limit.
     pub(super) width: Option<S::f32s>,
@@ -104,20 +105,22 @@ pub(super) struct Fit<S: Simd> {
     pub(super) b_axis: Vec3<S>,
     /// Metres per unit of a, b and f.
     pub(super) metres: S::f32s,
+    /// (h/metres)²: the square of the extent in units of a and b.
+    pub(super) extent_squared: S::f32s,
 }
 
-/// Second pass over the window: accumulates the moments of degree D over the plane, whose tangents are the in-plane axes.
+/// Second pass over the window: accumulates the moments of degree D over the plane.
 #[inline(always)]
 pub(super) fn moments<S: Simd, const D: usize>(
     simd: S,
     window: &Window<'_>,
     p: Vec3<S>,
     plane: &Plane<S>,
-    [u, v]: [Vec3<S>; 2],
     weighting: &Weighting<'_, S>,
     terms: &mut Terms<S>,
 ) -> Fit<S> {
     let zero = splat(simd, 0.0);
+    let (u, v) = tangents(simd, plane.normal);
     let per_metre = splat(simd, SQRT_LOG2_E) / weighting.bandwidth;
     let narrowing = match weighting.width {
         None => zero,
@@ -149,7 +152,8 @@ pub(super) fn moments<S: Simd, const D: usize>(
         }
         rows = rows.end..(rows.end + rows_at_once).min(window.side);
     }
-    Fit { moments, a_axis: frame.a_axis, b_axis: frame.b_axis, metres: splat(simd, 1.0) / per_metre }
+    let extent_squared = plane.extent_squared.min(weighting.radius * weighting.radius) * (per_metre * per_metre);
+    Fit { moments, a_axis: frame.a_axis, b_axis: frame.b_axis, metres: splat(simd, 1.0) / per_metre, extent_squared }
 }
 
 impl<S: Simd> Terms<S> {

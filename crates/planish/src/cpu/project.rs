@@ -5,14 +5,27 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::plane::Plane;
 use super::polynomial::Fit;
 use super::vector::{Mask, Vec3, splat};
-use crate::method::coefficient_count;
+use crate::method::{GRAZING_COSINE, coefficient_count};
 
 pub(super) struct Projected<S: Simd> {
     pub(super) point: Vec3<S>,
-    /// The plane's where the normal is not wanted.
+    /// The plane's where the normal is not needed.
     pub(super) normal: Vec3<S>,
     /// Codes of [`crate::Status`], as numbers.
     pub(super) status: S::f32s,
+    /// The depth at which the ray meets the surface over the measured one, if needed; NaN for a hole.
+    pub(super) depth_scale: S::f32s,
+}
+
+/// How points are put onto the surface.
+#[derive(Clone, Copy)]
+pub(super) struct Projection {
+    /// Along their rays; else along the normals of their planes.
+    pub(super) on_ray: bool,
+    /// Whether normals are needed, by the caller or for what follows from them.
+    pub(super) needs_normal: bool,
+    /// Whether the depth at which a ray meets the surface is needed.
+    pub(super) needs_depth: bool,
 }
 
 /// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c. `ray` leads from
@@ -27,8 +40,9 @@ pub(super) fn project<S: Simd, const D: usize>(
     fit: Option<(&Fit<S>, [S::f32s; 3])>,
     radius: S::f32s,
     n: S::f32s,
-    wants_normal: bool,
+    projection: Projection,
 ) -> Projected<S> {
+    let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let mut moved = plane.height;
     let mut normal = plane.normal;
     let mut status = splat(simd, 3.0);
@@ -38,14 +52,14 @@ pub(super) fn project<S: Simd, const D: usize>(
         let within: Mask<S> = (surface * surface).simd_le(radius * radius);
         let on_surface = within & n.simd_ge(splat(simd, coefficient_count(2) as f32));
         moved = on_surface.select(surface, moved);
-        if wants_normal {
+        if projection.needs_normal {
             let tilted = plane
                 .normal
                 .add_scaled(-(slope_a * fit.metres), fit.a_axis)
                 .add_scaled(-(slope_b * fit.metres), fit.b_axis);
             let length = tilted.dot(tilted).sqrt();
-            let away: Mask<S> = tilted.dot(ray).simd_gt(splat(simd, 0.0));
-            let scale = away.select(splat(simd, -1.0), splat(simd, 1.0)) / length;
+            let away: Mask<S> = tilted.dot(ray).simd_gt(zero);
+            let scale = away.select(-one, one) / length;
             normal = tilted.scale(scale).or(on_surface, normal);
         }
         let cubic: Mask<S> = n.simd_ge(splat(simd, coefficient_count(3) as f32));
@@ -53,13 +67,32 @@ pub(super) fn project<S: Simd, const D: usize>(
         status = on_surface.select(degree, status);
     }
     let on_line = plane.degenerate;
-    let point = p.or(on_line, p.add_scaled(moved, plane.normal));
+    let mut along = zero;
+    if projection.on_ray || projection.needs_depth {
+        along = on_line.select(zero, along_ray(simd, moved * plane.normal.dot(normal), normal, ray, radius));
+    }
+    let on_surface = if projection.on_ray { p.add_scaled(along, ray) } else { p.add_scaled(moved, plane.normal) };
+    let point = p.or(on_line, on_surface);
     let nan = Vec3::splat(simd, f32::NAN);
     let few: Mask<S> = n.simd_lt(splat(simd, 3.0));
-    let hole: Mask<S> = n.simd_lt(splat(simd, 1.0));
+    let hole: Mask<S> = n.simd_lt(one);
     Projected {
         point: nan.or(few, point),
         normal: nan.or(few | on_line, normal),
-        status: hole.select(splat(simd, 0.0), few.select(splat(simd, 1.0), on_line.select(splat(simd, 2.0), status))),
+        status: hole.select(zero, few.select(one, on_line.select(splat(simd, 2.0), status))),
+        depth_scale: few.select(splat(simd, f32::NAN), along + one),
     }
+}
+
+/// How far along the ray, in its lengths, the tangent plane lies that is `height` from the ray's end along its normal. Where the
+/// ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
+#[inline(always)]
+fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray: Vec3<S>, radius: S::f32s) -> S::f32s {
+    let square = ray.dot(ray);
+    let across = ray.dot(normal);
+    let along = height * across / (across * across).max(square * splat(simd, GRAZING_COSINE * GRAZING_COSINE));
+    let limit = radius / square.sqrt();
+    // Not so for a NaN, of a point whose squares leave f32: its limit is 0.
+    let within: Mask<S> = along.abs().simd_le(limit);
+    within.select(along, limit.copysign(along))
 }

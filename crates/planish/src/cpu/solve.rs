@@ -1,32 +1,42 @@
-//! The normal equations by LDL^T, dropping unknowns that the neighbours do not support (docs/method.md, section 6).
+//! The normal equations with their ridge, by LDL^T (docs/method.md, section 6).
 //!
-//! Lanes whose neighbours are too few for degree 3 drop its unknowns: since the order is by degree, what remains is the
-//! solution of degree 2.
+//! Lanes with too few neighbours for degree 3 leave its unknowns out: since the order is by degree, the solution of degree 2
+//! remains.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::polynomial::Moments;
 use super::unroll::unroll;
 use super::vector::{Mask, splat};
-use crate::method::{MONOMIALS, PIVOT_RATIO, coefficient_count};
+use crate::method::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 
-/// c_00, c_10 and c_01 in the units of the moments.
+/// Returns c_00, c_10 and c_01 in the units of the moments; so is the square of the neighbourhood's extent.
 // In the copies of the loops whose conditions are false, values are set that nothing reads.
 #[allow(unused_assignments)]
 #[inline(always)]
-pub(super) fn solve<S: Simd, const D: usize>(simd: S, moments: &Moments<S>, n: S::f32s) -> [S::f32s; 3] {
+pub(super) fn solve<S: Simd, const D: usize>(
+    simd: S,
+    moments: &Moments<S>,
+    extent_squared: S::f32s,
+    ridge: f32,
+    n: S::f32s,
+) -> [S::f32s; 3] {
     let zero = splat(simd, 0.0);
+    // lambda sum(w) h^(2 (i + j)), by i + j.
+    let linear = moments.m::<D>(0, 0) * splat(simd, ridge) * extent_squared;
+    let quadratic = linear * extent_squared;
+    let ridges = [zero, linear, quadratic, quadratic * extent_squared];
     let count = coefficient_count(D);
     let carries_cubic: Mask<S> = n.simd_ge(splat(simd, coefficient_count(3) as f32));
-    // L below the diagonal, its columns times their pivots, and the inverse pivots; a dropped unknown has zeros.
+    // L below the diagonal, its columns times their pivots, and the inverse pivots; an unknown left out has zeros.
     let mut l = [[zero; 10]; 10];
     let mut scaled = [[zero; 10]; 10];
     let mut inverse = [zero; 10];
     let mut y = [zero; 10];
     unroll!(J in 10 {
         if J < count {
-            let diagonal = entry::<S, D>(moments, J, J);
-            let mut pivot = diagonal;
+            let ridge = ridges[MONOMIALS[J].0 + MONOMIALS[J].1];
+            let mut pivot = ridge.mul_add(splat(simd, RIDGE_WEIGHTS[J]), entry::<S, D>(moments, J, J));
             let mut right = moments.t::<D>(MONOMIALS[J].0, MONOMIALS[J].1);
             unroll!(K in 10 {
                 if K < J {
@@ -35,7 +45,8 @@ pub(super) fn solve<S: Simd, const D: usize>(simd: S, moments: &Moments<S>, n: S
                 }
             });
             y[J] = right;
-            let mut supported: Mask<S> = pivot.simd_gt(diagonal * splat(simd, PIVOT_RATIO));
+            // Without any weight there is nothing to solve.
+            let mut supported: Mask<S> = pivot.simd_gt(zero);
             if D == 3 && J >= coefficient_count(2) {
                 supported &= carries_cubic;
             }

@@ -158,8 +158,11 @@ fn moments_of<S: Simd, const D: usize>(simd: S, points: &[(f64, f64, f64)]) -> M
 }
 
 #[test]
-fn the_solver_finds_the_polynomial_and_drops_what_is_not_supported() {
+fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
     fn test<S: Simd>(simd: S, level: &str) {
+        // So little that it hardly shows.
+        const RIDGE: f32 = 1e-7;
+        let one = lanes(simd, 1.0);
         let mut random = Random::new(13, 1);
         let height =
             |a: f64, b: f64| 0.3 - 0.2 * a + 0.5 * b + 0.7 * a * a - 0.4 * a * b + 0.1 * b * b + 0.6 * a * a * b;
@@ -168,14 +171,15 @@ fn the_solver_finds_the_polynomial_and_drops_what_is_not_supported() {
             .map(|(a, b)| (a, b, height(a, b)))
             .collect();
         let n = lanes(simd, 49.0);
-        let found = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &spread), n);
+        let found = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &spread), one, RIDGE, n);
         for (found, expected) in found.iter().zip([0.3, -0.2, 0.5]) {
             assert!((found[0] - expected).abs() < 1e-4, "{level}: {} {expected}", found[0]);
         }
-        // All on the line b = 0: everything with b is dropped, the rest is exact.
+        // All on the line b = 0: everything with b is 0, the rest is exact.
         let line: Vec<_> =
             (0..20).map(|i| f64::from(i) / 10.0 - 1.0).map(|a| (a, 0.0, 0.3 - 0.2 * a + 0.7 * a * a)).collect();
-        let [value, slope_a, slope_b] = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &line), lanes(simd, 20.0));
+        let [value, slope_a, slope_b] =
+            solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &line), one, RIDGE, lanes(simd, 20.0));
         assert!(
             (value[0] - 0.3).abs() < 1e-4 && (slope_a[0] + 0.2).abs() < 1e-3,
             "{level}: {} {}",
@@ -188,14 +192,17 @@ fn the_solver_finds_the_polynomial_and_drops_what_is_not_supported() {
             .map(|i| (f64::from(i % 3) - 1.0, f64::from(i / 3) - 1.0))
             .map(|(a, b)| (a, b, height(a, b)))
             .collect();
-        let cubic = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &nine), lanes(simd, 9.0));
-        let quadratic = solve::<S, 2>(simd, &moments_of::<S, 2>(simd, &nine), lanes(simd, 9.0));
+        let cubic = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &nine), one, RIDGE, lanes(simd, 9.0));
+        let quadratic = solve::<S, 2>(simd, &moments_of::<S, 2>(simd, &nine), one, RIDGE, lanes(simd, 9.0));
         for (cubic, quadratic) in cubic.iter().zip(quadratic) {
             assert!((cubic[0] - quadratic[0]).abs() < 1e-6, "{level}: {} {}", cubic[0], quadratic[0]);
         }
+        // A large ridge leaves the plane: height alone, no slopes.
+        let [_, slope_a, slope_b] = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &spread), one, 1e4, n);
+        assert!(slope_a[0].abs() < 1e-3 && slope_b[0].abs() < 1e-3, "{level}");
         // No weight at all: nothing is supported, nothing is NaN.
         let nothing = moments_of::<S, 3>(simd, &[]);
-        assert!(solve::<S, 3>(simd, &nothing, n).iter().all(|c| c[0] == 0.0), "{level}");
+        assert!(solve::<S, 3>(simd, &nothing, one, RIDGE, n).iter().all(|c| c[0] == 0.0), "{level}");
     }
     at_every_level!(test);
 }

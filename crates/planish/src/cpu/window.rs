@@ -88,9 +88,9 @@ impl<'a> Window<'a> {
         }
     }
 
-    /// First pass: which candidates are neighbours (a bit for each lane, kept in `gates`), and their sums.
+    /// First pass: the sums over the neighbours and, if asked to keep it, which candidates those are: a bit for each lane in `gates`.
     #[inline(always)]
-    pub(super) fn sums<S: Simd>(
+    pub(super) fn sums<S: Simd, const KEEPS_GATES: bool>(
         &self,
         simd: S,
         p: Vec3<S>,
@@ -109,7 +109,9 @@ impl<'a> Window<'a> {
             |index, q| {
                 let e = q.sub(p);
                 let gate: Mask<S> = e.dot(e).simd_le(radius_squared);
-                gates[index] = gate.to_bitmask() as u16;
+                if KEEPS_GATES {
+                    gates[index] = gate.to_bitmask() as u16;
+                }
                 let e = e.or(gate, Vec3::splat(simd, 0.0));
                 sums.n += gate.select(one, zero);
                 sums.e = sums.e.add(e);

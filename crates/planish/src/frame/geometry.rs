@@ -146,6 +146,11 @@ impl FrameGeometry {
         self.cloud_from_sensor.map_or(DVec3::ZERO, |transform| transform.translation)
     }
 
+    /// Whether it is known where the sensor stands, and with that, on which ray each point was measured.
+    pub(crate) fn knows_sensor(&self) -> bool {
+        !matches!(self.rule, RangeRule::Constant { .. })
+    }
+
     /// The range of a point in the sensor's frame.
     pub(crate) fn range_m(&self, point_in_sensor: DVec3) -> f64 {
         match self.rule {

@@ -6,7 +6,7 @@
 use std::fmt::Write;
 
 use super::layout::{InputKind, constants};
-use crate::method::{MONOMIALS, PIVOT_RATIO, coefficient_count};
+use crate::method::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 use crate::outputs::Outputs;
 use crate::params::{Edges, SmoothParams, edge_shift_px};
 
@@ -181,24 +181,26 @@ fn moment_sums(degree: usize) -> String {
     text
 }
 
-/// `fn solve`: c_00, c_10 and c_01 by LDL^T, dropping unknowns that the neighbours do not support.
+/// `fn solve`: c_00, c_10 and c_01 by LDL^T of the normal equations with their ridge.
 ///
-/// With too few neighbours for degree 3 its unknowns are dropped; as the order is by degree, the solution of degree 2 remains.
+/// With too few neighbours for degree 3 its unknowns are left out; as the order is by degree, the solution of degree 2 remains.
 pub(super) fn solve(degree: usize) -> String {
     let count = coefficient_count(degree);
     let entry =
         |i: usize, j: usize| format!("s.m{}{}", MONOMIALS[i].0 + MONOMIALS[j].0, MONOMIALS[i].1 + MONOMIALS[j].1);
-    let mut text = String::from("fn solve(s: Moments, n: f32) -> vec3<f32> {\n");
+    let mut text = String::from("fn solve(s: Moments, ridge: f32, extent_squared: f32, n: f32) -> vec3<f32> {\n");
+    text += "let ridge0 = 0.0;\nlet ridge1 = s.m00 * ridge * extent_squared;\n";
+    text += "let ridge2 = ridge1 * extent_squared;\nlet ridge3 = ridge2 * extent_squared;\n";
     for (j, (a, b)) in MONOMIALS.into_iter().enumerate().take(count) {
-        let diagonal = entry(j, j);
-        let _ = writeln!(text, "var pivot{j} = {diagonal};\nvar y{j} = s.t{a}{b};");
+        let (diagonal, weight) = (entry(j, j), RIDGE_WEIGHTS[j]);
+        let _ = writeln!(text, "var pivot{j} = fma(ridge{}, {weight:?}, {diagonal});\nvar y{j} = s.t{a}{b};", a + b);
         for k in 0..j {
             let _ = writeln!(text, "pivot{j} = fma(-l{j}_{k}, d{j}_{k}, pivot{j});");
             let _ = writeln!(text, "y{j} = fma(-l{j}_{k}, y{k}, y{j});");
         }
+        // Without any weight there is nothing to solve.
         let carried = if j >= coefficient_count(2) { " && n >= 10.0" } else { "" };
-        let supported = format!("pivot{j} > {diagonal} * {PIVOT_RATIO:?}{carried}");
-        let _ = writeln!(text, "let inverse{j} = select(0.0, 1.0 / pivot{j}, {supported});");
+        let _ = writeln!(text, "let inverse{j} = select(0.0, 1.0 / pivot{j}, pivot{j} > 0.0{carried});");
         // Column j of L, and of L times its pivots.
         for i in j + 1..count {
             let _ = writeln!(text, "var d{i}_{j} = {};", entry(i, j));

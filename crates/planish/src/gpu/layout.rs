@@ -17,7 +17,6 @@ use crate::frame::Frame;
 use crate::method;
 use crate::outputs::Outputs;
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M};
-use crate::smoothed::GRAZING_COSINE;
 use crate::status::Status;
 
 /// Parameters of a whole frame.
@@ -33,25 +32,24 @@ pub(super) struct FrameHeader {
     pub(super) sigma: [f32; 3],
     /// 0 stands for the radius.
     pub(super) bandwidth: f32,
+    pub(super) ridge: f32,
     /// The sum of the flags below.
     pub(super) flags: u32,
-    /// The sensor's axes in the cloud's frame, the columns of cloud_from_sensor, and its translation, if the flag says so.
-    pub(super) axes: [f32; 9],
-    pub(super) translation: [f32; 3],
+    /// Where the sensor stands in the cloud's frame, and the unit vector along which it looks.
+    pub(super) position: [f32; 3],
+    pub(super) axis: [f32; 3],
 }
 
 /// The range is the distance from the sensor.
 pub(super) const BY_DISTANCE: u32 = 1;
-/// The samples are in another frame than the sensor's.
-pub(super) const TURNED: u32 = 2;
-/// The ray of a pixel is that of its point: the lens is distorted.
-pub(super) const RAYS_OF_POINTS: u32 = 4;
+/// Points move along their rays.
+pub(super) const ON_RAY: u32 = 2;
 
 /// Channels of a first plane and its point (first_planes.wgsl).
-const FIRST_CHANNELS: usize = 10;
+const FIRST_CHANNELS: usize = 11;
 
 const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
-const _: () = assert!(size_of::<FrameHeader>() == 92);
+const _: () = assert!(size_of::<FrameHeader>() == 72);
 
 /// The uniform of a dispatch.
 #[repr(C)]
@@ -215,12 +213,12 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("RADIUS", std::mem::offset_of!(FrameHeader, radius) / 4),
         ("SIGMA", std::mem::offset_of!(FrameHeader, sigma) / 4),
         ("BANDWIDTH", std::mem::offset_of!(FrameHeader, bandwidth) / 4),
+        ("RIDGE", std::mem::offset_of!(FrameHeader, ridge) / 4),
         ("FLAGS", std::mem::offset_of!(FrameHeader, flags) / 4),
-        ("AXES", std::mem::offset_of!(FrameHeader, axes) / 4),
-        ("TRANSLATION", std::mem::offset_of!(FrameHeader, translation) / 4),
+        ("POSITION", std::mem::offset_of!(FrameHeader, position) / 4),
+        ("AXIS", std::mem::offset_of!(FrameHeader, axis) / 4),
         ("BY_DISTANCE", BY_DISTANCE as usize),
-        ("TURNED", TURNED as usize),
-        ("RAYS_OF_POINTS", RAYS_OF_POINTS as usize),
+        ("ON_RAY", ON_RAY as usize),
         ("FIRST_CHANNELS", FIRST_CHANNELS),
         ("SATURATED_DEPTH", usize::from(SATURATED_DEPTH)),
         ("POINTS_CHANNEL", points),
@@ -252,7 +250,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         constant(name, "bool", value.to_string());
     }
     let numbers = [
-        ("GRAZING_COSINE", GRAZING_COSINE),
+        ("GRAZING_COSINE", method::GRAZING_COSINE),
         ("MAX_RADIUS_M", MAX_RADIUS_M),
         ("MAX_RANGE_M", MAX_RANGE_M),
         ("DEGENERATE_RATIO", method::DEGENERATE_RATIO),

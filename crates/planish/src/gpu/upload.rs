@@ -2,11 +2,13 @@
 
 use bytemuck::{bytes_of, cast_slice};
 
-use super::layout::{BY_DISTANCE, FrameHeader, InputKind, Layout, RAYS_OF_POINTS, TURNED};
+use glam::DVec3;
+
+use super::layout::{BY_DISTANCE, FrameHeader, InputKind, Layout, ON_RAY};
 use crate::camera::{Rays, RowRaysY};
 use crate::engine::AdmittedFrame;
 use crate::frame::{DepthSamples, DepthView, Frame, PointsView};
-use crate::params::{Edges, SmoothParams};
+use crate::params::{Edges, Project, SmoothParams};
 use crate::range::RangeRules;
 
 /// Writes frames; its scratch buffers are kept from one to the next.
@@ -25,7 +27,7 @@ impl Uploader {
     /// Writes a frame through `put`, which takes the index of a word in the frame, and bytes.
     pub(super) fn write(&mut self, layout: &Layout, admitted: &AdmittedFrame<'_>, put: &mut dyn FnMut(usize, &[u8])) {
         let camera = admitted.frame.camera();
-        if let Some(camera) = camera.filter(|_| layout.kind != InputKind::Points || layout.outputs.depth) {
+        if let Some(camera) = camera.filter(|_| layout.kind != InputKind::Points) {
             self.rays.set(camera);
             if !self.rays.are_distorted() {
                 let at = layout.rays();
@@ -47,24 +49,26 @@ impl Uploader {
 
     fn header(&self, admitted: &AdmittedFrame<'_>) -> FrameHeader {
         let rules = RangeRules::new(&self.params, &admitted.geometry);
+        let on_ray = self.params.project == Project::Ray && admitted.geometry.knows_sensor();
         let mut header = FrameHeader {
             radius_linear: rules.linear,
             radius: rules.radius,
             sigma: if self.params.edges == Edges::Off { [0.0; 3] } else { rules.sigma },
             bandwidth: self.params.bandwidth_m.unwrap_or(0.0),
-            flags: if rules.by_distance { BY_DISTANCE } else { 0 },
+            ridge: self.params.ridge,
+            flags: if rules.by_distance { BY_DISTANCE } else { 0 } | if on_ray { ON_RAY } else { 0 },
             ..FrameHeader::default()
         };
         if let Some(camera) = admitted.frame.camera() {
             header.metres_per_unit = camera.metres_per_unit();
             header.units_per_metre = camera.depth_units_per_metre as f32;
-            header.flags |= if camera.distortion.is_none() { 0 } else { RAYS_OF_POINTS };
         }
-        if let Some(transform) = admitted.geometry.cloud_from_sensor {
-            header.flags |= TURNED;
-            header.axes = transform.rotation.to_cols_array().map(|value| value as f32);
-            header.translation = transform.translation.to_array().map(|value| value as f32);
-        }
+        let (position, axis) = admitted
+            .geometry
+            .cloud_from_sensor
+            .map_or((DVec3::ZERO, DVec3::Z), |transform| (transform.translation, transform.rotation.z_axis));
+        header.position = position.as_vec3().to_array();
+        header.axis = axis.as_vec3().to_array();
         header
     }
 

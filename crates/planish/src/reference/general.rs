@@ -32,7 +32,7 @@ pub(super) fn smooth(
         }
         search.within(p, radius_m, neighbours);
         let offsets: Vec<DVec3> = neighbours.iter().map(|&i| points[i] - p).collect();
-        smooth_point(p, sensor, &offsets, radius_m, params)
+        smooth_point(p, sensor, &offsets, radius_m, params, false)
     };
     Ok(threads.install(|| points.par_iter().map_init(Vec::new, smooth).collect()))
 }

@@ -21,10 +21,11 @@ use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry};
 use crate::outputs::SmoothedMut;
-use crate::params::{Edges, SmoothParams};
+use crate::params::{Edges, Project, SmoothParams};
 use crate::status::Status;
 use crate::threads::Threads;
 use plane::Plane;
+use project::Projected;
 use window::Grid;
 
 /// The reference's result for one point, in the sensor's frame.
@@ -32,6 +33,8 @@ use window::Grid;
 struct PointResult {
     /// From the measured point to the smoothed one; NaN for a hole.
     displacement: DVec3,
+    /// The depth at which the point's ray meets the surface, over the measured one; NaN for a hole.
+    depth_scale: f64,
     normal: DVec3,
     curvature: f64,
     status: Status,
@@ -40,12 +43,20 @@ struct PointResult {
 
 impl PointResult {
     fn hole() -> Self {
-        Self { displacement: DVec3::NAN, normal: DVec3::NAN, curvature: f64::NAN, status: Status::Hole, neighbours: 0 }
+        let (displacement, normal) = (DVec3::NAN, DVec3::NAN);
+        Self { displacement, depth_scale: f64::NAN, normal, curvature: f64::NAN, status: Status::Hole, neighbours: 0 }
     }
 }
 
 /// Sections 4 to 7 for one point `p`, given its neighbours as offsets from it (itself included, as zero).
-fn smooth_point(p: DVec3, sensor: DVec3, offsets: &[DVec3], radius_m: f64, params: &SmoothParams) -> PointResult {
+fn smooth_point(
+    p: DVec3,
+    sensor: DVec3,
+    offsets: &[DVec3],
+    radius_m: f64,
+    params: &SmoothParams,
+    on_ray: bool,
+) -> PointResult {
     let neighbours = offsets.len() as u32;
     if neighbours < 3 {
         return PointResult { status: Status::TooFew, neighbours, ..PointResult::hole() };
@@ -53,15 +64,17 @@ fn smooth_point(p: DVec3, sensor: DVec3, offsets: &[DVec3], radius_m: f64, param
     let Some(plane) = plane::fit(offsets, p - sensor) else {
         return PointResult {
             displacement: DVec3::ZERO,
+            depth_scale: 1.0,
             status: Status::Degenerate,
             neighbours,
             ..PointResult::hole()
         };
     };
-    surface_point(p, sensor, offsets, radius_m, params, &plane, f64::INFINITY)
+    surface_point(p, sensor, offsets, radius_m, params, &plane, f64::INFINITY, on_ray)
 }
 
 /// Sections 5 to 7 over a plane. `width_m` is how far from the plane a neighbour still counts (section 10).
+#[allow(clippy::too_many_arguments)]
 fn surface_point(
     p: DVec3,
     sensor: DVec3,
@@ -70,11 +83,14 @@ fn surface_point(
     params: &SmoothParams,
     plane: &Plane,
     width_m: f64,
+    on_ray: bool,
 ) -> PointResult {
     let bandwidth_m = params.bandwidth_m.map_or(radius_m, f64::from);
-    let polynomial = polynomial::fit(offsets, plane, radius_m, bandwidth_m, width_m, params.degree);
-    let (displacement, normal, status) = project::project(p, sensor, plane, polynomial.as_ref(), radius_m);
-    PointResult { displacement, normal, curvature: plane.curvature, status, neighbours: offsets.len() as u32 }
+    let polynomial = polynomial::fit(offsets, plane, radius_m, bandwidth_m, width_m, params);
+    let Projected { displacement, normal, status, depth_scale } =
+        project::project(p, sensor, plane, polynomial.as_ref(), radius_m, on_ray);
+    let neighbours = offsets.len() as u32;
+    PointResult { displacement, depth_scale, normal, curvature: plane.curvature, status, neighbours }
 }
 
 /// The reference engine.
@@ -131,12 +147,13 @@ impl Reference {
                 Some(edges::FirstPlanes::new(grid.width, planes, &self.params))
             }
         };
+        let on_ray = self.params.project == Project::Ray && geometry.knows_sensor();
         let smooth = |p: DVec3, offsets: &[DVec3], radius_m: f64, pixel: (usize, usize)| {
             let noise_m = edges::noise_m(&self.params.sensor, geometry.range_m(p), radius_m);
             match first_planes.as_ref().and_then(|planes| planes.surface(pixel, p, radius_m, noise_m)) {
-                None => smooth_point(p, DVec3::ZERO, offsets, radius_m, &self.params),
+                None => smooth_point(p, DVec3::ZERO, offsets, radius_m, &self.params, on_ray),
                 Some((plane, width_m)) => {
-                    surface_point(p, DVec3::ZERO, offsets, radius_m, &self.params, &plane, width_m)
+                    surface_point(p, DVec3::ZERO, offsets, radius_m, &self.params, &plane, width_m, on_ray)
                 }
             }
         };
@@ -172,11 +189,6 @@ fn store(frame: &AdmittedFrame<'_>, points: &[DVec3], results: &[PointResult], m
     let rotation = frame.geometry.cloud_from_sensor.map(|transform| transform.rotation);
     let turned = |vector: DVec3| rotation.map_or(vector, |rotation| rotation * vector);
     let to_f32 = |vector: DVec3| vector.to_array().map(|value| value as f32);
-    let mut rays = crate::camera::Rays::default();
-    if let Some(camera) = frame.frame.camera() {
-        rays.set(camera);
-    }
-    let (width, _) = frame.frame.shape();
     for (i, result) in results.iter().enumerate() {
         if let Some(points_out) = &mut out.points {
             points_out.set(i, to_f32(points[i] + turned(result.displacement)));
@@ -195,13 +207,7 @@ fn store(frame: &AdmittedFrame<'_>, points: &[DVec3], results: &[PointResult], m
         }
         if let (Some(depth), Some(camera)) = (&mut out.depth, frame.frame.camera()) {
             let in_sensor = frame.geometry.cloud_from_sensor.map_or(points[i], |t| t.to_sensor(points[i]));
-            // Through a distorted lens the ray of a pixel is that of its point.
-            let ray = match camera.distortion.is_none() {
-                true => rays.at(i % width, i / width).map(f64::from),
-                false => [in_sensor.x / in_sensor.z, in_sensor.y / in_sensor.z],
-            };
-            let depth_m = project::depth_along_ray_m(ray, in_sensor + result.displacement, result.normal);
-            depth[i] = camera.raw_depth(depth_m as f32);
+            depth[i] = camera.raw_depth((in_sensor.z * result.depth_scale) as f32);
         }
     }
 }
@@ -274,6 +280,43 @@ mod tests {
                     assert!(off_m < 1e-9, "{viewpoint:?}, point {i}: {off_m:e}");
                 }
                 assert!(differing <= 1, "{viewpoint:?}: {differing}");
+            }
+        }
+    }
+
+    /// Section 6: the result does not depend on the in-plane axes, which a roll of the sensor's frame turns.
+    #[test]
+    fn turned_in_plane_axes_change_nothing() {
+        let camera = Camera::new((96, 72), [78.75; 2], [47.5, 35.5]);
+        let (scene, pose) = Scene::tabletop(5);
+        let truth = scene.render(&camera, &pose);
+        let frame = KinectSimulator::new(KinectNoise::default(), camera, 2).frame(&truth, 0).unwrap();
+        let cloud = frame.deproject().unwrap();
+        let points: Vec<[f64; 3]> = cloud.positions().iter().map(|p| p.map(f64::from)).collect();
+        for (window, degree, radius_m) in [(3, 3, 0.03), (7, 3, 0.05), (3, 2, 0.08), (2, 3, 0.3)] {
+            let params = SmoothParams::paper().with_window(window).with_degree(degree).with_radius_m(radius_m);
+            let engine = Reference::open(params, None).unwrap();
+            let results = |roll_rad: f64| {
+                let (sin, cos) = (roll_rad / 2.0).sin_cos();
+                let pose = SensorPose { position_m: [0.0; 3], orientation: [cos, 0.0, 0.0, sin] };
+                let view = PointsView::from_rows_f64(&points).unwrap().with_grid(96, 72).unwrap();
+                let frame = view.with_pose(pose).unwrap().into_frame().unwrap();
+                let transform = pose.transform().unwrap();
+                let rule = crate::frame::RangeRule::Depth { pitch_at_1m: None };
+                let geometry = FrameGeometry { cloud_from_sensor: Some(transform), rule };
+                let (_, results) = engine.results(&AdmittedFrame { frame, geometry }).unwrap();
+                results.into_iter().map(move |result| (result.status, transform.rotation * result.displacement))
+            };
+            let expected: Vec<_> = results(1e-3).collect();
+            for roll_rad in [0.4, 1.2, 2.9] {
+                let (mut largest_m, mut found) = (0.0, 0);
+                for ((status, displacement), (own_status, own)) in results(roll_rad).zip(&expected) {
+                    if status == *own_status && status.has_normal() {
+                        largest_m = f64::max(largest_m, (displacement - *own).length());
+                        found += 1;
+                    }
+                }
+                assert!(largest_m < 1e-9 && found > 1000, "{window} {degree} {radius_m}: {largest_m:e}, {found}");
             }
         }
     }

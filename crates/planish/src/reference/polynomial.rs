@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::plane::Plane;
 use super::solve::solve;
+use crate::params::SmoothParams;
 
 /// The height of the surface over the plane, f(a, b), by its value and slopes at the foot of p.
 #[derive(Debug, Clone, Copy)]
@@ -29,8 +30,16 @@ fn monomials(degree: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..=degree).flat_map(|total| (0..=total).map(move |j| (total - j, j)))
 }
 
-/// Two unit vectors that complete the unit vector n to an orthonormal frame (Duff et al. 2017), as every engine does:
-/// which unknowns are dropped depends on the frame.
+/// The weight of a monomial in the ridge, so that the ridge is the same in every frame: the binomial norm of the derivatives.
+fn ridge_weight((i, j): (u32, u32)) -> f64 {
+    if i + j == 0 {
+        return 0.0;
+    }
+    let binomial = (0..j).fold(1.0, |product, k| product * f64::from(i + j - k) / f64::from(k + 1));
+    1.0 / binomial
+}
+
+/// Two unit vectors that complete the unit vector n to an orthonormal frame (Duff et al. 2017).
 pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
     let sign = 1f64.copysign(n.z);
     let a = -1.0 / (sign + n.z);
@@ -46,9 +55,9 @@ pub(super) fn fit(
     radius_m: f64,
     bandwidth_m: f64,
     width_m: f64,
-    degree: u32,
+    params: &SmoothParams,
 ) -> Option<Polynomial> {
-    let degree = (2..=degree).rev().find(|&d| coefficient_count(d) <= offsets.len())?;
+    let degree = (2..=params.degree).rev().find(|&d| coefficient_count(d) <= offsets.len())?;
     let (u, v) = tangents(plane.normal);
     let h = radius_m.min(2.0 * plane.largest_variance.sqrt());
 
@@ -68,6 +77,10 @@ pub(super) fn fit(
             right_side[row] += w * power * f_m;
         }
     }
+    let total = normal_matrix[0][0];
+    for (k, monomial) in monomials(degree).enumerate() {
+        normal_matrix[k][k] += f64::from(params.ridge) * total * ridge_weight(monomial);
+    }
     let c = solve(&normal_matrix, &right_side);
     Some(Polynomial { degree, height: c[0], gradient: (c[1] * u + c[2] * v) / h })
 }
@@ -81,6 +94,12 @@ mod tests {
         let expected = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
         assert_eq!(monomials(3).collect::<Vec<_>>(), expected);
         assert_eq!([1, 2, 3].map(coefficient_count), [3, 6, 10]);
+    }
+
+    #[test]
+    fn the_ridge_weighs_mixed_derivatives_once() {
+        let weights: Vec<f64> = monomials(3).map(ridge_weight).collect();
+        assert_eq!(weights, [0.0, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 1.0]);
     }
 
     #[test]

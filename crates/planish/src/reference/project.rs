@@ -6,34 +6,79 @@ use super::plane::Plane;
 use super::polynomial::Polynomial;
 use crate::status::Status;
 
-/// Displacement, normal and status of the point p. A point that would move further than the radius takes the plane's foot.
+/// Below this cosine of the angle of incidence a point moves less and less along its ray.
+const GRAZING_COSINE: f64 = 0.2;
+
+pub(super) struct Projected {
+    /// From the measured point to its place on the surface.
+    pub displacement: DVec3,
+    pub normal: DVec3,
+    pub status: Status,
+    /// The depth at which the ray meets the surface, over that of the measured point.
+    pub depth_scale: f64,
+}
+
+/// Puts the point p onto the plane or the polynomial over it, along its ray or along the plane's normal. A polynomial further away
+/// than the radius gives way to the plane; no point moves by more than the radius.
 pub(super) fn project(
     p: DVec3,
     sensor: DVec3,
     plane: &Plane,
     polynomial: Option<&Polynomial>,
     radius_m: f64,
-) -> (DVec3, DVec3, Status) {
-    let on_plane = (plane.foot, plane.normal, Status::Plane);
-    let Some(polynomial) = polynomial else { return on_plane };
-    let moved = plane.foot + polynomial.height * plane.normal;
-    let within = moved.length_squared() <= radius_m * radius_m;
-    // A NaN is not within.
-    if !within {
-        return on_plane;
+    on_ray: bool,
+) -> Projected {
+    let mut surface = plane.foot;
+    let (mut normal, mut status) = (plane.normal, Status::Plane);
+    if let Some(polynomial) = polynomial {
+        let on_polynomial = plane.foot + polynomial.height * plane.normal;
+        // False for a NaN.
+        if on_polynomial.length_squared() <= radius_m * radius_m {
+            surface = on_polynomial;
+            status = Status::of_degree(polynomial.degree);
+            normal = (plane.normal - polynomial.gradient).normalize();
+            if normal.dot(p - sensor) > 0.0 {
+                normal = -normal;
+            }
+        }
     }
-    let normal = (plane.normal - polynomial.gradient).normalize();
-    let towards_sensor = if normal.dot(p - sensor) > 0.0 { -normal } else { normal };
-    (moved, towards_sensor, Status::of_degree(polynomial.degree))
+    let ray = p - sensor;
+    let along = along_ray(surface, normal, ray, radius_m);
+    let displacement = if on_ray { along * ray } else { surface };
+    Projected { displacement, normal, status, depth_scale: 1.0 + along }
 }
 
-/// Below this cosine of the angle of incidence the point's own depth is more accurate than the tangent plane.
-const GRAZING_COSINE: f64 = 0.2;
+/// How far along the ray, in its lengths, the tangent plane through `surface` lies from the ray's end, which is the origin here.
+/// With c the cosine of the angle of incidence, c/max(c², 0.2²) instead of 1/c: where the ray grazes the plane, it says little.
+fn along_ray(surface: DVec3, normal: DVec3, ray: DVec3, radius_m: f64) -> f64 {
+    let length = ray.length();
+    let cosine = ray.dot(normal) / length;
+    let along_m = surface.dot(normal) * cosine / (cosine * cosine).max(GRAZING_COSINE * GRAZING_COSINE);
+    let along = along_m.clamp(-radius_m, radius_m) / length;
+    // A point at the sensor has no ray.
+    if along.is_finite() { along } else { 0.0 }
+}
 
-/// The depth where the ray (x, y, 1) of a pixel meets the tangent plane of its smoothed point.
-pub(super) fn depth_along_ray_m([ray_x, ray_y]: [f64; 2], point: DVec3, normal: DVec3) -> f64 {
-    let ray = DVec3::new(ray_x, ray_y, 1.0);
-    let along = ray.dot(normal);
-    // Also false for a NaN normal.
-    if along.abs() > GRAZING_COSINE * ray.length() { point.dot(normal) / along } else { point.z }
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ray_meets_the_tangent_plane() {
+        let ray = DVec3::new(0.3, -0.2, 1.5);
+        for normal in [DVec3::new(0.1, 0.2, -1.0), DVec3::new(0.5, -0.5, -0.8)].map(DVec3::normalize) {
+            let surface = 0.004 * normal;
+            let along = along_ray(surface, normal, ray, 0.1);
+            assert!(((along * ray - surface).dot(normal)).abs() < 1e-15, "{along}");
+        }
+        // Grazing: smaller and smaller, without a jump.
+        let grazing = |cosine: f64| {
+            let across = ray.cross(DVec3::X).normalize();
+            let normal = cosine * ray.normalize() + (1.0 - cosine * cosine).sqrt() * across;
+            along_ray(1e-3 * normal, normal, ray, 0.1) * ray.length()
+        };
+        assert!((grazing(0.2001) - grazing(0.1999)).abs() < 1e-5 && (grazing(0.2) - 5e-3).abs() < 1e-9);
+        assert!((grazing(0.01) - 2.5e-4).abs() < 1e-9 && grazing(0.0) == 0.0);
+        assert_eq!(along_ray(DVec3::X, DVec3::X, DVec3::ZERO, 0.1), 0.0);
+    }
 }

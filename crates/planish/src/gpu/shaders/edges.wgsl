@@ -50,6 +50,7 @@ fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, ray: vec3<f32>, radius: 
     var width = NARROW_WIDTH * noise;
     plane.is_degenerate = count < 0.0;
     plane.curvature = first_planes[first_at(frame, FIRST_CURVATURE, own)];
+    plane.extent_squared = first_planes[first_at(frame, FIRST_EXTENT, own)];
     let is_usable = first_planes[first_at(frame, FIRST_RESIDUAL, own)] != NOT_USABLE;
     // Planes that agree on nothing may be further away than a point may move.
     if !is_usable || abs(height) > radius * total {

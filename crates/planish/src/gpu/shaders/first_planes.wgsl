@@ -5,13 +5,14 @@
 
 // The channels in order: the point (NO_POINT for a hole), the normal, the height over the point, the variance along the normal
 // plus the plane's uncertainty in m² (NOT_USABLE where the neighbours are too few, on a line, or on a plane seen edge-on), the
-// curvature, and the number of neighbours, negative where they are on a line.
+// curvature, the number of neighbours, negative where they are on a line, and the square of the extent in m².
 const FIRST_POINT: u32 = 0u;
 const FIRST_NORMAL: u32 = 3u;
 const FIRST_HEIGHT: u32 = 6u;
 const FIRST_RESIDUAL: u32 = 7u;
 const FIRST_CURVATURE: u32 = 8u;
 const FIRST_COUNT: u32 = 9u;
+const FIRST_EXTENT: u32 = 10u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;

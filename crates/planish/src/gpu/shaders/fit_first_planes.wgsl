@@ -35,5 +35,6 @@ fn fit_first_planes(
     first_planes[first_at(frame, FIRST_HEIGHT, at)] = plane.height;
     first_planes[first_at(frame, FIRST_RESIDUAL, at)] = select(NOT_USABLE, residual, is_usable);
     first_planes[first_at(frame, FIRST_CURVATURE, at)] = plane.curvature;
+    first_planes[first_at(frame, FIRST_EXTENT, at)] = plane.extent_squared;
     first_planes[first_at(frame, FIRST_COUNT, at)] = select(sums.n, -sums.n, plane.is_degenerate);
 }

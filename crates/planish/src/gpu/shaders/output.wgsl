@@ -18,27 +18,9 @@ fn no_result(status: u32, n: u32) -> PixelResult {
     return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, status | (n << 8u));
 }
 
-// Depth in raw units: where the pixel's ray meets the tangent plane.
-fn raw_depth_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, projected: Projected) -> u32 {
-    let rays = frame * batch.input_words + HEADER_WORDS;
-    var ray = vec3<f32>(bitcast<f32>(input[rays + pixel.x]), bitcast<f32>(input[rays + batch.width + pixel.y]), 1.0);
-    var measured = p;
-    var point = projected.point;
-    var normal = projected.normal;
-    if is_turned(frame) {
-        measured = along_axes(frame, ray_to(frame, p));
-        point = along_axes(frame, ray_to(frame, point));
-        normal = along_axes(frame, normal);
-    }
-    // Through a distorted lens the ray of a pixel is that of its point.
-    if IS_POINTS && (header_bits(frame, FLAGS) & RAYS_OF_POINTS) != 0u {
-        ray = vec3<f32>(measured.xy / measured.z, 1.0);
-    }
-    let along = dot(ray, normal);
-    var depth = point.z;
-    if abs(along) > GRAZING_COSINE * sqrt(dot(ray, ray)) {
-        depth = dot(point, normal) / along;
-    }
+// Depth in raw units: where the ray of p meets the surface.
+fn raw_depth_of(frame: u32, p: vec3<f32>, depth_scale: f32) -> u32 {
+    let depth = depth_of(frame, ray_to(frame, p)) * depth_scale;
     let raw = round(depth * header(frame, UNITS_PER_METRE));
     if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
         return u32(raw);

@@ -9,6 +9,8 @@ struct Plane {
     residual: f32,
     // How little the points determine the normal: l2/(l1 - l0), at most MAX_DOUBT.
     doubt: f32,
+    // Four times the largest variance, 4 l2, in m²: the square of the neighbourhood's in-plane extent.
+    extent_squared: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
     // The neighbours lie on a line; the rest means nothing.
@@ -37,5 +39,5 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let residual = max(l.x, 0.0);
     let curvature = residual / max(l.x + l.y + l.z, MIN_POSITIVE);
     let doubt = min(l.z / max(l.y - residual, MIN_POSITIVE), MAX_DOUBT);
-    return Plane(normal, dot(c, normal), residual, doubt, curvature, l.y <= l.z * DEGENERATE_RATIO);
+    return Plane(normal, dot(c, normal), residual, doubt, 4.0 * l.z, curvature, l.y <= l.z * DEGENERATE_RATIO);
 }

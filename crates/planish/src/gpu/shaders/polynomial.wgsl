@@ -13,13 +13,15 @@ struct Fit {
     v: vec3<f32>,
     // Units of a, b and f in a metre.
     per_metre: f32,
+    // The square of the extent in units of a and b.
+    extent_squared: f32,
 }
 
 // Second pass over the window. The gate is that of the first pass in these units: a candidate within rounding of the radius may
 // pass one and not the other, as it may in another engine.
-fn fit_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
+fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
     let plane = surface.plane;
-    let tangents = tangents_at(frame, plane.normal);
+    let tangents = tangents_of(plane.normal);
     let per_metre = SQRT_LOG2_E / bandwidth;
     let a_axis = tangents.u * per_metre;
     let b_axis = tangents.v * per_metre;
@@ -47,5 +49,6 @@ fn fit_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius_squared: f32, s
             }
         }
     }
-    return Fit(s, tangents.u, tangents.v, per_metre);
+    let extent_squared = min(plane.extent_squared, radius_squared) * per_metre * per_metre;
+    return Fit(s, tangents.u, tangents.v, per_metre, extent_squared);
 }

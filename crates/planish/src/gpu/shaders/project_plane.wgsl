@@ -5,8 +5,35 @@ struct Projected {
     normal: vec3<f32>,
     // Codes of Status.
     status: u32,
+    // The depth at which the ray meets the surface, over the measured one.
+    depth_scale: f32,
 }
 
-fn project_on_plane(p: vec3<f32>, plane: Plane) -> Projected {
-    return Projected(fma(vec3<f32>(plane.height), plane.normal, p), plane.normal, STATUS_PLANE);
+// Puts p onto the surface that is `height` away along the plane's normal, and has a normal of its own.
+fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
+    let on_ray = (header_bits(frame, FLAGS) & ON_RAY) != 0u;
+    var point = fma(vec3<f32>(height), plane_normal, p);
+    var along = 0.0;
+    if WANTS_DEPTH || on_ray {
+        let ray = ray_to(frame, p);
+        along = along_ray(height * dot(plane_normal, normal), normal, ray, radius);
+        if on_ray {
+            point = fma(vec3<f32>(along), ray, p);
+        }
+    }
+    return Projected(point, normal, status, 1.0 + along);
+}
+
+// How far along the ray, in its lengths, the tangent plane lies that is `height` from the ray's end along its normal. Where the
+// ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
+fn along_ray(height: f32, normal: vec3<f32>, ray: vec3<f32>, radius: f32) -> f32 {
+    let square = max(dot(ray, ray), MIN_POSITIVE);
+    let across = dot(ray, normal);
+    let along = height * across / max(across * across, square * (GRAZING_COSINE * GRAZING_COSINE));
+    let limit = radius / sqrt(square);
+    return clamp(along, -limit, limit);
+}
+
+fn project_on_plane(frame: u32, p: vec3<f32>, plane: Plane, radius: f32) -> Projected {
+    return put_on_surface(frame, p, plane.normal, plane.height, plane.normal, radius, STATUS_PLANE);
 }

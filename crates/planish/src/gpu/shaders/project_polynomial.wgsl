@@ -5,23 +5,20 @@
 fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
     let height = c.x / fit.per_metre + plane.height;
     if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {
-        return project_on_plane(p, plane);
+        return project_on_plane(frame, p, plane, radius);
     }
-    var normal = plane.normal;
-    if WANTS_NORMALS || WANTS_DEPTH {
-        normal = plane.normal - c.y * fit.u - c.z * fit.v;
-        normal *= select(1.0, -1.0, dot(normal, ray_to(frame, p)) > 0.0) / sqrt(dot(normal, normal));
-    }
+    var normal = plane.normal - c.y * fit.u - c.z * fit.v;
+    normal *= select(1.0, -1.0, dot(normal, ray_to(frame, p)) > 0.0) / sqrt(dot(normal, normal));
     let status = select(STATUS_POLYNOMIAL_2, STATUS_POLYNOMIAL_3, DEGREE == 3u && n >= 10.0);
-    return Projected(fma(vec3<f32>(height), plane.normal, p), normal, status);
+    return put_on_surface(frame, p, plane.normal, height, normal, radius, status);
 }
 
 fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> Projected {
     if surface.n < 6.0 {
-        return project_on_plane(p, surface.plane);
+        return project_on_plane(frame, p, surface.plane, radius);
     }
     let own_bandwidth = header(frame, BANDWIDTH);
     let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
-    let fit = fit_of(frame, window, p, radius * radius, surface, bandwidth);
-    return project_on_polynomial(frame, p, surface.plane, fit, solve(fit.moments, surface.n), radius, surface.n);
+    let fit = fit_of(window, p, radius * radius, surface, bandwidth);
+    return project_on_polynomial(frame, p, surface.plane, fit, solve(fit.moments, header(frame, RIDGE), fit.extent_squared, surface.n), radius, surface.n);
 }

@@ -8,14 +8,14 @@ fn result_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>, r
         result.point = bitcast<vec3<u32>>(p);
         if WANTS_DEPTH {
             // Without a normal the depth is the point's own.
-            result.codes |= raw_depth_of(frame, pixel, p, Projected(p, vec3<f32>(0.0), STATUS_DEGENERATE)) << 16u;
+            result.codes |= raw_depth_of(frame, p, 1.0) << 16u;
         }
         return result;
     }
     let projected = surface_of(frame, window, p, radius, surface);
     var codes = projected.status | (n << 8u);
     if WANTS_DEPTH {
-        codes |= raw_depth_of(frame, pixel, p, projected) << 16u;
+        codes |= raw_depth_of(frame, p, projected.depth_scale) << 16u;
     }
     return PixelResult(
         bitcast<vec3<u32>>(projected.point),
