@@ -37,8 +37,9 @@ impl SensorPose {
         Self { position_m, orientation: [w, x, y, z] }
     }
 
-    /// The pose of a position and a rotation matrix, row by row; `None` if the matrix is no rotation within 1 %.
-    pub(crate) fn from_rotation(position_m: [f64; 3], rows: [[f64; 3]; 3]) -> Option<Self> {
+    /// The pose of a position in metres and a rotation matrix (cloud_from_sensor, row by row); `None` if the matrix is no rotation
+    /// within 1 %, or the position is not allowed.
+    pub fn from_rotation(position_m: [f64; 3], rows: [[f64; 3]; 3]) -> Option<Self> {
         let rotation = DMat3::from_cols_array_2d(&rows).transpose();
         let off = rotation * rotation.transpose() - DMat3::IDENTITY;
         // False for a NaN.
@@ -49,8 +50,8 @@ impl SensorPose {
         (is_rotation && pose.validate().is_ok()).then_some(pose)
     }
 
-    /// The rotation cloud_from_sensor, row by row.
-    pub(crate) fn rotation(&self) -> [[f64; 3]; 3] {
+    /// The rotation from the sensor's frame to the cloud's, row by row.
+    pub fn rotation(&self) -> [[f64; 3]; 3] {
         let rotation = self.transform().unwrap_or(RigidTransform::IDENTITY).rotation;
         rotation.transpose().to_cols_array_2d()
     }

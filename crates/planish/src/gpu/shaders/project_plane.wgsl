@@ -9,9 +9,13 @@ struct Projected {
     depth_scale: f32,
 }
 
+fn is_on_ray(frame: u32) -> bool {
+    return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
+}
+
 // Puts p onto the surface that is `height` away along the plane's normal, and has a normal of its own.
 fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
-    let on_ray = (header_bits(frame, FLAGS) & ON_RAY) != 0u;
+    let on_ray = is_on_ray(frame);
     var point = fma(vec3<f32>(height), plane_normal, p);
     var along = 0.0;
     if WANTS_DEPTH || on_ray {

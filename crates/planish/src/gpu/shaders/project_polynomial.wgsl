@@ -7,8 +7,11 @@ fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: ve
     if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {
         return project_on_plane(frame, p, plane, radius);
     }
-    var normal = plane.normal - c.y * fit.u - c.z * fit.v;
-    normal *= select(1.0, -1.0, dot(normal, ray_to(frame, p)) > 0.0) / sqrt(dot(normal, normal));
+    var normal = plane.normal;
+    if WANTS_NORMALS || WANTS_DEPTH || is_on_ray(frame) {
+        normal = plane.normal - c.y * fit.u - c.z * fit.v;
+        normal *= select(1.0, -1.0, dot(normal, ray_to(frame, p)) > 0.0) / sqrt(dot(normal, normal));
+    }
     let status = select(STATUS_POLYNOMIAL_2, STATUS_POLYNOMIAL_3, DEGREE == 3u && n >= 10.0);
     return put_on_surface(frame, p, plane.normal, height, normal, radius, status);
 }

@@ -79,6 +79,8 @@ impl PlyCamera {
     }
 }
 
+// Of the ten types one is f64 already.
+#[allow(clippy::unnecessary_cast)]
 fn first_value(column: &Attribute) -> Option<f64> {
     with_values!(&column.values, values => values.first().map(|&value| value as f64))
 }
