@@ -2,7 +2,7 @@
 //! nasty clouds (docs/method.md, section 9).
 
 use planish::agreement::{Agreement, radii_m};
-use planish::{OrganizedCloud, Radius, SensorPose, SmoothParams, Smoothed};
+use planish::{OrganizedCloud, Project, Radius, SensorPose, SmoothParams, Smoothed};
 
 use crate::data::real_frames;
 use crate::engines::{TestEngine, parameter_grid};
@@ -84,6 +84,8 @@ pub fn nasty_clouds_keep_the_invariants(subjects: &[Subject]) {
         SmoothParams::default(),
         SmoothParams::default().with_window(7).with_stride(8),
         SmoothParams::paper().with_window(1).with_degree(1),
+        SmoothParams::default().with_project(Project::Ray),
+        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 3.0 }).with_project(Project::Ray),
         SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e-6 }),
         SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e-3)),
         SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e3)),

@@ -79,6 +79,15 @@ pub fn nasty_scenes() -> Vec<TestScene> {
         ),
         scene("denormal coordinates", grid(40, 30, |u, v| [1e-40 * u as f32, 1e-40 * v as f32, 1e-39])),
         scene("behind the sensor", grid(40, 30, |u, v| [0.004 * u as f32, 0.004 * v as f32, -2.0])),
+        scene(
+            "points at the sensor",
+            grid(40, 30, |u, v| match (u * 31 + v * 17) % 13 {
+                0 => [0.0; 3],
+                1 => [1e-25, 0.0, 1e-25],
+                2 => [0.0, 0.0, 1e-38],
+                _ => wall(u, v),
+            }),
+        ),
         scene("zeros as holes", grid(40, 30, |u, v| if v % 3 == 0 { [0.0; 3] } else { wall(u, v) })),
     ]
 }

@@ -240,7 +240,7 @@ fn a_ply_states_pose_and_grid_as_pcl_does() {
     );
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("pcl.ply");
-    std::fs::write(&path, text).unwrap();
+    std::fs::write(&path, &text).unwrap();
     let mut cloud = OrganizedCloud::read(&path).unwrap();
     assert_eq!((cloud.width(), cloud.height(), cloud.points.valid_points()), (2, 2, 3));
     let pose = SensorPose::from_viewpoint([f64::from(0.1f32), 0.0, f64::from(0.6f32), 0.5, -0.5, 0.5, -0.5]);
@@ -256,6 +256,18 @@ fn a_ply_states_pose_and_grid_as_pcl_does() {
             let again = OrganizedCloud::read(&path).unwrap();
             assert!(near(&again.points.pose, &cloud.points.pose, 1e-6), "{encoding:?}: {:?}", again.points.pose);
         }
+    }
+    // MeshLab means other axes by the same names, and has a focal length; a damaged camera harms no vertex.
+    let replaced = |from: &str, to: &str| {
+        std::fs::write(&path, text.replace(from, to)).unwrap();
+        OrganizedCloud::read(&path).map(|cloud| cloud.points.pose)
+    };
+    assert_eq!(replaced(" 0 0 0 0 0 2 2 0 0", " 8.5 0 0 0 0 2 2 0 0").unwrap(), SensorPose::IDENTITY);
+    assert!(near(&replaced("nothing", "").unwrap(), &pose, 1e-6));
+    for damaged in ["0.1 0 0.6 0 0 1 -1 0 0", "0.1 0 0.6 0 0 1 -1 0 0 0 -1 0 0 0 0 0 0 2 2 0 0 7", ""] {
+        std::fs::write(&path, text.replace("0.1 0 0.6 0 0 1 -1 0 0 0 -1 0 0 0 0 0 0 2 2 0 0", damaged)).unwrap();
+        let Contents::General(points) = io::read(&path).unwrap().1 else { panic!("no grid") };
+        assert_eq!((points.len(), points.pose), (4, SensorPose::IDENTITY), "{damaged}");
     }
     cloud.points.pose = SensorPose::IDENTITY;
     planish::io::write_cloud(&path, &cloud, Encoding::Ascii).unwrap();

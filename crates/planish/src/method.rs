@@ -7,6 +7,8 @@ pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
 
 /// Below this cosine of the angle of incidence a point moves less and less along its ray (section 7).
 pub(crate) const GRAZING_COSINE: f32 = 0.2;
+/// No point moves along its ray by more than this share of its distance (section 7).
+pub(crate) const MAX_ALONG: f32 = 0.5;
 
 // Section 10.
 

@@ -90,7 +90,7 @@ impl Smoothed {
 
     /// [`Smoothed::to_depth`] in metres, NaN for holes.
     ///
-    /// A smoothed point moves along its normal and so leaves the ray of its pixel. The depth is taken where that ray meets
+    /// With [`Project::Normal`](crate::Project::Normal) a smoothed point leaves the ray of its pixel. The depth is taken where that ray meets
     /// the tangent plane of the point; where the ray grazes the plane, or the normal is missing, it is the point's own z.
     pub fn to_depth_m(&self, camera: &Camera) -> Result<Vec<f32>, FrameError> {
         camera.check_shape((self.width, self.height))?;

@@ -2,8 +2,8 @@
 //!
 //! The weight is 2^-(a² + b² + f²), with a, b the in-plane coordinates and f the height over the plane, all in units of the
 //! bandwidth over sqrt(log2 e). The reference divides a and b by h; this unit saves a multiplication, and the ridge is converted
-//! to it. Moments: M_ij = sum w a^i b^j for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and b: one fused
-//! multiply-add each, and plain additions for j = 0.
+//! to it. Moments: M_ij = sum w a^i b^j for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer
+//! products of the powers of a and b: one fused multiply-add each, and plain additions for j = 0.
 
 use std::ops::Range;
 

@@ -5,7 +5,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::plane::Plane;
 use super::polynomial::Fit;
 use super::vector::{Mask, Vec3, splat};
-use crate::method::{GRAZING_COSINE, coefficient_count};
+use crate::method::{GRAZING_COSINE, MAX_ALONG, coefficient_count};
 
 pub(super) struct Projected<S: Simd> {
     pub(super) point: Vec3<S>,
@@ -88,11 +88,14 @@ pub(super) fn project<S: Simd, const D: usize>(
 /// ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
 #[inline(always)]
 fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray: Vec3<S>, radius: S::f32s) -> S::f32s {
-    let square = ray.dot(ray);
+    // At least so much, since a point at the sensor has no ray.
+    let least = splat(simd, f32::MIN_POSITIVE);
+    let square = ray.dot(ray).max(least);
     let across = ray.dot(normal);
-    let along = height * across / (across * across).max(square * splat(simd, GRAZING_COSINE * GRAZING_COSINE));
-    let limit = radius / square.sqrt();
-    // Not so for a NaN, of a point whose squares leave f32: its limit is 0.
+    let divisor = (across * across).max(square * splat(simd, GRAZING_COSINE * GRAZING_COSINE)).max(least);
+    let along = height * across / divisor;
+    let limit = (radius / square.sqrt()).min(splat(simd, MAX_ALONG));
+    // False for a NaN, of a point whose squares leave f32: its limit is 0.
     let within: Mask<S> = along.abs().simd_le(limit);
     within.select(along, limit.copysign(along))
 }

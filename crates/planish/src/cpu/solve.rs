@@ -45,7 +45,7 @@ pub(super) fn solve<S: Simd, const D: usize>(
                 }
             });
             y[J] = right;
-            // Without any weight there is nothing to solve.
+            // Without any weight there is nothing to solve; with some, the ridge keeps pivots positive.
             let mut supported: Mask<S> = pivot.simd_gt(zero);
             if D == 3 && J >= coefficient_count(2) {
                 supported &= carries_cubic;

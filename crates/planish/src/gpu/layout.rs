@@ -251,6 +251,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
     }
     let numbers = [
         ("GRAZING_COSINE", method::GRAZING_COSINE),
+        ("MAX_ALONG", method::MAX_ALONG),
         ("MAX_RADIUS_M", MAX_RADIUS_M),
         ("MAX_RANGE_M", MAX_RANGE_M),
         ("DEGENERATE_RATIO", method::DEGENERATE_RATIO),

@@ -28,12 +28,11 @@ impl Uploader {
     pub(super) fn write(&mut self, layout: &Layout, admitted: &AdmittedFrame<'_>, put: &mut dyn FnMut(usize, &[u8])) {
         let camera = admitted.frame.camera();
         if let Some(camera) = camera.filter(|_| layout.kind != InputKind::Points) {
+            // Through a distorted lens depth goes up as points.
             self.rays.set(camera);
-            if !self.rays.are_distorted() {
-                let at = layout.rays();
-                put(at.start, cast_slice(&self.rays.x));
-                put(at.start + layout.width, cast_slice(&self.rays.y));
-            }
+            let at = layout.rays();
+            put(at.start, cast_slice(&self.rays.x));
+            put(at.start + layout.width, cast_slice(&self.rays.y));
         }
         put(0, bytes_of(&self.header(admitted)));
         let samples = layout.rays().end;

@@ -9,6 +9,9 @@ use crate::status::Status;
 /// Below this cosine of the angle of incidence a point moves less and less along its ray.
 const GRAZING_COSINE: f64 = 0.2;
 
+/// No point moves along its ray by more than this share of its distance.
+const MAX_ALONG: f64 = 0.5;
+
 pub(super) struct Projected {
     /// From the measured point to its place on the surface.
     pub displacement: DVec3,
@@ -54,9 +57,9 @@ fn along_ray(surface: DVec3, normal: DVec3, ray: DVec3, radius_m: f64) -> f64 {
     let length = ray.length();
     let cosine = ray.dot(normal) / length;
     let along_m = surface.dot(normal) * cosine / (cosine * cosine).max(GRAZING_COSINE * GRAZING_COSINE);
-    let along = along_m.clamp(-radius_m, radius_m) / length;
+    let limit = (radius_m / length).min(MAX_ALONG);
     // A point at the sensor has no ray.
-    if along.is_finite() { along } else { 0.0 }
+    if length > 0.0 { (along_m / length).clamp(-limit, limit) } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>
     if n < 3u {
         return no_result(STATUS_TOO_FEW, n);
     }
-    return result_of(frame, pixel, window, p, radius, surface);
+    return result_of(frame, window, p, radius, surface);
 }
 
 fn plane_at(frame: u32, pixel: vec2<u32>, p: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> LocalSurface {

@@ -33,8 +33,9 @@ fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32
 fn along_ray(height: f32, normal: vec3<f32>, ray: vec3<f32>, radius: f32) -> f32 {
     let square = max(dot(ray, ray), MIN_POSITIVE);
     let across = dot(ray, normal);
-    let along = height * across / max(across * across, square * (GRAZING_COSINE * GRAZING_COSINE));
-    let limit = radius / sqrt(square);
+    let divisor = max(max(across * across, square * (GRAZING_COSINE * GRAZING_COSINE)), MIN_POSITIVE);
+    let along = height * across / divisor;
+    let limit = min(radius / sqrt(square), MAX_ALONG);
     return clamp(along, -limit, limit);
 }
 

@@ -2,7 +2,7 @@
 //
 // Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame would be
 // rounded once more. A ray leads from the sensor to a point, in the cloud's frame. Where that is the sensor's own, the same
-// operations change no bit.
+// operations change no bit (up to 1e18 m).
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
     return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));

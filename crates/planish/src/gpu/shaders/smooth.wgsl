@@ -1,7 +1,7 @@
 // From the plane that each point lies on to its result: sections 5 to 7.
 
 // Of a point with 3 neighbours or more.
-fn result_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
+fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
     let n = u32(surface.n);
     if surface.plane.is_degenerate {
         var result = no_result(STATUS_DEGENERATE, n);

@@ -1,9 +1,11 @@
 //! The element `camera`: the sensor's pose and the grid, as PCL writes them behind the vertices.
 //!
 //! PCL has the rows of cloud_from_sensor's rotation in `x_axis`, `y_axis` and `z_axis`, and width and height in the viewport. Of the
-//! rest it uses nothing, and writes 0.
+//! rest it uses nothing, and writes 0. MeshLab has an element of the same name whose axes mean something else; it is told by its
+//! focal length, and its pose is not taken.
 
-use super::super::columns::with_values;
+use ply_rs_bw::ply::{ElementDef, Property};
+
 use crate::cloud::{Attribute, AttributeValues};
 use crate::pose::SensorPose;
 
@@ -32,6 +34,7 @@ const PROPERTIES: [&str; 21] = [
     "k2",
 ];
 const POSE: usize = 12;
+const FOCAL_AND_SCALES: std::ops::Range<usize> = 12..15;
 const WIDTH: usize = 17;
 const HEIGHT: usize = 18;
 
@@ -48,16 +51,20 @@ pub(super) struct PlyCamera {
 }
 
 impl PlyCamera {
-    /// From the element's properties, one value each.
-    pub(super) fn of(columns: &[Attribute]) -> Self {
-        let value = |k: usize| first_value(columns.iter().find(|column| column.name == PROPERTIES[k])?);
+    /// From the values of the element's properties, in their order. Nothing where they are not PCL's.
+    pub(super) fn of(element: &ElementDef, values: &[f64]) -> Self {
+        if values.len() != element.properties.len() {
+            return Self::default();
+        }
+        let value = |k: usize| values.get(element.properties.get_index_of(PROPERTIES[k])?).copied();
+        let is_pcl = FOCAL_AND_SCALES.into_iter().all(|k| value(k).is_none_or(|value| value == 0.0));
         let numbers: Option<Vec<f64>> = (0..POSE).map(value).collect();
-        let pose = numbers.and_then(|numbers| {
+        let pose = numbers.filter(|_| is_pcl).and_then(|numbers| {
             let row = |k: usize| [numbers[k], numbers[k + 1], numbers[k + 2]];
             SensorPose::from_rotation(row(0), [row(3), row(6), row(9)])
         });
-        let pixels = |k| value(k).filter(|&count| count >= 1.0 && count.fract() == 0.0).map(|count| count as usize);
-        Self { pose, grid: pixels(WIDTH).zip(pixels(HEIGHT)).filter(|&(_, height)| height > 1) }
+        let pixels = |k| value(k).filter(|&count| count > 1.0 && count.fract() == 0.0).map(|count| count as usize);
+        Self { pose, grid: pixels(WIDTH).zip(pixels(HEIGHT)) }
     }
 
     /// The element's properties for a pose, one value each.
@@ -79,8 +86,17 @@ impl PlyCamera {
     }
 }
 
-// Of the ten types one is f64 already.
-#[allow(clippy::unnecessary_cast)]
-fn first_value(column: &Attribute) -> Option<f64> {
-    with_values!(&column.values, values => values.first().map(|&value| value as f64))
+/// A scalar as a number; NaN for a list.
+pub(super) fn number(property: &Property) -> f64 {
+    match *property {
+        Property::Char(value) => value.into(),
+        Property::UChar(value) => value.into(),
+        Property::Short(value) => value.into(),
+        Property::UShort(value) => value.into(),
+        Property::Int(value) => value.into(),
+        Property::UInt(value) => value.into(),
+        Property::Float(value) => value.into(),
+        Property::Double(value) => value,
+        _ => f64::NAN,
+    }
 }

@@ -1,4 +1,4 @@
-//! PLY, ascii and binary: the vertices with all their properties. Faces and other elements are not read.
+//! PLY, ascii and binary: the vertices with all their properties. Faces and other elements are not kept.
 //!
 //! A grid is stated as by range scanners and PCL: `obj_info num_cols W` and `obj_info num_rows H`, with a vertex for every
 //! pixel, or with an element `range_grid` that says which pixels have one; or, with the sensor's pose, by PCL's element
@@ -91,58 +91,67 @@ struct Body {
     camera: PlyCamera,
 }
 
-/// The columns of an element `camera`; `None` for another one, or one that nobody writes.
-fn camera_columns(name: &str, element: &ElementDef) -> Option<Vec<Attribute>> {
-    if name == "camera" && element.count == 1 { empty_columns(element).ok() } else { None }
-}
-
-/// The elements up to the last one of interest; those after it are ignored.
-fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef)> {
-    let last = header
-        .elements
-        .keys()
-        .rposition(|name| matches!(name.as_str(), "vertex" | "range_grid" | "camera"))
-        .unwrap_or(0);
-    header.elements.iter().map(|(name, element)| (name.as_str(), element)).take(last + 1)
+/// The elements up to the last one of interest, each with whether it must be whole: those behind the vertices and their grid need not be,
+/// since a camera is no more than a hint.
+fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef, bool)> {
+    let last = |names: &[&str]| header.elements.keys().rposition(|name| names.contains(&name.as_str())).unwrap_or(0);
+    let (needed, last) = (last(&["vertex", "range_grid"]), last(&["vertex", "range_grid", "camera"]));
+    let elements = header.elements.iter().enumerate().take(last + 1);
+    elements.map(move |(i, (name, element))| (name.as_str(), element, i <= needed))
 }
 
 /// Reads a text body without the library, whose grammar lacks `nan` and `inf`, as holes are written.
 fn read_text(header: &Header, body: &[u8], columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let mut body = text::Body::new(body)?;
     let mut found = Body::default();
-    for (name, element) in elements_to_read(header) {
-        let mut line =
-            || body.line().ok_or_else(|| FormatError::Malformed(format!("the file ends within element {name}")));
-        match name {
-            "vertex" => body.read(columns, element.count)?,
-            "range_grid" => {
-                let cell = |(_, line): (usize, &str)| {
-                    let words: Option<Vec<usize>> =
-                        line.split_ascii_whitespace().map(|word| word.parse().ok()).collect();
-                    cell_of(words.as_deref().and_then(<[usize]>::split_first).map(|(_, indices)| indices))
-                };
-                found.cells = Some((0..element.count).map(|_| cell(line()?)).collect::<Result<_, _>>()?);
-            }
-            _ => {
-                if let Some(mut columns) = camera_columns(name, element) {
-                    body.read(&mut columns, 1)?;
-                    found.camera = PlyCamera::of(&columns);
-                    continue;
-                }
-                for _ in 0..element.count {
-                    line()?;
-                }
-            }
+    for (name, element, is_needed) in elements_to_read(header) {
+        match read_text_element(name, element, &mut body, columns, &mut found) {
+            Err(error) if is_needed => return Err(error),
+            Err(_) => break,
+            Ok(()) => {}
         }
     }
     Ok(found)
 }
 
+fn read_text_element(
+    name: &str,
+    element: &ElementDef,
+    body: &mut text::Body<'_>,
+    columns: &mut [Attribute],
+    found: &mut Body,
+) -> Result<(), FormatError> {
+    if name == "vertex" {
+        return body.read(columns, element.count);
+    }
+    let mut cells = Vec::new();
+    for _ in 0..element.count {
+        let (_, line) =
+            body.line().ok_or_else(|| FormatError::Malformed(format!("the file ends within element {name}")))?;
+        let words = line.split_ascii_whitespace();
+        if name == "range_grid" {
+            let words: Option<Vec<usize>> = words.map(|word| word.parse().ok()).collect();
+            cells.push(cell_of(words.as_deref().and_then(<[usize]>::split_first).map(|(_, indices)| indices))?);
+        } else if name == "camera" {
+            let values: Vec<f64> = words.map(|word| word.parse().unwrap_or(f64::NAN)).collect();
+            found.camera = PlyCamera::of(element, &values);
+        }
+    }
+    if name == "range_grid" {
+        found.cells = Some(cells);
+    }
+    Ok(())
+}
+
 fn read_binary(header: &Header, reader: &mut Reader<&[u8]>, columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let parser = Parser::<Record>::new();
     let mut found = Body::default();
-    for (name, element) in elements_to_read(header) {
-        let records = parser.read_payload_for_element(reader, element, header).map_err(damaged)?;
+    for (name, element, is_needed) in elements_to_read(header) {
+        let records = match parser.read_payload_for_element(reader, element, header) {
+            Err(error) if is_needed => return Err(damaged(error)),
+            Err(_) => break,
+            Ok(records) => records,
+        };
         match name {
             "vertex" => records.into_iter().try_for_each(|record| push(columns, record))?,
             "range_grid" => {
@@ -153,12 +162,12 @@ fn read_binary(header: &Header, reader: &mut Reader<&[u8]>, columns: &mut [Attri
                 };
                 found.cells = Some(records.iter().map(cell).collect::<Result<_, _>>()?);
             }
-            _ => {
-                if let Some(mut columns) = camera_columns(name, element) {
-                    records.into_iter().try_for_each(|record| push(&mut columns, record))?;
-                    found.camera = PlyCamera::of(&columns);
-                }
+            "camera" => {
+                let values: Vec<f64> =
+                    records.first().into_iter().flat_map(|record| record.0.iter().map(camera::number)).collect();
+                found.camera = PlyCamera::of(element, &values);
             }
+            _ => {}
         }
     }
     Ok(found)
