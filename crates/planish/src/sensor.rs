@@ -49,7 +49,7 @@ impl SensorModel {
     /// in librealsense issue 5808), the line through them.
     pub const REALSENSE_L515: Self = Self::from_noise([8.75e-4, 1.625e-3, 0.0]);
     /// Depth of iPhone and iPad lidars: half of the absolute accuracy of ±1 cm that Luetzenburg et al. 2021 (Scientific Reports
-    /// 11:22221) found for small objects, at any range.
+    /// 11:22221) found for small objects, at any range. The figure is not verified here.
     pub const APPLE_LIDAR: Self = Self::from_noise([5e-3, 0.0, 0.0]);
     /// Depth without noise: rendered, or averaged for long.
     pub const EXACT: Self = Self { step: [0.0; 3], sigma: [0.0; 3] };
