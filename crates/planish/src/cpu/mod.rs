@@ -36,7 +36,7 @@ use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
 use crate::outputs::SmoothedMut;
-use crate::params::{Project, SmoothParams};
+use crate::params::SmoothParams;
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, RangeRules};
 use crate::simd_level::SimdLevel;
 use crate::threads::Threads;
@@ -159,7 +159,7 @@ impl ImmediateEngine for Cpu {
             sensor: Sensor::new(&frame.geometry),
             bandwidth_m: self.params.bandwidth_m,
             ridge: self.params.ridge,
-            on_ray: self.params.project == Project::Ray && frame.geometry.knows_sensor(),
+            on_ray: frame.geometry.is_on_rays(self.params.project),
         };
         match self.threads.take() {
             None => self.smooth_rows(frame, &kernel, out, false),

@@ -5,7 +5,6 @@
 //! the same operations change no bit.
 
 use fearless_simd::Simd;
-use glam::DVec3;
 
 use super::vector::{Vec3, splat};
 use crate::frame::FrameGeometry;
@@ -18,10 +17,8 @@ pub(super) struct Sensor {
 
 impl Sensor {
     pub(super) fn new(geometry: &FrameGeometry) -> Self {
-        let (position, axis) = geometry
-            .cloud_from_sensor
-            .map_or((DVec3::ZERO, DVec3::Z), |transform| (transform.translation, transform.rotation.z_axis));
-        Self { position: position.as_vec3().to_array(), axis: axis.as_vec3().to_array() }
+        let [position, axis] = [geometry.sensor_position(), geometry.sensor_axis()].map(|v| v.as_vec3().to_array());
+        Self { position, axis }
     }
 
     /// The ray to each point.

@@ -9,6 +9,7 @@ use super::sample::{
 };
 use super::{Frame, PointsView};
 use crate::cloud::OrganizedCloud;
+use crate::params::Project;
 use crate::pose::RigidTransform;
 
 /// How ranges are measured in a frame, and how far apart its pixels are.
@@ -146,9 +147,14 @@ impl FrameGeometry {
         self.cloud_from_sensor.map_or(DVec3::ZERO, |transform| transform.translation)
     }
 
-    /// Whether it is known where the sensor stands, and with that, on which ray each point was measured.
-    pub(crate) fn knows_sensor(&self) -> bool {
-        !matches!(self.rule, RangeRule::Constant { .. })
+    /// The unit vector along which the sensor looks, in the cloud's frame.
+    pub(crate) fn sensor_axis(&self) -> DVec3 {
+        self.cloud_from_sensor.map_or(DVec3::Z, |transform| transform.rotation.z_axis)
+    }
+
+    /// Whether points move along their rays (docs/method.md, section 7): if asked to, and if it is known where the sensor stands.
+    pub(crate) fn is_on_rays(&self, project: Project) -> bool {
+        project == Project::Ray && !matches!(self.rule, RangeRule::Constant { .. })
     }
 
     /// The range of a point in the sensor's frame.

@@ -2,13 +2,11 @@
 
 use bytemuck::{bytes_of, cast_slice};
 
-use glam::DVec3;
-
 use super::layout::{BY_DISTANCE, FrameHeader, InputKind, Layout, ON_RAY};
 use crate::camera::{Rays, RowRaysY};
 use crate::engine::AdmittedFrame;
 use crate::frame::{DepthSamples, DepthView, Frame, PointsView};
-use crate::params::{Edges, Project, SmoothParams};
+use crate::params::{Edges, SmoothParams};
 use crate::range::RangeRules;
 
 /// Writes frames; its scratch buffers are kept from one to the next.
@@ -48,7 +46,7 @@ impl Uploader {
 
     fn header(&self, admitted: &AdmittedFrame<'_>) -> FrameHeader {
         let rules = RangeRules::new(&self.params, &admitted.geometry);
-        let on_ray = self.params.project == Project::Ray && admitted.geometry.knows_sensor();
+        let on_ray = admitted.geometry.is_on_rays(self.params.project);
         let mut header = FrameHeader {
             radius_linear: rules.linear,
             radius: rules.radius,
@@ -62,12 +60,8 @@ impl Uploader {
             header.metres_per_unit = camera.metres_per_unit();
             header.units_per_metre = camera.depth_units_per_metre as f32;
         }
-        let (position, axis) = admitted
-            .geometry
-            .cloud_from_sensor
-            .map_or((DVec3::ZERO, DVec3::Z), |transform| (transform.translation, transform.rotation.z_axis));
-        header.position = position.as_vec3().to_array();
-        header.axis = axis.as_vec3().to_array();
+        header.position = admitted.geometry.sensor_position().as_vec3().to_array();
+        header.axis = admitted.geometry.sensor_axis().as_vec3().to_array();
         header
     }
 

@@ -21,7 +21,7 @@ use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry};
 use crate::outputs::SmoothedMut;
-use crate::params::{Edges, Project, SmoothParams};
+use crate::params::{Edges, SmoothParams};
 use crate::status::Status;
 use crate::threads::Threads;
 use plane::Plane;
@@ -147,7 +147,7 @@ impl Reference {
                 Some(edges::FirstPlanes::new(grid.width, planes, &self.params))
             }
         };
-        let on_ray = self.params.project == Project::Ray && geometry.knows_sensor();
+        let on_ray = geometry.is_on_rays(self.params.project);
         let smooth = |p: DVec3, offsets: &[DVec3], radius_m: f64, pixel: (usize, usize)| {
             let noise_m = edges::noise_m(&self.params.sensor, geometry.range_m(p), radius_m);
             match first_planes.as_ref().and_then(|planes| planes.surface(pixel, p, radius_m, noise_m)) {
@@ -220,17 +220,20 @@ mod tests {
     use crate::frame::{GeometryScratch, IntoFrame, PointsView};
     use crate::params::Radius;
     use crate::pose::SensorPose;
-    use crate::simulate::{KinectNoise, KinectSimulator, Scene};
+    use crate::simulate::{KinectNoise, KinectSimulator, Pose, Scene};
+
+    /// A noisy frame of 96x72 points.
+    fn noisy_points((scene, pose): (Scene, Pose)) -> Vec<[f64; 3]> {
+        let camera = Camera::new((96, 72), [78.75; 2], [47.5, 35.5]);
+        let truth = scene.render(&camera, &pose);
+        let frame = KinectSimulator::new(KinectNoise::default(), camera, 2).frame(&truth, 0).unwrap();
+        frame.deproject().unwrap().positions().iter().map(|p| p.map(f64::from)).collect()
+    }
 
     /// Section 11: a cloud and its pose that are moved together give the same result, moved; here in f64, on a grid and without.
     #[test]
     fn a_rigid_motion_moves_the_result_to_a_nanometre() {
-        let camera = Camera::new((96, 72), [78.75; 2], [47.5, 35.5]);
-        let (scene, pose) = Scene::room(2);
-        let truth = scene.render(&camera, &pose);
-        let frame = KinectSimulator::new(KinectNoise::default(), camera, 2).frame(&truth, 0).unwrap();
-        let cloud = frame.deproject().unwrap();
-        let own: Vec<[f64; 3]> = cloud.positions().iter().map(|p| p.map(f64::from)).collect();
+        let own = noisy_points(Scene::room(2));
         let settings = [
             (SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), true),
             (SmoothParams::default().with_stride(1), true),
@@ -287,12 +290,7 @@ mod tests {
     /// Section 6: the result does not depend on the in-plane axes, which a roll of the sensor's frame turns.
     #[test]
     fn turned_in_plane_axes_change_nothing() {
-        let camera = Camera::new((96, 72), [78.75; 2], [47.5, 35.5]);
-        let (scene, pose) = Scene::tabletop(5);
-        let truth = scene.render(&camera, &pose);
-        let frame = KinectSimulator::new(KinectNoise::default(), camera, 2).frame(&truth, 0).unwrap();
-        let cloud = frame.deproject().unwrap();
-        let points: Vec<[f64; 3]> = cloud.positions().iter().map(|p| p.map(f64::from)).collect();
+        let points = noisy_points(Scene::tabletop(5));
         for (window, degree, radius_m) in [(3, 3, 0.03), (7, 3, 0.05), (3, 2, 0.08), (2, 3, 0.3)] {
             let params = SmoothParams::paper().with_window(window).with_degree(degree).with_radius_m(radius_m);
             let engine = Reference::open(params, None).unwrap();
