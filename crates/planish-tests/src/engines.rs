@@ -130,5 +130,6 @@ pub fn parameter_grid() -> Vec<SmoothParams> {
     all.enumerate()
         .map(|(i, params)| if i % 3 == 1 { params.with_project(Project::Ray) } else { params })
         .map(|params| if params.window % 4 == 2 { params.with_ridge(0.3) } else { params })
+        .map(|params| params.with_average_blocks(params.degree != 1))
         .collect()
 }

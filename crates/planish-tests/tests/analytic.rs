@@ -144,19 +144,19 @@ fn no_point_moves_further_than_the_radius() {
 
 #[test]
 fn the_sensor_radius_follows_the_rule() {
-    // At 1 m 49 candidates at stride 3 and pitch 2 mm reach 25 mm diagonally; the radius is 1.5 * 9 * 2 mm = 27 mm, so a
-    // point 26 mm in front is a neighbour and one 28 mm in front is not.
+    // At 1 m 49 candidates at stride 3 and pitch 2 mm reach 25 mm diagonally; the radius is 2 * 9 * 2 mm = 36 mm, so a
+    // point 32 mm in front (r = 35 mm there) has neighbours and one 37 mm in front has none but itself.
     let neighbours = |lift: f32| {
         let cloud = grid(41, 41, |u, v| {
             let z = if (u, v) == (20, 20) { 1.0 - lift } else { 1.0 };
             [(u as f32 - 20.0) * 0.002 * z, (v as f32 - 20.0) * 0.002 * z, z]
         });
-        let smoothed = smooth(&cloud, SmoothParams::default().with_window(3).with_stride(3));
+        let smoothed = smooth(&cloud, SmoothParams::default().with_window(3).with_stride(3).with_average_blocks(false));
         smoothed.neighbours.unwrap()[20 * 41 + 20]
     };
     assert_eq!(neighbours(0.0), 49);
-    assert!(neighbours(0.025) > 1);
-    assert_eq!(neighbours(0.028), 1);
+    assert!(neighbours(0.032) > 1);
+    assert_eq!(neighbours(0.037), 1);
 }
 
 #[test]

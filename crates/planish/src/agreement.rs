@@ -12,7 +12,7 @@ pub const EQUAL_STATUS: f64 = 0.9999;
 
 /// Most positions: f32 rounding of coordinates up to 5 m (half an ulp is 2.4e-7 m) and of the sums over a window.
 /// Rounding is relative: both figures grow with a range over [`RANGE_M`] and a radius over [`RADIUS_M`].
-pub const POSITION_999_M: f64 = 5e-6;
+pub const POSITION_999_M: f64 = 8e-6;
 
 /// The range up to which the tolerances hold as they are.
 pub const RANGE_M: f64 = 5.0;
@@ -20,8 +20,11 @@ pub const RANGE_M: f64 = 5.0;
 /// The radius of a neighbourhood up to which the tolerances hold as they are.
 pub const RADIUS_M: f64 = 0.25;
 
-/// Nearly all positions: the others have a neighbour within rounding of the gate.
-pub const POSITION_9999_M: f64 = 2e-5;
+/// Nearly all positions.
+pub const POSITION_9999_M: f64 = 5e-5;
+
+/// Every position: neighbourhoods whose plane is hardly determined magnify rounding.
+pub const POSITION_WORST_M: f64 = 1e-4;
 
 /// How far results are from the reference's, gathered over one or more frames.
 #[derive(Debug, Clone, Default)]
@@ -102,7 +105,7 @@ impl Agreement {
         if self.equal_status() < EQUAL_STATUS - one_pixel {
             misses.push(format!("status equal on {}", self.equal_status()));
         }
-        for (share, tolerance_m) in [(0.999, POSITION_999_M), (0.9999, POSITION_9999_M)] {
+        for (share, tolerance_m) in [(0.999, POSITION_999_M), (0.9999, POSITION_9999_M), (1.0, POSITION_WORST_M)] {
             let found_m = self.position_m(share);
             if found_m > tolerance_m {
                 misses.push(format!("{} % within {found_m:e} m instead of {tolerance_m:e} m", 100.0 * share));
@@ -144,7 +147,7 @@ pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: SmoothParams) -> Vec<f64> 
                 rule => range_m * rule.pitch_at_1m(),
             };
             let reach = f64::from(params.window * params.stride);
-            (1.5 * reach * spacing_m).max(4.0 * params.sensor.step_m(range_m))
+            (2.0 * reach * spacing_m).max(4.0 * params.sensor.step_m(range_m))
         }
     };
     (0..width * height).map(|i| radius_m(range_m(i))).collect()
@@ -166,7 +169,7 @@ mod tests {
         };
         assert!(misses(&points, 0..100).is_empty());
         let mut off = points.clone();
-        off.set(50, [0.5, 4e-5, 1.0]);
+        off.set(50, [0.5, 2e-4, 1.0]);
         assert!(!misses(&off, 0..100).is_empty() && misses(&off, 0..50).is_empty());
         let mut holed = points.clone();
         holed.set(1, [f32::NAN; 3]);

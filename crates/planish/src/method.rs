@@ -5,6 +5,9 @@ pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
 /// Lengths are measured in units of g/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
 pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
 
+/// The gate fades out (section 2): a neighbour at a distance d counts 16 (1 - d²/r²), and at most 1.
+pub(crate) const GATE_FADE: f32 = 16.0;
+
 /// Below this cosine of the angle of incidence a point moves less and less along its ray (section 7).
 pub(crate) const GRAZING_COSINE: f32 = 0.2;
 /// No point moves along its ray by more than this share of its distance (section 7).
@@ -19,9 +22,15 @@ pub(crate) const MIN_NEIGHBOURS: f32 = 6.0;
 /// The noise is at least this share of the radius.
 pub(crate) const MIN_NOISE: f32 = 0.01;
 /// How much a plane's distance from p weighs beside its own residual, both squared.
-pub(crate) const DISTANCE_WEIGHT: f32 = 0.5;
+pub(crate) const DISTANCE_WEIGHT: f32 = 0.3;
+/// Planes of points up to so many radii away are considered: on oblique surfaces those of a window's reach are as far.
+pub(crate) const PLANE_REACH: f32 = 2.0;
 /// Neighbours count up to so many deviations of the noise from the surface.
-pub(crate) const NARROW_WIDTH: f32 = 1.8;
+pub(crate) const NARROW_WIDTH: f32 = 1.0;
+/// The points of a block count up to so many times that width from the surface...
+pub(crate) const BLOCK_WIDTH: f32 = 1.5;
+/// ...with the root of at least this weight.
+pub(crate) const MIN_BLOCK_WEIGHT: f32 = 0.02;
 /// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a disc.
 pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
 /// No camera sees a surface as steep as this; what looks like one is a row of points far apart.

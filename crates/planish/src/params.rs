@@ -15,7 +15,7 @@ pub enum Radius {
         /// The radius in metres.
         radius_m: f32,
     },
-    /// r(z) = max(1.5 k s pitch z, 4 step(z)): wide enough for the window at this range, and for the sensor's depth steps.
+    /// r(z) = max(2 k s pitch z, 4 step(z)): wide enough for the window at this range, and for the sensor's depth steps.
     Sensor,
 }
 
@@ -49,11 +49,17 @@ const TUNED_FOCAL_LENGTH_PX: f64 = 525.0;
 /// Added before a stride is cut to a whole number: it is rounded up from 0.4 on, so that halves, of half the resolution, do not
 /// hang on an estimate's last digits.
 const ROUNDING: f64 = 0.6;
+/// The share of its reach in pixels that a window keeps on coarse pixels, as far as windows go.
+const LEAST_REACH: f64 = 0.5;
+/// The widest window that is allowed.
+const WIDEST: u32 = 7;
 /// The strides that are allowed.
 const STRIDES: RangeInclusive<u32> = 1..=8;
 
 /// The ridge of [`SmoothParams::for_sensor`].
-const RIDGE: f32 = 1e-2;
+const RIDGE: f32 = 2.5e-2;
+/// The same with [`Strength::Light`].
+const LIGHT_RIDGE: f32 = 1e-2;
 /// The ridge of [`SmoothParams::paper`] and of sensors without noise: shapes are those of the plain polynomial.
 const SMALL_RIDGE: f32 = 1e-3;
 
@@ -61,12 +67,12 @@ const SMALL_RIDGE: f32 = 1e-3;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Strength {
-    /// 49 candidates over 13x13 pixels: for small things.
+    /// Windows of 15x15 pixels: for small things.
     Light,
-    /// 121 candidates over 31x31 pixels.
+    /// Windows of 25x25 pixels.
     #[default]
     Default,
-    /// 225 candidates over 43x43 pixels: for walls, floors and far ranges.
+    /// Windows of 29x29 pixels, with 49 samples instead of 25: for walls, floors and far ranges.
     Strong,
 }
 
@@ -87,6 +93,8 @@ pub struct SmoothParams {
     pub window: u32,
     /// Distance s between candidates in pixels. 1 to 8.
     pub stride: u32,
+    /// Whether every sample is the mean of its block of pixels, as wide as the stride, so that every pixel of the window counts.
+    pub average_blocks: bool,
     /// The gate: candidates further away than this from the point are no neighbours.
     pub radius: Radius,
     /// Highest degree of the polynomial fitted over the plane. 1 (the plane itself) to 3.
@@ -120,22 +128,28 @@ impl SmoothParams {
     pub fn for_sensor(sensor: SensorModel, strength: Strength) -> Self {
         let has_noise = sensor.sigma_m(1.0) >= LITTLE_SIGMA_M;
         let (window, stride) = match strength {
-            Strength::Light if has_noise => (3, 2),
-            Strength::Default if has_noise => (5, 3),
-            Strength::Strong if has_noise => (7, 3),
+            Strength::Light if has_noise => (2, 3),
+            Strength::Default if has_noise => (2, 5),
+            Strength::Strong if has_noise => (3, 4),
             Strength::Light => (2, 1),
             Strength::Default => (5, 1),
             Strength::Strong => (7, 1),
+        };
+        let ridge = match strength {
+            _ if !has_noise => SMALL_RIDGE,
+            Strength::Light => LIGHT_RIDGE,
+            _ => RIDGE,
         };
         let (radius, edges) = (Radius::Sensor, Edges::Robust);
         Self {
             window,
             stride,
+            average_blocks: true,
             radius,
             degree: 2,
             bandwidth_m: None,
-            ridge: if has_noise { RIDGE } else { SMALL_RIDGE },
-            project: Project::Normal,
+            ridge,
+            project: Project::Ray,
             edges,
             sensor,
         }
@@ -149,6 +163,11 @@ impl SmoothParams {
     /// The same with another distance between candidates in pixels, 1 to 8.
     pub const fn with_stride(self, stride: u32) -> Self {
         Self { stride, ..self }
+    }
+
+    /// The same with block means or without.
+    pub const fn with_average_blocks(self, average_blocks: bool) -> Self {
+        Self { average_blocks, ..self }
     }
 
     /// The same with another rule for the radius.
@@ -192,17 +211,18 @@ impl SmoothParams {
     }
 
     /// The same setting at the resolution of a frame. Strides are chosen for pixels of a Kinect v1, 1/525 of the range; where a
-    /// frame's are coarser, they are as much shorter, so that windows span about as much of the scene, down to 1. Finer pixels
-    /// change nothing, and neither does a frame without any. (At 160x120 the default's windows would reach over whole objects and
-    /// mix them.)
+    /// frame's are coarser, they are as much shorter, so that windows span about as much of the scene, down to 1. (At 160x120 the
+    /// default's windows would reach over whole objects and mix them.) Windows get wider where that leaves them less than half of
+    /// their reach in pixels, since it is pixels that noise is averaged over. Finer pixels change nothing, and neither does a frame
+    /// without any.
     ///
     /// ```
     /// use planish::{Camera, DepthFrame, SmoothParams};
     ///
     /// let camera = Camera::new((320, 240), [262.5; 2], [159.5, 119.5]);
     /// let frame = DepthFrame::new(camera, vec![1000; 320 * 240])?;
-    /// assert_eq!(SmoothParams::default().stride, 3);
-    /// assert_eq!(SmoothParams::default().at_resolution_of(&frame).stride, 2);
+    /// assert_eq!(SmoothParams::default().stride, 5);
+    /// assert_eq!(SmoothParams::default().at_resolution_of(&frame).stride, 3);
     /// # Ok::<(), planish::FrameError>(())
     /// ```
     pub fn at_resolution_of<'a>(self, frame: impl IntoFrame<'a>) -> Self {
@@ -217,7 +237,10 @@ impl SmoothParams {
         let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
         let coarseness = geometry.rule.known_pitch_at_1m()? * TUNED_FOCAL_LENGTH_PX;
         let stride = (f64::from(self.stride) / coarseness + ROUNDING).floor();
-        Some(Self { stride: (stride as u32).clamp(1, self.stride), ..self })
+        let stride = (stride as u32).clamp(1, self.stride);
+        let least_reach_px = self.reach_px() as f64 * LEAST_REACH;
+        let window = (least_reach_px / f64::from(stride)).ceil() as u32;
+        Some(Self { stride, window: window.min(WIDEST).max(self.window), ..self })
     }
 
     /// The setting of the 2011 report: 49 adjacent pixels, 3 cm, degree 3.
@@ -226,6 +249,7 @@ impl SmoothParams {
         Self {
             window: 3,
             stride: 1,
+            average_blocks: false,
             radius,
             degree: 3,
             bandwidth_m: None,
@@ -245,7 +269,7 @@ impl SmoothParams {
         let real = |field, value: f32, range: std::ops::RangeInclusive<f32>, allowed| {
             if range.contains(&value) { Ok(()) } else { Err(ParamError { field, value: value.to_string(), allowed }) }
         };
-        integer("window", self.window, 1..=7, "1 to 7")?;
+        integer("window", self.window, 1..=WIDEST, "1 to 7")?;
         integer("stride", self.stride, STRIDES, "1 to 8")?;
         integer("degree", self.degree, 1..=3, "1 to 3")?;
         if let Radius::Fixed { radius_m } = self.radius {
@@ -264,6 +288,16 @@ impl SmoothParams {
         (self.window * self.stride) as usize
     }
 
+    /// Half width of the blocks that are averaged, in pixels: blocks are as wide as the stride, or a pixel wider where that is even.
+    pub(crate) fn block_half_px(&self) -> usize {
+        self.stride as usize / 2
+    }
+
+    /// Whether there is anything to average.
+    pub(crate) fn averages_blocks(&self) -> bool {
+        self.average_blocks && self.block_half_px() > 0
+    }
+
     /// How many candidates a window has: (2k+1)².
     pub fn candidates(&self) -> usize {
         let side = 2 * self.window as usize + 1;
@@ -271,10 +305,10 @@ impl SmoothParams {
     }
 }
 
-/// How far away in pixels the planes are that say which surface a point lies on: nine tenths of the reach k s of a window, so
+/// How far away in pixels the planes are that say which surface a point lies on: a little more than the reach k s of a window, so
 /// that one of them is clear of an edge that the point itself is near to.
-pub(crate) fn edge_shift_px(reach_px: u32) -> u32 {
-    (9 * reach_px + 5) / 10
+pub(crate) fn edge_shift_px(reach_px: usize) -> usize {
+    (13 * reach_px + 6) / 12
 }
 
 #[cfg(test)]
@@ -294,15 +328,15 @@ mod tests {
             let params = SmoothParams::default().with_stride(stride);
             let [of_depth, of_cloud] = [params.at_resolution_of(&depth), params.at_resolution_of(&cloud)];
             assert_eq!(of_depth, of_cloud);
-            assert_eq!(of_depth, params.with_stride(of_depth.stride));
-            of_depth.stride
+            assert_eq!(of_depth, params.with_stride(of_depth.stride).with_window(of_depth.window));
+            (of_depth.window, of_depth.stride)
         };
         let of_default: Vec<_> =
-            [1000.0, 525.0, 425.0, 366.0, 262.5, 210.0, 131.25, 10.0].map(|fx| strides(fx, 3)).into();
-        assert_eq!(of_default, [3, 3, 3, 2, 2, 1, 1, 1]);
-        assert_eq!((strides(525.0, 1), strides(262.5, 2), strides(262.5, 8)), (1, 1, 4));
+            [1000.0, 525.0, 425.0, 366.0, 262.5, 210.0, 131.25, 10.0].map(|fx| strides(fx, 5)).into();
+        assert_eq!(of_default, [(2, 5), (2, 5), (2, 4), (2, 4), (2, 3), (3, 2), (5, 1), (5, 1)]);
+        assert_eq!((strides(525.0, 1), strides(262.5, 2), strides(262.5, 8)), ((2, 1), (2, 1), (2, 4)));
         // What is not allowed stays so, and is refused later.
-        assert_eq!((strides(100.0, 0), strides(100.0, 12)), (0, 12));
+        assert_eq!((strides(100.0, 0), strides(100.0, 12)), ((2, 0), (2, 12)));
     }
 
     #[test]

@@ -3,9 +3,15 @@
 use crate::frame::{FrameGeometry, RangeRule, assumed_range_m};
 use crate::params::{Radius, SmoothParams};
 
+/// The radius of a sensor's window in half widths of it, for surfaces seen obliquely.
+const REACHES: f64 = 2.0;
+
 /// A radius beyond this makes no difference to any scene, and its square is far from the end of f32: a coordinate of 1e30 has
 /// an infinite radius by the rule, and what is computed from it must stay finite.
 pub(crate) const MAX_RADIUS_M: f32 = 1e6;
+
+/// No gate is narrower, so that a point is always its own neighbour and squares stay within f32.
+pub(crate) const MIN_GATE_M: f32 = 1e-12;
 
 /// The square of a larger range would leave f32; its radius is at the limit or fixed.
 pub(crate) const MAX_RANGE_M: f32 = 1e18;
@@ -17,6 +23,10 @@ pub(crate) struct RangeRules {
     pub(crate) linear: f32,
     /// Coefficients of 1, z and z² in the radius: four depth steps, or the fixed radius.
     pub(crate) radius: [f32; 3],
+    /// Of z in the gate of the blocks, for the spacing of the pixels.
+    pub(crate) block_linear: f32,
+    /// Coefficients of 1, z and z² in the gate of the blocks: two and a half depth steps.
+    pub(crate) block: [f32; 3],
     /// Coefficients of 1, z and z² in the noise.
     pub(crate) sigma: [f32; 3],
     /// Whether the range is the distance from the sensor rather than the depth along its axis.
@@ -28,21 +38,25 @@ impl RangeRules {
         let mut rules = Self {
             linear: 0.0,
             radius: [0.0; 3],
+            block_linear: (3.0 * params.block_half_px() as f64 * geometry.rule.pitch_at_1m()) as f32,
+            block: params.sensor.step.map(|c| 2.5 * c),
             sigma: params.sensor.sigma,
             by_distance: matches!(geometry.rule, RangeRule::Distance { .. }),
         };
         match params.radius {
             Radius::Fixed { radius_m } => rules.radius[0] = radius_m,
             Radius::Sensor => {
-                rules.linear = (1.5 * params.reach_px() as f64 * geometry.rule.pitch_at_1m()) as f32;
+                rules.linear = (REACHES * params.reach_px() as f64 * geometry.rule.pitch_at_1m()) as f32;
                 rules.radius = params.sensor.step.map(|c| 4.0 * c);
             }
         }
         if let RangeRule::Constant { spacing_m } = geometry.rule {
             let range_m = assumed_range_m(spacing_m);
             rules.sigma = [params.sensor.sigma_m(range_m) as f32, 0.0, 0.0];
+            let block_m = (3.0 * params.block_half_px() as f64 * spacing_m).max(2.5 * params.sensor.step_m(range_m));
+            (rules.block_linear, rules.block) = (0.0, [block_m as f32, 0.0, 0.0]);
             if params.radius == Radius::Sensor {
-                let by_spacing = 1.5 * params.reach_px() as f64 * spacing_m;
+                let by_spacing = REACHES * params.reach_px() as f64 * spacing_m;
                 rules.linear = 0.0;
                 rules.radius = [by_spacing.max(4.0 * params.sensor.step_m(range_m)) as f32, 0.0, 0.0];
             }

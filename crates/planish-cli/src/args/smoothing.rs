@@ -9,11 +9,11 @@ use planish::{
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum PresetArg {
-    /// 49 candidates over 13x13 pixels (without noise 5x5): for small things
+    /// Windows of 15x15 pixels (without noise 5x5): for small things
     Light,
-    /// 121 candidates over 31x31 pixels (without noise 11x11): recommended
+    /// Windows of 25x25 pixels (without noise 11x11): recommended
     Default,
-    /// 225 candidates over 43x43 pixels (without noise 15x15): for walls, floors and far ranges
+    /// Windows of 29x29 pixels with twice the samples (without noise 15x15): for walls, floors and far ranges
     Strong,
     /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3
     Paper,
@@ -97,9 +97,13 @@ pub struct SmoothingArgs {
     /// Half width of the window: (2K+1)² candidates, K from 1 to 7
     #[arg(long, value_name = "K")]
     pub window: Option<u32>,
-    /// Distance between candidates in pixels, 1 to 8; by default the preset's, shorter where pixels are coarser than a Kinect v1's
+    /// Distance between candidates in pixels, 1 to 8. If neither is given, window and stride are the preset's, and shorter where pixels
+    /// are coarser than a Kinect v1's
     #[arg(long, value_name = "S")]
     pub stride: Option<u32>,
+    /// Whether each candidate is the mean of its block of pixels, as wide as the stride, so that every pixel counts
+    #[arg(long, value_name = "true|false", action = clap::ArgAction::Set)]
+    pub average_blocks: Option<bool>,
     /// Radius of a neighbourhood in metres, or `sensor`: growing with distance as the sensor's noise does
     #[arg(long, value_name = "METRES|sensor", allow_negative_numbers = true)]
     pub radius: Option<RadiusArg>,
@@ -154,6 +158,7 @@ impl SmoothingArgs {
         params.sensor = sensor;
         params.window = self.window.unwrap_or(params.window);
         params.stride = self.stride.unwrap_or(params.stride);
+        params.average_blocks = self.average_blocks.unwrap_or(params.average_blocks);
         params.degree = self.degree.unwrap_or(params.degree);
         params.bandwidth_m = self.bandwidth.or(params.bandwidth_m);
         match self.radius {
@@ -178,14 +183,14 @@ impl SmoothingArgs {
         Ok(params)
     }
 
-    /// Whether the stride is left to the frame's resolution: neither given nor the report's.
-    pub fn adapts_stride(&self) -> bool {
-        self.stride.is_none() && !matches!(self.preset, Some(PresetArg::Paper))
+    /// Whether window and stride are left to the frame's resolution: neither given nor the report's.
+    pub fn adapts_window(&self) -> bool {
+        self.window.is_none() && self.stride.is_none() && !matches!(self.preset, Some(PresetArg::Paper))
     }
 
     /// The parameters for a frame's resolution.
     pub fn at_resolution_of(&self, params: SmoothParams, frame: Frame<'_>) -> SmoothParams {
-        if self.adapts_stride() { params.at_resolution_of(frame) } else { params }
+        if self.adapts_window() { params.at_resolution_of(frame) } else { params }
     }
 
     /// Whose noise it is; of a frame, where it is to be estimated.

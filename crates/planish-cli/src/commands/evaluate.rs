@@ -84,9 +84,10 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     println!("{}: {} tiles of 8x8 pixels without a step\n", report.file, report.raw.tiles);
-    println!("            median RMS distance from the tile's plane   mean angle to its normal");
+    println!("            median RMS distance   mean angle to its normal: points   facets    facets over 30°");
     for (name, tiles) in [("raw", report.raw), ("smoothed", report.smoothed)] {
-        println!("  {name:<9} {:26.2} mm {:26.1}°", tiles.rms_mm, tiles.normal_deg);
+        let (rms_mm, specks) = (tiles.rms_mm, percent(tiles.speck_share));
+        println!("  {name:<9} {rms_mm:16.2} mm {:33.1}° {:7.1}° {specks:>18}", tiles.normal_deg, tiles.facet_deg);
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -250,12 +251,17 @@ fn print(rows: &[Row]) {
         line("  normal, mean error", &|r| format!("{:.1}°", r.report.ranges[k].normal_mean_deg));
         line("  normal, median error", &|r| format!("{:.1}°", r.report.ranges[k].normal_median_deg));
         line("  normals within 10°", &|r| percent(r.report.ranges[k].normal_under_10_deg));
+        line("  facets of adjacent pixels, mean error", &|r| format!("{:.1}°", r.report.ranges[k].facet_mean_deg));
+        line("  95 % of them within", &|r| format!("{:.1}°", r.report.ranges[k].facet_95_deg));
     }
     for (k, angle) in rows[0].report.angles.iter().enumerate() {
         let span = format!("seen at {:.0} to {:.0}°", angle.from_deg, angle.to_deg);
         line(&format!("{span}: RMS, depth steps"), &|r| format!("{:.2}", r.report.angles[k].rmse_steps));
         line("  normal, mean error", &|r| format!("{:.1}°", r.report.angles[k].normal_mean_deg));
+        line("  facets, mean error", &|r| format!("{:.1}°", r.report.angles[k].facet_mean_deg));
     }
+    line("facets off by over 30°, 0.5 to 2.5 m", &|r| percent(r.report.speck_share));
+    line("second difference of z in a row, over z², 1e-3/m", &|r| format!("{:.3}", r.report.lattice));
     println!("edges");
     line("within 3 px of a step: distance, mean, mm", &|r| format!("{:.2}", r.report.edge_mean_mm));
     line("  floating between two surfaces", &|r| percent(r.report.flying_share));

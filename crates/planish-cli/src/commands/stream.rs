@@ -63,7 +63,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         outputs.points = true;
     }
     let options = StreamOptions::new(params, args.smoothing.options(outputs)?)
-        .with_adapt_stride(args.smoothing.adapts_stride())
+        .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_frames(args.limits.frames)
         .with_max_duration(args.limits.max_duration()?);
     let stop = stop_on_ctrl_c()?;

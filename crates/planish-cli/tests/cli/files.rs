@@ -310,10 +310,12 @@ fn strides_follow_the_resolution_unless_they_are_given() {
         ok(&[&["smooth", str(input), str(&output), "--engine", "cpu"], more].concat());
         fs::read(&output).unwrap()
     };
-    // Pixels four times as coarse as a Kinect's: 3 / 4 is 1.
+    // Pixels four times as coarse as a Kinect's: 5 / 4 is 1, and a window of 2 keeps half of its 10 pixels by becoming 5.
     let found = smooth(&path, &[]);
-    assert_eq!(found, smooth(&path, &["--stride", "1"]));
-    assert_ne!(found, smooth(&path, &["--stride", "3"]));
+    assert_eq!(found, smooth(&path, &["--window", "5", "--stride", "1"]));
+    assert_eq!(smooth(&path, &["--window", "2"]), smooth(&path, &["--window", "2", "--stride", "5"]));
+    assert_ne!(found, smooth(&path, &["--stride", "5"]));
+    assert_ne!(found, smooth(&path, &["--average-blocks", "false", "--stride", "5"]));
     assert_eq!(smooth(&path, &["--preset", "paper"]), smooth(&path, &["--preset", "paper", "--stride", "1"]));
     // A stream of the same file smooths it the same.
     let saved = folder.path().join("stream");

@@ -1,24 +1,31 @@
 //! Edge preservation: the surface that a point lies on is found from the planes around it (docs/method.md, section 10).
 //!
-//! A separate pass fits the first planes of all pixels; each of their numbers is a channel laid out like the padded frame.
+//! One pass fits the first planes of all pixels; another one finds from them each pixel's surface, and the mean of the points of its
+//! block that are on it. Each number of a plane is a channel laid out like the padded frame.
 
-use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
-use super::padded::PaddedFrame;
-use super::plane::Plane;
-use super::polynomial_in_range;
+use super::blocks::Block;
+use super::padded::{PaddedFrame, PaddedRows};
+use super::plane::{self, Plane};
 use super::row_tasks::SplitRows;
 use super::vector::{Mask, Vec3, splat};
-use super::window::Window;
-use crate::method::{DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NEIGHBOURS, MIN_NOISE, NARROW_WIDTH};
-use crate::params::{Edges, SmoothParams, edge_shift_px};
+use super::window::{Gate, Window};
+use super::{Input, Kernel, polynomial_in_range, valid_points};
+use crate::method::{
+    DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NEIGHBOURS, MIN_NOISE, NARROW_WIDTH, PLANE_REACH,
+};
+use crate::params::{SmoothParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
 
-// The channels of a first plane.
+// The channels.
 const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
-/// The variance along the normal plus the plane's uncertainty, in m²; infinite where the neighbours are too few, or on a line.
+/// Of a first plane, the variance along the normal plus the plane's uncertainty, in m²; infinite where the neighbours are too few,
+/// or on a line.
 const RESIDUAL: usize = 4;
+/// Of a surface, how far from it a neighbour counts, in metres.
+const WIDTH: usize = 4;
 const CURVATURE: usize = 5;
 /// The number of neighbours; negative where they are on a line.
 const COUNT: usize = 6;
@@ -26,77 +33,66 @@ const COUNT: usize = 6;
 const EXTENT: usize = 7;
 const CHANNELS: usize = 8;
 
-/// The first planes of a frame.
-pub(super) struct FirstPlanes {
+/// A plane for each pixel of a frame: first planes, or the surfaces found from them.
+pub(super) struct Planes {
     channels: [Vec<f32>; CHANNELS],
     row_len: usize,
-    reach: usize,
+    border: usize,
     /// Distance in pixels to the eight planes considered.
     shift: usize,
 }
 
-/// A band of rows of them.
-pub(super) struct FirstRows<'a> {
+/// A band of rows of them, and of the samples that change with them.
+pub(super) struct PlaneRows<'a> {
     /// The first row's number in the image.
-    pub(super) first: usize,
+    first: usize,
     channels: [&'a mut [f32]; CHANNELS],
     row_len: usize,
-    reach: usize,
+    border: usize,
+    means: Option<PaddedRows<'a>>,
 }
 
 /// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
 #[inline(always)]
-pub(super) fn noise<S: Simd>(simd: S, rules: &RangeRules, range: S::f32s, radius: S::f32s) -> S::f32s {
+fn noise<S: Simd>(simd: S, rules: &RangeRules, range: S::f32s, radius: S::f32s) -> S::f32s {
     let noise = polynomial_in_range(simd, rules.sigma, range).max(radius * splat(simd, MIN_NOISE));
     noise.max(splat(simd, 1e-15)).min(splat(simd, MAX_RADIUS_M))
 }
 
-impl SplitRows for FirstRows<'_> {
+impl SplitRows for PlaneRows<'_> {
     fn count(&self) -> usize {
         self.channels[0].len() / self.row_len
     }
 
     fn split_at(self, rows: usize) -> (Self, Self) {
-        let Self { first, channels, row_len, reach } = self;
+        let Self { first, channels, row_len, border, means } = self;
         let [mut before, mut after]: [[&mut [f32]; CHANNELS]; 2] = Default::default();
         for (k, channel) in channels.into_iter().enumerate() {
             (before[k], after[k]) = channel.split_at_mut(rows * row_len);
         }
+        let (means, means_after) = means.map(|means| means.split_at(rows)).unzip();
         (
-            Self { first, channels: before, row_len, reach },
-            Self { first: first + rows, channels: after, row_len, reach },
+            Self { first, channels: before, row_len, border, means },
+            Self { first: first + rows, channels: after, row_len, border, means: means_after },
         )
     }
 }
 
-impl FirstRows<'_> {
+impl PlaneRows<'_> {
     /// Where column u of the `row`-th of these rows is.
-    pub(super) fn index(&self, row: usize, u: usize) -> usize {
-        row * self.row_len + self.reach + u
+    fn index(&self, row: usize, u: usize) -> usize {
+        row * self.row_len + self.border + u
     }
 
-    /// Stores the planes of the points at the end of rays, from an index on.
+    /// Stores planes from an index on, with what is said of them in the channel [`RESIDUAL`] or [`WIDTH`].
     #[inline(always)]
-    pub(super) fn store<S: Simd>(
-        &mut self,
-        simd: S,
-        at: usize,
-        ray: Vec3<S>,
-        noise: S::f32s,
-        plane: &Plane<S>,
-        n: S::f32s,
-    ) {
-        let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
-        let along = plane.normal.dot(ray);
-        let seen: Mask<S> =
-            (along * along).simd_ge(ray.dot(ray) * splat(simd, MIN_INCIDENCE_COSINE * MIN_INCIDENCE_COSINE));
-        let usable = n.simd_ge(splat(simd, MIN_NEIGHBOURS)) & !plane.degenerate & seen;
+    fn store<S: Simd>(&mut self, at: usize, plane: &Plane<S>, residual_or_width: S::f32s, n: S::f32s) {
         let channels = [
             plane.normal.x,
             plane.normal.y,
             plane.normal.z,
             plane.height,
-            usable.select(residual, splat(simd, f32::INFINITY)),
+            residual_or_width,
             plane.curvature,
             plane.degenerate.select(-n, n),
             plane.extent_squared,
@@ -116,18 +112,11 @@ pub(super) struct Surface<S: Simd> {
     pub(super) width: S::f32s,
 }
 
-impl FirstPlanes {
-    /// Room for the planes of frames with this padding; `None` if edges are not kept.
-    pub(super) fn new(params: &SmoothParams, padded: &PaddedFrame) -> Option<Self> {
-        if params.edges == Edges::Off {
-            return None;
-        }
-        Some(Self {
-            channels: std::array::from_fn(|_| vec![0.0; padded.z.len()]),
-            row_len: padded.row_len,
-            reach: params.reach_px(),
-            shift: edge_shift_px(params.window * params.stride) as usize,
-        })
+impl Planes {
+    /// Room for the planes of frames with this padding.
+    pub(super) fn new(params: &SmoothParams, padded: &PaddedFrame) -> Self {
+        let channels = std::array::from_fn(|_| vec![0.0; padded.z.len()]);
+        Self { channels, row_len: padded.row_len, border: padded.border, shift: edge_shift_px(params.reach_px()) }
     }
 
     /// Bytes of the planes' channels.
@@ -135,12 +124,12 @@ impl FirstPlanes {
         self.channels.iter().map(|channel| size_of_val(&channel[..])).sum()
     }
 
-    /// The rows of the image.
-    pub(super) fn rows(&mut self, height: usize) -> FirstRows<'_> {
-        let (row_len, reach) = (self.row_len, self.reach);
-        let image = reach * row_len..(reach + height) * row_len;
+    /// The rows of the image, with those of the means, where there are any.
+    pub(super) fn rows<'a>(&'a mut self, height: usize, means: Option<PaddedRows<'a>>) -> PlaneRows<'a> {
+        let (row_len, border) = (self.row_len, self.border);
+        let image = border * row_len..(border + height) * row_len;
         let channels = self.channels.each_mut().map(|channel| &mut channel[image.clone()]);
-        FirstRows { first: 0, channels, row_len, reach }
+        PlaneRows { first: 0, channels, row_len, border, means }
     }
 
     #[inline(always)]
@@ -148,24 +137,42 @@ impl FirstPlanes {
         S::f32s::from_slice(simd, &self.channels[channel][at..at + S::f32s::LEN])
     }
 
+    /// The planes from an index on, which are taken as they are.
     #[inline(always)]
-    fn normal<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
+    fn plane<S: Simd>(&self, simd: S, at: usize) -> Plane<S> {
         let [x, y, z] = [NORMAL, NORMAL + 1, NORMAL + 2].map(
             #[inline(always)]
             |channel| self.load(simd, channel, at),
         );
-        Vec3::new(x, y, z)
+        Plane {
+            normal: Vec3::new(x, y, z),
+            height: self.load(simd, HEIGHT, at),
+            residual: splat(simd, 0.0),
+            doubt: splat(simd, 1.0),
+            extent_squared: self.load(simd, EXTENT, at),
+            curvature: self.load(simd, CURVATURE, at),
+            degenerate: self.load(simd, COUNT, at).simd_lt(splat(simd, 0.0)),
+        }
     }
 
-    /// Returns the planes that the points p at the window's centre, at the end of rays, lie on, from their own first planes and the
-    /// eight around them.
+    /// The surfaces from an index on, as the second pass has found them.
+    #[inline(always)]
+    pub(super) fn surface<S: Simd>(&self, simd: S, at: usize) -> Surface<S> {
+        let n = self.load(simd, COUNT, at).abs();
+        Surface { plane: self.plane(simd, at), n, width: self.load(simd, WIDTH, at) }
+    }
+
+    /// Finds the surfaces that the points p from an index on lie on, from their own first planes and the eight around them. `mean`
+    /// says how far off a plane they are, `ray` leads from the sensor to them.
     #[allow(clippy::too_many_arguments)]
     #[inline(always)]
-    pub(super) fn surface<S: Simd>(
+    fn find_surface<S: Simd>(
         &self,
         simd: S,
-        window: &Window<'_>,
+        measured: &PaddedFrame,
+        here: usize,
         p: Vec3<S>,
+        mean: Vec3<S>,
         ray: Vec3<S>,
         valid: Mask<S>,
         radius: S::f32s,
@@ -173,30 +180,29 @@ impl FirstPlanes {
     ) -> Surface<S> {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
         let per_variance = one / (noise * noise);
-        let radius_squared = radius * radius;
-        let here = window.centre_index();
+        let gate = Gate::new(simd, radius * splat(simd, PLANE_REACH));
+        let to_mean = mean.sub(p);
         let (mut normal, mut height, mut total) = (Vec3::splat(simd, 0.0), zero, zero);
         for row in 0..3 {
             for column in 0..3 {
                 let at = here + self.shift * (row * self.row_len + column) - self.shift * (self.row_len + 1);
-                let offset = window.load(simd, at).sub(p);
-                let near: Mask<S> = offset.dot(offset).simd_le(radius_squared);
-                let offset = offset.or(near, Vec3::splat(simd, 0.0));
-                let n = self.normal(simd, at);
+                let (offset, nearness, near) = gate.apply(simd, measured.load(simd, at).sub(p));
+                // One that is not near may hold anything.
+                let n = self.plane(simd, at).normal.or(near, Vec3::splat(simd, 0.0));
                 // From p to the plane along its normal.
-                let to_plane = offset.dot(n) + self.load(simd, HEIGHT, at);
+                let to_plane = offset.dot(n) + near.select(self.load(simd, HEIGHT, at), zero);
+                let from_mean = to_plane - to_mean.dot(n);
                 let residual =
-                    (to_plane * to_plane).mul_add(splat(simd, DISTANCE_WEIGHT), self.load(simd, RESIDUAL, at));
+                    (from_mean * from_mean).mul_add(splat(simd, DISTANCE_WEIGHT), self.load(simd, RESIDUAL, at));
                 let root = one / residual.mul_add(per_variance, one);
                 let square = root * root;
-                // An unusable plane has an infinite residual, hence no weight; one that is not near may hold anything.
-                let weight = near.select(square * square, zero);
-                normal = normal.add_scaled(weight, n.or(near, Vec3::splat(simd, 0.0)));
-                height = weight.mul_add(near.select(to_plane, zero), height);
+                // An unusable plane has an infinite residual, hence no weight.
+                let weight = square * square * nearness;
+                normal = normal.add_scaled(weight, n);
+                height = weight.mul_add(to_plane, height);
                 total += weight;
             }
         }
-        let count = self.load(simd, COUNT, here);
         let own: Mask<S> = self.load(simd, RESIDUAL, here).simd_lt(splat(simd, f32::INFINITY)) & valid;
         // Planes that disagree may lie further away than a point may move.
         let height = height / own.select(total, one);
@@ -205,18 +211,73 @@ impl FirstPlanes {
         // The other way round it is the same plane.
         let away: Mask<S> = normal.dot(ray).simd_gt(zero);
         let sign = away.select(-one, one);
-        Surface {
-            plane: Plane {
-                normal: normal.scale(sign / length).or(own, self.normal(simd, here)),
-                height: own.select(sign * height, self.load(simd, HEIGHT, here)),
-                residual: zero,
-                doubt: one,
-                extent_squared: self.load(simd, EXTENT, here),
-                curvature: self.load(simd, CURVATURE, here),
-                degenerate: count.simd_lt(zero),
-            },
-            n: valid.select(count.abs(), zero),
-            width: own.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY)),
+        let mut plane = self.plane(simd, here);
+        plane.normal = normal.scale(sign / length).or(own, plane.normal);
+        plane.height = own.select(sign * height, plane.height);
+        let width = own.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY));
+        Surface { plane, n: self.load(simd, COUNT, here).abs(), width }
+    }
+}
+
+/// First pass: the first planes of some rows.
+#[inline(always)]
+pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kernel, rows: &mut PlaneRows<'_>) {
+    for row in 0..rows.count() {
+        for u in (0..input.measured.width).step_by(S::f32s::LEN) {
+            let v = rows.first + row;
+            let p = input.measured.load(simd, input.measured.index(u, v));
+            // What is kept for a hole is not looked at.
+            if !valid_points(simd, p).any_true() {
+                continue;
+            }
+            let ray = kernel.sensor.ray(simd, p);
+            let range = kernel.range(simd, ray);
+            let radius = kernel.rules.radius(simd, range);
+            let noise = noise(simd, &kernel.rules, range, radius);
+            let sums = Window::at(input.samples, kernel, u, v).sums(simd, p, radius);
+            let plane = plane::fit(simd, ray, &sums);
+            let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
+            let along = plane.normal.dot(ray);
+            let seen: Mask<S> =
+                (along * along).simd_ge(ray.dot(ray) * splat(simd, MIN_INCIDENCE_COSINE * MIN_INCIDENCE_COSINE));
+            let usable = sums.n.simd_ge(splat(simd, MIN_NEIGHBOURS)) & !plane.degenerate & seen;
+            let residual = usable.select(residual, splat(simd, f32::INFINITY));
+            rows.store(rows.index(row, u), &plane, residual, sums.n);
+        }
+    }
+}
+
+/// Second pass: the surfaces of some rows and, where blocks are averaged, the means of the points on them in the place of those of
+/// all points.
+#[inline(always)]
+pub(super) fn find_surfaces<S: Simd>(
+    simd: S,
+    measured: &PaddedFrame,
+    first_planes: &Planes,
+    kernel: &Kernel,
+    rows: &mut PlaneRows<'_>,
+) {
+    for row in 0..rows.count() {
+        for u in (0..measured.width).step_by(S::f32s::LEN) {
+            let here = measured.index(u, rows.first + row);
+            let p = measured.load(simd, here);
+            let valid = valid_points(simd, p);
+            if !valid.any_true() {
+                continue;
+            }
+            let at = rows.index(row, u);
+            let ray = kernel.sensor.ray(simd, p);
+            let range = kernel.range(simd, ray);
+            let radius = kernel.rules.radius(simd, range);
+            let noise = noise(simd, &kernel.rules, range, radius);
+            let mean = rows.means.as_ref().map_or(p, |means| means.load(simd, at));
+            let surface = first_planes.find_surface(simd, measured, here, p, mean, ray, valid, radius, noise);
+            rows.store(at, &surface.plane, surface.width, surface.n);
+            if let Some(means) = &mut rows.means {
+                let block = Block::around(simd, measured, kernel, here, p, range);
+                let mean = block.mean_on_surface(simd, &surface.plane, surface.width);
+                means.store(at, mean.or(valid, Vec3::splat(simd, f32::NAN)));
+            }
         }
     }
 }

@@ -10,6 +10,7 @@
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
 
+mod blocks;
 mod edges;
 mod eigen;
 mod math;
@@ -29,32 +30,34 @@ mod window;
 
 use std::time::{Duration, Instant};
 
-use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
 use crate::camera::Rays;
 use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
 use crate::outputs::SmoothedMut;
-use crate::params::SmoothParams;
-use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, RangeRules};
+use crate::params::{Edges, SmoothParams, edge_shift_px};
+use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, MIN_GATE_M, RangeRules};
 use crate::simd_level::SimdLevel;
 use crate::threads::Threads;
 use crate::timings::FrameTimings;
-use edges::{FirstPlanes, FirstRows};
+use edges::{PlaneRows, Planes};
 use output::OutputRows;
-use padded::PaddedFrame;
+use padded::{PaddedFrame, PaddedRows};
 use polynomial::{Terms, Weighting};
 use row_tasks::{SplitRows, run_on_rows};
 use sensor::Sensor;
 use vector::{Mask, Vec3, splat};
-use window::{Gate, MAX_CANDIDATES, Window};
+use window::Window;
 
 /// What a kernel needs to know of the parameters.
 struct Kernel {
     /// Candidates along a side of the window, 2k + 1.
     side: usize,
     stride: usize,
+    /// Half width of the blocks that are averaged, in pixels.
+    block_half: usize,
     degree: u32,
     rules: RangeRules,
     sensor: Sensor,
@@ -75,7 +78,14 @@ impl RangeRules {
     fn radius<S: Simd>(&self, simd: S, range: S::f32s) -> S::f32s {
         let radius = (range * splat(simd, self.linear)).max(polynomial_in_range(simd, self.radius, range));
         // A coordinate of 1e30 has an infinite radius by this rule; what is computed from it must stay finite.
-        radius.min(splat(simd, MAX_RADIUS_M))
+        radius.max(splat(simd, MIN_GATE_M)).min(splat(simd, MAX_RADIUS_M))
+    }
+
+    /// How far from its pixel's point a point of a block may be.
+    #[inline(always)]
+    fn block_gate<S: Simd>(&self, simd: S, range: S::f32s) -> S::f32s {
+        let gate = (range * splat(simd, self.block_linear)).max(polynomial_in_range(simd, self.block, range));
+        gate.max(splat(simd, MIN_GATE_M)).min(splat(simd, MAX_RADIUS_M))
     }
 }
 
@@ -95,8 +105,10 @@ pub(crate) struct Cpu {
     /// `None` runs on the calling thread.
     threads: Option<Threads>,
     padded: PaddedFrame,
-    /// Where edges are kept.
-    first_planes: Option<FirstPlanes>,
+    /// Where blocks are averaged.
+    means: Option<PaddedFrame>,
+    /// First planes and surfaces, where edges are kept.
+    planes: Option<[Planes; 2]>,
     rays: Rays,
     timings: FrameTimings,
 }
@@ -117,10 +129,12 @@ impl Cpu {
             })?,
         };
         let threads = if threads == Some(1) { None } else { Some(Threads::open(threads)?) };
-        let padded = PaddedFrame::new(shape.0, shape.1, params.reach_px());
-        let first_planes = FirstPlanes::new(&params, &padded);
+        let border = params.reach_px().max(edge_shift_px(params.reach_px()));
+        let padded = PaddedFrame::new(shape.0, shape.1, border);
+        let means = params.averages_blocks().then(|| PaddedFrame::new(shape.0, shape.1, border));
+        let planes = (params.edges == Edges::Robust).then(|| [(); 2].map(|()| Planes::new(&params, &padded)));
         let (rays, timings) = (Rays::default(), FrameTimings::default());
-        Ok(Self { params, level, threads, padded, first_planes, rays, timings })
+        Ok(Self { params, level, threads, padded, means, planes, rays, timings })
     }
 
     /// Fills the padded frame and smooths all rows, on the threads of the pool that it is called in or on the calling one.
@@ -129,17 +143,27 @@ impl Cpu {
         let start = Instant::now();
         self.padded.fill(frame, &self.rays, parallel);
         let filled = Instant::now();
-        let padded = &self.padded;
-        if let Some(first_planes) = &mut self.first_planes {
-            let fit =
-                |mut rows: FirstRows<'_>| dispatch!(level, simd => fit_first_planes(simd, padded, kernel, &mut rows));
-            run_on_rows(first_planes.rows(frame.frame.shape().1), parallel, &fit);
+        let measured = &self.padded;
+        if let Some(means) = &mut self.means {
+            let average =
+                |mut rows: PaddedRows<'_>| dispatch!(level, simd => blocks::average(simd, measured, kernel, &mut rows));
+            run_on_rows(means.rows(), parallel, &average);
         }
-        let first_planes = self.first_planes.as_ref();
+        if let Some([first_planes, surfaces]) = &mut self.planes {
+            let height = frame.frame.shape().1;
+            let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
+            let fit = |mut rows: PlaneRows<'_>| dispatch!(level, simd => edges::fit_first_planes(simd, input, kernel, &mut rows));
+            run_on_rows(first_planes.rows(height, None), parallel, &fit);
+            let first_planes = &*first_planes;
+            let find = |mut rows: PlaneRows<'_>| dispatch!(level, simd => edges::find_surfaces(simd, measured, first_planes, kernel, &mut rows));
+            run_on_rows(surfaces.rows(height, self.means.as_mut().map(PaddedFrame::rows)), parallel, &find);
+        }
+        let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
+        let surfaces = self.planes.as_ref().map(|[_, surfaces]| surfaces);
         let smooth = |mut rows: OutputRows<'_>| match kernel.degree {
-            1 => dispatch!(level, simd => smooth_rows_simd::<_, 1>(simd, padded, first_planes, kernel, &mut rows)),
-            2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, padded, first_planes, kernel, &mut rows)),
-            _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, padded, first_planes, kernel, &mut rows)),
+            1 => dispatch!(level, simd => smooth_rows_simd::<_, 1>(simd, input, surfaces, kernel, &mut rows)),
+            2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, input, surfaces, kernel, &mut rows)),
+            _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, input, surfaces, kernel, &mut rows)),
         };
         run_on_rows(OutputRows::all(frame, out), parallel, &smooth);
         self.timings = FrameTimings { upload: filled - start, kernel: filled.elapsed(), readback: Duration::ZERO };
@@ -154,6 +178,7 @@ impl ImmediateEngine for Cpu {
         let kernel = Kernel {
             side: 2 * self.params.window as usize + 1,
             stride: self.params.stride as usize,
+            block_half: self.params.block_half_px(),
             degree: self.params.degree,
             rules: RangeRules::new(&self.params, &frame.geometry),
             sensor: Sensor::new(&frame.geometry),
@@ -175,46 +200,35 @@ impl ImmediateEngine for Cpu {
         Some(self.timings)
     }
 
-    /// Of its padded frame and first planes.
+    /// Of its padded frames and planes.
     fn buffer_bytes(&self) -> u64 {
-        (self.padded.bytes() + self.first_planes.as_ref().map_or(0, FirstPlanes::bytes)) as u64
+        let means = self.means.as_ref().map_or(0, PaddedFrame::bytes);
+        let planes: usize = self.planes.iter().flatten().map(Planes::bytes).sum();
+        (self.padded.bytes() + means + planes) as u64
     }
 }
 
-/// The first planes of some rows, where edges are kept.
-#[inline(always)]
-fn fit_first_planes<S: Simd>(simd: S, padded: &PaddedFrame, kernel: &Kernel, rows: &mut FirstRows<'_>) {
-    let mut gates = [0; MAX_CANDIDATES];
-    for row in 0..rows.count() {
-        for u in (0..padded.width).step_by(S::f32s::LEN) {
-            let window = Window::at(padded, kernel, u, rows.first + row);
-            let p = window.centre(simd);
-            // What is kept for a hole is not looked at.
-            if valid_points(simd, p).any_true() {
-                let ray = kernel.sensor.ray(simd, p);
-                let range = kernel.range(simd, ray);
-                let radius = kernel.rules.radius(simd, range);
-                let noise = edges::noise(simd, &kernel.rules, range, radius);
-                let sums = window.sums::<S, false>(simd, p, radius, &mut gates);
-                rows.store(simd, rows.index(row, u), ray, noise, &plane::fit(simd, ray, &sums), sums.n);
-            }
-        }
-    }
+/// What the passes read.
+#[derive(Clone, Copy)]
+struct Input<'a> {
+    /// The points as measured.
+    measured: &'a PaddedFrame,
+    /// What the windows are made of: the same points, or their block means.
+    samples: &'a PaddedFrame,
 }
 
 #[inline(always)]
 fn smooth_rows_simd<S: Simd, const D: usize>(
     simd: S,
-    padded: &PaddedFrame,
-    first_planes: Option<&FirstPlanes>,
+    input: Input<'_>,
+    surfaces: Option<&Planes>,
     kernel: &Kernel,
     rows: &mut OutputRows<'_>,
 ) {
-    let mut scratch = Scratch { gates: [0; MAX_CANDIDATES], terms: Terms::new(simd) };
+    let mut terms = Terms::new(simd);
     for row in 0..rows.count() {
         for u in (0..rows.width).step_by(S::f32s::LEN) {
-            let window = Window::at(padded, kernel, u, rows.first + row);
-            smooth_vector::<S, D>(simd, kernel, &window, first_planes, &mut scratch, rows, row, u);
+            smooth_vector::<S, D>(simd, kernel, input, surfaces, &mut terms, rows, row, u);
         }
     }
 }
@@ -226,27 +240,21 @@ fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
     p.scale(zero).dot(Vec3::splat(simd, 1.0)).simd_eq(zero)
 }
 
-/// What a task keeps from vector to vector, so that it is not cleared for each.
-struct Scratch<S: Simd> {
-    /// A bit for each lane of each candidate: whether it is a neighbour.
-    gates: [u16; MAX_CANDIDATES],
-    terms: Terms<S>,
-}
-
-/// Sections 2 to 7 and 10 for one vector of pixels.
+/// Sections 2 to 7 and 10 for one vector of pixels. The terms are kept from vector to vector, so that they are not cleared for each.
 #[allow(clippy::too_many_arguments)]
 #[inline(always)]
 fn smooth_vector<S: Simd, const D: usize>(
     simd: S,
     kernel: &Kernel,
-    window: &Window<'_>,
-    first_planes: Option<&FirstPlanes>,
-    scratch: &mut Scratch<S>,
+    input: Input<'_>,
+    surfaces: Option<&Planes>,
+    terms: &mut Terms<S>,
     rows: &mut OutputRows<'_>,
     row: usize,
     u: usize,
 ) {
-    let p = window.centre(simd);
+    let here = input.measured.index(u, rows.first + row);
+    let p = input.measured.load(simd, here);
     let valid = valid_points(simd, p);
     if !valid.any_true() {
         rows.store_holes(row, u, S::f32s::LEN);
@@ -255,30 +263,30 @@ fn smooth_vector<S: Simd, const D: usize>(
     let ray = kernel.sensor.ray(simd, p);
     let range = kernel.range(simd, ray);
     let radius = kernel.rules.radius(simd, range);
-    let (plane, n, gate, width) = match first_planes {
+    let window = Window::at(input.samples, kernel, u, rows.first + row);
+    let (plane, n, width) = match surfaces {
         None => {
-            let sums = window.sums::<S, true>(simd, p, radius, &mut scratch.gates);
-            (plane::fit(simd, ray, &sums), sums.n, Gate::Known(&scratch.gates), None)
+            let sums = window.sums(simd, p, radius);
+            (plane::fit(simd, ray, &sums), sums.n, None)
         }
-        Some(first_planes) => {
-            let noise = edges::noise(simd, &kernel.rules, range, radius);
-            let surface = first_planes.surface(simd, window, p, ray, valid, radius, noise);
-            (surface.plane, surface.n, Gate::Radius(radius), Some(surface.width))
+        Some(surfaces) => {
+            let surface = surfaces.surface(simd, here);
+            (surface.plane, valid.select(surface.n, splat(simd, 0.0)), Some(surface.width))
         }
     };
     let projection = rows.projection(kernel.on_ray);
     let projected = if D == 1 {
-        project::project::<S, D>(simd, p, ray, &plane, None, radius, n, projection)
+        project::project::<S, D>(simd, p, ray, &plane, None, radius, n, valid, projection)
     } else {
         let bandwidth = kernel.bandwidth_m.map_or(
             radius,
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
-        let weighting = Weighting { gate, radius, bandwidth, width };
-        let fit = polynomial::moments::<S, D>(simd, window, p, &plane, &weighting, &mut scratch.terms);
+        let weighting = Weighting { radius, bandwidth, width };
+        let fit = polynomial::moments::<S, D>(simd, &window, p, &plane, &weighting, terms);
         let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, kernel.ridge, n);
-        project::project::<S, D>(simd, p, ray, &plane, Some((&fit, c)), radius, n, projection)
+        project::project::<S, D>(simd, p, ray, &plane, Some((&fit, c)), radius, n, valid, projection)
     };
     rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &plane, n);
 }

@@ -1,11 +1,14 @@
 //! The frame with a border: the input of every window load.
 //!
 //! Stage: copy or deproject (docs/method.md, section 1), in the cloud's frame. Layout: x, y and z each as rows of
-//! `row_len` values, `reach` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 behind its last column, so
+//! `row_len` values, `border` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 behind its last column, so
 //! that every load of a window, at every vector of pixels, is a plain load inside the buffer. A NaN fails the gate, and so does
 //! everything not finite: an infinite distance is over every radius.
 
+use fearless_simd::{Simd, SimdBase};
+
 use super::row_tasks::{SplitRows, halve};
+use super::vector::Vec3;
 use crate::camera::{Rays, RowRays, RowRaysY, depth_m};
 use crate::engine::AdmittedFrame;
 use crate::frame::{DepthSamples, Frame};
@@ -24,16 +27,42 @@ pub(super) struct PaddedFrame {
     pub(super) row_len: usize,
     pub(super) width: usize,
     height: usize,
-    /// Border in pixels: window times stride.
-    reach: usize,
+    /// Columns and rows of border before the image.
+    pub(super) border: usize,
 }
 
 /// Rows of the three buffers, image rows only.
-struct PaddedRows<'a> {
+pub(super) struct PaddedRows<'a> {
     /// The first row's number in the image.
-    first: usize,
+    pub(super) first: usize,
     row_len: usize,
+    border: usize,
     xyz: [&'a mut [f32]; 3],
+}
+
+impl PaddedRows<'_> {
+    /// Where column u of the `row`-th of these rows is.
+    pub(super) fn index(&self, row: usize, u: usize) -> usize {
+        row * self.row_len + self.border + u
+    }
+
+    /// The points from an index on.
+    #[inline(always)]
+    pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
+        let [x, y, z] = self.xyz.each_ref().map(
+            #[inline(always)]
+            |channel| S::f32s::from_slice(simd, &channel[at..at + S::f32s::LEN]),
+        );
+        Vec3::new(x, y, z)
+    }
+
+    /// Stores points from an index on. What a last vector writes behind the image is border, and NaN like it.
+    #[inline(always)]
+    pub(super) fn store<S: Simd>(&mut self, at: usize, points: Vec3<S>) {
+        for (channel, values) in self.xyz.iter_mut().zip([points.x, points.y, points.z]) {
+            values.store_slice(&mut channel[at..at + S::f32s::LEN]);
+        }
+    }
 }
 
 impl SplitRows for PaddedRows<'_> {
@@ -42,35 +71,61 @@ impl SplitRows for PaddedRows<'_> {
     }
 
     fn split_at(self, rows: usize) -> (Self, Self) {
-        let Self { first, row_len, xyz } = self;
+        let Self { first, row_len, border, xyz } = self;
         let [(x, x_rest), (y, y_rest), (z, z_rest)] = xyz.map(|values| values.split_at_mut(rows * row_len));
-        (Self { first, row_len, xyz: [x, y, z] }, Self { first: first + rows, row_len, xyz: [x_rest, y_rest, z_rest] })
+        (
+            Self { first, row_len, border, xyz: [x, y, z] },
+            Self { first: first + rows, row_len, border, xyz: [x_rest, y_rest, z_rest] },
+        )
     }
 }
 
 impl PaddedFrame {
-    pub(super) fn new(width: usize, height: usize, reach: usize) -> Self {
-        let row_len = reach + width.next_multiple_of(MAX_LANES) + reach;
-        let len = row_len * (height + 2 * reach) + MAX_LANES;
+    pub(super) fn new(width: usize, height: usize, border: usize) -> Self {
+        let row_len = border + width.next_multiple_of(MAX_LANES) + border;
+        let len = row_len * (height + 2 * border) + MAX_LANES;
         let nan = || vec![f32::NAN; len];
-        Self { x: nan(), y: nan(), z: nan(), row_len, width, height, reach }
+        Self { x: nan(), y: nan(), z: nan(), row_len, width, height, border }
     }
 
     pub(super) fn bytes(&self) -> usize {
         3 * size_of_val(&self.x[..])
     }
 
+    /// Where pixel (u, v) of the image is.
+    #[inline(always)]
+    pub(super) fn index(&self, u: usize, v: usize) -> usize {
+        (v + self.border) * self.row_len + u + self.border
+    }
+
+    /// The points of the pixels from an index on.
+    #[inline(always)]
+    pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
+        let lanes = at..at + S::f32s::LEN;
+        Vec3::new(
+            S::f32s::from_slice(simd, &self.x[lanes.clone()]),
+            S::f32s::from_slice(simd, &self.y[lanes.clone()]),
+            S::f32s::from_slice(simd, &self.z[lanes]),
+        )
+    }
+
+    /// The rows of the image.
+    pub(super) fn rows(&mut self) -> PaddedRows<'_> {
+        let (row_len, border) = (self.row_len, self.border);
+        let image = border * row_len..(border + self.height) * row_len;
+        let xyz = [&mut self.x[image.clone()], &mut self.y[image.clone()], &mut self.z[image]];
+        PaddedRows { first: 0, row_len, border, xyz }
+    }
+
     /// Takes a frame of the shape that this was made for; `rays` are its camera's.
     pub(super) fn fill(&mut self, admitted: &AdmittedFrame<'_>, rays: &Rays, parallel: bool) {
-        let (row_len, width, reach) = (self.row_len, self.width, self.reach);
-        let image = reach * row_len..(reach + self.height) * row_len;
-        let xyz = [&mut self.x[image.clone()], &mut self.y[image.clone()], &mut self.z[image]];
-        let rows = PaddedRows { first: 0, row_len, xyz };
+        let (row_len, width, border) = (self.row_len, self.width, self.border);
+        let rows = self.rows();
         let fill_rows = |rows: PaddedRows<'_>| {
             let count = rows.count();
             let PaddedRows { first, xyz: [x, y, z], .. } = rows;
             for row in 0..count {
-                let (v, at) = (first + row, row * row_len + reach..row * row_len + reach + width);
+                let (v, at) = (first + row, row * row_len + border..row * row_len + border + width);
                 let (x, y, z) = (&mut x[at.clone()], &mut y[at.clone()], &mut z[at]);
                 match admitted.frame {
                     Frame::Points(points) => {

@@ -29,7 +29,7 @@ pub(super) struct Plane<S: Simd> {
 /// `ray` leads from the sensor to p.
 #[inline(always)]
 pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
-    let inverse_n = splat(simd, 1.0) / sums.n.max(splat(simd, 1.0));
+    let inverse_n = splat(simd, 1.0) / sums.total.max(splat(simd, 1.0));
     let c = sums.e.scale(inverse_n);
     let matrix = Symmetric {
         xx: covariance(sums.xx, inverse_n, c.x, c.x),

@@ -7,14 +7,14 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
+use fearless_simd::{Simd, SimdBase, SimdFloat};
 
 use super::eigen::tangents;
 use super::math::exp2;
 use super::plane::Plane;
 use super::unroll::unroll;
 use super::vector::{Vec3, splat};
-use super::window::{Gate, Window};
+use super::window::Window;
 use crate::method::{MAX_OFF_SURFACE, SQRT_LOG2_E};
 
 /// Number of moments for degree 3, the most.
@@ -32,8 +32,7 @@ struct Frame<S: Simd> {
 }
 
 /// Which candidates are neighbours, and their weights.
-pub(super) struct Weighting<'a, S: Simd> {
-    pub(super) gate: Gate<'a, S>,
+pub(super) struct Weighting<S: Simd> {
     pub(super) radius: S::f32s,
     pub(super) bandwidth: S::f32s,
     /// How far from the plane a neighbour counts; `None` for no limit.
@@ -116,7 +115,7 @@ pub(super) fn moments<S: Simd, const D: usize>(
     window: &Window<'_>,
     p: Vec3<S>,
     plane: &Plane<S>,
-    weighting: &Weighting<'_, S>,
+    weighting: &Weighting<S>,
     terms: &mut Terms<S>,
 ) -> Fit<S> {
     let zero = splat(simd, 0.0);
@@ -139,9 +138,9 @@ pub(super) fn moments<S: Simd, const D: usize>(
     while !rows.is_empty() {
         let len = rows.len() * window.side;
         if weighting.width.is_none() {
-            terms.fill::<false>(simd, window, &p, &weighting.gate, rows.clone(), &frame);
+            terms.fill::<false>(simd, window, &p, weighting.radius, rows.clone(), &frame);
         } else {
-            terms.fill::<true>(simd, window, &p, &weighting.gate, rows.clone(), &frame);
+            terms.fill::<true>(simd, window, &p, weighting.radius, rows.clone(), &frame);
         }
         // In groups of rows that fit the registers.
         if D == 3 {
@@ -172,22 +171,22 @@ impl<S: Simd> Terms<S> {
         simd: S,
         window: &Window<'_>,
         p: &Vec3<S>,
-        gate: &Gate<'_, S>,
+        radius: S::f32s,
         rows: Range<usize>,
         frame: &Frame<S>,
     ) {
         simd.vectorize(
             #[inline(always)]
             || {
-                let (p, zero) = (*p, splat(simd, 0.0));
+                let p = *p;
                 let mut at = 0;
                 window.neighbours(
                     simd,
                     p,
-                    gate,
+                    radius,
                     rows,
                     #[inline(always)]
-                    |e, gate| {
+                    |e, weight, _| {
                         let a = e.dot(frame.a_axis);
                         let b = e.dot(frame.b_axis);
                         let f = e.dot(frame.f_axis) - frame.f_offset;
@@ -196,7 +195,7 @@ impl<S: Simd> Terms<S> {
                         if NARROW {
                             exponent += (f2 * frame.narrowing).min(splat(simd, MAX_OFF_SURFACE));
                         }
-                        self.w[at] = gate.select(exp2(simd, -exponent), zero);
+                        self.w[at] = weight * exp2(simd, -exponent);
                         (self.a[at], self.b[at], self.f[at]) = (a, b, f);
                         at += 1;
                     },

@@ -29,7 +29,7 @@ pub(super) struct Projection {
 }
 
 /// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c. `ray` leads from
-/// the sensor to p.
+/// the sensor to p; lanes that are not `valid` are holes.
 #[allow(clippy::too_many_arguments)]
 #[inline(always)]
 pub(super) fn project<S: Simd, const D: usize>(
@@ -40,6 +40,7 @@ pub(super) fn project<S: Simd, const D: usize>(
     fit: Option<(&Fit<S>, [S::f32s; 3])>,
     radius: S::f32s,
     n: S::f32s,
+    valid: Mask<S>,
     projection: Projection,
 ) -> Projected<S> {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
@@ -75,11 +76,10 @@ pub(super) fn project<S: Simd, const D: usize>(
     let point = p.or(on_line, on_surface);
     let nan = Vec3::splat(simd, f32::NAN);
     let few: Mask<S> = n.simd_lt(splat(simd, 3.0));
-    let hole: Mask<S> = n.simd_lt(one);
     Projected {
         point: nan.or(few, point),
         normal: nan.or(few | on_line, normal),
-        status: hole.select(zero, few.select(one, on_line.select(splat(simd, 2.0), status))),
+        status: valid.select(few.select(one, on_line.select(splat(simd, 2.0), status)), zero),
         depth_scale: few.select(splat(simd, f32::NAN), along + one),
     }
 }

@@ -22,6 +22,9 @@ const FLYING_M: f64 = 0.01;
 const CREASE_PX: usize = 6;
 const CREASE_ROWS: usize = 24;
 
+/// A facet that is off by more is a speck.
+pub(super) const SPECK_DEG: f32 = 30.0;
+
 /// The ranges of z in metres.
 const RANGES_M: [(f64, f64); 3] = [(0.5, 1.5), (1.5, 2.5), (2.5, 4.2)];
 /// The ranges of the angle of incidence in degrees.
@@ -49,6 +52,10 @@ pub struct RangeReport {
     pub normal_median_deg: f64,
     /// Share of normals off by less than 10°.
     pub normal_under_10_deg: f64,
+    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees: what a mesh or a shader shows.
+    pub facet_mean_deg: f64,
+    /// Angle that 95 % of the facets keep below.
+    pub facet_95_deg: f64,
 }
 
 /// Flat surfaces in a range of the angle between normal and ray.
@@ -65,6 +72,8 @@ pub struct AngleReport {
     pub rmse_steps: f64,
     /// Mean angle between the normal and the true one, in degrees.
     pub normal_mean_deg: f64,
+    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees.
+    pub facet_mean_deg: f64,
 }
 
 /// The scores of a method on the suite. What could not be measured is NaN (null in JSON).
@@ -75,6 +84,10 @@ pub struct Report {
     pub ranges: Vec<RangeReport>,
     /// Flat surfaces by angle of incidence.
     pub angles: Vec<AngleReport>,
+    /// Share of the facets of flat surfaces from 0.5 to 2.5 m that are off by more than 30°: specks.
+    pub speck_share: f64,
+    /// Median over flat pixels of the second difference of z along a row, over z², in 1e-3/m: lattices and gravel.
+    pub lattice: f64,
     /// Root mean square error of flat surfaces over z, in bins of 0.2 m: the middle of the bin in metres, millimetres.
     pub over_z: Vec<(f64, f64)>,
     /// Within 3 pixels of a step: mean distance to the nearest true surface, in millimetres.
@@ -129,6 +142,7 @@ struct Flat {
     off_m: Sum,
     off_steps: Sum,
     normals_deg: Vec<f32>,
+    facets_deg: Vec<f32>,
 }
 
 impl Flat {
@@ -136,24 +150,26 @@ impl Flat {
         self.off_m.add(error.off_m);
         self.off_steps.add(error.off_m / error.step_m);
         self.normals_deg.extend(error.normal_deg.map(|deg| deg as f32));
-    }
-
-    fn normal_mean_deg(&self) -> f64 {
-        self.normals_deg.iter().map(|&deg| f64::from(deg)).sum::<f64>() / self.normals_deg.len() as f64
-    }
-
-    fn normal_median_deg(&self) -> f64 {
-        let mut angles = self.normals_deg.clone();
-        let middle = angles.len() / 2;
-        if angles.is_empty() {
-            return f64::NAN;
-        }
-        f64::from(*angles.select_nth_unstable_by(middle, f32::total_cmp).1)
+        self.facets_deg.extend(error.facet_deg.map(|deg| deg as f32));
     }
 
     fn normals_under(&self, limit_deg: f32) -> f64 {
         let under = self.normals_deg.iter().filter(|&&deg| deg < limit_deg).count();
         under as f64 / self.normals_deg.len() as f64
+    }
+}
+
+fn mean_deg(angles: &[f32]) -> f64 {
+    angles.iter().map(|&deg| f64::from(deg)).sum::<f64>() / angles.len() as f64
+}
+
+/// The value that a share of the values lie below; NaN for none.
+fn quantile(values: &[f32], share: f64) -> f64 {
+    let mut values = values.to_vec();
+    let at = (values.len() as f64 * share) as usize;
+    match values.get(at) {
+        None => f64::NAN,
+        Some(_) => f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1),
     }
 }
 
@@ -163,6 +179,7 @@ struct PixelError {
     off_m: f64,
     step_m: f64,
     normal_deg: Option<f64>,
+    facet_deg: Option<f64>,
 }
 
 /// Accumulates the scores of a method over cases.
@@ -170,6 +187,8 @@ struct PixelError {
 pub struct Evaluation {
     ranges: [Flat; 3],
     angles: [Flat; 3],
+    /// Second differences of z along rows, over z².
+    second_differences: Vec<f32>,
     over_z: [Sum; BINS],
     edge_m: Sum,
     flying: usize,
@@ -211,7 +230,9 @@ impl Evaluation {
             let normal_deg = normals.is_finite(i).then(|| angle_deg(n, vector(normals, i)));
             let z = f64::from(truth.points.z[i]);
             let off_m = (vector(points, i) - vector(&truth.points, i)).dot(n);
-            let error = PixelError { off_m, step_m: step_m(z), normal_deg };
+            let facet_deg = facet(points, &flat, i, truth.camera.width).map(|facet| angle_deg(n, facet));
+            let error = PixelError { off_m, step_m: step_m(z), normal_deg, facet_deg };
+            self.second_differences.extend(second_difference(points, &flat, i, truth.camera.width));
             if let Some(bin) = self.over_z.get_mut((z / BIN_M) as usize) {
                 bin.add(off_m);
             }
@@ -293,20 +314,26 @@ impl Evaluation {
             rmse_mm: 1e3 * flat.off_m.rms(),
             bias_mm: 1e3 * flat.off_m.mean(),
             bias_steps: flat.off_steps.mean(),
-            normal_mean_deg: flat.normal_mean_deg(),
-            normal_median_deg: flat.normal_median_deg(),
+            normal_mean_deg: mean_deg(&flat.normals_deg),
+            normal_median_deg: quantile(&flat.normals_deg, 0.5),
             normal_under_10_deg: flat.normals_under(10.0),
+            facet_mean_deg: mean_deg(&flat.facets_deg),
+            facet_95_deg: quantile(&flat.facets_deg, 0.95),
         };
         let angle = |(flat, (from_deg, to_deg)): (&Flat, (f64, f64))| AngleReport {
             from_deg,
             to_deg,
             pixels: flat.off_steps.count,
             rmse_steps: flat.off_steps.rms(),
-            normal_mean_deg: flat.normal_mean_deg(),
+            normal_mean_deg: mean_deg(&flat.normals_deg),
+            facet_mean_deg: mean_deg(&flat.facets_deg),
         };
+        let near = || self.ranges[..2].iter().flat_map(|flat| &flat.facets_deg);
         Report {
             ranges: self.ranges.iter().zip(RANGES_M).map(range).collect(),
             angles: self.angles.iter().zip(ANGLES_DEG).map(angle).collect(),
+            speck_share: near().filter(|&&deg| deg > SPECK_DEG).count() as f64 / near().count() as f64,
+            lattice: 1e3 * quantile(&self.second_differences, 0.5),
             over_z: (0..BINS)
                 .filter(|&bin| self.over_z[bin].count >= 1000)
                 .map(|bin| ((bin as f64 + 0.5) * BIN_M, 1e3 * self.over_z[bin].rms()))
@@ -339,11 +366,36 @@ pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     if results.is_empty() { f64::NAN } else { 1e3 * stir.rms() }
 }
 
+/// The unit normal of the triangle between pixel i and its right and lower neighbours, where all three are `usable` and have points;
+/// zero for one without an area, which counts as edge-on.
+pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Option<DVec3> {
+    let [right, below] = [i + 1, i + width];
+    if right % width == 0
+        || below >= usable.len()
+        || ![i, right, below].iter().all(|&j| usable[j] && points.is_finite(j))
+    {
+        return None;
+    }
+    let p = vector(points, i);
+    // A facet that faces away has flipped: it is not turned back.
+    Some((vector(points, below) - p).cross(vector(points, right) - p).normalize_or_zero())
+}
+
+/// |z(u-1) - 2 z(u) + z(u+1)|/z² along a row, where all three pixels are flat and have points.
+fn second_difference(points: &Xyz, flat: &[bool], i: usize, width: usize) -> Option<f32> {
+    let at_border = i.is_multiple_of(width) || (i + 1).is_multiple_of(width);
+    if at_border || ![i - 1, i, i + 1].iter().all(|&j| flat[j] && points.is_finite(j)) {
+        return None;
+    }
+    let z = |j: usize| points.z[j];
+    Some((z(i - 1) - 2.0 * z(i) + z(i + 1)).abs() / (z(i) * z(i)))
+}
+
 fn vector(of: &Xyz, i: usize) -> DVec3 {
     DVec3::from_array(of.get(i).map(f64::from))
 }
 
-fn angle_deg(a: DVec3, b: DVec3) -> f64 {
+pub(super) fn angle_deg(a: DVec3, b: DVec3) -> f64 {
     a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()
 }
 

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use super::evaluation::plane;
+use super::evaluation::{SPECK_DEG, angle_deg, facet, plane};
 use crate::cloud::OrganizedCloud;
 use crate::sensor::SensorModel;
 use crate::simulate::Random;
@@ -22,13 +22,19 @@ pub struct TileReport {
     pub rms_mm: f64,
     /// Mean over the tiles of the mean angle between a point's normal and the tile's, in degrees.
     pub normal_deg: f64,
+    /// Mean over the tiles of the mean angle between the facets of adjacent points and the tile's plane, in degrees.
+    pub facet_deg: f64,
+    /// Share of these facets that are off by more than 30°.
+    pub speck_share: f64,
 }
 
 /// Fits a plane to every tile of 8x8 pixels whose points are all in `measured`, so that every method is measured on the same
 /// tiles. Tiles that span more than a twentieth of their range in z are left out.
 pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> TileReport {
     let (width, height) = (measured.width(), measured.height());
-    let (mut rms_m, mut angles_deg) = (Vec::new(), Vec::new());
+    let (mut rms_m, mut angles_deg, mut facets_deg) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut facets, mut specks) = (0usize, 0usize);
+    let mut in_tile = vec![false; width * height];
     for v0 in (0..height.saturating_sub(TILE_PX - 1)).step_by(TILE_PX) {
         for u0 in (0..width.saturating_sub(TILE_PX - 1)).step_by(TILE_PX) {
             let pixels: Vec<usize> =
@@ -47,14 +53,32 @@ pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> Ti
             if count > 0 {
                 angles_deg.push((sum / count as f64).to_degrees());
             }
+            pixels.iter().for_each(|&i| in_tile[i] = true);
+            let of_facets: Vec<f64> = pixels
+                .iter()
+                .filter_map(|&i| facet(points, &in_tile, i, width))
+                .map(|n| angle_deg(n, normal))
+                .collect();
+            pixels.iter().for_each(|&i| in_tile[i] = false);
+            facets += of_facets.len();
+            specks += of_facets.iter().filter(|&&deg| deg > f64::from(SPECK_DEG)).count();
+            if !of_facets.is_empty() {
+                facets_deg.push(of_facets.iter().sum::<f64>() / of_facets.len() as f64);
+            }
         }
     }
     rms_m.sort_by(f64::total_cmp);
     TileReport {
         tiles: rms_m.len(),
         rms_mm: rms_m.get(rms_m.len() / 2).map_or(f64::NAN, |rms| 1e3 * rms),
-        normal_deg: angles_deg.iter().sum::<f64>() / angles_deg.len() as f64,
+        normal_deg: mean(&angles_deg),
+        facet_deg: mean(&facets_deg),
+        speck_share: specks as f64 / facets as f64,
     }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
 }
 
 /// Number of candidate planes, and of points that each is scored on.

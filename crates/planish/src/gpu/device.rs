@@ -186,7 +186,7 @@ impl GpuDevice {
             has_dynamic_offset: false,
             min_binding_size: None,
         };
-        let entries: Vec<_> = [uniform, storage(true), storage(false), storage(false)]
+        let entries: Vec<_> = [uniform, storage(true), storage(false), storage(false), storage(false)]
             .into_iter()
             .zip(0..)
             .map(|(ty, binding)| wgpu::BindGroupLayoutEntry {

@@ -10,29 +10,38 @@ use crate::method::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 use crate::outputs::Outputs;
 use crate::params::{Edges, SmoothParams, edge_shift_px};
 
-/// Which part of the work on a frame a kernel does.
+/// Which part of the work on a frame a kernel does (docs/method.md, sections 2 and 10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Pass {
-    /// All of it: edges are off.
-    Whole,
+    /// The means of blocks.
+    Blocks,
     /// The first planes, where edges are kept.
     FirstPlanes,
-    /// The rest, from those.
+    /// From those the surfaces, and the means of the points on them.
     Surfaces,
+    /// The results.
+    Smooth,
 }
 
 impl Pass {
     /// The passes of a frame, in order.
-    pub(super) fn of(edges: Edges) -> &'static [Self] {
-        match edges {
-            Edges::Off => &[Self::Whole],
-            Edges::Robust => &[Self::FirstPlanes, Self::Surfaces],
+    pub(super) fn of(params: &SmoothParams) -> &'static [Self] {
+        match (params.edges, params.averages_blocks()) {
+            (Edges::Off, false) => &[Self::Smooth],
+            (Edges::Off, true) => &[Self::Blocks, Self::Smooth],
+            (Edges::Robust, false) => &[Self::FirstPlanes, Self::Surfaces, Self::Smooth],
+            (Edges::Robust, true) => &[Self::Blocks, Self::FirstPlanes, Self::Surfaces, Self::Smooth],
         }
     }
 
     /// The entry point of its kernel.
     pub(super) fn entry_point(self) -> &'static str {
-        if self == Self::FirstPlanes { "fit_first_planes" } else { "smooth_frames" }
+        match self {
+            Self::Blocks => "average_blocks",
+            Self::FirstPlanes => "fit_first_planes",
+            Self::Surfaces => "find_surfaces",
+            Self::Smooth => "smooth_frames",
+        }
     }
 }
 
@@ -42,7 +51,15 @@ pub(super) struct KernelKey {
     pub(super) window: u32,
     pub(super) stride: u32,
     pub(super) degree: u32,
+    /// How far away the planes are that are considered, in pixels.
+    edge_shift: u32,
     pub(super) pass: Pass,
+    /// Whether edges are kept.
+    keeps_edges: bool,
+    /// Whether the samples of its windows are block means.
+    reads_means: bool,
+    /// Whether it reads the input; the others read what the first has kept.
+    reads_input: bool,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
     /// Whether every access to memory is checked against its bounds.
@@ -67,20 +84,41 @@ impl KernelKey {
         bounds_checks: bool,
         workgroup_bytes: usize,
     ) -> Self {
-        let SmoothParams { window, stride, degree, .. } = *params;
+        let SmoothParams { degree, .. } = *params;
+        let keeps_edges = params.edges != Edges::Off;
+        // The windows of these passes are the blocks.
+        let of_blocks = matches!(pass, Pass::Blocks | Pass::Surfaces);
+        let (window, stride) =
+            if of_blocks { (params.block_half_px() as u32, 1) } else { (params.window, params.stride) };
+        let window = if params.averages_blocks() || !of_blocks { window } else { 0 };
+        let reads_means = params.averages_blocks() && !of_blocks;
+        let reads_input = pass == Pass::of(params)[0];
+        // Fields that the kernel does not depend on are normalized, so that settings share it.
+        let kind = match kind {
+            InputKind::DepthMetres if !reads_input => InputKind::Depth,
+            kind => kind,
+        };
+        let outputs = if pass == Pass::Smooth { outputs } else { Outputs::POINTS };
+        let degree = if pass == Pass::Smooth { degree } else { 1 };
+        let edge_shift = if pass == Pass::Surfaces { edge_shift_px(params.reach_px()) as u32 } else { 0 };
         let [tile_width, tile_height] = tile_of(degree);
-        let tile_bytes = 12 * (tile_width + 2 * params.reach_px()) * (tile_height + 2 * window as usize);
+        let tile_bytes = 12 * (tile_width + 2 * (window * stride) as usize) * (tile_height + 2 * window as usize);
         let codes_bytes = 4 * tile_width * tile_height;
         let tiled = tile_bytes + codes_bytes <= workgroup_bytes;
-        // Fields that the kernel does not depend on are normalized, so that settings share it.
-        let (kind, outputs) = match pass {
-            Pass::Whole => (kind, outputs),
-            Pass::FirstPlanes => (kind, Outputs::POINTS),
-            // It reads the points that the first pass kept.
-            Pass::Surfaces if kind == InputKind::DepthMetres => (InputKind::Depth, outputs),
-            Pass::Surfaces => (kind, outputs),
-        };
-        Self { window, stride, degree, pass, kind, outputs, bounds_checks, tiled }
+        Self {
+            window,
+            stride,
+            degree,
+            edge_shift,
+            pass,
+            keeps_edges,
+            reads_means,
+            reads_input,
+            kind,
+            outputs,
+            bounds_checks,
+            tiled,
+        }
     }
 
     /// Workgroups for a frame, across and down: each has the rows of a tile, `stride` apart.
@@ -100,15 +138,17 @@ impl KernelKey {
         let _ = writeln!(text, "const WINDOW: u32 = {window}u;");
         let _ = writeln!(text, "const STRIDE: u32 = {stride}u;");
         let _ = writeln!(text, "const DEGREE: u32 = {degree}u;");
-        let _ = writeln!(text, "const EDGE_SHIFT: u32 = {}u;", edge_shift_px(window * stride));
-        let _ = writeln!(text, "const KEEPS_EDGES: bool = {};", self.pass != Pass::Whole);
+        let _ = writeln!(text, "const EDGE_SHIFT: u32 = {}u;", self.edge_shift);
+        let _ = writeln!(text, "const KEEPS_EDGES: bool = {};", self.keeps_edges);
+        let _ = writeln!(text, "const READS_MEANS: bool = {};", self.reads_means);
         text += include_str!("shaders/buffers.wgsl");
-        if self.pass != Pass::Whole {
-            text += include_str!("shaders/first_planes.wgsl");
-        }
-        text += match self.pass {
-            Pass::Whole | Pass::FirstPlanes => include_str!("shaders/input.wgsl"),
-            Pass::Surfaces => include_str!("shaders/points_kept.wgsl"),
+        text += include_str!("shaders/kept.wgsl");
+        text +=
+            if self.reads_input { include_str!("shaders/input.wgsl") } else { include_str!("shaders/input_kept.wgsl") };
+        text += if self.reads_means {
+            include_str!("shaders/samples_means.wgsl")
+        } else {
+            include_str!("shaders/samples_measured.wgsl")
         };
         text += if self.tiled {
             include_str!("shaders/window_tiled.wgsl")
@@ -118,14 +158,23 @@ impl KernelKey {
         text += include_str!("shaders/window.wgsl");
         text += include_str!("shaders/eigen.wgsl");
         text += include_str!("shaders/sensor.wgsl");
+        if matches!(self.pass, Pass::Blocks | Pass::Surfaces) {
+            text += include_str!("shaders/blocks.wgsl");
+            text += match self.pass {
+                Pass::Blocks => include_str!("shaders/average_blocks.wgsl"),
+                _ => include_str!("shaders/find_surfaces.wgsl"),
+            };
+            return text;
+        }
         text += include_str!("shaders/plane.wgsl");
-        text += match self.pass {
-            Pass::FirstPlanes => {
-                text += include_str!("shaders/fit_first_planes.wgsl");
-                return text;
-            }
-            Pass::Whole => include_str!("shaders/own_plane.wgsl"),
-            Pass::Surfaces => include_str!("shaders/edges.wgsl"),
+        if self.pass == Pass::FirstPlanes {
+            text += include_str!("shaders/fit_first_planes.wgsl");
+            return text;
+        }
+        text += if self.keeps_edges {
+            include_str!("shaders/own_surface.wgsl")
+        } else {
+            include_str!("shaders/own_plane.wgsl")
         };
         text += include_str!("shaders/project_plane.wgsl");
         if self.degree == 1 {

@@ -4,8 +4,8 @@
 //! Everything is in 32-bit words. A frame of the input is its [`FrameHeader`], the rays of its columns and rows, and its
 //! samples: raw depth, two pixels per word, depth in metres, or x, y and z, one channel each. A frame of the output is its
 //! requested channels of f32 (points, normals, curvature), then rows of packed codes: status and neighbours, four pixels per word,
-//! and depth, two. A packed row starts at a whole word. Frames of a batch are contiguous. With edge preservation, the first pass
-//! leaves the planes of all pixels on the device for the second.
+//! and depth, two. A packed row starts at a whole word. Frames of a batch are contiguous. What passes leave for one another
+//! stays on the device.
 
 use std::fmt::Write;
 use std::ops::Range;
@@ -16,7 +16,7 @@ use crate::camera::SATURATED_DEPTH;
 use crate::frame::Frame;
 use crate::method;
 use crate::outputs::Outputs;
-use crate::range::{MAX_RADIUS_M, MAX_RANGE_M};
+use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, MIN_GATE_M};
 use crate::status::Status;
 
 /// Parameters of a whole frame.
@@ -28,6 +28,9 @@ pub(super) struct FrameHeader {
     /// With the range z, r = max(linear z, radius polynomial).
     pub(super) radius_linear: f32,
     pub(super) radius: [f32; 3],
+    /// With the range z, the gate of a block is max(linear z, block polynomial).
+    pub(super) block_linear: f32,
+    pub(super) block: [f32; 3],
     /// Coefficients of the standard deviation of depth, where edges are kept.
     pub(super) sigma: [f32; 3],
     /// 0 stands for the radius.
@@ -45,11 +48,12 @@ pub(super) const BY_DISTANCE: u32 = 1;
 /// Points move along their rays.
 pub(super) const ON_RAY: u32 = 2;
 
-/// Channels of a first plane and its point (first_planes.wgsl).
-const FIRST_CHANNELS: usize = 11;
+/// Channels of the points and the planes that passes leave for one another (kept.wgsl).
+const POINT_CHANNELS: usize = 6;
+const PLANE_CHANNELS: usize = 13;
 
 const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
-const _: () = assert!(size_of::<FrameHeader>() == 72);
+const _: () = assert!(size_of::<FrameHeader>() == 88);
 
 /// The uniform of a dispatch.
 #[repr(C)]
@@ -92,7 +96,9 @@ pub(super) struct Layout {
     pub(super) height: usize,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
-    pub(super) keeps_edges: bool,
+    /// Whether passes leave points for one another, and planes.
+    pub(super) keeps_points: bool,
+    pub(super) keeps_planes: bool,
 }
 
 impl Layout {
@@ -146,9 +152,11 @@ impl Layout {
         packed.unwrap_or(channels(self.outputs).count * self.pixels())
     }
 
-    /// Words of first planes per frame.
-    pub(super) fn first_words(&self) -> usize {
-        if self.keeps_edges { FIRST_CHANNELS * self.pixels() } else { 0 }
+    /// Words per frame of the points and the planes that passes leave for one another.
+    pub(super) fn kept_words(&self) -> [usize; 2] {
+        let [points, planes] = [(self.keeps_points, POINT_CHANNELS), (self.keeps_planes, PLANE_CHANNELS)]
+            .map(|(keeps, channels)| if keeps { channels * self.pixels() } else { 0 });
+        [points, planes]
     }
 
     /// The uniform of a dispatch over frames of this layout.
@@ -219,7 +227,10 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("AXIS", std::mem::offset_of!(FrameHeader, axis) / 4),
         ("BY_DISTANCE", BY_DISTANCE as usize),
         ("ON_RAY", ON_RAY as usize),
-        ("FIRST_CHANNELS", FIRST_CHANNELS),
+        ("BLOCK_LINEAR", std::mem::offset_of!(FrameHeader, block_linear) / 4),
+        ("BLOCK", std::mem::offset_of!(FrameHeader, block) / 4),
+        ("POINT_CHANNELS", POINT_CHANNELS),
+        ("PLANE_CHANNELS", PLANE_CHANNELS),
         ("SATURATED_DEPTH", usize::from(SATURATED_DEPTH)),
         ("POINTS_CHANNEL", points),
         ("NORMALS_CHANNEL", normals),
@@ -258,6 +269,11 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("MAX_DOUBT", method::MAX_DOUBT),
         ("MIN_NEIGHBOURS", method::MIN_NEIGHBOURS),
         ("MIN_NOISE", method::MIN_NOISE),
+        ("MIN_GATE_M", MIN_GATE_M),
+        ("GATE_FADE", method::GATE_FADE),
+        ("PLANE_REACH", method::PLANE_REACH),
+        ("BLOCK_WIDTH", method::BLOCK_WIDTH),
+        ("MIN_BLOCK_WEIGHT", method::MIN_BLOCK_WEIGHT),
         ("DISTANCE_WEIGHT", method::DISTANCE_WEIGHT),
         ("NARROW_WIDTH", method::NARROW_WIDTH),
         ("DOUBT_WEIGHT", method::DOUBT_WEIGHT),
@@ -287,7 +303,14 @@ mod tests {
                 neighbours: wants(4),
                 depth: wants(5),
             };
-            let layout = Layout { width: 7, height: 3, kind: InputKind::Depth, outputs, keeps_edges: false };
+            let layout = Layout {
+                width: 7,
+                height: 3,
+                kind: InputKind::Depth,
+                outputs,
+                keeps_points: false,
+                keeps_planes: false,
+            };
             let planes = layout.points().into_iter().flatten().chain(layout.normals().into_iter().flatten());
             let packed = [layout.curvature(), layout.status(), layout.neighbours(), layout.depth()];
             let mut at = 0;
@@ -302,7 +325,15 @@ mod tests {
     #[test]
     fn only_what_is_asked_for_comes_back() {
         let words = |outputs| {
-            Layout { width: 640, height: 480, kind: InputKind::Depth, outputs, keeps_edges: false }.output_words()
+            Layout {
+                width: 640,
+                height: 480,
+                kind: InputKind::Depth,
+                outputs,
+                keeps_points: false,
+                keeps_planes: false,
+            }
+            .output_words()
         };
         assert_eq!(4 * words(Outputs::POINTS), 12 * 640 * 480);
         assert_eq!(4 * words(Outputs::DEPTH), 2 * 640 * 480);

@@ -1,7 +1,7 @@
 //! The GPU engine: docs/method.md in f32, one thread per pixel, through wgpu: Vulkan, Metal or DirectX 12.
 //!
 //! One kernel per setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the requested outputs from
-//! depth or points; with edge preservation, another one before it fits the planes of all pixels. [`layout`] describes uploads and
+//! depth or points; where blocks are averaged or edges kept, others before it leave points and planes for it. [`layout`] describes uploads and
 //! results. A [`slot::Slot`] has the buffers of one frame or batch in flight. Results are read in mapped memory ([`view`]) or
 //! copied out, for frames in flight by a thread of its own ([`copier`]).
 
@@ -197,7 +197,9 @@ impl Gpu {
 
     fn layout(&self, kind: InputKind) -> Layout {
         let (width, height) = self.shape;
-        Layout { width, height, kind, outputs: self.outputs, keeps_edges: self.params.edges != Edges::Off }
+        let keeps_planes = self.params.edges != Edges::Off;
+        let keeps_points = keeps_planes || self.params.averages_blocks();
+        Layout { width, height, kind, outputs: self.outputs, keeps_points, keeps_planes }
     }
 
     /// The kernels of a frame's passes, in order.
@@ -206,16 +208,17 @@ impl Gpu {
         let key = move |&pass| {
             KernelKey::new(&self.params, pass, kind, self.outputs, self.options.bounds_checks, workgroup_bytes)
         };
-        Pass::of(self.params.edges).iter().map(key)
+        Pass::of(&self.params).iter().map(key)
     }
 
-    fn kernels(&self, kind: InputKind) -> Result<Vec<wgpu::ComputePipeline>, EngineError> {
-        self.kernel_keys(kind).map(|key| self.gpu.kernel(key)).collect()
+    /// The kernels of a frame's passes in order, each with its workgroups across and down.
+    fn kernels(&self, kind: InputKind) -> Result<Vec<(wgpu::ComputePipeline, [usize; 2])>, EngineError> {
+        self.kernel_keys(kind).map(|key| Ok((self.gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
     }
 
-    /// Workgroups for a frame, across and down; the same for every pass.
-    fn workgroups(&self, kind: InputKind) -> [usize; 2] {
-        self.kernel_keys(kind).next().map_or([0; 2], |key| key.workgroups(self.shape))
+    /// The most workgroups of a frame, across or down.
+    fn most_workgroups(&self, kind: InputKind) -> usize {
+        self.kernel_keys(kind).flat_map(|key| key.workgroups(self.shape)).max().unwrap_or(0)
     }
 
     /// Returns the device's limit of bytes per buffer.
@@ -226,7 +229,8 @@ impl Gpu {
 
     /// Returns the bytes of a frame's largest buffer.
     fn frame_bytes(layout: Layout) -> u64 {
-        4 * layout.input_words().max(layout.output_words()).max(layout.first_words()) as u64
+        let [points, planes] = layout.kept_words();
+        4 * layout.input_words().max(layout.output_words()).max(points).max(planes) as u64
     }
 
     /// Returns how many frames of a batch one submission holds: within the device's limits, and short enough for its other users
@@ -243,7 +247,7 @@ impl Gpu {
             (
                 "workgroups across or down",
                 u64::from(self.gpu.limits.max_compute_workgroups_per_dimension),
-                self.workgroups(layout.kind).into_iter().max().unwrap_or(0) as u64,
+                self.most_workgroups(layout.kind) as u64,
             ),
         ];
         match limits.into_iter().find(|(_, allowed, needed)| needed > allowed) {
@@ -284,7 +288,7 @@ impl Gpu {
     fn submit_slot(&self, slot: Slot) -> Result<Flight, EngineError> {
         let kind = slot.layout.kind;
         let kernels = self.kernels(kind)?;
-        let submission = slot.submit(&self.gpu, &kernels, self.workgroups(kind));
+        let submission = slot.submit(&self.gpu, &kernels);
         self.gpu.check()?;
         Ok(Flight { gpu: Arc::clone(&self.gpu), slot, submission, free: Arc::clone(&self.free) })
     }

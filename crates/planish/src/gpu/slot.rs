@@ -35,8 +35,8 @@ pub(super) struct Slot {
     output: Option<wgpu::Buffer>,
     /// Read by the host; mapped once its submission has run.
     pub(super) readback: wgpu::Buffer,
-    /// Between the passes, where edges are kept.
-    _first_planes: wgpu::Buffer,
+    /// Points and planes that passes leave for one another.
+    _kept: [wgpu::Buffer; 2],
     bind_group: wgpu::BindGroup,
     stamps: Option<Stamps>,
     mapped: Arc<Mapped>,
@@ -93,9 +93,9 @@ impl Slot {
         let input_bytes = (layout.input_words() * frames) as u64 * WORD;
         let output_bytes = (layout.output_words() * frames) as u64 * WORD;
         let direct = transfer == Transfer::Direct;
-        // The kernels have a place for it whether they use it or not.
-        let first_bytes = (layout.first_words() * frames).max(4) as u64 * WORD;
-        let total = first_bytes + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
+        // The kernels have places for them whether they use them or not.
+        let kept_bytes = layout.kept_words().map(|words| (words * frames).max(4) as u64 * WORD);
+        let total = kept_bytes.iter().sum::<u64>() + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
         gpu.allocate(total, || {
             let device = &gpu.device;
             let buffer = |label, size, usage, mapped_at_creation| {
@@ -112,9 +112,9 @@ impl Slot {
                 range.copy_from_slice(bytes_of(&layout.batch()));
             }
             uniform.unmap();
-            let first_planes = buffer("first planes", first_bytes, Usage::STORAGE, false);
+            let kept = kept_bytes.map(|bytes| buffer("kept", bytes, Usage::STORAGE, false));
             let (read, written) = (input.as_ref().unwrap_or(&upload), output.as_ref().unwrap_or(&readback));
-            let bound = [&uniform, read, written, &first_planes];
+            let bound = [&uniform, read, written, &kept[0], &kept[1]];
             let entries: Vec<_> = bound
                 .into_iter()
                 .zip(0..)
@@ -142,7 +142,7 @@ impl Slot {
                 input,
                 output,
                 readback,
-                _first_planes: first_planes,
+                _kept: kept,
                 bind_group,
                 stamps,
                 mapped: Arc::default(),
@@ -169,14 +169,12 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the frames, and asks for the buffers back when they are done.
+    /// Submits the frames to kernels, each with its workgroups across and down, and asks for the buffers back when they are done.
     pub(super) fn submit(
         &self,
         gpu: &GpuDevice,
-        kernels: &[wgpu::ComputePipeline],
-        workgroups: [usize; 2],
+        kernels: &[(wgpu::ComputePipeline, [usize; 2])],
     ) -> wgpu::SubmissionIndex {
-        let [across, down] = workgroups;
         self.upload.unmap();
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let stamp = |encoder: &mut wgpu::CommandEncoder, index| {
@@ -196,10 +194,10 @@ impl Slot {
             });
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
             pass.set_bind_group(0, &self.bind_group, &[]);
-            // One waits for the other: wgpu sees that both use the first planes.
-            for kernel in kernels {
+            // Each waits for the one before: wgpu sees that both use what is kept.
+            for (kernel, [across, down]) in kernels {
                 pass.set_pipeline(kernel);
-                pass.dispatch_workgroups(across as u32, down as u32, self.frames as u32);
+                pass.dispatch_workgroups(*across as u32, *down as u32, self.frames as u32);
             }
         }
         if let Some(output) = &self.output {

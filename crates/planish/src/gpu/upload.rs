@@ -50,6 +50,8 @@ impl Uploader {
         let mut header = FrameHeader {
             radius_linear: rules.linear,
             radius: rules.radius,
+            block_linear: rules.block_linear,
+            block: rules.block,
             sigma: if self.params.edges == Edges::Off { [0.0; 3] } else { rules.sigma },
             bandwidth: self.params.bandwidth_m.unwrap_or(0.0),
             ridge: self.params.ridge,

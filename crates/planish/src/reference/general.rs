@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{PointResult, smooth_point};
+use super::{PointResult, Surface, smooth_point};
 use crate::error::Error;
 use crate::frame::FrameGeometry;
 use crate::neighbours::NeighbourSearch;
@@ -31,8 +31,10 @@ pub(super) fn smooth(
             return PointResult::hole();
         }
         search.within(p, radius_m, neighbours);
-        let offsets: Vec<DVec3> = neighbours.iter().map(|&i| points[i] - p).collect();
-        smooth_point(p, sensor, &offsets, radius_m, params, false)
+        let offsets = neighbours.iter().map(|&i| points[i] - p);
+        let offsets: Vec<DVec3> = offsets.filter(|offset| offset.length_squared() < radius_m * radius_m).collect();
+        let surface = Surface::own(&offsets, radius_m, p - sensor);
+        smooth_point(p, sensor, &offsets, radius_m, params, &surface, false)
     };
     Ok(threads.install(|| points.par_iter().map_init(Vec::new, smooth).collect()))
 }

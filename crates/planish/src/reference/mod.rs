@@ -1,10 +1,11 @@
 //! The reference engine: docs/method.md to the letter, in f64, written for readability. It is the oracle of the fast engines,
 //! so it shares no code with them and is never optimised.
 //!
-//! One file per stage: [`radius`] (section 3), [`window`] (2), [`plane`] (4), [`polynomial`] and [`solve`] (5, 6),
+//! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and [`solve`] (5, 6),
 //! [`project`] (7), [`edges`] (10). General clouds differ in the neighbours only: [`general`] (8). All compute in the sensor's
 //! frame (11); results are turned back at the end.
 
+mod blocks;
 mod edges;
 mod general;
 mod plane;
@@ -48,20 +49,40 @@ impl PointResult {
     }
 }
 
-/// Sections 4 to 7 for one point `p`, given its neighbours as offsets from it (itself included, as zero).
+/// What a point lies on, relative to it.
+#[derive(Debug, Clone, Copy)]
+struct Surface {
+    /// Of its own window.
+    neighbours: u32,
+    /// `None` if they lie on a line.
+    plane: Option<Plane>,
+    /// How far from the plane a neighbour still counts (section 10).
+    width_m: f64,
+}
+
+impl Surface {
+    /// The plane of a point's own neighbours (section 4), given as offsets from it, itself included as zero.
+    fn own(offsets: &[DVec3], radius_m: f64, ray: DVec3) -> Self {
+        let plane = if offsets.len() < 3 { None } else { plane::fit(offsets, radius_m, ray) };
+        Self { neighbours: offsets.len() as u32, plane, width_m: f64::INFINITY }
+    }
+}
+
+/// Sections 5 to 7 for one point over the surface that it lies on.
 fn smooth_point(
     p: DVec3,
     sensor: DVec3,
     offsets: &[DVec3],
     radius_m: f64,
     params: &SmoothParams,
+    surface: &Surface,
     on_ray: bool,
 ) -> PointResult {
-    let neighbours = offsets.len() as u32;
+    let &Surface { neighbours, ref plane, width_m } = surface;
     if neighbours < 3 {
         return PointResult { status: Status::TooFew, neighbours, ..PointResult::hole() };
     }
-    let Some(plane) = plane::fit(offsets, p - sensor) else {
+    let Some(plane) = plane else {
         return PointResult {
             displacement: DVec3::ZERO,
             depth_scale: 1.0,
@@ -70,26 +91,10 @@ fn smooth_point(
             ..PointResult::hole()
         };
     };
-    surface_point(p, sensor, offsets, radius_m, params, &plane, f64::INFINITY, on_ray)
-}
-
-/// Sections 5 to 7 over a plane. `width_m` is how far from the plane a neighbour still counts (section 10).
-#[allow(clippy::too_many_arguments)]
-fn surface_point(
-    p: DVec3,
-    sensor: DVec3,
-    offsets: &[DVec3],
-    radius_m: f64,
-    params: &SmoothParams,
-    plane: &Plane,
-    width_m: f64,
-    on_ray: bool,
-) -> PointResult {
     let bandwidth_m = params.bandwidth_m.map_or(radius_m, f64::from);
-    let polynomial = polynomial::fit(offsets, plane, radius_m, bandwidth_m, width_m, params);
+    let polynomial = polynomial::fit(offsets, neighbours, plane, radius_m, bandwidth_m, width_m, params);
     let Projected { displacement, normal, status, depth_scale } =
         project::project(p, sensor, plane, polynomial.as_ref(), radius_m, on_ray);
-    let neighbours = offsets.len() as u32;
     PointResult { displacement, depth_scale, normal, curvature: plane.curvature, status, neighbours }
 }
 
@@ -136,47 +141,65 @@ impl Reference {
 
     /// Smooths a grid of points in the sensor's frame.
     fn smooth_grid(&self, grid: &Grid, geometry: &FrameGeometry) -> Vec<PointResult> {
-        let first_planes = match self.params.edges {
-            Edges::Off => None,
-            Edges::Robust => {
-                let first_plane = |p: DVec3, offsets: &[DVec3], radius_m: f64, _: (usize, usize)| {
-                    let noise_m = edges::noise_m(&self.params.sensor, geometry.range_m(p), radius_m);
-                    edges::first_plane(p, offsets, noise_m)
-                };
-                let planes = self.for_each_pixel(grid, geometry, None, first_plane);
-                Some(edges::FirstPlanes::new(grid.width, planes, &self.params))
-            }
+        let params = &self.params;
+        let noise_m = |p: DVec3| edges::noise_m(&params.sensor, geometry.range_m(p), self.radius_m(geometry, p));
+        let means = params.averages_blocks().then(|| {
+            let mean = |p, pixel| p + blocks::mean_offset(grid, pixel, p, params, geometry, None);
+            self.samples(grid, mean)
+        });
+        let samples = means.as_ref().unwrap_or(grid);
+        let own = |p, pixel| {
+            let offsets = self.neighbours(samples, geometry, p, pixel);
+            Some(Surface::own(&offsets, self.radius_m(geometry, p), p))
         };
-        let on_ray = geometry.is_on_rays(self.params.project);
-        let smooth = |p: DVec3, offsets: &[DVec3], radius_m: f64, pixel: (usize, usize)| {
-            let noise_m = edges::noise_m(&self.params.sensor, geometry.range_m(p), radius_m);
-            match first_planes.as_ref().and_then(|planes| planes.surface(pixel, p, radius_m, noise_m)) {
-                None => smooth_point(p, DVec3::ZERO, offsets, radius_m, &self.params, on_ray),
-                Some((plane, width_m)) => {
-                    surface_point(p, DVec3::ZERO, offsets, radius_m, &self.params, &plane, width_m, on_ray)
-                }
-            }
+        let mut surfaces = self.for_each_pixel(grid, None, own);
+        if params.edges == Edges::Robust {
+            let first_planes = edges::FirstPlanes { grid, surfaces: &surfaces, params, noise_m: &noise_m };
+            let surface = |p: DVec3, (u, v): (usize, usize)| {
+                let mean_offset = samples.points[v * grid.width + u] - p;
+                first_planes.surface((u, v), p, mean_offset, self.radius_m(geometry, p))
+            };
+            surfaces = self.for_each_pixel(grid, None, surface);
+        }
+        let surface_of = |(u, v): (usize, usize)| surfaces[v * grid.width + u];
+        let on_surfaces = (means.is_some() && params.edges == Edges::Robust).then(|| {
+            let mean = |p, pixel| p + blocks::mean_offset(grid, pixel, p, params, geometry, surface_of(pixel).as_ref());
+            self.samples(grid, mean)
+        });
+        let samples = on_surfaces.as_ref().unwrap_or(samples);
+        let on_ray = geometry.is_on_rays(params.project);
+        let smooth = |p, pixel| {
+            let Some(surface) = surface_of(pixel) else { return PointResult::hole() };
+            let offsets = self.neighbours(samples, geometry, p, pixel);
+            smooth_point(p, DVec3::ZERO, &offsets, self.radius_m(geometry, p), params, &surface, on_ray)
         };
-        self.for_each_pixel(grid, geometry, PointResult::hole(), smooth)
+        self.for_each_pixel(grid, PointResult::hole(), smooth)
     }
 
-    /// Applies `work` to every valid point, its neighbours' offsets, its radius and its pixel; gives `hole` for the others.
+    fn radius_m(&self, geometry: &FrameGeometry, p: DVec3) -> f64 {
+        radius::radius_m(&self.params, geometry, p)
+    }
+
+    /// The neighbours of p of a pixel, as offsets from it.
+    fn neighbours(&self, samples: &Grid, geometry: &FrameGeometry, p: DVec3, pixel: (usize, usize)) -> Vec<DVec3> {
+        window::neighbours(samples, pixel, p, &self.params, self.radius_m(geometry, p))
+    }
+
+    /// What `mean` gives for every valid point and its pixel, as a grid.
+    fn samples(&self, grid: &Grid, mean: impl Fn(DVec3, (usize, usize)) -> DVec3 + Sync) -> Grid {
+        Grid { points: self.for_each_pixel(grid, DVec3::NAN, mean), width: grid.width, height: grid.height }
+    }
+
+    /// Applies `work` to every valid point and its pixel; gives `hole` for the others.
     fn for_each_pixel<T: Clone + Send + Sync>(
         &self,
         grid: &Grid,
-        geometry: &FrameGeometry,
         hole: T,
-        work: impl Fn(DVec3, &[DVec3], f64, (usize, usize)) -> T + Sync,
+        work: impl Fn(DVec3, (usize, usize)) -> T + Sync,
     ) -> Vec<T> {
-        let pixel = |offsets: &mut Vec<DVec3>, u: usize, v: usize| {
-            let Some(p) = grid.point(u, v) else { return hole.clone() };
-            let radius_m = radius::radius_m(&self.params, geometry, p);
-            window::gather(grid, u, v, &self.params, radius_m, offsets);
-            work(p, offsets, radius_m, (u, v))
-        };
         let row = |v: usize| {
-            let mut offsets = Vec::new();
-            (0..grid.width).map(|u| pixel(&mut offsets, u, v)).collect::<Vec<_>>()
+            let pixel = |u: usize| grid.point(u, v).map_or_else(|| hole.clone(), |p| work(p, (u, v)));
+            (0..grid.width).map(pixel).collect::<Vec<_>>()
         };
         let rows: Vec<_> = self.threads.install(|| (0..grid.height).into_par_iter().map(row).collect());
         rows.into_iter().flatten().collect()
@@ -237,6 +260,7 @@ mod tests {
         let settings = [
             (SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), true),
             (SmoothParams::default().with_stride(1), true),
+            (SmoothParams::default().with_stride(2), true),
             (SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), false),
         ];
         let viewpoints = [

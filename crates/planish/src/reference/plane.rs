@@ -4,6 +4,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::window::fading_gate;
 use crate::eigen::symmetric_eigen;
 
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
@@ -30,17 +31,17 @@ pub(super) struct Plane {
     pub curvature: f64,
 }
 
-/// Fits the plane to the neighbours `offsets` = q - p; `None` if they lie on a line. `from_sensor` is p as the sensor
-/// sees it.
-pub(super) fn fit(offsets: &[DVec3], from_sensor: DVec3) -> Option<Plane> {
-    let n = offsets.len() as f64;
-    let centroid = offsets.iter().sum::<DVec3>() / n;
+/// Fits the plane to the neighbours `offsets` = q - p within the radius; `None` if they lie on a line. `from_sensor` is p as the
+/// sensor sees it.
+pub(super) fn fit(offsets: &[DVec3], radius_m: f64, from_sensor: DVec3) -> Option<Plane> {
+    let weighted = || offsets.iter().map(|&offset| (fading_gate(offset, radius_m), offset));
+    let total: f64 = weighted().map(|(weight, _)| weight).sum();
+    let centroid = weighted().map(|(weight, offset)| weight * offset).sum::<DVec3>() / total;
     let mut covariance = DMat3::ZERO;
-    for &offset in offsets {
+    for (weight, offset) in weighted() {
         let d = offset - centroid;
-        covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        covariance += weight / total * DMat3::from_cols(d * d.x, d * d.y, d * d.z);
     }
-    covariance *= 1.0 / n;
     let ([l0, l1, l2], [axis, ..]) = symmetric_eigen(covariance);
     if l1 <= DEGENERATE_RATIO * l2 {
         return None;

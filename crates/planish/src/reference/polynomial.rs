@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::plane::Plane;
 use super::solve::solve;
+use super::window::fading_gate;
 use crate::params::SmoothParams;
 
 /// The height of the surface over the plane, f(a, b), by its value and slopes at the foot of p.
@@ -51,13 +52,14 @@ pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
 /// plane itself. The weight of neighbours further from the plane than `width_m` falls off.
 pub(super) fn fit(
     offsets: &[DVec3],
+    neighbours: u32,
     plane: &Plane,
     radius_m: f64,
     bandwidth_m: f64,
     width_m: f64,
     params: &SmoothParams,
 ) -> Option<Polynomial> {
-    let degree = (2..=params.degree).rev().find(|&d| coefficient_count(d) <= offsets.len())?;
+    let degree = (2..=params.degree).rev().find(|&d| coefficient_count(d) <= neighbours as usize)?;
     let (u, v) = tangents(plane.normal);
     let h = radius_m.min(2.0 * plane.largest_variance.sqrt());
 
@@ -68,7 +70,8 @@ pub(super) fn fit(
         let x = offset - plane.foot;
         let (a, b, f_m) = (x.dot(u) / h, x.dot(v) / h, x.dot(plane.normal));
         let off_surface = ((f_m / width_m) * (f_m / width_m)).min(MAX_OFF_SURFACE);
-        let w = (-x.length_squared() / (bandwidth_m * bandwidth_m) - off_surface).exp();
+        let gaussian = (-x.length_squared() / (bandwidth_m * bandwidth_m) - off_surface).exp();
+        let w = fading_gate(offset, radius_m) * gaussian;
         let powers: Vec<f64> = monomials(degree).map(|(i, j)| a.powi(i as i32) * b.powi(j as i32)).collect();
         for (row, power) in powers.iter().enumerate() {
             for (column, other) in powers.iter().enumerate() {

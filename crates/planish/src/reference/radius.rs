@@ -5,17 +5,24 @@ use glam::DVec3;
 use crate::frame::{FrameGeometry, RangeRule};
 use crate::params::{Radius, SmoothParams};
 
+/// No radius is smaller, so that a point is its own neighbour wherever it is.
+const MIN_RADIUS_M: f64 = 1e-12;
+
 /// r of a point in the sensor's frame.
 pub(super) fn radius_m(params: &SmoothParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
         Radius::Sensor => {
-            let range_m = geometry.range_m(p);
-            let spacing_m = match geometry.rule {
-                RangeRule::Constant { spacing_m } => spacing_m,
-                _ => range_m * geometry.rule.pitch_at_1m(),
-            };
-            (1.5 * f64::from(params.window * params.stride) * spacing_m).max(4.0 * params.sensor.step_m(range_m))
+            let reach_m = f64::from(params.window * params.stride) * spacing_m(geometry, p);
+            (2.0 * reach_m).max(4.0 * params.sensor.step_m(geometry.range_m(p))).max(MIN_RADIUS_M)
         }
+    }
+}
+
+/// How far apart neighbouring pixels are at a point in the sensor's frame.
+pub(super) fn spacing_m(geometry: &FrameGeometry, p: DVec3) -> f64 {
+    match geometry.rule {
+        RangeRule::Constant { spacing_m } => spacing_m,
+        _ => geometry.range_m(p) * geometry.rule.pitch_at_1m(),
     }
 }

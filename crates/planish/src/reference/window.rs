@@ -21,23 +21,37 @@ impl Grid {
     }
 }
 
-/// Fills `offsets` with q - p for every neighbour q of the valid point p of pixel (u, v), in row order.
-pub(super) fn gather(grid: &Grid, u: usize, v: usize, params: &SmoothParams, radius_m: f64, offsets: &mut Vec<DVec3>) {
-    offsets.clear();
-    let Some(p) = grid.point(u, v) else { return };
+/// The gate fades out from this share of the squared radius on.
+const FADE: f64 = 15.0 / 16.0;
+
+/// How much a point counts by its offset from another: not at all beyond the radius, and less and less on the last 3 % before it.
+pub(super) fn fading_gate(offset: DVec3, radius_m: f64) -> f64 {
+    ((1.0 - offset.length_squared() / (radius_m * radius_m)) / (1.0 - FADE)).clamp(0.0, 1.0)
+}
+
+/// The neighbours q of the valid point p of pixel (u, v) among the samples, as q - p, in row order.
+pub(super) fn neighbours(
+    samples: &Grid,
+    (u, v): (usize, usize),
+    p: DVec3,
+    params: &SmoothParams,
+    radius_m: f64,
+) -> Vec<DVec3> {
+    let mut offsets = Vec::with_capacity(params.candidates());
     let (window, stride) = (params.window as isize, params.stride as isize);
     let inside = |centre: usize, delta: isize, size: usize| {
         centre.checked_add_signed(delta * stride).filter(|&coordinate| coordinate < size)
     };
     for dv in -window..=window {
-        let Some(row) = inside(v, dv, grid.height) else { continue };
+        let Some(row) = inside(v, dv, samples.height) else { continue };
         for du in -window..=window {
-            let Some(column) = inside(u, du, grid.width) else { continue };
-            let Some(q) = grid.point(column, row) else { continue };
+            let Some(column) = inside(u, du, samples.width) else { continue };
+            let Some(q) = samples.point(column, row) else { continue };
             let offset = q - p;
-            if offset.length_squared() <= radius_m * radius_m {
+            if offset.length_squared() < radius_m * radius_m {
                 offsets.push(offset);
             }
         }
     }
+    offsets
 }

@@ -59,7 +59,7 @@ pub struct StreamFrame {
 pub struct StreamOptions {
     /// The parameters of the method.
     pub params: SmoothParams,
-    /// Whether strides are shortened for coarse pixels ([`SmoothParams::at_resolution_of`]), by the first frame of a shape that says
+    /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]), by the first frame of a shape that says
     /// how coarse they are.
     pub adapt_stride: bool,
     /// The engine and the outputs.

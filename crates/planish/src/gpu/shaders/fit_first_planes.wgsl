@@ -1,4 +1,4 @@
-// The first pass where edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
+// The first planes where edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn fit_first_planes(
@@ -15,15 +15,17 @@ fn fit_first_planes(
     }
     let at = pixel.y * batch.width + pixel.x;
     let window = window_origin_of(frame, pixel, local.xy);
-    let p = candidate(window, WINDOW, WINDOW);
-    keep_vec3(frame, FIRST_POINT, at, p);
+    let p = centre_of(frame, pixel, window);
+    if !READS_MEANS {
+        keep_point(frame, KEPT_POINT, at, p);
+    }
     if p.x == NO_POINT {
         return;
     }
     let ray = ray_to(frame, p);
     let range = range_of(frame, ray);
     let radius = radius_at(frame, range);
-    let sums = sums_of(window, p, radius * radius);
+    let sums = sums_of(window, p, gate_of(radius));
     let plane = plane_of(ray, sums);
     // Scaled, since the squares may be too large.
     let direction = ray / max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
@@ -31,10 +33,10 @@ fn fit_first_planes(
     let is_usable = sums.n >= MIN_NEIGHBOURS && !plane.is_degenerate && is_seen;
     let noise = noise_at(frame, range, radius);
     let residual = min(fma(noise * noise * DOUBT_WEIGHT, plane.doubt, plane.residual), NOT_USABLE);
-    keep_vec3(frame, FIRST_NORMAL, at, plane.normal);
-    first_planes[first_at(frame, FIRST_HEIGHT, at)] = plane.height;
-    first_planes[first_at(frame, FIRST_RESIDUAL, at)] = select(NOT_USABLE, residual, is_usable);
-    first_planes[first_at(frame, FIRST_CURVATURE, at)] = plane.curvature;
-    first_planes[first_at(frame, FIRST_EXTENT, at)] = plane.extent_squared;
-    first_planes[first_at(frame, FIRST_COUNT, at)] = select(sums.n, -sums.n, plane.is_degenerate);
+    keep_normal(frame, FIRST_NORMAL, at, plane.normal);
+    planes[plane_word(frame, FIRST_HEIGHT, at)] = plane.height;
+    planes[plane_word(frame, FIRST_RESIDUAL, at)] = select(NOT_USABLE, residual, is_usable);
+    planes[plane_word(frame, FIRST_CURVATURE, at)] = plane.curvature;
+    planes[plane_word(frame, FIRST_EXTENT, at)] = plane.extent_squared;
+    planes[plane_word(frame, FIRST_COUNT, at)] = select(sums.n, -sums.n, plane.is_degenerate);
 }

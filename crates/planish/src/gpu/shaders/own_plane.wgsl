@@ -3,7 +3,7 @@
 fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
     let ray = ray_to(frame, p);
     let radius = radius_at(frame, range_of(frame, ray));
-    let sums = sums_of(window, p, radius * radius);
+    let sums = sums_of(window, p, gate_of(radius));
     let n = u32(sums.n);
     if n < 3u {
         return no_result(STATUS_TOO_FEW, n);

@@ -28,11 +28,11 @@ struct LocalSurface {
 
 // `ray` leads from the sensor to p.
 fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
-    let inverse_n = 1.0 / sums.n;
-    let c = sums.e * inverse_n;
+    let inverse_total = 1.0 / sums.total;
+    let c = sums.e * inverse_total;
     // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
-    let x_row = fma(sums.x_row, vec3<f32>(inverse_n), -(c.x * c));
-    let rest = fma(sums.rest, vec3<f32>(inverse_n), -(c.yyz * c.yzz));
+    let x_row = fma(sums.x_row, vec3<f32>(inverse_total), -(c.x * c));
+    let rest = fma(sums.rest, vec3<f32>(inverse_total), -(c.yyz * c.yzz));
     let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));
     let normal = select(eigen.vector, -eigen.vector, dot(eigen.vector, ray) > 0.0);
     let l = eigen.values;

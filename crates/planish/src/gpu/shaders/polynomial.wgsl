@@ -17,8 +17,7 @@ struct Fit {
     extent_squared: f32,
 }
 
-// Second pass over the window. The gate is that of the first pass in these units: a candidate within rounding of the radius may
-// pass one and not the other, as it may in another engine.
+// Second pass over the window. The gate is that of the first pass in these units.
 fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
     let plane = surface.plane;
     let tangents = tangents_of(plane.normal);
@@ -27,7 +26,8 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let b_axis = tangents.v * per_metre;
     let f_axis = plane.normal * per_metre;
     let f_offset = plane.height * per_metre;
-    let gate = radius_squared * per_metre * per_metre;
+    let gate_squared = radius_squared * per_metre * per_metre;
+    let gate = Gate(gate_squared, -GATE_FADE / gate_squared);
     // f² counts so many times more in the weight of section 10.
     let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
     var s: Moments;
@@ -38,13 +38,14 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
             let b = fma(e.x, b_axis.x, fma(e.y, b_axis.y, e.z * b_axis.z));
             let above_p = fma(e.x, f_axis.x, fma(e.y, f_axis.y, e.z * f_axis.z));
             let in_plane = fma(a, a, b * b);
-            if fma(above_p, above_p, in_plane) <= gate {
+            let squared = fma(above_p, above_p, in_plane);
+            if squared < gate.squared {
                 let f = above_p - f_offset;
                 var exponent = fma(f, f, in_plane);
                 if KEEPS_EDGES {
                     exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
                 }
-                let w = exp2(-exponent);
+                let w = fading(gate, squared) * exp2(-exponent);
                 SUM_MOMENTS
             }
         }

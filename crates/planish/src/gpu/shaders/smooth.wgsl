@@ -36,7 +36,7 @@ fn smooth_frames(
     let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
     load_candidates(frame, origin, thread);
     let window = window_origin_of(frame, pixel, local.xy);
-    let p = candidate(window, WINDOW, WINDOW);
+    let p = centre_of(frame, pixel, window);
     var result = no_result(STATUS_HOLE, 0u);
     if p.x != NO_POINT {
         result = smooth_point(frame, pixel, window, p);

@@ -1,6 +1,7 @@
 // The neighbours of a pixel: the candidates within the radius, and their sums (docs/method.md, sections 2 and 3).
 //
-// Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate.
+// Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate. The gate fades out, so that
+// nothing changes at once.
 
 const SIDE: u32 = 2u * WINDOW + 1u;
 
@@ -10,9 +11,27 @@ fn origin_of(group: vec3<u32>) -> vec2<u32> {
     return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
 }
 
+struct Gate {
+    squared: f32,
+    // Of the weight over the squared distance.
+    slope: f32,
+}
+
+fn gate_of(radius: f32) -> Gate {
+    return Gate(radius * radius, -GATE_FADE / (radius * radius));
+}
+
+// How much an offset counts by its square, in the gate's units.
+fn fading(gate: Gate, squared: f32) -> f32 {
+    return clamp(fma(squared, gate.slope, GATE_FADE), 0.0, 1.0);
+}
+
 // Sums over the neighbours, relative to p.
 struct Sums {
+    // How many.
     n: f32,
+    // How much they count together.
+    total: f32,
     e: vec3<f32>,
     // xx, xy, xz
     x_row: vec3<f32>,
@@ -38,7 +57,7 @@ fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
 
 fn radius_at(frame: u32, range: f32) -> f32 {
     let radius = max(range * header(frame, RADIUS_LINEAR), polynomial_in_range(frame, RADIUS, range));
-    return min(radius, MAX_RADIUS_M);
+    return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
 }
 
 fn square(e: vec3<f32>) -> f32 {
@@ -46,17 +65,21 @@ fn square(e: vec3<f32>) -> f32 {
 }
 
 // First pass. Masks instead of a branch: with so little to skip, branching costs more.
-fn sums_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32) -> Sums {
+fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
     var sums: Sums;
     for (var row = 0u; row < SIDE; row++) {
         for (var column = 0u; column < SIDE; column++) {
             let offset = candidate(window, column, row) - p;
-            let is_neighbour = square(offset) <= radius_squared;
+            let squared = square(offset);
+            let is_neighbour = squared < gate.squared;
             let e = select(vec3<f32>(0.0), offset, is_neighbour);
+            let weight = fading(gate, squared);
+            let weighted = weight * e;
             sums.n += select(0.0, 1.0, is_neighbour);
-            sums.e += e;
-            sums.x_row = fma(vec3<f32>(e.x), e, sums.x_row);
-            sums.rest = fma(e.yyz, e.yzz, sums.rest);
+            sums.total += weight;
+            sums.e += weighted;
+            sums.x_row = fma(vec3<f32>(weighted.x), e, sums.x_row);
+            sums.rest = fma(weighted.yyz, e.yzz, sums.rest);
         }
     }
     return sums;

@@ -18,7 +18,7 @@ alias WindowOrigin = u32;
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
     let first = vec2<i32>(origin) - i32(REACH);
     for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
-        let p = point_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * STRIDE));
+        let p = sample_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * STRIDE));
         tile_x[i] = p.x;
         tile_y[i] = p.y;
         tile_z[i] = p.z;

@@ -16,5 +16,5 @@ fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOri
 }
 
 fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
-    return point_at(window.frame, window.x + i32(column * STRIDE), window.y + i32(row * STRIDE));
+    return sample_at(window.frame, window.x + i32(column * STRIDE), window.y + i32(row * STRIDE));
 }

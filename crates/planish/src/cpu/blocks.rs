@@ -1,0 +1,93 @@
+//! Block means: each sample of the windows is the mean of its pixel's block (docs/method.md, section 2), and where edges are kept,
+//! of those of its points that are on the pixel's surface (section 10).
+
+use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask};
+
+use super::padded::{PaddedFrame, PaddedRows};
+use super::plane::Plane;
+use super::row_tasks::SplitRows;
+use super::vector::{Mask, Vec3, splat};
+use super::window::Gate;
+use super::{Kernel, valid_points};
+use crate::method::{BLOCK_WIDTH, MIN_BLOCK_WEIGHT};
+
+/// The block of a vector of pixels.
+pub(super) struct Block<'a, S: Simd> {
+    measured: &'a PaddedFrame,
+    half: usize,
+    here: usize,
+    p: Vec3<S>,
+    gate: Gate<S>,
+}
+
+impl<'a, S: Simd> Block<'a, S> {
+    /// Around the points p from an index on, whose ranges are given.
+    #[inline(always)]
+    pub(super) fn around(
+        simd: S,
+        measured: &'a PaddedFrame,
+        kernel: &Kernel,
+        here: usize,
+        p: Vec3<S>,
+        range: S::f32s,
+    ) -> Self {
+        Self { measured, half: kernel.block_half, here, p, gate: Gate::new(simd, kernel.rules.block_gate(simd, range)) }
+    }
+
+    /// The mean of its points, each weighted by the gate and by what `weigh` says of its offset from p.
+    #[inline(always)]
+    fn mean(&self, simd: S, weigh: impl Fn(Vec3<S>) -> S::f32s) -> Vec3<S> {
+        let row_len = self.measured.row_len;
+        let first = self.here - self.half * (row_len + 1);
+        let side = 2 * self.half + 1;
+        let (mut sum, mut total) = (Vec3::splat(simd, 0.0), splat(simd, 0.0));
+        for row in 0..side {
+            for column in 0..side {
+                let e = self.measured.load(simd, first + row * row_len + column).sub(self.p);
+                let (e, gate, _) = self.gate.apply(simd, e);
+                let weight = gate * weigh(e);
+                sum = sum.add_scaled(weight, e);
+                total += weight;
+            }
+        }
+        // p itself has a weight.
+        self.p.add_scaled(splat(simd, 1.0) / total, sum)
+    }
+
+    /// The mean of the points that are on the surface of p: they count by how far they are from its plane, in units of `width`.
+    #[inline(always)]
+    pub(super) fn mean_on_surface(&self, simd: S, plane: &Plane<S>, width: S::f32s) -> Vec3<S> {
+        let one = splat(simd, 1.0);
+        let per_width = splat(simd, 1.0 / BLOCK_WIDTH) / width;
+        let normal = plane.normal.scale(per_width);
+        let height = plane.height * per_width;
+        self.mean(
+            simd,
+            #[inline(always)]
+            |e| {
+                let f = e.dot(normal) - height;
+                let on = (-f).mul_add(f, one).max(splat(simd, MIN_BLOCK_WEIGHT));
+                on * on
+            },
+        )
+    }
+}
+
+/// The means of some rows.
+#[inline(always)]
+pub(super) fn average<S: Simd>(simd: S, measured: &PaddedFrame, kernel: &Kernel, rows: &mut PaddedRows<'_>) {
+    for row in 0..rows.count() {
+        for u in (0..measured.width).step_by(S::f32s::LEN) {
+            let here = measured.index(u, rows.first + row);
+            let p = measured.load(simd, here);
+            let valid: Mask<S> = valid_points(simd, p);
+            let mut mean = p;
+            if valid.any_true() {
+                let range = kernel.range(simd, kernel.sensor.ray(simd, p));
+                let one = splat(simd, 1.0);
+                mean = Block::around(simd, measured, kernel, here, p, range).mean(simd, |_| one);
+            }
+            rows.store(rows.index(row, u), mean.or(valid, Vec3::splat(simd, f32::NAN)));
+        }
+    }
+}

@@ -1,0 +1,27 @@
+// The means of blocks of points (docs/method.md, sections 2 and 10). The windows of this pass are the blocks.
+
+// How far from its pixel's point a point of a block may be, whose range is given.
+fn block_gate(frame: u32, range: f32) -> Gate {
+    let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
+    return gate_of(clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M));
+}
+
+// The mean around p. The points count by how far they are from a plane, in units of its width: 0 in every unit for all alike.
+fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: vec3<f32>, height_in_widths: f32) -> vec3<f32> {
+    var sum = vec3<f32>(0.0);
+    var total = 0.0;
+    for (var row = 0u; row < SIDE; row++) {
+        for (var column = 0u; column < SIDE; column++) {
+            let offset = candidate(window, column, row) - p;
+            let squared = square(offset);
+            let e = select(vec3<f32>(0.0), offset, squared < gate.squared);
+            let f = dot(e, normal_per_width) - height_in_widths;
+            let on_surface = max(fma(-f, f, 1.0), MIN_BLOCK_WEIGHT);
+            let weight = fading(gate, squared) * on_surface * on_surface;
+            sum = fma(vec3<f32>(weight), e, sum);
+            total += weight;
+        }
+    }
+    // p itself has a weight.
+    return p + sum / total;
+}

@@ -1,0 +1,63 @@
+// What the passes of a frame leave on the device for one another: points and planes, a channel for each number, frame after frame
+// (docs/method.md, sections 2 and 10).
+
+@group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
+@group(0) @binding(4) var<storage, read_write> planes: array<f32>;
+
+// Of the points as measured, and of the samples of the windows: block means. NO_POINT for a hole.
+const KEPT_POINT: u32 = 0u;
+const KEPT_MEAN: u32 = 3u;
+
+// Of the first planes: the normal, the height over the point, the variance along the normal plus the plane's uncertainty in m²
+// (NOT_USABLE where the neighbours are too few, on a line, or on a plane seen edge-on), the curvature, the number of neighbours,
+// negative where they are on a line, and the square of the extent in m².
+const FIRST_NORMAL: u32 = 0u;
+const FIRST_HEIGHT: u32 = 3u;
+const FIRST_RESIDUAL: u32 = 4u;
+const FIRST_CURVATURE: u32 = 5u;
+const FIRST_COUNT: u32 = 6u;
+const FIRST_EXTENT: u32 = 7u;
+// Of the surfaces found from them: the normal, the height over the point, and how far from it a neighbour counts in metres.
+const SURFACE_NORMAL: u32 = 8u;
+const SURFACE_HEIGHT: u32 = 11u;
+const SURFACE_WIDTH: u32 = 12u;
+
+// More than any variance, and its multiples are finite.
+const NOT_USABLE: f32 = 1e18;
+
+fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+    let pixels = batch.width * batch.height;
+    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+    return vec3<f32>(kept_points[at], kept_points[at + pixels], kept_points[at + 2u * pixels]);
+}
+
+fn keep_point(frame: u32, channel: u32, pixel: u32, point: vec3<f32>) {
+    let pixels = batch.width * batch.height;
+    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+    kept_points[at] = point.x;
+    kept_points[at + pixels] = point.y;
+    kept_points[at + 2u * pixels] = point.z;
+}
+
+fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
+    return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
+}
+
+fn normal_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+    let at = plane_word(frame, channel, pixel);
+    let pixels = batch.width * batch.height;
+    return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
+}
+
+fn keep_normal(frame: u32, channel: u32, pixel: u32, normal: vec3<f32>) {
+    let at = plane_word(frame, channel, pixel);
+    let pixels = batch.width * batch.height;
+    planes[at] = normal.x;
+    planes[at + pixels] = normal.y;
+    planes[at + 2u * pixels] = normal.z;
+}
+
+// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
+fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
+    return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
+}

@@ -1,0 +1,19 @@
+// The plane that a point lies on, as the pass before has found it (docs/method.md, section 10).
+
+fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
+    let at = pixel.y * batch.width + pixel.x;
+    let count = planes[plane_word(frame, FIRST_COUNT, at)];
+    let n = u32(abs(count));
+    if n < 3u {
+        return no_result(STATUS_TOO_FEW, n);
+    }
+    var plane: Plane;
+    plane.is_degenerate = count < 0.0;
+    plane.curvature = planes[plane_word(frame, FIRST_CURVATURE, at)];
+    plane.extent_squared = planes[plane_word(frame, FIRST_EXTENT, at)];
+    plane.normal = normal_at(frame, SURFACE_NORMAL, at);
+    plane.height = planes[plane_word(frame, SURFACE_HEIGHT, at)];
+    let radius = radius_at(frame, range_of(frame, ray_to(frame, p)));
+    let surface = LocalSurface(plane, abs(count), planes[plane_word(frame, SURFACE_WIDTH, at)]);
+    return result_of(frame, window, p, radius, surface);
+}

@@ -1,0 +1,56 @@
+//! Block means: each sample of the windows is the mean of its pixel's block of points (docs/method.md, sections 2 and 10). Metres.
+
+use glam::DVec3;
+
+use super::Surface;
+use super::radius::spacing_m;
+use super::window::{Grid, fading_gate};
+use crate::frame::FrameGeometry;
+use crate::params::SmoothParams;
+
+/// The gate of a block, in depth steps and in half widths of the block.
+const STEPS: f64 = 2.5;
+const HALF_WIDTHS: f64 = 3.0;
+
+/// Where edges are kept, the points of a block count up to so many times the width within which neighbours count.
+const SURFACE_WIDTH: f64 = 1.5;
+/// The root of the weight of a point that is farther off.
+const MIN_WEIGHT: f64 = 0.02;
+
+/// How far from its pixel's point p a point of a block may be.
+fn gate_m(params: &SmoothParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
+    let width_m = params.block_half_px() as f64 * spacing_m(geometry, p);
+    (STEPS * params.sensor.step_m(geometry.range_m(p))).max(HALF_WIDTHS * width_m)
+}
+
+/// The offset from the valid point p of a pixel to the mean of its block. Where edges are kept, points count by how far they are from
+/// the surface that p lies on.
+pub(super) fn mean_offset(
+    grid: &Grid,
+    (u, v): (usize, usize),
+    p: DVec3,
+    params: &SmoothParams,
+    geometry: &FrameGeometry,
+    surface: Option<&Surface>,
+) -> DVec3 {
+    let gate_m = gate_m(params, geometry, p);
+    let half = params.block_half_px();
+    let (mut sum, mut total) = (DVec3::ZERO, 0.0);
+    for row in v.saturating_sub(half)..(v + half + 1).min(grid.height) {
+        for column in u.saturating_sub(half)..(u + half + 1).min(grid.width) {
+            let Some(q) = grid.point(column, row) else { continue };
+            let offset = q - p;
+            let on_surface = |surface: &Surface| {
+                let f_m = surface.plane.map_or(0.0, |plane| (offset - plane.foot).dot(plane.normal));
+                let f = f_m / (SURFACE_WIDTH * surface.width_m);
+                (1.0 - f * f).max(MIN_WEIGHT)
+            };
+            let on_surface = surface.map_or(1.0, on_surface);
+            let weight = fading_gate(offset, gate_m) * on_surface * on_surface;
+            sum += weight * offset;
+            total += weight;
+        }
+    }
+    // p itself has a weight, unless a block has no extent at all.
+    if total > 0.0 { sum / total } else { DVec3::ZERO }
+}
