@@ -29,15 +29,15 @@ pub(super) struct Plane<S: Simd> {
 /// `ray` leads from the sensor to p.
 #[inline(always)]
 pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
-    let inverse_n = splat(simd, 1.0) / sums.total.max(splat(simd, 1.0));
-    let c = sums.e.scale(inverse_n);
+    let inverse_total = splat(simd, 1.0) / sums.total.max(splat(simd, f32::MIN_POSITIVE));
+    let c = sums.e.scale(inverse_total);
     let matrix = Symmetric {
-        xx: covariance(sums.xx, inverse_n, c.x, c.x),
-        xy: covariance(sums.xy, inverse_n, c.x, c.y),
-        xz: covariance(sums.xz, inverse_n, c.x, c.z),
-        yy: covariance(sums.yy, inverse_n, c.y, c.y),
-        yz: covariance(sums.yz, inverse_n, c.y, c.z),
-        zz: covariance(sums.zz, inverse_n, c.z, c.z),
+        xx: covariance(sums.xx, inverse_total, c.x, c.x),
+        xy: covariance(sums.xy, inverse_total, c.x, c.y),
+        xz: covariance(sums.xz, inverse_total, c.x, c.z),
+        yy: covariance(sums.yy, inverse_total, c.y, c.y),
+        yz: covariance(sums.yz, inverse_total, c.y, c.z),
+        zz: covariance(sums.zz, inverse_total, c.z, c.z),
     };
     let eigen = smallest_eigenvector(simd, &matrix);
     let [l0, l1, l2] = eigen.values;
@@ -53,6 +53,6 @@ pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
 
 /// Mean of a product less the product of the means. All are of the size of the neighbourhood, so little cancels.
 #[inline(always)]
-fn covariance<V: SimdFloat<S>, S: Simd>(product_sum: V, inverse_n: V, mean_a: V, mean_b: V) -> V {
-    product_sum.mul_add(inverse_n, -(mean_a * mean_b))
+fn covariance<V: SimdFloat<S>, S: Simd>(product_sum: V, inverse_total: V, mean_a: V, mean_b: V) -> V {
+    product_sum.mul_add(inverse_total, -(mean_a * mean_b))
 }

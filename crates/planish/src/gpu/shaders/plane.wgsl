@@ -28,7 +28,7 @@ struct LocalSurface {
 
 // `ray` leads from the sensor to p.
 fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
-    let inverse_total = 1.0 / sums.total;
+    let inverse_total = 1.0 / max(sums.total, MIN_POSITIVE);
     let c = sums.e * inverse_total;
     // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
     let x_row = fma(sums.x_row, vec3<f32>(inverse_total), -(c.x * c));
