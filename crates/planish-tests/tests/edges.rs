@@ -6,7 +6,7 @@ use planish::{
     Strength, Xyz,
 };
 use planish_tests::engines::TestEngine;
-use planish_tests::scenes::{grid, height_field, small_camera};
+use planish_tests::scenes::{grid, height_field, simulated, small_camera};
 
 /// Hardly any noise.
 const QUIET: SensorModel = SensorModel::new([0.0, 0.0, 2.85e-3], [0.0, 0.0, 1e-4]);
@@ -146,6 +146,23 @@ fn what_has_no_noise_is_hardly_changed() {
         assert!(found.sphere_radius_bias.abs() < 3e-3, "{found:?}");
         assert!(found.crease_deg < 2.0, "{found:?}");
     }
+}
+
+/// The gate of a block grows with the spacing of the pixels, whatever the radius, and that is estimated where no camera says it.
+#[test]
+fn blocks_know_the_spacing_of_pixels_without_intrinsics() {
+    let cloud = simulated(1, false, small_camera());
+    let bare = OrganizedCloud { camera: None, ..cloud.clone() };
+    let params = SmoothParams::default().with_edges(Edges::Off).with_radius_m(0.1).with_stride(3);
+    let [expected, found] = [&cloud, &bare].map(|cloud| TestEngine::REFERENCE.smooth(cloud, params).points);
+    let mut compared = 0;
+    for (expected, found) in expected.iter().zip(found.iter()) {
+        for k in 0..3 {
+            assert!(expected[k].is_nan() == found[k].is_nan() && !((expected[k] - found[k]).abs() > 1e-5));
+        }
+        compared += usize::from(!found[0].is_nan());
+    }
+    assert!(cloud.camera.is_some() && compared > 1000);
 }
 
 #[test]

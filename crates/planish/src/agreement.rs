@@ -23,7 +23,7 @@ pub const RADIUS_M: f64 = 0.25;
 /// Nearly all positions.
 pub const POSITION_9999_M: f64 = 6e-5;
 
-/// Every position: within rounding of a threshold that is left, as whether a first plane is usable, neighbours change at once.
+/// Every position: some lie within rounding of a remaining threshold, such as whether a first plane is usable.
 pub const POSITION_WORST_M: f64 = 1e-3;
 
 /// How far results are from the reference's, gathered over one or more frames.

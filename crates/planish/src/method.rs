@@ -2,7 +2,7 @@
 
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line (section 4).
 pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
-/// Lengths are measured in units of g/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
+/// Lengths are measured in units of B/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
 pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
 
 /// The gate fades out (section 2): a neighbour at a distance d counts 16 (1 - d²/r²), and at most 1.

@@ -89,17 +89,18 @@ pub enum Strength {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct SmoothParams {
-    /// Half width k of the pixel window; the candidates are (2k+1)² pixels. 1 to 7.
+    /// Half width k of the pixel window; the candidates are (2k+1)² samples. 1 to 7.
     pub window: u32,
     /// Distance s between candidates in pixels. 1 to 8.
     pub stride: u32,
-    /// Whether every sample is the mean of its block of pixels, as wide as the stride, so that every pixel of the window counts.
+    /// Whether every sample is the mean of its block of pixels, as wide as the stride or a pixel wider where that is even, so that every
+    /// pixel of the window counts. General clouds have none.
     pub average_blocks: bool,
     /// The gate: candidates further away than this from the point are no neighbours.
     pub radius: Radius,
     /// Highest degree of the polynomial fitted over the plane. 1 (the plane itself) to 3.
     pub degree: u32,
-    /// Bandwidth g of the Gaussian weight exp(-d²/g²) in metres; `None` is the radius.
+    /// Bandwidth B of the Gaussian weight exp(-d²/B²) in metres; `None` is the radius.
     pub bandwidth_m: Option<f32>,
     /// Ridge lambda of the polynomial fit (docs/method.md, section 6): how much its slopes, curvatures and third derivatives are
     /// damped. A soft degree: small values leave the whole polynomial, large ones the plane. 1e-3 to 100.
@@ -108,12 +109,12 @@ pub struct SmoothParams {
     pub project: Project,
     /// Whether edges are kept.
     pub edges: Edges,
-    /// Whose steps and noise they are: [`Radius::Sensor`] and [`Edges::Robust`] go by it.
+    /// Whose steps and noise they are: [`Radius::Sensor`], [`Edges::Robust`] and block means go by it.
     pub sensor: SensorModel,
 }
 
 impl Default for SmoothParams {
-    /// [`SmoothParams::for_sensor`] of a Kinect v1 and [`Strength::Default`]: on correlated Kinect noise this leaves a quarter of
+    /// [`SmoothParams::for_sensor`] of a Kinect v1 and [`Strength::Default`]: on correlated Kinect noise this leaves a fifth of
     /// the error, and less than half of what [`SmoothParams::paper`] leaves.
     fn default() -> Self {
         Self::for_sensor(SensorModel::KINECT_V1, Strength::default())
@@ -123,7 +124,7 @@ impl Default for SmoothParams {
 impl SmoothParams {
     /// A setting for a sensor: degree 2, edges kept, the radius and the noise of the sensor.
     ///
-    /// A sensor with hardly any noise (under 0.3 mm at 1 m) gets windows a third as wide: there is little to gain, and small
+    /// A sensor with hardly any noise (under 0.3 mm at 1 m) gets windows a third to half as wide: there is little to gain, and small
     /// things to lose.
     pub fn for_sensor(sensor: SensorModel, strength: Strength) -> Self {
         let has_noise = sensor.sigma_m(1.0) >= LITTLE_SIGMA_M;

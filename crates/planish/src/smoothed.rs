@@ -27,7 +27,7 @@ pub struct Smoothed {
     pub curvature: Option<Vec<f32>>,
     /// What became of each pixel.
     pub status: Option<Vec<Status>>,
-    /// Number of neighbours, the point itself included; 0 for holes.
+    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes.
     pub neighbours: Option<Vec<u32>>,
 }
 

@@ -232,7 +232,8 @@ impl Smoother {
         if self.outputs.depth && frame.camera().is_none() {
             return Err(FrameError::MissingCamera { what: "depth as an output" });
         }
-        let needs_range = self.params.radius == Radius::Sensor || self.params.edges != Edges::Off;
+        let Self { params, .. } = self;
+        let needs_range = params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks();
         Ok(AdmittedFrame { frame, geometry: FrameGeometry::of(frame, needs_range, &mut self.scratch) })
     }
 }

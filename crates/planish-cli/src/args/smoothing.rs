@@ -97,8 +97,8 @@ pub struct SmoothingArgs {
     /// Half width of the window: (2K+1)² candidates, K from 1 to 7
     #[arg(long, value_name = "K")]
     pub window: Option<u32>,
-    /// Distance between candidates in pixels, 1 to 8. If neither is given, window and stride are the preset's, and shorter where pixels
-    /// are coarser than a Kinect v1's
+    /// Distance between candidates in pixels, 1 to 8. With neither --stride nor --window, pixels coarser than a Kinect v1's get a
+    /// shorter stride and, where needed, a larger K
     #[arg(long, value_name = "S")]
     pub stride: Option<u32>,
     /// Whether each candidate is the mean of its block of pixels, as wide as the stride, so that every pixel counts
@@ -116,7 +116,7 @@ pub struct SmoothingArgs {
     /// How much the surface's slopes and curvatures are damped, 1e-3 (little) to 100 (a plane)
     #[arg(long, value_name = "LAMBDA", allow_negative_numbers = true)]
     pub ridge: Option<f32>,
-    /// Along which line a point is put onto the surface; general clouds always along the normal
+    /// Along which line a point is put onto the surface; general clouds, and clouds whose sensor's place is unknown, always along the normal
     #[arg(long, value_enum)]
     pub project: Option<ProjectArg>,
     /// Which engine to use; one requested by name never falls back to another (except in a stream that loses its GPU twice)

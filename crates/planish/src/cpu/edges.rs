@@ -155,7 +155,7 @@ impl Planes {
         }
     }
 
-    /// The surfaces from an index on, as the second pass has found them.
+    /// The surfaces from an index on, as their pass has found them.
     #[inline(always)]
     pub(super) fn surface<S: Simd>(&self, simd: S, at: usize) -> Surface<S> {
         let n = self.load(simd, COUNT, at).abs();
@@ -219,7 +219,7 @@ impl Planes {
     }
 }
 
-/// First pass: the first planes of some rows.
+/// The pass of the first planes, for some rows.
 #[inline(always)]
 pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kernel, rows: &mut PlaneRows<'_>) {
     for row in 0..rows.count() {
@@ -247,7 +247,7 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
     }
 }
 
-/// Second pass: the surfaces of some rows and, where blocks are averaged, the means of the points on them in the place of those of
+/// The pass of the surfaces, for some rows, and where blocks are averaged, the means of the points on them in the place of those of
 /// all points.
 #[inline(always)]
 pub(super) fn find_surfaces<S: Simd>(

@@ -2,9 +2,9 @@
 //!
 //! The stages have the reference's names, one file each, and are written once over the SIMD level; [`SimdLevel`] says which
 //! there are. A frame is copied into a padded one ([`padded`]), tasks take bands of its rows ([`row_tasks`], [`output`]), and each
-//! vector of pixels goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]; where edges are
-//! kept, [`edges`] fits the planes of all pixels in a pass of its own before. All of it is in the cloud's frame; what depends on
-//! the sensor is asked of [`sensor`]. A pixel's result depends on its window alone, so threads change nothing; lanes are
+//! vector of pixels goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]; where blocks are
+//! averaged or edges kept, [`blocks`] and [`edges`] have up to three passes before. All of it is in the cloud's frame; what depends on
+//! the sensor is asked of [`sensor`]. Each pass reads only what passes before it have finished, so threads change nothing; lanes are
 //! independent, so neither does a pixel's place in its vector.
 
 // A condition on constants in a loop written out is always true or always false in each copy.

@@ -1,6 +1,6 @@
 //! The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //!
-//! The weight is 2^-(a² + b² + f²), with a, b the in-plane coordinates and f the height over the plane, all in units of the
+//! The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the in-plane coordinates and f the height over the plane, all in units of the
 //! bandwidth over sqrt(log2 e). The reference divides a and b by h; this unit saves a multiplication, and the ridge is converted
 //! to it. Moments: M_ij = sum w a^i b^j for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer
 //! products of the powers of a and b: one fused multiply-add each, and plain additions for j = 0.

@@ -42,8 +42,9 @@ impl<S: Simd> Gate<S> {
     pub(super) fn apply(&self, simd: S, e: Vec3<S>) -> (Vec3<S>, S::f32s, Mask<S>) {
         let squared = e.dot(e);
         let near: Mask<S> = squared.simd_lt(self.squared);
-        let weight = squared.mul_add(self.slope, splat(simd, GATE_FADE)).min(splat(simd, 1.0));
-        (e.or(near, Vec3::splat(simd, 0.0)), near.select(weight, splat(simd, 0.0)), near)
+        let zero = splat(simd, 0.0);
+        let weight = squared.mul_add(self.slope, splat(simd, GATE_FADE)).min(splat(simd, 1.0)).max(zero);
+        (e.or(near, Vec3::splat(simd, 0.0)), near.select(weight, zero), near)
     }
 }
 

@@ -54,7 +54,7 @@ pub(super) struct KernelKey {
     /// How far away the planes are that are considered, in pixels.
     edge_shift: u32,
     pub(super) pass: Pass,
-    /// Whether edges are kept.
+    /// Whether its points lie on surfaces that were found before.
     keeps_edges: bool,
     /// Whether the samples of its windows are block means.
     reads_means: bool,
@@ -85,7 +85,7 @@ impl KernelKey {
         workgroup_bytes: usize,
     ) -> Self {
         let SmoothParams { degree, .. } = *params;
-        let keeps_edges = params.edges != Edges::Off;
+        let keeps_edges = pass == Pass::Smooth && params.edges != Edges::Off;
         // The windows of these passes are the blocks.
         let of_blocks = matches!(pass, Pass::Blocks | Pass::Surfaces);
         let (window, stride) =

@@ -1,6 +1,6 @@
 //! The GPU engine: docs/method.md in f32, one thread per pixel, through wgpu: Vulkan, Metal or DirectX 12.
 //!
-//! One kernel per setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the requested outputs from
+//! One kernel for each pass of a setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the requested outputs from
 //! depth or points; where blocks are averaged or edges kept, others before it leave points and planes for it. [`layout`] describes uploads and
 //! results. A [`slot::Slot`] has the buffers of one frame or batch in flight. Results are read in mapped memory ([`view`]) or
 //! copied out, for frames in flight by a thread of its own ([`copier`]).

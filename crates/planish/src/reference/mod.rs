@@ -61,7 +61,7 @@ struct Surface {
 }
 
 impl Surface {
-    /// The plane of a point's own neighbours (section 4), given as offsets from it, itself included as zero.
+    /// The plane of a point's own neighbours (section 4), given as offsets from it.
     fn own(offsets: &[DVec3], radius_m: f64, ray: DVec3) -> Self {
         let plane = if offsets.len() < 3 { None } else { plane::fit(offsets, radius_m, ray) };
         Self { neighbours: offsets.len() as u32, plane, width_m: f64::INFINITY }

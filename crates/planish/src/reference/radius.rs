@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::frame::{FrameGeometry, RangeRule};
 use crate::params::{Radius, SmoothParams};
 
-/// No radius is smaller, so that a point is its own neighbour wherever it is.
+/// No radius is smaller, so that a point that is its own sample is its neighbour wherever it is.
 const MIN_RADIUS_M: f64 = 1e-12;
 
 /// r of a point in the sensor's frame.

@@ -76,7 +76,7 @@ impl StreamOptions {
         Self { params, smoother, ..Self::default() }
     }
 
-    /// The same with strides shortened for coarse pixels, or not.
+    /// The same with windows and strides for coarse pixels, or as given.
     pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
         Self { adapt_stride, ..self }
     }

@@ -43,7 +43,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
             total += weight;
         }
     }
-    // Planes that agree on nothing may be further away than a point may move; then every neighbour of its own plane counts.
+    // Planes that disagree may lie further away than a point may move; then every neighbour of its own plane counts.
     if planes[plane_word(frame, FIRST_RESIDUAL, own)] == NOT_USABLE || abs(height) > radius * total {
         return Surface(normal_at(frame, FIRST_NORMAL, own), planes[plane_word(frame, FIRST_HEIGHT, own)], 1e18);
     }

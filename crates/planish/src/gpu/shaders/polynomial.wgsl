@@ -1,6 +1,6 @@
 // The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //
-// The weight is 2^-(a² + b² + f²), with a, b the in-plane coordinates and f the height over the plane, all in units of the
+// The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the in-plane coordinates and f the height over the plane, all in units of the
 // bandwidth over sqrt(log2 e). Moments: m_ij = sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for
 // i + j <= DEGREE, summed as outer products of the powers of a and b. kernel.rs writes the struct Moments and the sums in the
 // place of the line that names them, one statement for each moment; the loops stay rolled, or the kernel outgrows the
