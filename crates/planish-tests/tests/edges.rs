@@ -125,10 +125,11 @@ fn windows_on_coarse_pixels_reach_no_further_over_the_scene() {
     let adapted = SmoothParams::default().at_resolution_of(&blank);
     let (raw, wide) = evaluate(SmoothParams::default(), &suite);
     let (_, found) = evaluate(adapted, &suite);
-    // Four times 31 pixels of a Kinect span whole objects: their points are pulled to the table and float between.
+    // Four times 25 pixels of a Kinect span whole objects: their points are pulled to the table and float between.
     assert!(wide.flying_share > 0.05 && found.flying_share < 0.01, "{} {}", wide.flying_share, found.flying_share);
     assert!(wide.sphere_radius_bias.abs() > 0.05 && found.sphere_radius_bias.abs() < 0.025, "{found:?}");
-    assert!(found.edge_mean_mm < 0.5 * raw.edge_mean_mm && found.edge_mean_mm < 0.5 * wide.edge_mean_mm);
+    let edges_mm = [raw.edge_mean_mm, wide.edge_mean_mm, found.edge_mean_mm];
+    assert!(edges_mm[2] < 0.5 * edges_mm[0] && edges_mm[2] < 0.8 * edges_mm[1], "{edges_mm:?}");
     for k in 0..3 {
         assert!(found.ranges[k].rmse_mm < 0.6 * raw.ranges[k].rmse_mm, "range {k}: {found:?}");
     }
