@@ -163,15 +163,14 @@ impl Sink for Points {
 }
 
 #[test]
-fn strides_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
+fn windows_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
     let mut cloud = frame(small_camera(), 0).deproject().unwrap();
     cloud.camera = None;
     let mut cut = cloud.clone();
     cut.points.positions.x.truncate(100);
     let mut empty = cloud.clone();
     empty.points.positions = Xyz::filled(160 * 120, f32::NAN);
-    let alone = |stride| {
-        let params = SmoothParams::default().with_stride(stride);
+    let alone = |params: SmoothParams| {
         let options = SmootherOptions::default().with_engine(Engine::Cpu);
         let mut smoothed = Smoothed::default();
         Smoother::open_with(params, &options, (160, 120)).unwrap().smooth(&cloud, &mut smoothed).unwrap();
@@ -193,8 +192,10 @@ fn strides_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
         points.0.lock().unwrap().clone()
     };
     let (adapted, given) = (streamed(true), streamed(false));
-    assert!(adapted[1] == alone(1) && adapted[3] == alone(1) && adapted[1] != alone(3));
-    assert!(given[1] == alone(3) && given[3] == alone(3));
+    let [expected_adapted, expected_given] =
+        [SmoothParams::default().at_resolution_of(&cloud), SmoothParams::default()].map(alone);
+    assert!(adapted[1] == expected_adapted && adapted[3] == expected_adapted && expected_adapted != expected_given);
+    assert!(given[1] == expected_given && given[3] == expected_given);
 }
 
 #[test]
