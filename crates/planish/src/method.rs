@@ -5,8 +5,8 @@ pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
 /// Lengths are measured in units of B/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
 pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
 
-/// The gate fades out (section 2): a neighbour at a distance d counts 16 (1 - d²/r²), and at most 1.
-pub(crate) const GATE_FADE: f32 = 16.0;
+/// The gate fades out (section 2): a neighbour at a distance d counts 256 (1 - d²/r²), and at most 1.
+pub(crate) const GATE_FADE: f32 = 256.0;
 
 /// Below this cosine of the angle of incidence a point moves less and less along its ray (section 7).
 pub(crate) const GRAZING_COSINE: f32 = 0.2;

@@ -21,12 +21,12 @@ impl Grid {
     }
 }
 
-/// The gate fades out from this share of the squared radius on.
-const FADE: f64 = 15.0 / 16.0;
+/// The gate fades out over this share of the squared radius.
+const FADE: f64 = 1.0 / 256.0;
 
-/// How much a point counts by its offset from another: not at all beyond the radius, and less and less on the last 3 % before it.
+/// How much a point counts by its offset from another: not at all beyond the radius, and less and less on the last 0.2 % before it.
 pub(super) fn fading_gate(offset: DVec3, radius_m: f64) -> f64 {
-    ((1.0 - offset.length_squared() / (radius_m * radius_m)) / (1.0 - FADE)).clamp(0.0, 1.0)
+    ((1.0 - offset.length_squared() / (radius_m * radius_m)) / FADE).clamp(0.0, 1.0)
 }
 
 /// The neighbours q of the valid point p of pixel (u, v) among the samples, as q - p, in row order.
