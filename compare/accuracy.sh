@@ -34,11 +34,12 @@ own() { # NAME OPTIONS..
   echo own >"$out.ms"
 }
 
-others "PCL, 3 cm, order 1" "$work/pcl_mls" FRAME $radius 1 $threads 1 OUTPUT
-others "PCL, 3 cm, order 2" "$work/pcl_mls" FRAME $radius 2 $threads 1 OUTPUT
+# PCL with one thread: with more, its points come in another order than its indices.
+others "PCL, 3 cm, order 1" "$work/pcl_mls" FRAME organized $radius 1 1 1 OUTPUT
+others "PCL, 3 cm, order 2" "$work/pcl_mls" FRAME organized $radius 2 1 1 OUTPUT
 export OMP_NUM_THREADS=$threads
-others "Open3D smooth_mls, 3 cm, max_nn 30" "$python" "$here/open3d_mls.py" FRAME $radius 30 1 OUTPUT
-others "Open3D smooth_mls, 3 cm, all neighbours" "$python" "$here/open3d_mls.py" FRAME $radius 4096 1 OUTPUT
+others "Open3D smooth_mls, 3 cm, max_nn 30" "$python" "$here/open3d_mls.py" FRAME legacy $radius 30 1 OUTPUT
+others "Open3D smooth_mls, 3 cm, all neighbours" "$python" "$here/open3d_mls.py" FRAME legacy $radius 4096 1 OUTPUT
 others "OpenCV bilateral on depth, 13x13" "$python" "$here/opencv_bilateral.py" FRAME 3 OUTPUT
 own "planish paper" --preset paper
 own "planish light" --preset light
@@ -54,17 +55,18 @@ tiles() { # NAME OPTIONS..: of the frame at hand
 import json, sys
 report = json.load(sys.stdin)
 raw, smooth = report["raw"], report["smoothed"]
-print("| %s | %.2f | %.1f° |" % (sys.argv[1], smooth["rms_mm"], smooth["normal_deg"]) if sys.argv[1] != "raw"
-      else "| raw | %.2f | %.1f° |" % (raw["rms_mm"], raw["normal_deg"]))' "$1"
+row = raw if sys.argv[1] == "raw" else smooth
+print("| %s | %.3f | %.1f° | %.1f° | %.1f %% |"
+      % (sys.argv[1], row["rms_mm"], row["normal_deg"], row["facet_deg"], 100 * row["speck_share"]))' "$1"
 }
 for frame in "$@"; do
-  printf '\n%s:\n\n| | median RMS from the plane of a tile, mm | normals off the plane by |\n|---|---|---|\n' "$(basename "$frame")"
+  printf '\n%s:\n\n| | median RMS from the plane of a tile, mm | normals off the plane by | facets | facets over 30° |\n|---|---|---|---|---|\n' "$(basename "$frame")"
   tiles raw
-  "$work/pcl_mls" "$frame" $radius 1 $threads 1 "$work/out.pcd" >/dev/null
+  "$work/pcl_mls" "$frame" organized $radius 1 1 1 "$work/out.pcd" >/dev/null
   tiles "PCL, 3 cm, order 1" --results "$work/out.pcd"
-  "$work/pcl_mls" "$frame" $radius 2 $threads 1 "$work/out.pcd" >/dev/null
+  "$work/pcl_mls" "$frame" organized $radius 2 1 1 "$work/out.pcd" >/dev/null
   tiles "PCL, 3 cm, order 2" --results "$work/out.pcd"
-  "$python" "$here/open3d_mls.py" "$frame" $radius 4096 1 "$work/out.pcd" >/dev/null
+  "$python" "$here/open3d_mls.py" "$frame" legacy $radius 4096 1 "$work/out.pcd" >/dev/null
   tiles "Open3D smooth_mls, 3 cm, all neighbours" --results "$work/out.pcd"
   "$python" "$here/opencv_bilateral.py" "$frame" 1 "$work/out.pcd" >/dev/null
   tiles "OpenCV bilateral on depth, 13x13" --results "$work/out.pcd"

@@ -6,7 +6,8 @@ import sys
 
 folder = pathlib.Path(sys.argv[1])
 columns = [
-    "", "RMS, near", "middle", "far", "normals, near", "middle", "far", "near steps", "floating", "90° edge", "sphere",
+    "", "RMS, near", "middle", "far", "normals, near", "middle", "far", "facets, near", "middle", "far",
+    "at 60-75°", "over 30°", "near steps", "floating", "90° edge", "sphere",
     "lost", "ms",
 ]
 print("| " + " | ".join(columns) + " |")
@@ -21,6 +22,8 @@ def row(name, report, raw, ms):
     cells = [name]
     cells += [ratio(r["rmse_mm"], b["rmse_mm"]) for r, b in ranges]
     cells += [f"{r['normal_mean_deg']:.1f}°" for r, _ in ranges]
+    cells += [f"{r['facet_mean_deg']:.1f}°" for r, _ in ranges]
+    cells += [f"{report['angles'][2]['facet_mean_deg']:.1f}°", f"{100 * report['speck_share']:.2f} %"]
     cells += [ratio(report["edge_mean_mm"], raw["edge_mean_mm"]), f"{100 * report['flying_share']:.2f} %"]
     cells += [f"{report['crease_deg']:.1f}°", f"{100 * report['sphere_radius_bias']:+.2f} %"]
     cells += [f"{100 * report['lost_share']:.2f} %", ms]

@@ -1,8 +1,11 @@
 // PCL's MovingLeastSquares on a PCD file: prints the median time of some runs in milliseconds, and the points that are left.
 //
-// usage: pcl_mls FILE RADIUS_M DEGREE THREADS RUNS [OUTPUT.pcd]
+// usage: pcl_mls FILE organized|kdtree RADIUS_M DEGREE THREADS RUNS [OUTPUT.pcd]
 //
-// With an output the result is put back on the grid of the input, by the indices that PCL keeps, with its normals.
+// organized: search::OrganizedNeighbor over the grid, for the indices of its finite points: PCL's fastest way for such clouds.
+// kdtree: search::KdTree over the finite points, which are copied outside of the time.
+// With an output the result is put back on the grid of the input, by the indices that PCL keeps, with its normals. Use one thread
+// then: with several, PCL's points come in another order than its indices.
 
 #include <algorithm>
 #include <chrono>
@@ -10,43 +13,56 @@
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
+#include <string>
 #include <vector>
 
 #include <pcl/filters/filter.h>
 #include <pcl/io/pcd_io.h>
 #include <pcl/point_types.h>
 #include <pcl/search/kdtree.h>
+#include <pcl/search/organized.h>
 #include <pcl/surface/mls.h>
 
 int main(int argc, char** argv) {
-  if (argc != 6 && argc != 7) {
-    std::fprintf(stderr, "usage: pcl_mls FILE RADIUS_M DEGREE THREADS RUNS [OUTPUT.pcd]\n");
+  if (argc != 7 && argc != 8) {
+    std::fprintf(stderr, "usage: pcl_mls FILE organized|kdtree RADIUS_M DEGREE THREADS RUNS [OUTPUT.pcd]\n");
     return 2;
   }
+  const bool organized = std::string(argv[2]) == "organized";
   pcl::PointCloud<pcl::PointXYZ>::Ptr cloud(new pcl::PointCloud<pcl::PointXYZ>);
   if (pcl::io::loadPCDFile(argv[1], *cloud) != 0) return 2;
   const std::size_t width = cloud->width, height = cloud->height;
-  std::vector<int> kept;
-  pcl::removeNaNFromPointCloud(*cloud, *cloud, kept);
+  // The pixels of the finite points.
+  pcl::IndicesPtr finite(new pcl::Indices);
+  if (organized) {
+    for (std::size_t i = 0; i < cloud->size(); ++i)
+      if (pcl::isFinite((*cloud)[i])) finite->push_back(static_cast<int>(i));
+  } else {
+    pcl::removeNaNFromPointCloud(*cloud, *cloud, *finite);
+  }
 
   std::vector<double> times;
   std::size_t points = 0;
-  for (int run = 0; run < std::atoi(argv[5]); ++run) {
+  for (int run = 0; run < std::atoi(argv[6]); ++run) {
     pcl::PointCloud<pcl::PointNormal> smoothed;
     pcl::MovingLeastSquares<pcl::PointXYZ, pcl::PointNormal> mls;
-    pcl::search::KdTree<pcl::PointXYZ>::Ptr tree(new pcl::search::KdTree<pcl::PointXYZ>);
     const auto start = std::chrono::steady_clock::now();
     mls.setInputCloud(cloud);
-    mls.setSearchMethod(tree);
+    if (organized) {
+      mls.setIndices(finite);
+      mls.setSearchMethod(pcl::search::OrganizedNeighbor<pcl::PointXYZ>::Ptr(new pcl::search::OrganizedNeighbor<pcl::PointXYZ>));
+    } else {
+      mls.setSearchMethod(pcl::search::KdTree<pcl::PointXYZ>::Ptr(new pcl::search::KdTree<pcl::PointXYZ>));
+    }
     mls.setComputeNormals(true);
-    mls.setSearchRadius(std::atof(argv[2]));
-    mls.setPolynomialOrder(std::atoi(argv[3]));
-    mls.setNumberOfThreads(std::atoi(argv[4]));
+    mls.setSearchRadius(std::atof(argv[3]));
+    mls.setPolynomialOrder(std::atoi(argv[4]));
+    mls.setNumberOfThreads(std::atoi(argv[5]));
     mls.process(smoothed);
     const std::chrono::duration<double, std::milli> elapsed = std::chrono::steady_clock::now() - start;
     times.push_back(elapsed.count());
     points = smoothed.size();
-    if (run > 0 || argc != 7) continue;
+    if (run > 0 || argc != 8) continue;
 
     const float nan = std::numeric_limits<float>::quiet_NaN();
     pcl::PointNormal hole;
@@ -57,9 +73,9 @@ int main(int argc, char** argv) {
       pcl::PointNormal point = smoothed[i];
       // PCL leaves the sign of the normal open: towards the camera.
       if (point.getNormalVector3fMap().dot(point.getVector3fMap()) > 0) point.getNormalVector3fMap() *= -1;
-      grid[kept[indices[i]]] = point;
+      grid[organized ? indices[i] : (*finite)[indices[i]]] = point;
     }
-    if (pcl::io::savePCDFileBinary(argv[6], grid) != 0) return 2;
+    if (pcl::io::savePCDFileBinary(argv[7], grid) != 0) return 2;
   }
   std::sort(times.begin(), times.end());
   std::printf("%.3f %zu\n", times[times.size() / 2], points);

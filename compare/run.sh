@@ -9,8 +9,8 @@ radius=0.03
 threads=2
 "$here/install.sh" >&2
 
-planish() { # FILE ENGINE RUNS: milliseconds and points
-  "$project/target/release/planish" smooth "$1" "$work/out.pcd" --preset paper --engine "$2" --threads $threads \
+planish() { # FILE ENGINE RUNS PRESET: milliseconds and points
+  "$project/target/release/planish" smooth "$1" "$work/out.pcd" --preset "$4" --engine "$2" --threads $threads \
     --repeat "$3" --json | python3 -c '
 import json, sys
 report = json.load(sys.stdin)
@@ -26,18 +26,23 @@ for frame in "$@"; do
   echo
   echo "$(basename "$frame"):"
   echo
-  echo "| system | ms, median | points out | times planish cpu |"
+  echo "| system | ms, median | points out | times planish paper, cpu |"
   echo "|---|---|---|---|"
-  read -r base base_points <<<"$(planish "$frame" cpu 101)"
+  read -r base base_points <<<"$(planish "$frame" cpu 101 paper)"
   row() { # NAME MS POINTS
     awk -v name="$1" -v ms="$2" -v points="$3" -v base="$base" \
       'BEGIN { printf "| %s | %.1f | %d | %.1f |\n", name, ms, points, ms / base }'
   }
-  row "PCL MovingLeastSquares, degree 3, k-d tree" $("$work/pcl_mls" "$frame" $radius 3 $threads 3)
-  row "Open3D smooth_mls (plane), all neighbours" \
-    $(OMP_NUM_THREADS=$threads "$work/venv/bin/python" "$here/open3d_mls.py" "$frame" $radius 4096 3)
-  row "Open3D smooth_mls (plane), max_nn 30" \
-    $(OMP_NUM_THREADS=$threads "$work/venv/bin/python" "$here/open3d_mls.py" "$frame" $radius 30 3)
-  row "planish reference (f64)" $(planish "$frame" reference 5)
-  row "planish cpu" "$base" "$base_points"
+  for search in organized kdtree; do
+    row "PCL MovingLeastSquares, degree 3, $search" $("$work/pcl_mls" "$frame" $search $radius 3 $threads 3)
+  done
+  for neighbours in 30 4096; do
+    for api in legacy tensor; do
+      row "Open3D $api smooth_mls (plane), max_nn $neighbours" \
+        $(OMP_NUM_THREADS=$threads "$work/venv/bin/python" "$here/open3d_mls.py" "$frame" $api $radius $neighbours 3)
+    done
+  done
+  row "planish paper, reference (f64)" $(planish "$frame" reference 5 paper)
+  row "planish paper, cpu" "$base" "$base_points"
+  row "planish default, cpu" $(planish "$frame" cpu 101 default)
 done

@@ -1,7 +1,7 @@
 //! The frames that the experiments run on: depth as a camera gives it, or an organized cloud.
 
 use anyhow::Result;
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, DepthFrame, Error, Frame, IntoFrame, OrganizedCloud};
 
 /// A frame under a name.
@@ -60,7 +60,7 @@ pub fn simulated_inputs() -> Result<Vec<Input>> {
     let camera = Camera::kinect_v1();
     let of_scene = |(index, (name, (scene, pose))): (usize, (&str, (Scene, _)))| {
         let truth = scene.render(&camera, &pose);
-        let depth = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).map_err(Error::from)?;
+        let depth = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).map_err(Error::from)?;
         Input::of_depth(index, name.to_owned(), depth)
     };
     let scenes = [("simulated room", Scene::room(1)), ("simulated table", Scene::tabletop(1))];

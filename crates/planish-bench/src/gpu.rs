@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use planish::agreement::{Agreement, radii_m};
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
     Camera, DepthFrame, Edges, Engine, Error, IntoFrame, OrganizedCloud, Outputs, Radius, SmoothParams, Smoothed,
     SmoothedView, Smoother, SmootherOptions, Transfer,
@@ -150,7 +150,7 @@ pub fn run(args: &GpuOptions) -> Result<()> {
         first_frame_ms,
     };
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        crate::outln!("{}", serde_json::to_string(&report)?);
     } else {
         print_text(&report);
     }
@@ -163,7 +163,7 @@ fn frame(args: &GpuOptions) -> Result<(String, DepthFrame)> {
     let Some((name, cloud)) = &args.input else {
         let (scene, pose) = Scene::room(1);
         let truth = scene.render(&camera, &pose);
-        let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).map_err(Error::from)?;
+        let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).map_err(Error::from)?;
         return Ok(("a simulated room".to_owned(), frame));
     };
     let (width, height) = (cloud.width(), cloud.height());
@@ -368,17 +368,18 @@ impl Bench<'_> {
 }
 
 fn print_text(report: &Report) {
-    println!("{}, {}, 640x480, medians of {} frames", report.adapter, report.input, report.frames);
-    println!(
+    crate::outln!("{}, {}, 640x480, medians of {} frames", report.adapter, report.input, report.frames);
+    crate::outln!(
         "every setting agrees with the reference; a smoother opens in {:.0} ms, its first frame takes {:.2} ms",
-        report.open_ms, report.first_frame_ms
+        report.open_ms,
+        report.first_frame_ms
     );
-    println!(
+    crate::outln!(
         "\n| window, stride, degree | edges | kernel, µs (p5 to p95) | with bounds checks, µs |\n|---|---|---|---|"
     );
     for row in &report.kernels {
         let Spread { p5, median, p95, .. } = row.kernel_us;
-        println!(
+        crate::outln!(
             "| {}, {}, {} | {} | {median:.1} ({p5:.1} to {p95:.1}) | {:.1} |",
             row.window,
             row.stride,
@@ -387,16 +388,16 @@ fn print_text(report: &Report) {
             row.checked_kernel_us.median
         );
     }
-    println!("\n| one frame at a time | setting | transfer | p50, µs | p99, µs |\n|---|---|---|---|---|");
+    crate::outln!("\n| one frame at a time | setting | transfer | p50, µs | p99, µs |\n|---|---|---|---|---|");
     for LatencyRow { setting, what, transfer, microseconds } in &report.one_at_a_time {
-        println!("| {what} | {setting} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
+        crate::outln!("| {what} | {setting} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
     }
-    println!("\n| frames in flight | setting | transfer | slots | frames a second |\n|---|---|---|---|---|");
+    crate::outln!("\n| frames in flight | setting | transfer | slots | frames a second |\n|---|---|---|---|---|");
     for ThroughputRow { setting, what, transfer, slots, frames_per_second } in &report.in_flight {
-        println!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
+        crate::outln!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
     }
-    println!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
+    crate::outln!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
     for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {
-        println!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
+        crate::outln!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
     }
 }

@@ -6,6 +6,7 @@ mod engines;
 mod experiment;
 mod frames;
 mod gpu;
+pub mod output;
 mod plot;
 mod profile;
 mod quality;
@@ -95,7 +96,7 @@ pub fn run(experiments: &[Experiment], options: &Options, inputs: Vec<Input>, st
     let document = options.update.as_ref().zip(out).map(|(file, out)| Document::open(file, out)).transpose()?;
     let bench = Bench::new(options, inputs, stop);
     let origin = Origin::here(options);
-    println!("{}", origin.markdown());
+    crate::outln!("{}", origin.markdown());
     let mut sections = Vec::new();
     for experiment in experiments {
         let mut section = experiment.run(&bench)?;
@@ -109,7 +110,7 @@ pub fn run(experiments: &[Experiment], options: &Options, inputs: Vec<Input>, st
         }
         sections.push(section);
         if bench.stopped() {
-            eprintln!("ended by Ctrl-C; what was measured until then is above");
+            crate::errln!("ended by Ctrl-C; what was measured until then is above");
             return Ok(Ended::Interrupted);
         }
     }

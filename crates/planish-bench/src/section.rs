@@ -78,7 +78,7 @@ impl Section {
     }
 
     pub fn print(&self) {
-        println!("{}", self.text);
+        crate::outln!("{}", self.text);
     }
 
     /// Notes what could not be measured, and why.

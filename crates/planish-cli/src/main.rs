@@ -4,16 +4,21 @@
 
 mod args;
 mod commands;
+mod signals;
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{ArgAction, CommandFactory, FromArgMatches};
+use planish_bench::errln;
 
 use args::{Args, Command};
 
 fn main() -> ExitCode {
     quiet_the_window_system();
-    let result = match Args::parse().command {
+    if let Err(error) = signals::install() {
+        errln!("warning: {error:#}");
+    }
+    let result = match parse().command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Smooth(args) => commands::smooth::run(&args),
         Command::Info(args) => commands::info::run(&args),
@@ -27,10 +32,24 @@ fn main() -> ExitCode {
     match result {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            errln!("error: {error:#}");
             ExitCode::from(2)
         }
     }
+}
+
+/// Reads the arguments. What is below zero reaches an option's own check instead of being taken for another option.
+fn parse() -> Args {
+    fn with_negative_numbers(command: clap::Command) -> clap::Command {
+        let takes_value = |argument: &clap::Arg| {
+            argument.get_long().is_some() && matches!(argument.get_action(), ArgAction::Set | ArgAction::Append)
+        };
+        command
+            .mut_args(|argument| if takes_value(&argument) { argument.allow_negative_numbers(true) } else { argument })
+            .mut_subcommands(with_negative_numbers)
+    }
+    let matches = with_negative_numbers(Args::command()).get_matches();
+    Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
 /// Where there is no session of a desktop, Mesa's Vulkan drivers look for one nevertheless and complain on standard error of a

@@ -93,11 +93,11 @@ fn outputs(bencher: Bencher<'_, '_>, name: &str) {
 
 #[divan::bench(sample_count = 20)]
 fn depth_frame(bencher: Bencher<'_, '_>) {
-    use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+    use planish::simulate::{DepthNoise, DepthSimulator, Scene};
     let camera = camera((640, 480));
     let (scene, pose) = Scene::room(1);
     let truth = scene.render(&camera, &pose);
-    let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).expect("one camera");
+    let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).expect("one camera");
     let params = SmoothParams::paper().with_radius(Radius::Sensor);
     let mut smoother = Smoother::open_with(params, &options(2), (640, 480)).expect("an engine");
     let mut smoothed = Smoothed::default();

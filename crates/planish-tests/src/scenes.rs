@@ -1,6 +1,6 @@
 //! The synthetic clouds of the tests, each written once and run on every engine.
 
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, OrganizedCloud, Xyz};
 
 /// A cloud under a name.
@@ -29,7 +29,7 @@ pub fn grid(width: usize, height: usize, point: impl Fn(usize, usize) -> [f32; 3
 pub fn simulated(seed: u64, room: bool, camera: Camera) -> OrganizedCloud {
     let (scene, pose) = if room { Scene::room(seed) } else { Scene::tabletop(seed) };
     let truth = scene.render(&camera, &pose);
-    let frame = KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).expect("one camera");
+    let frame = DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).expect("one camera");
     frame.deproject().expect("a valid frame")
 }
 

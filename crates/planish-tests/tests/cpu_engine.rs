@@ -5,7 +5,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
     Camera, DepthFrame, Edges, Engine, GpuOptions, IntoFrame, OrganizedCloud, Outputs, SimdLevel, SmoothParams,
     Smoothed, Smoother, SmootherOptions,
@@ -38,7 +38,7 @@ static ALLOCATOR: Counting = Counting;
 fn frame(camera: Camera) -> DepthFrame {
     let (scene, pose) = Scene::tabletop(4);
     let truth = scene.render(&camera, &pose);
-    KinectSimulator::new(KinectNoise::default(), camera, 4).frame(&truth, 0).unwrap()
+    DepthSimulator::new(DepthNoise::default(), camera, 4).frame(&truth, 0).unwrap()
 }
 
 /// All results as bits, so that NaN equals NaN.

@@ -137,8 +137,8 @@ fn windows_on_coarse_pixels_reach_no_further_over_the_scene() {
 
 #[test]
 fn what_has_no_noise_is_hardly_changed() {
-    let suite = Suite { noise: planish::simulate::KinectNoise::NONE, ..Suite::default() };
-    for strength in [Strength::Light, Strength::Default, Strength::Strong] {
+    let suite = Suite { noise: planish::simulate::DepthNoise::NONE, ..Suite::default() };
+    for strength in [Strength::LIGHT, Strength::DEFAULT, Strength::STRONG] {
         let (raw, found) = evaluate(SmoothParams::for_sensor(SensorModel::EXACT, strength), &suite);
         // The millimetres that depth comes in are all there is to smooth, and all that may be added.
         for k in 0..3 {

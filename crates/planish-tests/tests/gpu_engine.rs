@@ -1,6 +1,6 @@
 //! The promises of the GPU engine beside parity: order, batches, views, outputs, refusals. On lavapipe or a real GPU.
 
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
     AdapterKind, Camera, DepthFrame, Engine, EngineError, Error, Frame, FrameError, GpuAdapter, GpuOptions, IntoFrame,
     Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Transfer, auto_choice, gpu_adapters,
@@ -31,7 +31,7 @@ fn frame(seed: u64) -> DepthFrame {
     let camera = small_camera();
     let (scene, pose) = Scene::tabletop(seed);
     let truth = scene.render(&camera, &pose);
-    KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).unwrap()
+    DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).unwrap()
 }
 
 /// NaN equals NaN as text.

@@ -2,7 +2,7 @@
 //! [`test_adapter`](planish_tests::engines::test_adapter) takes: a real GPU, else lavapipe.
 
 use planish::agreement::{Agreement, radii_m};
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{DepthFrame, Outputs, SmoothParams};
 use planish_tests::data::skip;
 use planish_tests::engines::{TestEngine, test_adapter};
@@ -49,7 +49,7 @@ fn frame(seed: u64) -> DepthFrame {
     let camera = small_camera();
     let (scene, pose) = Scene::tabletop(seed);
     let truth = scene.render(&camera, &pose);
-    KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).unwrap()
+    DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).unwrap()
 }
 
 #[test]

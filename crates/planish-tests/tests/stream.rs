@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use planish::internal::{disparity_depth_m, write_freenect_recording};
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::source::{FileSource, FreenectRecording, Paced, Source, SourceFrame, TumRecorder, TumSource};
 use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
 use planish::{
@@ -20,7 +20,7 @@ use planish_tests::scenes::small_camera;
 fn frame(camera: Camera, number: u64) -> DepthFrame {
     let (scene, pose) = Scene::tabletop(1);
     let truth = scene.render(&camera, &pose);
-    let mut frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, number).unwrap();
+    let mut frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, number).unwrap();
     frame.timestamp_s = Some(number as f64);
     frame
 }

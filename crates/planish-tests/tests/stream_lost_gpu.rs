@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 use planish::internal::lose_gpu_devices;
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::source::{Source, SourceFrame};
 use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions};
 use planish::{DepthFrame, Engine, Error, GpuOptions, SmoothParams, SmootherOptions};
@@ -60,7 +60,7 @@ fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
     let camera = small_camera();
     let (scene, pose) = Scene::tabletop(1);
     let truth = scene.render(&camera, &pose);
-    let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).unwrap();
+    let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).unwrap();
     let results = Arc::new(Mutex::new(Vec::new()));
     let source = OneByOne { frame, next: 0, results: Arc::clone(&results) };
     let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());

@@ -21,10 +21,10 @@ pub const RANGE_M: f64 = 5.0;
 pub const RADIUS_M: f64 = 0.25;
 
 /// Nearly all positions.
-pub const POSITION_9999_M: f64 = 6e-5;
+pub const POSITION_9999_M: f64 = 1e-4;
 
-/// Every position: some lie within rounding of a remaining threshold, such as whether a first plane is usable.
-pub const POSITION_WORST_M: f64 = 1e-3;
+/// Every position: the normal of few points that are nearly as far off a plane in two directions is badly determined.
+pub const POSITION_WORST_M: f64 = 6e-4;
 
 /// How far results are from the reference's, gathered over one or more frames.
 #[derive(Debug, Clone, Default)]

@@ -63,7 +63,7 @@ mod tests {
                 assert!((matrix * vector - value * vector).length() <= 1e-14 * scale);
             }
             assert!((vectors[0].dot(vectors[1])).abs() < 1e-14);
-            assert!((vectors[0].cross(vectors[1]).dot(vectors[2])).abs() - 1.0 < 1e-14);
+            assert!((vectors[0].cross(vectors[1]).dot(vectors[2]).abs() - 1.0).abs() < 1e-14);
         }
     }
 }

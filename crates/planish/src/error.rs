@@ -218,6 +218,14 @@ pub enum FormatError {
     /// The contents make no frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
+    /// Reading it would take more memory than allowed.
+    #[error("needs {} MiB of memory, and {} MiB are allowed: raise the limit if the file is what it should be", needed >> 20, allowed >> 20)]
+    TooLarge {
+        /// Bytes that would be needed.
+        needed: u64,
+        /// Bytes that are allowed.
+        allowed: u64,
+    },
 }
 
 /// A file that could not be read or written.

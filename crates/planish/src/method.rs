@@ -5,8 +5,8 @@ pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
 /// Lengths are measured in units of B/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
 pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
 
-/// The gate fades out (section 2): a neighbour at a distance d counts 256 (1 - d²/r²), and at most 1.
-pub(crate) const GATE_FADE: f32 = 256.0;
+/// The gate fades out (section 2): a neighbour at a distance d counts 0.5 + 16 (1 - d²/r²), from 0 to 1.
+pub(crate) const GATE_FADE: f32 = 16.0;
 
 /// Below this cosine of the angle of incidence a point moves less and less along its ray (section 7).
 pub(crate) const GRAZING_COSINE: f32 = 0.2;
@@ -17,8 +17,8 @@ pub(crate) const MAX_ALONG: f32 = 0.5;
 
 /// More doubt than this makes no difference, and its square is far from the end of f32.
 pub(crate) const MAX_DOUBT: f32 = 1e6;
-/// A plane through fewer points than this says too little.
-pub(crate) const MIN_NEIGHBOURS: f32 = 6.0;
+/// A plane whose points count less than this together says too little; it counts wholly from one more on.
+pub(crate) const MIN_TOTAL: f32 = 5.0;
 /// The noise is at least this share of the radius.
 pub(crate) const MIN_NOISE: f32 = 0.01;
 /// How much a plane's distance from p weighs beside its own residual, both squared.
@@ -35,6 +35,12 @@ pub(crate) const MIN_BLOCK_WEIGHT: f32 = 0.02;
 pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
 /// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
 pub(crate) const MIN_INCIDENCE_COSINE: f32 = 0.05;
+/// From this much more on, the plane counts wholly.
+pub(crate) const COSINE_FADE: f32 = 0.01;
+/// What it weighs that a point stays where it was measured, beside the planes around it.
+pub(crate) const STAY_WEIGHT: f32 = 1e-3;
+/// What the normal of a pixel's own window weighs besides.
+pub(crate) const OWN_NORMAL_WEIGHT: f32 = 1e-12;
 /// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 

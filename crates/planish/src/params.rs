@@ -41,6 +41,9 @@ pub enum Project {
     Normal,
 }
 
+/// The range at which sensors' noise is compared, in metres.
+const TUNED_RANGE_M: f64 = 1.5;
+
 /// Less noise than this at 1 m needs no wide windows: it is no more than what rounding to millimetres makes.
 const LITTLE_SIGMA_M: f64 = 3e-4;
 
@@ -58,22 +61,70 @@ const STRIDES: RangeInclusive<u32> = 1..=8;
 
 /// The ridge of [`SmoothParams::for_sensor`].
 const RIDGE: f32 = 2.5e-2;
-/// The same with [`Strength::Light`].
+/// The same with [`Strength::LIGHT`].
 const LIGHT_RIDGE: f32 = 1e-2;
 /// The ridge of [`SmoothParams::paper`] and of sensors without noise: shapes are those of the plain polynomial.
 const SMALL_RIDGE: f32 = 1e-3;
 
-/// How far and how much to smooth; the pixels are those for a sensor with noise.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[non_exhaustive]
-pub enum Strength {
-    /// Windows of 15x15 pixels: for small things.
-    Light,
-    /// Windows of 25x25 pixels.
-    #[default]
-    Default,
-    /// Windows of 29x29 pixels, with 49 samples instead of 25: for walls, floors and far ranges.
-    Strong,
+/// How far and how much to smooth, from 0 to 1: windows grow in steps, the ridge steadily.
+///
+/// ```
+/// use planish::{SmoothParams, Strength, SensorModel};
+///
+/// let params = SmoothParams::for_sensor(SensorModel::KINECT_V1, Strength::new(0.8)?);
+/// assert_eq!(params.reach_px(), SmoothParams::for_sensor(SensorModel::KINECT_V1, Strength::STRONG).reach_px());
+/// assert!(Strength::new(1.5).is_err());
+/// # Ok::<(), planish::ParamError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Strength(f32);
+
+impl Strength {
+    /// 0: windows of 15x15 pixels of a Kinect v1, for small things.
+    pub const LIGHT: Self = Self(0.0);
+    /// 0.5: windows of 25x25 pixels.
+    pub const DEFAULT: Self = Self(0.5);
+    /// 1: windows of 29x29 pixels, with 49 samples instead of 25: for walls, floors and far ranges.
+    pub const STRONG: Self = Self(1.0);
+
+    /// Returns a strength; refuses what is not 0 to 1.
+    pub fn new(strength: f32) -> Result<Self, ParamError> {
+        if (0.0..=1.0).contains(&strength) {
+            Ok(Self(strength))
+        } else {
+            Err(ParamError { field: "strength", value: strength.to_string(), allowed: "0 (light) to 1 (strong)" })
+        }
+    }
+
+    /// The strength, 0 to 1.
+    pub const fn get(self) -> f32 {
+        self.0
+    }
+
+    /// Window and stride for a sensor with noise of so many times a Kinect v1's: between light, default and strong the nearest.
+    fn noisy_window(self, noise: f64) -> (u32, u32) {
+        let (window, kinect_stride) = if self.0 < 0.75 { (2, 3.0 + 4.0 * self.0.min(0.5)) } else { (3, 4.0) };
+        // Light and default differ by two pixels of stride, so the one between them is a step of its own.
+        let stride = f64::from(kinect_stride).round() * noise.cbrt();
+        (window, (stride.round() as u32).clamp(*STRIDES.start(), *STRIDES.end()))
+    }
+
+    /// Half width of the window for a sensor without: 2, 5 and 7 pixels at 0, 0.5 and 1, and the whole numbers between.
+    fn exact_window(self) -> u32 {
+        let half_px = if self.0 < 0.5 { 2.0 + 6.0 * self.0 } else { 3.0 + 4.0 * self.0 };
+        half_px.round() as u32
+    }
+
+    /// The ridge for a sensor with noise: light's grows to the default's, which stays.
+    fn noisy_ridge(self) -> f32 {
+        LIGHT_RIDGE * (RIDGE / LIGHT_RIDGE).powf((2.0 * self.0).min(1.0))
+    }
+}
+
+impl Default for Strength {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
 }
 
 /// The parameters of the smoother.
@@ -114,7 +165,7 @@ pub struct SmoothParams {
 }
 
 impl Default for SmoothParams {
-    /// [`SmoothParams::for_sensor`] of a Kinect v1 and [`Strength::Default`]: on correlated Kinect noise this leaves a fifth of
+    /// [`SmoothParams::for_sensor`] of a Kinect v1 and [`Strength::DEFAULT`]: on correlated Kinect noise this leaves a fifth of
     /// the error, and less than half of what [`SmoothParams::paper`] leaves.
     fn default() -> Self {
         Self::for_sensor(SensorModel::KINECT_V1, Strength::default())
@@ -124,23 +175,14 @@ impl Default for SmoothParams {
 impl SmoothParams {
     /// A setting for a sensor: degree 2, edges kept, the radius and the noise of the sensor.
     ///
-    /// A sensor with hardly any noise (under 0.3 mm at 1 m) gets windows a third to half as wide: there is little to gain, and small
-    /// things to lose.
+    /// The width of windows goes with the cube root of the noise at 1.5 m, where what is left of it and what a curved surface is
+    /// flattened by balance: 25x25 pixels for a Kinect v1, 31x31 for a RealSense D435, 15x15 for an Azure Kinect. A sensor with hardly
+    /// any noise (under 0.3 mm at 1 m) gets 11x11: there is little to gain, and small things to lose.
     pub fn for_sensor(sensor: SensorModel, strength: Strength) -> Self {
         let has_noise = sensor.sigma_m(1.0) >= LITTLE_SIGMA_M;
-        let (window, stride) = match strength {
-            Strength::Light if has_noise => (2, 3),
-            Strength::Default if has_noise => (2, 5),
-            Strength::Strong if has_noise => (3, 4),
-            Strength::Light => (2, 1),
-            Strength::Default => (5, 1),
-            Strength::Strong => (7, 1),
-        };
-        let ridge = match strength {
-            _ if !has_noise => SMALL_RIDGE,
-            Strength::Light => LIGHT_RIDGE,
-            _ => RIDGE,
-        };
+        let noise = sensor.sigma_m(TUNED_RANGE_M) / SensorModel::KINECT_V1.sigma_m(TUNED_RANGE_M);
+        let (window, stride) = if has_noise { strength.noisy_window(noise) } else { (strength.exact_window(), 1) };
+        let ridge = if has_noise { strength.noisy_ridge() } else { SMALL_RIDGE };
         let (radius, edges) = (Radius::Sensor, Edges::Robust);
         Self {
             window,
@@ -338,6 +380,39 @@ mod tests {
         assert_eq!((strides(525.0, 1), strides(262.5, 2), strides(262.5, 8)), ((2, 1), (2, 1), (2, 4)));
         // What is not allowed stays so, and is refused later.
         assert_eq!((strides(100.0, 0), strides(100.0, 12)), ((2, 0), (2, 12)));
+    }
+
+    #[test]
+    fn windows_go_with_the_noise_of_the_sensor() {
+        let of = |sensor| {
+            [Strength::LIGHT, Strength::DEFAULT, Strength::STRONG].map(|strength| {
+                let params = SmoothParams::for_sensor(sensor, strength);
+                (params.window, params.stride)
+            })
+        };
+        assert_eq!(of(SensorModel::KINECT_V1), [(2, 3), (2, 5), (3, 4)]);
+        assert_eq!(of(SensorModel::REALSENSE_D435), [(2, 4), (2, 6), (3, 5)]);
+        assert_eq!(of(SensorModel::AZURE_KINECT), [(2, 2), (2, 3), (3, 2)]);
+        assert_eq!(of(SensorModel::REALSENSE_L515), [(2, 3), (2, 5), (3, 4)]);
+    }
+
+    #[test]
+    fn strength_never_narrows_a_window_or_lessens_the_ridge() {
+        for sensor in [SensorModel::KINECT_V1, SensorModel::REALSENSE_D435, SensorModel::EXACT] {
+            let of = |percent: u32| SmoothParams::for_sensor(sensor, Strength::new(percent as f32 / 100.0).unwrap());
+            for percent in 0..100 {
+                let (weaker, stronger) = (of(percent), of(percent + 1));
+                assert!(weaker.reach_px() <= stronger.reach_px() && weaker.ridge <= stronger.ridge, "{percent} %");
+                assert!(stronger.validate().is_ok());
+            }
+        }
+        let exact = [Strength::LIGHT, Strength::DEFAULT, Strength::STRONG].map(Strength::exact_window);
+        assert_eq!(exact, [2, 5, 7]);
+        let ridges = [Strength::LIGHT, Strength::DEFAULT, Strength::STRONG].map(Strength::noisy_ridge);
+        for (ridge, expected) in ridges.into_iter().zip([LIGHT_RIDGE, RIDGE, RIDGE]) {
+            assert!((ridge / expected - 1.0).abs() < 1e-6, "{ridge} {expected}");
+        }
+        assert!(Strength::new(f32::NAN).is_err() && Strength::new(-0.1).is_err());
     }
 
     #[test]

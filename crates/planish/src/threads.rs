@@ -6,6 +6,9 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::EngineError;
 
+/// More threads than any machine has cores take minutes to start.
+const MAX_THREADS: usize = 1024;
+
 /// A pool of threads, or rayon's global one.
 #[derive(Clone)]
 pub(crate) struct Threads(Option<Arc<ThreadPool>>);
@@ -14,6 +17,9 @@ impl Threads {
     /// `None` is one thread for each core, shared by the whole process.
     pub(crate) fn open(threads: Option<usize>) -> Result<Self, EngineError> {
         let Some(threads) = threads else { return Ok(Self(None)) };
+        if threads > MAX_THREADS {
+            return Err(EngineError::Threads { threads, reason: format!("{MAX_THREADS} are the most allowed") });
+        }
         let pool = ThreadPoolBuilder::new()
             .num_threads(threads)
             .thread_name(|i| format!("planish-{i}"))

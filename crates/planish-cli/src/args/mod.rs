@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use planish::Outputs;
-use planish::io::Encoding;
+use planish::io::{Encoding, ReadOptions};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGpuArgs, ExperimentArgs};
 pub use camera::{CameraArgs, PoseArgs};
@@ -74,6 +74,11 @@ pub struct SmoothArgs {
     /// Encoding of the points in a .pcd or .ply
     #[arg(long, value_enum)]
     pub encoding: Option<EncodingArg>,
+    /// Write over the input where the output is the same file
+    #[arg(long)]
+    pub overwrite: bool,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     /// File extension of the results of a folder, if not that of the inputs
     #[arg(long, value_name = "EXTENSION")]
     pub format: Option<String>,
@@ -86,9 +91,37 @@ pub struct SmoothArgs {
 }
 
 #[derive(clap::Args)]
+pub struct MemoryArgs {
+    /// Refuse files that need more memory than this, and frames that the engine needs more for: bytes, or with K, M, G
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    pub max_memory: Option<u64>,
+}
+
+impl MemoryArgs {
+    pub fn read_options(&self) -> ReadOptions {
+        let default = ReadOptions::default();
+        self.max_memory.map_or(default, |bytes| default.with_max_memory_bytes(bytes))
+    }
+}
+
+/// A number of bytes, as 500M or 4G.
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let (number, shift) = match text.strip_suffix(['B', 'b']).unwrap_or(text) {
+        text if text.ends_with(['K', 'k']) => (&text[..text.len() - 1], 10),
+        text if text.ends_with(['M', 'm']) => (&text[..text.len() - 1], 20),
+        text if text.ends_with(['G', 'g']) => (&text[..text.len() - 1], 30),
+        text => (text, 0),
+    };
+    let bytes = number.parse::<u64>().ok().and_then(|number| number.checked_mul(1 << shift));
+    bytes.ok_or_else(|| "a number of bytes, as 500M or 4G".to_owned())
+}
+
+#[derive(clap::Args)]
 pub struct InfoArgs {
-    /// The file
+    /// The file; - is standard input
     pub file: PathBuf,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
     #[command(flatten)]
@@ -104,6 +137,8 @@ pub struct RenderArgs {
     pub file: PathBuf,
     /// The picture to write: relief, and beside it the colours if there are any
     pub output: PathBuf,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
 }

@@ -9,11 +9,11 @@ use planish::{
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum PresetArg {
-    /// Windows of 15x15 pixels (without noise 5x5): for small things
+    /// Windows of 15x15 pixels of a Kinect v1, and as the noise of others demands: for small things
     Light,
-    /// Windows of 25x25 pixels (without noise 11x11): recommended
+    /// Windows of 25x25 pixels of a Kinect v1: recommended
     Default,
-    /// Windows of 29x29 pixels with twice the samples (without noise 15x15): for walls, floors and far ranges
+    /// Windows of 29x29 pixels of a Kinect v1 with twice the samples: for walls, floors and far ranges
     Strong,
     /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3
     Paper,
@@ -85,6 +85,9 @@ pub struct SmoothingArgs {
     /// A named setting; the options below override single values
     #[arg(long, value_enum)]
     pub preset: Option<PresetArg>,
+    /// How much to smooth, 0 to 1, instead of a preset: 0 is light, 0.5 default, 1 strong
+    #[arg(long, value_name = "0..1", conflicts_with = "preset", allow_negative_numbers = true)]
+    pub strength: Option<f32>,
     /// Which sensor took the frames: its depth steps set the radius, its noise what counts as an edge
     #[arg(long, value_enum)]
     pub sensor: Option<SensorArg>,
@@ -149,11 +152,12 @@ impl SmoothingArgs {
     /// The parameters for a frame. General clouds are smoothed without a sensor.
     pub fn params_for(&self, cloud: Option<&OrganizedCloud>) -> Result<SmoothParams> {
         let sensor = self.sensor_of(cloud)?;
-        let mut params = match self.preset {
-            Some(PresetArg::Light) => SmoothParams::for_sensor(sensor, Strength::Light),
-            None | Some(PresetArg::Default) => SmoothParams::for_sensor(sensor, Strength::Default),
-            Some(PresetArg::Strong) => SmoothParams::for_sensor(sensor, Strength::Strong),
-            Some(PresetArg::Paper) => SmoothParams::paper(),
+        let mut params = match (self.strength, self.preset) {
+            (Some(strength), _) => SmoothParams::for_sensor(sensor, Strength::new(strength)?),
+            (None, Some(PresetArg::Light)) => SmoothParams::for_sensor(sensor, Strength::LIGHT),
+            (None, None | Some(PresetArg::Default)) => SmoothParams::for_sensor(sensor, Strength::DEFAULT),
+            (None, Some(PresetArg::Strong)) => SmoothParams::for_sensor(sensor, Strength::STRONG),
+            (None, Some(PresetArg::Paper)) => SmoothParams::paper(),
         };
         params.sensor = sensor;
         params.window = self.window.unwrap_or(params.window);

@@ -9,8 +9,8 @@ use planish::{DepthFrame, Error, OrganizedCloud};
 use planish_bench::{Ended, Experiment, GpuBenchOptions, Input, Options};
 
 use super::organized;
-use super::stream::stop_on_ctrl_c;
 use crate::args::{BenchArgs, BenchCommand, BenchGpuArgs, EngineArg, ExperimentArgs};
+use crate::signals::stop_flag;
 
 pub fn run(args: &BenchArgs) -> Result<ExitCode> {
     let (args, experiments) = match &args.what {
@@ -31,7 +31,7 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
         rustc: env!("PLANISH_RUSTC"),
     };
     let inputs = inputs(args)?;
-    let stop = stop_on_ctrl_c()?;
+    let stop = stop_flag();
     Ok(match planish_bench::run(experiments, &options, inputs, &stop)? {
         Ended::Whole => ExitCode::SUCCESS,
         Ended::Interrupted => ExitCode::from(130),

@@ -9,8 +9,9 @@ use planish::evaluate::{Errors, errors, flat_pixels};
 use planish::internal::write_rgb_png;
 use planish::io::{Encoding, write_cloud};
 use planish::render::{difference_normals, error_map, relief, side_by_side, stacked};
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, Error, Outputs, Smoothed, Smoother, Xyz};
+use planish_bench::outln;
 
 use super::ms_since;
 use crate::args::DemoArgs;
@@ -26,7 +27,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     let (scene, pose) = Scene::tabletop(args.seed);
     let truth = scene.render(&camera, &pose);
     let mut frame =
-        KinectSimulator::new(KinectNoise::default(), camera, args.seed).frame(&truth, 0).map_err(Error::from)?;
+        DepthSimulator::new(DepthNoise::default(), camera, args.seed).frame(&truth, 0).map_err(Error::from)?;
     let raw = frame.deproject().map_err(Error::from)?;
 
     if let Some(sensor) = args.smoothing.floating_sensor(Some(&raw))? {
@@ -58,8 +59,8 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     write_rgb_png(&picture, &stacked(side_by_side(&reliefs), &side_by_side(&maps)))?;
 
     let flat = flat_pixels(&truth, FLAT_MARGIN_PX);
-    println!("A simulated Kinect frame, {}x{}, against its truth (flat surfaces):\n", camera.width, camera.height);
-    println!("  range          pixels   distance to the surface (RMS)     mean error of the normal");
+    outln!("A simulated Kinect frame, {}x{}, against its truth (flat surfaces):\n", camera.width, camera.height);
+    outln!("  range          pixels   distance to the surface (RMS)     mean error of the normal");
     let normals = smoothed.normals.as_ref().unwrap_or(&raw_normals);
     for (near, far) in [(0.5, 1.5), (1.5, 2.5), (2.5, 4.2)] {
         let selected = |i: usize| flat[i] && (near..far).contains(&truth.points.z[i]);
@@ -67,9 +68,9 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
         let after = errors(&truth, &smoothed.points, normals, selected);
         print_row(near, far, before, after);
     }
-    println!("\n  engine {}, {:.1} ms a frame", smoother.engine().name(), times_ms[TIMED_RUNS / 2]);
-    println!("  {}: relief above, error below (white 0, colour 5 mm), before and after", picture.display());
-    println!("  raw.pcd and smoothed.pcd are in {}", args.out.display());
+    outln!("\n  engine {}, {:.1} ms a frame", smoother.engine().name(), times_ms[TIMED_RUNS / 2]);
+    outln!("  {}: relief above, error below (white 0, colour 5 mm), before and after", picture.display());
+    outln!("  raw.pcd and smoothed.pcd are in {}", args.out.display());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -77,7 +78,7 @@ fn print_row(near: f32, far: f32, before: Errors, after: Errors) {
     if before.pixels == 0 {
         return;
     }
-    println!(
+    outln!(
         "  {near:.1} to {far:.1} m  {:>7}   {:6.2} mm -> {:5.2} mm  ({:3.0} %)     {:5.1}° -> {:4.1}°",
         after.pixels,
         1e3 * before.rms_m,

@@ -5,6 +5,7 @@ use std::thread::available_parallelism;
 
 use anyhow::Result;
 use planish::{AdapterKind, Engine, GpuAdapter, SimdLevel, SmoothParams, Smoother, gpu_adapters};
+use planish_bench::outln;
 use serde::Serialize;
 
 use crate::args::DevicesArgs;
@@ -48,7 +49,7 @@ pub fn run(args: &DevicesArgs) -> Result<ExitCode> {
         },
     };
     if args.json {
-        println!("{}", serde_json::to_string(&devices)?);
+        outln!("{}", serde_json::to_string(&devices)?);
     } else {
         print_text(&devices);
     }
@@ -56,7 +57,7 @@ pub fn run(args: &DevicesArgs) -> Result<ExitCode> {
 }
 
 fn print_text(Devices { cpu, gpus, auto }: &Devices) {
-    println!("cpu    {} of {}; {} threads", cpu.simd, cpu.simd_levels.join(", "), cpu.threads);
+    outln!("cpu    {} of {}; {} threads", cpu.simd, cpu.simd_levels.join(", "), cpu.threads);
     for GpuAdapter { index, name, kind, backend, driver, .. } in gpus {
         let kind = match kind {
             AdapterKind::Discrete => "discrete GPU",
@@ -65,12 +66,12 @@ fn print_text(Devices { cpu, gpus, auto }: &Devices) {
             AdapterKind::Software => "software, only used if selected",
             _ => "unknown kind, only used if selected",
         };
-        println!("gpu {index}  {name}; {kind}; {backend}, {driver}");
+        outln!("gpu {index}  {name}; {kind}; {backend}, {driver}");
     }
     if cfg!(not(feature = "gpu")) {
-        println!("gpu    not in this build (feature gpu)");
+        outln!("gpu    not in this build (feature gpu)");
     } else if gpus.is_empty() {
-        println!("gpu    none found: it needs a driver for Vulkan, Metal or DirectX 12 (on Linux libvulkan.so.1 too)");
+        outln!("gpu    none found: it needs a driver for Vulkan, Metal or DirectX 12 (on Linux libvulkan.so.1 too)");
     }
-    println!("auto   takes {}: {}", auto.engine, auto.reason);
+    outln!("auto   takes {}: {}", auto.engine, auto.reason);
 }

@@ -11,7 +11,9 @@ use planish::evaluate::{Case, Evaluation, Report, Suite, TileReport, jitter_mm, 
 use planish::internal::write_rgb_png;
 use planish::io::{self, Contents, Encoding, write_cloud};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
+use planish::simulate::DepthNoise;
 use planish::{DepthFrame, Error, IntoFrame, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
+use planish_bench::{out, outln};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
 use plotters::series::PointSeries;
 use serde::Serialize;
@@ -80,21 +82,22 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
         smoothed: tiles(&points, &normals),
     };
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        outln!("{}", serde_json::to_string(&report)?);
         return Ok(ExitCode::SUCCESS);
     }
-    println!("{}: {} tiles of 8x8 pixels without a step\n", report.file, report.raw.tiles);
-    println!("            median RMS distance   mean angle to its normal: points   facets    facets over 30°");
+    outln!("{}: {} tiles of 8x8 pixels without a step\n", report.file, report.raw.tiles);
+    outln!("            median RMS distance   mean angle to its normal: points   facets    facets over 30°");
     for (name, tiles) in [("raw", report.raw), ("smoothed", report.smoothed)] {
         let (rms_mm, specks) = (tiles.rms_mm, percent(tiles.speck_share));
-        println!("  {name:<9} {rms_mm:16.2} mm {:33.1}° {:7.1}° {specks:>18}", tiles.normal_deg, tiles.facet_deg);
+        outln!("  {name:<9} {rms_mm:16.2} mm {:33.1}° {:7.1}° {specks:>18}", tiles.normal_deg, tiles.facet_deg);
     }
     Ok(ExitCode::SUCCESS)
 }
 
 /// Simulated frames against their truth.
 fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
-    let suite = Suite::default();
+    let noise = DepthNoise::of_sensor(&args.smoothing.params()?.sensor);
+    let suite = Suite { noise, ..Suite::default() };
     let seeds = match args.seed {
         Some(seed) => seed..=seed,
         None => 1..=args.seeds,
@@ -136,7 +139,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     }
     bar.finish_and_clear();
     if let Some(folder) = &args.export {
-        println!("The frames are in {}; smooth them, keep their names, and measure with --results.", folder.display());
+        outln!("The frames are in {}; smooth them, keep their names, and measure with --results.", folder.display());
         return Ok(ExitCode::SUCCESS);
     }
 
@@ -168,7 +171,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
         draw_error_over_z(&folder.join("error-over-z.svg"), &rows)?;
     }
     if args.json {
-        println!("{}", serde_json::to_string(&rows)?);
+        outln!("{}", serde_json::to_string(&rows)?);
     } else {
         print(&rows);
     }
@@ -236,14 +239,14 @@ fn result_in(file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)>
 
 fn print(rows: &[Row]) {
     let line = |name: &str, value: &dyn Fn(&Row) -> String| {
-        print!("  {name:<44}");
+        out!("  {name:<44}");
         for row in rows {
-            print!("{:>12}", value(row));
+            out!("{:>12}", value(row));
         }
-        println!();
+        outln!();
     };
     line("", &|row| row.name.rsplit('/').next().unwrap_or_default().to_owned());
-    println!("flat surfaces");
+    outln!("flat surfaces");
     for (k, range) in rows[0].report.ranges.iter().enumerate() {
         let span = format!("{:.1} to {:.1} m", range.near_m, range.far_m);
         line(&format!("{span}: distance to the truth, RMS, mm"), &|r| format!("{:.2}", r.report.ranges[k].rmse_mm));
@@ -262,14 +265,14 @@ fn print(rows: &[Row]) {
     }
     line("facets off by over 30°, 0.5 to 2.5 m", &|r| percent(r.report.speck_share));
     line("second difference of z in a row, over z², 1e-3/m", &|r| format!("{:.3}", r.report.lattice));
-    println!("edges");
+    outln!("edges");
     line("within 3 px of a step: distance, mean, mm", &|r| format!("{:.2}", r.report.edge_mean_mm));
     line("  floating between two surfaces", &|r| percent(r.report.flying_share));
     line("90° edge at 1 m: error of its angle", &|r| format!("{:.1}°", r.report.crease_deg));
-    println!("shapes");
+    outln!("shapes");
     line("sphere, radius", &|r| format!("{:+.2} %", 100.0 * r.report.sphere_radius_bias));
     line("cylinder, radius", &|r| format!("{:+.2} %", 100.0 * r.report.cylinder_radius_bias));
-    println!("pixels");
+    outln!("pixels");
     line("measured, but lost", &|r| percent(r.report.lost_share));
     line("  of them on a surface, not floating", &|r| percent(r.report.lost_true_share));
     line("not measured, but there", &|r| r.report.invented.to_string());

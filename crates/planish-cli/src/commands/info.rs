@@ -9,6 +9,7 @@ use planish::{
     Attribute, AttributeValues, DepthFrame, DepthView, Error, OrganizedCloud, PointCloud, PointsView, RangeRule,
     SensorModel,
 };
+use planish_bench::outln;
 use serde::Serialize;
 
 use crate::args::InfoArgs;
@@ -44,7 +45,7 @@ struct SensorInfo {
 }
 
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
-    let (format, mut contents) = io::read(&args.file)?;
+    let (format, mut contents) = io::read_with(&args.file, &args.memory.read_options())?;
     if let (Some(pose), Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points)) =
         (args.pose.pose()?, &mut contents)
     {
@@ -52,7 +53,7 @@ pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     }
     let info = describe(args, format, &contents)?;
     if args.json {
-        println!("{}", serde_json::to_string(&info)?);
+        outln!("{}", serde_json::to_string(&info)?);
     } else {
         print_text(&args.file, &info, contents.is_depth());
     }
@@ -171,49 +172,49 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
         (false, false) => "general cloud",
     };
     let pixels = info.width * info.height;
-    println!("{}: {}, {kind}", file.display(), info.format);
-    println!("  size          {} x {}", info.width, info.height);
-    println!("  fields        {}", info.fields.join(" "));
+    outln!("{}: {}, {kind}", file.display(), info.format);
+    outln!("  size          {} x {}", info.width, info.height);
+    outln!("  fields        {}", info.fields.join(" "));
     let share = 100.0 * info.valid_points as f64 / pixels.max(1) as f64;
-    println!("  valid         {} of {pixels} ({share:.1} %)", info.valid_points);
+    outln!("  valid         {} of {pixels} ({share:.1} %)", info.valid_points);
     if let Some([low, high]) = info.bounds_m {
         for (axis, name) in ["x", "y", "z"].iter().enumerate() {
-            println!("  {name}             {:.4} to {:.4} m", low[axis], high[axis]);
+            outln!("  {name}             {:.4} to {:.4} m", low[axis], high[axis]);
         }
     }
     if let Some([low, high]) = info.raw_depth {
-        println!("  raw depth     {low} to {high}");
+        outln!("  raw depth     {low} to {high}");
     }
     if let Some(z) = info.median_z_m {
-        println!("  median z      {z:.4} m");
+        outln!("  median z      {z:.4} m");
     }
     if let Some(pose) = info.sensor_pose {
-        println!("  sensor pose   {}", pose.map(|number| number.to_string()).join(" "));
+        outln!("  sensor pose   {}", pose.map(|number| number.to_string()).join(" "));
     }
     match (info.range, info.pixel_pitch_at_1m) {
         (Some("depth"), Some(pitch)) => {
-            println!("  pixel pitch   {:.3} mm at 1 m (focal length {:.1} px)", 1e3 * pitch, 1.0 / pitch);
+            outln!("  pixel pitch   {:.3} mm at 1 m (focal length {:.1} px)", 1e3 * pitch, 1.0 / pitch);
         }
         (Some("distance"), Some(pitch)) => {
-            println!(
+            outln!(
                 "  pixel pitch   {:.3} mm at a distance of 1 m from the sensor; not the grid of a camera",
                 1e3 * pitch
             );
         }
         (Some("constant"), _) => {
-            println!("  pixel pitch   unknown, and so is the sensor's position (see --sensor-pose)")
+            outln!("  pixel pitch   unknown, and so is the sensor's position (see --sensor-pose)")
         }
         _ => {}
     }
     if let Some(SensorInfo { step, sigma }) = info.sensor {
         let at = |[c0, c1, c2]: [f32; 3], z: f32| 1e3 * (c0 + z * (c1 + z * c2));
-        println!(
+        outln!(
             "  sensor        steps of {:.2} mm and noise of {:.2} mm at 1 m, {:.2} and {:.2} mm at 3 m",
             at(step, 1.0),
             at(sigma, 1.0),
             at(step, 3.0),
             at(sigma, 3.0)
         );
-        println!("                (a Kinect v1: 2.85 and 1.80, 25.65 and 16.20)");
+        outln!("                (a Kinect v1: 2.85 and 1.80, 25.65 and 16.20)");
     }
 }

@@ -6,10 +6,12 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use planish::source::{SourceFrame, TumRecorder};
+use planish_bench::outln;
 use serde::Serialize;
 
-use super::stream::{open_source, stop_on_ctrl_c};
+use super::stream::open_source;
 use crate::args::RecordArgs;
+use crate::signals::stop_flag;
 
 #[derive(Serialize)]
 struct Report {
@@ -21,7 +23,7 @@ struct Report {
 
 pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.limits.max_duration()?;
-    let stop = stop_on_ctrl_c()?;
+    let stop = stop_flag();
     let mut source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
     let mut recorder = TumRecorder::create(&args.folder)?;
     let start = Instant::now();
@@ -43,9 +45,9 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     }
     let report = Report { frames, dropped: source.dropped(), seconds: start.elapsed().as_secs_f64() };
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        outln!("{}", serde_json::to_string(&report)?);
     } else {
-        println!("{frames} frames in {:.1} s, {} dropped -> {}", report.seconds, report.dropped, args.folder.display());
+        outln!("{frames} frames in {:.1} s, {} dropped -> {}", report.seconds, report.dropped, args.folder.display());
     }
     Ok(ExitCode::SUCCESS)
 }

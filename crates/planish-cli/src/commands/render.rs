@@ -11,7 +11,7 @@ use super::organized;
 use crate::args::RenderArgs;
 
 pub fn run(args: &RenderArgs) -> Result<ExitCode> {
-    let (_, contents) = io::read(&args.file)?;
+    let (_, contents) = io::read_with(&args.file, &args.memory.read_options())?;
     let cloud = organized(contents, &args.camera, &args.file)?;
     let mut pictures = vec![relief(cloud.width(), cloud.height(), &normals_of(&cloud))];
     pictures.extend(colours(&cloud));

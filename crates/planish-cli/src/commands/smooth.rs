@@ -1,9 +1,10 @@
 //! `planish smooth`: one file, or every frame of a folder.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
@@ -13,15 +14,19 @@ use planish::{
     Camera, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, PointsView, Radius,
     RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother, estimate_radius_m,
 };
+use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs};
+use crate::signals::{INTERRUPTED, stop_flag};
 
 /// What is said of one frame.
 #[derive(Serialize)]
 struct Report {
+    #[serde(serialize_with = "lossily")]
     input: PathBuf,
+    #[serde(serialize_with = "lossily")]
     output: PathBuf,
     engine: &'static str,
     /// The GPU's name.
@@ -57,6 +62,7 @@ struct SmoothTimes {
 
 #[derive(Serialize)]
 struct Failure {
+    #[serde(serialize_with = "lossily")]
     input: PathBuf,
     error: String,
 }
@@ -65,6 +71,13 @@ struct Failure {
 struct FolderReport {
     frames: Vec<Report>,
     failed: Vec<Failure>,
+    /// Whether a signal ended the run before its last frame.
+    interrupted: bool,
+}
+
+/// A path as text: what is not UTF-8 is replaced, so that the report is not lost.
+fn lossily<S: serde::Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.to_string_lossy())
 }
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
@@ -81,12 +94,21 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         open: None,
         smoothed: Smoothed::default(),
     };
+    if args.format.as_ref().is_some_and(|extension| extension.contains(['/', '\\'])) {
+        bail!("--format takes a file's extension, as ply, not a path");
+    }
     if args.input.is_dir() {
         return run_folder(&mut worker);
     }
+    if !args.overwrite && is_same_file(&args.input, &args.output) {
+        bail!(
+            "{}: is the input, the only copy of what was measured: write to another file, or add --overwrite",
+            args.output.display()
+        );
+    }
     let report = worker.smooth_file(&args.input, &args.output)?;
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        outln!("{}", serde_json::to_string(&report)?);
     } else {
         print_report(&report);
     }
@@ -107,12 +129,15 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
         bail!("{}: is a file; a folder of frames is written to a folder", args.output.display());
     }
     fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
-    let same = |a: &Path, b: &Path| a.canonicalize().ok().is_some_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-    if same(&args.input, &args.output) {
-        bail!("input and output are the same folder: give another one, so that no frame is overwritten");
-    }
-
     let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
+    let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
+    let is_input = |output: &&PathBuf| output.canonicalize().is_ok_and(|output| originals.contains(&output));
+    if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
+        bail!(
+            "{}: is one of the inputs: give another folder, so that no frame is overwritten, or add --overwrite",
+            output.display()
+        );
+    }
     let mut seen = HashMap::new();
     for (input, output) in inputs.iter().zip(&outputs) {
         if let Some(other) = seen.insert(output, input) {
@@ -128,13 +153,18 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
     // Hidden by itself where standard error is not a terminal.
     let progress = ProgressBar::new(inputs.len() as u64).with_style(style);
-    let mut report = FolderReport { frames: Vec::new(), failed: Vec::new() };
+    let stop = stop_flag();
+    let mut report = FolderReport { frames: Vec::new(), failed: Vec::new(), interrupted: false };
     for (input, output) in inputs.into_iter().zip(outputs) {
+        if stop.load(Ordering::Relaxed) {
+            report.interrupted = true;
+            break;
+        }
         match worker.smooth_file(&input, &output) {
             Ok(frame) => report.frames.push(frame),
             Err(error) => {
                 let error = format!("{error:#}");
-                progress.suspend(|| eprintln!("error: {error}"));
+                progress.suspend(|| errln!("error: {error}"));
                 report.failed.push(Failure { input, error });
             }
         }
@@ -142,11 +172,30 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
     }
     progress.finish_and_clear();
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        outln!("{}", serde_json::to_string(&report)?);
     } else {
-        println!("{} frames smoothed, {} failed", report.frames.len(), report.failed.len());
+        let end = if report.interrupted { "; interrupted" } else { "" };
+        outln!("{} frames smoothed, {} failed{end}", report.frames.len(), report.failed.len());
     }
-    Ok(if report.failed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(1) })
+    Ok(if report.interrupted {
+        ExitCode::from(INTERRUPTED)
+    } else if report.failed.is_empty() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(1)
+    })
+}
+
+/// Whether two names stand for one file, by links of either kind.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let identity = |path: &Path| fs::metadata(path).map(|metadata| (metadata.dev(), metadata.ino())).ok();
+        identity(a).is_some_and(|a| identity(b) == Some(a))
+    }
+    #[cfg(not(unix))]
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
 /// Where a frame of the input folder is written.
@@ -160,10 +209,10 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
 
 fn print_report(report: &Report) {
     let Report { status, smooth_ms, .. } = report;
-    println!("{} -> {}", report.input.display(), report.output.display());
+    outln!("{} -> {}", report.input.display(), report.output.display());
     let adapter = report.adapter.as_ref().map_or(String::new(), |name| format!(" ({name})"));
-    println!("  {} x {}, {} points, engine {}{adapter}", report.width, report.height, report.points_in, report.engine);
-    println!(
+    outln!("  {} x {}, {} points, engine {}{adapter}", report.width, report.height, report.points_in, report.engine);
+    outln!(
         "  smoothed {} ({} by plane), on a line {}, too few neighbours {}, holes {}",
         status.plane + status.polynomial,
         status.plane,
@@ -176,10 +225,7 @@ fn print_report(report: &Report) {
     } else {
         String::new()
     };
-    println!(
-        "  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms",
-        report.read_ms, smooth_ms.median, report.write_ms
-    );
+    outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
 }
 
 /// What an engine is open for: grid, outputs, parameters.
@@ -213,7 +259,7 @@ enum Output {
 impl Worker<'_> {
     fn smooth_file(&mut self, input: &Path, output: &Path) -> Result<Report> {
         let start = Instant::now();
-        let (format, mut contents) = io::read(input)?;
+        let (format, mut contents) = io::read_with(input, &self.args.memory.read_options())?;
         let read_ms = ms_since(start);
         let (width, height) = contents.shape();
         self.set_pose(input, &mut contents)?;
@@ -312,7 +358,7 @@ impl Worker<'_> {
                 bail!("{}: --remove-floating needs the sensor's position: give --sensor-pose", input.display());
             }
             let count = cloud.remove_floating(&sensor);
-            eprintln!("{}: {count} floating pixels became holes", input.display());
+            errln!("{}: {count} floating pixels became holes", input.display());
             depth.iter_mut().for_each(|depth| {
                 depth.remove_floating(&sensor);
             });
@@ -354,7 +400,7 @@ impl Worker<'_> {
             let radius_m = estimate_radius_m(cloud).with_context(|| {
                 format!("{}: no radius can be estimated from these points: add --radius METRES", input.display())
             })?;
-            eprintln!("{}: a general cloud; radius {radius_m:.4} m from the spacing of the points", input.display());
+            errln!("{}: a general cloud; radius {radius_m:.4} m from the spacing of the points", input.display());
             params.radius = Radius::Fixed { radius_m };
         }
         let outputs = self.args.outputs().with_status(true);
@@ -388,7 +434,7 @@ impl Worker<'_> {
         if lost as f64 > LOST_SHARE_TOLD * valid as f64 {
             let share = 100.0 * lost as f64 / valid as f64;
             let cause = likely_cause(frame, &params);
-            eprintln!(
+            errln!(
                 "{}: {lost} of {valid} valid points ({share:.1} %) became holes: they have fewer than 3 neighbours. {cause}",
                 output.display()
             );
@@ -400,6 +446,17 @@ impl Worker<'_> {
     fn open(&mut self, frame: Frame<'_>, outputs: Outputs, params: SmoothParams) -> Result<()> {
         let wanted = (frame.grid(), outputs, params);
         if self.open.as_ref().is_none_or(|(_, has)| *has != wanted) {
+            let (width, height) = frame.shape();
+            let points = width * height;
+            let needed = points as u64 * ENGINE_BYTES_A_POINT;
+            let allowed = self.args.memory.read_options().max_memory_bytes;
+            if needed > allowed {
+                bail!(
+                    "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
+                    needed >> 20,
+                    allowed >> 20
+                );
+            }
             let options = self.args.smoothing.options(outputs)?;
             self.open = Some((Smoother::open_with(params, &options, frame.grid())?, wanted));
         }
@@ -443,6 +500,9 @@ impl Worker<'_> {
     }
 }
 
+/// What an engine and its results take at most for each point (the default setting and all outputs: 130 to 150 bytes).
+const ENGINE_BYTES_A_POINT: u64 = 160;
+
 /// How many points came in, and how many of those became holes.
 struct PointCounts {
     valid: usize,
@@ -458,14 +518,14 @@ fn report_range_rule(input: &Path, frame: Frame<'_>, pose_is_given: bool) {
     let input = input.display();
     match points.range_rule() {
         RangeRule::Distance { .. } if pose_is_given => {}
-        RangeRule::Distance { .. } if !points.pose().is_identity() => eprintln!(
+        RangeRule::Distance { .. } if !points.pose().is_identity() => errln!(
             "{input}: the grid is not that of a camera at the stated sensor pose; ranges are distances from the sensor"
         ),
-        RangeRule::Distance { .. } => eprintln!(
+        RangeRule::Distance { .. } => errln!(
             "{input}: the grid is not that of a camera at the origin looking along +z; ranges are distances from the origin, and \
              normals face it (give the sensor's pose with --sensor-pose)"
         ),
-        RangeRule::Constant { spacing_m } => eprintln!(
+        RangeRule::Constant { spacing_m } => errln!(
             "{input}: the sensor's position is unknown; smoothed by the spacing of the points, {spacing_m:.4} m, with normals to one \
              side of the surface (give the sensor's pose with --sensor-pose)"
         ),

@@ -10,9 +10,11 @@ use indicatif::{ProgressBar, ProgressStyle};
 use planish::source::{self, Source, SourceFrame, SourceOptions};
 use planish::stream::{self, FolderSink, Latency, Sink, SinkFormat, StreamEvent, StreamOptions, StreamStatistics};
 use planish::{DeviceError, Error, Outputs, SensorModel};
+use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use crate::args::{CameraArgs, LimitArgs, StreamArgs, StreamFormatArg, outputs_of};
+use crate::signals::stop_flag;
 
 /// What is said at the end.
 #[derive(Serialize)]
@@ -66,7 +68,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_frames(args.limits.frames)
         .with_max_duration(args.limits.max_duration()?);
-    let stop = stop_on_ctrl_c()?;
+    let stop = stop_flag();
     let mut source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
     if let Some(sensor) = args.smoothing.floating_sensor(None)? {
         source = Box::new(WithoutFloating { source, sensor });
@@ -87,25 +89,11 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     line.end();
     let report = report(&statistics);
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        outln!("{}", serde_json::to_string(&report)?);
     } else {
         print_report(&report);
     }
     Ok(if statistics.failed_sinks + statistics.unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
-}
-
-/// Set when Ctrl-C is pressed; pressed again, it ends the process.
-pub fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let set = Arc::clone(&stop);
-    let handler = move || {
-        if set.swap(true, Ordering::Relaxed) {
-            // Asked twice: something does not end by itself.
-            std::process::exit(130);
-        }
-    };
-    ctrlc::set_handler(handler).context("Ctrl-C cannot be handled")?;
-    Ok(stop)
 }
 
 /// Opens a source by its name; one that is to come back is waited for until `stop` is set.
@@ -120,7 +108,8 @@ pub fn open_source(
         .with_tum_units_per_metre(camera.depth_scale)
         .with_fps(limits.fps);
     let source = source::open(name, &options)?;
-    let until = limits.max_duration()?.map(|longest| Instant::now() + longest);
+    // Beyond what the clock can count there is no limit.
+    let until = limits.max_duration()?.and_then(|longest| Instant::now().checked_add(longest));
     if !limits.reconnect {
         return Ok(source);
     }
@@ -130,7 +119,8 @@ pub fn open_source(
     let name = name.to_owned();
     let open = move || source::open(&name, &options);
     let retry = Duration::from_secs(1);
-    Ok(Box::new(Reconnecting { open, source: Some(source), stop: Arc::clone(stop), until, retry, dropped_before: 0 }))
+    let (stop, ended) = (Arc::clone(stop), Arc::default());
+    Ok(Box::new(Reconnecting { open, source: Some(source), stop, ended, until, retry, dropped_before: 0 }))
 }
 
 /// A source whose floating pixels are holes.
@@ -140,6 +130,10 @@ struct WithoutFloating {
 }
 
 impl Source for WithoutFloating {
+    fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        self.source.end_with(ended);
+    }
+
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
         let mut frame = self.source.next_frame()?;
         match &mut frame {
@@ -167,7 +161,10 @@ impl Source for WithoutFloating {
 struct Reconnecting<Open> {
     open: Open,
     source: Option<Box<dyn Source>>,
+    /// Set by the user, who wants no more frames.
     stop: Arc<AtomicBool>,
+    /// Set by the stream, which has ended.
+    ended: Arc<AtomicBool>,
     /// It is not waited for longer than this.
     until: Option<Instant>,
     /// How long to wait before it is looked for again.
@@ -177,12 +174,17 @@ struct Reconnecting<Open> {
 }
 
 impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnecting<Open> {
+    fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        self.ended = ended;
+    }
+
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        while !self.stop.load(Ordering::Relaxed) && self.until.is_none_or(|until| Instant::now() < until) {
+        let is_set = |flag: &AtomicBool| flag.load(Ordering::Relaxed);
+        while !is_set(&self.stop) && !is_set(&self.ended) && self.until.is_none_or(|until| Instant::now() < until) {
             if let Some(source) = &mut self.source {
                 match source.next_frame() {
                     Err(Error::Device(DeviceError::Gone { what })) => {
-                        eprintln!("{what}; waiting for it to come back");
+                        errln!("{what}; waiting for it to come back");
                         self.dropped_before += source.dropped();
                         self.source = None;
                     }
@@ -231,7 +233,7 @@ impl StatusLine {
 
     fn tell(&self, event: StreamEvent<'_>) {
         match event {
-            StreamEvent::Warning(warning) => self.bar.suspend(|| eprintln!("warning: {warning}")),
+            StreamEvent::Warning(warning) => self.bar.suspend(|| errln!("warning: {warning}")),
             StreamEvent::Frame(statistics) => {
                 let every = if self.bar.is_hidden() { Self::PLAIN_EVERY } else { Duration::from_millis(200) };
                 if self.last.get().elapsed() < every {
@@ -248,7 +250,7 @@ impl StatusLine {
                     statistics.engine.name()
                 );
                 if self.bar.is_hidden() {
-                    eprintln!("{text}");
+                    errln!("{text}");
                 } else {
                     self.bar.set_message(text);
                     self.bar.tick();
@@ -290,12 +292,12 @@ fn report(statistics: &StreamStatistics) -> Report {
 
 fn print_report(report: &Report) {
     let Report { frames_in, frames_out, dropped, unreadable, seconds, fps, latency_ms, engine, .. } = report;
-    println!("{frames_out} frames in {seconds:.1} s, {fps:.1} a second, engine {engine}");
-    println!("  {frames_in} came, {dropped} were dropped for newer ones, {unreadable} could not be read");
+    outln!("{frames_out} frames in {seconds:.1} s, {fps:.1} a second, engine {engine}");
+    outln!("  {frames_in} came, {dropped} were dropped for newer ones, {unreadable} could not be read");
     let LatencyMs { p50, p95, p99, max } = latency_ms;
-    println!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
+    outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
     let StageMs { capture, smooth, sinks } = report.stage_ms;
-    println!("  a frame's mean: {capture:.1} ms in the source, {smooth:.1} in the engine, {sinks:.1} in the sinks");
+    outln!("  a frame's mean: {capture:.1} ms in the source, {smooth:.1} in the engine, {sinks:.1} in the sinks");
 }
 
 #[cfg(test)]
@@ -336,6 +338,7 @@ mod tests {
             open,
             source: Some(Box::new(Unplugged { frames: 2 })),
             stop: Arc::clone(&stop),
+            ended: Arc::default(),
             until: Some(Instant::now() + Duration::from_millis(300)),
             retry: Duration::from_millis(5),
             dropped_before: 0,
@@ -346,6 +349,9 @@ mod tests {
         assert!(source.next_frame().unwrap().is_none());
         source.until = None;
         stop.store(true, Ordering::Relaxed);
+        assert!(source.next_frame().unwrap().is_none());
+        stop.store(false, Ordering::Relaxed);
+        source.end_with(Arc::new(AtomicBool::new(true)));
         assert!(source.next_frame().unwrap().is_none());
     }
 }

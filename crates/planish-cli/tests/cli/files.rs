@@ -126,7 +126,7 @@ fn a_folder_goes_on_after_a_bad_file_and_says_so_at_the_end() {
     let mut names: Vec<_> = fs::read_dir(&output).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     names.sort();
     assert_eq!(names, ["a.pcd", "c.pcd"]);
-    assert!(refused(&["smooth", str(&input), str(&input)]).contains("same folder"));
+    assert!(refused(&["smooth", str(&input), str(&input)]).contains("--overwrite"));
 }
 
 #[test]
@@ -294,6 +294,16 @@ fn sensors_strengths_and_edges_are_chosen_by_name() {
     for (i, result) in results.iter().enumerate() {
         assert!(*result != usual && !results[..i].contains(result), "{:?} is as another", choices[i]);
     }
+    for (strength, preset) in [("0", "light"), ("0.5", "default"), ("1", "strong")] {
+        assert_eq!(smooth(&["--strength", strength]), smooth(&["--preset", preset]));
+    }
+    assert!(!results.contains(&smooth(&["--strength", "0.3"])));
+    for (bad, said) in [("1.5", "0 (light) to 1 (strong)"), ("-1", "strength"), ("NaN", "strength")] {
+        assert!(refused(&["smooth", str(&path), str(&output), "--strength", bad]).contains(said), "{bad}");
+    }
+    assert!(
+        refused(&["smooth", str(&path), str(&output), "--strength", "1", "--preset", "light"]).contains("--preset")
+    );
     // The estimate needs a frame, and a stream has none yet.
     assert!(refused(&["stream", "synthetic", "--sensor", "auto", "--frames", "1"]).contains("planish info"));
     let info: Value = serde_json::from_str(&ok(&["info", str(&path), "--json"])).unwrap();

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, DepthFrame, OrganizedCloud};
 
 use super::{json_line, ok, refused, str, text};
@@ -80,7 +80,7 @@ fn a_kinect_that_plays_a_recording_is_recorded_and_streams_back() {
     let camera = Camera::kinect_v1();
     let (scene, pose) = Scene::tabletop(1);
     let truth = scene.render(&camera, &pose);
-    let simulator = KinectSimulator::new(KinectNoise::default(), camera, 1);
+    let simulator = DepthSimulator::new(DepthNoise::default(), camera, 1);
     let frames: Vec<DepthFrame> =
         (0..6).map(|i| simulator.frame(&truth, i).unwrap().with_timestamp_s(i as f64 / 30.0)).collect();
     let played = folder.path().join("played");

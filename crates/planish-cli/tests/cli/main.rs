@@ -1,6 +1,7 @@
 //! The command as people and scripts run it: a process with arguments, exit codes, files and JSON.
 
 mod files;
+mod hostile;
 mod live;
 mod measure;
 
@@ -8,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use planish::io::{self, Encoding};
-use planish::simulate::{KinectNoise, KinectSimulator, Scene};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, DepthFrame, OrganizedCloud};
 use serde_json::Value;
 
@@ -42,7 +43,7 @@ fn small_frame(seed: u64) -> DepthFrame {
     let camera = Camera::new((160, 120), [131.25, 131.25], [79.5, 59.5]);
     let (scene, pose) = Scene::tabletop(seed);
     let truth = scene.render(&camera, &pose);
-    KinectSimulator::new(KinectNoise::default(), camera, seed).frame(&truth, 0).unwrap()
+    DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).unwrap()
 }
 
 /// A folder with `frame.pcd`, an organized cloud with colour.

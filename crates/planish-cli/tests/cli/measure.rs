@@ -25,6 +25,11 @@ fn evaluate_measures_itself_and_what_others_made_of_the_same_frames() {
     }
     assert_eq!(serde_json::from_slice::<Value>(&fs::read(out.join("report.json")).unwrap()).unwrap()[2], rows[2]);
 
+    // Frames are simulated with the noise of the sensor, and smoothed for it.
+    let azure = ok(&["evaluate", "--seed", "2", "--json", "--sensor", "azure-kinect"]);
+    let azure: Value = serde_json::from_str(&azure).unwrap();
+    assert!(near(&azure[0]) < 0.5 * near(&rows[0]) && near(&azure[2]) < 0.25 * near(&azure[0]));
+
     // Another program that changes nothing has the errors of the raw frames.
     let frames = folder.path().join("frames");
     ok(&["evaluate", "--seed", "2", "--export", str(&frames)]);

@@ -13,7 +13,8 @@ use super::vector::{Mask, Vec3, splat};
 use super::window::{Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
 use crate::method::{
-    DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NEIGHBOURS, MIN_NOISE, NARROW_WIDTH, PLANE_REACH,
+    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,
+    OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
 };
 use crate::params::{SmoothParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
@@ -21,8 +22,8 @@ use crate::range::{MAX_RADIUS_M, RangeRules};
 // The channels.
 const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
-/// Of a first plane, the variance along the normal plus the plane's uncertainty, in m²; infinite where the neighbours are too few,
-/// or on a line.
+/// Of a first plane, the variance along the normal plus the plane's uncertainty, in m²; more, and at last infinite, where the
+/// neighbours are too few, on a line, or on a plane seen edge-on.
 const RESIDUAL: usize = 4;
 /// Of a surface, how far from it a neighbour counts, in metres.
 const WIDTH: usize = 4;
@@ -108,7 +109,7 @@ pub(super) struct Surface<S: Simd> {
     pub(super) plane: Plane<S>,
     /// How many neighbours.
     pub(super) n: S::f32s,
-    /// How far from the plane a neighbour counts, in metres; infinite where it is the pixel's own for want of others.
+    /// How far from the plane a neighbour counts, in metres; infinite where there is no plane.
     pub(super) width: S::f32s,
 }
 
@@ -151,6 +152,7 @@ impl Planes {
             doubt: splat(simd, 1.0),
             extent_squared: self.load(simd, EXTENT, at),
             curvature: self.load(simd, CURVATURE, at),
+            off_line: splat(simd, 0.0),
             degenerate: self.load(simd, COUNT, at).simd_lt(splat(simd, 0.0)),
         }
     }
@@ -182,7 +184,9 @@ impl Planes {
         let per_variance = one / (noise * noise);
         let gate = Gate::new(simd, radius * splat(simd, PLANE_REACH));
         let to_mean = mean.sub(p);
-        let (mut normal, mut height, mut total) = (Vec3::splat(simd, 0.0), zero, zero);
+        let mut plane = self.plane(simd, here);
+        let (mut normal, mut height, mut total) =
+            (plane.normal.scale(splat(simd, OWN_NORMAL_WEIGHT)), zero, splat(simd, STAY_WEIGHT));
         for row in 0..3 {
             for column in 0..3 {
                 let at = here + self.shift * (row * self.row_len + column) - self.shift * (self.row_len + 1);
@@ -197,26 +201,41 @@ impl Planes {
                 let root = one / residual.mul_add(per_variance, one);
                 let square = root * root;
                 // An unusable plane has an infinite residual, hence no weight.
-                let weight = square * square * nearness;
+                let weight = near.select(square * square * nearness, zero);
                 normal = normal.add_scaled(weight, n);
                 height = weight.mul_add(to_plane, height);
                 total += weight;
             }
         }
-        let own: Mask<S> = self.load(simd, RESIDUAL, here).simd_lt(splat(simd, f32::INFINITY)) & valid;
+        // A hole may hold anything, and so may a point on a line.
+        let has_plane = valid & self.load(simd, COUNT, here).simd_ge(splat(simd, 3.0));
         // Planes that disagree may lie further away than a point may move.
-        let height = height / own.select(total, one);
-        let own = own & height.abs().simd_le(radius);
-        let length = own.select(normal.dot(normal), one).sqrt();
+        let height = (height / total).max(-radius).min(radius);
+        let length = has_plane.select(normal.dot(normal), one).sqrt();
         // The other way round it is the same plane.
         let away: Mask<S> = normal.dot(ray).simd_gt(zero);
         let sign = away.select(-one, one);
-        let mut plane = self.plane(simd, here);
-        plane.normal = normal.scale(sign / length).or(own, plane.normal);
-        plane.height = own.select(sign * height, plane.height);
-        let width = own.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY));
+        plane.normal = normal.scale(sign / length).or(has_plane, plane.normal);
+        plane.height = has_plane.select(sign * height, plane.height);
+        let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY));
         Surface { plane, n: self.load(simd, COUNT, here).abs(), width }
     }
+}
+
+/// Whether planes are usable, from 0 to 1: not where the neighbours are too few, on a line, or on a plane seen edge-on.
+#[inline(always)]
+fn usable<S: Simd>(simd: S, ray: Vec3<S>, plane: &Plane<S>, total: S::f32s) -> S::f32s {
+    // Scaled, since the squares may be too large.
+    let largest = ray.x.abs().max(ray.y.abs()).max(ray.z.abs()).max(splat(simd, f32::MIN_POSITIVE));
+    let direction = ray.scale(splat(simd, 1.0) / largest);
+    let cosine = plane.normal.dot(direction).abs() / direction.dot(direction).sqrt();
+    let enough = total - splat(simd, MIN_TOTAL);
+    let facing = (cosine - splat(simd, MIN_INCIDENCE_COSINE)) * splat(simd, 1.0 / COSINE_FADE);
+    let [enough, off_line, facing] = [enough, plane.off_line, facing].map(
+        #[inline(always)]
+        |share| share.max(splat(simd, 0.0)).min(splat(simd, 1.0)),
+    );
+    enough * off_line * facing
 }
 
 /// The pass of the first planes, for some rows.
@@ -237,11 +256,10 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
             let sums = Window::at(input.samples, kernel, u, v).sums(simd, p, radius);
             let plane = plane::fit(simd, ray, &sums);
             let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
-            let along = plane.normal.dot(ray);
-            let seen: Mask<S> =
-                (along * along).simd_ge(ray.dot(ray) * splat(simd, MIN_INCIDENCE_COSINE * MIN_INCIDENCE_COSINE));
-            let usable = sums.n.simd_ge(splat(simd, MIN_NEIGHBOURS)) & !plane.degenerate & seen;
-            let residual = usable.select(residual, splat(simd, f32::INFINITY));
+            let usable = usable(simd, ray, &plane, sums.total);
+            // A single point has no residual either.
+            let is_usable: Mask<S> = usable.simd_gt(splat(simd, 0.0));
+            let residual = is_usable.select(residual / usable, splat(simd, f32::INFINITY));
             rows.store(rows.index(row, u), &plane, residual, sums.n);
         }
     }

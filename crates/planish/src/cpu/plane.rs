@@ -22,6 +22,8 @@ pub(super) struct Plane<S: Simd> {
     pub(super) extent_squared: S::f32s,
     /// Surface variation l0/(l0+l1+l2).
     pub(super) curvature: S::f32s,
+    /// By what share the second extent exceeds that of a line, l1/(1e-4 l2) - 1.
+    pub(super) off_line: S::f32s,
     /// The neighbours lie on a line; the rest means nothing.
     pub(super) degenerate: Mask<S>,
 }
@@ -43,12 +45,14 @@ pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     let [l0, l1, l2] = eigen.values;
     let residual = l0.max(splat(simd, 0.0));
     let curvature = residual / (l0 + l1 + l2).max(splat(simd, f32::MIN_POSITIVE));
-    let degenerate = l1.simd_le(l2 * splat(simd, DEGENERATE_RATIO));
+    let line = l2 * splat(simd, DEGENERATE_RATIO);
+    let degenerate = l1.simd_le(line);
+    let off_line = l1 / line.max(splat(simd, f32::MIN_POSITIVE)) - splat(simd, 1.0);
     let away: Mask<S> = eigen.vector.dot(ray).simd_gt(splat(simd, 0.0));
     let normal = eigen.vector.scale(away.select(splat(simd, -1.0), splat(simd, 1.0)));
     let doubt = (l2 / (l1 - residual).max(splat(simd, f32::MIN_POSITIVE))).min(splat(simd, MAX_DOUBT));
     let extent_squared = l2 * splat(simd, 4.0);
-    Plane { normal, height: c.dot(normal), residual, doubt, extent_squared, curvature, degenerate }
+    Plane { normal, height: c.dot(normal), residual, doubt, extent_squared, curvature, off_line, degenerate }
 }
 
 /// Mean of a product less the product of the means. All are of the size of the neighbourhood, so little cancels.

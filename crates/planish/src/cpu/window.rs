@@ -23,9 +23,8 @@ pub(super) struct Window<'a> {
     stride: usize,
 }
 
-/// A gate on distance that fades out: what is farther away than its radius does not count, and nothing changes at once.
+/// A gate on distance that fades out around its radius, so that nothing changes at once.
 pub(super) struct Gate<S: Simd> {
-    squared: S::f32s,
     /// Of the weight over the squared distance.
     slope: S::f32s,
 }
@@ -33,18 +32,16 @@ pub(super) struct Gate<S: Simd> {
 impl<S: Simd> Gate<S> {
     #[inline(always)]
     pub(super) fn new(simd: S, radius: S::f32s) -> Self {
-        let squared = radius * radius;
-        Self { squared, slope: splat(simd, -GATE_FADE) / squared }
+        Self { slope: splat(simd, -GATE_FADE) / (radius * radius) }
     }
 
     /// The offset, zero where it is too far or no number; how much it counts; and where it does.
     #[inline(always)]
     pub(super) fn apply(&self, simd: S, e: Vec3<S>) -> (Vec3<S>, S::f32s, Mask<S>) {
-        let squared = e.dot(e);
-        let near: Mask<S> = squared.simd_lt(self.squared);
         let zero = splat(simd, 0.0);
-        let weight = squared.mul_add(self.slope, splat(simd, GATE_FADE)).min(splat(simd, 1.0)).max(zero);
-        (e.or(near, Vec3::splat(simd, 0.0)), near.select(weight, zero), near)
+        let weight = e.dot(e).mul_add(self.slope, splat(simd, GATE_FADE + 0.5));
+        let near: Mask<S> = weight.simd_gt(zero);
+        (e.or(near, Vec3::splat(simd, 0.0)), near.select(weight.min(splat(simd, 1.0)), zero), near)
     }
 }
 

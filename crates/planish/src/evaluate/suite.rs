@@ -3,7 +3,7 @@
 use crate::camera::Camera;
 use crate::error::FrameError;
 use crate::frame::DepthFrame;
-use crate::simulate::{Gauge, KinectNoise, KinectSimulator, Scene, Truth};
+use crate::simulate::{DepthNoise, DepthSimulator, Gauge, Scene, Truth};
 
 /// Three frames per seed: a table, a room, and shapes of known size.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -11,12 +11,12 @@ pub struct Suite {
     /// The camera; it has the field of view of a Kinect v1 at any resolution.
     pub camera: Camera,
     /// The sensor's noise.
-    pub noise: KinectNoise,
+    pub noise: DepthNoise,
 }
 
 impl Default for Suite {
     fn default() -> Self {
-        Self { camera: Camera::kinect_v1(), noise: KinectNoise::default() }
+        Self { camera: Camera::kinect_v1(), noise: DepthNoise::default() }
     }
 }
 
@@ -52,7 +52,7 @@ impl Suite {
             ("room", (room.0, room.1), Gauges::Surfaces),
             ("shapes", (shapes.0, shapes.1), Gauges::Shapes(gauge)),
         ];
-        let simulator = KinectSimulator::new(self.noise, self.camera, seed);
+        let simulator = DepthSimulator::new(self.noise, self.camera, seed);
         let case = |(name, (scene, pose), gauges): (&str, (Scene, _), _)| {
             let truth = scene.render(&self.camera, &pose);
             let frame = simulator.frame(&truth, 0)?;
@@ -65,7 +65,7 @@ impl Suite {
     pub fn still(&self, seed: u64, frames: u64) -> Result<(Truth, Vec<DepthFrame>), FrameError> {
         let (scene, pose) = Scene::tabletop(seed);
         let truth = scene.render(&self.camera, &pose);
-        let simulator = KinectSimulator::new(self.noise, self.camera, seed);
+        let simulator = DepthSimulator::new(self.noise, self.camera, seed);
         let frames = (0..frames).map(|index| simulator.frame(&truth, index)).collect::<Result<_, _>>()?;
         Ok((truth, frames))
     }

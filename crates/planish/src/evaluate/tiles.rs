@@ -176,7 +176,7 @@ pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
 mod tests {
     use super::*;
     use crate::camera::Camera;
-    use crate::simulate::{KinectNoise, KinectSimulator, Pose, Scene, Shape};
+    use crate::simulate::{DepthNoise, DepthSimulator, Pose, Scene, Shape};
 
     #[test]
     fn the_largest_plane_and_the_tiles_of_a_noisy_wall_have_its_noise() {
@@ -186,7 +186,7 @@ mod tests {
         let ball = Shape::Sphere { centre: DVec3::new(0.3, 0.0, 1.2), radius_m: 0.15 };
         let scene = Scene { objects: vec![wall, ball] };
         let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
-        let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).unwrap();
+        let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).unwrap();
         let cloud = frame.deproject().unwrap();
         let found = largest_plane(&cloud).unwrap();
         let of_wall = found.pixels.iter().filter(|&&i| truth.objects[i] == 0).count();

@@ -9,7 +9,7 @@ use super::kernel;
 use super::*;
 use crate::camera::Camera;
 use crate::frame::{DepthFrame, FrameGeometry, GeometryScratch, IntoFrame};
-use crate::simulate::{KinectNoise, KinectSimulator, Random, Scene};
+use crate::simulate::{DepthNoise, DepthSimulator, Random, Scene};
 
 /// The device of the tests; says SKIP where there is none.
 fn device(test: &str) -> Option<(Arc<GpuDevice>, GpuAdapter)> {
@@ -186,7 +186,7 @@ fn the_solve_finds_coefficients_and_damps_what_is_not_supported() {
 fn frame() -> DepthFrame {
     let camera = Camera::new((64, 48), [52.5; 2], [31.5, 23.5]);
     let (scene, pose) = Scene::tabletop(1);
-    KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&scene.render(&camera, &pose), 0).unwrap()
+    DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&scene.render(&camera, &pose), 0).unwrap()
 }
 
 #[test]

@@ -4,6 +4,8 @@ use crate::cloud::{Attribute, AttributeValues, PointCloud, PositionColumns};
 use crate::error::FormatError;
 use crate::xyz::Xyz;
 
+use super::quoted;
+
 /// Runs the same code on the vector inside, for every type.
 macro_rules! with_values {
     ($values:expr, $v:ident => $body:expr) => {{
@@ -37,7 +39,7 @@ pub(super) fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointClo
             let names: Vec<_> = columns.iter().map(|column| column.name.as_str()).collect();
             FormatError::Malformed(format!(
                 "no field {name}: a point cloud has x, y and z, this one {}",
-                names.join(" ")
+                quoted(&names.join(" "))
             ))
         })?;
     }

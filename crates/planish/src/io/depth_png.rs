@@ -2,13 +2,19 @@
 
 use std::io::Cursor;
 
+use super::ReadOptions;
 use crate::error::FormatError;
 use crate::frame::DepthImage;
 use crate::xyz::validate_shape;
 
-pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
+/// Row by row, so that a frame is in memory once.
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
     let malformed = |error: png::DecodingError| FormatError::Malformed(format!("damaged PNG: {error}"));
-    let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(malformed)?;
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    // Of what is no picture: texts and profiles.
+    decoder.set_limits(png::Limits { bytes: options.max_memory_bytes.min(64 << 20) as usize });
+    decoder.set_ignore_text_chunk(true);
+    let mut reader = decoder.read_info().map_err(malformed)?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     let kind = (reader.info().color_type, reader.info().bit_depth);
     if kind != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
@@ -23,9 +29,23 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
     if size / 1100 > bytes.len() {
         return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
     }
-    let mut buffer = vec![0; size];
-    reader.next_frame(&mut buffer).map_err(malformed)?;
-    let raw = buffer.chunks_exact(2).map(|bytes| u16::from_be_bytes([bytes[0], bytes[1]])).collect();
+    // Interlaced frames are put together in memory of their own.
+    let interlaced = reader.info().interlaced;
+    options.check(width * height, if interlaced { 4 } else { 2 })?;
+    let value = |bytes: &[u8]| u16::from_be_bytes([bytes[0], bytes[1]]);
+    let mut raw = Vec::with_capacity(width * height);
+    if interlaced {
+        let mut buffer = vec![0; size];
+        reader.next_frame(&mut buffer).map_err(malformed)?;
+        raw.extend(buffer.chunks_exact(2).map(value));
+    } else {
+        while let Some(row) = reader.next_row().map_err(malformed)? {
+            raw.extend(row.data().chunks_exact(2).map(value));
+        }
+    }
+    if raw.len() != width * height {
+        return Err(FormatError::Malformed("the PNG is cut short: rows are missing".into()));
+    }
     Ok(DepthImage { width, height, raw })
 }
 

@@ -6,13 +6,18 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{Compression, TiffEncoder, colortype};
 use tiff::{ColorType, TiffError};
 
+use super::ReadOptions;
 use crate::error::FormatError;
 use crate::frame::DepthImage;
 use crate::xyz::validate_shape;
 
-pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
     let malformed = |error: TiffError| FormatError::Malformed(format!("damaged TIFF: {error}"));
-    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(malformed)?.with_limits(Limits::default());
+    let most = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = most;
+    limits.intermediate_buffer_size = most;
+    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(malformed)?.with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(malformed)?;
     let (width, height) = (width as usize, height as usize);
     let kind = decoder.colortype().map_err(malformed)?;
@@ -20,6 +25,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DepthImage, FormatError> {
         return Err(FormatError::Unsupported(format!("a TIFF of {kind:?}: a depth image is 16-bit grayscale")));
     }
     validate_shape(width, height)?;
+    // The image, and a strip or tile that may be all of it.
+    options.check(width * height, 4)?;
     match decoder.read_image().map_err(malformed)? {
         DecodingResult::U16(raw) if raw.len() == width * height => Ok(DepthImage { width, height, raw }),
         _ => Err(FormatError::Unsupported("the TIFF's samples are not unsigned 16-bit integers".into())),

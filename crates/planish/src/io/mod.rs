@@ -13,9 +13,10 @@ mod ply;
 #[cfg(any(feature = "internal", feature = "stream"))]
 mod rgb_png;
 mod text;
+mod whole;
 
 use std::fs;
-use std::io::Write;
+use std::io::Read;
 use std::path::Path;
 
 use crate::camera::Camera;
@@ -27,6 +28,10 @@ pub use camera_file::{camera_to_json, parse_camera, read_camera};
 pub use pcd::Encoding;
 #[cfg(feature = "stream")]
 pub(crate) use rgb_png::{read_rgb_png, write_rgb_png};
+pub use whole::{remove_temporaries, write_whole};
+
+/// The name that stands for standard input.
+const STANDARD_INPUT: &str = "-";
 
 pub(crate) type FormatResult<T> = Result<T, FormatError>;
 
@@ -36,6 +41,16 @@ pub(crate) fn quoted(text: &str) -> String {
     match text.char_indices().nth(MOST) {
         Some((end, _)) => format!("{:?}...", &text[..end]),
         None => format!("{text:?}"),
+    }
+}
+
+/// The beginning of a message that may quote a file, on one line.
+pub(crate) fn brief(message: &str) -> String {
+    const MOST: usize = 160;
+    let message = message.split_whitespace().collect::<Vec<_>>().join(" ");
+    match message.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}...", &message[..end]),
+        None => message,
     }
 }
 
@@ -124,6 +139,37 @@ impl Format {
     }
 }
 
+/// How to read files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ReadOptions {
+    /// Files that need more memory are refused before it is allocated: the file's bytes, what they decompress to, and the columns or
+    /// pixels together. 2 GiB by default.
+    pub max_memory_bytes: u64,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self { max_memory_bytes: 2 << 30 }
+    }
+}
+
+impl ReadOptions {
+    /// The same with another limit in bytes.
+    pub const fn with_max_memory_bytes(self, max_memory_bytes: u64) -> Self {
+        Self { max_memory_bytes }
+    }
+
+    /// Refuses what needs more: a number of things of so many bytes each.
+    pub(crate) fn check(&self, count: usize, bytes_each: usize) -> FormatResult<()> {
+        let (needed, allowed) = (count as u64 as u128 * bytes_each as u128, self.max_memory_bytes);
+        if needed <= u128::from(allowed) {
+            return Ok(());
+        }
+        Err(FormatError::TooLarge { needed: u64::try_from(needed).unwrap_or(u64::MAX), allowed })
+    }
+}
+
 /// The contents of a file.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -162,18 +208,48 @@ impl Contents {
     }
 }
 
-/// Reads a file of any format.
+/// Reads a file of any format; `-` is standard input. Refuses what is no regular file, such as pipes, sockets and devices.
 pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
-    read_bytes(path).map_err(IoError::at(path))
+    read_with(path, &ReadOptions::default())
 }
 
-fn read_bytes(path: &Path) -> FormatResult<(Format, Contents)> {
-    let bytes = fs::read(path)?;
-    decode(&bytes, Format::of_extension(path))
+/// [`read`] with other options than the default.
+pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents), IoError> {
+    let read = || decode_with(&read_bytes(path, options)?, Format::of_extension(path), options);
+    read().map_err(IoError::at(path))
+}
+
+/// The bytes of a regular file, or of standard input.
+fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
+    let most = options.max_memory_bytes;
+    let mut bytes = Vec::new();
+    if path == Path::new(STANDARD_INPUT) {
+        std::io::stdin().lock().take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+        options.check(bytes.len(), 1)?;
+        return Ok(bytes);
+    }
+    // Asked before it is opened: opening a pipe waits for its other end.
+    let metadata = fs::metadata(path)?;
+    if metadata.is_dir() {
+        return Err(FormatError::Unsupported("a folder, not a file".into()));
+    }
+    if !metadata.is_file() {
+        return Err(FormatError::Unsupported(
+            "a pipe or a device, not a regular file; standard input is read with the name -".into(),
+        ));
+    }
+    options.check(usize::try_from(metadata.len()).unwrap_or(usize::MAX), 1)?;
+    fs::File::open(path)?.take(most).read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// Decodes a file's contents; `announced` is the format of its extension, used where the contents are ambiguous.
 pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, Contents)> {
+    decode_with(bytes, announced, &ReadOptions::default())
+}
+
+/// [`decode`] with other options than the default.
+pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOptions) -> FormatResult<(Format, Contents)> {
     if bytes.is_empty() {
         return Err(FormatError::Malformed("the file is empty".into()));
     }
@@ -183,11 +259,11 @@ pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, 
         )
     })?;
     let contents = match format {
-        Format::Pcd => organized_if_grid(pcd::decode(bytes)?),
-        Format::Ply => organized_if_grid(ply::decode(bytes)?),
-        Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes)?)),
-        Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes)?)),
-        Format::Npy => npy::decode(bytes),
+        Format::Pcd => organized_if_grid(pcd::decode(bytes, options)?),
+        Format::Ply => organized_if_grid(ply::decode(bytes, options)?),
+        Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
+        Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
+        Format::Npy => npy::decode(bytes, options),
     }?;
     Ok((format, contents))
 }
@@ -281,50 +357,24 @@ pub fn write_depth_metres(path: &Path, width: usize, depth_m: &[f32]) -> Result<
     npy::encode_depth_metres(width, depth_m).and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
-/// Writes a file atomically: under a temporary name in the same folder, then renamed.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    if !folder.is_dir() {
-        return Err(FormatError::Unsupported(format!("the folder {} does not exist", folder.display())));
-    }
-    if path.is_dir() {
-        return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
-    }
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".planish-").suffix(".tmp");
-    #[cfg(unix)]
-    {
-        // The permissions of any new file: the process's umask applies.
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(fs::Permissions::from_mode(0o666));
-    }
-    let mut file = builder.tempfile_in(folder)?;
-    file.write_all(bytes)?;
-    file.persist(path).map_err(|error| error.error)?;
-    Ok(())
-}
-
 impl DepthFrame {
     /// Reads a 16-bit depth image (PNG, TIFF or NPY) and combines it with its camera.
     pub fn read(path: &Path, camera: Camera) -> Result<Self, IoError> {
-        let frame = || match read_bytes(path)?.1 {
-            Contents::Depth(image) => Ok(Self::from_image(camera, image)?),
+        match read(path)?.1 {
+            Contents::Depth(image) => Self::from_image(camera, image).map_err(FormatError::from),
             _ => Err(FormatError::Unsupported("not a 16-bit depth image".into())),
-        };
-        frame().map_err(IoError::at(path))
+        }
+        .map_err(IoError::at(path))
     }
 }
 
 impl OrganizedCloud {
     /// Reads an organized cloud (PCD, PLY or NPY).
     pub fn read(path: &Path) -> Result<Self, IoError> {
-        let cloud = || match read_bytes(path)?.1 {
+        match read(path)?.1 {
             Contents::Organized(cloud) => Ok(cloud),
             _ => Err(FormatError::Unsupported("not an organized cloud".into())),
-        };
-        cloud().map_err(IoError::at(path))
+        }
+        .map_err(IoError::at(path))
     }
 }

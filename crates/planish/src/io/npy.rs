@@ -2,7 +2,7 @@
 
 use npyz::{AutoSerialize, DType, NpyFile, Order, TypeChar, WriterBuilder};
 
-use super::{CloudRef, Contents, organized_if_grid};
+use super::{CloudRef, Contents, ReadOptions, brief, organized_if_grid};
 use crate::cloud::{Attribute, PointCloud};
 use crate::error::FormatError;
 use crate::frame::DepthImage;
@@ -12,8 +12,42 @@ use crate::xyz::validate_shape;
 
 const LAYOUTS: &str = "depth is [H, W] of u16 or f32 (metres), points are [H, W, 3] or [N, 3] of f32";
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Contents, FormatError> {
-    let file = NpyFile::new(bytes).map_err(|error| FormatError::Malformed(format!("damaged NPY: {error}")))?;
+/// The largest header accepted, in bytes; NumPy's own have some hundred.
+const MAX_HEADER_BYTES: usize = 16 * 1024;
+/// The deepest nesting accepted: the library's parser takes twice as long with each level, and a flat dict with a shape has two.
+const MAX_NESTING: usize = 4;
+
+/// Refuses headers that are cut short, or that no array of numbers has, before the library parses them.
+fn check_header(bytes: &[u8]) -> Result<(), FormatError> {
+    let cut = || FormatError::Malformed("the file is cut short: its NPY header is not whole".into());
+    let (start, stated) = match bytes.get(6..).ok_or_else(cut)? {
+        [1, _, low, high, ..] => (10, usize::from(u16::from_le_bytes([*low, *high]))),
+        [2 | 3, _, a, b, c, d, ..] => (12, u32::from_le_bytes([*a, *b, *c, *d]) as usize),
+        [1..=3, ..] => return Err(cut()),
+        _ => return Err(FormatError::Unsupported("an NPY of a version that is not known; 1, 2 and 3 are".into())),
+    };
+    if stated > MAX_HEADER_BYTES {
+        return Err(FormatError::Malformed(format!("an NPY header of {stated} bytes is none of an array of numbers")));
+    }
+    let header = bytes.get(start..start + stated).ok_or_else(cut)?;
+    let mut depth = 0usize;
+    for byte in header {
+        match byte {
+            b'(' | b'[' | b'{' => depth += 1,
+            b')' | b']' | b'}' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        if depth > MAX_NESTING {
+            return Err(FormatError::Malformed("the NPY header is nested: no array of numbers has such a one".into()));
+        }
+    }
+    Ok(())
+}
+
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, FormatError> {
+    check_header(bytes)?;
+    let file = NpyFile::new(bytes)
+        .map_err(|error| FormatError::Malformed(format!("damaged NPY: {}", brief(&error.to_string()))))?;
     let unsupported = |what: String| Err(FormatError::Unsupported(format!("an array of {what}: {LAYOUTS}")));
     let DType::Plain(kind) = file.dtype() else { return unsupported("records".into()) };
     let (kind, size) = (kind.type_char(), kind.size_field());
@@ -26,6 +60,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Contents, FormatError> {
     if needed.is_none_or(|needed| needed > available) {
         return Err(FormatError::Malformed(format!("the file is cut short: its header announces the shape {shape:?}")));
     }
+    // Values as they are, and as positions.
+    options.check(needed.map_or(usize::MAX, |needed| needed as usize), 2)?;
     let read = |error: std::io::Error| FormatError::Malformed(format!("damaged NPY: {error}"));
     match (shape[..].to_vec().as_slice(), kind, size) {
         (&[height, width], TypeChar::Uint, 2) => {

@@ -4,6 +4,7 @@ use std::fmt::{Display, Write};
 use std::str::{FromStr, Lines};
 
 use super::columns::with_values;
+use super::quoted;
 use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
 
@@ -53,7 +54,8 @@ fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(),
     for column in columns {
         for _ in 0..column.count {
             let word = words.next().ok_or_else(|| format!("{values} values are needed, here are fewer"))?;
-            push(&mut column.values, word).ok_or_else(|| format!("{word:?} is no value of field {}", column.name))?;
+            push(&mut column.values, word)
+                .ok_or_else(|| format!("{} is no value of field {}", quoted(word), quoted(&column.name)))?;
         }
     }
     if words.next().is_some() { Err(format!("{values} values are needed, here are more")) } else { Ok(()) }

@@ -4,13 +4,13 @@
 use glam::DVec3;
 
 use super::Surface;
-use super::plane::Plane;
+use super::plane::{DEGENERATE_RATIO, Plane};
 use super::window::{Grid, fading_gate};
 use crate::params::{SmoothParams, edge_shift_px};
 use crate::sensor::SensorModel;
 
-/// A plane through fewer points than this is not used.
-const MIN_NEIGHBOURS: u32 = 6;
+/// A plane whose points count less than this together is not used, and wholly from one more on.
+const MIN_TOTAL: f64 = 5.0;
 /// The noise is at least this share of the radius.
 const MIN_NOISE: f64 = 0.01;
 /// How much a plane's distance from p weighs beside its own residual, both squared.
@@ -26,6 +26,13 @@ const DOUBT_WEIGHT: f64 = 0.01;
 
 /// No camera measures a surface steeper than this; what looks like one is a row of points far apart.
 const MIN_INCIDENCE_COSINE: f64 = 0.05;
+/// From this much more on the plane is used wholly.
+const COSINE_FADE: f64 = 0.01;
+
+/// What it weighs that p stays where it was measured, beside the planes around it.
+const STAY_WEIGHT: f64 = 1e-3;
+/// What the normal of p's own window weighs besides, so that there is one where no plane is near.
+const OWN_NORMAL_WEIGHT: f64 = 1e-12;
 
 /// The standard deviation of depth at a range.
 pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 {
@@ -42,22 +49,24 @@ pub(super) struct FirstPlanes<'a, N> {
 }
 
 impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
-    /// The point of a pixel, its first plane, and the variance of its points about it plus its own uncertainty, in m². `None` where
-    /// the neighbours are too few, on a line, or on a plane seen edge-on.
+    /// The point of a pixel, its first plane, and the variance of its points about it plus its own uncertainty, in m²: more and
+    /// more, without a limit, where the neighbours are too few, nearly on a line, or on a plane seen edge-on. `None` for a hole, and
+    /// where the limit is reached.
     fn usable(&self, u: usize, v: usize) -> Option<(DVec3, &Plane, f64)> {
-        let first =
-            self.surfaces[v * self.grid.width + u].as_ref().filter(|first| first.neighbours >= MIN_NEIGHBOURS)?;
+        let first = self.surfaces[v * self.grid.width + u].as_ref()?;
         let (p, plane) = (self.grid.point(u, v)?, first.plane.as_ref()?);
-        if plane.normal.dot(p).abs() < MIN_INCIDENCE_COSINE * p.length() {
-            return None;
-        }
+        let enough = plane.total - MIN_TOTAL;
+        let off_line = plane.middle_variance / (DEGENERATE_RATIO * plane.largest_variance) - 1.0;
+        let cosine = plane.normal.dot(p).abs() / p.length();
+        let facing = (cosine - MIN_INCIDENCE_COSINE) / COSINE_FADE;
+        let usable = [enough, off_line, facing].into_iter().map(|share| share.clamp(0.0, 1.0)).product::<f64>();
         let noise_m = (self.noise_m)(p);
-        Some((p, plane, plane.smallest_variance + DOUBT_WEIGHT * plane.doubt * noise_m * noise_m))
+        let variance = plane.smallest_variance + DOUBT_WEIGHT * plane.doubt * noise_m * noise_m;
+        (usable > 0.0).then(|| (p, plane, variance / usable))
     }
 
-    /// Returns the surface that p of a pixel lies on, from its own and the eight first planes around it; its first plane itself where
-    /// that is not usable, or where the planes are further away than the radius. The mean of its block, by its offset from p, says
-    /// how far off a plane it is.
+    /// Returns the surface that p of a pixel lies on, from its own and the eight first planes around it; what its first plane is,
+    /// where there is none. The mean of its block, by its offset from p, says how far off a plane it is.
     pub(super) fn surface(
         &self,
         (u, v): (usize, usize),
@@ -66,10 +75,10 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         radius_m: f64,
     ) -> Option<Surface> {
         let own = self.surfaces[v * self.grid.width + u]?;
-        let Some((_, own_plane, _)) = self.usable(u, v) else { return Some(own) };
+        let Some(own_plane) = own.plane else { return Some(own) };
         let noise_m = (self.noise_m)(p);
         let shift = edge_shift_px(self.params.reach_px()) as isize;
-        let (mut normal, mut height_m, mut total) = (DVec3::ZERO, 0.0, 0.0);
+        let (mut normal, mut height_m, mut total) = (OWN_NORMAL_WEIGHT * own_plane.normal, 0.0, STAY_WEIGHT);
         for dv in [-shift, 0, shift] {
             for du in [-shift, 0, shift] {
                 let Some(column) = u.checked_add_signed(du).filter(|&u| u < self.grid.width) else { continue };
@@ -88,14 +97,12 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
             }
         }
         // Planes that disagree may lie further away than a point may move.
-        if (height_m / total).abs() > radius_m {
-            return Some(own);
-        }
+        let height_m = (height_m / total).clamp(-radius_m, radius_m);
         // The foot is the same whichever way the normal points.
-        let foot = height_m / total * normal.normalize();
+        let foot = height_m * normal.normalize();
         let normal = if normal.dot(p) > 0.0 { -normal.normalize() } else { normal.normalize() };
         // The curvature, and the extent that is the unit of the fit, are those of its own window.
-        let plane = Plane { normal, foot, ..*own_plane };
+        let plane = Plane { normal, foot, ..own_plane };
         Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, ..own })
     }
 }

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::window::{fading_gate, reach_m};
 use super::{PointResult, Surface, smooth_point};
 use crate::error::Error;
 use crate::frame::FrameGeometry;
@@ -30,9 +31,9 @@ pub(super) fn smooth(
         if !p.is_finite() {
             return PointResult::hole();
         }
-        search.within(p, radius_m, neighbours);
+        search.within(p, reach_m(radius_m), neighbours);
         let offsets = neighbours.iter().map(|&i| points[i] - p);
-        let offsets: Vec<DVec3> = offsets.filter(|offset| offset.length_squared() < radius_m * radius_m).collect();
+        let offsets: Vec<DVec3> = offsets.filter(|&offset| fading_gate(offset, radius_m) > 0.0).collect();
         let surface = Surface::own(&offsets, radius_m, p - sensor);
         smooth_point(p, sensor, &offsets, radius_m, params, &surface, false)
     };

@@ -243,13 +243,13 @@ mod tests {
     use crate::frame::{GeometryScratch, IntoFrame, PointsView};
     use crate::params::Radius;
     use crate::pose::SensorPose;
-    use crate::simulate::{KinectNoise, KinectSimulator, Pose, Scene};
+    use crate::simulate::{DepthNoise, DepthSimulator, Pose, Scene};
 
     /// A noisy frame of 96x72 points.
     fn noisy_points((scene, pose): (Scene, Pose)) -> Vec<[f64; 3]> {
         let camera = Camera::new((96, 72), [78.75; 2], [47.5, 35.5]);
         let truth = scene.render(&camera, &pose);
-        let frame = KinectSimulator::new(KinectNoise::default(), camera, 2).frame(&truth, 0).unwrap();
+        let frame = DepthSimulator::new(DepthNoise::default(), camera, 2).frame(&truth, 0).unwrap();
         frame.deproject().unwrap().positions().iter().map(|p| p.map(f64::from)).collect()
     }
 

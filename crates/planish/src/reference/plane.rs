@@ -8,7 +8,7 @@ use super::window::fading_gate;
 use crate::eigen::symmetric_eigen;
 
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
-const DEGENERATE_RATIO: f64 = 1e-4;
+pub(super) const DEGENERATE_RATIO: f64 = 1e-4;
 
 /// More doubt than this makes no difference.
 const MAX_DOUBT: f64 = 1e6;
@@ -25,10 +25,14 @@ pub(super) struct Plane {
     /// How little the points determine the normal: l2/(l1 - l0), 1 for a disc and more, up to [`MAX_DOUBT`], for what is
     /// nearly a line.
     pub doubt: f64,
+    /// Variance along the middle principal axis, l1, in m².
+    pub middle_variance: f64,
     /// Variance along the largest principal axis, l2, in m².
     pub largest_variance: f64,
     /// l0/(l0+l1+l2).
     pub curvature: f64,
+    /// How much the neighbours count together by the gate.
+    pub total: f64,
 }
 
 /// Fits the plane to the neighbours `offsets` = q - p within the radius; `None` if they lie on a line. `from_sensor` is p as the
@@ -52,7 +56,9 @@ pub(super) fn fit(offsets: &[DVec3], radius_m: f64, from_sensor: DVec3) -> Optio
         foot: centroid.dot(normal) * normal,
         smallest_variance: l0.max(0.0),
         doubt: (l2 / (l1 - l0)).min(MAX_DOUBT),
+        middle_variance: l1,
         largest_variance: l2,
         curvature: l0.max(0.0) / (l0 + l1 + l2),
+        total,
     })
 }

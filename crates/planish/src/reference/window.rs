@@ -21,12 +21,17 @@ impl Grid {
     }
 }
 
-/// The gate fades out over this share of the squared radius.
-const FADE: f64 = 1.0 / 256.0;
+/// The gate fades out over this share of the squared radius, half of it on either side.
+const FADE: f64 = 1.0 / 16.0;
 
-/// How much a point counts by its offset from another: not at all beyond the radius, and less and less on the last 0.2 % before it.
+/// How much a point counts by its offset from another: fully within the radius, not at all beyond it, and half at the radius itself.
 pub(super) fn fading_gate(offset: DVec3, radius_m: f64) -> f64 {
-    ((1.0 - offset.length_squared() / (radius_m * radius_m)) / FADE).clamp(0.0, 1.0)
+    (0.5 + (1.0 - offset.length_squared() / (radius_m * radius_m)) / FADE).clamp(0.0, 1.0)
+}
+
+/// How far points count at all: a little more than the radius.
+pub(super) fn reach_m(radius_m: f64) -> f64 {
+    radius_m * (1.0 + 0.5 * FADE).sqrt()
 }
 
 /// The neighbours q of the valid point p of pixel (u, v) among the samples, as q - p, in row order.
@@ -48,7 +53,7 @@ pub(super) fn neighbours(
             let Some(column) = inside(u, du, samples.width) else { continue };
             let Some(q) = samples.point(column, row) else { continue };
             let offset = q - p;
-            if offset.length_squared() < radius_m * radius_m {
+            if fading_gate(offset, radius_m) > 0.0 {
                 offsets.push(offset);
             }
         }

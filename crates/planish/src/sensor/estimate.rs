@@ -184,27 +184,27 @@ fn median(values: &mut [f64]) -> f64 {
 mod tests {
     use super::*;
     use crate::camera::Camera;
-    use crate::simulate::{KinectNoise, KinectSimulator, Random, Scene};
+    use crate::simulate::{DepthNoise, DepthSimulator, Random, Scene};
     use crate::xyz::Xyz;
 
-    fn estimate(noise: KinectNoise, seed: u64) -> SensorModel {
+    fn estimate(noise: DepthNoise, seed: u64) -> SensorModel {
         let camera = Camera::kinect_v1();
         let (scene, pose) = Scene::room(seed);
         let truth = scene.render(&camera, &pose);
-        let frame = KinectSimulator::new(noise, camera, seed).frame(&truth, 0).unwrap();
+        let frame = DepthSimulator::new(noise, camera, seed).frame(&truth, 0).unwrap();
         SensorModel::estimate(&frame.deproject().unwrap()).unwrap()
     }
 
     #[test]
     fn a_simulated_kinect_is_found_to_be_one_and_a_perfect_camera_to_be_perfect() {
         for seed in 1..4 {
-            let found = estimate(KinectNoise::default(), seed);
+            let found = estimate(DepthNoise::default(), seed);
             let kinect = SensorModel::KINECT_V1;
             for range_m in [1.5, 2.5, 3.5] {
                 assert!((0.7..1.5).contains(&(found.step_m(range_m) / kinect.step_m(range_m))), "{seed} {found:?}");
                 assert!((0.6..1.5).contains(&(found.sigma_m(range_m) / kinect.sigma_m(range_m))), "{seed} {found:?}");
             }
-            let perfect = estimate(KinectNoise::NONE, seed);
+            let perfect = estimate(DepthNoise::NONE, seed);
             // Its depths are rounded to millimetres.
             assert!(perfect.sigma_m(1.0) < 3e-4, "{perfect:?}");
         }

@@ -168,8 +168,8 @@ pub fn write_freenect_recording(folder: &Path, frames: &[DepthFrame]) -> Result<
             return Err(malformed(folder, "a recording of libfreenect has frames of 640x480").into());
         }
         let seconds = frame.timestamp_s.unwrap_or(i as f64 / 30.0);
-        // The device's clock ticks 60 million times a second.
-        let stamp = format!("{seconds:.6}-{}", (seconds * 60e6) as u32);
+        // The device's clock ticks 60 million times a second, and wraps after 71 s.
+        let stamp = format!("{seconds:.6}-{}", (seconds * 60e6) as u64 as u32);
         if let Some(rgb) = &frame.rgb {
             write(format!("r-{stamp}.ppm"), &[b"P6 640 480 255 \n", &rgb[..]].concat())?;
         }

@@ -294,14 +294,15 @@ fn run(
         (freenect.set_log_level)(context, LOG_ERROR);
         (freenect.select_subdevices)(context, DEVICE_CAMERA);
         let count = (freenect.num_devices)(context);
-        let result = if count <= index as c_int {
+        let number = c_int::try_from(index).unwrap_or(c_int::MAX);
+        let result = if count <= number {
             Err(DeviceError::Driver {
                 what: format!("no Kinect number {index}: {} found", count.max(0)),
                 help: "is it plugged in, with its power supply, and may you use it? (Debian: the group plugdev)",
             })
         } else {
             let mut device: Device = std::ptr::null_mut();
-            match (freenect.open_device)(context, &mut device, index as c_int) {
+            match (freenect.open_device)(context, &mut device, number) {
                 code if code < 0 => Err(failed("the Kinect cannot be opened; does another program use it?", code)),
                 _ => {
                     let result = run_device(freenect, context, device, camera, newest, opened, stopped);

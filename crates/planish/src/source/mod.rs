@@ -11,6 +11,8 @@ mod synthetic;
 mod tum;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use crate::camera::Camera;
 use crate::cloud::OrganizedCloud;
@@ -78,6 +80,9 @@ pub trait Source: Send {
     ///
     /// A frame that cannot be read is an error; the caller may go on with the one after it.
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error>;
+
+    /// Takes a flag that a stream sets when it ends, before the first frame. A source that may wait for long looks at it.
+    fn end_with(&mut self, _ended: Arc<AtomicBool>) {}
 
     /// Returns how many frames a live source has replaced by newer ones before they were taken.
     fn dropped(&self) -> u64 {

@@ -6,7 +6,7 @@ use super::{Source, SourceFrame};
 use crate::camera::Camera;
 use crate::error::Error;
 use crate::frame::DepthFrame;
-use crate::simulate::{KinectNoise, KinectSimulator, Pose, Scene, Truth};
+use crate::simulate::{DepthNoise, DepthSimulator, Pose, Scene, Truth};
 
 /// Frames in one round of the camera: 2 s at 30 frames/s.
 const ROUND: u64 = 60;
@@ -31,7 +31,7 @@ impl SyntheticSource {
         camera.validate()?;
         let (scene, start) = Scene::tabletop(seed);
         let mut source = Self { scene, start, camera, round: Vec::new(), next: 0 };
-        let simulator = KinectSimulator::new(KinectNoise::default(), camera, seed);
+        let simulator = DepthSimulator::new(DepthNoise::default(), camera, seed);
         source.round = (0..ROUND).map(|i| simulator.frame(&source.truth(i), i)).collect::<Result<_, _>>()?;
         Ok(source)
     }

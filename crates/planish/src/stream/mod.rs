@@ -109,12 +109,11 @@ struct Pending {
 }
 
 /// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
-/// `stop` is set when it returns.
 ///
 /// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over; frames keep
 /// their order. A frame or sink that fails is reported and counted, and the stream continues.
 pub fn run(
-    source: Box<dyn Source>,
+    mut source: Box<dyn Source>,
     options: &StreamOptions,
     sinks: Vec<Box<dyn Sink>>,
     stop: &AtomicBool,
@@ -122,6 +121,8 @@ pub fn run(
 ) -> Result<StreamStatistics, Error> {
     let live = source.is_live();
     let mailbox = Arc::new(Mailbox::new(if live { Policy::NewestWins } else { Policy::Every(READ_AHEAD) }));
+    let ended = Arc::new(AtomicBool::new(false));
+    source.end_with(Arc::clone(&ended));
     let capture = {
         let mailbox = Arc::clone(&mailbox);
         let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
@@ -159,8 +160,8 @@ pub fn run(
         result.map(|()| statistics)
     });
     mailbox.close();
-    // The wait for a live source is bounded, so that `stop` is seen.
-    stop.store(true, Ordering::Relaxed);
+    // The wait for a live source is bounded, so that this is seen.
+    ended.store(true, Ordering::Relaxed);
     if capture.join().is_err() {
         tell(StreamEvent::Warning("the source panicked".to_owned()));
     }

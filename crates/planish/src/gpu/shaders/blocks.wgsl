@@ -14,10 +14,11 @@ fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: 
         for (var column = 0u; column < SIDE; column++) {
             let offset = candidate(window, column, row) - p;
             let squared = square(offset);
-            let e = select(vec3<f32>(0.0), offset, squared < gate.squared);
+            let nearness = unclamped(gate, squared);
+            let e = select(vec3<f32>(0.0), offset, nearness > 0.0);
             let f = dot(e, normal_per_width) - height_in_widths;
             let on_surface = max(fma(-f, f, 1.0), MIN_BLOCK_WEIGHT);
-            let weight = fading(gate, squared) * on_surface * on_surface;
+            let weight = clamp(nearness, 0.0, 1.0) * on_surface * on_surface;
             sum = fma(vec3<f32>(weight), e, sum);
             total += weight;
         }

@@ -11,9 +11,9 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     let own = pixel.y * batch.width + pixel.x;
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
-    var normal = vec3<f32>(0.0);
+    var normal = OWN_NORMAL_WEIGHT * normal_at(frame, FIRST_NORMAL, own);
     var height = 0.0;
-    var total = 0.0;
+    var total = STAY_WEIGHT;
     for (var row = 0u; row < 3u; row++) {
         for (var column = 0u; column < 3u; column++) {
             let x = i32(pixel.x + column * EDGE_SHIFT) - i32(EDGE_SHIFT);
@@ -23,12 +23,12 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
             }
             let at = u32(y) * batch.width + u32(x);
             let offset = kept_at(frame, KEPT_POINT, at) - p;
-            let squared = square(offset);
-            if !(squared < gate.squared) {
+            let nearness = unclamped(gate, square(offset));
+            if !(nearness > 0.0) {
                 continue;
             }
             let own_residual = planes[plane_word(frame, FIRST_RESIDUAL, at)];
-            if own_residual == NOT_USABLE {
+            if own_residual >= NOT_USABLE {
                 continue;
             }
             let n = normal_at(frame, FIRST_NORMAL, at);
@@ -37,19 +37,20 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
             let from_mean = to_plane - dot(to_mean, n);
             let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, own_residual);
             let root = 1.0 / fma(residual, per_variance, 1.0);
-            let weight = (root * root) * (root * root) * fading(gate, squared);
+            let weight = (root * root) * (root * root) * min(nearness, 1.0);
             normal += weight * n;
             height += weight * to_plane;
             total += weight;
         }
     }
-    // Planes that disagree may lie further away than a point may move; then every neighbour of its own plane counts.
-    if planes[plane_word(frame, FIRST_RESIDUAL, own)] == NOT_USABLE || abs(height) > radius * total {
+    // Without a plane every neighbour counts.
+    if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
         return Surface(normal_at(frame, FIRST_NORMAL, own), planes[plane_word(frame, FIRST_HEIGHT, own)], 1e18);
     }
-    // The other way round it is the same plane.
+    // Planes that disagree may lie further away than a point may move. The other way round it is the same plane.
     let sign = select(1.0, -1.0, dot(normal, ray) > 0.0);
-    return Surface(normal * (sign / sqrt(dot(normal, normal))), sign * height / total, NARROW_WIDTH * noise);
+    let moved = clamp(height / total, -radius, radius);
+    return Surface(normal * (sign / sqrt(dot(normal, normal))), sign * moved, NARROW_WIDTH * noise);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)

@@ -29,13 +29,16 @@ fn fit_first_planes(
     let plane = plane_of(ray, sums);
     // Scaled, since the squares may be too large.
     let direction = ray / max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
-    let is_seen = abs(dot(plane.normal, direction)) >= MIN_INCIDENCE_COSINE * sqrt(dot(direction, direction));
-    let is_usable = sums.n >= MIN_NEIGHBOURS && !plane.is_degenerate && is_seen;
+    let cosine = abs(dot(plane.normal, direction)) / sqrt(dot(direction, direction));
+    // Enough points, not on a line, on a plane that is not seen edge-on: each from 0 to 1.
+    let enough = clamp(sums.total - MIN_TOTAL, 0.0, 1.0);
+    let facing = clamp((cosine - MIN_INCIDENCE_COSINE) / COSINE_FADE, 0.0, 1.0);
+    let usable = enough * clamp(plane.off_line, 0.0, 1.0) * facing;
     let noise = noise_at(frame, range, radius);
-    let residual = min(fma(noise * noise * DOUBT_WEIGHT, plane.doubt, plane.residual), NOT_USABLE);
+    let residual = fma(noise * noise * DOUBT_WEIGHT, plane.doubt, plane.residual) / max(usable, 1e-15);
     keep_normal(frame, FIRST_NORMAL, at, plane.normal);
     planes[plane_word(frame, FIRST_HEIGHT, at)] = plane.height;
-    planes[plane_word(frame, FIRST_RESIDUAL, at)] = select(NOT_USABLE, residual, is_usable);
+    planes[plane_word(frame, FIRST_RESIDUAL, at)] = select(NOT_USABLE, min(residual, NOT_USABLE), usable > 0.0);
     planes[plane_word(frame, FIRST_CURVATURE, at)] = plane.curvature;
     planes[plane_word(frame, FIRST_EXTENT, at)] = plane.extent_squared;
     planes[plane_word(frame, FIRST_COUNT, at)] = select(sums.n, -sums.n, plane.is_degenerate);

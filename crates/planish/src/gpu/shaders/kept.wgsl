@@ -9,7 +9,7 @@ const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
 // Of the first planes: the normal, the height over the point, the variance along the normal plus the plane's uncertainty in m²
-// (NOT_USABLE where the neighbours are too few, on a line, or on a plane seen edge-on), the curvature, the number of neighbours,
+// (more, up to NOT_USABLE, where the neighbours are too few, on a line, or on a plane seen edge-on), the curvature, the number of neighbours,
 // negative where they are on a line, and the square of the extent in m².
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_HEIGHT: u32 = 3u;

@@ -13,6 +13,8 @@ struct Plane {
     extent_squared: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
+    // By what share the second extent exceeds that of a line, l1/(1e-4 l2) - 1.
+    off_line: f32,
     // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
 }
@@ -39,5 +41,7 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let residual = max(l.x, 0.0);
     let curvature = residual / max(l.x + l.y + l.z, MIN_POSITIVE);
     let doubt = min(l.z / max(l.y - residual, MIN_POSITIVE), MAX_DOUBT);
-    return Plane(normal, dot(c, normal), residual, doubt, 4.0 * l.z, curvature, l.y <= l.z * DEGENERATE_RATIO);
+    let line = l.z * DEGENERATE_RATIO;
+    let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
+    return Plane(normal, dot(c, normal), residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }

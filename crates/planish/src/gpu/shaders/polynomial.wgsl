@@ -26,8 +26,7 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let b_axis = tangents.v * per_metre;
     let f_axis = plane.normal * per_metre;
     let f_offset = plane.height * per_metre;
-    let gate_squared = radius_squared * per_metre * per_metre;
-    let gate = Gate(gate_squared, -GATE_FADE / gate_squared);
+    let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
     // f² counts so many times more in the weight of section 10.
     let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
     var s: Moments;
@@ -39,13 +38,14 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
             let above_p = fma(e.x, f_axis.x, fma(e.y, f_axis.y, e.z * f_axis.z));
             let in_plane = fma(a, a, b * b);
             let squared = fma(above_p, above_p, in_plane);
-            if squared < gate.squared {
+            let nearness = unclamped(gate, squared);
+            if nearness > 0.0 {
                 let f = above_p - f_offset;
                 var exponent = fma(f, f, in_plane);
                 if KEEPS_EDGES {
                     exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
                 }
-                let w = fading(gate, squared) * exp2(-exponent);
+                let w = min(nearness, 1.0) * exp2(-exponent);
                 SUM_MOMENTS
             }
         }

@@ -12,18 +12,17 @@ fn origin_of(group: vec3<u32>) -> vec2<u32> {
 }
 
 struct Gate {
-    squared: f32,
     // Of the weight over the squared distance.
     slope: f32,
 }
 
 fn gate_of(radius: f32) -> Gate {
-    return Gate(radius * radius, -GATE_FADE / (radius * radius));
+    return Gate(-GATE_FADE / (radius * radius));
 }
 
-// How much an offset counts by its square, in the gate's units.
-fn fading(gate: Gate, squared: f32) -> f32 {
-    return clamp(fma(squared, gate.slope, GATE_FADE), 0.0, 1.0);
+// How much an offset counts by its square: not at all from 0 down, fully from 1 up.
+fn unclamped(gate: Gate, squared: f32) -> f32 {
+    return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
 
 // Sums over the neighbours, relative to p.
@@ -71,9 +70,10 @@ fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
         for (var column = 0u; column < SIDE; column++) {
             let offset = candidate(window, column, row) - p;
             let squared = square(offset);
-            let is_neighbour = squared < gate.squared;
+            let nearness = unclamped(gate, squared);
+            let is_neighbour = nearness > 0.0;
             let e = select(vec3<f32>(0.0), offset, is_neighbour);
-            let weight = fading(gate, squared);
+            let weight = clamp(nearness, 0.0, 1.0);
             let weighted = weight * e;
             sums.n += select(0.0, 1.0, is_neighbour);
             sums.total += weight;

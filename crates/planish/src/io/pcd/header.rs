@@ -5,6 +5,7 @@ use std::fmt::Write;
 use super::Encoding;
 use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
+use crate::io::quoted;
 use crate::pose::SensorPose;
 use crate::xyz::MAX_PIXELS;
 
@@ -209,8 +210,10 @@ impl<'a> Entries<'a> {
     fn set(&mut self, key: &str, values: Vec<&'a str>) -> Result<bool, FormatError> {
         match key {
             "VERSION" => {
-                if !matches!(values[..], ["0.7" | ".7"]) {
-                    return malformed(format!("PCD version {} is not known; 0.7 is", values.join(" ")));
+                // Older ones have fewer lines: no COUNT, or no VIEWPOINT.
+                if !matches!(values[..], ["0.7" | ".7" | "0.6" | ".6" | "0.5" | ".5"]) {
+                    let version = quoted(&values.join(" "));
+                    return malformed(format!("PCD version {version} is not known; 0.5, 0.6 and 0.7 are"));
                 }
             }
             "FIELDS" => self.fields = values,
@@ -224,7 +227,8 @@ impl<'a> Entries<'a> {
                 let parsed: Option<Vec<f64>> = values.iter().map(|value| value.parse().ok()).collect();
                 self.viewpoint = parsed.and_then(|values| values.try_into().ok());
                 if self.viewpoint.is_none() {
-                    return malformed(format!("VIEWPOINT {} should be 7 numbers: x y z qw qx qy qz", values.join(" ")));
+                    let stated = quoted(&values.join(" "));
+                    return malformed(format!("VIEWPOINT {stated} should be 7 numbers: x y z qw qx qy qz"));
                 }
             }
             "DATA" => {
@@ -235,13 +239,13 @@ impl<'a> Entries<'a> {
                     _ => {
                         return malformed(format!(
                             "DATA {} is not known; ascii, binary and binary_compressed are",
-                            values.join(" ")
+                            quoted(&values.join(" "))
                         ));
                     }
                 };
                 return Ok(true);
             }
-            _ => return malformed(format!("{key:?} is no entry of a PCD header")),
+            _ => return malformed(format!("{} is no entry of a PCD header", quoted(key))),
         }
         Ok(false)
     }
@@ -262,12 +266,18 @@ impl<'a> Entries<'a> {
             let Some(scalar) = Scalar::parse(self.kinds[i], self.sizes[i]) else {
                 return malformed(format!(
                     "field {} has TYPE {} and SIZE {}: I and U have 1, 2, 4 or 8 bytes, F has 4 or 8",
-                    self.fields[i], self.kinds[i], self.sizes[i]
+                    quoted(self.fields[i]),
+                    quoted(self.kinds[i]),
+                    quoted(self.sizes[i])
                 ));
             };
             let count = number("COUNT", &[count])?;
             if !(1..=1 << 20).contains(&count) {
-                return malformed(format!("field {} has COUNT {count}; 1 to 2^20 is allowed", self.fields[i]));
+                return malformed(format!("field {} has COUNT {count}; 1 to 2^20 is allowed", quoted(self.fields[i])));
+            }
+            // Padding may occur more than once.
+            if self.fields[i] != "_" && self.fields[..i].contains(&self.fields[i]) {
+                return malformed(format!("two FIELDS are called {}", quoted(self.fields[i])));
             }
             fields.push(Field { name: self.fields[i].to_owned(), scalar, count });
         }
@@ -296,7 +306,7 @@ fn number(key: &str, values: &[&str]) -> Result<usize, FormatError> {
         [value] => value.parse().ok(),
         _ => None,
     }
-    .ok_or_else(|| FormatError::Malformed(format!("{key} {} should be one whole number", values.join(" "))))
+    .ok_or_else(|| FormatError::Malformed(format!("{key} {} should be one whole number", quoted(&values.join(" ")))))
 }
 
 fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {

@@ -12,7 +12,7 @@ pub mod lzf;
 use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
 use crate::io::columns::{cloud_from_columns, columns_from_cloud};
-use crate::io::{CloudRef, Gridded, text};
+use crate::io::{CloudRef, Gridded, ReadOptions, text};
 use crate::pose::SensorPose;
 use header::{Field, Header};
 
@@ -40,8 +40,11 @@ impl Encoding {
 }
 
 /// Reads a PCD file.
-pub(crate) fn decode(bytes: &[u8]) -> Result<Gridded, FormatError> {
+pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {
     let (header, body) = Header::parse(bytes)?;
+    // Columns, and what they are decompressed to before.
+    let copies = if header.encoding == Encoding::BinaryCompressed { 2 } else { 1 };
+    options.check(header.points(), copies * header.point_bytes())?;
     let columns = match header.encoding {
         Encoding::Ascii => {
             let mut columns: Vec<_> = header.fields.iter().map(Field::empty_column).collect();

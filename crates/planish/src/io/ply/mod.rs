@@ -16,7 +16,7 @@ use ply_rs_bw::writer::Writer;
 use camera::PlyCamera;
 
 use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
-use super::{CloudRef, Encoding, Gridded, text};
+use super::{CloudRef, Encoding, Gridded, ReadOptions, brief, quoted, text};
 use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
 use crate::xyz::MAX_PIXELS;
@@ -40,12 +40,17 @@ fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
     Err(FormatError::Malformed(text.into()))
 }
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Gridded, FormatError> {
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {
     let mut reader = Reader::new(bytes);
     let header = Parser::<Record>::new().read_header(&mut reader).map_err(damaged)?;
+    let header_lines = header_lines(bytes);
     let Some(vertex) = header.elements.get("vertex") else { return malformed("the PLY has no element vertex") };
     for element in header.elements.values() {
         check_size(element, bytes.len())?;
+        check_names(element, &header_lines)?;
+        // The library keeps every value of an element as an enum, in a vector for each line.
+        let value_bytes = if header.encoding == PlyEncoding::Ascii { 8 } else { size_of::<Property>() + 8 };
+        options.check(element.count, size_of::<Record>() + element.properties.len() * value_bytes)?;
     }
     let mut columns = empty_columns(vertex)?;
     let Body { cells, camera } = match header.encoding {
@@ -78,7 +83,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Gridded, FormatError> {
 }
 
 fn damaged(error: impl Into<std::io::Error>) -> FormatError {
-    FormatError::Malformed(format!("damaged PLY: {}", error.into()))
+    FormatError::Malformed(format!("damaged PLY: {}", brief(&error.into().to_string())))
 }
 
 /// The vertex of each pixel, if there is an element `range_grid`.
@@ -188,12 +193,31 @@ fn info(header: &Header, key: &str) -> Option<usize> {
     header.obj_infos.iter().find_map(number)
 }
 
+/// The lines of the header, as far as they are text.
+fn header_lines(bytes: &[u8]) -> Vec<&str> {
+    let lines = bytes.split(|&byte| byte == b'\n').map(|line| std::str::from_utf8(line).unwrap_or_default().trim());
+    lines.take_while(|line| *line != "end_header").collect()
+}
+
+/// Refuses properties that have the same name: the library would forget all but one, and read the others' bytes as the next.
+fn check_names(element: &ElementDef, header_lines: &[&str]) -> Result<(), FormatError> {
+    let starts = |line: &&str| line.split_ascii_whitespace().take(2).eq(["element", &element.name]);
+    let of_element = header_lines.iter().skip_while(|line| !starts(line)).skip(1);
+    let own = of_element.take_while(|line| !line.starts_with("element "));
+    let stated = own.filter(|line| line.starts_with("property ")).count();
+    if stated == element.properties.len() {
+        return Ok(());
+    }
+    malformed(format!("two properties of element {} have the same name", quoted(&element.name)))
+}
+
 /// Refuses counts that the file cannot hold, before anything is allocated for them.
 fn check_size(element: &ElementDef, file_bytes: usize) -> Result<(), FormatError> {
     if element.count > MAX_PIXELS || element.count > file_bytes {
         return malformed(format!(
             "the file is cut short: {} of element {} are announced in {file_bytes} bytes",
-            element.count, element.name
+            element.count,
+            quoted(&element.name)
         ));
     }
     Ok(())
@@ -212,7 +236,8 @@ fn empty_columns(vertex: &ElementDef) -> Result<Vec<Attribute>, FormatError> {
             PropertyType::Scalar(ScalarType::Double) => AttributeValues::F64(Vec::new()),
             PropertyType::List(..) => {
                 return Err(FormatError::Unsupported(format!(
-                    "the vertex property {name} is a list; only scalars are read"
+                    "the vertex property {} is a list; only scalars are read",
+                    quoted(name)
                 )));
             }
         };
@@ -235,7 +260,7 @@ fn push(columns: &mut [Attribute], record: Record) -> Result<(), FormatError> {
             (AttributeValues::U32(values), Property::UInt(value)) => values.push(value),
             (AttributeValues::F32(values), Property::Float(value)) => values.push(value),
             (AttributeValues::F64(values), Property::Double(value)) => values.push(value),
-            (_, value) => return malformed(format!("damaged PLY: {value:?} in property {}", column.name)),
+            (_, value) => return malformed(format!("damaged PLY: {value:?} in property {}", quoted(&column.name))),
         }
     }
     Ok(())

@@ -1,10 +1,10 @@
-//! A model of the Kinect v1's noise; each part is a parameter.
+//! A model of a depth sensor's noise; each part is a parameter.
 //!
-//! Noise lives in disparity: D = 1/(step z) in units of one disparity step, so that an error of one unit is
-//! step * z² metres of depth (Khoshelham & Elberink 2012). A pixel's disparity gets a fixed pattern that is correlated
-//! over a few pixels (most of the error of a single frame, which averaging frames does not remove), temporal noise, and is
-//! rounded. At depth steps the sensor looks past the edge, mixes both sides, and cannot see what its
-//! projector does not light. Output: u16 millimetres, 0 for no measurement.
+//! The noise of triangulating sensors (structured light, stereo) lives in disparity: D = 1/(step z) in units of one disparity step, so
+//! that an error of one unit is step * z² metres of depth (Khoshelham & Elberink 2012); that of others in depth itself. A pixel gets
+//! a fixed pattern that is correlated over a few pixels (most of the error of a single frame, which averaging frames does not
+//! remove) and temporal noise; disparities are rounded. At depth steps the sensor looks past the edge, mixes both sides, and cannot
+//! see what its projector, or its second camera, does not. Output: u16 millimetres, 0 for no measurement.
 
 use rayon::prelude::*;
 
@@ -15,22 +15,37 @@ use crate::error::FrameError;
 use crate::frame::DepthFrame;
 use crate::sensor::SensorModel;
 
-/// The parts of the noise. The default is a Kinect v1; [`KinectNoise::NONE`] only rounds to millimetres.
+/// What the errors of a sensor are counted in.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KinectNoise {
-    /// One disparity unit as depth at 1 m, in metres; it grows with z². 0 leaves the depth unquantized.
-    pub depth_step_at_1m: f64,
-    /// RMS of the fixed pattern in disparity units.
+pub enum ErrorUnit {
+    /// Steps of disparity, to which depth is rounded.
+    Disparity {
+        /// One step as depth at 1 m, in metres; it grows with z².
+        step_at_1m: f64,
+    },
+    /// Standard deviations of depth, which is not rounded.
+    Depth {
+        /// One standard deviation in metres: coefficients of 1, z and z².
+        sigma: [f64; 3],
+    },
+}
+
+/// The parts of the noise. The default is a Kinect v1; [`DepthNoise::NONE`] only rounds to millimetres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthNoise {
+    /// The unit of the errors.
+    pub unit: ErrorUnit,
+    /// RMS of the fixed pattern in units.
     pub fixed_pattern_rms: f64,
     /// Distance in pixels at which the fixed pattern's correlation has fallen to 1/e.
     pub fixed_pattern_correlation_px: f64,
-    /// RMS of the temporal noise in disparity units.
+    /// RMS of the temporal noise in units.
     pub temporal_rms: f64,
     /// Standard deviation in pixels by which a pixel at a step samples off its ray.
     pub edge_jitter_px: f64,
     /// Probability that a pixel at a step floats between the two surfaces.
     pub flying_pixel_probability: f64,
-    /// Distance between camera and projector in metres, projector to the right; 0 casts no shadow.
+    /// Distance from the camera to the projector or the second camera in metres, to the right; 0 casts no shadow.
     pub projector_baseline_m: f64,
     /// Angle of incidence in degrees at which measurements begin to drop out; all are lost at 90°.
     pub dropout_incidence_deg: f64,
@@ -40,10 +55,10 @@ pub struct KinectNoise {
     pub max_range_m: f64,
 }
 
-impl Default for KinectNoise {
+impl Default for DepthNoise {
     fn default() -> Self {
         Self {
-            depth_step_at_1m: SensorModel::KINECT_V1.step_m(1.0),
+            unit: ErrorUnit::Disparity { step_at_1m: SensorModel::KINECT_V1.step_m(1.0) },
             fixed_pattern_rms: 0.5,
             fixed_pattern_correlation_px: 2.5,
             temporal_rms: 0.3,
@@ -57,10 +72,10 @@ impl Default for KinectNoise {
     }
 }
 
-impl KinectNoise {
+impl DepthNoise {
     /// No noise at all.
     pub const NONE: Self = Self {
-        depth_step_at_1m: 0.0,
+        unit: ErrorUnit::Depth { sigma: [0.0; 3] },
         fixed_pattern_rms: 0.0,
         fixed_pattern_correlation_px: 1.0,
         temporal_rms: 0.0,
@@ -71,23 +86,64 @@ impl KinectNoise {
         min_range_m: 0.0,
         max_range_m: f64::INFINITY,
     };
+
+    /// Returns the noise of a sensor of its kind: a Kinect v1; else a stereo camera where the noise grows with z² alone; else
+    /// a time-of-flight camera; none where the model has none.
+    ///
+    /// Of the model comes the standard deviation. How it is correlated, and what happens at steps, are assumptions: stereo matches
+    /// windows of some 7 pixels, so that errors hang together over 3 and edges fray, and resolves 1/32 of a pixel where its noise is 0.08
+    /// (RealSense D400); time of flight has almost independent pixels, no shadow, and mixes both sides of an edge.
+    pub fn of_sensor(sensor: &SensorModel) -> Self {
+        let sigma = sensor.sigma.map(f64::from);
+        match sigma {
+            _ if *sensor == SensorModel::KINECT_V1 => Self::default(),
+            [0.0, 0.0, 0.0] => Self::NONE,
+            [0.0, 0.0, sigma_at_1m] => Self {
+                unit: ErrorUnit::Disparity { step_at_1m: sigma_at_1m / STEREO_NOISE_IN_STEPS },
+                fixed_pattern_rms: 0.8 * STEREO_NOISE_IN_STEPS,
+                fixed_pattern_correlation_px: 3.0,
+                temporal_rms: 0.6 * STEREO_NOISE_IN_STEPS,
+                edge_jitter_px: 1.5,
+                flying_pixel_probability: 0.15,
+                projector_baseline_m: 0.05,
+                dropout_incidence_deg: 70.0,
+                min_range_m: 0.3,
+                max_range_m: 6.0,
+            },
+            _ => Self {
+                unit: ErrorUnit::Depth { sigma },
+                fixed_pattern_rms: 0.3,
+                fixed_pattern_correlation_px: 1.0,
+                temporal_rms: 0.95,
+                edge_jitter_px: 0.3,
+                flying_pixel_probability: 0.3,
+                projector_baseline_m: 0.0,
+                dropout_incidence_deg: 75.0,
+                min_range_m: 0.25,
+                max_range_m: 6.0,
+            },
+        }
+    }
 }
 
+/// Noise of 0.08 pixels of disparity in steps of 1/32 of a pixel.
+const STEREO_NOISE_IN_STEPS: f64 = 0.08 * 32.0;
+
 /// Turns noise-free images of one camera into depth frames.
-pub struct KinectSimulator {
-    noise: KinectNoise,
+pub struct DepthSimulator {
+    noise: DepthNoise,
     camera: Camera,
     seed: u64,
-    /// Disparity units, one a pixel: the same in every frame.
+    /// In units, one a pixel: the same in every frame.
     fixed_pattern: Vec<f32>,
 }
 
 const STREAM_FIXED_PATTERN: u64 = 3;
 const STREAM_FRAME: u64 = 4;
 
-impl KinectSimulator {
+impl DepthSimulator {
     /// Creates a sensor with a fixed pattern of its own, given by the seed.
-    pub fn new(noise: KinectNoise, camera: Camera, seed: u64) -> Self {
+    pub fn new(noise: DepthNoise, camera: Camera, seed: u64) -> Self {
         Self { noise, camera, seed, fixed_pattern: fixed_pattern(&noise, &camera, seed) }
     }
 
@@ -131,11 +187,12 @@ impl KinectSimulator {
         }
     }
 
-    /// Returns a depth with an error in disparity units, quantized and limited to the range; 0 if nothing is measured.
-    fn measure(&self, depth_m: f64, disparity_error: f64) -> u16 {
-        let step = self.noise.depth_step_at_1m;
-        let measured =
-            if step > 0.0 { 1.0 / (step * (1.0 / (step * depth_m) + disparity_error).round()) } else { depth_m };
+    /// Returns a depth with an error in units, quantized and limited to the range; 0 if nothing is measured.
+    fn measure(&self, depth_m: f64, error: f64) -> u16 {
+        let measured = match self.noise.unit {
+            ErrorUnit::Disparity { step_at_1m } => 1.0 / (step_at_1m * (1.0 / (step_at_1m * depth_m) + error).round()),
+            ErrorUnit::Depth { sigma: [c0, c1, c2] } => depth_m + error * (c0 + depth_m * (c1 + depth_m * c2)),
+        };
         let in_range = measured >= self.noise.min_range_m && measured <= self.noise.max_range_m;
         if in_range { self.camera.raw_depth(measured as f32) } else { 0 }
     }
@@ -195,7 +252,7 @@ fn step_neighbour(truth: &Truth, u: usize, v: usize) -> Option<f64> {
 }
 
 /// Filters white noise by a Gaussian; a deviation of s leaves a correlation of exp(-d²/4s²).
-fn fixed_pattern(noise: &KinectNoise, camera: &Camera, seed: u64) -> Vec<f32> {
+fn fixed_pattern(noise: &DepthNoise, camera: &Camera, seed: u64) -> Vec<f32> {
     let (width, height) = (camera.width, camera.height);
     let sigma = (noise.fixed_pattern_correlation_px / 2.0).max(0.1);
     let reach = (4.0 * sigma).ceil() as isize;
@@ -267,18 +324,18 @@ mod tests {
     #[test]
     fn without_noise_only_the_millimetre_remains() {
         let (truth, camera) = wall(1.2344);
-        let frame = KinectSimulator::new(KinectNoise::NONE, camera, 1).frame(&truth, 0).unwrap();
+        let frame = DepthSimulator::new(DepthNoise::NONE, camera, 1).frame(&truth, 0).unwrap();
         assert!(frame.raw.iter().all(|&raw| raw == 1234));
     }
 
     #[test]
     fn the_error_has_the_size_and_the_correlation_that_the_parameters_say() {
         let (truth, camera) = wall(2.0);
-        let noise = KinectNoise { projector_baseline_m: 0.0, ..KinectNoise::default() };
-        let simulator = KinectSimulator::new(noise, camera, 5);
+        let noise = DepthNoise { projector_baseline_m: 0.0, ..DepthNoise::default() };
+        let simulator = DepthSimulator::new(noise, camera, 5);
         let frame = errors(&simulator.frame(&truth, 0).unwrap(), 2.0);
         // Fixed pattern, temporal noise and rounding (1/12 unit²) are independent.
-        let unit = noise.depth_step_at_1m * 4.0;
+        let unit = SensorModel::KINECT_V1.step_m(2.0);
         let expected = unit * (0.25f64 + 0.09 + 1.0 / 12.0).sqrt();
         assert!((rms(&frame) / expected - 1.0).abs() < 0.05, "{} {expected}", rms(&frame));
 
@@ -303,9 +360,22 @@ mod tests {
     }
 
     #[test]
+    fn every_kind_of_sensor_has_the_noise_that_its_model_states() {
+        let range_m = 2.0;
+        let (truth, camera) = wall(range_m);
+        for sensor in [SensorModel::KINECT_V1, SensorModel::REALSENSE_D435, SensorModel::AZURE_KINECT] {
+            let noise = DepthNoise { projector_baseline_m: 0.0, ..DepthNoise::of_sensor(&sensor) };
+            let found = rms(&errors(&DepthSimulator::new(noise, camera, 5).frame(&truth, 0).unwrap(), range_m));
+            let stated = sensor.sigma_m(range_m);
+            assert!((found / stated - 1.0).abs() < 0.07, "{sensor:?}: {found} m, stated {stated} m");
+        }
+        assert_eq!(DepthNoise::of_sensor(&SensorModel::EXACT), DepthNoise::NONE);
+    }
+
+    #[test]
     fn frames_repeat_by_seed_and_index() {
         let (truth, camera) = wall(1.0);
-        let simulator = |seed| KinectSimulator::new(KinectNoise::default(), camera, seed);
+        let simulator = |seed| DepthSimulator::new(DepthNoise::default(), camera, seed);
         assert_eq!(simulator(3).frame(&truth, 7).unwrap(), simulator(3).frame(&truth, 7).unwrap());
         assert_ne!(simulator(3).frame(&truth, 7).unwrap().raw, simulator(3).frame(&truth, 8).unwrap().raw);
         assert_ne!(simulator(3).frame(&truth, 7).unwrap().raw, simulator(4).frame(&truth, 7).unwrap().raw);
@@ -321,7 +391,7 @@ mod tests {
             ],
         };
         let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
-        let frame = KinectSimulator::new(KinectNoise::default(), camera, 1).frame(&truth, 0).unwrap();
+        let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).unwrap();
         let row = &frame.raw[240 * 640..241 * 640];
         // The disparities of 1 m and 2 m differ by 0.075 * 525 / 2, 20 pixels.
         let holes = |range: std::ops::Range<usize>| row[range].iter().filter(|&&raw| raw == 0).count();

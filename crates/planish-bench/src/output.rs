@@ -1,0 +1,43 @@
+//! Standard output and standard error of a command: `println!` panics where they are closed or full.
+
+use std::fmt::Arguments;
+use std::io::{ErrorKind, Write};
+use std::process::exit;
+
+/// The exit code for output that cannot be written, the same as for bad input.
+const FAILED: i32 = 2;
+
+/// Writes to standard output. Ends the process where nobody reads it any more: quietly, as `head` expects; else with an error.
+pub fn print(text: Arguments<'_>) {
+    if let Err(error) = std::io::stdout().lock().write_fmt(text) {
+        if error.kind() == ErrorKind::BrokenPipe {
+            exit(0);
+        }
+        print_error(format_args!("error: cannot write to standard output: {error}\n"));
+        exit(FAILED);
+    }
+}
+
+/// Writes to standard error, if anybody reads it.
+pub fn print_error(text: Arguments<'_>) {
+    let _ = std::io::stderr().lock().write_fmt(text);
+}
+
+/// `println!` without its panic.
+#[macro_export]
+macro_rules! outln {
+    () => { $crate::output::print(format_args!("\n")) };
+    ($($text:tt)*) => { $crate::output::print(format_args!("{}\n", format_args!($($text)*))) };
+}
+
+/// `print!` without its panic.
+#[macro_export]
+macro_rules! out {
+    ($($text:tt)*) => { $crate::output::print(format_args!($($text)*)) };
+}
+
+/// `eprintln!` without its panic.
+#[macro_export]
+macro_rules! errln {
+    ($($text:tt)*) => { $crate::output::print_error(format_args!("{}\n", format_args!($($text)*))) };
+}

@@ -1,0 +1,229 @@
+//! Hostile files, strange arguments, full disks and signals: one clear sentence, the right exit code, nothing lost.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use planish::io::{Encoding, write_cloud};
+
+use super::{ok, planish, refused, small_frame, str, text, with_frame};
+
+/// Longer than any refusal takes, and far shorter than what the files here took before.
+const AT_ONCE: Duration = Duration::from_secs(5);
+
+fn refused_at_once(arguments: &[&str]) -> String {
+    let start = Instant::now();
+    let stderr = refused(arguments);
+    assert!(start.elapsed() < AT_ONCE, "{arguments:?} took {:?}", start.elapsed());
+    assert_eq!(stderr.lines().count(), 1, "{stderr}");
+    assert!(stderr.len() < 600, "{stderr}");
+    stderr
+}
+
+fn npy(version: u8, stated: &[u8], header: &str) -> Vec<u8> {
+    [b"\x93NUMPY", &[version, 0][..], stated, header.as_bytes()].concat()
+}
+
+#[test]
+fn headers_that_nest_or_announce_gigabytes_are_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("x.npy");
+    let nested =
+        ["[".repeat(30), "{1:".repeat(10), format!("{{'descr': {}'<f4'{}, }}", "(".repeat(12), ")".repeat(12))];
+    for header in nested {
+        fs::write(&file, npy(1, &(header.len() as u16).to_le_bytes(), &header)).unwrap();
+        assert!(refused_at_once(&["info", str(&file)]).contains("nested"), "{header}");
+    }
+    fs::write(&file, npy(2, &[0xff; 4], "")).unwrap();
+    assert!(refused_at_once(&["info", str(&file)]).contains("4294967295 bytes"));
+    for cut in [&b"\x93NUMPY"[..], b"\x93NUMPY\x01", b"\x93NUMPY\x01\x00\x40", b"\x93NUMPY\x09\x00\x10\x00"] {
+        fs::write(&file, cut).unwrap();
+        refused_at_once(&["info", str(&file)]);
+    }
+}
+
+#[test]
+fn fields_of_one_name_and_long_names_are_refused_in_a_short_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let (pcd, ply) = (folder.path().join("x.pcd"), folder.path().join("x.ply"));
+    let pcd_with = |fields: &str, n: usize| {
+        let [sizes, types] = ["4", "F"].map(|word| vec![word; n].join(" "));
+        format!("VERSION .7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {types}\nWIDTH 1\nHEIGHT 1\nDATA ascii\n0 0 0 0\n")
+    };
+    fs::write(&pcd, pcd_with("x x y z", 4)).unwrap();
+    assert!(refused_at_once(&["info", str(&pcd)]).contains("two FIELDS are called \"x\""));
+    fs::write(&pcd, pcd_with(&"q".repeat(5000), 1)).unwrap();
+    refused_at_once(&["info", str(&pcd)]);
+    fs::write(&pcd, format!("VERSION {}\n", "9".repeat(5000))).unwrap();
+    assert!(refused_at_once(&["info", str(&pcd)]).contains("0.5, 0.6 and 0.7"));
+
+    let header = "ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float x\n\
+                  property float y\nproperty float z\nend_header\n";
+    fs::write(&ply, [header.as_bytes(), &[0; 16]].concat()).unwrap();
+    assert!(refused_at_once(&["info", str(&ply)]).contains("same name"));
+    fs::write(&ply, format!("ply\nformat ascii 1.0\n{} 1\nend_header\n", "e".repeat(5000))).unwrap();
+    refused_at_once(&["info", str(&ply)]);
+}
+
+#[test]
+fn older_pcd_versions_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("x.pcd");
+    for version in [".5", "0.5", ".6", ".7"] {
+        let header =
+            format!("# .PCD v{version}\nVERSION {version}\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\n");
+        fs::write(&file, header + "POINTS 2\nDATA ascii\n1 2 3\n4 5 6\n").unwrap();
+        assert!(ok(&["info", str(&file)]).contains("2 of 2"), "{version}");
+    }
+}
+
+#[test]
+fn what_needs_more_memory_than_allowed_is_refused_before_it_is_allocated() {
+    let (folder, _, path) = with_frame();
+    let output = folder.path().join("out.pcd");
+    let depth = folder.path().join("depth.png");
+    planish::io::write_depth(&depth, &planish::DepthImage { width: 160, height: 120, raw: small_frame(1).raw })
+        .unwrap();
+    let compressed = folder.path().join("c.pcd");
+    let cloud = small_frame(1).deproject().unwrap();
+    write_cloud(&compressed, &cloud, Encoding::BinaryCompressed).unwrap();
+    for file in [&path, &depth, &compressed] {
+        assert!(
+            refused_at_once(&["info", str(file), "--max-memory", "30K"]).contains("of memory"),
+            "{}",
+            file.display()
+        );
+        ok(&["info", str(file), "--max-memory", "1G"]);
+    }
+    // Read, but too much for an engine.
+    assert!(refused(&["smooth", str(&path), str(&output), "--max-memory", "1M"]).contains("--max-memory"));
+    assert!(!output.exists());
+    assert!(refused(&["info", str(&path), "--max-memory", "much"]).contains("500M"));
+}
+
+#[cfg(unix)]
+#[test]
+fn pipes_and_devices_are_refused_and_standard_input_is_read() {
+    let (folder, _, path) = with_frame();
+    let pipe = folder.path().join("pipe.pcd");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    for file in [pipe.as_path(), Path::new("/dev/zero")] {
+        assert!(refused_at_once(&["info", str(file)]).contains("not a regular file"));
+    }
+    let mut child = Command::new(env!("CARGO_BIN_EXE_planish"))
+        .args(["info", "-"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(&fs::read(&path).unwrap()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success() && text(&output.stdout).contains("160 x 120"));
+}
+
+#[test]
+fn strange_arguments_are_refused_by_name() {
+    let (folder, _, path) = with_frame();
+    let output = folder.path().join("out.pcd");
+    let smooth = |more: &[&str]| refused_at_once(&[&["smooth", str(&path), str(&output)], more].concat());
+    assert!(smooth(&["--threads", "10000", "--engine", "cpu"]).contains("1024"));
+    assert!(smooth(&["--format", "a/b"]).contains("--format"));
+    for (option, value) in
+        [("--window", "-1"), ("--stride", "-3"), ("--degree", "-2"), ("--threads", "-1"), ("--radius", "-1")]
+    {
+        let stderr = refused(&["smooth", str(&path), str(&output), option, value]);
+        assert!(!stderr.contains("unexpected argument") && stderr.contains(value), "{stderr}");
+    }
+    // A duration that no clock counts to is no limit.
+    ok(&["stream", "synthetic", "--duration", "1e19", "--frames", "1"]);
+    let recording = folder.path().join("recording");
+    ok(&["record", "synthetic", str(&recording), "--duration", "1e19", "--frames", "1"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn output_that_nobody_reads_or_that_has_no_room_is_no_panic() {
+    let (_folder, _, path) = with_frame();
+    let run = |stdout: Stdio| -> Output {
+        Command::new(env!("CARGO_BIN_EXE_planish")).args(["info", str(&path)]).stdout(stdout).output().unwrap()
+    };
+    let full = run(fs::OpenOptions::new().write(true).open("/dev/full").unwrap().into());
+    let stderr = text(&full.stderr);
+    assert_eq!(full.status.code(), Some(2));
+    assert!(stderr.contains("standard output") && !stderr.contains("panicked"), "{stderr}");
+
+    let mut closed = Command::new(env!("CARGO_BIN_EXE_planish"));
+    let mut child = closed.args(["info", str(&path)]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let closed = child.wait_with_output().unwrap();
+    assert_eq!((closed.status.code(), text(&closed.stderr)), (Some(0), String::new()));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn paths_that_are_not_utf8_are_reported() {
+    use std::os::unix::ffi::OsStringExt;
+    let (folder, _, path) = with_frame();
+    let output = folder.path().join(std::ffi::OsString::from_vec(b"smo\xffth.pcd".to_vec()));
+    let run = Command::new(env!("CARGO_BIN_EXE_planish"))
+        .arg("smooth")
+        .arg(&path)
+        .arg(&output)
+        .arg("--json")
+        .output()
+        .unwrap();
+    assert!(run.status.success() && output.exists(), "{}", text(&run.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert!(report["output"].as_str().unwrap().contains("smo\u{fffd}th.pcd"));
+}
+
+#[cfg(unix)]
+#[test]
+fn the_input_is_not_overwritten_unless_that_is_asked_for() {
+    let (folder, _, path) = with_frame();
+    let raw = fs::read(&path).unwrap();
+    let [soft, hard] = ["soft.pcd", "hard.pcd"].map(|name| folder.path().join(name));
+    std::os::unix::fs::symlink(&path, &soft).unwrap();
+    fs::hard_link(&path, &hard).unwrap();
+    for output in [&path, &soft, &hard] {
+        assert!(refused(&["smooth", str(&path), str(output)]).contains("--overwrite"));
+    }
+    assert_eq!(fs::read(&path).unwrap(), raw);
+    ok(&["smooth", str(&path), str(&soft), "--overwrite"]);
+    assert!(fs::read(&path).unwrap() != raw && fs::symlink_metadata(&soft).unwrap().is_symlink());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_signal_at_any_time_leaves_no_temporary_and_no_broken_file() {
+    let (folder, ..) = with_frame();
+    let [input, output] = ["in", "out"].map(|name| folder.path().join(name));
+    fs::create_dir(&input).unwrap();
+    for seed in 0..12 {
+        write_cloud(&input.join(format!("{seed}.pcd")), &small_frame(seed).deproject().unwrap(), Encoding::Binary)
+            .unwrap();
+    }
+    let whole = fs::metadata(input.join("0.pcd")).unwrap().len();
+    for run in 0..24u64 {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_planish"))
+            .args(["smooth", str(&input), str(&output), "--engine", "cpu", "--threads", "1"])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(5 * run));
+        let signal = if run % 2 == 0 { "-TERM" } else { "-INT" };
+        // It may be over already.
+        let _ = Command::new("kill").args([signal, &child.id().to_string()]).stderr(Stdio::null()).status().unwrap();
+        let code = child.wait().unwrap().code();
+        // Before the handler is there, the signal itself ends the process.
+        assert!(matches!(code, None | Some(0 | 130)), "{code:?}");
+        for entry in fs::read_dir(&output).into_iter().flatten().map(Result::unwrap) {
+            let name = entry.file_name();
+            assert!(!str(Path::new(&name)).contains(".tmp"), "{name:?}");
+            assert!(entry.metadata().unwrap().len() >= whole / 2, "{name:?}");
+        }
+    }
+    let _ = planish(&["info", str(&input)]);
+}

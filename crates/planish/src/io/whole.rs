@@ -1,0 +1,178 @@
+//! Files that are there whole or not at all: written under a temporary name in the same folder, then renamed.
+//!
+//! A temporary's name holds the process that writes it, so that a later process can remove what a killed one left behind.
+
+use std::collections::HashSet;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use super::FormatResult;
+use crate::error::FormatError;
+
+const PREFIX: &str = ".planish-";
+const SUFFIX: &str = ".tmp";
+/// How many links from name to name are followed, as Linux does.
+const MOST_LINKS: usize = 40;
+
+/// The temporaries being written, and the folders whose stale ones have been removed.
+struct Known {
+    temporaries: Option<HashSet<PathBuf>>,
+    swept: Option<HashSet<PathBuf>>,
+    /// The process is about to end.
+    is_over: bool,
+}
+
+static KNOWN: Mutex<Known> = Mutex::new(Known { temporaries: None, swept: None, is_over: false });
+
+fn known() -> MutexGuard<'static, Known> {
+    KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes the temporaries of files that are being written in this process, which is about to end: from now on it can write none.
+pub fn remove_temporaries() {
+    let mut known = known();
+    known.is_over = true;
+    for file in known.temporaries.take().into_iter().flatten() {
+        let _ = fs::remove_file(file);
+    }
+}
+
+/// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file that is replaced
+/// keeps its permissions.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
+    let path = &behind_links(path)?;
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    if !folder.is_dir() {
+        return Err(FormatError::Unsupported(format!("the folder {} does not exist", folder.display())));
+    }
+    let replaced = fs::metadata(path).ok();
+    if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
+        return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
+    }
+    if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
+        return Err(FormatError::Unsupported("a pipe or a device has this name; give a file's name".into()));
+    }
+    sweep(folder);
+
+    let prefix = format!("{PREFIX}{}-", std::process::id());
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(&prefix).suffix(SUFFIX);
+    #[cfg(unix)]
+    {
+        // The permissions of any new file: the process's umask applies.
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(fs::Permissions::from_mode(0o666));
+    }
+    let mut file = {
+        // Made and noted at once, or a signal between the two would leave it behind.
+        let mut known = known();
+        if known.is_over {
+            return Err(std::io::Error::from(std::io::ErrorKind::Interrupted).into());
+        }
+        let file = builder.tempfile_in(folder)?;
+        known.temporaries.get_or_insert_default().insert(file.path().to_path_buf());
+        file
+    };
+    let temporary = file.path().to_path_buf();
+    let write = || -> std::io::Result<()> {
+        file.write_all(bytes)?;
+        if let Some(metadata) = replaced {
+            file.as_file().set_permissions(metadata.permissions())?;
+        }
+        // Or a crash of the machine could leave an empty file under the new name.
+        file.as_file().sync_all()
+    };
+    let written = write();
+    // On failure dropping the file removes it.
+    let result = written.and_then(|()| file.persist(path).map(drop).map_err(|error| error.error));
+    if let Some(temporaries) = &mut known().temporaries {
+        temporaries.remove(&temporary);
+    }
+    Ok(result?)
+}
+
+/// The file that a name stands for in the end, whether it exists or not.
+fn behind_links(path: &Path) -> FormatResult<PathBuf> {
+    let mut path = path.to_path_buf();
+    for _ in 0..MOST_LINKS {
+        let Ok(target) = fs::read_link(&path) else { return Ok(path) };
+        // Relative to the link's own folder.
+        path = path.parent().map_or_else(|| target.clone(), |folder| folder.join(&target));
+    }
+    Err(FormatError::Unsupported("a link that leads to itself".into()))
+}
+
+/// Removes what killed processes left behind in a folder; once for each folder.
+fn sweep(folder: &Path) {
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
+    if !known().swept.get_or_insert_default().insert(folder.clone()) {
+        return;
+    }
+    let Ok(entries) = fs::read_dir(&folder) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let stale = name.to_str().and_then(process_of).is_some_and(|process| !is_alive(process));
+        if stale && entry.file_type().is_ok_and(|kind| kind.is_file()) {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// The process that a temporary's name holds.
+fn process_of(name: &str) -> Option<u32> {
+    name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?.0.parse().ok()
+}
+
+/// Whether a process runs; where that cannot be asked, it is taken to.
+fn is_alive(process: u32) -> bool {
+    let processes = Path::new("/proc");
+    !processes.join("self").exists() || processes.join(process.to_string()).exists()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_process_left_behind_is_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        // No process has a number this high (the kernel's limit is 2^22).
+        let stale = file(".planish-4294967295-a1b2c3.tmp");
+        let own = file(&format!(".planish-{}-a1b2c3.tmp", std::process::id()));
+        let others = [file(".planish-notes.tmp"), file("x.tmp"), file(".planish-12")];
+        for path in [&stale, &own].into_iter().chain(&others) {
+            fs::write(path, "x").unwrap();
+        }
+        write_whole(&file("result"), b"whole").unwrap();
+        assert!(!stale.exists() && own.exists() && others.iter().all(|path| path.exists()));
+        assert_eq!(fs::read(file("result")).unwrap(), b"whole");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 5);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_are_followed_and_permissions_kept() {
+        use std::os::unix::fs::{PermissionsExt, symlink};
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        fs::create_dir(file("data")).unwrap();
+        fs::write(file("data/target"), "old").unwrap();
+        fs::set_permissions(file("data/target"), fs::Permissions::from_mode(0o600)).unwrap();
+        symlink("data/target", file("link")).unwrap();
+        symlink("data/new", file("dangling")).unwrap();
+        symlink("loop", file("loop")).unwrap();
+        write_whole(&file("link"), b"new").unwrap();
+        write_whole(&file("dangling"), b"made").unwrap();
+        assert!(fs::symlink_metadata(file("link")).unwrap().is_symlink());
+        assert_eq!(fs::read(file("data/target")).unwrap(), b"new");
+        assert_eq!((mode(&file("data/target")), fs::read(file("data/new")).unwrap()), (0o600, b"made".to_vec()));
+        assert!(write_whole(&file("loop"), b"x").is_err());
+    }
+}
