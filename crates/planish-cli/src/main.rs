@@ -1,6 +1,6 @@
 //! The command `planish`: it reads arguments, calls the library and prints; it decides nothing.
 //!
-//! Exit codes: 0 done, 1 some files of a folder failed, 2 bad arguments or input.
+//! Exit codes: 0 done, 1 some frames failed, 2 bad arguments or input, 130 ended by a signal.
 
 mod args;
 mod commands;
@@ -28,6 +28,8 @@ fn main() -> ExitCode {
         Command::Devices(args) => commands::devices::run(&args),
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
+        Command::Completions(args) => commands::manual::completions(&args),
+        Command::Man(args) => commands::manual::man(&args),
     };
     match result {
         Ok(code) => code,

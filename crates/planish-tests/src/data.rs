@@ -12,12 +12,24 @@ pub fn skip(what: &str) {
     let _ = writeln!(std::io::stderr(), "SKIP {what}");
 }
 
+/// PCL's own test cloud, 397 points of the Stanford bunny; its licence is beside it.
+///
+/// # Panics
+/// If it cannot be read.
+pub fn bunny() -> planish::PointCloud {
+    general_cloud(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/data")), "bun0.pcd")
+}
+
 /// The folder of real data; prints SKIP and is `None` where it is absent.
+///
+/// # Panics
+/// If it is absent and PLANISH_REQUIRE_DATA is set.
 pub fn folder(test: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     if folder.is_dir() {
         Some(folder)
     } else {
+        assert!(std::env::var_os("PLANISH_REQUIRE_DATA").is_none(), "no real data at {}", folder.display());
         skip(&format!("{test}: no real data at {}", folder.display()));
         None
     }

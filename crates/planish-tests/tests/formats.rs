@@ -418,3 +418,33 @@ fn the_same_kinect_frame_as_tiff_and_as_pcd_is_the_same_cloud() {
         assert!(p[2].is_nan() || (p[2] - q[2]).abs() < 1e-6, "{p:?} {q:?}");
     }
 }
+
+#[test]
+fn ply_normals_have_its_own_names_and_an_inputs_are_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("n.ply");
+    let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                property float nx\nproperty float ny\nproperty float nz\nend_header\n1 2 3 0 0 1\n";
+    fs::write(&path, text).unwrap();
+    let (_, Contents::General(mut cloud)) = io::read(&path).unwrap() else { panic!("no grid") };
+    cloud.set_attribute("normal_x", vec![1.0f32]);
+    assert_eq!(cloud.attributes.len(), 3);
+    io::write_cloud(&path, &cloud, Encoding::Ascii).unwrap();
+    let written = fs::read_to_string(&path).unwrap();
+    assert!(written.contains("property float nx") && !written.contains("normal_x"), "{written}");
+    assert!(written.ends_with("1 2 3 1 0 1\n"), "{written}");
+    let pcd = folder.path().join("n.pcd");
+    io::write_cloud(&pcd, &cloud, Encoding::Ascii).unwrap();
+    assert!(fs::read_to_string(&pcd).unwrap().contains("FIELDS x y z normal_x normal_y normal_z"));
+}
+
+#[test]
+fn ply_refuses_integers_that_it_would_round() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("i.ply");
+    let mut cloud = PointCloud::new([[0.0; 3]].into_iter().collect());
+    cloud.set_attribute("time", vec![1u64 << 53]);
+    io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+    cloud.set_attribute("time", vec![(1u64 << 53) + 1]);
+    assert!(io::write_cloud(&path, &cloud, Encoding::Binary).unwrap_err().to_string().contains("\"time\""));
+}

@@ -2,7 +2,7 @@
 
 use planish::agreement::radii_m;
 use planish::{Engine, Project, Radius, SmoothParams, Smoothed, Smoother};
-use planish_tests::data::{folder, general_cloud, real_frames};
+use planish_tests::data::{bunny, real_frames};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
 use planish_tests::tolerances::assert_invariants;
@@ -13,8 +13,7 @@ fn smooth(cloud: &planish::OrganizedCloud, params: SmoothParams, threads: usize)
 
 #[test]
 fn general_mode_gives_the_values_of_pcls_own_test() {
-    let Some(folder) = folder("bun0") else { return };
-    let cloud = general_cloud(&folder, "unorganized/bun0.pcd");
+    let cloud = bunny();
     let radius = Radius::Fixed { radius_m: 0.03 };
     let params = SmoothParams::paper().with_radius(radius).with_degree(2).with_bandwidth_m(Some(0.03));
     let smoothed = TestEngine::REFERENCE.smooth(&cloud, params);

@@ -14,9 +14,12 @@ pub use bench::{BenchArgs, BenchCommand, BenchGpuArgs, ExperimentArgs};
 pub use camera::{CameraArgs, PoseArgs};
 pub use smoothing::{EngineArg, SmoothingArgs};
 
+const AFTER_HELP: &str = "Exit codes: 0 done; 1 some frames failed, the others are done; 2 bad arguments or input; 130 ended by a \
+                          signal.\nStart with `planish demo`, then `planish smooth your.pcd smooth.pcd`.";
+
 /// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
 #[derive(Parser)]
-#[command(name = "planish", version = env!("PLANISH_VERSION"), about, after_help = "Start with `planish demo`, then `planish smooth your.pcd smooth.pcd`.")]
+#[command(name = "planish", version = env!("PLANISH_VERSION"), about, after_help = AFTER_HELP)]
 pub struct Args {
     #[command(subcommand)]
     pub command: Command,
@@ -42,6 +45,23 @@ pub enum Command {
     Evaluate(EvaluateArgs),
     /// Benchmark the engines; each result is checked against the reference first
     Bench(BenchArgs),
+    /// Print the completions of a shell: `planish completions bash > ~/.local/share/bash-completion/completions/planish`
+    Completions(CompletionsArgs),
+    /// Write the manual pages, planish.1 and one a command
+    Man(ManArgs),
+}
+
+#[derive(clap::Args)]
+pub struct CompletionsArgs {
+    /// The shell
+    #[arg(value_enum)]
+    pub shell: clap_complete::Shell,
+}
+
+#[derive(clap::Args)]
+pub struct ManArgs {
+    /// The folder to write them to
+    pub folder: PathBuf,
 }
 
 #[derive(clap::Args)]
@@ -71,9 +91,12 @@ pub struct SmoothArgs {
     /// Fields to add to the points, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
     pub fields: Vec<FieldArg>,
-    /// Encoding of the points in a .pcd or .ply
+    /// Encoding of the points in a .pcd or .ply; else the input's
     #[arg(long, value_enum)]
     pub encoding: Option<EncodingArg>,
+    /// Smooth a general cloud with a radius over a fifth of its extent
+    #[arg(long)]
+    pub force: bool,
     /// Write over the input where the output is the same file
     #[arg(long)]
     pub overwrite: bool,
@@ -286,11 +309,12 @@ impl SmoothArgs {
         outputs_of(&self.fields)
     }
 
-    pub fn encoding(&self) -> Encoding {
-        match self.encoding {
-            None | Some(EncodingArg::Binary) => Encoding::Binary,
-            Some(EncodingArg::Ascii) => Encoding::Ascii,
-            Some(EncodingArg::Compressed) => Encoding::BinaryCompressed,
-        }
+    /// The encoding to write, if one was asked for.
+    pub fn encoding(&self) -> Option<Encoding> {
+        self.encoding.map(|encoding| match encoding {
+            EncodingArg::Ascii => Encoding::Ascii,
+            EncodingArg::Binary => Encoding::Binary,
+            EncodingArg::Compressed => Encoding::BinaryCompressed,
+        })
     }
 }

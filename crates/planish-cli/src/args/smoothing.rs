@@ -139,6 +139,21 @@ impl SmoothingArgs {
         self.radius.is_some() || matches!(self.preset, Some(PresetArg::Paper))
     }
 
+    /// The options given that change nothing for a general cloud: it has no pixels, and no sensor.
+    pub fn unused_by_general_clouds(&self) -> Vec<&'static str> {
+        let given = [
+            ("--window", self.window.is_some()),
+            ("--stride", self.stride.is_some()),
+            ("--average-blocks", self.average_blocks.is_some()),
+            ("--edges", matches!(self.edges, Some(EdgesArg::Robust))),
+            ("--project", matches!(self.project, Some(ProjectArg::Ray))),
+            ("--sensor", self.sensor.is_some()),
+            ("--preset", !matches!(self.preset, None | Some(PresetArg::Paper))),
+            ("--strength", self.strength.is_some()),
+        ];
+        given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
+    }
+
     /// The parameters, where a frame that a sensor could be estimated from is not at hand.
     pub fn params(&self) -> Result<SmoothParams> {
         if matches!(self.sensor, Some(SensorArg::Auto)) {

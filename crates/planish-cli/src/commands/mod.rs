@@ -5,6 +5,7 @@ pub mod demo;
 pub mod devices;
 pub mod evaluate;
 pub mod info;
+pub mod manual;
 pub mod record;
 pub mod render;
 pub mod smooth;

@@ -279,7 +279,7 @@ impl Worker<'_> {
         }
 
         let start = Instant::now();
-        self.write(output, &result)?;
+        self.write(input, output, &result)?;
         let (smoother, ..) = self.open.as_ref().context("no engine is open")?;
         Ok(Report {
             input: input.to_path_buf(),
@@ -403,9 +403,40 @@ impl Worker<'_> {
             errln!("{}: a general cloud; radius {radius_m:.4} m from the spacing of the points", input.display());
             params.radius = Radius::Fixed { radius_m };
         }
+        if self.args.smoothing.ridge.is_none() {
+            // All neighbours count, so shapes need no more damping than the plain polynomial.
+            params.ridge = SmoothParams::paper().ridge;
+        }
+        let unused = self.args.smoothing.unused_by_general_clouds();
+        if !unused.is_empty() {
+            errln!("{}: a general cloud, for which {} change nothing", input.display(), unused.join(", "));
+        }
+        if let Radius::Fixed { radius_m } = params.radius {
+            self.check_radius(input, cloud, radius_m)?;
+        }
         let outputs = self.args.outputs().with_status(true);
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
         self.smooth(output, cloud.into_frame().map_err(of_input)?, outputs, params)
+    }
+
+    /// Refuses a radius that is out of all proportion to the cloud: each point would have most others as neighbours.
+    fn check_radius(&self, input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<()> {
+        let finite = |values: &[f32]| {
+            let finite = values.iter().filter(|value| value.is_finite());
+            finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], &value| [low.min(value), high.max(value)])
+        };
+        let positions = &cloud.positions;
+        let spans = [&positions.x, &positions.y, &positions.z].map(|values| finite(values));
+        let extent_m = spans.into_iter().map(|[low, high]| high - low).fold(0.0, f32::max);
+        if self.args.force || cloud.valid_points() < FEW_POINTS || radius_m <= MAX_RADIUS_SHARE * extent_m {
+            return Ok(());
+        }
+        let slip = if extent_m < 2.0 { "is the cloud in kilometres?" } else { "is the radius in millimetres?" };
+        bail!(
+            "{}: a radius of {radius_m} m on a cloud {extent_m} m wide would take long and flatten all of it ({slip}): give a \
+             smaller --radius in the file's unit, or add --force",
+            input.display()
+        );
     }
 
     /// Smooths a frame as many times as requested, and reports if many points were lost.
@@ -474,8 +505,8 @@ impl Worker<'_> {
         Ok(())
     }
 
-    fn write(&self, output: &Path, result: &Output) -> Result<()> {
-        let encoding = self.args.encoding();
+    fn write(&self, input: &Path, output: &Path, result: &Output) -> Result<()> {
+        let encoding = self.args.encoding().or_else(|| io::encoding_of(input)).unwrap_or_default();
         match result {
             Output::Organized(cloud) => io::write_cloud(output, CloudRef::Organized(cloud), encoding)?,
             Output::General(cloud) => io::write_cloud(output, CloudRef::General(cloud), encoding)?,
@@ -502,6 +533,11 @@ impl Worker<'_> {
 
 /// What an engine and its results take at most for each point (the default setting and all outputs: 130 to 150 bytes).
 const ENGINE_BYTES_A_POINT: u64 = 160;
+
+/// A radius over this share of a cloud's extent is taken for a slip of units.
+const MAX_RADIUS_SHARE: f32 = 0.2;
+/// Clouds with fewer points may have any radius: they are done at once.
+const FEW_POINTS: usize = 1000;
 
 /// How many points came in, and how many of those became holes.
 struct PointCounts {

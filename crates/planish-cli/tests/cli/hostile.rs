@@ -227,3 +227,32 @@ fn a_signal_at_any_time_leaves_no_temporary_and_no_broken_file() {
     }
     let _ = planish(&["info", str(&input)]);
 }
+
+#[test]
+fn what_changes_nothing_for_a_general_cloud_is_said_and_slips_of_units_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["cloud.pcd", "out.pcd"].map(|name| folder.path().join(name));
+    let cloud = small_frame(1).deproject().unwrap();
+    write_cloud(&input, &cloud.points, Encoding::Ascii).unwrap();
+    let smooth = |more: &[&str]| planish(&[&["smooth", str(&input), str(&output), "--radius", "0.05"], more].concat());
+    let quiet = smooth(&[]);
+    assert!(!text(&quiet.stderr).contains("change nothing"));
+    let usual = fs::read(&output).unwrap();
+    // The input's encoding is kept.
+    assert!(String::from_utf8_lossy(&usual).contains("DATA ascii"));
+    let told = smooth(&["--window", "5", "--preset", "strong", "--edges", "robust"]);
+    assert!(text(&told.stderr).contains("--window, --edges, --preset change nothing"), "{}", text(&told.stderr));
+    assert!(fs::read(&output).unwrap() == usual);
+    let slip = refused_at_once(&["smooth", str(&input), str(&output), "--radius", "30"]);
+    assert!(slip.contains("millimetres") && slip.contains("--force"));
+}
+
+#[test]
+fn completions_and_manual_pages_are_written() {
+    assert!(ok(&["completions", "bash"]).contains("--strength"));
+    let folder = tempfile::tempdir().unwrap();
+    let pages = folder.path().join("man");
+    ok(&["man", str(&pages)]);
+    assert!(fs::read_to_string(pages.join("planish-smooth.1")).unwrap().contains("max\\-memory"));
+    assert!(ok(&["--help"]).contains("Exit codes"));
+}

@@ -36,6 +36,17 @@ fn a_recording_streams_back() {
     let report = json_line(&ok(&["stream", str(&recording), "--save", str(&saved), "--format", "png", "--json"]));
     assert_eq!(report["frames_out"], 4);
     assert!(saved.join("000003.png").exists());
+    // What is saved is a data set again, with its camera, units and time stamps.
+    let again = json_line(&ok(&["stream", str(&saved), "--json"]));
+    assert_eq!(again["frames_out"], report["frames_out"]);
+    let stamps = |list: &Path| -> Vec<f64> {
+        let text = fs::read_to_string(list.join("depth.txt")).unwrap();
+        let lines = text.lines().filter(|line| !line.starts_with('#'));
+        lines.map(|line| line.split(' ').next().unwrap().parse().unwrap()).collect()
+    };
+    assert_eq!(stamps(&saved), stamps(&recording));
+    let camera = |folder: &Path| fs::read_to_string(folder.join("camera.json")).unwrap();
+    assert_eq!(camera(&saved), camera(&recording));
     assert!(refused(&["record", "synthetic", str(&recording), "--frames", "1"]).contains("another folder"));
 }
 

@@ -4,6 +4,8 @@ mod files;
 mod hostile;
 mod live;
 mod measure;
+#[cfg(target_os = "linux")]
+mod mutation;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -243,6 +243,19 @@ fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     Ok(bytes)
 }
 
+/// How the points of a PCD or PLY file are stored; `None` for other formats and for headers that cannot be read.
+pub fn encoding_of(path: &Path) -> Option<Encoding> {
+    const HEADER_BYTES: u64 = 64 * 1024;
+    let mut bytes = Vec::new();
+    fs::metadata(path).ok().filter(fs::Metadata::is_file)?;
+    fs::File::open(path).ok()?.take(HEADER_BYTES).read_to_end(&mut bytes).ok()?;
+    match Format::of_contents(&bytes).or(Format::of_extension(path))? {
+        Format::Pcd => pcd::encoding(&bytes),
+        Format::Ply => ply::encoding(&bytes),
+        _ => None,
+    }
+}
+
 /// Decodes a file's contents; `announced` is the format of its extension, used where the contents are ambiguous.
 pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, Contents)> {
     decode_with(bytes, announced, &ReadOptions::default())

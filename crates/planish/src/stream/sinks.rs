@@ -1,5 +1,6 @@
 //! Where results go: folders, or any [`Sink`], each on a thread of its own.
 
+use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
@@ -7,6 +8,7 @@ use std::thread::{self, JoinHandle};
 
 use super::mailbox::TimeSpent;
 use super::{StreamFrame, StreamStatistics};
+use crate::camera::Camera;
 use crate::error::{EngineError, Error, IoError};
 use crate::frame::DepthImage;
 use crate::io::{self, CloudRef, Encoding};
@@ -49,11 +51,15 @@ impl SinkFormat {
     }
 }
 
-/// Writes every result to a folder, as `000000.pcd` and so on, each file atomically.
+/// Writes every result to a folder, as `000000.pcd` and so on, each file atomically. Depth becomes a data set in TUM layout: `depth.txt`
+/// with the time stamps, and `camera.json` with the units.
 pub struct FolderSink {
     folder: PathBuf,
     format: SinkFormat,
     outputs: Outputs,
+    /// The lines of `depth.txt`.
+    list: String,
+    camera: Option<Camera>,
 }
 
 impl FolderSink {
@@ -61,7 +67,7 @@ impl FolderSink {
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
         std::fs::create_dir_all(folder)
             .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
-        Ok(Self { folder: folder.to_path_buf(), format, outputs })
+        Ok(Self { folder: folder.to_path_buf(), format, outputs, list: String::new(), camera: None })
     }
 }
 
@@ -71,12 +77,20 @@ impl Sink for FolderSink {
     }
 
     fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
-        let path = self.folder.join(format!("{:06}.{}", frame.index, self.format.extension()));
+        let name = format!("{:06}.{}", frame.index, self.format.extension());
+        let path = self.folder.join(&name);
         if self.format == SinkFormat::DepthPng {
             let (width, height) = (frame.smoothed.width, frame.smoothed.height);
             let missing = crate::FrameError::MissingCamera { what: "depth as an output" };
             let raw = frame.smoothed.depth.clone().ok_or(missing)?;
-            return Ok(io::write_depth(&path, &DepthImage { width, height, raw })?);
+            io::write_depth(&path, &DepthImage { width, height, raw })?;
+            let seconds = frame.source.timestamp_s().unwrap_or(frame.index as f64 / FRAMES_PER_SECOND);
+            // Writing to a String cannot fail.
+            let _ = writeln!(self.list, "{seconds:.6} {name}");
+            if let SourceFrame::Depth(depth) = &frame.source {
+                self.camera = Some(depth.camera);
+            }
+            return Ok(());
         }
         let mut cloud = match &frame.source {
             SourceFrame::Depth(depth) => depth.deproject()?,
@@ -88,7 +102,20 @@ impl Sink for FolderSink {
         }
         Ok(io::write_cloud(&path, CloudRef::Organized(&cloud), Encoding::Binary)?)
     }
+
+    fn close(&mut self) -> Result<(), Error> {
+        let list = (!self.list.is_empty()).then(|| ("depth.txt", format!("# timestamp filename\n{}", self.list)));
+        let camera = self.camera.map(|camera| ("camera.json", io::camera_to_json(&camera)));
+        for (name, text) in list.into_iter().chain(camera) {
+            let path = self.folder.join(name);
+            io::write_whole(&path, text.as_bytes()).map_err(|problem| IoError { path, problem })?;
+        }
+        Ok(())
+    }
 }
+
+/// Of a source without time stamps.
+const FRAMES_PER_SECOND: f64 = 30.0;
 
 /// Length of a sink's queue. When it is full a live stream drops results; any other waits.
 const QUEUE: usize = 4;

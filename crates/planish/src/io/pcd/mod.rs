@@ -59,6 +59,11 @@ pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
     Ok(Gridded { width: header.width, height: header.height, points })
 }
 
+/// The encoding that a header states.
+pub(crate) fn encoding(bytes: &[u8]) -> Option<Encoding> {
+    Header::parse(bytes).ok().map(|(header, _)| header.encoding)
+}
+
 /// Writes a PCD file.
 pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
     let mut columns = columns_from_cloud(cloud.points());

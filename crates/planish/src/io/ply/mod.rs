@@ -77,6 +77,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
             of_camera.unwrap_or((vertex.count, 1))
         }
     };
+    rename_normals(&mut columns);
     let mut points = cloud_from_columns(columns)?;
     points.pose = camera.pose.unwrap_or_default();
     Ok(Gridded { width, height, points })
@@ -199,6 +200,12 @@ fn header_lines(bytes: &[u8]) -> Vec<&str> {
     lines.take_while(|line| *line != "end_header").collect()
 }
 
+/// The encoding that a header states; big-endian files are binary, and written as little-endian.
+pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
+    let stated = header_lines(bytes).into_iter().find_map(|line| line.strip_prefix("format "))?;
+    Some(if stated.trim_start().starts_with("ascii") { Encoding::Ascii } else { Encoding::Binary })
+}
+
 /// Refuses properties that have the same name: the library would forget all but one, and read the others' bytes as the next.
 fn check_names(element: &ElementDef, header_lines: &[&str]) -> Result<(), FormatError> {
     let starts = |line: &&str| line.split_ascii_whitespace().take(2).eq(["element", &element.name]);
@@ -317,7 +324,8 @@ impl PropertyAccess for Row<'_> {
 }
 
 pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
-    let columns: Vec<Attribute> = columns_from_cloud(cloud.points()).into_iter().flat_map(ply_columns).collect();
+    let parts = columns_from_cloud(cloud.points()).into_iter().map(ply_columns);
+    let columns = parts.collect::<Result<Vec<_>, _>>()?.concat();
     let points = cloud.points().len();
     let vertex = element_of("vertex", points, &columns);
     if vertex.properties.len() != columns.len() {
@@ -351,6 +359,9 @@ pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
     Ok(bytes)
 }
 
+/// Every integer up to this is an f64.
+const EXACT_INTEGERS: u64 = 1 << 53;
+
 /// The definition of an element with these columns.
 fn element_of(name: &str, count: usize, columns: &[Attribute]) -> ElementDef {
     let mut element = ElementDef::new(name.into());
@@ -371,24 +382,54 @@ fn element_of(name: &str, count: usize, columns: &[Attribute]) -> ElementDef {
     element
 }
 
-/// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers.
-fn ply_columns(column: Attribute) -> Vec<Attribute> {
+/// What PLY's programs call normals, and what PCL does.
+const NORMALS: [(&str, &str); 3] = [("nx", "normal_x"), ("ny", "normal_y"), ("nz", "normal_z")];
+
+/// Gives the normals of a file PCL's names, by which the rest of the library knows them.
+fn rename_normals(columns: &mut [Attribute]) {
+    let has = |name: &str| columns.iter().any(|column| column.name == name);
+    if NORMALS.iter().all(|(ply, pcl)| has(ply) && !has(pcl)) {
+        for column in columns {
+            if let Some((_, pcl)) = NORMALS.iter().find(|(ply, _)| column.name == *ply) {
+                column.name = (*pcl).to_owned();
+            }
+        }
+    }
+}
+
+/// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers; normals by its own names.
+fn ply_columns(mut column: Attribute) -> Result<Vec<Attribute>, FormatError> {
     if column.name == "_" {
-        return Vec::new();
+        return Ok(Vec::new());
+    }
+    if let Some((ply, _)) = NORMALS.iter().find(|(_, pcl)| column.name == *pcl) {
+        column.name = (*ply).to_owned();
     }
     let count = column.count;
-    let values = match column.values {
-        AttributeValues::I64(values) => values.iter().map(|&v| v as f64).collect::<Vec<_>>().into(),
-        AttributeValues::U64(values) => values.iter().map(|&v| v as f64).collect::<Vec<_>>().into(),
-        values => values,
+    let rounded = || {
+        FormatError::Unsupported(format!(
+            "the field {} has 64-bit integers that PLY, which has none, would round: write .pcd",
+            quoted(&column.name)
+        ))
+    };
+    let values = match &column.values {
+        AttributeValues::I64(values) => {
+            let exact = |&value: &i64| (value.unsigned_abs() <= EXACT_INTEGERS).then_some(value as f64);
+            values.iter().map(exact).collect::<Option<Vec<f64>>>().ok_or_else(rounded)?.into()
+        }
+        AttributeValues::U64(values) => {
+            let exact = |&value: &u64| (value <= EXACT_INTEGERS).then_some(value as f64);
+            values.iter().map(exact).collect::<Option<Vec<f64>>>().ok_or_else(rounded)?.into()
+        }
+        values => values.clone(),
     };
     if count == 1 {
-        return vec![Attribute { values, ..column }];
+        return Ok(vec![Attribute { values, ..column }]);
     }
     let part = |k: usize| {
         let values =
             with_values!(&values, values => values.iter().skip(k).step_by(count).copied().collect::<Vec<_>>().into());
         Attribute { name: format!("{}_{k}", column.name), count: 1, values }
     };
-    (0..count).map(part).collect()
+    Ok((0..count).map(part).collect())
 }
