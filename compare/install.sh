@@ -15,7 +15,7 @@ if [ ! -x "$work/venv/bin/python" ]; then
 fi
 # No -march: Debian's library is built without, and PCL's alignment follows the flag.
 # shellcheck disable=SC2046
-g++ -O3 -fopenmp -w "$here/pcl_mls.cpp" -o "$work/pcl_mls" \
+g++ -O3 -DNDEBUG -fopenmp -w "$here/pcl_mls.cpp" -o "$work/pcl_mls" \
   $(pkg-config --cflags pcl_surface pcl_search pcl_filters pcl_io eigen3) -I/usr/include \
   -lpcl_surface -lpcl_search -lpcl_kdtree -lpcl_filters -lpcl_io -lpcl_common -lboost_system
 cargo build --release --quiet --manifest-path "$project/Cargo.toml"

@@ -36,7 +36,7 @@ int main(int argc, char** argv) {
   pcl::IndicesPtr finite(new pcl::Indices);
   if (organized) {
     for (std::size_t i = 0; i < cloud->size(); ++i)
-      if (pcl::isFinite((*cloud)[i])) finite->push_back(static_cast<int>(i));
+      if ((*cloud)[i].getVector3fMap().allFinite()) finite->push_back(static_cast<int>(i));
   } else {
     pcl::removeNaNFromPointCloud(*cloud, *cloud, *finite);
   }

@@ -44,22 +44,22 @@ fn lying_pcd_headers_are_refused_with_a_reason() {
         (&[("POINTS", "200000000"), ("WIDTH", "200000000"), ("DATA", "binary")], body, "cut short"),
         (&[("POINTS", "3")], body, "POINTS is 3, but WIDTH x HEIGHT is 2 x 1 = 2"),
         (&[("WIDTH", "18446744073709551615"), ("HEIGHT", "18446744073709551615")], body, "more than the 2^28"),
-        (&[("SIZE", "3 4 4")], body, "field x has TYPE F and SIZE 3"),
+        (&[("SIZE", "3 4 4")], body, "field \"x\" has TYPE \"F\" and SIZE \"3\""),
         (&[("SIZE", "2 4 4")], body, "F has 4 or 8"),
         (&[("SIZE", "4 4")], body, "SIZE has 2 entries for 3 FIELDS"),
-        (&[("TYPE", "F F Q")], body, "field z has TYPE Q"),
-        (&[("COUNT", "1 1 0")], body, "field z has COUNT 0"),
+        (&[("TYPE", "F F Q")], body, "field \"z\" has TYPE \"Q\""),
+        (&[("COUNT", "1 1 0")], body, "field \"z\" has COUNT 0"),
         (&[("COUNT", "1 1 9999999999")], body, "COUNT 9999999999"),
-        (&[("COUNT", "1 1 -1")], body, "COUNT -1 should be one whole number"),
+        (&[("COUNT", "1 1 -1")], body, "COUNT \"-1\" should be one whole number"),
         (&[("FIELDS", "x y w")], body, "no field z"),
         (&[("FIELDS", "")], body, "no FIELDS"),
-        (&[("WIDTH", "two")], body, "WIDTH two should be one whole number"),
+        (&[("WIDTH", "two")], body, "WIDTH \"two\" should be one whole number"),
         (&[("VIEWPOINT", "0 0 0")], body, "should be 7 numbers"),
-        (&[("VERSION", "0.5")], body, "version 0.5"),
-        (&[("DATA", "zip")], body, "DATA zip is not known"),
+        (&[("VERSION", "0.8")], body, "version \"0.8\" is not known"),
+        (&[("DATA", "zip")], body, "DATA \"zip\" is not known"),
         (&[], "1.0 2.0 3.0\n4.0 5.0\n", "3 values are needed, here are fewer"),
         (&[], "1 2 3\n4 5 6 7\n", "here are more"),
-        (&[], "1 2 3\n4 five 6\n", "\"five\" is no value of field y"),
+        (&[], "1 2 3\n4 five 6\n", "\"five\" is no value of field \"y\""),
     ];
     for (changes, body, expected) in cases {
         let message = error(&pcd(changes, body), Format::Pcd);
@@ -100,7 +100,7 @@ fn files_that_are_something_else_are_refused() {
     assert!(error(grid, Format::Ply).contains("5 x 5"));
     assert!(error(b"\x89PNG\r\n\x1a\n....", Format::DepthPng).contains("damaged PNG"));
     assert!(error(b"II*\0....", Format::DepthTiff).contains("damaged TIFF"));
-    assert!(error(b"\x93NUMPY\x01\x00\xff\xff", Format::Npy).contains("damaged NPY"));
+    assert!(error(b"\x93NUMPY\x01\x00\xff\xff", Format::Npy).contains("NPY header of 65535 bytes"));
     let nothing = io::decode(b"just words", None).unwrap_err().to_string();
     assert!(nothing.contains("none of PCD, PLY"), "{nothing}");
 }

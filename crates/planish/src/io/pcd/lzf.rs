@@ -10,7 +10,7 @@
 pub struct LzfError(&'static str);
 
 /// The longest reference: 7 + 255 + 2 bytes, from 3 bytes of stream.
-const MAX_REFERENCE: usize = 264;
+pub(super) const MAX_REFERENCE: usize = 264;
 const MAX_DISTANCE: usize = 1 << 13;
 const MAX_LITERALS: usize = 32;
 

@@ -42,9 +42,15 @@ impl Encoding {
 /// Reads a PCD file.
 pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {
     let (header, body) = Header::parse(bytes)?;
-    // Columns, and what they are decompressed to before.
-    let copies = if header.encoding == Encoding::BinaryCompressed { 2 } else { 1 };
-    options.check(header.points(), copies * header.point_bytes())?;
+    // Columns, and what they are decompressed to before. What cannot hold them is cut short, and that is said instead.
+    let (copies, most_bytes) = match header.encoding {
+        Encoding::Ascii => (1, body.len().saturating_mul(8)),
+        Encoding::Binary => (1, body.len()),
+        Encoding::BinaryCompressed => (2, body.len().saturating_mul(lzf::MAX_REFERENCE)),
+    };
+    if header.point_bytes().checked_mul(header.points()).is_some_and(|bytes| bytes <= most_bytes) {
+        options.check(header.points(), copies * header.point_bytes())?;
+    }
     let columns = match header.encoding {
         Encoding::Ascii => {
             let mut columns: Vec<_> = header.fields.iter().map(Field::empty_column).collect();
