@@ -31,7 +31,7 @@ const COSINE_FADE: f64 = 0.01;
 
 /// What it weighs, beside the planes around, that p stays where it was measured and has the normal of its own window: nothing, but
 /// where no plane is near.
-const STAY_WEIGHT: f64 = 1e-12;
+const STAY_WEIGHT: f64 = 1e-6;
 
 /// The standard deviation of depth at a range.
 pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 {
