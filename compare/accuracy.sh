@@ -39,7 +39,7 @@ others "PCL, 3 cm, order 1" "$work/pcl_mls" FRAME organized $radius 1 1 1 OUTPUT
 others "PCL, 3 cm, order 2" "$work/pcl_mls" FRAME organized $radius 2 1 1 OUTPUT
 export OMP_NUM_THREADS=$threads
 others "Open3D smooth_mls, 3 cm, max_nn 30" "$python" "$here/open3d_mls.py" FRAME legacy $radius 30 1 OUTPUT
-others "Open3D smooth_mls, 3 cm, all neighbours" "$python" "$here/open3d_mls.py" FRAME legacy $radius 4096 1 OUTPUT
+others "Open3D smooth_mls, 3 cm, all neighbours" "$python" "$here/open3d_mls.py" FRAME legacy $radius 0 1 OUTPUT
 others "OpenCV bilateral on depth, 13x13" "$python" "$here/opencv_bilateral.py" FRAME 3 OUTPUT
 own "planish paper" --preset paper
 own "planish light" --preset light
@@ -66,7 +66,7 @@ for frame in "$@"; do
   tiles "PCL, 3 cm, order 1" --results "$work/out.pcd"
   "$work/pcl_mls" "$frame" organized $radius 2 1 1 "$work/out.pcd" >/dev/null
   tiles "PCL, 3 cm, order 2" --results "$work/out.pcd"
-  "$python" "$here/open3d_mls.py" "$frame" legacy $radius 4096 1 "$work/out.pcd" >/dev/null
+  "$python" "$here/open3d_mls.py" "$frame" legacy $radius 0 1 "$work/out.pcd" >/dev/null
   tiles "Open3D smooth_mls, 3 cm, all neighbours" --results "$work/out.pcd"
   "$python" "$here/opencv_bilateral.py" "$frame" 1 "$work/out.pcd" >/dev/null
   tiles "OpenCV bilateral on depth, 13x13" --results "$work/out.pcd"

@@ -13,10 +13,12 @@ if [ ! -x "$work/venv/bin/python" ]; then
   python3 -m venv "$work/venv"
   "$work/venv/bin/pip" -q install open3d-cpu==0.20.0 opencv-python-headless==5.0.0.93
 fi
-# No -march: Debian's library is built without, and PCL's alignment follows the flag.
-# shellcheck disable=SC2046
-g++ -O3 -DNDEBUG -fopenmp -w "$here/pcl_mls.cpp" -o "$work/pcl_mls" \
-  $(pkg-config --cflags pcl_surface pcl_search pcl_filters pcl_io eigen3) -I/usr/include \
-  -lpcl_surface -lpcl_search -lpcl_kdtree -lpcl_filters -lpcl_io -lpcl_common -lboost_system
+if [ ! "$work/pcl_mls" -nt "$here/pcl_mls.cpp" ]; then
+  # No -march: Debian's library is built without, and PCL's alignment follows the flag.
+  # shellcheck disable=SC2046
+  g++ -O3 -DNDEBUG -fopenmp -w "$here/pcl_mls.cpp" -o "$work/pcl_mls" \
+    $(pkg-config --cflags pcl_surface pcl_search pcl_filters pcl_io eigen3) -I/usr/include \
+    -lpcl_surface -lpcl_search -lpcl_kdtree -lpcl_filters -lpcl_io -lpcl_common -lboost_system
+fi
 cargo build --release --quiet --manifest-path "$project/Cargo.toml"
 

@@ -2,7 +2,7 @@
 
 usage: open3d_mls.py FILE legacy|tensor RADIUS_M MAX_NEIGHBOURS RUNS [OUTPUT.pcd]
 
-legacy is geometry.PointCloud, tensor is t.geometry.PointCloud; at most MAX_NEIGHBOURS neighbours within the radius count. Points
+legacy is geometry.PointCloud, tensor is t.geometry.PointCloud; at most MAX_NEIGHBOURS neighbours within the radius count, all if it is 0. Points
 that are not finite are taken out first, outside of the time. With an output the result is put back on the grid of the input,
 with the normals that Open3D estimates at it.
 """
@@ -18,7 +18,11 @@ import grid
 
 file, api, radius_m, max_neighbours, runs = sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4]), int(sys.argv[5])
 cloud, is_there = open3d.t.io.read_point_cloud(file, remove_nan_points=False).remove_non_finite_points()
-search = open3d.geometry.KDTreeSearchParamHybrid(radius_m, max_neighbours)
+if max_neighbours > 0:
+    search = open3d.geometry.KDTreeSearchParamHybrid(radius_m, max_neighbours)
+else:
+    # The hybrid search with a large maximum takes hundreds of times as long; the tensor API has no other.
+    search, max_neighbours = open3d.geometry.KDTreeSearchParamRadius(radius_m), 4096
 legacy = cloud.to_legacy()
 times = []
 for _ in range(runs):

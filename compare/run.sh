@@ -36,9 +36,9 @@ for frame in "$@"; do
   for search in organized kdtree; do
     row "PCL MovingLeastSquares, degree 3, $search" $("$work/pcl_mls" "$frame" $search $radius 3 $threads 3)
   done
-  for neighbours in 30 4096; do
+  for neighbours in 30 0; do
     for api in legacy tensor; do
-      row "Open3D $api smooth_mls (plane), max_nn $neighbours" \
+      row "Open3D $api smooth_mls (plane), $([ $neighbours = 0 ] && echo all || echo at most $neighbours) neighbours" \
         $(OMP_NUM_THREADS=$threads "$work/venv/bin/python" "$here/open3d_mls.py" "$frame" $api $radius $neighbours 3)
     done
   done

@@ -3,15 +3,24 @@
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
 use std::process::exit;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The exit code for output that cannot be written, the same as for bad input.
 const FAILED: i32 = 2;
 
-/// Writes to standard output. Ends the process where nobody reads it any more: quietly, as `head` expects; else with an error.
+/// Nobody reads standard output any more.
+static CLOSED: AtomicBool = AtomicBool::new(false);
+
+/// Writes to standard output. Where nobody reads it any more, as behind `head`, the command goes on without it; any other failure ends the
+/// process with an error.
 pub fn print(text: Arguments<'_>) {
+    if CLOSED.load(Ordering::Relaxed) {
+        return;
+    }
     if let Err(error) = std::io::stdout().lock().write_fmt(text) {
         if error.kind() == ErrorKind::BrokenPipe {
-            exit(0);
+            CLOSED.store(true, Ordering::Relaxed);
+            return;
         }
         print_error(format_args!("error: cannot write to standard output: {error}\n"));
         exit(FAILED);

@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM, in every command: no half-written file stays behind.
+//! SIGINT, SIGTERM and SIGHUP, in every command: no half-written file stays behind.
 
 use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,7 +22,34 @@ pub fn install() -> Result<()> {
             exit(i32::from(INTERRUPTED));
         }
     };
-    ctrlc::set_handler(handler).context("signals cannot be handled")
+    let ignored = ignored_signals();
+    ctrlc::set_handler(handler).context("signals cannot be handled")?;
+    ignored.into_iter().for_each(ignore);
+    Ok(())
+}
+
+/// The signals that whoever started the process wants ignored: SIGHUP by `nohup`, SIGINT by a shell for what it runs in the background.
+fn ignored_signals() -> Vec<i32> {
+    const HANGUP_AND_INTERRUPT: [i32; 2] = [1, 2];
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    HANGUP_AND_INTERRUPT.into_iter().filter(|signal| mask >> (signal - 1) & 1 == 1).collect()
+}
+
+/// Has a signal ignored again.
+fn ignore(number: i32) {
+    #[cfg(unix)]
+    {
+        const SIG_IGN: usize = 1;
+        unsafe extern "C" {
+            fn signal(signal: i32, handler: usize) -> usize;
+        }
+        // SAFETY: the C library's own function, with a signal and a handler that it defines.
+        unsafe { signal(number, SIG_IGN) };
+    }
+    #[cfg(not(unix))]
+    let _ = number;
 }
 
 /// Returns the flag that the first signal sets. A command that asks for it looks at it often; any other is ended at once.

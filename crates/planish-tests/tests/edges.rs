@@ -77,8 +77,8 @@ fn no_point_leaves_both_sides_of_a_step() {
 }
 
 #[test]
-fn pixels_without_a_plane_of_their_own_are_smoothed_as_without() {
-    // Rows far apart: neighbours are in one row, on a line or a plane seen from its edge.
+fn rows_on_a_plane_seen_edge_on_are_smoothed_as_without() {
+    // Rows far apart: neighbours are in one row, on a line or, all of them, on a plane seen edge-on.
     let rows = grid(50, 20, |u, v| {
         let z = 1.0 + 0.002 * (u % 3) as f32;
         [0.003 * u as f32, 0.2 * v as f32 * z, z]

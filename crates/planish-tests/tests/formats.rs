@@ -433,6 +433,14 @@ fn ply_normals_have_its_own_names_and_an_inputs_are_replaced() {
     let written = fs::read_to_string(&path).unwrap();
     assert!(written.contains("property float nx") && !written.contains("normal_x"), "{written}");
     assert!(written.ends_with("1 2 3 1 0 1\n"), "{written}");
+    // As earlier versions wrote them: the later ones stay.
+    cloud.set_attribute("nx", vec![9.0f32]);
+    io::write_cloud(&path, &cloud, Encoding::Ascii).unwrap();
+    assert!(fs::read_to_string(&path).unwrap().ends_with("1 2 3 1 0 1\n"));
+    cloud.attributes.retain(|attribute| attribute.name != "nx");
+    // Words may be parted by tabs.
+    fs::write(&path, text.replace("property float x", "property\tfloat\tx")).unwrap();
+    assert!(io::read(&path).is_ok());
     let pcd = folder.path().join("n.pcd");
     io::write_cloud(&pcd, &cloud, Encoding::Ascii).unwrap();
     assert!(fs::read_to_string(&pcd).unwrap().contains("FIELDS x y z normal_x normal_y normal_z"));

@@ -15,7 +15,7 @@ pub use camera::{CameraArgs, PoseArgs};
 pub use smoothing::{EngineArg, SmoothingArgs};
 
 const AFTER_HELP: &str = "Exit codes: 0 done; 1 some frames failed, the others are done; 2 bad arguments or input; 130 ended by a \
-                          signal.\nStart with `planish demo`, then `planish smooth your.pcd smooth.pcd`.";
+                          signal (a stream or recording ends with 0).\nStart with `planish demo`, then `planish smooth your.pcd smooth.pcd`.";
 
 /// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
 #[derive(Parser)]
@@ -248,7 +248,7 @@ pub struct DevicesArgs {
 
 #[derive(clap::Args)]
 pub struct EvaluateArgs {
-    /// Simulate seeds 1 to N, three frames each
+    /// Simulate seeds 1 to N, three frames each, with the noise of --sensor (a Kinect v1)
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
     /// Simulate only this seed

@@ -476,18 +476,18 @@ impl Worker<'_> {
     /// Opens an engine for frames like this, if none is.
     fn open(&mut self, frame: Frame<'_>, outputs: Outputs, params: SmoothParams) -> Result<()> {
         let wanted = (frame.grid(), outputs, params);
+        let (width, height) = frame.shape();
+        let points = width * height;
+        let needed = points as u64 * ENGINE_BYTES_A_POINT;
+        let allowed = self.args.memory.read_options().max_memory_bytes;
+        if needed > allowed {
+            bail!(
+                "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
+                needed >> 20,
+                allowed >> 20
+            );
+        }
         if self.open.as_ref().is_none_or(|(_, has)| *has != wanted) {
-            let (width, height) = frame.shape();
-            let points = width * height;
-            let needed = points as u64 * ENGINE_BYTES_A_POINT;
-            let allowed = self.args.memory.read_options().max_memory_bytes;
-            if needed > allowed {
-                bail!(
-                    "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
-                    needed >> 20,
-                    allowed >> 20
-                );
-            }
             let options = self.args.smoothing.options(outputs)?;
             self.open = Some((Smoother::open_with(params, &options, frame.grid())?, wanted));
         }

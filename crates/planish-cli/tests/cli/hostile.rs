@@ -65,6 +65,13 @@ fn fields_of_one_name_and_long_names_are_refused_in_a_short_sentence() {
     assert!(refused_at_once(&["info", str(&ply)]).contains("same name"));
     fs::write(&ply, format!("ply\nformat ascii 1.0\n{} 1\nend_header\n", "e".repeat(5000))).unwrap();
     refused_at_once(&["info", str(&ply)]);
+    let many: String = (0..100_000).map(|i| format!("element e{i} 0\n")).collect();
+    fs::write(&ply, format!("ply\nformat ascii 1.0\n{many}end_header\n")).unwrap();
+    assert!(refused_at_once(&["info", str(&ply)]).contains("64 KiB"));
+    let bare =
+        "element e 200000000\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    fs::write(&ply, format!("ply\nformat binary_little_endian 1.0\n{bare}")).unwrap();
+    refused_at_once(&["info", str(&ply)]);
 }
 
 #[test]
@@ -101,6 +108,17 @@ fn what_needs_more_memory_than_allowed_is_refused_before_it_is_allocated() {
     assert!(refused(&["smooth", str(&path), str(&output), "--max-memory", "1M"]).contains("--max-memory"));
     assert!(!output.exists());
     assert!(refused(&["info", str(&path), "--max-memory", "much"]).contains("500M"));
+
+    // General clouds share an engine, whatever their size: each is checked.
+    let input = folder.path().join("in");
+    fs::create_dir(&input).unwrap();
+    let points = |n: usize| planish::PointCloud::new((0..n).map(|i| [0.01 * i as f32, 0.0, 1.0]).collect());
+    write_cloud(&input.join("a.pcd"), &points(50), Encoding::Binary).unwrap();
+    write_cloud(&input.join("b.pcd"), &points(8000), Encoding::Binary).unwrap();
+    let smoothed = folder.path().join("smoothed");
+    let run = planish(&["smooth", str(&input), str(&smoothed), "--max-memory", "1M", "--radius", "0.05"]);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("b.pcd") || text(&run.stderr).contains("8000 points"), "{}", text(&run.stderr));
 }
 
 #[cfg(unix)]

@@ -1,12 +1,11 @@
 //! Camera files: JSON (planish's own and Open3D's), ROS `camera_info` YAML, the 3x3 matrix of 7-Scenes as text, and COLMAP's
 //! `cameras.txt`. Detected from their contents.
 
-use std::fs;
 use std::path::Path;
 
 use serde::Deserialize;
 
-use super::FormatResult;
+use super::{FormatResult, ReadOptions};
 use crate::camera::{Camera, Distortion};
 use crate::error::{FormatError, IoError};
 
@@ -21,10 +20,13 @@ const MAX_BYTES: u64 = 1 << 20;
 /// With `None` the camera has the shape that the file states, and width and height 0 where it states none.
 pub fn read_camera(path: &Path, shape: Option<(usize, usize)>) -> Result<Camera, IoError> {
     let read = || {
-        if fs::metadata(path)?.len() > MAX_BYTES {
-            return Err(malformed("larger than any camera file".into()));
-        }
-        parse_camera(&fs::read_to_string(path)?, shape)
+        let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
+        let bytes = bytes.map_err(|error| match error {
+            FormatError::TooLarge { .. } => malformed("larger than any camera file".into()),
+            error => error,
+        })?;
+        let text = String::from_utf8(bytes).map_err(|_| malformed("not text".into()))?;
+        parse_camera(&text, shape)
     };
     read().map_err(IoError::at(path))
 }

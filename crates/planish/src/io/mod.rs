@@ -143,8 +143,8 @@ impl Format {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ReadOptions {
-    /// Files that need more memory are refused before it is allocated: the file's bytes, what they decompress to, and the columns or
-    /// pixels together. 2 GiB by default.
+    /// Files are refused before they are read if they are larger than this many bytes, and before they are decoded if what they decompress to
+    /// and its columns or pixels need more. 2 GiB by default.
     pub max_memory_bytes: u64,
 }
 
@@ -220,7 +220,7 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
 }
 
 /// The bytes of a regular file, or of standard input.
-fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
+pub(crate) fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     let most = options.max_memory_bytes;
     let mut bytes = Vec::new();
     if path == Path::new(STANDARD_INPUT) {

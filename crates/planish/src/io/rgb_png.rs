@@ -3,8 +3,8 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use super::RgbImage;
 use super::depth_png::encode_png;
+use super::{ReadOptions, RgbImage};
 use crate::error::{FormatError, IoError};
 
 /// Writes a picture; a colourless one as grey, in a third of the bytes.
@@ -22,11 +22,12 @@ pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
 
 /// Reads an 8-bit colour PNG; alpha is dropped, grey is expanded to colour.
 pub fn read_rgb_png(path: &Path) -> Result<RgbImage, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::at(path)(error.into()))?;
-    decode(&bytes).map_err(IoError::at(path))
+    let options = ReadOptions::default();
+    let read = || decode(&super::read_bytes(path, &options)?, &options);
+    read().map_err(IoError::at(path))
 }
 
-fn decode(bytes: &[u8]) -> Result<RgbImage, FormatError> {
+fn decode(bytes: &[u8], options: &ReadOptions) -> Result<RgbImage, FormatError> {
     let malformed = |error: png::DecodingError| FormatError::Malformed(format!("damaged PNG: {error}"));
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
     decoder.set_transformations(png::Transformations::normalize_to_color8());
@@ -38,6 +39,8 @@ fn decode(bytes: &[u8]) -> Result<RgbImage, FormatError> {
     if size / 8800 > bytes.len() {
         return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
     }
+    // The samples, and the colours.
+    options.check(size, 2)?;
     let mut buffer = vec![0; size];
     reader.next_frame(&mut buffer).map_err(malformed)?;
     let channels = size / (width * height);

@@ -1,6 +1,6 @@
 //! Files that are there whole or not at all: written under a temporary name in the same folder, then renamed.
 //!
-//! A temporary's name holds the process that writes it, so that a later process can remove what a killed one left behind.
+//! A temporary's name holds the machine and the process that writes it, so that a later process can remove what a killed one left behind.
 
 use std::collections::HashSet;
 use std::fs;
@@ -40,7 +40,7 @@ pub fn remove_temporaries() {
 }
 
 /// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file that is replaced
-/// keeps its permissions.
+/// keeps its permissions, and its place until the new one is on the disk.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     let path = &behind_links(path)?;
     let folder = match path.parent() {
@@ -59,7 +59,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     }
     sweep(folder);
 
-    let prefix = format!("{PREFIX}{}-", std::process::id());
+    let prefix = format!("{PREFIX}{}-{}-", machine(), std::process::id());
     let mut builder = tempfile::Builder::new();
     builder.prefix(&prefix).suffix(SUFFIX);
     #[cfg(unix)]
@@ -80,11 +80,10 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     };
     let temporary = file.path().to_path_buf();
     let write = || -> std::io::Result<()> {
+        let Some(metadata) = replaced else { return file.write_all(bytes) };
+        file.as_file().set_permissions(metadata.permissions())?;
         file.write_all(bytes)?;
-        if let Some(metadata) = replaced {
-            file.as_file().set_permissions(metadata.permissions())?;
-        }
-        // Or a crash of the machine could leave an empty file under the new name.
+        // Or a crash of the machine could leave an empty file in the place of one that was whole.
         file.as_file().sync_all()
     };
     let written = write();
@@ -107,7 +106,7 @@ fn behind_links(path: &Path) -> FormatResult<PathBuf> {
     Err(FormatError::Unsupported("a link that leads to itself".into()))
 }
 
-/// Removes what killed processes left behind in a folder; once for each folder.
+/// Removes what killed processes of this user and this machine left behind in a folder; once for each folder.
 fn sweep(folder: &Path) {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
     if !known().swept.get_or_insert_default().insert(folder.clone()) {
@@ -117,15 +116,41 @@ fn sweep(folder: &Path) {
     for entry in entries.flatten() {
         let name = entry.file_name();
         let stale = name.to_str().and_then(process_of).is_some_and(|process| !is_alive(process));
-        if stale && entry.file_type().is_ok_and(|kind| kind.is_file()) {
+        if stale && entry.metadata().is_ok_and(|metadata| metadata.is_file() && is_own(&metadata)) {
             let _ = fs::remove_file(entry.path());
         }
     }
 }
 
-/// The process that a temporary's name holds.
+/// The process of this machine that a temporary's name holds.
 fn process_of(name: &str) -> Option<u32> {
-    name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?.0.parse().ok()
+    let (of, rest) = name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?;
+    (of == machine()).then_some(())?;
+    rest.split_once('-')?.0.parse().ok()
+}
+
+/// A short text that tells apart where process numbers mean something: the machine, and on Linux the container on it.
+fn machine() -> String {
+    let host = fs::read("/proc/sys/kernel/hostname").unwrap_or_default();
+    let container = fs::read_link("/proc/self/ns/pid").unwrap_or_default();
+    let bytes = host.iter().chain(container.as_os_str().as_encoded_bytes());
+    // FNV-1a.
+    let hash = bytes.fold(0x811c_9dc5_u32, |hash, &byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
+    format!("{hash:08x}")
+}
+
+/// Whether a file belongs to the user of this process: the processes of others may be invisible.
+fn is_own(metadata: &fs::Metadata) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        fs::metadata("/proc/self").is_ok_and(|process| process.uid() == metadata.uid())
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = metadata;
+        true
+    }
 }
 
 /// Whether a process runs; where that cannot be asked, it is taken to.
@@ -143,16 +168,17 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
         // No process has a number this high (the kernel's limit is 2^22).
-        let stale = file(".planish-4294967295-a1b2c3.tmp");
-        let own = file(&format!(".planish-{}-a1b2c3.tmp", std::process::id()));
-        let others = [file(".planish-notes.tmp"), file("x.tmp"), file(".planish-12")];
+        let stale = file(&format!(".planish-{}-4294967295-a1b2c3.tmp", machine()));
+        let own = file(&format!(".planish-{}-{}-a1b2c3.tmp", machine(), std::process::id()));
+        let elsewhere = ".planish-00000000-4294967295-a1b2c3.tmp";
+        let others = [file(".planish-notes.tmp"), file("x.tmp"), file(".planish-12"), file(elsewhere)];
         for path in [&stale, &own].into_iter().chain(&others) {
             fs::write(path, "x").unwrap();
         }
         write_whole(&file("result"), b"whole").unwrap();
         assert!(!stale.exists() && own.exists() && others.iter().all(|path| path.exists()));
         assert_eq!(fs::read(file("result")).unwrap(), b"whole");
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 5);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 6);
     }
 
     #[cfg(unix)]

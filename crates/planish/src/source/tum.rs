@@ -81,7 +81,10 @@ impl Source for TumSource {
 
 /// Returns the lines of a list, split at blanks, without comments.
 fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
-    let text = fs::read_to_string(list).map_err(|error| IoError { path: list.to_path_buf(), problem: error.into() })?;
+    const MAX_BYTES: u64 = 256 << 20;
+    let bytes = io::read_bytes(list, &io::ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
+    let bytes = bytes.map_err(|problem| IoError { path: list.to_path_buf(), problem })?;
+    let text = String::from_utf8(bytes).map_err(|_| malformed(list, "is not text"))?;
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     Ok(lines.map(|line| line.split_whitespace().map(str::to_owned).collect()).collect())
 }

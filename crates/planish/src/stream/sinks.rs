@@ -1,6 +1,7 @@
 //! Where results go: folders, or any [`Sink`], each on a thread of its own.
 
-use std::fmt::Write;
+use std::fs::OpenOptions;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
@@ -8,8 +9,7 @@ use std::thread::{self, JoinHandle};
 
 use super::mailbox::TimeSpent;
 use super::{StreamFrame, StreamStatistics};
-use crate::camera::Camera;
-use crate::error::{EngineError, Error, IoError};
+use crate::error::{EngineError, Error, FormatError, IoError};
 use crate::frame::DepthImage;
 use crate::io::{self, CloudRef, Encoding};
 use crate::outputs::Outputs;
@@ -51,23 +51,37 @@ impl SinkFormat {
     }
 }
 
-/// Writes every result to a folder, as `000000.pcd` and so on, each file atomically. Depth becomes a data set in TUM layout: `depth.txt`
-/// with the time stamps, and `camera.json` with the units.
+/// Writes every result to a folder, as `000000.pcd` and so on, each file atomically. Depth becomes a data set: `depth.txt` with the time
+/// stamps, and `camera.json` with intrinsics and units.
 pub struct FolderSink {
     folder: PathBuf,
     format: SinkFormat,
     outputs: Outputs,
-    /// The lines of `depth.txt`.
-    list: String,
-    camera: Option<Camera>,
+    /// Whether the camera has been written.
+    has_camera: bool,
 }
 
 impl FolderSink {
-    /// Creates the folder. `outputs` are the fields to add to points.
+    /// Creates the folder. `outputs` are the fields to add to points. Depth is not put into a folder that has a data set already, whose
+    /// list and camera it would replace.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
         std::fs::create_dir_all(folder)
             .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
-        Ok(Self { folder: folder.to_path_buf(), format, outputs, list: String::new(), camera: None })
+        if format == SinkFormat::DepthPng && ["depth.txt", "camera.json"].iter().any(|name| folder.join(name).exists())
+        {
+            let problem = FormatError::Unsupported("has a data set already; save into another folder".into());
+            return Err(IoError { path: folder.to_path_buf(), problem }.into());
+        }
+        Ok(Self { folder: folder.to_path_buf(), format, outputs, has_camera: false })
+    }
+}
+
+impl FolderSink {
+    fn append(&self, name: &str, text: &str) -> Result<(), IoError> {
+        let path = self.folder.join(name);
+        let file = OpenOptions::new().create(true).append(true).open(&path);
+        file.and_then(|mut file| file.write_all(text.as_bytes()))
+            .map_err(|error| IoError { path, problem: error.into() })
     }
 }
 
@@ -85,10 +99,11 @@ impl Sink for FolderSink {
             let raw = frame.smoothed.depth.clone().ok_or(missing)?;
             io::write_depth(&path, &DepthImage { width, height, raw })?;
             let seconds = frame.source.timestamp_s().unwrap_or(frame.index as f64 / FRAMES_PER_SECOND);
-            // Writing to a String cannot fail.
-            let _ = writeln!(self.list, "{seconds:.6} {name}");
-            if let SourceFrame::Depth(depth) = &frame.source {
-                self.camera = Some(depth.camera);
+            // After its image, so that a stream that is cut off leaves a data set up to there.
+            self.append("depth.txt", &format!("{seconds:.6} {name}\n"))?;
+            if let (SourceFrame::Depth(depth), false) = (&frame.source, self.has_camera) {
+                self.append("camera.json", &io::camera_to_json(&depth.camera))?;
+                self.has_camera = true;
             }
             return Ok(());
         }
@@ -101,16 +116,6 @@ impl Sink for FolderSink {
             cloud.points.unpack_colour();
         }
         Ok(io::write_cloud(&path, CloudRef::Organized(&cloud), Encoding::Binary)?)
-    }
-
-    fn close(&mut self) -> Result<(), Error> {
-        let list = (!self.list.is_empty()).then(|| ("depth.txt", format!("# timestamp filename\n{}", self.list)));
-        let camera = self.camera.map(|camera| ("camera.json", io::camera_to_json(&camera)));
-        for (name, text) in list.into_iter().chain(camera) {
-            let path = self.folder.join(name);
-            io::write_whole(&path, text.as_bytes()).map_err(|problem| IoError { path, problem })?;
-        }
-        Ok(())
     }
 }
 

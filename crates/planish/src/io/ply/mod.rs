@@ -41,13 +41,19 @@ fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
 }
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {
+    let Some(lines) = header_lines(bytes) else {
+        return malformed("the PLY header has no end: a line \"end_header\" is missing in its first 64 KiB");
+    };
+    let stated = stated_properties(&lines);
     let mut reader = Reader::new(bytes);
     let header = Parser::<Record>::new().read_header(&mut reader).map_err(damaged)?;
-    let header_lines = header_lines(bytes);
     let Some(vertex) = header.elements.get("vertex") else { return malformed("the PLY has no element vertex") };
-    for element in header.elements.values() {
+    if stated.len() != header.elements.len() {
+        return malformed("two elements of the PLY have the same name");
+    }
+    for (element, stated) in header.elements.values().zip(stated) {
         check_size(element, bytes.len())?;
-        check_names(element, &header_lines)?;
+        check_properties(element, stated)?;
         // The library keeps every value of an element as an enum, in a vector for each line.
         let value_bytes = if header.encoding == PlyEncoding::Ascii { 8 } else { size_of::<Property>() + 8 };
         options.check(element.count, size_of::<Record>() + element.properties.len() * value_bytes)?;
@@ -194,28 +200,51 @@ fn info(header: &Header, key: &str) -> Option<usize> {
     header.obj_infos.iter().find_map(number)
 }
 
-/// The lines of the header, as far as they are text.
-fn header_lines(bytes: &[u8]) -> Vec<&str> {
-    let lines = bytes.split(|&byte| byte == b'\n').map(|line| std::str::from_utf8(line).unwrap_or_default().trim());
-    lines.take_while(|line| *line != "end_header").collect()
+/// The largest header accepted, in bytes; real ones have a few hundred.
+const MAX_HEADER_BYTES: usize = 64 * 1024;
+
+/// The lines of the header, up to `end_header`; `None` if that is missing.
+fn header_lines(bytes: &[u8]) -> Option<Vec<&str>> {
+    let bytes = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
+    let mut lines = Vec::new();
+    for line in bytes.split(|&byte| byte == b'\n') {
+        match std::str::from_utf8(line).unwrap_or_default().trim() {
+            "end_header" => return Some(lines),
+            line => lines.push(line),
+        }
+    }
+    None
 }
 
 /// The encoding that a header states; big-endian files are binary, and written as little-endian.
 pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
-    let stated = header_lines(bytes).into_iter().find_map(|line| line.strip_prefix("format "))?;
+    let stated = header_lines(bytes)?.into_iter().find_map(|line| line.strip_prefix("format "))?;
     Some(if stated.trim_start().starts_with("ascii") { Encoding::Ascii } else { Encoding::Binary })
 }
 
-/// Refuses properties that have the same name: the library would forget all but one, and read the others' bytes as the next.
-fn check_names(element: &ElementDef, header_lines: &[&str]) -> Result<(), FormatError> {
-    let starts = |line: &&str| line.split_ascii_whitespace().take(2).eq(["element", &element.name]);
-    let of_element = header_lines.iter().skip_while(|line| !starts(line)).skip(1);
-    let own = of_element.take_while(|line| !line.starts_with("element "));
-    let stated = own.filter(|line| line.starts_with("property ")).count();
-    if stated == element.properties.len() {
-        return Ok(());
+/// How many properties each element states, in order.
+fn stated_properties(header_lines: &[&str]) -> Vec<usize> {
+    let mut counts = Vec::new();
+    for line in header_lines {
+        match line.split_ascii_whitespace().next() {
+            Some("element") => counts.push(0),
+            Some("property") => counts.iter_mut().last().into_iter().for_each(|count| *count += 1),
+            _ => {}
+        }
     }
-    malformed(format!("two properties of element {} have the same name", quoted(&element.name)))
+    counts
+}
+
+/// Refuses elements that the library would read wrongly: of properties that have the same name it forgets all but one, and reads the others'
+/// bytes as the next; one without properties has no bytes, however many are announced.
+fn check_properties(element: &ElementDef, stated: usize) -> Result<(), FormatError> {
+    if stated != element.properties.len() {
+        return malformed(format!("two properties of element {} have the same name", quoted(&element.name)));
+    }
+    if stated == 0 && element.count > 0 {
+        return malformed(format!("element {} has no properties", quoted(&element.name)));
+    }
+    Ok(())
 }
 
 /// Refuses counts that the file cannot hold, before anything is allocated for them.
@@ -324,7 +353,16 @@ impl PropertyAccess for Row<'_> {
 }
 
 pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
-    let parts = columns_from_cloud(cloud.points()).into_iter().map(ply_columns);
+    let mut columns = columns_from_cloud(cloud.points());
+    let has = |columns: &[Attribute], name: &str| columns.iter().any(|column| column.name == name);
+    if NORMALS.iter().all(|(_, pcl)| has(&columns, pcl)) {
+        // A file of an earlier version has both: those that the rest of the library knows are newer.
+        columns.retain(|column| NORMALS.iter().all(|(ply, _)| column.name != *ply));
+        for (ply, pcl) in NORMALS {
+            columns.iter_mut().filter(|column| column.name == pcl).for_each(|column| column.name = ply.to_owned());
+        }
+    }
+    let parts = columns.into_iter().map(ply_columns);
     let columns = parts.collect::<Result<Vec<_>, _>>()?.concat();
     let points = cloud.points().len();
     let vertex = element_of("vertex", points, &columns);
@@ -397,13 +435,10 @@ fn rename_normals(columns: &mut [Attribute]) {
     }
 }
 
-/// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers; normals by its own names.
-fn ply_columns(mut column: Attribute) -> Result<Vec<Attribute>, FormatError> {
+/// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers.
+fn ply_columns(column: Attribute) -> Result<Vec<Attribute>, FormatError> {
     if column.name == "_" {
         return Ok(Vec::new());
-    }
-    if let Some((ply, _)) = NORMALS.iter().find(|(_, pcl)| column.name == *pcl) {
-        column.name = (*ply).to_owned();
     }
     let count = column.count;
     let rounded = || {
