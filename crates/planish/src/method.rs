@@ -37,8 +37,10 @@ pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
 pub(crate) const MIN_INCIDENCE_COSINE: f32 = 0.05;
 /// From this much more on, the plane counts wholly.
 pub(crate) const COSINE_FADE: f32 = 0.01;
-/// What it weighs, beside the planes around it, that a point stays where it was measured and has the normal of its own window.
-pub(crate) const STAY_WEIGHT: f32 = 1e-6;
+/// What it weighs that a point stays where it was measured, beside the planes around it.
+pub(crate) const STAY_WEIGHT: f32 = 1e-3;
+/// What the normal of a pixel's own window weighs besides.
+pub(crate) const OWN_NORMAL_WEIGHT: f32 = 1e-12;
 /// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 

@@ -13,8 +13,8 @@ use super::vector::{Mask, Vec3, splat};
 use super::window::{Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
 use crate::method::{
-    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH, PLANE_REACH,
-    STAY_WEIGHT,
+    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,
+    OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
 };
 use crate::params::{SmoothParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
@@ -185,8 +185,8 @@ impl Planes {
         let gate = Gate::new(simd, radius * splat(simd, PLANE_REACH));
         let to_mean = mean.sub(p);
         let mut plane = self.plane(simd, here);
-        let stay = splat(simd, STAY_WEIGHT);
-        let (mut normal, mut height, mut total) = (plane.normal.scale(stay), zero, stay);
+        let (mut normal, mut height, mut total) =
+            (plane.normal.scale(splat(simd, OWN_NORMAL_WEIGHT)), zero, splat(simd, STAY_WEIGHT));
         for row in 0..3 {
             for column in 0..3 {
                 let at = here + self.shift * (row * self.row_len + column) - self.shift * (self.row_len + 1);

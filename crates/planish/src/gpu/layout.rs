@@ -270,6 +270,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("MIN_TOTAL", method::MIN_TOTAL),
         ("COSINE_FADE", method::COSINE_FADE),
         ("STAY_WEIGHT", method::STAY_WEIGHT),
+        ("OWN_NORMAL_WEIGHT", method::OWN_NORMAL_WEIGHT),
         ("MIN_NOISE", method::MIN_NOISE),
         ("MIN_GATE_M", MIN_GATE_M),
         ("GATE_FADE", method::GATE_FADE),

@@ -29,9 +29,10 @@ const MIN_INCIDENCE_COSINE: f64 = 0.05;
 /// From this much more on the plane is used wholly.
 const COSINE_FADE: f64 = 0.01;
 
-/// What it weighs, beside the planes around, that p stays where it was measured and has the normal of its own window: nothing, but
-/// where no plane is near.
-const STAY_WEIGHT: f64 = 1e-6;
+/// What it weighs that p stays where it was measured, beside the planes around it.
+const STAY_WEIGHT: f64 = 1e-3;
+/// What the normal of p's own window weighs besides, so that there is one where no plane is near.
+const OWN_NORMAL_WEIGHT: f64 = 1e-12;
 
 /// The standard deviation of depth at a range.
 pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 {
@@ -77,7 +78,7 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         let Some(own_plane) = own.plane else { return Some(own) };
         let noise_m = (self.noise_m)(p);
         let shift = edge_shift_px(self.params.reach_px()) as isize;
-        let (mut normal, mut height_m, mut total) = (STAY_WEIGHT * own_plane.normal, 0.0, STAY_WEIGHT);
+        let (mut normal, mut height_m, mut total) = (OWN_NORMAL_WEIGHT * own_plane.normal, 0.0, STAY_WEIGHT);
         for dv in [-shift, 0, shift] {
             for du in [-shift, 0, shift] {
                 let Some(column) = u.checked_add_signed(du).filter(|&u| u < self.grid.width) else { continue };

@@ -11,7 +11,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     let own = pixel.y * batch.width + pixel.x;
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
-    var normal = STAY_WEIGHT * normal_at(frame, FIRST_NORMAL, own);
+    var normal = OWN_NORMAL_WEIGHT * normal_at(frame, FIRST_NORMAL, own);
     var height = 0.0;
     var total = STAY_WEIGHT;
     for (var row = 0u; row < 3u; row++) {
