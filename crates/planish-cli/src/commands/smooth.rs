@@ -1,5 +1,7 @@
 //! `planish smooth`: one file, or every frame of a folder.
 
+mod report;
+
 use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,70 +17,14 @@ use planish::{
     RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother, estimate_radius_m,
 };
 use planish_bench::{errln, outln};
-use serde::Serialize;
+
+use report::{
+    Failure, FolderReport, Report, SmoothTimes, StatusCounts, likely_cause, print_report, report_range_rule, summarize,
+};
 
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs};
 use crate::signals::{INTERRUPTED, stop_flag};
-
-/// What is said of one frame.
-#[derive(Serialize)]
-struct Report {
-    #[serde(serialize_with = "lossily")]
-    input: PathBuf,
-    #[serde(serialize_with = "lossily")]
-    output: PathBuf,
-    engine: &'static str,
-    /// The GPU's name.
-    adapter: Option<String>,
-    /// Why `auto` took this engine.
-    engine_reason: Option<String>,
-    width: usize,
-    height: usize,
-    points_in: usize,
-    /// How many of those became holes.
-    points_lost: usize,
-    status: StatusCounts,
-    read_ms: f64,
-    smooth_ms: SmoothTimes,
-    write_ms: f64,
-}
-
-#[derive(Serialize)]
-struct StatusCounts {
-    hole: usize,
-    too_few: usize,
-    degenerate: usize,
-    plane: usize,
-    polynomial: usize,
-}
-
-#[derive(Serialize)]
-struct SmoothTimes {
-    median: f64,
-    p99: f64,
-    runs: usize,
-}
-
-#[derive(Serialize)]
-struct Failure {
-    #[serde(serialize_with = "lossily")]
-    input: PathBuf,
-    error: String,
-}
-
-#[derive(Serialize)]
-struct FolderReport {
-    frames: Vec<Report>,
-    failed: Vec<Failure>,
-    /// Whether a signal ended the run before its last frame.
-    interrupted: bool,
-}
-
-/// A path as text: what is not UTF-8 is replaced, so that the report is not lost.
-fn lossily<S: serde::Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_str(&path.to_string_lossy())
-}
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     // For general clouds; with --sensor auto the first frame determines the parameters of all others.
@@ -205,27 +151,6 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
         Some(extension) => path.with_extension(extension.trim_start_matches('.')),
         None => path,
     }
-}
-
-fn print_report(report: &Report) {
-    let Report { status, smooth_ms, .. } = report;
-    outln!("{} -> {}", report.input.display(), report.output.display());
-    let adapter = report.adapter.as_ref().map_or(String::new(), |name| format!(" ({name})"));
-    outln!("  {} x {}, {} points, engine {}{adapter}", report.width, report.height, report.points_in, report.engine);
-    outln!(
-        "  smoothed {} ({} by plane), on a line {}, too few neighbours {}, holes {}",
-        status.plane + status.polynomial,
-        status.plane,
-        status.degenerate,
-        status.too_few,
-        status.hole
-    );
-    let runs = if smooth_ms.runs > 1 {
-        format!(" (median of {}, p99 {:.2})", smooth_ms.runs, smooth_ms.p99)
-    } else {
-        String::new()
-    };
-    outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
 }
 
 /// What an engine is open for: grid, outputs, parameters.
@@ -547,45 +472,3 @@ struct PointCounts {
 
 /// A larger share of lost points than this is reported.
 const LOST_SHARE_TOLD: f64 = 0.01;
-
-/// Reports in one line if the ranges of a grid are not the depths of a camera. Whoever gives a pose knows where the sensor stands.
-fn report_range_rule(input: &Path, frame: Frame<'_>, pose_is_given: bool) {
-    let Frame::Points(points) = frame else { return };
-    let input = input.display();
-    match points.range_rule() {
-        RangeRule::Distance { .. } if pose_is_given => {}
-        RangeRule::Distance { .. } if !points.pose().is_identity() => errln!(
-            "{input}: the grid is not that of a camera at the stated sensor pose; ranges are distances from the sensor"
-        ),
-        RangeRule::Distance { .. } => errln!(
-            "{input}: the grid is not that of a camera at the origin looking along +z; ranges are distances from the origin, and \
-             normals face it (give the sensor's pose with --sensor-pose)"
-        ),
-        RangeRule::Constant { spacing_m } => errln!(
-            "{input}: the sensor's position is unknown; smoothed by the spacing of the points, {spacing_m:.4} m, with normals to one \
-             side of the surface (give the sensor's pose with --sensor-pose)"
-        ),
-        _ => {}
-    }
-}
-
-/// Why points have too few neighbours, as far as the parameters tell, and what would help.
-fn likely_cause(frame: Frame<'_>, params: &SmoothParams) -> String {
-    match (params.radius, frame) {
-        (Radius::Fixed { radius_m }, _) => format!(
-            "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or --radius sensor"
-        ),
-        (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
-            "Likely they are isolated, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
-                .to_owned()
-        }
-        _ => "Likely they are isolated between holes: try --radius METRES".to_owned(),
-    }
-}
-
-fn summarize(mut times_ms: Vec<f64>) -> SmoothTimes {
-    times_ms.sort_by(f64::total_cmp);
-    let runs = times_ms.len();
-    let at = |share: f64| times_ms[((runs as f64 * share) as usize).min(runs - 1)];
-    SmoothTimes { median: at(0.5), p99: at(0.99), runs }
-}

@@ -74,9 +74,7 @@ impl FolderSink {
         }
         Ok(Self { folder: folder.to_path_buf(), format, outputs, has_camera: false })
     }
-}
 
-impl FolderSink {
     fn append(&self, name: &str, text: &str) -> Result<(), IoError> {
         let path = self.folder.join(name);
         let file = OpenOptions::new().create(true).append(true).open(&path);

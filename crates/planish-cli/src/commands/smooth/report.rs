@@ -1,0 +1,129 @@
+//! What `planish smooth` says: the report of a frame or a folder, and the likely causes of what went wrong.
+
+use std::path::{Path, PathBuf};
+
+use planish::{Frame, Radius, RangeRule, SmoothParams};
+use planish_bench::{errln, outln};
+use serde::Serialize;
+
+/// What is said of one frame.
+#[derive(Serialize)]
+pub struct Report {
+    #[serde(serialize_with = "lossily")]
+    pub input: PathBuf,
+    #[serde(serialize_with = "lossily")]
+    pub output: PathBuf,
+    pub engine: &'static str,
+    /// The GPU's name.
+    pub adapter: Option<String>,
+    /// Why `auto` took this engine.
+    pub engine_reason: Option<String>,
+    pub width: usize,
+    pub height: usize,
+    pub points_in: usize,
+    /// How many of those became holes.
+    pub points_lost: usize,
+    pub status: StatusCounts,
+    pub read_ms: f64,
+    pub smooth_ms: SmoothTimes,
+    pub write_ms: f64,
+}
+
+#[derive(Serialize)]
+pub struct StatusCounts {
+    pub hole: usize,
+    pub too_few: usize,
+    pub degenerate: usize,
+    pub plane: usize,
+    pub polynomial: usize,
+}
+
+#[derive(Serialize)]
+pub struct SmoothTimes {
+    pub median: f64,
+    pub p99: f64,
+    pub runs: usize,
+}
+
+#[derive(Serialize)]
+pub struct Failure {
+    #[serde(serialize_with = "lossily")]
+    pub input: PathBuf,
+    pub error: String,
+}
+
+#[derive(Serialize)]
+pub struct FolderReport {
+    pub frames: Vec<Report>,
+    pub failed: Vec<Failure>,
+    /// Whether a signal ended the run before its last frame.
+    pub interrupted: bool,
+}
+
+/// A path as text: what is not UTF-8 is replaced, so that the report is not lost.
+fn lossily<S: serde::Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.to_string_lossy())
+}
+
+pub fn print_report(report: &Report) {
+    let Report { status, smooth_ms, .. } = report;
+    outln!("{} -> {}", report.input.display(), report.output.display());
+    let adapter = report.adapter.as_ref().map_or(String::new(), |name| format!(" ({name})"));
+    outln!("  {} x {}, {} points, engine {}{adapter}", report.width, report.height, report.points_in, report.engine);
+    outln!(
+        "  smoothed {} ({} by plane), on a line {}, too few neighbours {}, holes {}",
+        status.plane + status.polynomial,
+        status.plane,
+        status.degenerate,
+        status.too_few,
+        status.hole
+    );
+    let runs = if smooth_ms.runs > 1 {
+        format!(" (median of {}, p99 {:.2})", smooth_ms.runs, smooth_ms.p99)
+    } else {
+        String::new()
+    };
+    outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
+}
+
+/// Reports in one line if the ranges of a grid are not the depths of a camera. Whoever gives a pose knows where the sensor stands.
+pub fn report_range_rule(input: &Path, frame: Frame<'_>, pose_is_given: bool) {
+    let Frame::Points(points) = frame else { return };
+    let input = input.display();
+    match points.range_rule() {
+        RangeRule::Distance { .. } if pose_is_given => {}
+        RangeRule::Distance { .. } if !points.pose().is_identity() => errln!(
+            "{input}: the grid is not that of a camera at the stated sensor pose; ranges are distances from the sensor"
+        ),
+        RangeRule::Distance { .. } => errln!(
+            "{input}: the grid is not that of a camera at the origin looking along +z; ranges are distances from the origin, and \
+             normals face it (give the sensor's pose with --sensor-pose)"
+        ),
+        RangeRule::Constant { spacing_m } => errln!(
+            "{input}: the sensor's position is unknown; smoothed by the spacing of the points, {spacing_m:.4} m, with normals to one \
+             side of the surface (give the sensor's pose with --sensor-pose)"
+        ),
+        _ => {}
+    }
+}
+
+/// Why points have too few neighbours, as far as the parameters tell, and what would help.
+pub fn likely_cause(frame: Frame<'_>, params: &SmoothParams) -> String {
+    match (params.radius, frame) {
+        (Radius::Fixed { radius_m }, _) => format!(
+            "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or --radius sensor"
+        ),
+        (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
+            "Likely they are isolated, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
+                .to_owned()
+        }
+        _ => "Likely they are isolated between holes: try --radius METRES".to_owned(),
+    }
+}
+
+pub fn summarize(mut times_ms: Vec<f64>) -> SmoothTimes {
+    times_ms.sort_by(f64::total_cmp);
+    let runs = times_ms.len();
+    let at = |share: f64| times_ms[((runs as f64 * share) as usize).min(runs - 1)];
+    SmoothTimes { median: at(0.5), p99: at(0.99), runs }
+}
