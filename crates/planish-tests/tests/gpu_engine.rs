@@ -10,7 +10,7 @@ use planish_tests::engines::{TestEngine, test_adapter};
 use planish_tests::scenes::{grid, small_camera};
 
 const SHAPE: (usize, usize) = (160, 120);
-const EVERYTHING: Outputs = Outputs::ALL.with_depth(true);
+const EVERYTHING: Outputs = Outputs::ALL.with_depth(true).with_depth_m(true);
 
 /// The adapter of the tests; says SKIP where there is none.
 fn adapter(test: &str) -> Option<&'static GpuAdapter> {
@@ -167,7 +167,7 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
     let depth = frame(3);
     let all = TestEngine::gpu(true).smooth_to(&depth, SmoothParams::default(), EVERYTHING);
     let mut smoothed = Smoothed::default();
-    for bits in (1..64u32).filter(|bits| bits.count_ones() <= 2 || bits % 7 == 0) {
+    for bits in (1..128u32).filter(|bits| bits.count_ones() <= 2 || bits % 7 == 0) {
         let wants = |bit: u32| bits & bit != 0;
         let outputs = Outputs::POINTS
             .with_points(wants(1))
@@ -175,12 +175,14 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
             .with_normals(wants(4))
             .with_curvature(wants(8))
             .with_status(wants(16))
-            .with_neighbours(wants(32));
+            .with_neighbours(wants(32))
+            .with_depth_m(wants(64));
         let mut smoother = open(SmoothParams::default(), |options| options.outputs = outputs).unwrap();
         smoother.smooth(&depth, &mut smoothed).unwrap();
         let mut expected = all.clone();
         expected.points = if outputs.points { expected.points } else { Default::default() };
         expected.depth = expected.depth.filter(|_| outputs.depth);
+        expected.depth_m = expected.depth_m.filter(|_| outputs.depth_m);
         expected.normals = expected.normals.filter(|_| outputs.normals);
         expected.curvature = expected.curvature.filter(|_| outputs.curvature);
         expected.status = expected.status.filter(|_| outputs.status);

@@ -88,6 +88,12 @@ fn depth_out_is_the_references_to_the_unit() {
             let differ: Vec<_> = found.iter().zip(&expected).filter(|(a, b)| a != b).collect();
             assert!(differ.len() * 1000 < found.len(), "{subject}: {} of {}", differ.len(), found.len());
             assert!(differ.iter().all(|(a, b)| a.abs_diff(**b) <= 1), "{subject}: {differ:?}");
+
+            // In metres it is what raw depth is rounded from.
+            let outputs = Outputs::DEPTH.with_depth_m(true);
+            let smoothed = engine.smooth_to(&depth, params, outputs);
+            let (raw, depth_m) = (smoothed.depth.unwrap(), smoothed.depth_m.unwrap());
+            assert!(raw.iter().zip(&depth_m).all(|(&raw, &m)| raw == depth.camera.raw_depth(m)), "{subject}");
         }
     }
 }

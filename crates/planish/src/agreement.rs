@@ -141,6 +141,8 @@ pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: SmoothParams) -> Vec<f64> 
     };
     let radius_m = |range_m: f64| match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
+        // Of general clouds; within the radius up to which tolerances hold, or they are told otherwise.
+        Radius::Neighbours { .. } => 0.0,
         Radius::Sensor => {
             let spacing_m = match geometry.rule {
                 RangeRule::Constant { spacing_m } => spacing_m,

@@ -1,7 +1,7 @@
 //! The engines that there are, what each can do, how it is opened, and which one `Auto` takes. Adding an engine touches this
 //! file and its own folder.
 
-use crate::cpu::Cpu;
+use crate::cpu::{Cpu, GeneralCpu};
 use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
 use crate::engine::{Immediate, SmoothingEngine};
 use crate::error::{EngineError, Error};
@@ -61,7 +61,7 @@ impl Engine {
     pub fn capabilities(self) -> Capabilities {
         let on_grids = Capabilities { grids: true, general: false, edges: true, depth_out: true, pipelined: false };
         match self {
-            Self::Cpu => on_grids,
+            Self::Cpu => Capabilities { general: true, ..on_grids },
             Self::Gpu => Capabilities { pipelined: true, ..on_grids },
             Self::Auto | Self::Reference => Capabilities { general: true, ..on_grids },
         }
@@ -82,7 +82,7 @@ pub enum ChoiceReason {
     NoRealGpu(Vec<GpuAdapter>),
     /// There is a GPU, but it did not open.
     GpuFailed(GpuAdapter, String),
-    /// No other engine smooths general clouds.
+    /// The fastest engine that smooths general clouds.
     GeneralCloud,
 }
 
@@ -90,7 +90,7 @@ impl std::fmt::Display for ChoiceReason {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::RealGpu(adapter) => return write!(f, "{} is a GPU", adapter.name),
-            Self::GeneralCloud => return f.write_str("the only engine for general clouds"),
+            Self::GeneralCloud => return f.write_str("the fastest engine for general clouds"),
             Self::NoGpuInBuild => f.write_str("this build has no GPU engine"),
             Self::NoAdapter => f.write_str("no GPU adapter was found"),
             Self::NoRealGpu(adapters) => match &adapters[..] {
@@ -211,6 +211,10 @@ fn open_named(
         (Engine::Cpu | Engine::Auto, Some(shape)) => {
             let cpu = Cpu::open(params, threads, simd, shape)?;
             Ok(Box::new(Immediate::new(cpu, outputs, gpu.slots, gpu.timestamps)))
+        }
+        (Engine::Cpu | Engine::Auto, None) => {
+            let cpu = GeneralCpu::open(params, outputs, threads, simd)?;
+            Ok(Box::new(Immediate::new(cpu, outputs, gpu.slots, false)))
         }
         (Engine::Gpu, Some(shape)) => open_gpu(params, outputs, gpu, shape),
         (Engine::Reference, _) => {

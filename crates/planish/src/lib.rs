@@ -29,7 +29,7 @@
 //! # fn main() -> Result<(), planish::Error> {
 //! # let points: Vec<[f32; 3]> = (0..900).map(|i| [0.01 * (i % 30) as f32, 0.01 * (i / 30) as f32, 2.0]).collect();
 //! // let points: Vec<[f32; 3]> = ...
-//! let mut smoother = Smoother::open(SmoothParams::default().with_radius_m(0.03), Engine::Auto, None)?;
+//! let mut smoother = Smoother::open(SmoothParams::general(), Engine::Auto, None)?;
 //! let mut smoothed = Smoothed::default();
 //! smoother.smooth(PointsView::from_rows(&points)?, &mut smoothed)?;
 //! println!("{} points, the first at {:?}", smoothed.points.len(), smoothed.points.get(0));
@@ -102,7 +102,6 @@ pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
 pub use engines::{Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters};
 pub use error::{DeviceError, EngineError, Error, FormatError, FrameError, IoError, ParamError};
 pub use frame::{DepthFrame, DepthImage, DepthView, Frame, IntoFrame, PointLayout, PointsView, RangeRule, Scalar};
-pub use neighbours::estimate_radius_m;
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};
 pub use params::{Edges, Project, Radius, SmoothParams, Strength};
 pub use pose::SensorPose;

@@ -13,6 +13,9 @@ pub(crate) const GRAZING_COSINE: f32 = 0.2;
 /// No point moves along its ray by more than this share of its distance (section 7).
 pub(crate) const MAX_ALONG: f32 = 0.5;
 
+/// No radius of a general cloud is more than so many times the mean of those around it (section 8).
+pub(crate) const MAX_RADIUS_RATIO: f32 = 3.0;
+
 // Section 10.
 
 /// More doubt than this makes no difference, and its square is far from the end of f32.

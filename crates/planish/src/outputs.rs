@@ -19,6 +19,8 @@ pub struct Outputs {
     pub points: bool,
     /// The smoothed surface as raw depth values (docs/method.md, section 7); the frame's camera must be known.
     pub depth: bool,
+    /// The same in metres, as precise as the points.
+    pub depth_m: bool,
     /// Unit normals, towards the sensor.
     pub normals: bool,
     /// Surface variation l0/(l0+l1+l2), as PCL defines it.
@@ -31,15 +33,22 @@ pub struct Outputs {
 
 impl Outputs {
     /// Nothing: what others are made from.
-    const NONE: Self =
-        Self { points: false, depth: false, normals: false, curvature: false, status: false, neighbours: false };
+    const NONE: Self = Self {
+        points: false,
+        depth: false,
+        depth_m: false,
+        normals: false,
+        curvature: false,
+        status: false,
+        neighbours: false,
+    };
     /// Points and nothing else.
     pub const POINTS: Self = Self { points: true, ..Self::NONE };
     /// Depth and nothing else.
     pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
     /// Everything that every frame has: all but depth, which needs a camera.
     pub const ALL: Self =
-        Self { points: true, depth: false, normals: true, curvature: true, status: true, neighbours: true };
+        Self { points: true, normals: true, curvature: true, status: true, neighbours: true, ..Self::NONE };
 
     /// The same with points or without.
     pub const fn with_points(self, points: bool) -> Self {
@@ -49,6 +58,16 @@ impl Outputs {
     /// The same with depth or without.
     pub const fn with_depth(self, depth: bool) -> Self {
         Self { depth, ..self }
+    }
+
+    /// The same with depth in metres or without.
+    pub const fn with_depth_m(self, depth_m: bool) -> Self {
+        Self { depth_m, ..self }
+    }
+
+    /// Whether a camera must be known.
+    pub(crate) fn needs_camera(self) -> bool {
+        self.depth || self.depth_m
     }
 
     /// The same with normals or without.
@@ -201,6 +220,8 @@ pub struct SmoothedMut<'a> {
     pub neighbours: Option<&'a mut [u32]>,
     /// Raw depth values of the smoothed surface, 0 for holes.
     pub depth: Option<&'a mut [u16]>,
+    /// Depth of the smoothed surface in metres, NaN for holes.
+    pub depth_m: Option<&'a mut [f32]>,
 }
 
 impl<'a> SmoothedMut<'a> {
@@ -239,6 +260,11 @@ impl<'a> SmoothedMut<'a> {
         Self { depth: Some(depth), ..self }
     }
 
+    /// The same with a buffer for depth in metres.
+    pub fn with_depth_m(self, depth_m: &'a mut [f32]) -> Self {
+        Self { depth_m: Some(depth_m), ..self }
+    }
+
     /// Borrows the buffers for a shorter time.
     pub fn reborrow(&mut self) -> SmoothedMut<'_> {
         SmoothedMut {
@@ -248,6 +274,7 @@ impl<'a> SmoothedMut<'a> {
             status: self.status.as_deref_mut(),
             neighbours: self.neighbours.as_deref_mut(),
             depth: self.depth.as_deref_mut(),
+            depth_m: self.depth_m.as_deref_mut(),
         }
     }
 
@@ -260,6 +287,7 @@ impl<'a> SmoothedMut<'a> {
             ("status", self.status.is_some(), outputs.status),
             ("neighbours", self.neighbours.is_some(), outputs.neighbours),
             ("depth", self.depth.is_some(), outputs.depth),
+            ("depth in metres", self.depth_m.is_some(), outputs.depth_m),
         ];
         if let Some((output, ..)) = opened.into_iter().find(|(_, given, opened)| *given && !opened) {
             return Err(FrameError::OutputNotOpened { output });
@@ -271,6 +299,7 @@ impl<'a> SmoothedMut<'a> {
             ("the buffer for status", self.status.as_ref().map(|buffer| buffer.len())),
             ("the buffer for neighbours", self.neighbours.as_ref().map(|buffer| buffer.len())),
             ("the buffer for depth", self.depth.as_ref().map(|buffer| buffer.len())),
+            ("the buffer for depth in metres", self.depth_m.as_ref().map(|buffer| buffer.len())),
         ];
         lengths.into_iter().try_for_each(|(what, found)| check_len(what, found.unwrap_or(len), len))
     }

@@ -15,6 +15,12 @@ pub enum Radius {
         /// The radius in metres.
         radius_m: f32,
     },
+    /// For general clouds: the radius within which evenly spread points would number so many, of the density around each point; at
+    /// most three times the mean radius of its neighbours (docs/method.md, section 8).
+    Neighbours {
+        /// How many, 6 to 1000.
+        count: u32,
+    },
     /// r(z) = max(2 k s pitch z, 4 step(z)): wide enough for the window at this range, and for the sensor's depth steps.
     Sensor,
 }
@@ -65,6 +71,9 @@ const RIDGE: f32 = 2.5e-2;
 const LIGHT_RIDGE: f32 = 1e-2;
 /// The ridge of [`SmoothParams::paper`] and of sensors without noise: shapes are those of the plain polynomial.
 const SMALL_RIDGE: f32 = 1e-3;
+
+/// About how many neighbours points of general clouds have by default.
+pub const GENERAL_NEIGHBOURS: u32 = 40;
 
 /// How far and how much to smooth, from 0 to 1: windows grow in steps, the ridge steadily.
 ///
@@ -160,6 +169,8 @@ pub struct SmoothParams {
     pub project: Project,
     /// Whether edges are kept.
     pub edges: Edges,
+    /// Whether points of a general cloud with fewer than three neighbours become holes; else they stay as measured.
+    pub remove_isolated: bool,
     /// Whose steps and noise they are: [`Radius::Sensor`], [`Edges::Robust`] and block means go by it.
     pub sensor: SensorModel,
 }
@@ -194,6 +205,7 @@ impl SmoothParams {
             ridge,
             project: Project::Ray,
             edges,
+            remove_isolated: false,
             sensor,
         }
     }
@@ -248,6 +260,11 @@ impl SmoothParams {
         Self { edges, ..self }
     }
 
+    /// The same with isolated points of a general cloud removed or kept.
+    pub const fn with_remove_isolated(self, remove_isolated: bool) -> Self {
+        Self { remove_isolated, ..self }
+    }
+
     /// The same for another sensor.
     pub const fn with_sensor(self, sensor: SensorModel) -> Self {
         Self { sensor, ..self }
@@ -299,8 +316,15 @@ impl SmoothParams {
             ridge: SMALL_RIDGE,
             project: Project::Normal,
             edges: Edges::Off,
+            remove_isolated: false,
             sensor: SensorModel::KINECT_V1,
         }
+    }
+
+    /// A setting for general clouds: degree 2, and a radius for about [`GENERAL_NEIGHBOURS`] neighbours by the density around each
+    /// point.
+    pub fn general() -> Self {
+        Self { radius: Radius::Neighbours { count: GENERAL_NEIGHBOURS }, degree: 2, ..Self::paper() }
     }
 
     /// Refuses every value outside its range.
@@ -317,6 +341,9 @@ impl SmoothParams {
         integer("degree", self.degree, 1..=3, "1 to 3")?;
         if let Radius::Fixed { radius_m } = self.radius {
             real("radius_m", radius_m, 1e-6..=1e3, "1e-6 to 1000 metres")?;
+        }
+        if let Radius::Neighbours { count } = self.radius {
+            integer("neighbours", count, 6..=1000, "6 to 1000")?;
         }
         real("ridge", self.ridge, 1e-3..=100.0, "1e-3 to 100")?;
         self.sensor.validate()?;

@@ -46,6 +46,8 @@ impl RangeRules {
         };
         match params.radius {
             Radius::Fixed { radius_m } => rules.radius[0] = radius_m,
+            // Of general clouds, which have rules of their own.
+            Radius::Neighbours { .. } => {}
             Radius::Sensor => {
                 rules.linear = (REACHES * params.reach_px() as f64 * geometry.rule.pitch_at_1m()) as f32;
                 rules.radius = params.sensor.step.map(|c| 4.0 * c);

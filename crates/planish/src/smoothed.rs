@@ -21,6 +21,8 @@ pub struct Smoothed {
     pub points: Xyz,
     /// Raw depth values of the smoothed surface, 0 for holes.
     pub depth: Option<Vec<u16>>,
+    /// Depth of the smoothed surface in metres, NaN for holes.
+    pub depth_m: Option<Vec<f32>>,
     /// Unit normals towards the sensor; NaN where there is none.
     pub normals: Option<Xyz>,
     /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
@@ -38,10 +40,23 @@ impl Smoothed {
         (self.width, self.height) = (width, height);
         resize(&mut self.points, if outputs.points { len } else { 0 });
         keep(&mut self.depth, outputs.depth, |values| values.resize(len, 0));
+        keep(&mut self.depth_m, outputs.depth_m, |values| values.resize(len, 0.0));
         keep(&mut self.normals, outputs.normals, |normals| resize(normals, len));
         keep(&mut self.curvature, outputs.curvature, |values| values.resize(len, 0.0));
         keep(&mut self.status, outputs.status, |values| values.resize(len, Status::Hole));
         keep(&mut self.neighbours, outputs.neighbours, |values| values.resize(len, 0));
+    }
+
+    /// Bytes of its buffers.
+    pub(crate) fn bytes(&self) -> usize {
+        let vectors = |vectors: &Xyz| 4 * (vectors.x.capacity() + vectors.y.capacity() + vectors.z.capacity());
+        vectors(&self.points)
+            + self.normals.as_ref().map_or(0, vectors)
+            + 4 * self.curvature.as_ref().map_or(0, Vec::capacity)
+            + self.status.as_ref().map_or(0, Vec::capacity)
+            + 4 * self.neighbours.as_ref().map_or(0, Vec::capacity)
+            + 2 * self.depth.as_ref().map_or(0, Vec::capacity)
+            + 4 * self.depth_m.as_ref().map_or(0, Vec::capacity)
     }
 
     /// The buffers, to be written into.
@@ -53,6 +68,7 @@ impl Smoothed {
             status: self.status.as_deref_mut(),
             neighbours: self.neighbours.as_deref_mut(),
             depth: self.depth.as_deref_mut(),
+            depth_m: self.depth_m.as_deref_mut(),
         }
     }
 
@@ -61,18 +77,20 @@ impl Smoothed {
         if let Some(counts) = self.status_counts() {
             return counts[Status::TooFew as usize];
         }
-        let left = match &self.depth {
+        let finite = |values: &[f32]| values.iter().filter(|value| value.is_finite()).count();
+        let left = match (&self.depth, &self.depth_m) {
             // Points are holes in all coordinates or in none.
-            _ if !self.points.is_empty() => self.points.z.iter().filter(|z| z.is_finite()).count(),
-            Some(depth) => depth.iter().filter(|raw| **raw != 0).count(),
-            None => return 0,
+            _ if !self.points.is_empty() => finite(&self.points.z),
+            (_, Some(depth_m)) => finite(depth_m),
+            (Some(depth), None) => depth.iter().filter(|raw| **raw != 0).count(),
+            (None, None) => return 0,
         };
         frame.valid_points().saturating_sub(left)
     }
 
     /// How many pixels have each status, in the order of [`Status::ALL`]; `None` if the status was not asked for.
-    pub fn status_counts(&self) -> Option<[usize; 6]> {
-        let mut counts = [0; 6];
+    pub fn status_counts(&self) -> Option<[usize; Status::ALL.len()]> {
+        let mut counts = [0; Status::ALL.len()];
         for &status in self.status.as_ref()? {
             counts[status as usize] += 1;
         }

@@ -76,8 +76,8 @@ impl Smoother {
     /// The same with everything chosen by the caller.
     ///
     /// Limits are checked, kernels compiled and a first frame computed here. `Auto` chooses here and never later; a GPU that
-    /// cannot be opened for these frames leaves it with the CPU. General clouds need [`Radius::Fixed`]: without a grid there is
-    /// no pixel spacing to derive a radius from ([`estimate_radius_m`](crate::estimate_radius_m) finds one).
+    /// cannot be opened for these frames leaves it with the CPU. General clouds need [`Radius::Neighbours`] or
+    /// [`Radius::Fixed`]: without a grid there is no pixel spacing to derive a radius from ([`SmoothParams::general`]).
     pub fn open_with(
         params: SmoothParams,
         options: &SmootherOptions,
@@ -229,7 +229,7 @@ impl Smoother {
                 return Err(FrameError::GridMismatch { found, expected: describe(expected) });
             }
         }
-        if self.outputs.depth && frame.camera().is_none() {
+        if self.outputs.needs_camera() && frame.camera().is_none() {
             return Err(FrameError::MissingCamera { what: "depth as an output" });
         }
         let Self { params, .. } = self;
@@ -242,12 +242,19 @@ fn check_options(params: SmoothParams, options: &SmootherOptions, grid: Option<(
     params.validate()?;
     options.outputs.validate()?;
     match grid {
-        Some((width, height)) => validate_shape(width, height)?,
+        Some((width, height)) => {
+            validate_shape(width, height)?;
+            if let Radius::Neighbours { count } = params.radius {
+                let (value, allowed) =
+                    (format!("{count} neighbours"), "sensor or metres on a grid: neighbours are for general clouds");
+                return Err(ParamError { field: "radius", value, allowed }.into());
+            }
+        }
         None if params.radius == Radius::Sensor => {
-            let allowed = "a fixed radius in metres, for general clouds";
+            let allowed = "neighbours or a radius in metres, for general clouds";
             return Err(ParamError { field: "radius", value: "sensor".into(), allowed }.into());
         }
-        None if options.outputs.depth => {
+        None if options.outputs.needs_camera() => {
             return Err(FrameError::MissingCamera { what: "depth as an output" }.into());
         }
         None => {}

@@ -18,12 +18,14 @@ pub enum Status {
     Polynomial2 = 4,
     /// On a polynomial of degree 3.
     Polynomial3 = 5,
+    /// In a general cloud, fewer than 3 neighbours: the point stays as measured and has no normal.
+    Isolated = 6,
 }
 
 impl Status {
     /// Every status, in the order of their codes.
-    pub const ALL: [Self; 6] =
-        [Self::Hole, Self::TooFew, Self::Degenerate, Self::Plane, Self::Polynomial2, Self::Polynomial3];
+    pub const ALL: [Self; 7] =
+        [Self::Hole, Self::TooFew, Self::Degenerate, Self::Plane, Self::Polynomial2, Self::Polynomial3, Self::Isolated];
 
     /// Whether the output has a finite point.
     pub fn has_point(self) -> bool {
@@ -32,7 +34,7 @@ impl Status {
 
     /// Whether the output has a normal and a curvature.
     pub fn has_normal(self) -> bool {
-        self >= Self::Plane
+        matches!(self, Self::Plane | Self::Polynomial2 | Self::Polynomial3)
     }
 
     /// The status of a code; a hole for codes that there are not.
@@ -40,8 +42,8 @@ impl Status {
     pub(crate) fn of_code(code: u8) -> Self {
         // With room for every 3-bit index: no code needs a check.
         const BY_CODE: [Status; 8] = {
-            let [hole, few, line, plane, quadratic, cubic] = Status::ALL;
-            [hole, few, line, plane, quadratic, cubic, hole, hole]
+            let [hole, few, line, plane, quadratic, cubic, isolated] = Status::ALL;
+            [hole, few, line, plane, quadratic, cubic, isolated, hole]
         };
         BY_CODE[usize::from(code & 7)]
     }

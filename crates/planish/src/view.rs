@@ -23,6 +23,7 @@ pub(crate) trait ResultInPlace: Send + Sync {
     fn normals(&self) -> Option<[&[f32]; 3]>;
     fn curvature(&self) -> Option<&[f32]>;
     fn depth_rows(&self) -> Option<Vec<&[u16]>>;
+    fn depth_m(&self) -> Option<&[f32]>;
     fn status(&self) -> Option<Vec<Status>>;
     fn copy_to(&self, out: &mut Smoothed);
 }
@@ -75,6 +76,14 @@ impl SmoothedView {
         match &self.result {
             Storage::Owned(smoothed) => Some(smoothed.depth.as_ref()?.chunks_exact(smoothed.width).collect()),
             Storage::InPlace(result) => result.depth_rows(),
+        }
+    }
+
+    /// Depth in metres, row by row, NaN for holes; `None` if it was not asked for.
+    pub fn depth_m(&self) -> Option<&[f32]> {
+        match &self.result {
+            Storage::Owned(smoothed) => smoothed.depth_m.as_deref(),
+            Storage::InPlace(result) => result.depth_m(),
         }
     }
 

@@ -282,7 +282,7 @@ pub enum FieldArg {
     Normals,
     /// Surface variation
     Curvature,
-    /// Status of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3
+    /// Status of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated
     Status,
     /// Nothing (the default)
     None,

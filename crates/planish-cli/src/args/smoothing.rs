@@ -110,6 +110,12 @@ pub struct SmoothingArgs {
     /// Radius of a neighbourhood in metres, or `sensor`: growing with distance as the sensor's noise does
     #[arg(long, value_name = "METRES|sensor", allow_negative_numbers = true)]
     pub radius: Option<RadiusArg>,
+    /// Of general clouds instead of a radius: so many neighbours (6 to 1000, else 40), by the density around each point
+    #[arg(long, value_name = "K", conflicts_with = "radius")]
+    pub neighbours: Option<u32>,
+    /// Of general clouds: turn points with fewer than 3 neighbours into holes; else they stay where they are
+    #[arg(long)]
+    pub remove_isolated: bool,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
     #[arg(long, value_name = "D")]
     pub degree: Option<u32>,
@@ -134,11 +140,6 @@ pub struct SmoothingArgs {
 }
 
 impl SmoothingArgs {
-    /// Whether the user chose the radius.
-    pub fn has_radius(&self) -> bool {
-        self.radius.is_some() || matches!(self.preset, Some(PresetArg::Paper))
-    }
-
     /// The options given that change nothing for a general cloud: it has no pixels, and no sensor.
     pub fn unused_by_general_clouds(&self) -> Vec<&'static str> {
         let given = [
@@ -178,16 +179,7 @@ impl SmoothingArgs {
         params.window = self.window.unwrap_or(params.window);
         params.stride = self.stride.unwrap_or(params.stride);
         params.average_blocks = self.average_blocks.unwrap_or(params.average_blocks);
-        params.degree = self.degree.unwrap_or(params.degree);
-        params.bandwidth_m = self.bandwidth.or(params.bandwidth_m);
-        match self.radius {
-            None => {}
-            Some(RadiusArg::Sensor) => {
-                params.radius = Radius::Sensor;
-            }
-            Some(RadiusArg::Metres(radius_m)) => params.radius = Radius::Fixed { radius_m },
-        }
-        params.ridge = self.ridge.unwrap_or(params.ridge);
+        self.override_fit(&mut params);
         match self.project {
             None => {}
             Some(ProjectArg::Ray) => params.project = Project::Ray,
@@ -200,6 +192,35 @@ impl SmoothingArgs {
         }
         params.validate()?;
         Ok(params)
+    }
+
+    /// The parameters for general clouds, which have neither pixels nor a sensor.
+    pub fn general_params(&self) -> Result<SmoothParams> {
+        let mut params = match self.preset {
+            Some(PresetArg::Paper) => SmoothParams::paper(),
+            _ => SmoothParams::general(),
+        };
+        self.override_fit(&mut params);
+        params.remove_isolated = self.remove_isolated;
+        params.validate()?;
+        Ok(params)
+    }
+
+    /// Sets what was given of the neighbourhood and the surface.
+    fn override_fit(&self, params: &mut SmoothParams) {
+        params.degree = self.degree.unwrap_or(params.degree);
+        params.bandwidth_m = self.bandwidth.or(params.bandwidth_m);
+        match self.radius {
+            None => {}
+            Some(RadiusArg::Sensor) => {
+                params.radius = Radius::Sensor;
+            }
+            Some(RadiusArg::Metres(radius_m)) => params.radius = Radius::Fixed { radius_m },
+        }
+        if let Some(count) = self.neighbours {
+            params.radius = Radius::Neighbours { count };
+        }
+        params.ridge = self.ridge.unwrap_or(params.ridge);
     }
 
     /// Whether window and stride are left to the frame's resolution: neither given nor the report's.

@@ -14,7 +14,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::{self, CloudRef, Contents, Format};
 use planish::{
     Camera, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, PointsView, Radius,
-    RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother, estimate_radius_m,
+    RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
 };
 use planish_bench::{errln, outln};
 
@@ -174,10 +174,10 @@ struct Worker<'a> {
 enum Output {
     Organized(OrganizedCloud),
     General(PointCloud),
-    /// Depth as raw values, or in metres if the input was.
+    /// Depth of so many columns and rows.
     Depth {
-        camera: Camera,
-        in_metres: bool,
+        width: usize,
+        height: usize,
     },
 }
 
@@ -256,11 +256,10 @@ impl Worker<'_> {
             bail!("{}: has no place for --fields; write .pcd or .ply", output.display());
         }
         let mut outputs = self.args.outputs().with_status(true);
-        // Depth in metres is made from points and normals; raw depth by the engine, which then gives nothing else.
-        if depth_out && in_metres {
-            outputs.normals = true;
-        } else if depth_out {
-            outputs = Outputs::DEPTH.with_status(true);
+        if depth_out {
+            let stays_in_metres = in_metres && Format::of_extension(output) == Some(Format::Npy);
+            let only = Outputs::DEPTH.with_depth(!stays_in_metres).with_depth_m(stays_in_metres);
+            outputs = only.with_status(true);
         }
         // A raw depth image goes to the engine as it is.
         let mut depth = match &contents {
@@ -301,7 +300,7 @@ impl Worker<'_> {
         let params = self.args.smoothing.at_resolution_of(self.params, frame);
         let (points, times_ms) = self.smooth(output, frame, outputs, params)?;
         let result = match depth_camera {
-            Some(camera) => Output::Depth { camera, in_metres },
+            Some(Camera { width, height, .. }) => Output::Depth { width, height },
             None => Output::Organized(cloud),
         };
         Ok((result, points, times_ms))
@@ -313,7 +312,7 @@ impl Worker<'_> {
         output: &Path,
         cloud: &PointCloud,
     ) -> Result<(PointCounts, SmoothTimes)> {
-        let mut params = self.params;
+        let params = self.args.smoothing.general_params()?;
         if self.args.smoothing.remove_floating {
             bail!("{}: a general cloud; --remove-floating needs the pixels around each point", input.display());
         }
@@ -321,16 +320,11 @@ impl Worker<'_> {
         if !engine.capabilities().general {
             bail!("{}: a general cloud, which --engine {} does not smooth", input.display(), engine.name());
         }
-        if !self.args.smoothing.has_radius() {
-            let radius_m = estimate_radius_m(cloud).with_context(|| {
-                format!("{}: no radius can be estimated from these points: add --radius METRES", input.display())
-            })?;
-            errln!("{}: a general cloud; radius {radius_m:.4} m from the spacing of the points", input.display());
-            params.radius = Radius::Fixed { radius_m };
-        }
-        if self.args.smoothing.ridge.is_none() {
-            // All neighbours count, so shapes need no more damping than the plain polynomial.
-            params.ridge = SmoothParams::paper().ridge;
+        if let (Radius::Neighbours { count }, None) = (params.radius, self.args.smoothing.neighbours) {
+            errln!(
+                "{}: a general cloud, smoothed with about {count} neighbours of each point (--neighbours or --radius to change that)",
+                input.display()
+            );
         }
         let unused = self.args.smoothing.unused_by_general_clouds();
         if !unused.is_empty() {
@@ -385,15 +379,17 @@ impl Worker<'_> {
             result?;
             times_ms.push(ms_since(start));
         }
-        let [_, lost, ..] = self.smoothed.status_counts().unwrap_or_default();
+        let StatusCounts { too_few: lost, isolated, .. } = self.status_counts();
         let valid = frame.valid_points();
-        if lost as f64 > LOST_SHARE_TOLD * valid as f64 {
-            let share = 100.0 * lost as f64 / valid as f64;
-            let cause = likely_cause(frame, &params);
-            errln!(
-                "{}: {lost} of {valid} valid points ({share:.1} %) became holes: they have fewer than 3 neighbours. {cause}",
-                output.display()
-            );
+        for (count, became) in [(lost, "became holes"), (isolated, "stay where they are")] {
+            if count as f64 > LOST_SHARE_TOLD * valid as f64 {
+                let share = 100.0 * count as f64 / valid as f64;
+                let cause = likely_cause(frame, &params);
+                errln!(
+                    "{}: {count} of {valid} valid points ({share:.1} %) {became}: they have fewer than 3 neighbours. {cause}",
+                    output.display()
+                );
+            }
         }
         Ok((PointCounts { valid, lost }, summarize(times_ms)))
     }
@@ -435,24 +431,22 @@ impl Worker<'_> {
         match result {
             Output::Organized(cloud) => io::write_cloud(output, CloudRef::Organized(cloud), encoding)?,
             Output::General(cloud) => io::write_cloud(output, CloudRef::General(cloud), encoding)?,
-            Output::Depth { camera, in_metres: true } if Format::of_extension(output) == Some(Format::Npy) => {
-                let depth_m = self.smoothed.to_depth_m(camera).map_err(Error::from)?;
-                io::write_depth_metres(output, camera.width, &depth_m)?;
-            }
-            Output::Depth { camera, .. } => {
-                let image = match &self.smoothed.depth {
-                    Some(raw) => DepthImage { width: camera.width, height: camera.height, raw: raw.clone() },
-                    None => self.smoothed.to_depth(camera).map_err(Error::from)?,
-                };
-                io::write_depth(output, &image)?;
+            &Output::Depth { width, height } => {
+                if let Some(depth_m) = &self.smoothed.depth_m {
+                    io::write_depth_metres(output, width, depth_m)?;
+                } else {
+                    let raw = self.smoothed.depth.clone().context("no depth was computed")?;
+                    io::write_depth(output, &DepthImage { width, height, raw })?;
+                }
             }
         }
         Ok(())
     }
 
     fn status_counts(&self) -> StatusCounts {
-        let [hole, too_few, degenerate, plane, quadratic, cubic] = self.smoothed.status_counts().unwrap_or_default();
-        StatusCounts { hole, too_few, degenerate, plane, polynomial: quadratic + cubic }
+        let [hole, too_few, degenerate, plane, quadratic, cubic, isolated] =
+            self.smoothed.status_counts().unwrap_or_default();
+        StatusCounts { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated }
     }
 }
 

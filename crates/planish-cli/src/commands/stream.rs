@@ -293,7 +293,7 @@ fn report(statistics: &StreamStatistics) -> Report {
 fn print_report(report: &Report) {
     let Report { frames_in, frames_out, dropped, unreadable, seconds, fps, latency_ms, engine, .. } = report;
     outln!("{frames_out} frames in {seconds:.1} s, {fps:.1} a second, engine {engine}");
-    outln!("  {frames_in} came, {dropped} were dropped for newer ones, {unreadable} could not be read");
+    outln!("  {frames_in} frames received, {dropped} dropped for newer ones, {unreadable} unreadable");
     let LatencyMs { p50, p95, p99, max } = latency_ms;
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
     let StageMs { capture, smooth, sinks } = report.stage_ms;

@@ -39,9 +39,11 @@ fn smooth_keeps_grid_holes_and_colour_and_reports_in_json() {
     assert!(report["read_ms"].as_f64().unwrap() > 0.0 && report["write_ms"].as_f64().unwrap() > 0.0);
     let status = report["status"].as_object().unwrap();
     let names: Vec<&str> = status.keys().map(String::as_str).collect();
-    assert_eq!(names.len(), 5);
-    let sum: u64 =
-        ["hole", "too_few", "degenerate", "plane", "polynomial"].iter().map(|n| status[*n].as_u64().unwrap()).sum();
+    assert_eq!(names.len(), 6);
+    let sum: u64 = ["hole", "too_few", "degenerate", "plane", "polynomial", "isolated"]
+        .iter()
+        .map(|n| status[*n].as_u64().unwrap())
+        .sum();
     assert_eq!(sum, 160 * 120);
     assert!(["auto", ""].iter().all(|name| report["engine"] != *name));
 
@@ -96,15 +98,30 @@ fn depth_in_gives_depth_out_and_points_when_the_name_says_so() {
 }
 
 #[test]
-fn general_clouds_are_smoothed_with_a_radius_from_their_spacing() {
+fn general_clouds_are_smoothed_with_radii_of_their_density() {
     let folder = tempfile::tempdir().unwrap();
     let (input, output) = (folder.path().join("points.ply"), folder.path().join("smooth.ply"));
     let cloud = small_frame(1).deproject().unwrap().points;
     io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
     let result = planish(&["smooth", str(&input), str(&output)]);
-    assert!(result.status.success() && text(&result.stderr).contains("radius"));
-    let Contents::General(smoothed) = io::read(&output).unwrap().1 else { panic!("points") };
-    assert_eq!(smoothed.len(), cloud.len());
+    assert!(result.status.success() && text(&result.stderr).contains("40 neighbours"));
+    let read = || {
+        let Contents::General(smoothed) = io::read(&output).unwrap().1 else { panic!("points") };
+        smoothed
+    };
+    let smoothed = read();
+    assert_eq!(smoothed.valid_points(), cloud.valid_points());
+    let moved = smoothed.positions.iter().zip(cloud.positions.iter()).filter(|(p, q)| p != q && q[0].is_finite());
+    assert!(moved.count() * 10 > 9 * cloud.valid_points());
+    for options in [["--neighbours", "20"], ["--radius", "0.05"], ["--preset", "paper"]] {
+        let result = planish(&[&["smooth", str(&input), str(&output)][..], &options].concat());
+        assert!(result.status.success() && !text(&result.stderr).contains("40 neighbours"), "{options:?}");
+        assert!(read() != smoothed, "{options:?}");
+    }
+    assert!(refused(&["smooth", str(&input), str(&output), "--neighbours", "3"]).contains("6 to 1000"));
+    assert!(refused(&["smooth", str(&input), str(&output), "--radius", "sensor"]).contains("neighbours"));
+    let (_folder, _, grid) = with_frame();
+    assert!(refused(&["smooth", str(&grid), str(&output), "--neighbours", "20"]).contains("general clouds"));
 }
 
 #[test]

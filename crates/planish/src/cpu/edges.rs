@@ -10,7 +10,7 @@ use super::padded::{PaddedFrame, PaddedRows};
 use super::plane::{self, Plane};
 use super::row_tasks::SplitRows;
 use super::vector::{Mask, Vec3, splat};
-use super::window::{Gate, Window};
+use super::window::{Candidates, Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
 use crate::method::{
     COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,

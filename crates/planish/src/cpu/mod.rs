@@ -13,6 +13,7 @@
 mod blocks;
 mod edges;
 mod eigen;
+mod general;
 mod math;
 mod output;
 mod padded;
@@ -43,13 +44,16 @@ use crate::simd_level::SimdLevel;
 use crate::threads::Threads;
 use crate::timings::FrameTimings;
 use edges::{PlaneRows, Planes};
+pub(crate) use general::GeneralCpu;
 use output::OutputRows;
 use padded::{PaddedFrame, PaddedRows};
+use plane::Plane;
 use polynomial::{Terms, Weighting};
+use project::{Projected, Projection};
 use row_tasks::{SplitRows, run_on_rows};
 use sensor::Sensor;
 use vector::{Mask, Vec3, splat};
-use window::Window;
+use window::{Candidates, Window};
 
 /// What a kernel needs to know of the parameters.
 struct Kernel {
@@ -61,10 +65,17 @@ struct Kernel {
     degree: u32,
     rules: RangeRules,
     sensor: Sensor,
-    bandwidth_m: Option<f32>,
-    ridge: f32,
+    fitting: Fitting,
     /// Whether points move along their rays.
     on_ray: bool,
+}
+
+/// How the surface is fitted over a plane.
+struct Fitting {
+    bandwidth_m: Option<f32>,
+    ridge: f32,
+    /// Whether points with too few neighbours stay where they are.
+    keeps_isolated: bool,
 }
 
 /// c0 + c1 z + c2 z².
@@ -98,7 +109,15 @@ impl Kernel {
     }
 }
 
-/// The CPU engine with its buffers.
+/// The instruction set to use: the widest of this machine, or the given one.
+fn level(simd: Option<SimdLevel>) -> Result<Level, EngineError> {
+    let machine = Level::new();
+    let Some(level) = simd else { return Ok(machine) };
+    let reason = || format!("this machine or build has no {}", level.name());
+    level.token(machine).ok_or_else(|| EngineError::Unavailable { engine: "cpu", reason: reason() })
+}
+
+/// The CPU engine for frames on a grid, with its buffers.
 pub(crate) struct Cpu {
     params: SmoothParams,
     level: Level,
@@ -120,14 +139,7 @@ impl Cpu {
         simd: Option<SimdLevel>,
         shape: (usize, usize),
     ) -> Result<Self, EngineError> {
-        let machine = Level::new();
-        let level = match simd {
-            None => machine,
-            Some(level) => level.token(machine).ok_or_else(|| EngineError::Unavailable {
-                engine: "cpu",
-                reason: format!("this machine or build has no {}", level.name()),
-            })?,
-        };
+        let level = level(simd)?;
         let threads = if threads == Some(1) { None } else { Some(Threads::open(threads)?) };
         let border = params.reach_px().max(edge_shift_px(params.reach_px()));
         let padded = PaddedFrame::new(shape.0, shape.1, border);
@@ -182,8 +194,7 @@ impl ImmediateEngine for Cpu {
             degree: self.params.degree,
             rules: RangeRules::new(&self.params, &frame.geometry),
             sensor: Sensor::new(&frame.geometry),
-            bandwidth_m: self.params.bandwidth_m,
-            ridge: self.params.ridge,
+            fitting: Fitting { bandwidth_m: self.params.bandwidth_m, ridge: self.params.ridge, keeps_isolated: false },
             on_ray: frame.geometry.is_on_rays(self.params.project),
         };
         match self.threads.take() {
@@ -275,18 +286,41 @@ fn smooth_vector<S: Simd, const D: usize>(
         }
     };
     let projection = rows.projection(kernel.on_ray);
-    let projected = if D == 1 {
-        project::project::<S, D>(simd, p, ray, &plane, None, radius, n, valid, projection)
-    } else {
-        let bandwidth = kernel.bandwidth_m.map_or(
+    let fitting = &kernel.fitting;
+    let projected = fitting.fit::<S, _, D>(simd, window, p, ray, &plane, width, radius, n, valid, projection, terms);
+    rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &plane, n);
+}
+
+impl Fitting {
+    /// Sections 5 to 7 for the points p over their planes, narrowed to `width` around those where edges are kept.
+    #[allow(clippy::too_many_arguments)]
+    #[inline(always)]
+    fn fit<S: Simd, C: Candidates<S>, const D: usize>(
+        &self,
+        simd: S,
+        candidates: C,
+        p: Vec3<S>,
+        ray: Vec3<S>,
+        plane: &Plane<S>,
+        width: Option<S::f32s>,
+        radius: S::f32s,
+        n: S::f32s,
+        valid: Mask<S>,
+        projection: Projection,
+        terms: &mut Terms<S>,
+    ) -> Projected<S> {
+        let projection = Projection { keeps_isolated: self.keeps_isolated, ..projection };
+        if D == 1 {
+            return project::project::<S, D>(simd, p, ray, plane, None, radius, n, valid, projection);
+        }
+        let bandwidth = self.bandwidth_m.map_or(
             radius,
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
         let weighting = Weighting { radius, bandwidth, width };
-        let fit = polynomial::moments::<S, D>(simd, &window, p, &plane, &weighting, terms);
-        let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, kernel.ridge, n);
-        project::project::<S, D>(simd, p, ray, &plane, Some((&fit, c)), radius, n, valid, projection)
-    };
-    rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &plane, n);
+        let fit = polynomial::moments::<S, C, D>(simd, candidates, p, plane, &weighting, terms);
+        let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, self.ridge, n);
+        project::project::<S, D>(simd, p, ray, plane, Some((&fit, c)), radius, n, valid, projection)
+    }
 }

@@ -9,6 +9,7 @@ use super::vector::Vec3;
 use crate::camera::Camera;
 use crate::engine::AdmittedFrame;
 use crate::outputs::{SmoothedMut, VectorsMut};
+use crate::smoothed::Smoothed;
 use crate::status::Status;
 
 /// A band of rows of every requested output.
@@ -36,7 +37,8 @@ impl SplitRows for OutputRows<'_> {
         let (status, status_rest) = out.status.map(|values| values.split_at_mut(at)).unzip();
         let (neighbours, neighbours_rest) = out.neighbours.map(|values| values.split_at_mut(at)).unzip();
         let (raw, raw_rest) = out.depth.map(|values| values.split_at_mut(at)).unzip();
-        let upper = SmoothedMut { points, normals, curvature, status, neighbours, depth: raw };
+        let (depth_m, depth_m_rest) = out.depth_m.map(|values| values.split_at_mut(at)).unzip();
+        let upper = SmoothedMut { points, normals, curvature, status, neighbours, depth: raw, depth_m };
         let lower = SmoothedMut {
             points: points_rest,
             normals: normals_rest,
@@ -44,6 +46,7 @@ impl SplitRows for OutputRows<'_> {
             status: status_rest,
             neighbours: neighbours_rest,
             depth: raw_rest,
+            depth_m: depth_m_rest,
         };
         (
             Self { first, width, rows, out: upper, camera },
@@ -60,10 +63,20 @@ impl<'a> OutputRows<'a> {
         Self { first: 0, width, rows: height, out, camera }
     }
 
+    /// All rows of a result that has no camera.
+    pub(super) fn of_grid((width, height): (usize, usize), out: SmoothedMut<'a>) -> Self {
+        Self { first: 0, width, rows: height, out, camera: None }
+    }
+
     /// How points are to be put onto the surface.
     pub(super) fn projection(&self, on_ray: bool) -> Projection {
-        let needs_depth = self.camera.is_some();
-        Projection { on_ray, needs_normal: self.out.normals.is_some() || on_ray || needs_depth, needs_depth }
+        let needs_depth = self.camera.is_some() || self.out.depth_m.is_some();
+        Projection {
+            on_ray,
+            needs_normal: self.out.normals.is_some() || on_ray || needs_depth,
+            needs_depth,
+            keeps_isolated: false,
+        }
     }
 
     /// Writes the results of the pixels from column u of the `row`-th of these rows on; `depth` is the measured depth.
@@ -91,12 +104,15 @@ impl<'a> OutputRows<'a> {
                 *out = camera.raw_depth(depth_m);
             }
         }
+        if let Some(depth_m) = &mut self.out.depth_m {
+            put(depth * projected.depth_scale, &mut depth_m[at.clone()]);
+        }
         if let Some(curvature) = &mut self.out.curvature {
             let out = &mut curvature[at.clone()];
             put(plane.curvature, out);
             // Curvature is present exactly where the normal is.
             for (value, &status) in out.iter_mut().zip(projected.status.as_slice()) {
-                if status < 3.0 {
+                if !(3.0..6.0).contains(&status) {
                     *value = f32::NAN;
                 }
             }
@@ -111,6 +127,29 @@ impl<'a> OutputRows<'a> {
             let counts: S::u32s = n.to_int();
             for (out, &n) in neighbours[at].iter_mut().zip(counts.as_slice()) {
                 *out = n;
+            }
+        }
+    }
+
+    /// Takes row `i` of what is one column wide from place `place(i)` of another result; without a place it is a hole.
+    pub(super) fn take_from(&mut self, from: &Smoothed, place: impl Fn(usize) -> Option<usize>) {
+        let out = &mut self.out;
+        for row in 0..self.rows {
+            let place = place(self.first + row);
+            if let Some(points) = &mut out.points {
+                points.set(row, place.map_or([f32::NAN; 3], |place| from.points.get(place)));
+            }
+            if let (Some(to), Some(from)) = (&mut out.normals, &from.normals) {
+                to.set(row, place.map_or([f32::NAN; 3], |place| from.get(place)));
+            }
+            if let (Some(to), Some(from)) = (&mut out.curvature, &from.curvature) {
+                to[row] = place.map_or(f32::NAN, |place| from[place]);
+            }
+            if let (Some(to), Some(from)) = (&mut out.status, &from.status) {
+                to[row] = place.map_or(Status::Hole, |place| from[place]);
+            }
+            if let (Some(to), Some(from)) = (&mut out.neighbours, &from.neighbours) {
+                to[row] = place.map_or(0, |place| from[place]);
             }
         }
     }
@@ -132,6 +171,9 @@ impl<'a> OutputRows<'a> {
         }
         if let Some(depth) = &mut self.out.depth {
             depth[at.clone()].fill(0);
+        }
+        if let Some(depth_m) = &mut self.out.depth_m {
+            depth_m[at.clone()].fill(f32::NAN);
         }
         if let Some(status) = &mut self.out.status {
             status[at.clone()].fill(Status::Hole);

@@ -14,7 +14,7 @@ use super::math::exp2;
 use super::plane::Plane;
 use super::unroll::unroll;
 use super::vector::{Vec3, splat};
-use super::window::Window;
+use super::window::Candidates;
 use crate::method::{MAX_OFF_SURFACE, SQRT_LOG2_E};
 
 /// Number of moments for degree 3, the most.
@@ -108,11 +108,11 @@ pub(super) struct Fit<S: Simd> {
     pub(super) extent_squared: S::f32s,
 }
 
-/// Second pass over the window: accumulates the moments of degree D over the plane.
+/// Second pass over the candidates: accumulates the moments of degree D over the plane.
 #[inline(always)]
-pub(super) fn moments<S: Simd, const D: usize>(
+pub(super) fn moments<S: Simd, C: Candidates<S>, const D: usize>(
     simd: S,
-    window: &Window<'_>,
+    candidates: C,
     p: Vec3<S>,
     plane: &Plane<S>,
     weighting: &Weighting<S>,
@@ -133,14 +133,14 @@ pub(super) fn moments<S: Simd, const D: usize>(
         narrowing,
     };
     let mut moments = Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
-    let rows_at_once = (CHUNK / window.side).max(1);
-    let mut rows = 0..rows_at_once.min(window.side);
+    let rows_at_once = (CHUNK / candidates.row_len()).max(1);
+    let mut rows = 0..rows_at_once.min(candidates.rows());
     while !rows.is_empty() {
-        let len = rows.len() * window.side;
+        let len = rows.len() * candidates.row_len();
         if weighting.width.is_none() {
-            terms.fill::<false>(simd, window, &p, weighting.radius, rows.clone(), &frame);
+            terms.fill::<C, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
         } else {
-            terms.fill::<true>(simd, window, &p, weighting.radius, rows.clone(), &frame);
+            terms.fill::<C, true>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
         }
         // In groups of rows that fit the registers.
         if D == 3 {
@@ -149,7 +149,7 @@ pub(super) fn moments<S: Simd, const D: usize>(
         } else {
             accumulate::<S, D, 0, 7, 0, 7>(&mut moments, terms, len);
         }
-        rows = rows.end..(rows.end + rows_at_once).min(window.side);
+        rows = rows.end..(rows.end + rows_at_once).min(candidates.rows());
     }
     let extent_squared = plane.extent_squared.min(weighting.radius * weighting.radius) * (per_metre * per_metre);
     Fit { moments, a_axis: frame.a_axis, b_axis: frame.b_axis, metres: splat(simd, 1.0) / per_metre, extent_squared }
@@ -162,14 +162,14 @@ impl<S: Simd> Terms<S> {
         Self { w: zeros, a: zeros, b: zeros, f: zeros }
     }
 
-    /// Computes the terms of the candidates in some rows of the window.
+    /// Computes the terms of the candidates in some rows.
     ///
     /// Not inlined: the sums, kept in registers before and after it, would be spilled in its loop.
     #[inline(never)]
-    fn fill<const NARROW: bool>(
+    fn fill<C: Candidates<S>, const NARROW: bool>(
         &mut self,
         simd: S,
-        window: &Window<'_>,
+        candidates: C,
         p: &Vec3<S>,
         radius: S::f32s,
         rows: Range<usize>,
@@ -180,7 +180,7 @@ impl<S: Simd> Terms<S> {
             || {
                 let p = *p;
                 let mut at = 0;
-                window.neighbours(
+                candidates.neighbours(
                     simd,
                     p,
                     radius,

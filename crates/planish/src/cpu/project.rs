@@ -26,6 +26,8 @@ pub(super) struct Projection {
     pub(super) needs_normal: bool,
     /// Whether the depth at which a ray meets the surface is needed.
     pub(super) needs_depth: bool,
+    /// Whether points with too few neighbours stay where they are.
+    pub(super) keeps_isolated: bool,
 }
 
 /// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c. `ray` leads from
@@ -76,10 +78,11 @@ pub(super) fn project<S: Simd, const D: usize>(
     let point = p.or(on_line, on_surface);
     let nan = Vec3::splat(simd, f32::NAN);
     let few: Mask<S> = n.simd_lt(splat(simd, 3.0));
+    let (alone, few_status) = if projection.keeps_isolated { (p, splat(simd, 6.0)) } else { (nan, one) };
     Projected {
-        point: nan.or(few, point),
+        point: alone.or(few, point),
         normal: nan.or(few | on_line, normal),
-        status: valid.select(few.select(one, on_line.select(splat(simd, 2.0), status)), zero),
+        status: valid.select(few.select(few_status, on_line.select(splat(simd, 2.0), status)), zero),
         depth_scale: few.select(splat(simd, f32::NAN), along + one),
     }
 }

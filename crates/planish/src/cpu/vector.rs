@@ -45,6 +45,11 @@ impl<S: Simd> Vec3<S> {
     }
 
     #[inline(always)]
+    pub(super) fn length_squared(self) -> S::f32s {
+        self.dot(self)
+    }
+
+    #[inline(always)]
     pub(super) fn cross(self, other: Self) -> Self {
         Self::new(
             self.y.mul_add(other.z, -(self.z * other.y)),

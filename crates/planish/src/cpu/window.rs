@@ -19,7 +19,7 @@ pub(super) struct Window<'a> {
     samples: &'a PaddedFrame,
     /// Index of the first candidate of the first lane.
     first: usize,
-    pub(super) side: usize,
+    side: usize,
     stride: usize,
 }
 
@@ -60,41 +60,28 @@ pub(super) struct Sums<S: Simd> {
     pub(super) zz: S::f32s,
 }
 
-impl<'a> Window<'a> {
-    /// The window around the pixels from (u, v) on.
-    #[inline(always)]
-    pub(super) fn at(samples: &'a PaddedFrame, kernel: &Kernel, u: usize, v: usize) -> Self {
-        let reach = kernel.side / 2 * kernel.stride;
-        let first = samples.index(u, v) - reach * (samples.row_len + 1);
-        Self { samples, first, side: kernel.side, stride: kernel.stride }
-    }
+/// What may be neighbours of the points of a vector, in rows.
+pub(super) trait Candidates<S: Simd>: Copy {
+    fn rows(&self) -> usize;
 
-    /// Runs over the candidates of some rows of the window, in row order: their offsets from p, zero for one that is no neighbour,
-    /// and how much they count by the gate.
-    #[inline(always)]
-    pub(super) fn neighbours<S: Simd>(
+    /// How many candidates a row has.
+    fn row_len(&self) -> usize;
+
+    /// Runs over the candidates of some rows, in order: their offsets from p, zero for one that is no neighbour, how much they
+    /// count by the gate, and how many neighbours they are.
+    fn neighbours(
         &self,
         simd: S,
         p: Vec3<S>,
         radius: S::f32s,
         rows: Range<usize>,
-        mut visit: impl FnMut(Vec3<S>, S::f32s, Mask<S>),
-    ) {
-        let gate = Gate::new(simd, radius);
-        for row in rows {
-            let start = self.first + row * self.stride * self.samples.row_len;
-            for column in 0..self.side {
-                let (e, weight, near) = gate.apply(simd, self.samples.load(simd, start + column * self.stride).sub(p));
-                visit(e, weight, near);
-            }
-        }
-    }
+        visit: impl FnMut(Vec3<S>, S::f32s, S::f32s),
+    );
 
     /// First pass: the sums over the neighbours.
     #[inline(always)]
-    pub(super) fn sums<S: Simd>(&self, simd: S, p: Vec3<S>, radius: S::f32s) -> Sums<S> {
+    fn sums(&self, simd: S, p: Vec3<S>, radius: S::f32s) -> Sums<S> {
         let zero = splat(simd, 0.0);
-        let one = splat(simd, 1.0);
         let zeros = Vec3::splat(simd, 0.0);
         let mut sums =
             Sums { n: zero, total: zero, e: zeros, xx: zero, xy: zero, xz: zero, yy: zero, yz: zero, zz: zero };
@@ -102,11 +89,11 @@ impl<'a> Window<'a> {
             simd,
             p,
             radius,
-            0..self.side,
+            0..self.rows(),
             #[inline(always)]
-            |e, weight, near| {
+            |e, weight, count| {
                 let weighted = e.scale(weight);
-                sums.n += near.select(one, zero);
+                sums.n += count;
                 sums.total += weight;
                 sums.e = sums.e.add(weighted);
                 sums.xx = weighted.x.mul_add(e.x, sums.xx);
@@ -118,5 +105,47 @@ impl<'a> Window<'a> {
             },
         );
         sums
+    }
+}
+
+impl<'a> Window<'a> {
+    /// The window around the pixels from (u, v) on.
+    #[inline(always)]
+    pub(super) fn at(samples: &'a PaddedFrame, kernel: &Kernel, u: usize, v: usize) -> Self {
+        let reach = kernel.side / 2 * kernel.stride;
+        let first = samples.index(u, v) - reach * (samples.row_len + 1);
+        Self { samples, first, side: kernel.side, stride: kernel.stride }
+    }
+}
+
+impl<S: Simd> Candidates<S> for Window<'_> {
+    #[inline(always)]
+    fn rows(&self) -> usize {
+        self.side
+    }
+
+    #[inline(always)]
+    fn row_len(&self) -> usize {
+        self.side
+    }
+
+    #[inline(always)]
+    fn neighbours(
+        &self,
+        simd: S,
+        p: Vec3<S>,
+        radius: S::f32s,
+        rows: Range<usize>,
+        mut visit: impl FnMut(Vec3<S>, S::f32s, S::f32s),
+    ) {
+        let gate = Gate::new(simd, radius);
+        let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+        for row in rows {
+            let start = self.first + row * self.stride * self.samples.row_len;
+            for column in 0..self.side {
+                let (e, weight, near) = gate.apply(simd, self.samples.load(simd, start + column * self.stride).sub(p));
+                visit(e, weight, near.select(one, zero));
+            }
+        }
     }
 }

@@ -134,6 +134,10 @@ impl Layout {
         self.outputs.curvature.then(|| self.channel(channels(self.outputs).curvature))
     }
 
+    pub(super) fn depth_m(&self) -> Option<Range<usize>> {
+        self.outputs.depth_m.then(|| self.channel(channels(self.outputs).depth_m))
+    }
+
     pub(super) fn status(&self) -> Option<Range<usize>> {
         self.packed()[0].clone()
     }
@@ -196,13 +200,15 @@ struct Channels {
     points: usize,
     normals: usize,
     curvature: usize,
+    depth_m: usize,
     count: usize,
 }
 
 fn channels(outputs: Outputs) -> Channels {
     let normals = if outputs.points { 3 } else { 0 };
     let curvature = normals + if outputs.normals { 3 } else { 0 };
-    Channels { points: 0, normals, curvature, count: curvature + usize::from(outputs.curvature) }
+    let depth_m = curvature + usize::from(outputs.curvature);
+    Channels { points: 0, normals, curvature, depth_m, count: depth_m + usize::from(outputs.depth_m) }
 }
 
 /// Returns the constants of this layout in WGSL.
@@ -212,7 +218,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         // Writing to a string does not fail.
         let _ = writeln!(text, "const {name}: {wgsl_type} = {value};");
     };
-    let Channels { points, normals, curvature, count } = channels(outputs);
+    let Channels { points, normals, curvature, depth_m, count } = channels(outputs);
     let words = [
         ("HEADER_WORDS", HEADER_WORDS),
         ("METRES_PER_UNIT", std::mem::offset_of!(FrameHeader, metres_per_unit) / 4),
@@ -235,6 +241,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("POINTS_CHANNEL", points),
         ("NORMALS_CHANNEL", normals),
         ("CURVATURE_CHANNEL", curvature),
+        ("DEPTH_M_CHANNEL", depth_m),
         ("CHANNELS", count),
         ("STATUS_HOLE", Status::Hole as usize),
         ("STATUS_TOO_FEW", Status::TooFew as usize),
@@ -256,6 +263,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("WANTS_STATUS", outputs.status),
         ("WANTS_NEIGHBOURS", outputs.neighbours),
         ("WANTS_DEPTH", outputs.depth),
+        ("WANTS_DEPTH_M", outputs.depth_m),
     ];
     for (name, value) in flags {
         constant(name, "bool", value.to_string());
@@ -296,7 +304,7 @@ mod tests {
 
     #[test]
     fn a_frame_is_laid_out_without_gaps_or_overlaps() {
-        for bits in 1..64u32 {
+        for bits in 1..128u32 {
             let wants = |bit: u32| bits & (1 << bit) != 0;
             let outputs = Outputs {
                 points: wants(0),
@@ -305,6 +313,7 @@ mod tests {
                 status: wants(3),
                 neighbours: wants(4),
                 depth: wants(5),
+                depth_m: wants(6),
             };
             let layout = Layout {
                 width: 7,
@@ -315,7 +324,7 @@ mod tests {
                 keeps_planes: false,
             };
             let planes = layout.points().into_iter().flatten().chain(layout.normals().into_iter().flatten());
-            let packed = [layout.curvature(), layout.status(), layout.neighbours(), layout.depth()];
+            let packed = [layout.curvature(), layout.depth_m(), layout.status(), layout.neighbours(), layout.depth()];
             let mut at = 0;
             for range in planes.chain(packed.into_iter().flatten()) {
                 assert_eq!(range.start, at);

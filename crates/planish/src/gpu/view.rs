@@ -82,7 +82,9 @@ impl MappedView {
                     }
                 }
             }
-            if let (Some(words), Some(to)) = (self.layout.curvature(), out.curvature) {
+            let numbers = [(self.layout.curvature(), out.curvature), (self.layout.depth_m(), out.depth_m)];
+            for (words, to) in numbers {
+                let (Some(words), Some(to)) = (words, to) else { continue };
                 let from = self.values(frame, words);
                 scope.spawn(move |_| to.copy_from_slice(from));
             }
@@ -139,6 +141,10 @@ impl ResultInPlace for MappedView {
 
     fn depth_rows(&self) -> Option<Vec<&[u16]>> {
         Some(self.rows(0, self.layout.depth()?).collect())
+    }
+
+    fn depth_m(&self) -> Option<&[f32]> {
+        Some(self.values(0, self.layout.depth_m()?))
     }
 
     fn status(&self) -> Option<Vec<Status>> {

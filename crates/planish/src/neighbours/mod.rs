@@ -1,6 +1,6 @@
-//! Neighbours in general clouds, by a k-d tree over the finite points.
+//! Neighbours in general clouds: sorted for the fast engines ([`PointIndex`]), and a k-d tree for the reference.
 
-mod spacing;
+mod index;
 
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -8,7 +8,26 @@ use std::num::NonZero;
 
 use crate::error::EngineError;
 
-pub use spacing::estimate_radius_m;
+pub(crate) use index::{Bounds, LEAF, PointIndex};
+
+/// Points from which an extent is taken.
+const SAMPLE: usize = 10_000;
+
+/// The least and the largest of some values, but for stray ones: one of a hundred on either side. `None` if none is finite.
+fn middle(values: impl ExactSizeIterator<Item = f64>) -> Option<[f64; 2]> {
+    let step = values.len().div_ceil(SAMPLE).max(1);
+    let mut sample: Vec<f64> = values.step_by(step).filter(|value| value.is_finite()).collect();
+    let margin = sample.len() / 100;
+    let last = sample.len().checked_sub(1)?;
+    sample.sort_by(f64::total_cmp);
+    Some([sample[margin], sample[last - margin]])
+}
+
+/// The diagonal of the box around all points but stray ones, in metres.
+pub(crate) fn extent_m(points: &[DVec3]) -> f64 {
+    let span = |axis: usize| middle(points.iter().map(|p| p[axis])).map_or(0.0, |[low, high]| high - low);
+    DVec3::new(span(0), span(1), span(2)).length()
+}
 
 /// A k-d tree over the finite points of a cloud.
 pub(crate) struct NeighbourSearch {
@@ -41,10 +60,25 @@ impl NeighbourSearch {
         found.sort_unstable();
     }
 
-    /// Distance in metres from p to its `n`-th nearest point, p itself not counted if it is one of them.
-    pub(crate) fn distance_to_nth(&self, p: DVec3, n: usize) -> Option<f64> {
-        let count = NonZero::new(n + 1)?;
-        let nearest = self.tree.as_ref()?.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
-        nearest.get(n).map(|found| found.distance.sqrt())
+    /// The squares of the distances from p to so many nearest points or fewer, ascending.
+    pub(crate) fn nearest_squares(&self, p: DVec3, count: usize) -> Vec<f64> {
+        let (Some(tree), Some(count)) = (&self.tree, NonZero::new(count)) else { return Vec::new() };
+        let nearest = tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
+        let mut squares: Vec<f64> = nearest.into_iter().map(|found| found.distance).collect();
+        squares.sort_by(f64::total_cmp);
+        squares
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    /// Numbers from 0 to 1, the same in every run.
+    pub(crate) struct Random(pub(crate) u64);
+
+    impl Random {
+        pub(crate) fn next(&mut self) -> f32 {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (self.0 >> 40) as f32 / (1u64 << 24) as f32
+        }
     }
 }

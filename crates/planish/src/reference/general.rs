@@ -1,5 +1,7 @@
 //! General clouds: all points within the radius are neighbours, found in a k-d tree (docs/method.md, section 8).
 
+use std::collections::HashMap;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -7,9 +9,23 @@ use super::window::{fading_gate, reach_m};
 use super::{PointResult, Surface, smooth_point};
 use crate::error::Error;
 use crate::frame::FrameGeometry;
-use crate::neighbours::NeighbourSearch;
+use crate::neighbours::{NeighbourSearch, extent_m};
 use crate::params::{Radius, SmoothParams};
+use crate::status::Status;
 use crate::threads::Threads;
+
+/// No radius is more than so many times the mean of those around it.
+const MAX_RADIUS_RATIO: f64 = 3.0;
+
+/// No radius is smaller.
+const MIN_RADIUS_M: f64 = 1e-12;
+
+/// The positions of a cloud, each once, and how many points are there.
+struct Positions {
+    points: Vec<DVec3>,
+    counts: Vec<u32>,
+    search: NeighbourSearch,
+}
 
 /// Smooths every point of the cloud; order and number are kept. Displacements and normals are in the sensor's frame.
 pub(super) fn smooth(
@@ -18,24 +34,102 @@ pub(super) fn smooth(
     points: &[DVec3],
     geometry: &FrameGeometry,
 ) -> Result<Vec<PointResult>, Error> {
-    // General clouds always have a fixed radius: `Smoother::open` refuses any other.
-    let Radius::Fixed { radius_m } = params.radius else { return Ok(vec![PointResult::hole(); points.len()]) };
-    let radius_m = f64::from(radius_m);
     // Turned like the sensor, but not moved: it may stand so far away that moved points would lose digits.
     let turn = |p: DVec3| geometry.cloud_from_sensor.map_or(p, |transform| transform.rotation.transpose() * p);
     let sensor = turn(geometry.sensor_position());
-    let points: Vec<DVec3> = points.iter().map(|&p| turn(p)).collect();
-    let search = NeighbourSearch::new(&points)?;
+    let (places, distinct, counts) = distinct_positions(points);
+    let turned: Vec<DVec3> = distinct.iter().map(|&p| turn(p)).collect();
+    let search = NeighbourSearch::new(&turned)?;
+    let positions = Positions { points: turned, counts, search };
+    let extent_m = extent_m(points);
 
-    let smooth = |neighbours: &mut Vec<usize>, &p: &DVec3| {
-        if !p.is_finite() {
-            return PointResult::hole();
+    let results: Vec<PointResult> = threads.install(|| {
+        let radii_m = positions.radii_m(params, extent_m);
+        let smooth = |found: &mut Vec<usize>, (&p, &radius_m): (&DVec3, &f64)| {
+            positions.search.within(p, reach_m(radius_m), found);
+            let repeated =
+                found.iter().flat_map(|&i| std::iter::repeat_n(positions.points[i] - p, positions.counts[i] as usize));
+            let offsets: Vec<DVec3> = repeated.filter(|&offset| fading_gate(offset, radius_m) > 0.0).collect();
+            let surface = Surface::own(&offsets, radius_m, p - sensor);
+            let result = smooth_point(p, sensor, &offsets, radius_m, params, &surface, false);
+            if result.status == Status::TooFew && !params.remove_isolated { result.kept() } else { result }
+        };
+        positions.points.par_iter().zip(&radii_m).map_init(Vec::new, smooth).collect()
+    });
+    Ok(places.into_iter().map(|place| place.map_or_else(PointResult::hole, |place| results[place])).collect())
+}
+
+/// Where each finite point is among the distinct positions, those positions, and how many points are at each.
+fn distinct_positions(points: &[DVec3]) -> (Vec<Option<usize>>, Vec<DVec3>, Vec<u32>) {
+    let (mut distinct, mut counts) = (Vec::new(), Vec::new());
+    let mut place_of = HashMap::new();
+    let mut place = |&p: &DVec3| {
+        // -0 and 0 are one place.
+        let place = *place_of.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert(distinct.len());
+        if place == distinct.len() {
+            distinct.push(p);
+            counts.push(0);
         }
-        search.within(p, reach_m(radius_m), neighbours);
-        let offsets = neighbours.iter().map(|&i| points[i] - p);
-        let offsets: Vec<DVec3> = offsets.filter(|&offset| fading_gate(offset, radius_m) > 0.0).collect();
-        let surface = Surface::own(&offsets, radius_m, p - sensor);
-        smooth_point(p, sensor, &offsets, radius_m, params, &surface, false)
+        counts[place] += 1;
+        place
     };
-    Ok(threads.install(|| points.par_iter().map_init(Vec::new, smooth).collect()))
+    let places = points.iter().map(|p| p.is_finite().then(|| place(p))).collect();
+    (places, distinct, counts)
+}
+
+impl Positions {
+    /// The radius at every position.
+    fn radii_m(&self, params: &SmoothParams, extent_m: f64) -> Vec<f64> {
+        let count = match params.radius {
+            Radius::Neighbours { count } => count,
+            Radius::Fixed { radius_m } => return vec![f64::from(radius_m); self.points.len()],
+            // `Smoother::open` refuses it.
+            Radius::Sensor => return vec![MIN_RADIUS_M; self.points.len()],
+        };
+        let own_m: Vec<f64> =
+            self.points.par_iter().map(|&p| self.radius_m(p, f64::from(count) / 2.0, extent_m / 2.0)).collect();
+        let limited = |(place, &radius_m): (usize, &f64)| {
+            let limit_m = MAX_RADIUS_RATIO * self.mean_radius_m(place, radius_m, &own_m);
+            radius_m.min(limit_m).max(MIN_RADIUS_M)
+        };
+        own_m.par_iter().enumerate().map(limited).collect()
+    }
+
+    /// The radius for which the sum of 1 - d²/r² over the positions within it is `half`; at most `largest_m`.
+    fn radius_m(&self, p: DVec3, half: f64, largest_m: f64) -> f64 {
+        let mut wanted = 4 * half as usize;
+        loop {
+            let squares = self.search.nearest_squares(p, wanted);
+            let mut sum = 0.0;
+            for (i, &square) in squares.iter().enumerate() {
+                // With the first `n` positions within the radius.
+                sum += square;
+                let n = (i + 1) as f64;
+                let next = squares.get(i + 1).copied().unwrap_or(f64::INFINITY);
+                let is_last = i + 1 == squares.len() && squares.len() < self.points.len();
+                if n > half && !is_last && sum / (n - half) <= next {
+                    return (sum / (n - half)).sqrt().min(largest_m);
+                }
+            }
+            if squares.len() >= self.points.len() {
+                return largest_m;
+            }
+            wanted *= 2;
+        }
+    }
+
+    /// The mean of the radii of the other positions within one of them, each weighing 1 - d²/r².
+    fn mean_radius_m(&self, place: usize, radius_m: f64, own_m: &[f64]) -> f64 {
+        let mut found = Vec::new();
+        self.search.within(self.points[place], radius_m, &mut found);
+        let others = found.into_iter().filter(|&other| other != place);
+        let (mut total, mut sum) = (0.0, 0.0);
+        for other in others {
+            let square = (self.points[other] - self.points[place]).length_squared();
+            let weight = (1.0 - square / (radius_m * radius_m)).max(0.0);
+            total += weight;
+            sum += weight * own_m[other];
+        }
+        if total > 0.0 { sum / total } else { f64::INFINITY }
+    }
 }

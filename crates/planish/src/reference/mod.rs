@@ -47,6 +47,11 @@ impl PointResult {
         let (displacement, normal) = (DVec3::NAN, DVec3::NAN);
         Self { displacement, depth_scale: f64::NAN, normal, curvature: f64::NAN, status: Status::Hole, neighbours: 0 }
     }
+
+    /// The same of a point that stays where it is although it has too few neighbours.
+    fn kept(self) -> Self {
+        Self { displacement: DVec3::ZERO, depth_scale: 1.0, status: Status::Isolated, ..self }
+    }
 }
 
 /// What a point lies on, relative to it.
@@ -228,9 +233,13 @@ fn store(frame: &AdmittedFrame<'_>, points: &[DVec3], results: &[PointResult], m
         if let Some(neighbours) = &mut out.neighbours {
             neighbours[i] = result.neighbours;
         }
+        let in_sensor = frame.geometry.cloud_from_sensor.map_or(points[i], |t| t.to_sensor(points[i]));
+        let depth_m = (in_sensor.z * result.depth_scale) as f32;
         if let (Some(depth), Some(camera)) = (&mut out.depth, frame.frame.camera()) {
-            let in_sensor = frame.geometry.cloud_from_sensor.map_or(points[i], |t| t.to_sensor(points[i]));
-            depth[i] = camera.raw_depth((in_sensor.z * result.depth_scale) as f32);
+            depth[i] = camera.raw_depth(depth_m);
+        }
+        if let Some(depths_m) = &mut out.depth_m {
+            depths_m[i] = depth_m;
         }
     }
 }

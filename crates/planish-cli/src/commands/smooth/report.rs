@@ -36,6 +36,21 @@ pub struct StatusCounts {
     pub degenerate: usize,
     pub plane: usize,
     pub polynomial: usize,
+    pub isolated: usize,
+}
+
+impl StatusCounts {
+    /// The points that were not smoothed, by cause; nothing for what there is none of.
+    fn others(&self) -> String {
+        let causes = [
+            (self.degenerate, "with neighbours in a straight line left as they are"),
+            (self.isolated, "with fewer than 3 neighbours left as they are"),
+            (self.too_few, "with fewer than 3 neighbours made holes"),
+            (self.hole, "holes before"),
+        ];
+        let there = causes.into_iter().filter(|(count, _)| *count > 0);
+        there.map(|(count, cause)| format!(", {count} {cause}")).collect()
+    }
 }
 
 #[derive(Serialize)]
@@ -69,15 +84,9 @@ pub fn print_report(report: &Report) {
     let Report { status, smooth_ms, .. } = report;
     outln!("{} -> {}", report.input.display(), report.output.display());
     let adapter = report.adapter.as_ref().map_or(String::new(), |name| format!(" ({name})"));
-    outln!("  {} x {}, {} points, engine {}{adapter}", report.width, report.height, report.points_in, report.engine);
-    outln!(
-        "  smoothed {} ({} by plane), on a line {}, too few neighbours {}, holes {}",
-        status.plane + status.polynomial,
-        status.plane,
-        status.degenerate,
-        status.too_few,
-        status.hole
-    );
+    let grid = if report.height > 1 { format!("{} x {}, ", report.width, report.height) } else { String::new() };
+    outln!("  {grid}{} points, engine {}{adapter}", report.points_in, report.engine);
+    outln!("  smoothed {} ({} onto a plane only){}", status.plane + status.polynomial, status.plane, status.others());
     let runs = if smooth_ms.runs > 1 {
         format!(" (median of {}, p99 {:.2})", smooth_ms.runs, smooth_ms.p99)
     } else {
@@ -110,9 +119,13 @@ pub fn report_range_rule(input: &Path, frame: Frame<'_>, pose_is_given: bool) {
 /// Why points have too few neighbours, as far as the parameters tell, and what would help.
 pub fn likely_cause(frame: Frame<'_>, params: &SmoothParams) -> String {
     match (params.radius, frame) {
-        (Radius::Fixed { radius_m }, _) => format!(
-            "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or --radius sensor"
-        ),
+        (Radius::Fixed { radius_m }, _) => {
+            let other = if frame.grid().is_some() { "--radius sensor" } else { "--neighbours 40" };
+            format!(
+                "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or {other}"
+            )
+        }
+        (Radius::Neighbours { .. }, _) => "Likely they are far from all others".to_owned(),
         (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
             "Likely they are isolated, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
                 .to_owned()

@@ -8,6 +8,7 @@ struct PixelResult {
     point: vec3<u32>,
     normal: vec3<u32>,
     curvature: u32,
+    depth_m: u32,
     // Status in the low byte, the number of neighbours in the next, raw depth in the upper half.
     codes: u32,
 }
@@ -15,17 +16,21 @@ struct PixelResult {
 var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
 
 fn no_result(status: u32, n: u32) -> PixelResult {
-    return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, status | (n << 8u));
+    return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, NAN_BITS, status | (n << 8u));
 }
 
-// Depth in raw units: where the ray of p meets the surface.
-fn raw_depth_of(frame: u32, p: vec3<f32>, depth_scale: f32) -> u32 {
-    let depth = depth_of(frame, ray_to(frame, p)) * depth_scale;
-    let raw = round(depth * header(frame, UNITS_PER_METRE));
-    if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
-        return u32(raw);
+// The depth at which the ray of p meets the surface, in metres and in raw units.
+fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) -> PixelResult {
+    var result = without;
+    if WANTS_DEPTH || WANTS_DEPTH_M {
+        let depth = depth_of(frame, ray_to(frame, p)) * depth_scale;
+        result.depth_m = bitcast<u32>(depth);
+        let raw = round(depth * header(frame, UNITS_PER_METRE));
+        if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
+            result.codes |= u32(raw) << 16u;
+        }
     }
-    return 0u;
+    return result;
 }
 
 fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
@@ -66,6 +71,9 @@ fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: P
         }
         if WANTS_CURVATURE {
             store_word(frame, CURVATURE_CHANNEL, at, result.curvature);
+        }
+        if WANTS_DEPTH_M {
+            store_word(frame, DEPTH_M_CHANNEL, at, result.depth_m);
         }
     }
     if WANTS_STATUS || WANTS_NEIGHBOURS || WANTS_DEPTH {

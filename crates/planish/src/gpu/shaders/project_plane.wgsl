@@ -18,7 +18,7 @@ fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32
     let on_ray = is_on_ray(frame);
     var point = fma(vec3<f32>(height), plane_normal, p);
     var along = 0.0;
-    if WANTS_DEPTH || on_ray {
+    if WANTS_DEPTH || WANTS_DEPTH_M || on_ray {
         let ray = ray_to(frame, p);
         along = along_ray(height * dot(plane_normal, normal), normal, ray, radius);
         if on_ray {

@@ -8,7 +8,7 @@ fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: ve
         return project_on_plane(frame, p, plane, radius);
     }
     var normal = plane.normal;
-    if WANTS_NORMALS || WANTS_DEPTH || is_on_ray(frame) {
+    if WANTS_NORMALS || WANTS_DEPTH || WANTS_DEPTH_M || is_on_ray(frame) {
         normal = plane.normal - c.y * fit.u - c.z * fit.v;
         normal *= select(1.0, -1.0, dot(normal, ray_to(frame, p)) > 0.0) / sqrt(dot(normal, normal));
     }

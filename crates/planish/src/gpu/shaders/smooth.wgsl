@@ -6,23 +6,18 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
     if surface.plane.is_degenerate {
         var result = no_result(STATUS_DEGENERATE, n);
         result.point = bitcast<vec3<u32>>(p);
-        if WANTS_DEPTH {
-            // Without a normal the depth is the point's own.
-            result.codes |= raw_depth_of(frame, p, 1.0) << 16u;
-        }
-        return result;
+        // Without a normal the depth is the point's own.
+        return with_depth(frame, p, 1.0, result);
     }
     let projected = surface_of(frame, window, p, radius, surface);
-    var codes = projected.status | (n << 8u);
-    if WANTS_DEPTH {
-        codes |= raw_depth_of(frame, p, projected.depth_scale) << 16u;
-    }
-    return PixelResult(
+    let result = PixelResult(
         bitcast<vec3<u32>>(projected.point),
         bitcast<vec3<u32>>(projected.normal),
         bitcast<u32>(surface.plane.curvature),
-        codes,
+        NAN_BITS,
+        projected.status | (n << 8u),
     );
+    return with_depth(frame, p, projected.depth_scale, result);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)

@@ -1,0 +1,243 @@
+//! General clouds: the fast engines against the reference, and what holds for any cloud.
+
+use planish::agreement::Agreement;
+use planish::{Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Status};
+use planish_tests::data::{bunny, folder, general_cloud};
+use planish_tests::engines::TestEngine;
+use planish_tests::scenes::{simulated, small_camera};
+
+type Points = Vec<[f32; 3]>;
+
+/// Numbers that are the same in every run.
+struct Random(u64);
+
+impl Random {
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        low + (high - low) * (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Nearly normal.
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.between(-0.5, 0.5)).sum()
+    }
+}
+
+fn engines() -> Vec<(String, TestEngine)> {
+    SimdLevel::available().map(|level| (level.name().to_owned(), TestEngine::cpu(level))).collect()
+}
+
+fn smooth(engine: TestEngine, points: &[[f32; 3]], params: SmoothParams) -> Smoothed {
+    engine.smooth(PointsView::from_rows(points).unwrap(), params)
+}
+
+/// A noisy sphere, denser towards one pole by a factor of thousands as a scanner's view is, with stray points and repeated ones.
+fn uneven_sphere(count: usize, seed: u64) -> Points {
+    let mut random = Random(seed);
+    let mut points: Points = (0..count)
+        .map(|_| {
+            let (turn, up) = (random.between(0.0, std::f64::consts::TAU), random.between(0.0, 1.0).powi(6));
+            let polar = 0.02 + 3.0 * up;
+            let radius = 1.0 + 0.001 * random.normal();
+            [polar.sin() * turn.cos(), polar.sin() * turn.sin(), polar.cos()].map(|value| (0.3 * radius * value) as f32)
+        })
+        .collect();
+    for stray in points.iter_mut().step_by(97) {
+        *stray = stray.map(|value| 1.7 * value);
+    }
+    for i in (0..count).step_by(11) {
+        points[i] = points[count / 2];
+    }
+    points
+}
+
+/// A simulated frame of a camera without its grid.
+fn frame_points(seed: u64) -> Points {
+    simulated(seed, seed.is_multiple_of(2), small_camera()).positions().iter().collect()
+}
+
+fn settings() -> Vec<SmoothParams> {
+    let general = SmoothParams::general();
+    let fixed = general.with_radius_m(0.06);
+    vec![
+        general,
+        general.with_degree(3),
+        general.with_radius(planish::Radius::Neighbours { count: 12 }).with_degree(1),
+        general.with_radius(planish::Radius::Neighbours { count: 150 }).with_ridge(1e-2),
+        fixed,
+        fixed.with_degree(3).with_bandwidth_m(Some(0.02)),
+        fixed.with_radius_m(0.2),
+    ]
+}
+
+fn assert_agrees(name: &str, points: &[[f32; 3]], params: SmoothParams) {
+    let expected = smooth(TestEngine::REFERENCE, points, params);
+    for (level, engine) in engines() {
+        let found = smooth(engine, points, params);
+        let mut agreement = Agreement::default();
+        agreement.add(&found, &expected, |_| 0.0);
+        let misses = agreement.misses();
+        assert!(misses.is_empty(), "{name}, {level}, {params:?}: {misses:?}");
+    }
+}
+
+#[test]
+fn every_engine_agrees_with_the_reference() {
+    for params in settings() {
+        assert_agrees("frame", &frame_points(1), params);
+        assert_agrees("room", &frame_points(2), params);
+        assert_agrees("sphere", &uneven_sphere(6000, 3), params);
+        let bunny: Points = bunny().positions.iter().collect();
+        assert_agrees("bunny", &bunny, params);
+    }
+}
+
+#[test]
+fn real_clouds_agree() {
+    let Some(data) = folder("general clouds") else { return };
+    for name in ["unorganized/milk_color.pcd", "unorganized/room_scan1.pcd"] {
+        let points: Points = general_cloud(&data, name).positions.iter().step_by(3).collect();
+        assert_agrees(name, &points, SmoothParams::general());
+    }
+}
+
+#[test]
+fn small_clouds_agree_and_lose_nothing() {
+    let all = uneven_sphere(40, 5);
+    for count in 1..40 {
+        for params in [SmoothParams::general(), SmoothParams::paper().with_radius_m(0.5)] {
+            assert_agrees(&format!("{count} points"), &all[..count], params);
+            let found = smooth(TestEngine::cpu(SimdLevel::best()), &all[..count], params);
+            assert!(found.status.unwrap().into_iter().all(Status::has_point));
+        }
+    }
+}
+
+#[test]
+fn holes_stay_holes_at_their_index_and_stray_points_stay_where_they_are() {
+    let mut points = frame_points(1);
+    let stray = [0.3, 0.2, -7.0];
+    points[100] = stray;
+    let holes: Vec<usize> = (0..points.len()).filter(|&i| points[i][2].is_nan()).chain([7, 9000]).collect();
+    holes.iter().for_each(|&i| points[i] = [f32::NAN, 0.0, 1.0]);
+    for (name, engine) in engines().into_iter().chain([("reference".to_owned(), TestEngine::REFERENCE)]) {
+        let found = smooth(engine, &points, SmoothParams::general());
+        let status = found.status.as_ref().unwrap();
+        assert!(holes.iter().all(|&i| status[i] == Status::Hole && found.points.get(i)[0].is_nan()), "{name}");
+        assert_eq!((status[100], found.points.get(100)), (Status::Isolated, stray), "{name}");
+        assert!(
+            found.normals.as_ref().unwrap().get(100)[0].is_nan() && found.curvature.as_ref().unwrap()[100].is_nan()
+        );
+        let kept = status.iter().filter(|status| status.has_point()).count();
+        assert_eq!(kept, points.len() - holes.len(), "{name}");
+
+        let removed = smooth(engine, &points, SmoothParams::general().with_remove_isolated(true));
+        assert_eq!(removed.status.unwrap()[100], Status::TooFew, "{name}");
+        assert!(removed.points.get(100)[0].is_nan(), "{name}");
+    }
+}
+
+#[test]
+fn neither_threads_nor_the_order_of_the_points_change_a_bit() {
+    // Of more points the curve of the index goes by a sample, which depends on their order.
+    let points = uneven_sphere(9000, 8);
+    let engine = |threads| TestEngine { threads: Some(threads), ..TestEngine::cpu(SimdLevel::best()) };
+    for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(0.05)] {
+        let expected = smooth(engine(1), &points, params);
+        for threads in [2, 3, 8] {
+            assert_eq!(format!("{:?}", smooth(engine(threads), &points, params)), format!("{expected:?}"));
+        }
+        let reversed: Points = points.iter().rev().copied().collect();
+        let found = smooth(engine(2), &reversed, params);
+        let last = points.len() - 1;
+        for i in 0..points.len() {
+            let bits = |point: [f32; 3]| point.map(f32::to_bits);
+            assert_eq!(bits(found.points.get(last - i)), bits(expected.points.get(i)), "{i}");
+        }
+    }
+}
+
+#[test]
+fn points_at_one_place_count_each_and_cost_nothing() {
+    // Were their cost quadratic, this would take minutes.
+    let mut points = vec![[0.5, 0.25, 1.0]; 200_000];
+    points.extend((0..2500).map(|i| [(i % 50) as f32 * 0.02, (i / 50) as f32 * 0.02, 1.0 + 0.001 * (i % 3) as f32]));
+    for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(0.07)] {
+        for engine in [TestEngine::cpu(SimdLevel::best()), TestEngine::REFERENCE] {
+            let engine_name = engine.engine.name();
+            if engine_name == "reference" && params.radius == SmoothParams::general().with_radius_m(0.07).radius {
+                continue;
+            }
+            let found = smooth(engine, &points, params);
+            let at = |i: usize| found.points.get(i);
+            assert!((1..200_000).all(|i| at(i) == at(0)), "{engine_name}");
+            assert!(found.neighbours.as_ref().unwrap()[0] >= 200_000, "{engine_name}");
+        }
+    }
+    let all_one = smooth(TestEngine::cpu(SimdLevel::best()), &points[..1000], SmoothParams::general());
+    assert!(all_one.status.unwrap().iter().all(|&status| status == Status::Degenerate));
+}
+
+#[test]
+fn clouds_of_any_size_and_place_come_out_smoother() {
+    let plane = |i: usize, random: &mut Random| {
+        let (x, y) = ((i % 60) as f64 + 0.2 * random.normal(), (i / 60) as f64 + 0.2 * random.normal());
+        [x, y, 0.3 * random.normal()]
+    };
+    for spacing_m in [1e-8, 1e-6, 1.0, 1e5] {
+        let mut random = Random(4);
+        let points: Points = (0..3600).map(|i| plane(i, &mut random).map(|value| (value * spacing_m) as f32)).collect();
+        for (name, engine) in engines() {
+            let found = smooth(engine, &points, SmoothParams::general());
+            let rms = |points: &mut dyn Iterator<Item = [f32; 3]>| {
+                let (sum, count) = points.fold((0.0, 0), |(sum, n), p| (sum + f64::from(p[2]).powi(2), n + 1));
+                (sum / f64::from(count)).sqrt()
+            };
+            let (after, before) = (rms(&mut found.points.iter()), rms(&mut points.iter().copied()));
+            assert!(after < 0.5 * before, "{name}, {spacing_m}: {after:e} {before:e}");
+        }
+    }
+    // At the ends of f32, and beyond what squares hold.
+    let mut wild = uneven_sphere(500, 6);
+    (wild[3], wild[4], wild[5]) = ([3e38, 0.0, 0.0], [-3e38, 1e30, 0.0], [1e-40, 0.0, 1e-42]);
+    for (name, engine) in engines() {
+        for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(1e3)] {
+            let found = smooth(engine, &wild, params);
+            assert!(found.points.iter().all(|p| p.iter().all(|value| value.is_finite())), "{name}, {params:?}");
+        }
+    }
+}
+
+#[test]
+fn a_moved_sensor_turns_normals_and_moves_no_point() {
+    let points = frame_points(1);
+    let view = PointsView::from_rows(&points).unwrap();
+    let behind = SensorPose { position_m: [0.0, 0.0, 50.0], ..SensorPose::IDENTITY };
+    for (name, engine) in engines().into_iter().chain([("reference".to_owned(), TestEngine::REFERENCE)]) {
+        let own = engine.smooth(view, SmoothParams::general());
+        let turned = engine.smooth(view.with_pose(behind).unwrap(), SmoothParams::general());
+        assert_eq!(
+            own.points.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>(),
+            turned.points.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>(),
+            "{name}"
+        );
+        let facing = |found: &Smoothed, sensor_z: f32| {
+            let normals = found.normals.as_ref().unwrap().iter().zip(found.points.iter());
+            let towards = normals.filter(|([nx, ny, nz], [x, y, z])| nx * x + ny * y + nz * (z - sensor_z) <= 0.0);
+            towards.count() as f64 / found.status.as_ref().unwrap().iter().filter(|s| s.has_normal()).count() as f64
+        };
+        assert!(facing(&own, 0.0) > 0.999 && facing(&turned, 50.0) > 0.999, "{name}");
+    }
+}
+
+#[test]
+fn only_what_is_asked_for_is_there() {
+    let points = frame_points(1);
+    let engine = TestEngine::cpu(SimdLevel::best());
+    let view = PointsView::from_rows(&points).unwrap();
+    let all = engine.smooth(view, SmoothParams::general());
+    let normals =
+        engine.smooth_to(view, SmoothParams::general(), Outputs::POINTS.with_points(false).with_normals(true));
+    assert!(normals.points.is_empty() && normals.status.is_none());
+    assert_eq!(format!("{:?}", normals.normals), format!("{:?}", all.normals));
+}

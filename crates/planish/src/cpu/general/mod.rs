@@ -1,0 +1,206 @@
+//! General clouds (docs/method.md, section 8): a vector of points that lie together at a time.
+//!
+//! The points are sorted by [`PointIndex`]; the neighbours of a vector's points are gathered once for all of them ([`gather`]), and
+//! the stages are those of frames on a grid. Results are computed in the order of the index, each by itself, and put into the order
+//! of the cloud at the end, so neither threads nor the order of the points change a bit.
+
+mod gather;
+mod radius;
+
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
+
+use super::output::OutputRows;
+use super::polynomial::Terms;
+use super::row_tasks::{SplitRows, halve};
+use super::sensor::Sensor;
+use super::vector::{Mask, Vec3, splat};
+use super::window::Candidates;
+use super::{Fitting, plane};
+use crate::engine::{AdmittedFrame, ImmediateEngine};
+use crate::error::{EngineError, Error};
+use crate::frame::Frame;
+use crate::method::{GATE_FADE, MAX_RADIUS_RATIO};
+use crate::neighbours::{LEAF, PointIndex};
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::params::{Radius, SmoothParams};
+use crate::range::MIN_GATE_M;
+use crate::simd_level::SimdLevel;
+use crate::smoothed::Smoothed;
+use crate::threads::Threads;
+use gather::Gathered;
+use radius::{Density, RadiusRows};
+
+/// Leaves of a task: enough that what a task begins with costs nothing beside them.
+const LEAVES_PER_TASK: usize = 64;
+
+/// The CPU engine for general clouds, with its buffers.
+pub(crate) struct GeneralCpu {
+    params: SmoothParams,
+    level: Level,
+    threads: Threads,
+    outputs: Outputs,
+    index: PointIndex,
+    /// In the order of the index, where radii differ.
+    radii: Vec<f32>,
+    sorted: Smoothed,
+}
+
+/// What a kernel needs to know beside the points.
+struct Kernel<'a> {
+    fitting: Fitting,
+    sensor: Sensor,
+    index: &'a PointIndex,
+    radii: Radii<'a>,
+}
+
+#[derive(Clone, Copy)]
+enum Radii<'a> {
+    Fixed(f32),
+    Of(&'a [f32]),
+}
+
+impl GeneralCpu {
+    pub(crate) fn open(
+        params: SmoothParams,
+        outputs: Outputs,
+        threads: Option<usize>,
+        simd: Option<SimdLevel>,
+    ) -> Result<Self, EngineError> {
+        let (level, threads) = (super::level(simd)?, Threads::open(threads)?);
+        let (index, radii, sorted) = Default::default();
+        Ok(Self { params, level, threads, outputs, index, radii, sorted })
+    }
+
+    fn smooth_points(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) {
+        let Frame::Points(view) = frame.frame else { return };
+        let Self { params, level, outputs, index, radii, sorted, .. } = self;
+        let level = *level;
+        index.fill(&view);
+        let radii = match params.radius {
+            Radius::Fixed { radius_m } => Radii::Fixed(radius_m),
+            // `Smoother::open` refuses any other.
+            Radius::Neighbours { count } => {
+                let density = Density { half: count as f32 / 2.0, largest_m: index.extent_m() / 2.0 };
+                radii.resize(LEAF * index.leaves(), f32::NAN);
+                let solve =
+                    |mut rows: RadiusRows<'_>| dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
+                halve(LEAVES_PER_TASK, RadiusRows { first: 0, radii }, &solve);
+                Radii::Of(radii)
+            }
+            Radius::Sensor => return,
+        };
+        let kernel = Kernel {
+            fitting: Fitting {
+                bandwidth_m: params.bandwidth_m,
+                ridge: params.ridge,
+                keeps_isolated: !params.remove_isolated,
+            },
+            sensor: Sensor::new(&frame.geometry),
+            index,
+            radii,
+        };
+        sorted.prepare(LEAF, index.leaves(), *outputs);
+        let smooth = |mut rows: OutputRows<'_>| match params.degree {
+            1 => dispatch!(level, simd => smooth_leaves::<_, 1>(simd, &kernel, &mut rows)),
+            2 => dispatch!(level, simd => smooth_leaves::<_, 2>(simd, &kernel, &mut rows)),
+            _ => dispatch!(level, simd => smooth_leaves::<_, 3>(simd, &kernel, &mut rows)),
+        };
+        halve(LEAVES_PER_TASK, OutputRows::of_grid((LEAF, index.leaves()), sorted.as_mut()), &smooth);
+        let unsort = |mut rows: OutputRows<'_>| rows.take_from(sorted, |i| index.place(i));
+        halve(LEAF * LEAVES_PER_TASK, OutputRows::of_grid((1, view.len()), out), &unsort);
+    }
+}
+
+impl ImmediateEngine for GeneralCpu {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let threads = self.threads.clone();
+        threads.install(|| self.smooth_points(frame, out));
+        Ok(())
+    }
+
+    /// Of the sorted points, their radii and results.
+    fn buffer_bytes(&self) -> u64 {
+        (self.index.bytes() + 4 * self.radii.capacity() + self.sorted.bytes()) as u64
+    }
+}
+
+/// The points from a place on; NaN after the last.
+#[inline(always)]
+fn load<S: Simd>(simd: S, index: &PointIndex, place: usize) -> Vec3<S> {
+    let [x, y, z] = &index.positions;
+    let lanes = place..place + S::f32s::LEN;
+    Vec3::new(
+        S::f32s::from_slice(simd, &x[lanes.clone()]),
+        S::f32s::from_slice(simd, &y[lanes.clone()]),
+        S::f32s::from_slice(simd, &z[lanes]),
+    )
+}
+
+#[inline(always)]
+fn smooth_leaves<S: Simd, const D: usize>(simd: S, kernel: &Kernel<'_>, rows: &mut OutputRows<'_>) {
+    let mut terms = Terms::new(simd);
+    let mut gathered = Gathered::default();
+    for row in 0..rows.count() {
+        for u in (0..LEAF).step_by(S::f32s::LEN) {
+            smooth_vector::<S, D>(simd, kernel, &mut gathered, &mut terms, rows, row, u);
+        }
+    }
+}
+
+#[inline(always)]
+fn smooth_vector<S: Simd, const D: usize>(
+    simd: S,
+    kernel: &Kernel<'_>,
+    gathered: &mut Gathered,
+    terms: &mut Terms<S>,
+    rows: &mut OutputRows<'_>,
+    row: usize,
+    u: usize,
+) {
+    let place = LEAF * (rows.first + row) + u;
+    let p = load(simd, kernel.index, place);
+    let valid: Mask<S> = p.x.simd_eq(p.x);
+    if !valid.any_true() {
+        rows.store_holes(row, u, S::f32s::LEN);
+        return;
+    }
+    let radius = match kernel.radii {
+        Radii::Fixed(radius_m) => splat(simd, radius_m),
+        Radii::Of(radii) => S::f32s::from_slice(simd, &radii[place..place + S::f32s::LEN]),
+    };
+    // Where the gate has faded out.
+    let reach = radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt());
+    gathered.fill(simd, kernel.index, p, valid.select(reach, splat(simd, f32::NAN)));
+    let radius = match kernel.radii {
+        Radii::Fixed(_) => radius,
+        Radii::Of(radii) => radius.min(mean_radius(simd, gathered, radii, p, radius) * splat(simd, MAX_RADIUS_RATIO)),
+    };
+    let radius = valid.select(radius, splat(simd, 1.0)).max(splat(simd, MIN_GATE_M));
+    let gathered = &*gathered;
+    let ray = kernel.sensor.ray(simd, p);
+    let sums = gathered.sums(simd, p, radius);
+    let plane = plane::fit(simd, ray, &sums);
+    let n = valid.select(sums.n, splat(simd, 0.0));
+    let projection = rows.projection(false);
+    let projected =
+        kernel.fitting.fit::<S, _, D>(simd, gathered, p, ray, &plane, None, radius, n, valid, projection, terms);
+    rows.store(row, u, splat(simd, 0.0), &projected, &plane, n);
+}
+
+/// The mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without neighbours.
+#[inline(always)]
+fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {
+    let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+    let (mut total, mut sum) = (zero, zero);
+    let slope = -one / (radius * radius).max(splat(simd, f32::MIN_POSITIVE));
+    for (i, &place) in gathered.places().iter().enumerate() {
+        let square = gathered.square(simd, p, i);
+        // The point itself does not count.
+        let other: Mask<S> = square.simd_gt(zero);
+        let weight = other.select(square.mul_add(slope, one).max(zero), zero);
+        total += weight;
+        sum = weight.mul_add(splat(simd, radii[place as usize]), sum);
+    }
+    let alone: Mask<S> = total.simd_le(zero);
+    alone.select(splat(simd, f32::INFINITY), sum / total.max(splat(simd, f32::MIN_POSITIVE)))
+}

@@ -1,0 +1,146 @@
+//! Radii from the density of the points (docs/method.md, section 8).
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
+
+use super::super::row_tasks::SplitRows;
+use super::super::vector::{Mask, Vec3, splat};
+use super::gather::Gathered;
+use super::load;
+use crate::neighbours::{LEAF, PointIndex};
+
+/// The first reach that is tried, in radii of the points before.
+const FIRST_REACH: f32 = 1.5;
+/// Steps of Newton's method, of which five to eight are enough.
+const MOST_STEPS: usize = 50;
+
+/// The radii of some leaves.
+pub(super) struct RadiusRows<'a> {
+    pub(super) first: usize,
+    pub(super) radii: &'a mut [f32],
+}
+
+impl SplitRows for RadiusRows<'_> {
+    fn count(&self) -> usize {
+        self.radii.len() / LEAF
+    }
+
+    fn split_at(self, leaves: usize) -> (Self, Self) {
+        let (radii, rest) = self.radii.split_at_mut(LEAF * leaves);
+        (Self { first: self.first, radii }, Self { first: self.first + leaves, radii: rest })
+    }
+}
+
+/// What a radius is to be.
+#[derive(Clone, Copy)]
+pub(super) struct Density {
+    /// Half of the neighbours that evenly spread points would have.
+    pub(super) half: f32,
+    /// No radius is larger.
+    pub(super) largest_m: f32,
+}
+
+/// Finds the radius of every point of the leaves.
+#[inline(always)]
+pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut RadiusRows<'_>) {
+    let mut gathered = Gathered::default();
+    let mut squares = Vec::new();
+    let mut last_m = None;
+    let nan = splat(simd, f32::NAN);
+    for at in (0..rows.radii.len()).step_by(S::f32s::LEN) {
+        let place = LEAF * rows.first + at;
+        let p = load(simd, index, place);
+        let valid: Mask<S> = p.x.simd_eq(p.x);
+        if !valid.any_true() {
+            break;
+        }
+        let near_m = last_m.unwrap_or_else(|| FIRST_REACH * reach_m(index, density, index.point(place)));
+        let first_reach = splat(simd, near_m.min(density.largest_m));
+        gathered.fill(simd, index, p, valid.select(first_reach, nan));
+        let mut radius = radii_within(simd, &gathered, p, first_reach, density, &mut squares);
+        // Where that was not enough, each lane by itself.
+        let found: Mask<S> = radius.simd_eq(radius);
+        if !(found | !valid).all_true() {
+            let mut lanes = [f32::NAN; LEAF];
+            lanes[..S::f32s::LEN].copy_from_slice(radius.as_slice());
+            for lane in (0..S::f32s::LEN).filter(|&lane| place + lane < index.len()) {
+                if lanes[lane].is_nan() {
+                    let reach = reach_m(index, density, index.point(place + lane));
+                    let mut reaches = [f32::NAN; LEAF];
+                    reaches[lane] = reach;
+                    gathered.fill(simd, index, p, S::f32s::from_slice(simd, &reaches[..S::f32s::LEN]));
+                    let alone = radii_within(simd, &gathered, p, splat(simd, reach), density, &mut squares);
+                    let radius_m = alone.as_slice()[lane];
+                    lanes[lane] = if radius_m.is_nan() { density.largest_m } else { radius_m };
+                }
+            }
+            radius = S::f32s::from_slice(simd, &lanes[..S::f32s::LEN]);
+        }
+        let radius = radius.min(splat(simd, density.largest_m));
+        radius.store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
+        let lanes = radius.as_slice()[..S::f32s::LEN.min(index.len() - place)].iter();
+        last_m = Some(FIRST_REACH * lanes.copied().fold(f32::INFINITY, f32::min));
+    }
+}
+
+/// How far candidates must be gathered for the radius of a single point: nearest first, until there are enough.
+fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
+    let (mut n, mut sum) = (0.0, 0.0);
+    for square in index.nearest(point) {
+        // Of the points before, which all are within this distance.
+        if square > 0.0 && n - sum / square > density.half {
+            // A little more, so that rounding takes none away.
+            return (1.001 * square.sqrt()).min(density.largest_m);
+        }
+        n += 1.0;
+        sum += square;
+    }
+    density.largest_m
+}
+
+/// The radii of lanes whose candidates within `reach` are enough; NaN for the others.
+///
+/// The sum of 1 - d²/r² is convex and falls in u = 1/r², and it is a straight line between two candidates: from a large radius on,
+/// Newton's method goes to the solution without passing it, and ends there.
+#[inline(always)]
+fn radii_within<S: Simd>(
+    simd: S,
+    gathered: &Gathered,
+    p: Vec3<S>,
+    reach: S::f32s,
+    density: Density,
+    squares: &mut Vec<S::f32s>,
+) -> S::f32s {
+    squares.clear();
+    squares.extend((0..gathered.len()).map(
+        #[inline(always)]
+        |i| gathered.square(simd, p, i),
+    ));
+    let half = splat(simd, density.half);
+    let limit = reach * reach;
+    let (mut n, mut sum) = within(simd, squares, limit);
+    let enough: Mask<S> = ((n - half) * limit).simd_ge(sum);
+    let mut limit = limit;
+    for _ in 0..MOST_STEPS {
+        limit = sum / (n - half);
+        let (fewer, less) = within(simd, squares, limit);
+        let same: Mask<S> = fewer.simd_eq(n);
+        if (same | !enough).all_true() {
+            break;
+        }
+        (n, sum) = (enough.select(fewer, n), enough.select(less, sum));
+    }
+    enough.select(limit.sqrt(), splat(simd, f32::NAN))
+}
+
+/// How many candidates are within a radius, and the sum of their squares.
+#[inline(always)]
+fn within<S: Simd>(simd: S, squares: &[S::f32s], limit: S::f32s) -> (S::f32s, S::f32s) {
+    let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+    let (mut n, mut sum) = (zero, zero);
+    for &square in squares {
+        let near: Mask<S> = square.simd_lt(limit);
+        n += near.select(one, zero);
+        sum += near.select(square, zero);
+    }
+    (n, sum)
+}

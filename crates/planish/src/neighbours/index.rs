@@ -1,0 +1,403 @@
+//! The points of a general cloud in an order that keeps neighbours together, and a tree of boxes over them.
+//!
+//! Distinct positions are sorted along a Hilbert curve; runs of 16 are the leaves, runs of 8 nodes a node of the next level. The tree
+//! has no pointers: where a node's children are follows from its number, and boxes are those of the points, so that a stray point or
+//! an uneven density costs nothing elsewhere. Points at the same position become one with a count: what each of them gets is
+//! computed once.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use rayon::prelude::*;
+
+use super::middle;
+use crate::frame::PointsView;
+
+/// Points in a leaf: the lanes of the widest vector.
+pub(crate) const LEAF: usize = 16;
+/// Nodes under a node.
+const CHILDREN: usize = 8;
+/// Enough for 2^28 points.
+const MAX_LEVELS: usize = 10;
+/// The curve visits 2^16 cells along each axis; points within a cell are sorted by their coordinates.
+const CURVE_BITS: u32 = 16;
+/// Points handled by a task.
+const TASK: usize = 1 << 14;
+/// The place of a point that is a hole.
+const HOLE: u32 = u32::MAX;
+
+/// A box: the least and the largest coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Bounds {
+    pub(crate) low: [f32; 3],
+    pub(crate) high: [f32; 3],
+}
+
+impl Bounds {
+    const EMPTY: Self = Self { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
+
+    /// The box of both.
+    fn union(self, other: Self) -> Self {
+        let of = |pick: fn(f32, f32) -> f32, [a, b]: [[f32; 3]; 2]| std::array::from_fn(|axis| pick(a[axis], b[axis]));
+        // Of a NaN and a number, min and max give the number.
+        Self { low: of(f32::min, [self.low, other.low]), high: of(f32::max, [self.high, other.high]) }
+    }
+
+    fn of_point(point: [f32; 3]) -> Self {
+        Self { low: point, high: point }
+    }
+
+    /// Whether they touch.
+    #[inline(always)]
+    pub(crate) fn overlaps(&self, other: &Self) -> bool {
+        (0..3).all(|axis| self.low[axis] <= other.high[axis] && other.low[axis] <= self.high[axis])
+    }
+
+    /// The square of a point's distance from it.
+    pub(crate) fn distance_squared(&self, point: [f32; 3]) -> f32 {
+        let outside = |axis: usize| (self.low[axis] - point[axis]).max(point[axis] - self.high[axis]).max(0.0).powi(2);
+        outside(0) + outside(1) + outside(2)
+    }
+}
+
+/// The distinct positions of a cloud, sorted.
+#[derive(Debug, Default)]
+pub(crate) struct PointIndex {
+    /// x, y and z, with NaN after the last point up to a whole leaf.
+    pub(crate) positions: [Vec<f32>; 3],
+    /// How many points of the cloud are at each position.
+    pub(crate) counts: Vec<f32>,
+    /// The place of each point of the cloud among the positions.
+    places: Vec<AtomicU32>,
+    /// The boxes of leaves, of nodes over them, and so on, up to eight nodes or fewer.
+    levels: Vec<Vec<Bounds>>,
+    /// Of the points, as [`extent_m`](super::extent_m) has it.
+    extent_m: f64,
+    len: usize,
+    keys: Vec<(u64, u32)>,
+}
+
+impl PointIndex {
+    /// Sorts the finite points of a cloud, as f32 relative to its origin; buffers are reused.
+    pub(crate) fn fill(&mut self, view: &PointsView<'_>) {
+        let mut raw = [(); 3].map(|()| vec![0.0; view.len()]);
+        copy(view, &mut raw);
+        let curve = Curve::of(&raw);
+        self.extent_m = curve.extent_m;
+        let at = |i: u32| raw.each_ref().map(|values| values[i as usize]);
+        self.keys.clear();
+        self.keys.par_extend((0..view.len() as u32).into_par_iter().filter_map(|i| {
+            let point = at(i);
+            point.iter().all(|value| value.is_finite()).then(|| (curve.key(point), i))
+        }));
+        // -0 and 0 are one place.
+        let bits = |i: u32| at(i).map(|value| (value + 0.0).to_bits());
+        self.keys.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| (bits(a.1), a.1).cmp(&(bits(b.1), b.1))));
+
+        self.places.clear();
+        self.places.par_extend((0..view.len()).into_par_iter().map(|_| AtomicU32::new(HOLE)));
+        let is_repeated = |i: usize| i > 0 && bits(self.keys[i].1) == bits(self.keys[i - 1].1);
+        // Where each run of equal positions begins, if there are any.
+        let firsts: Option<Vec<u32>> = (0..self.keys.len())
+            .into_par_iter()
+            .any(is_repeated)
+            .then(|| (0..self.keys.len()).into_par_iter().filter(|&i| !is_repeated(i)).map(|i| i as u32).collect());
+        self.len = firsts.as_ref().map_or(self.keys.len(), Vec::len);
+        let first = |place: usize| {
+            firsts.as_ref().map_or(place, |firsts| firsts.get(place).map_or(self.keys.len(), |&i| i as usize))
+        };
+
+        let padded = self.len.next_multiple_of(LEAF);
+        for (axis, values) in self.positions.iter_mut().enumerate() {
+            values.clear();
+            let value = |place| if place < self.len { raw[axis][self.keys[first(place)].1 as usize] } else { f32::NAN };
+            values.par_extend((0..padded).into_par_iter().map(value));
+        }
+        self.counts.clear();
+        let count = |place| if place < self.len { (first(place + 1) - first(place)) as f32 } else { 0.0 };
+        self.counts.par_extend((0..padded).into_par_iter().map(count));
+        (0..self.len).into_par_iter().for_each(|place| {
+            for &(_, i) in &self.keys[first(place)..first(place + 1)] {
+                self.places[i as usize].store(place as u32, Ordering::Relaxed);
+            }
+        });
+        self.build_boxes();
+    }
+
+    fn build_boxes(&mut self) {
+        let leaf = |leaf: usize| {
+            let points = (LEAF * leaf..LEAF * (leaf + 1)).map(|place| Bounds::of_point(self.point(place)));
+            points.fold(Bounds::EMPTY, Bounds::union)
+        };
+        let mut levels: Vec<Vec<Bounds>> = vec![(0..self.leaves()).into_par_iter().map(leaf).collect()];
+        while let Some(below) = levels.last().filter(|below| below.len() > CHILDREN) {
+            let node = |children: &[Bounds]| children.iter().copied().fold(Bounds::EMPTY, Bounds::union);
+            let above = below.par_chunks(CHILDREN).map(node).collect();
+            levels.push(above);
+        }
+        self.levels = levels;
+    }
+
+    /// The diagonal of the box around all points but stray ones, in metres.
+    pub(crate) fn extent_m(&self) -> f32 {
+        self.extent_m as f32
+    }
+
+    /// How many distinct positions there are.
+    pub(crate) fn len(&self) -> usize {
+        self.len
+    }
+
+    /// How many leaves they fill.
+    pub(crate) fn leaves(&self) -> usize {
+        self.len.div_ceil(LEAF)
+    }
+
+    pub(crate) fn point(&self, place: usize) -> [f32; 3] {
+        self.positions.each_ref().map(|values| values[place])
+    }
+
+    /// The place of point `i` of the cloud; `None` for a hole.
+    pub(crate) fn place(&self, i: usize) -> Option<usize> {
+        let place = self.places[i].load(Ordering::Relaxed);
+        (place != HOLE).then_some(place as usize)
+    }
+
+    /// Visits leaves in ascending order: those whose box, and that of every node over them, is `wanted`.
+    #[inline(always)]
+    pub(crate) fn for_each_leaf(&self, mut wanted: impl FnMut(&Bounds) -> bool, mut visit: impl FnMut(usize)) {
+        let Some(top) = self.levels.len().checked_sub(1) else { return };
+        let mut level = top;
+        let mut next = [0; MAX_LEVELS];
+        let mut end = [0; MAX_LEVELS];
+        end[top] = self.levels[top].len();
+        loop {
+            if next[level] == end[level] {
+                if level == top {
+                    return;
+                }
+                level += 1;
+                continue;
+            }
+            let node = next[level];
+            next[level] += 1;
+            if !wanted(&self.levels[level][node]) {
+                continue;
+            }
+            if level == 0 {
+                visit(node);
+            } else {
+                level -= 1;
+                next[level] = CHILDREN * node;
+                end[level] = (CHILDREN * (node + 1)).min(self.levels[level].len());
+            }
+        }
+    }
+
+    /// Squares of the distances from a point to the positions, ascending, as far as the caller takes them.
+    pub(crate) fn nearest(&self, point: [f32; 3]) -> Nearest<'_> {
+        let mut nearest = Nearest { index: self, point, queue: Default::default() };
+        if let Some(top) = self.levels.len().checked_sub(1) {
+            nearest.push_nodes(top, 0..self.levels[top].len());
+        }
+        nearest
+    }
+
+    /// Bytes of its buffers.
+    pub(crate) fn bytes(&self) -> usize {
+        let boxes: usize = self.levels.iter().map(Vec::capacity).sum();
+        let values: usize = self.positions.iter().map(Vec::capacity).sum();
+        4 * (values + self.counts.capacity() + self.places.capacity())
+            + boxes * size_of::<Bounds>()
+            + self.keys.capacity() * size_of::<(u64, u32)>()
+    }
+}
+
+/// The nearest positions first: nodes and positions wait in one queue, by how near they can be.
+pub(crate) struct Nearest<'a> {
+    index: &'a PointIndex,
+    point: [f32; 3],
+    /// Bits of a square (which sort as its value does), level + 1, number; level 0 is a position.
+    queue: std::collections::BinaryHeap<std::cmp::Reverse<(u32, u32, u32)>>,
+}
+
+impl Nearest<'_> {
+    fn push_nodes(&mut self, level: usize, nodes: std::ops::Range<usize>) {
+        for node in nodes {
+            let square = self.index.levels[level][node].distance_squared(self.point);
+            self.queue.push(std::cmp::Reverse((square.to_bits(), level as u32 + 1, node as u32)));
+        }
+    }
+}
+
+impl Iterator for Nearest<'_> {
+    type Item = f32;
+
+    fn next(&mut self) -> Option<f32> {
+        loop {
+            let std::cmp::Reverse((bits, level, number)) = self.queue.pop()?;
+            let number = number as usize;
+            match level {
+                0 => return Some(f32::from_bits(bits)),
+                1 => {
+                    for place in LEAF * number..(LEAF * (number + 1)).min(self.index.len) {
+                        let square = Bounds::of_point(self.index.point(place)).distance_squared(self.point);
+                        self.queue.push(std::cmp::Reverse((square.to_bits(), 0, place as u32)));
+                    }
+                }
+                _ => {
+                    let below = level as usize - 2;
+                    let end = (CHILDREN * (number + 1)).min(self.index.levels[below].len());
+                    self.push_nodes(below, CHILDREN * number..end);
+                }
+            }
+        }
+    }
+}
+
+fn copy(view: &PointsView<'_>, to: &mut [Vec<f32>; 3]) {
+    let [x, y, z] = to;
+    let tasks = x.par_chunks_mut(TASK).zip(y.par_chunks_mut(TASK)).zip(z.par_chunks_mut(TASK));
+    tasks.enumerate().for_each(|(task, ((x, y), z))| view.copy_to(TASK * task..TASK * task + x.len(), x, y, z));
+}
+
+/// A Hilbert curve through the box of most points.
+struct Curve {
+    low: [f32; 3],
+    cells_per_metre: f32,
+    extent_m: f64,
+}
+
+impl Curve {
+    /// Through all but stray points: the middle of a sample, and as much again on either side. What is outside is moved to the
+    /// border, which changes the order and nothing else.
+    fn of(raw: &[Vec<f32>; 3]) -> Self {
+        let middle =
+            raw.each_ref().map(|values| middle(values.iter().map(|&value| f64::from(value))).unwrap_or_default());
+        let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
+        let range = middle.map(|[low, high]| [low - 0.5 * (high - low), high + 0.5 * (high - low)]);
+        let extent = range.iter().map(|[low, high]| high - low).fold(f64::from(f32::MIN_POSITIVE), f64::max);
+        let cells_per_metre = (f64::from(1u32 << CURVE_BITS) / extent).min(f64::from(f32::MAX)) as f32;
+        Self { low: range.map(|[low, _]| low as f32), cells_per_metre, extent_m }
+    }
+
+    /// How far along the curve the cell of a point is: Skilling's transposition ("Programming the Hilbert curve", 2004).
+    fn key(&self, point: [f32; 3]) -> u64 {
+        let largest = (1u32 << CURVE_BITS) - 1;
+        // The cast stops at 0 and at the largest number.
+        let mut cell: [u32; 3] =
+            std::array::from_fn(|axis| (((point[axis] - self.low[axis]) * self.cells_per_metre) as u32).min(largest));
+        let mut bit = 1 << (CURVE_BITS - 1);
+        while bit > 1 {
+            let below = bit - 1;
+            for axis in 0..3 {
+                if cell[axis] & bit != 0 {
+                    cell[0] ^= below;
+                } else {
+                    let exchanged = (cell[0] ^ cell[axis]) & below;
+                    cell[0] ^= exchanged;
+                    cell[axis] ^= exchanged;
+                }
+            }
+            bit >>= 1;
+        }
+        cell[1] ^= cell[0];
+        cell[2] ^= cell[1];
+        let mut flips = 0;
+        let mut bit = 1 << (CURVE_BITS - 1);
+        while bit > 1 {
+            if cell[2] & bit != 0 {
+                flips ^= bit - 1;
+            }
+            bit >>= 1;
+        }
+        let [x, y, z] = cell.map(|value| spread(value ^ flips));
+        (x << 2) | (y << 1) | z
+    }
+}
+
+/// The low 16 bits, each after two zeros.
+fn spread(value: u32) -> u64 {
+    let value = u64::from(value & 0xffff);
+    let value = (value | (value << 16)) & 0xff00_00ff;
+    let value = (value | (value << 8)) & 0x00f0_0f00_f00f;
+    let value = (value | (value << 4)) & 0x0c30_c30c_30c3;
+    (value | (value << 2)) & 0x2492_4924_9249
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn index_of(points: &[[f32; 3]]) -> PointIndex {
+        let mut index = PointIndex::default();
+        index.fill(&PointsView::from_rows(points).unwrap());
+        index
+    }
+
+    fn scattered(count: usize) -> Vec<[f32; 3]> {
+        let mut random = crate::neighbours::tests::Random(7);
+        (0..count).map(|_| [random.next(), random.next(), 0.1 * random.next()]).collect()
+    }
+
+    #[test]
+    fn the_curve_visits_every_cell_and_takes_single_steps() {
+        let curve = Curve { low: [0.0; 3], cells_per_metre: 1.0, extent_m: 0.0 };
+        let mut cells: Vec<[i32; 3]> = (0..16 * 16 * 16).map(|i| [i % 16, i / 16 % 16, i / 256]).collect();
+        cells.sort_by_key(|cell| curve.key(cell.map(|value| value as f32)));
+        for pair in cells.windows(2) {
+            let steps: i32 = (0..3).map(|axis| (pair[0][axis] - pair[1][axis]).abs()).sum();
+            assert_eq!(steps, 1, "{pair:?}");
+        }
+    }
+
+    #[test]
+    fn every_point_has_a_place_and_equal_points_share_theirs() {
+        let mut points = scattered(1000);
+        points[17] = [f32::NAN, 0.0, 0.0];
+        points[400] = [0.0, f32::INFINITY, 0.0];
+        for i in (0..1000).step_by(9) {
+            points[i] = points[3];
+        }
+        // A stray point, and one at the other zero.
+        points[5] = [1e30, -1e30, 0.0];
+        points[6] = [0.0, 0.0, 0.0];
+        points[7] = [-0.0, 0.0, 0.0];
+        let index = index_of(&points);
+        for (i, point) in points.iter().enumerate() {
+            match index.place(i) {
+                None => assert!(point.iter().any(|value| !value.is_finite()), "{i}"),
+                Some(place) => assert_eq!(index.point(place), *point, "{i}"),
+            }
+        }
+        assert_eq!(index.counts.iter().sum::<f32>(), 998.0);
+        assert_eq!(index.len(), 998 - (index.counts[index.place(3).unwrap()] as usize - 1) - 1);
+        assert!(index_of(&[]).leaves() == 0 && index_of(&[[f32::NAN; 3]; 40]).leaves() == 0);
+    }
+
+    #[test]
+    fn leaves_in_a_box_are_all_found_in_order() {
+        let points = scattered(3000);
+        let index = index_of(&points);
+        let wanted = Bounds { low: [0.2, 0.3, 0.0], high: [0.35, 0.5, 0.06] };
+        let mut found = Vec::new();
+        index.for_each_leaf(|bounds| bounds.overlaps(&wanted), |leaf| found.push(leaf));
+        assert!(found.is_sorted());
+        let within = |point: [f32; 3]| wanted.distance_squared(point) == 0.0;
+        for place in 0..index.len() {
+            assert!(!within(index.point(place)) || found.contains(&(place / LEAF)));
+        }
+        assert!(found.len() < index.leaves() / 4, "{} of {}", found.len(), index.leaves());
+    }
+
+    #[test]
+    fn the_nearest_come_first() {
+        let points = scattered(500);
+        let index = index_of(&points);
+        let from = [0.5, 0.1, 0.2];
+        let found: Vec<f32> = index.nearest(from).collect();
+        let mut expected: Vec<f32> =
+            (0..index.len()).map(|place| Bounds::of_point(index.point(place)).distance_squared(from)).collect();
+        expected.sort_by(f32::total_cmp);
+        assert_eq!(found, expected);
+    }
+}
