@@ -9,7 +9,11 @@ use super::load;
 use crate::neighbours::{LEAF, PointIndex};
 
 /// The first reach that is tried, in radii of the points before.
-const FIRST_REACH: f32 = 1.5;
+const FIRST_REACH: f32 = 1.25;
+/// How much further each next one reaches.
+const NEXT_REACH: f32 = 1.5;
+/// How many are tried for all lanes together.
+const TRIES: usize = 4;
 /// Steps of Newton's method, of which five to eight are enough.
 const MOST_STEPS: usize = 50;
 
@@ -53,13 +57,22 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
         if !valid.any_true() {
             break;
         }
-        let near_m = last_m.unwrap_or_else(|| FIRST_REACH * reach_m(index, density, index.point(place)));
-        let first_reach = splat(simd, near_m.min(density.largest_m));
-        gathered.fill(simd, index, p, valid.select(first_reach, nan));
-        let mut radius = radii_within(simd, &gathered, p, first_reach, density, &mut squares);
+        let near_m = last_m.unwrap_or_else(|| reach_m(index, density, index.point(place)));
+        let mut reach = splat(simd, (FIRST_REACH * near_m).min(density.largest_m));
+        let mut radius = nan;
+        // Lanes without a radius yet; those that have one reach no further.
+        let mut missing = valid;
+        for _ in 0..TRIES {
+            gathered.fill(simd, index, p, missing.select(reach, nan));
+            radius = missing.select(radii_within(simd, &gathered, p, reach, density, &mut squares), radius);
+            missing &= radius.simd_ne(radius);
+            if !missing.any_true() {
+                break;
+            }
+            reach *= splat(simd, NEXT_REACH);
+        }
         // Where that was not enough, each lane by itself.
-        let found: Mask<S> = radius.simd_eq(radius);
-        if !(found | !valid).all_true() {
+        if missing.any_true() {
             let mut lanes = [f32::NAN; LEAF];
             lanes[..S::f32s::LEN].copy_from_slice(radius.as_slice());
             for lane in (0..S::f32s::LEN).filter(|&lane| place + lane < index.len()) {
@@ -77,8 +90,11 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
         }
         let radius = radius.min(splat(simd, density.largest_m));
         radius.store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
-        let lanes = radius.as_slice()[..S::f32s::LEN.min(index.len() - place)].iter();
-        last_m = Some(FIRST_REACH * lanes.copied().fold(f32::INFINITY, f32::min));
+        let lanes = &radius.as_slice()[..S::f32s::LEN.min(index.len() - place)];
+        // Of lanes far from all others little is to be learned for the next.
+        let least = lanes.iter().copied().fold(f32::INFINITY, f32::min);
+        let ordinary = lanes.iter().copied().filter(|radius| *radius <= 2.0 * least);
+        last_m = Some(ordinary.fold(least, f32::max));
     }
 }
 
@@ -110,11 +126,10 @@ fn radii_within<S: Simd>(
     density: Density,
     squares: &mut Vec<S::f32s>,
 ) -> S::f32s {
-    squares.clear();
-    squares.extend((0..gathered.len()).map(
-        #[inline(always)]
-        |i| gathered.square(simd, p, i),
-    ));
+    squares.resize(gathered.len(), splat(simd, 0.0));
+    for (i, square) in squares.iter_mut().enumerate() {
+        *square = gathered.square(simd, p, i);
+    }
     let half = splat(simd, density.half);
     let limit = reach * reach;
     let (mut n, mut sum) = within(simd, squares, limit);
