@@ -81,6 +81,12 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// First pass: the sums over the neighbours.
     #[inline(always)]
     fn sums(&self, simd: S, p: Vec3<S>, radius: S::f32s) -> Sums<S> {
+        self.sums_of_rows(simd, p, radius, 0..self.rows())
+    }
+
+    /// The sums over the neighbours among the candidates of some rows.
+    #[inline(always)]
+    fn sums_of_rows(&self, simd: S, p: Vec3<S>, radius: S::f32s, rows: Range<usize>) -> Sums<S> {
         let zero = splat(simd, 0.0);
         let zeros = Vec3::splat(simd, 0.0);
         let mut sums =
@@ -89,22 +95,28 @@ pub(super) trait Candidates<S: Simd>: Copy {
             simd,
             p,
             radius,
-            0..self.rows(),
+            rows,
             #[inline(always)]
-            |e, weight, count| {
-                let weighted = e.scale(weight);
-                sums.n += count;
-                sums.total += weight;
-                sums.e = sums.e.add(weighted);
-                sums.xx = weighted.x.mul_add(e.x, sums.xx);
-                sums.xy = weighted.x.mul_add(e.y, sums.xy);
-                sums.xz = weighted.x.mul_add(e.z, sums.xz);
-                sums.yy = weighted.y.mul_add(e.y, sums.yy);
-                sums.yz = weighted.y.mul_add(e.z, sums.yz);
-                sums.zz = weighted.z.mul_add(e.z, sums.zz);
-            },
+            |e, weight, count| sums.add(e, weight, count),
         );
         sums
+    }
+}
+
+impl<S: Simd> Sums<S> {
+    /// Adds a candidate: its offset, how much it counts, and how many neighbours it is.
+    #[inline(always)]
+    pub(super) fn add(&mut self, e: Vec3<S>, weight: S::f32s, count: S::f32s) {
+        let weighted = e.scale(weight);
+        self.n += count;
+        self.total += weight;
+        self.e = self.e.add(weighted);
+        self.xx = weighted.x.mul_add(e.x, self.xx);
+        self.xy = weighted.x.mul_add(e.y, self.xy);
+        self.xz = weighted.x.mul_add(e.z, self.xz);
+        self.yy = weighted.y.mul_add(e.y, self.yy);
+        self.yz = weighted.y.mul_add(e.z, self.yz);
+        self.zz = weighted.z.mul_add(e.z, self.zz);
     }
 }
 

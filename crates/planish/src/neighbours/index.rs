@@ -5,8 +5,10 @@
 //! an uneven density costs nothing elsewhere. Points at the same position become one with a count: what each of them gets is
 //! computed once.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::middle;
@@ -59,6 +61,16 @@ impl Bounds {
     }
 }
 
+/// The points of a leaf together.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LeafMoments {
+    /// How many.
+    pub(crate) count: f32,
+    pub(crate) mean: [f32; 3],
+    /// Sums of the products xx, xy, xz, yy, yz, zz of their offsets from the mean.
+    pub(crate) products: [f32; 6],
+}
+
 /// The distinct positions of a cloud, sorted.
 #[derive(Debug, Default)]
 pub(crate) struct PointIndex {
@@ -70,6 +82,7 @@ pub(crate) struct PointIndex {
     places: Vec<AtomicU32>,
     /// The boxes of leaves, of nodes over them, and so on, up to eight nodes or fewer.
     levels: Vec<Vec<Bounds>>,
+    moments: Vec<LeafMoments>,
     /// Of the points, as [`extent_m`](super::extent_m) has it.
     extent_m: f64,
     len: usize,
@@ -135,6 +148,12 @@ impl PointIndex {
             levels.push(above);
         }
         self.levels = levels;
+        self.moments.clear();
+        let Self { positions, counts, len, moments, .. } = self;
+        let leaves = (0..len.div_ceil(LEAF)).into_par_iter();
+        moments.par_extend(
+            leaves.map(|leaf| LeafMoments::of(positions, counts, LEAF * leaf..(LEAF * (leaf + 1)).min(*len))),
+        );
     }
 
     /// The diagonal of the box around all points but stray ones, in metres.
@@ -145,6 +164,12 @@ impl PointIndex {
     /// How many distinct positions there are.
     pub(crate) fn len(&self) -> usize {
         self.len
+    }
+
+    /// The points of a leaf together.
+    #[inline(always)]
+    pub(crate) fn moments(&self, leaf: usize) -> &LeafMoments {
+        &self.moments[leaf]
     }
 
     /// How many leaves they fill.
@@ -164,7 +189,7 @@ impl PointIndex {
 
     /// Visits leaves in ascending order: those whose box, and that of every node over them, is `wanted`.
     #[inline(always)]
-    pub(crate) fn for_each_leaf(&self, mut wanted: impl FnMut(&Bounds) -> bool, mut visit: impl FnMut(usize)) {
+    pub(crate) fn for_each_leaf(&self, mut wanted: impl FnMut(&Bounds) -> bool, mut visit: impl FnMut(usize, &Bounds)) {
         let Some(top) = self.levels.len().checked_sub(1) else { return };
         let mut level = top;
         let mut next = [0; MAX_LEVELS];
@@ -180,11 +205,12 @@ impl PointIndex {
             }
             let node = next[level];
             next[level] += 1;
-            if !wanted(&self.levels[level][node]) {
+            let bounds = &self.levels[level][node];
+            if !wanted(bounds) {
                 continue;
             }
             if level == 0 {
-                visit(node);
+                visit(node, bounds);
             } else {
                 level -= 1;
                 next[level] = CHILDREN * node;
@@ -208,7 +234,25 @@ impl PointIndex {
         let values: usize = self.positions.iter().map(Vec::capacity).sum();
         4 * (values + self.counts.capacity() + self.places.capacity())
             + boxes * size_of::<Bounds>()
+            + self.moments.capacity() * size_of::<LeafMoments>()
             + self.keys.capacity() * size_of::<(u64, u32)>()
+    }
+}
+
+impl LeafMoments {
+    fn of(positions: &[Vec<f32>; 3], counts: &[f32], places: Range<usize>) -> Self {
+        let at = |place: usize| DVec3::from_array(positions.each_ref().map(|values| f64::from(values[place])));
+        let weighted = || places.clone().map(|place| (f64::from(counts[place]), at(place)));
+        let count: f64 = weighted().map(|(count, _)| count).sum();
+        let mean = (weighted().map(|(count, p)| count * p).sum::<DVec3>() / count).as_vec3();
+        let mut products = [0.0; 6];
+        for (count, p) in weighted() {
+            // From the mean as it was rounded.
+            let d = p - mean.as_dvec3();
+            let terms = [d.x * d.x, d.x * d.y, d.x * d.z, d.y * d.y, d.y * d.z, d.z * d.z];
+            products.iter_mut().zip(terms).for_each(|(product, term)| *product += count * term);
+        }
+        Self { count: count as f32, mean: mean.to_array(), products: products.map(|product| product as f32) }
     }
 }
 
@@ -221,7 +265,7 @@ pub(crate) struct Nearest<'a> {
 }
 
 impl Nearest<'_> {
-    fn push_nodes(&mut self, level: usize, nodes: std::ops::Range<usize>) {
+    fn push_nodes(&mut self, level: usize, nodes: Range<usize>) {
         for node in nodes {
             let square = self.index.levels[level][node].distance_squared(self.point);
             self.queue.push(std::cmp::Reverse((square.to_bits(), level as u32 + 1, node as u32)));
@@ -380,7 +424,7 @@ mod tests {
         let index = index_of(&points);
         let wanted = Bounds { low: [0.2, 0.3, 0.0], high: [0.35, 0.5, 0.06] };
         let mut found = Vec::new();
-        index.for_each_leaf(|bounds| bounds.overlaps(&wanted), |leaf| found.push(leaf));
+        index.for_each_leaf(|bounds| bounds.overlaps(&wanted), |leaf, _| found.push(leaf));
         assert!(found.is_sorted());
         let within = |point: [f32; 3]| wanted.distance_squared(point) == 0.0;
         for place in 0..index.len() {

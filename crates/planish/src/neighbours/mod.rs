@@ -8,7 +8,7 @@ use std::num::NonZero;
 
 use crate::error::EngineError;
 
-pub(crate) use index::{Bounds, LEAF, PointIndex};
+pub(crate) use index::{Bounds, LEAF, LeafMoments, PointIndex};
 
 /// Points from which an extent is taken.
 const SAMPLE: usize = 10_000;

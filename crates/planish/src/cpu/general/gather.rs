@@ -5,12 +5,26 @@ use std::ops::Range;
 use fearless_simd::{Select, Simd, SimdBase, SimdMask};
 
 use super::super::vector::{Mask, Vec3, splat};
-use super::super::window::{Candidates, Gate};
-use crate::neighbours::{Bounds, LEAF, PointIndex};
+use super::super::window::{Candidates, Gate, Sums};
+use crate::neighbours::{Bounds, LEAF, LeafMoments, PointIndex};
 
-/// Candidates copied together, in the order of their places.
+/// Leaves that reach beyond this, squared, are never taken as a whole: their moments may leave f32.
+const LARGEST_SQUARE: f32 = 1e24;
+
+/// Candidates copied together.
 #[derive(Default)]
 pub(super) struct Gathered {
+    /// Of leaves that count wholly for every lane: no gate is needed.
+    whole: Copied,
+    /// The same leaves as sums.
+    moments: Vec<LeafMoments>,
+    /// Of all other leaves, those within reach of some lane.
+    others: Copied,
+}
+
+/// Positions in the order of their places.
+#[derive(Default)]
+struct Copied {
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
@@ -20,56 +34,107 @@ pub(super) struct Gathered {
     len: usize,
 }
 
+/// How far the points of a vector reach: NaN for those that reach nothing.
+#[derive(Clone, Copy)]
+pub(super) struct Reach<S: Simd> {
+    /// Beyond this there is no candidate.
+    pub(super) outer: S::f32s,
+    /// Up to this, candidates count wholly; never NaN, of which the least of two numbers makes what it likes.
+    pub(super) inner: S::f32s,
+}
+
 impl Gathered {
-    /// Gathers every position within `reach` of its lane's point p, for some lane. Lanes whose reach is NaN reach nothing.
+    /// Gathers every position within reach of its lane's point p, for some lane.
     #[inline(always)]
-    pub(super) fn fill<S: Simd>(&mut self, simd: S, index: &PointIndex, p: Vec3<S>, reach: S::f32s) {
-        self.len = 0;
-        let around = bounds_of(p, reach);
-        let reach_squared = reach * reach;
+    pub(super) fn fill<S: Simd>(&mut self, simd: S, index: &PointIndex, p: Vec3<S>, reach: Reach<S>) {
+        let Self { whole, moments, others } = self;
+        (whole.len, others.len) = (0, 0);
+        moments.clear();
+        let around = bounds_of(p, reach.outer);
+        let outer_squared = reach.outer * reach.outer;
+        let inner_squared = (reach.inner * reach.inner).min(splat(simd, LARGEST_SQUARE));
+        // Lanes that reach nothing have no say.
+        let idle: Mask<S> = reach.outer.simd_ne(reach.outer);
         index.for_each_leaf(
             #[inline(always)]
-            |bounds| bounds.overlaps(&around) && is_reached(simd, bounds, p, reach_squared),
+            |bounds| bounds.overlaps(&around) && is_reached(simd, bounds, p, outer_squared),
             #[inline(always)]
-            |leaf| {
-                if self.x.len() < self.len + LEAF {
-                    let room = 2 * (self.len + LEAF);
-                    for values in [&mut self.x, &mut self.y, &mut self.z, &mut self.counts] {
-                        values.resize(room, 0.0);
-                    }
-                    self.places.resize(room, 0);
+            |leaf, bounds| {
+                let inside: Mask<S> = farthest_squared(simd, bounds, p).simd_le(inner_squared);
+                if (inside | idle).all_true() {
+                    whole.push_leaf(index, leaf);
+                    moments.push(*index.moments(leaf));
+                } else {
+                    others.push_reached(simd, index, leaf, p, outer_squared);
                 }
-                let at = self.len..self.len + LEAF;
-                let (x, y, z) = (&mut self.x[at.clone()], &mut self.y[at.clone()], &mut self.z[at.clone()]);
-                let (counts, places) = (&mut self.counts[at.clone()], &mut self.places[at]);
-                let mut taken = 0;
-                for place in LEAF * leaf..LEAF * (leaf + 1) {
-                    let [q_x, q_y, q_z] = index.point(place);
-                    let e = Vec3::<S>::new(splat(simd, q_x), splat(simd, q_y), splat(simd, q_z)).sub(p);
-                    let near: Mask<S> = e.length_squared().simd_le(reach_squared);
-                    // Written always and kept if it is near: without a branch.
-                    (x[taken], y[taken], z[taken]) = (q_x, q_y, q_z);
-                    (counts[taken], places[taken]) = (index.counts[place], place as u32);
-                    taken += usize::from(near.any_true());
-                }
-                self.len += taken;
             },
         );
     }
 
     pub(super) fn len(&self) -> usize {
-        self.len
+        self.whole.len + self.others.len
     }
 
-    /// The squares of the distances of candidate `i`.
+    /// The squares of the distances of all candidates, and their places.
     #[inline(always)]
-    pub(super) fn square<S: Simd>(&self, simd: S, p: Vec3<S>, i: usize) -> S::f32s {
-        Vec3::<S>::new(splat(simd, self.x[i]), splat(simd, self.y[i]), splat(simd, self.z[i])).sub(p).length_squared()
+    pub(super) fn for_each_square<S: Simd>(&self, simd: S, p: Vec3<S>, mut visit: impl FnMut(S::f32s, usize)) {
+        for Copied { x, y, z, places, len, .. } in [&self.whole, &self.others] {
+            let positions = x[..*len].iter().zip(&y[..*len]).zip(&z[..*len]);
+            for (((&x, &y), &z), &place) in positions.zip(&places[..*len]) {
+                let q = Vec3::<S>::new(splat(simd, x), splat(simd, y), splat(simd, z));
+                visit(q.sub(p).length_squared(), place as usize);
+            }
+        }
+    }
+}
+
+impl Copied {
+    /// Room for the points of one more leaf.
+    #[inline(always)]
+    fn reserve(&mut self) {
+        if self.x.len() < self.len + LEAF {
+            let room = 2 * (self.len + LEAF);
+            for values in [&mut self.x, &mut self.y, &mut self.z, &mut self.counts] {
+                values.resize(room, 0.0);
+            }
+            self.places.resize(room, 0);
+        }
     }
 
-    /// The places of the candidates.
-    pub(super) fn places(&self) -> &[u32] {
-        &self.places[..self.len]
+    /// Copies a leaf.
+    #[inline(always)]
+    fn push_leaf(&mut self, index: &PointIndex, leaf: usize) {
+        self.reserve();
+        // The last leaf may be filled up with NaN.
+        let from = LEAF * leaf..(LEAF * (leaf + 1)).min(index.len());
+        let to = self.len..self.len + from.len();
+        let [x, y, z] = &index.positions;
+        self.x[to.clone()].copy_from_slice(&x[from.clone()]);
+        self.y[to.clone()].copy_from_slice(&y[from.clone()]);
+        self.z[to.clone()].copy_from_slice(&z[from.clone()]);
+        self.counts[to.clone()].copy_from_slice(&index.counts[from.clone()]);
+        self.places[to].iter_mut().zip(from.clone()).for_each(|(to, place)| *to = place as u32);
+        self.len += from.len();
+    }
+
+    /// Copies those points of a leaf that are within reach of some lane.
+    #[inline(always)]
+    fn push_reached<S: Simd>(&mut self, simd: S, index: &PointIndex, leaf: usize, p: Vec3<S>, reach_squared: S::f32s) {
+        self.reserve();
+        let at = self.len..self.len + LEAF;
+        let (x, y, z) = (&mut self.x[at.clone()], &mut self.y[at.clone()], &mut self.z[at.clone()]);
+        let (counts, places) = (&mut self.counts[at.clone()], &mut self.places[at]);
+        let mut taken = 0;
+        for place in LEAF * leaf..LEAF * (leaf + 1) {
+            let [q_x, q_y, q_z] = index.point(place);
+            let e = Vec3::<S>::new(splat(simd, q_x), splat(simd, q_y), splat(simd, q_z)).sub(p);
+            let near: Mask<S> = e.length_squared().simd_le(reach_squared);
+            // Written always and kept if it is near: without a branch.
+            (x[taken], y[taken], z[taken]) = (q_x, q_y, q_z);
+            (counts[taken], places[taken]) = (index.counts[place], place as u32);
+            taken += usize::from(near.any_true());
+        }
+        self.len += taken;
     }
 }
 
@@ -90,6 +155,24 @@ fn is_reached<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>, reach_squared: S::f
 #[inline(always)]
 fn outside<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
     (splat(simd, low) - values).max(values - splat(simd, high)).max(splat(simd, 0.0))
+}
+
+/// The squares of the distances of a box's farthest corners.
+#[inline(always)]
+fn farthest_squared<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>) -> S::f32s {
+    let Bounds { low, high } = bounds;
+    Vec3::<S>::new(
+        farther(simd, low[0], high[0], p.x),
+        farther(simd, low[1], high[1], p.y),
+        farther(simd, low[2], high[2], p.z),
+    )
+    .length_squared()
+}
+
+/// How far values are from `low` or `high`, whichever is farther.
+#[inline(always)]
+fn farther<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
+    (values - splat(simd, low)).max(splat(simd, high) - values)
 }
 
 /// The box of all points with their reaches.
@@ -115,7 +198,7 @@ fn largest<S: Simd>(values: S::f32s) -> f32 {
 
 impl<S: Simd> Candidates<S> for &Gathered {
     fn rows(&self) -> usize {
-        self.len
+        self.len()
     }
 
     fn row_len(&self) -> usize {
@@ -131,14 +214,41 @@ impl<S: Simd> Candidates<S> for &Gathered {
         rows: Range<usize>,
         mut visit: impl FnMut(Vec3<S>, S::f32s, S::f32s),
     ) {
+        let Gathered { whole, others, .. } = self;
+        let wholly = rows.start.min(whole.len)..rows.end.min(whole.len);
+        let positions = whole.x[wholly.clone()].iter().zip(&whole.y[wholly.clone()]).zip(&whole.z[wholly.clone()]);
+        for (((&x, &y), &z), &count) in positions.zip(&whole.counts[wholly]) {
+            let q = Vec3::<S>::new(splat(simd, x), splat(simd, y), splat(simd, z));
+            let count = splat(simd, count);
+            visit(q.sub(p), count, count);
+        }
         let gate = Gate::new(simd, radius);
         let zero = splat(simd, 0.0);
-        let positions = self.x[rows.clone()].iter().zip(&self.y[rows.clone()]).zip(&self.z[rows.clone()]);
-        for (((&x, &y), &z), &count) in positions.zip(&self.counts[rows]) {
+        let rows = rows.start.saturating_sub(whole.len)..rows.end.saturating_sub(whole.len);
+        let positions = others.x[rows.clone()].iter().zip(&others.y[rows.clone()]).zip(&others.z[rows.clone()]);
+        for (((&x, &y), &z), &count) in positions.zip(&others.counts[rows]) {
             let q = Vec3::new(splat(simd, x), splat(simd, y), splat(simd, z));
             let (e, weight, near) = gate.apply(simd, q.sub(p));
             let count = splat(simd, count);
             visit(e, weight * count, near.select(count, zero));
         }
+    }
+
+    /// Leaves that count wholly by their moments.
+    #[inline(always)]
+    fn sums(&self, simd: S, p: Vec3<S>, radius: S::f32s) -> Sums<S> {
+        let mut sums = self.sums_of_rows(simd, p, radius, self.whole.len..self.len());
+        for LeafMoments { count, mean: [x, y, z], products } in &self.moments {
+            let e = Vec3::<S>::new(splat(simd, *x), splat(simd, *y), splat(simd, *z)).sub(p);
+            let count = splat(simd, *count);
+            sums.add(e, count, count);
+            let [xx, xy, xz, yy, yz, zz] = products.map(
+                #[inline(always)]
+                |product| splat(simd, product),
+            );
+            (sums.xx, sums.xy, sums.xz) = (sums.xx + xx, sums.xy + xy, sums.xz + xz);
+            (sums.yy, sums.yz, sums.zz) = (sums.yy + yy, sums.yz + yz, sums.zz + zz);
+        }
+        sums
     }
 }

@@ -27,7 +27,7 @@ use crate::range::MIN_GATE_M;
 use crate::simd_level::SimdLevel;
 use crate::smoothed::Smoothed;
 use crate::threads::Threads;
-use gather::Gathered;
+use gather::{Gathered, Reach};
 use radius::{Density, RadiusRows};
 
 /// Leaves of a task: enough that what a task begins with costs nothing beside them.
@@ -168,9 +168,15 @@ fn smooth_vector<S: Simd, const D: usize>(
         Radii::Fixed(radius_m) => splat(simd, radius_m),
         Radii::Of(radii) => S::f32s::from_slice(simd, &radii[place..place + S::f32s::LEN]),
     };
-    // Where the gate has faded out.
-    let reach = radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt());
-    gathered.fill(simd, kernel.index, p, valid.select(reach, splat(simd, f32::NAN)));
+    // Where the gate has faded out; and where it begins to, a little within.
+    let nan = splat(simd, f32::NAN);
+    let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), nan);
+    let inner = match kernel.radii {
+        Radii::Fixed(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
+        // The radius that counts is known only when its candidates are.
+        Radii::Of(_) => splat(simd, 0.0),
+    };
+    gathered.fill(simd, kernel.index, p, Reach { outer, inner });
     let radius = match kernel.radii {
         Radii::Fixed(_) => radius,
         Radii::Of(radii) => radius.min(mean_radius(simd, gathered, radii, p, radius) * splat(simd, MAX_RADIUS_RATIO)),
@@ -193,14 +199,18 @@ fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>,
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let (mut total, mut sum) = (zero, zero);
     let slope = -one / (radius * radius).max(splat(simd, f32::MIN_POSITIVE));
-    for (i, &place) in gathered.places().iter().enumerate() {
-        let square = gathered.square(simd, p, i);
-        // The point itself does not count.
-        let other: Mask<S> = square.simd_gt(zero);
-        let weight = other.select(square.mul_add(slope, one).max(zero), zero);
-        total += weight;
-        sum = weight.mul_add(splat(simd, radii[place as usize]), sum);
-    }
+    gathered.for_each_square(
+        simd,
+        p,
+        #[inline(always)]
+        |square, place| {
+            // The point itself does not count.
+            let other: Mask<S> = square.simd_gt(zero);
+            let weight = other.select(square.mul_add(slope, one).max(zero), zero);
+            total += weight;
+            sum = weight.mul_add(splat(simd, radii[place]), sum);
+        },
+    );
     let alone: Mask<S> = total.simd_le(zero);
     alone.select(splat(simd, f32::INFINITY), sum / total.max(splat(simd, f32::MIN_POSITIVE)))
 }

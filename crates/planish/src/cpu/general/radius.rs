@@ -4,7 +4,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::super::row_tasks::SplitRows;
 use super::super::vector::{Mask, Vec3, splat};
-use super::gather::Gathered;
+use super::gather::{Gathered, Reach};
 use super::load;
 use crate::neighbours::{LEAF, PointIndex};
 
@@ -49,7 +49,7 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
     let mut gathered = Gathered::default();
     let mut squares = Vec::new();
     let mut last_m = None;
-    let nan = splat(simd, f32::NAN);
+    let (nan, zero) = (splat(simd, f32::NAN), splat(simd, 0.0));
     for at in (0..rows.radii.len()).step_by(S::f32s::LEN) {
         let place = LEAF * rows.first + at;
         let p = load(simd, index, place);
@@ -63,7 +63,7 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
         // Lanes without a radius yet; those that have one reach no further.
         let mut missing = valid;
         for _ in 0..TRIES {
-            gathered.fill(simd, index, p, missing.select(reach, nan));
+            gathered.fill(simd, index, p, Reach { outer: missing.select(reach, nan), inner: zero });
             radius = missing.select(radii_within(simd, &gathered, p, reach, density, &mut squares), radius);
             missing &= radius.simd_ne(radius);
             if !missing.any_true() {
@@ -80,7 +80,8 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
                     let reach = reach_m(index, density, index.point(place + lane));
                     let mut reaches = [f32::NAN; LEAF];
                     reaches[lane] = reach;
-                    gathered.fill(simd, index, p, S::f32s::from_slice(simd, &reaches[..S::f32s::LEN]));
+                    let outer = S::f32s::from_slice(simd, &reaches[..S::f32s::LEN]);
+                    gathered.fill(simd, index, p, Reach { outer, inner: zero });
                     let alone = radii_within(simd, &gathered, p, splat(simd, reach), density, &mut squares);
                     let radius_m = alone.as_slice()[lane];
                     lanes[lane] = if radius_m.is_nan() { density.largest_m } else { radius_m };
@@ -126,10 +127,14 @@ fn radii_within<S: Simd>(
     density: Density,
     squares: &mut Vec<S::f32s>,
 ) -> S::f32s {
-    squares.resize(gathered.len(), splat(simd, 0.0));
-    for (i, square) in squares.iter_mut().enumerate() {
-        *square = gathered.square(simd, p, i);
-    }
+    squares.clear();
+    squares.reserve(gathered.len());
+    gathered.for_each_square(
+        simd,
+        p,
+        #[inline(always)]
+        |square, _| squares.push(square),
+    );
     let half = splat(simd, density.half);
     let limit = reach * reach;
     let (mut n, mut sum) = within(simd, squares, limit);
