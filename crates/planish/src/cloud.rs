@@ -94,6 +94,10 @@ pub struct PointCloud {
     pub position_columns: PositionColumns,
     /// Where the sensor stood, in the frame of the file (not relative to `origin_m`); the identity where that is not known.
     pub pose: SensorPose,
+    /// What a LAS file says beside its points: its coordinate system, scales and offsets, and descriptions of extra bytes. It is
+    /// written back with the cloud.
+    #[cfg(feature = "io")]
+    pub(crate) las_header: Option<std::sync::Arc<las::Header>>,
 }
 
 impl PointCloud {
@@ -105,6 +109,8 @@ impl PointCloud {
             attributes: Vec::new(),
             position_columns: PositionColumns::default(),
             pose: SensorPose::IDENTITY,
+            #[cfg(feature = "io")]
+            las_header: None,
         }
     }
 

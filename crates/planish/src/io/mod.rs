@@ -7,6 +7,7 @@ mod camera_file;
 mod columns;
 mod depth_png;
 mod depth_tiff;
+mod las;
 mod npy;
 mod pcd;
 mod ply;
@@ -86,6 +87,10 @@ pub enum Format {
     DepthTiff,
     /// A NumPy array of depth or points.
     Npy,
+    /// ASPRS LAS 1.0 to 1.4.
+    Las,
+    /// The same compressed, COPC included.
+    Laz,
 }
 
 impl Format {
@@ -97,6 +102,8 @@ impl Format {
             Self::DepthPng => "PNG",
             Self::DepthTiff => "TIFF",
             Self::Npy => "NPY",
+            Self::Las => "LAS",
+            Self::Laz => "LAZ",
         }
     }
 
@@ -108,6 +115,8 @@ impl Format {
             "png" => Some(Self::DepthPng),
             "tif" | "tiff" => Some(Self::DepthTiff),
             "npy" => Some(Self::Npy),
+            "las" => Some(Self::Las),
+            "laz" => Some(Self::Laz),
             _ => None,
         }
     }
@@ -123,6 +132,8 @@ impl Format {
             Some(Self::DepthTiff)
         } else if starts(b"\x93NUMPY") {
             Some(Self::Npy)
+        } else if starts(b"LASF") {
+            Some(las::format_of(bytes))
         } else if starts(b"# .PCD") || starts(b"VERSION") || starts(b"FIELDS") {
             Some(Self::Pcd)
         } else {
@@ -133,7 +144,7 @@ impl Format {
     fn of_output(path: &Path) -> FormatResult<Self> {
         Self::of_extension(path).ok_or_else(|| {
             FormatError::Unsupported(
-                "cannot tell the format to write: end the name in .pcd, .ply, .png, .tiff or .npy".into(),
+                "cannot tell the format to write: end the name in .pcd, .ply, .las, .laz, .png, .tiff or .npy".into(),
             )
         })
     }
@@ -268,7 +279,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
     }
     let format = Format::of_contents(bytes).or(announced).ok_or_else(|| {
         FormatError::Unsupported(
-            "not a point cloud or depth image: it is none of PCD, PLY, 16-bit PNG or TIFF, NPY".into(),
+            "not a point cloud or depth image: it is none of PCD, PLY, LAS, LAZ, 16-bit PNG or TIFF, NPY".into(),
         )
     })?;
     let contents = match format {
@@ -277,6 +288,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
         Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
         Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
         Format::Npy => npy::decode(bytes, options),
+        Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options)?)),
     }?;
     Ok((format, contents))
 }
@@ -335,7 +347,7 @@ impl<'a> From<&'a PointCloud> for CloudRef<'a> {
     }
 }
 
-/// Writes a cloud in the format of the path's extension: PCD, PLY or NPY (positions alone).
+/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes) or NPY (positions alone).
 pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
     let cloud = cloud.into();
     let encode = || {
@@ -344,8 +356,10 @@ pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: En
             Format::Pcd => pcd::encode(cloud, encoding),
             Format::Ply => ply::encode(cloud, encoding),
             Format::Npy => npy::encode_points(cloud),
+            Format::Las => las::encode(cloud.points(), false),
+            Format::Laz => las::encode(cloud.points(), true),
             Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
-                "an image holds depth, not points: end the name in .pcd, .ply or .npy".into(),
+                "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz or .npy".into(),
             )),
         }
     };
@@ -358,7 +372,7 @@ pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
         Format::DepthPng => depth_png::encode(image),
         Format::DepthTiff => depth_tiff::encode(image),
         Format::Npy => npy::encode_depth(image),
-        Format::Pcd | Format::Ply => Err(FormatError::Unsupported(
+        Format::Pcd | Format::Ply | Format::Las | Format::Laz => Err(FormatError::Unsupported(
             "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),
         )),
     };
