@@ -50,6 +50,11 @@ fn seeds(folder: &Path) -> Vec<(&'static str, Vec<u8>)> {
     write_cloud(&path("ascii.ply"), &cloud, Encoding::Ascii).unwrap();
     write_cloud(&path("binary.ply"), &cloud, Encoding::Binary).unwrap();
     write_cloud(&path("points.npy"), &cloud, Encoding::Binary).unwrap();
+    let mut with_field = cloud.points.clone();
+    with_field.set_attribute("confidence", vec![0.5f32; cloud.points.len()]);
+    for name in ["points.las", "points.laz"] {
+        write_cloud(&path(name), &with_field, Encoding::Binary).unwrap();
+    }
     let image = DepthImage { width: SIZE.0, height: SIZE.1, raw: frame.raw };
     for name in ["depth.png", "depth.tiff", "depth.npy"] {
         write_depth(&path(name), &image).unwrap();
@@ -63,6 +68,8 @@ fn seeds(folder: &Path) -> Vec<(&'static str, Vec<u8>)> {
         "ascii.ply",
         "binary.ply",
         "points.npy",
+        "points.las",
+        "points.laz",
         "depth.png",
         "depth.tiff",
         "depth.npy",
@@ -167,7 +174,7 @@ fn mutated_files_are_survived(files: usize, seed: u64) {
 
 #[test]
 fn some_mutated_files_are_survived() {
-    mutated_files_are_survived(330, 1);
+    mutated_files_are_survived(390, 1);
 }
 
 #[test]

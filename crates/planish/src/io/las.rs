@@ -72,6 +72,7 @@ impl Stored {
             Stored::F64,
         ];
         match usize::from(number) {
+            0 if options == 0 => None,
             0 => Some((Self::Bytes(options.into()), 1)),
             number @ 1..=30 => Some((SCALARS[(number - 1) % 10], (number - 1) / 10 + 1)),
             _ => None,
@@ -202,19 +203,93 @@ fn damaged(error: las::Error) -> FormatError {
     FormatError::Malformed(format!("damaged LAS: {}", super::brief(&error.to_string())))
 }
 
+/// What a header says that the decoder would believe.
+struct Claims {
+    points: u64,
+    record: usize,
+    /// Where extended records begin, and their number.
+    extended: Option<(usize, u32)>,
+}
+
+/// Checks against the file what its header claims; `None` if it ends before that.
+fn claims(bytes: &[u8]) -> Option<Claims> {
+    let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
+    let legacy = u64::from(u32::from_le_bytes(read_at(bytes, 107)?));
+    if bytes[25] < 4 {
+        return Some(Claims { points: legacy, record, extended: None });
+    }
+    let extended_at = usize::try_from(u64::from_le_bytes(read_at(bytes, 235)?)).ok()?;
+    let extended = Some((extended_at, u32::from_le_bytes(read_at(bytes, 243)?)));
+    let points = if legacy == 0 { u64::from_le_bytes(read_at(bytes, 247)?) } else { legacy };
+    Some(Claims { points, record, extended })
+}
+
+/// Refuses chunks of points that the file cannot hold: the decoder allocates what is claimed. `None` if it is cut off.
+fn check_chunks(bytes: &[u8], points: u64) -> Option<FormatResult<()>> {
+    /// More points than that in a chunk are believed only of a file that has them.
+    const LARGEST_CHUNK: u64 = 1 << 20;
+    let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
+    let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
+    // Of every record ahead of the points: 54 bytes, and as many as it says.
+    for _ in 0..u32_at(100)? {
+        let user = bytes.get(at.checked_add(2)?..at.checked_add(18)?)?;
+        if user.starts_with(b"laszip encoded") {
+            let chunk = u32_at(at + 54 + 12)?;
+            if chunk != u32::MAX && u64::from(chunk) > points.max(LARGEST_CHUNK) {
+                return Some(Err(FormatError::Malformed(format!("chunks of {chunk} points in a file of {points}"))));
+            }
+        }
+        at += 54 + usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
+    }
+    let table = i64::from_le_bytes(read_at(bytes, u32_at(96)? as usize)?);
+    // It stands at the end where a writer could not go back.
+    let at_end = || i64::from_le_bytes(read_at(bytes, bytes.len().checked_sub(8)?)?).try_into().ok();
+    let table: usize = table.try_into().ok().or_else(at_end)?;
+    let chunks = u32_at(table.checked_add(4)?)? as usize;
+    let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
+    // Each begins with a point as it is.
+    if chunks.saturating_mul(record.max(1)) > bytes.len() {
+        return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.len()))));
+    }
+    Some(Ok(()))
+}
+
+/// The extended records, behind the points. The library reads the first alone.
+fn extended_records(bytes: &[u8], (at, count): (usize, u32)) -> Option<Vec<Vlr>> {
+    let mut rest = bytes.get(at..)?;
+    let mut records = Vec::new();
+    for _ in 0..count {
+        // Nothing is allocated for what is not there.
+        let length = usize::try_from(u64::from_le_bytes(read_at(rest, 20)?)).ok()?;
+        let (record, behind) = rest.split_at_checked(length.checked_add(60)?)?;
+        records.push(Vlr::new(las::raw::Vlr::read_from(record, true).ok()?));
+        rest = behind;
+    }
+    Some(records)
+}
+
+fn read_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
+    bytes.get(at..at.checked_add(N)?)?.try_into().ok()
+}
+
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
-    let mut reader = Reader::new(Cursor::new(bytes.to_vec())).map_err(damaged)?;
-    let header = reader.header().clone();
-    let count = usize::try_from(header.number_of_points()).unwrap_or(usize::MAX);
-    let record = usize::from(header.point_format().len());
+    let cut_off = || FormatError::Malformed("cut off".into());
+    let Claims { points, record, extended } = claims(bytes).ok_or_else(cut_off)?;
+    let count = usize::try_from(points).unwrap_or(usize::MAX);
     // The records, and positions and columns.
     options.check(count, 2 * record + 12)?;
-    if !header.point_format().is_compressed && count.saturating_mul(record) > bytes.len() {
-        return Err(FormatError::Malformed(format!(
-            "cut off: {count} points of {record} bytes in {} bytes",
-            bytes.len()
-        )));
+    match format_of(bytes) {
+        Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
+        _ if count.saturating_mul(record) > bytes.len() => return Err(cut_off()),
+        _ => {}
     }
+    let extended =
+        extended.map_or(Some(Vec::new()), |extended| extended_records(bytes, extended)).ok_or_else(cut_off)?;
+    let mut reader = Reader::new(Cursor::new(bytes.to_vec())).map_err(damaged)?;
+    let mut builder = Builder::from(reader.header().clone());
+    builder.evlrs = extended;
+    let header = builder.into_header().map_err(damaged)?;
+    let record = usize::from(header.point_format().len());
     let points = reader.read_all().map_err(damaged)?;
     if points.len() != count {
         return Err(FormatError::Malformed(format!("cut off: {} of {count} points", points.len())));
