@@ -15,6 +15,7 @@ use args::{Args, Command};
 
 fn main() -> ExitCode {
     quiet_the_window_system();
+    quiet_the_decoder_of_laz();
     if let Err(error) = signals::install() {
         errln!("warning: {error:#}");
     }
@@ -52,6 +53,17 @@ fn parse() -> Args {
     }
     let matches = with_negative_numbers(Args::command()).get_matches();
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+/// The decoder of LAZ panics on some damaged files. The library catches that and says what is wrong with the file; where in the decoder
+/// it happened is of no use to anybody.
+fn quiet_the_decoder_of_laz() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !panic.location().is_some_and(|location| location.file().contains("/laz-")) {
+            usual(panic);
+        }
+    }));
 }
 
 /// Where there is no session of a desktop, Mesa's Vulkan drivers look for one nevertheless and complain on standard error of a

@@ -547,3 +547,49 @@ fn damaged_las_files_are_refused() {
         assert!(io::decode(&scaleless, None).unwrap_err().to_string().contains("scales"), "{name}");
     }
 }
+
+#[test]
+fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
+    let names = |text: &str, format: io::Format| {
+        let (_, Contents::General(cloud)) = io::decode(text.as_bytes(), Some(format)).unwrap() else {
+            panic!("points")
+        };
+        let names: Vec<String> = cloud.attributes.iter().map(|attribute| attribute.name.clone()).collect();
+        (cloud, names.join(" "))
+    };
+    use io::Format::{Csv, Text};
+    let (cloud, found) = names("1 2 3\n4 5 6\n\n", Text);
+    assert_eq!((cloud.len(), found.as_str()), (2, ""));
+    assert_eq!(names("# made by hand\n1 2 3 0 0 1\n4 5 6 0 1 0\n", Text).1, "red green blue");
+    assert_eq!(names("1 2 3 0 0.6 0.8\n4 5 6 0 1 0\n", Text).1, "normal_x normal_y normal_z");
+    assert_eq!(names("2\n1 2 3 -700 255 0 7\n4 5 6 -650.5 1 2 3\n", Text).1, "intensity red green blue");
+    assert_eq!(names("1 2 3 9 8\n", Text).1, "column_4 column_5");
+    assert_eq!(names("//X;Y;Z;Nx;Ny;Nz\n1;2;3;0;0;1\n", Text).1, "normal_x normal_y normal_z");
+    let (cloud, found) = names("id,Z,\"Y\",x\n16777217,3,2,1e0\n5,-3,-2.5,nan\n", Csv);
+    assert_eq!((cloud.positions.get(0), found.as_str()), ([1.0, 2.0, 3.0], "id"));
+    assert!(cloud.positions.get(1)[0].is_nan());
+    let (far, _) = names("632000.12 5600000.34 120.5\n632001.12 5600001.34 121.5\n", Text);
+    assert_eq!(far.origin_m, [632_000.0, 5_600_000.0, 0.0]);
+
+    let folder = tempfile::tempdir().unwrap();
+    for (cloud, name) in [(&cloud, "c.csv"), (&far, "far.xyz"), (&far, "far.csv")] {
+        let path = folder.path().join(name);
+        io::write_cloud(&path, cloud, Encoding::Binary).unwrap();
+        let Contents::General(copy) = io::read(&path).unwrap().1 else { panic!("points") };
+        assert_eq!(
+            format!("{:?} {:?}", copy.positions, copy.attributes),
+            format!("{:?} {:?}", cloud.positions, cloud.attributes)
+        );
+    }
+    for (text, what) in [
+        ("1 2 3\n4 5\n", "line 2"),
+        ("1 2 3\n\n4 five 6\n", "line 3"),
+        ("alpha beta\n1 2\n", "names of columns"),
+        ("1 2\n3 4\n", "three numbers"),
+        ("\u{0}\u{1}", "names of columns"),
+    ] {
+        let error = io::decode(text.as_bytes(), Some(Text)).unwrap_err().to_string();
+        assert!(error.contains(what), "{text:?}: {error}");
+    }
+    assert!(io::decode(b"1 2 3\n\xff\xfe 4", Some(Text)).unwrap_err().to_string().contains("UTF-8"));
+}

@@ -165,7 +165,7 @@ fn writing_where_nothing_can_be_written_says_so_and_leaves_nothing() {
     let cloud = PointCloud::new(Xyz::filled(3, 1.0));
     let write = |name: &str| io::write_cloud(&folder.path().join(name), &cloud, Encoding::Binary);
     assert!(write("missing/cloud.pcd").unwrap_err().to_string().contains("does not exist"));
-    assert!(write("cloud.xyz").unwrap_err().to_string().contains("end the name in .pcd"));
+    assert!(write("cloud.abc").unwrap_err().to_string().contains("end the name in .pcd"));
     assert!(write("cloud.png").unwrap_err().to_string().contains("depth, not points"));
     fs::create_dir(folder.path().join("taken.pcd")).unwrap();
     assert!(write("taken.pcd").unwrap_err().to_string().contains("folder has this name"));

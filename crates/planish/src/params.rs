@@ -73,7 +73,7 @@ const LIGHT_RIDGE: f32 = 1e-2;
 const SMALL_RIDGE: f32 = 1e-3;
 
 /// About how many neighbours points of general clouds have by default.
-pub const GENERAL_NEIGHBOURS: u32 = 40;
+const GENERAL_NEIGHBOURS: u32 = 40;
 
 /// How far and how much to smooth, from 0 to 1: windows grow in steps, the ridge steadily.
 ///
@@ -321,7 +321,7 @@ impl SmoothParams {
         }
     }
 
-    /// A setting for general clouds: degree 2, and a radius for about [`GENERAL_NEIGHBOURS`] neighbours by the density around each
+    /// A setting for general clouds: degree 2, and a radius for about 40 neighbours by the density around each
     /// point.
     pub fn general() -> Self {
         Self { radius: Radius::Neighbours { count: GENERAL_NEIGHBOURS }, degree: 2, ..Self::paper() }

@@ -66,7 +66,7 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let mut inputs: Vec<PathBuf> = fs::read_dir(&args.input)
         .and_then(|entries| entries.map(|entry| entry.map(|entry| entry.path())).collect())
         .with_context(|| format!("cannot list the folder {}", args.input.display()))?;
-    inputs.retain(|path| path.is_file() && Format::of_extension(path).is_some());
+    inputs.retain(|path| path.is_file() && Format::is_of_frames(path));
     inputs.sort();
     if inputs.is_empty() {
         bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
@@ -191,6 +191,11 @@ impl Worker<'_> {
 
         let (mut result, points, times_ms) = match contents {
             Contents::General(cloud) => {
+                if matches!(format, Format::Text | Format::Csv) {
+                    let names = cloud.attributes.iter().map(|attribute| attribute.name.as_str());
+                    let columns: Vec<&str> = ["x", "y", "z"].into_iter().chain(names).collect();
+                    errln!("{}: columns taken as {}", input.display(), columns.join(" "));
+                }
                 let (points, times_ms) = self.smooth_general(input, output, &cloud)?;
                 (Output::General(cloud), points, times_ms)
             }
@@ -427,6 +432,17 @@ impl Worker<'_> {
     }
 
     fn write(&self, input: &Path, output: &Path, result: &Output) -> Result<()> {
+        let cloud = match result {
+            Output::Organized(cloud) => Some(&cloud.points),
+            Output::General(cloud) => Some(cloud),
+            Output::Depth { .. } => None,
+        };
+        if let (Some(Format::Las | Format::Laz), Some(cloud)) = (Format::of_extension(output), cloud) {
+            let holes = cloud.len() - cloud.valid_points();
+            if holes > 0 {
+                errln!("{}: {holes} holes are left out, since LAS has no place for them", output.display());
+            }
+        }
         let encoding = self.args.encoding().or_else(|| io::encoding_of(input)).unwrap_or_default();
         match result {
             Output::Organized(cloud) => io::write_cloud(output, CloudRef::Organized(cloud), encoding)?,

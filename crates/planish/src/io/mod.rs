@@ -15,6 +15,7 @@ mod ply;
 mod rgb_png;
 mod text;
 mod whole;
+mod xyz_text;
 
 use std::fs;
 use std::io::Read;
@@ -91,6 +92,10 @@ pub enum Format {
     Las,
     /// The same compressed, COPC included.
     Laz,
+    /// Lines of numbers (XYZ, TXT, ASC, PTS): x, y, z and what else there is.
+    Text,
+    /// The same with commas, and names above.
+    Csv,
 }
 
 impl Format {
@@ -104,6 +109,8 @@ impl Format {
             Self::Npy => "NPY",
             Self::Las => "LAS",
             Self::Laz => "LAZ",
+            Self::Text => "text",
+            Self::Csv => "CSV",
         }
     }
 
@@ -117,8 +124,15 @@ impl Format {
             "npy" => Some(Self::Npy),
             "las" => Some(Self::Las),
             "laz" => Some(Self::Laz),
+            "xyz" | "txt" | "asc" | "pts" => Some(Self::Text),
+            "csv" => Some(Self::Csv),
             _ => None,
         }
+    }
+
+    /// Whether a file of this extension in a folder is taken for a frame: lines of text may be anything.
+    pub fn is_of_frames(path: &Path) -> bool {
+        !matches!(Self::of_extension(path), None | Some(Self::Text | Self::Csv))
     }
 
     /// The format that a file's first bytes identify.
@@ -144,7 +158,7 @@ impl Format {
     fn of_output(path: &Path) -> FormatResult<Self> {
         Self::of_extension(path).ok_or_else(|| {
             FormatError::Unsupported(
-                "cannot tell the format to write: end the name in .pcd, .ply, .las, .laz, .png, .tiff or .npy".into(),
+                "cannot tell the format to write: end the name in .pcd, .ply, .las, .laz, .xyz, .csv, .png, .tiff or .npy".into(),
             )
         })
     }
@@ -279,7 +293,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
     }
     let format = Format::of_contents(bytes).or(announced).ok_or_else(|| {
         FormatError::Unsupported(
-            "not a point cloud or depth image: it is none of PCD, PLY, LAS, LAZ, 16-bit PNG or TIFF, NPY".into(),
+            "not a point cloud or depth image: it is none of PCD, PLY, LAS, LAZ, XYZ text, CSV, 16-bit PNG or TIFF, NPY".into(),
         )
     })?;
     let contents = match format {
@@ -289,6 +303,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
         Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
         Format::Npy => npy::decode(bytes, options),
         Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options)?)),
+        Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options)?)),
     }?;
     Ok((format, contents))
 }
@@ -347,7 +362,7 @@ impl<'a> From<&'a PointCloud> for CloudRef<'a> {
     }
 }
 
-/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes) or NPY (positions alone).
+/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), lines of text, CSV, or NPY (positions alone).
 pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
     let cloud = cloud.into();
     let encode = || {
@@ -358,8 +373,10 @@ pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: En
             Format::Npy => npy::encode_points(cloud),
             Format::Las => las::encode(cloud.points(), false),
             Format::Laz => las::encode(cloud.points(), true),
+            Format::Text => xyz_text::encode(cloud, ' '),
+            Format::Csv => xyz_text::encode(cloud, ','),
             Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
-                "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz or .npy".into(),
+                "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
             )),
         }
     };
@@ -372,9 +389,9 @@ pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
         Format::DepthPng => depth_png::encode(image),
         Format::DepthTiff => depth_tiff::encode(image),
         Format::Npy => npy::encode_depth(image),
-        Format::Pcd | Format::Ply | Format::Las | Format::Laz => Err(FormatError::Unsupported(
-            "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),
-        )),
+        Format::Pcd | Format::Ply | Format::Las | Format::Laz | Format::Text | Format::Csv => Err(
+            FormatError::Unsupported("this format holds points, not depth: end the name in .png, .tiff or .npy".into()),
+        ),
     };
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }

@@ -25,7 +25,7 @@ impl FileSource {
         let entries: Result<Vec<PathBuf>, _> =
             std::fs::read_dir(folder).map_err(at)?.map(|entry| entry.map(|entry| entry.path())).collect();
         let mut files = entries.map_err(at)?;
-        files.retain(|path| path.is_file() && Format::of_extension(path).is_some());
+        files.retain(|path| path.is_file() && Format::is_of_frames(path));
         files.sort();
         if files.is_empty() {
             return Err(malformed(folder, "the folder has no frames (.pcd, .ply, .png, .tiff, .npy)").into());

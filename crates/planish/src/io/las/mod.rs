@@ -1,0 +1,180 @@
+//! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; all else of the file, such as its
+//! coordinate system, stays with the cloud and is written back.
+
+mod claims;
+mod fields;
+
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use las::{Builder, Reader, Transform, Version, Writer, point};
+
+use super::{Format, FormatResult, ReadOptions};
+use crate::cloud::{Attribute, PointCloud};
+use crate::error::FormatError;
+use crate::xyz::Xyz;
+use claims::{Claims, check_chunks, claims, extended_records};
+use fields::{Field, add_extra_field, decode_field, encode_field, extra_fields, fields};
+
+/// Coordinates of files that we make are multiples of this, where they fit: finer than any scanner measures.
+const SCALE_M: f64 = 1e-5;
+/// The most that 32 bits hold, with room to move points.
+const LARGEST_INTEGER: f64 = 2e9;
+
+/// LAS or LAZ, by the bit of the point format that says which.
+pub(super) fn format_of(bytes: &[u8]) -> Format {
+    const POINT_FORMAT_AT: usize = 104;
+    match bytes.get(POINT_FORMAT_AT) {
+        Some(number) if number & 0x80 != 0 => Format::Laz,
+        _ => Format::Las,
+    }
+}
+
+fn damaged(error: las::Error) -> FormatError {
+    FormatError::Malformed(format!("damaged LAS: {}", super::brief(&error.to_string())))
+}
+
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
+    let cut_off = || FormatError::Malformed("cut off".into());
+    let Claims { points, record, extended } = claims(bytes).ok_or_else(cut_off)?;
+    let count = usize::try_from(points).unwrap_or(usize::MAX);
+    // The records, and positions and columns.
+    options.check(count, 2 * record + 12)?;
+    match format_of(bytes) {
+        Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
+        _ if count.saturating_mul(record) > bytes.len() => return Err(cut_off()),
+        _ => {}
+    }
+    let extended =
+        extended.map_or(Some(Vec::new()), |extended| extended_records(bytes, extended)).ok_or_else(cut_off)?;
+    // The decoder of compressed points trusts them: on damaged ones it may divide by zero.
+    let decoded = catch_unwind(AssertUnwindSafe(|| {
+        let mut reader = Reader::new(Cursor::new(bytes.to_vec()))?;
+        let mut builder = Builder::from(reader.header().clone());
+        builder.evlrs = extended;
+        Ok((builder.into_header()?, reader.read_all()?))
+    }));
+    let unreadable = || FormatError::Malformed("damaged LAZ: its points cannot be decompressed".into());
+    let (header, points) = decoded.map_err(|_| unreadable())?.map_err(damaged)?;
+    let record = usize::from(header.point_format().len());
+    if points.len() != count {
+        return Err(FormatError::Malformed(format!("cut off: {} of {count} points", points.len())));
+    }
+    let raw = points.raw_bytes();
+    let transforms = header.transforms();
+    let usable = [transforms.x, transforms.y, transforms.z]
+        .iter()
+        .all(|t| t.scale.is_finite() && t.scale != 0.0 && t.offset.is_finite());
+    if !usable {
+        return Err(FormatError::Malformed("the header's scales and offsets are no finite numbers".into()));
+    }
+    let axis = |at: usize, transform: Transform| -> (Vec<f32>, f64) {
+        let integers = raw
+            .chunks_exact(record)
+            .map(|point| i32::from_le_bytes([point[at], point[at + 1], point[at + 2], point[at + 3]]));
+        let (low, high) =
+            integers.clone().fold((i32::MAX, i32::MIN), |(low, high), value| (low.min(value), high.max(value)));
+        // In the middle, on a whole metre, so that as few digits as possible are lost to f32.
+        let middle = if low > high { 0.0 } else { transform.direct(low).midpoint(transform.direct(high)).round() };
+        (integers.map(|value| (transform.direct(value) - middle) as f32).collect(), middle)
+    };
+    let ((x, origin_x), (y, origin_y), (z, origin_z)) =
+        (axis(0, transforms.x), axis(4, transforms.y), axis(8, transforms.z));
+    let mut cloud = PointCloud::new(Xyz { x, y, z });
+    cloud.origin_m = [origin_x, origin_y, origin_z];
+    cloud.position_columns.double = true;
+    let all = fields(header.point_format()).into_iter().chain(extra_fields(&header));
+    cloud.attributes = all.map(|field| decode_field(&field, raw, record)).collect();
+    cloud.las_header = Some(Arc::new(header));
+    Ok(cloud)
+}
+
+/// Encodes a cloud; without its holes, for which LAS has no place.
+pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u8>> {
+    let cannot = |error: las::Error| {
+        FormatError::Unsupported(format!("no LAS of this cloud: {}", super::brief(&error.to_string())))
+    };
+    let kept: Vec<usize> = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
+    // Of 8 bits; 16-bit channels are columns like any other.
+    let colour = cloud.rgb();
+    let channels = ["red", "green", "blue"];
+    let mut builder = match &cloud.las_header {
+        Some(header) => Builder::from((**header).clone()),
+        None => new_builder(cloud, &kept, colour.is_some()).map_err(cannot)?,
+    };
+    // What says how other bytes are compressed, and the index of another order of points.
+    builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
+    builder.evlrs.retain(|vlr| vlr.user_id != "copc");
+    builder.point_format.is_compressed = compressed;
+    let known = builder.clone().into_header().map_err(cannot)?;
+    let mut all: Vec<Field> = fields(&builder.point_format).into_iter().chain(extra_fields(&known)).collect();
+    // Every other column is an extra field.
+    let is_colour = |name: &str| colour.is_some() && (["rgb", "rgba"].contains(&name) || channels.contains(&name));
+    for attribute in cloud.attributes.iter().filter(|attribute| attribute.name != "_" && !is_colour(&attribute.name)) {
+        if !all.iter().any(|field| field.name == attribute.name) {
+            add_extra_field(&mut builder, &mut all, attribute)?;
+        }
+    }
+    let header = builder.into_header().map_err(cannot)?;
+    let record = usize::from(header.point_format().len());
+    let mut raw = vec![0u8; record * kept.len()];
+
+    let transforms = header.transforms();
+    for (at, values, origin, transform) in [
+        (0, &cloud.positions.x, cloud.origin_m[0], transforms.x),
+        (4, &cloud.positions.y, cloud.origin_m[1], transforms.y),
+        (8, &cloud.positions.z, cloud.origin_m[2], transforms.z),
+    ] {
+        for (point, &i) in raw.chunks_exact_mut(record).zip(&kept) {
+            let integer = transform.inverse(origin + f64::from(values[i])).map_err(cannot)?;
+            point[at..at + 4].copy_from_slice(&integer.to_le_bytes());
+        }
+    }
+    for field in all.iter().filter(|field| !is_colour(&field.name)) {
+        if let Some(attribute) = cloud.attribute(&field.name) {
+            encode_field(field, attribute, &kept, &mut raw, record)?;
+        }
+    }
+    if let Some(colour) = &colour {
+        for (channel, name) in channels.into_iter().enumerate() {
+            let values: Vec<u16> = colour.iter().map(|rgb| u16::from(rgb[channel]) * 257).collect();
+            let attribute = Attribute { name: name.to_owned(), count: 1, values: values.into() };
+            if let Some(field) = all.iter().find(|field| field.name == name) {
+                encode_field(field, &attribute, &kept, &mut raw, record)?;
+            }
+        }
+    }
+    let points = las::PointDataBuilder::new().for_header(&header).build_from_bytes(raw).map_err(cannot)?;
+    let mut writer = Writer::new(Cursor::new(Vec::new()), header).map_err(cannot)?;
+    writer.write_points(&points).map_err(cannot)?;
+    writer.close().map_err(cannot)?;
+    Ok(writer.into_inner().map_err(cannot)?.into_inner())
+}
+
+/// A header for a cloud that was no LAS.
+fn new_builder(cloud: &PointCloud, kept: &[usize], has_colour: bool) -> Result<Builder, las::Error> {
+    let mut builder = Builder::from(Version::new(1, 4));
+    let has = |name: &str| cloud.attribute(name).is_some();
+    let number = match (has_colour || has("red"), has("nir")) {
+        (_, true) => 8,
+        (true, false) => 7,
+        (false, false) => 6,
+    };
+    builder.point_format = point::Format::new(number)?;
+    builder.generating_software = concat!("planish ", env!("CARGO_PKG_VERSION")).to_owned();
+    let transform = |values: &[f32], origin: f64| {
+        let largest = kept.iter().map(|&i| f64::from(values[i]).abs()).fold(0.0, f64::max);
+        let mut scale = SCALE_M;
+        while largest / scale > LARGEST_INTEGER {
+            scale *= 10.0;
+        }
+        Transform { scale, offset: origin }
+    };
+    builder.transforms = las::Vector {
+        x: transform(&cloud.positions.x, cloud.origin_m[0]),
+        y: transform(&cloud.positions.y, cloud.origin_m[1]),
+        z: transform(&cloud.positions.z, cloud.origin_m[2]),
+    };
+    Ok(builder)
+}
