@@ -529,6 +529,73 @@ fn other_clouds_become_las_and_come_back() {
     assert!(io::write_cloud(&path, &cloud, Encoding::Binary).unwrap_err().to_string().contains("intensity"));
 }
 
+/// Writes a cloud as LAS and reads it back.
+fn through_las(cloud: &PointCloud) -> Result<PointCloud, planish::IoError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("c.las");
+    io::write_cloud(&path, cloud, Encoding::Binary)?;
+    let Contents::General(copy) = io::read(&path)?.1 else { panic!("points") };
+    Ok(copy)
+}
+
+#[test]
+fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
+    // Bytes that no record describes, and fields with the names of others.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("odd.las");
+    let mut builder = las::Builder::from((1, 4));
+    builder.point_format = las::point::Format::new(6).unwrap();
+    builder.point_format.extra_bytes = 6;
+    let mut description = vec![0u8; 192];
+    description[2] = 3;
+    description[4..13].copy_from_slice(b"intensity");
+    let vlr = las::Vlr { user_id: "LASF_Spec".into(), record_id: 4, description: String::new(), data: description };
+    builder.vlrs.push(vlr);
+    let mut writer = las::Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
+    for i in 0..3u8 {
+        let extra_bytes = vec![77, 0, i, 1, 2, 3];
+        let gps_time = Some(f64::from(i));
+        let point = las::Point { x: f64::from(i), intensity: 9, gps_time, extra_bytes, ..Default::default() };
+        writer.write_point(point).unwrap();
+    }
+    writer.close().unwrap();
+    let Contents::General(mut cloud) = io::read(&path).unwrap().1 else { panic!("points") };
+    let values = |cloud: &PointCloud, name: &str| cloud.attribute(name).unwrap().values.clone();
+    assert_eq!(values(&cloud, "intensity"), vec![9u16; 3].into());
+    assert_eq!(values(&cloud, "extra_0"), vec![77u16; 3].into());
+    cloud.set_attribute("curvature", vec![0.25f32; 3]);
+    let copy = through_las(&cloud).unwrap();
+    assert_eq!(values(&copy, "curvature"), vec![0.25f32; 3].into());
+    assert_eq!(values(&copy, "intensity"), vec![9u16; 3].into());
+    let rest = vec![0u8, 1, 2, 3, 1, 1, 2, 3, 2, 1, 2, 3];
+    assert!(copy.attributes.iter().any(|attribute| attribute.values == rest.clone().into()), "{:?}", copy.attributes);
+    // And once more.
+    let mut twice = copy;
+    twice.set_attribute("status", vec![4u8; 3]);
+    let copy = through_las(&twice).unwrap();
+    assert_eq!((values(&copy, "status"), values(&copy, "curvature")), (vec![4u8; 3].into(), vec![0.25f32; 3].into()));
+
+    // So many that their descriptions stand behind the points; and more than a record holds.
+    let mut wide = PointCloud::new([[1.0; 3], [2.0; 3]].into_iter().collect());
+    (0..400).for_each(|i| wide.set_attribute(&format!("c{i}"), vec![i as f32, 0.5]));
+    let mut copy = through_las(&wide).unwrap();
+    copy.set_attribute("curvature", vec![0.25f32; 2]);
+    let copy = through_las(&copy).unwrap();
+    assert_eq!(values(&copy, "curvature"), vec![0.25f32; 2].into());
+    assert_eq!(values(&copy, "c399"), vec![399f32, 0.5].into());
+    (400..9000).for_each(|i| {
+        wide.attributes.push(planish::Attribute { name: format!("c{i}"), count: 1, values: vec![0f64; 2].into() })
+    });
+    assert!(through_las(&wide).unwrap_err().to_string().contains("record"));
+
+    // A small cloud keeps its shape, and what is no number does not become one.
+    let mut tiny = PointCloud::new([[1e-6; 3], [2e-6, 0.0, -1e-6]].into_iter().collect());
+    let copy = through_las(&tiny).unwrap();
+    assert!((copy.origin_m[0] + f64::from(copy.positions.x[1]) - 2e-6).abs() < 1e-11);
+    tiny.set_attribute("intensity", vec![f32::NAN, 1.0]);
+    assert!(through_las(&tiny).unwrap_err().to_string().contains("intensity"));
+}
+
 #[test]
 fn damaged_las_files_are_refused() {
     let Some(data) = folder("damaged LAS") else { return };
@@ -560,7 +627,7 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
     use io::Format::{Csv, Text};
     let (cloud, found) = names("1 2 3\n4 5 6\n\n", Text);
     assert_eq!((cloud.len(), found.as_str()), (2, ""));
-    assert_eq!(names("# made by hand\n1 2 3 0 0 1\n4 5 6 0 1 0\n", Text).1, "red green blue");
+    assert_eq!(names("# made by hand\n1 2 3 9 0 1\n4 5 6 0 1 0\n", Text).1, "red green blue");
     assert_eq!(names("1 2 3 0 0.6 0.8\n4 5 6 0 1 0\n", Text).1, "normal_x normal_y normal_z");
     assert_eq!(names("2\n1 2 3 -700 255 0 7\n4 5 6 -650.5 1 2 3\n", Text).1, "intensity red green blue");
     assert_eq!(names("1 2 3 9 8\n", Text).1, "column_4 column_5");
@@ -581,12 +648,23 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
             format!("{:?} {:?}", cloud.positions, cloud.attributes)
         );
     }
+    // Empty cells, quotes, units, a byte order mark, line ends of Windows, comments behind numbers.
+    let (cells, found) = names("\u{feff}X [m];\"Y [m]\";Z (m);A b;c\r\n1;2;3;;5\r\n4;5;6;7;\r\n", Csv);
+    assert_eq!(found, "a_b c");
+    let values = |name: &str| format!("{:?}", cells.attribute(name).unwrap().values);
+    assert_eq!((values("a_b").as_str(), values("c").as_str()), ("F32([NaN, 7.0])", "F32([5.0, NaN])"));
+    assert_eq!(names("  # by hand\n1 2 3 # here\n", Text).0.len(), 1);
+    assert_eq!(names("1 2 3 0 0 1\n4 5 6 0 0 1\n", Text).1, "normal_x normal_y normal_z");
+    assert_eq!(names("x,y,z\n", Csv).0.len(), 0);
     for (text, what) in [
         ("1 2 3\n4 5\n", "line 2"),
         ("1 2 3\n\n4 five 6\n", "line 3"),
         ("alpha beta\n1 2\n", "names of columns"),
         ("1 2\n3 4\n", "three numbers"),
         ("\u{0}\u{1}", "names of columns"),
+        ("x;y;z\n0,5;1;2\n", "need a point"),
+        ("x,y,z\n1,000.5,2,3\n", "3 names of columns above lines of 4"),
+        ("x,y,z,x\n1,2,3,4\n", "two columns"),
     ] {
         let error = io::decode(text.as_bytes(), Some(Text)).unwrap_err().to_string();
         assert!(error.contains(what), "{text:?}: {error}");

@@ -179,6 +179,16 @@ fn points_at_one_place_count_each_and_cost_nothing() {
 }
 
 #[test]
+fn a_dense_cluster_in_a_wide_cloud_costs_what_it_costs_alone() {
+    // All of it lies in one cell of the index's curve. Were it searched as one, this would take minutes.
+    let mut random = Random(9);
+    let mut points: Points = (0..100_000).map(|_| [0.0; 3].map(|_: f64| random.between(0.0, 1e-3) as f32)).collect();
+    points.extend((0..5000).map(|_| [0.0; 3].map(|_: f64| random.between(-500.0, 500.0) as f32)));
+    let found = smooth(TestEngine::cpu(SimdLevel::best()), &points, SmoothParams::general());
+    assert!(found.points.iter().zip(&points).take(100_000).all(|(p, q)| (p[0] - q[0]).abs() < 1e-3));
+}
+
+#[test]
 fn clouds_of_any_size_and_place_come_out_smoother() {
     let plane = |i: usize, random: &mut Random| {
         let (x, y) = ((i % 60) as f64 + 0.2 * random.normal(), (i / 60) as f64 + 0.2 * random.normal());

@@ -245,13 +245,15 @@ fn check_options(params: SmoothParams, options: &SmootherOptions, grid: Option<(
         Some((width, height)) => {
             validate_shape(width, height)?;
             if let Radius::Neighbours { count } = params.radius {
-                let (value, allowed) =
-                    (format!("{count} neighbours"), "sensor or metres on a grid: neighbours are for general clouds");
+                let (value, allowed) = (
+                    format!("{count} neighbours"),
+                    "frames on a grid take a radius; neighbours are for general clouds",
+                );
                 return Err(ParamError { field: "radius", value, allowed }.into());
             }
         }
         None if params.radius == Radius::Sensor => {
-            let allowed = "neighbours or a radius in metres, for general clouds";
+            let allowed = "general clouds take neighbours or a radius in metres";
             return Err(ParamError { field: "radius", value: "sensor".into(), allowed }.into());
         }
         None if options.outputs.needs_camera() => {

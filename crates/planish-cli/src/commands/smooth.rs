@@ -333,7 +333,8 @@ impl Worker<'_> {
         }
         let unused = self.args.smoothing.unused_by_general_clouds();
         if !unused.is_empty() {
-            errln!("{}: a general cloud, for which {} change nothing", input.display(), unused.join(", "));
+            let verb = if unused.len() == 1 { "changes" } else { "change" };
+            errln!("{}: a general cloud, for which {} {verb} nothing", input.display(), unused.join(", "));
         }
         if let Radius::Fixed { radius_m } = params.radius {
             self.check_radius(input, cloud, radius_m)?;

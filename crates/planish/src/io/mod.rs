@@ -35,6 +35,8 @@ pub use whole::{remove_temporaries, write_whole};
 /// The name that stands for standard input.
 const STANDARD_INPUT: &str = "-";
 
+use xyz_text::Heading;
+
 pub(crate) type FormatResult<T> = Result<T, FormatError>;
 
 /// The beginning of a text from a file, for error messages.
@@ -130,9 +132,11 @@ impl Format {
         }
     }
 
-    /// Whether a file of this extension in a folder is taken for a frame: lines of text may be anything.
+    /// Whether a file of this extension in a folder is taken for a frame: .txt and .csv may be anything.
     pub fn is_of_frames(path: &Path) -> bool {
-        !matches!(Self::of_extension(path), None | Some(Self::Text | Self::Csv))
+        let may_be_anything =
+            |extension: &std::ffi::OsStr| ["txt", "csv"].iter().any(|name| extension.eq_ignore_ascii_case(name));
+        Self::of_extension(path).is_some() && !path.extension().is_some_and(may_be_anything)
     }
 
     /// The format that a file's first bytes identify.
@@ -373,8 +377,11 @@ pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: En
             Format::Npy => npy::encode_points(cloud),
             Format::Las => las::encode(cloud.points(), false),
             Format::Laz => las::encode(cloud.points(), true),
-            Format::Text => xyz_text::encode(cloud, ' '),
-            Format::Csv => xyz_text::encode(cloud, ','),
+            Format::Text if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("pts")) => {
+                xyz_text::encode(cloud, Heading::Count)
+            }
+            Format::Text => xyz_text::encode(cloud, Heading::Comment),
+            Format::Csv => xyz_text::encode(cloud, Heading::Names),
             Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
                 "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
             )),

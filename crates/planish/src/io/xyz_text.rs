@@ -9,68 +9,134 @@ use crate::error::FormatError;
 
 /// Coordinates beyond this lose digits as f32.
 const FAR_M: f64 = 1000.0;
-/// A unit normal of a few digits is so long.
+/// The length of a unit normal written with few digits.
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 /// Digits behind the point of far coordinates: a hundredth of a millimetre.
 const FAR_DIGITS: usize = 5;
 
-fn is_separator(character: char) -> bool {
-    character.is_whitespace() || character == ',' || character == ';'
+/// More columns than that are named.
+const MOST_UNNAMED: usize = 64;
+
+/// What parts the cells of a line.
+#[derive(Debug, Clone, Copy)]
+enum Separator {
+    /// One of these ends a cell, which may be empty.
+    Mark(char),
+    /// As many as there are.
+    Space,
 }
 
-fn words(line: &str) -> impl Iterator<Item = &str> {
-    line.split(is_separator).map(|word| word.trim_matches('"')).filter(|word| !word.is_empty())
+impl Separator {
+    fn of(line: &str) -> Self {
+        [';', ','].into_iter().find(|mark| line.contains(*mark)).map_or(Self::Space, Self::Mark)
+    }
+
+    fn cells(self, line: &str) -> Vec<&str> {
+        let mut cells: Vec<&str> = match self {
+            Self::Space => line.split_whitespace().collect(),
+            Self::Mark(mark) => line.split(mark).map(|cell| cell.trim().trim_matches('"').trim()).collect(),
+        };
+        // Behind the last cell there may be a comment, or one more separator.
+        if let Some(end) = cells.iter().position(|cell| is_comment(cell)) {
+            cells.truncate(end);
+        }
+        if cells.last().is_some_and(|last| last.is_empty()) {
+            cells.pop();
+        }
+        cells
+    }
+}
+
+fn is_comment(line: &str) -> bool {
+    line.starts_with(['#', '/', '%'])
+}
+
+fn number_of(cell: &str) -> Option<f64> {
+    if cell.is_empty() { Some(f64::NAN) } else { cell.parse().ok() }
 }
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
-    let text = std::str::from_utf8(bytes).map_err(|_| FormatError::Malformed("not text in UTF-8".into()))?;
-    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| words(line).next().is_some()).peekable();
+    let text = std::str::from_utf8(bytes).map_err(|_| {
+        FormatError::Malformed(
+            "not text in UTF-8: it is binary, or in another encoding such as UTF-16 or Latin-1".into(),
+        )
+    })?;
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let lines = (1..).zip(text.lines().map(str::trim));
+    let mut lines = lines.filter(|(_, line)| !line.is_empty()).peekable();
     let mut names: Option<Vec<String>> = None;
     // Comments, names, and the number of points with which PTS begins.
     while let Some(&(_, line)) = lines.peek() {
-        let is_comment = line.starts_with(['#', '/', '%']);
-        let is_header = words(line).any(|word| word.parse::<f64>().is_err());
-        let line = line.trim_start_matches(['#', '/', '%']);
-        if is_comment || is_header {
-            let found: Vec<String> = words(line).map(name_of).collect();
+        if names.is_some() && !is_comment(line) {
+            break;
+        }
+        let heading = line.trim_start_matches(['#', '/', '%']);
+        let cells = Separator::of(heading).cells(heading);
+        if is_comment(line) || cells.iter().any(|cell| number_of(cell).is_none()) {
+            let found: Vec<String> = cells.into_iter().map(name_of).collect();
             if ["x", "y", "z"].iter().all(|axis| found.iter().any(|name| name == axis)) {
                 names = Some(found);
-            } else if !is_comment {
+            } else if !is_comment(line) {
                 return Err(FormatError::Malformed(format!(
                     "its first line, {}, is neither numbers nor names of columns with x, y and z",
                     quoted(line)
                 )));
             }
-        } else if words(line).count() > 1 {
+        } else if cells.len() > 1 {
             break;
         }
         lines.next();
     }
-    let count = lines.peek().map_or(0, |(_, line)| words(line).count());
-    if count < 3 {
-        return Err(FormatError::Malformed("no line of three numbers or more: x, y and z".into()));
-    }
-    if names.as_ref().is_some_and(|names| names.len() != count) {
-        names = None;
-    }
-    options.check(bytes.len() / (2 * count) + 1, 8 * count)?;
-    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); count];
-    for (number, line) in lines.filter(|(_, line)| !line.starts_with(['#', '/', '%'])) {
-        let mut found = 0;
-        for word in words(line) {
-            let value: f64 = word
-                .parse()
-                .map_err(|_| FormatError::Malformed(format!("line {number}: {} is no number", quoted(word))))?;
-            if let Some(column) = columns.get_mut(found) {
-                column.push(value);
-            }
-            found += 1;
-        }
-        if found != count {
+    let separator = lines.peek().map_or(Separator::Space, |(_, line)| Separator::of(line));
+    let first = lines.peek().map(|(_, line)| separator.cells(line).len());
+    let count = match (&names, first) {
+        (Some(names), Some(first)) if names.len() != first => {
             return Err(FormatError::Malformed(format!(
-                "line {number} has {found} numbers where the first has {count}"
+                "{} names of columns above lines of {first} numbers",
+                names.len()
             )));
         }
+        (Some(names), _) => names.len(),
+        (None, Some(first @ 3..=MOST_UNNAMED)) => first,
+        (None, Some(first)) if first > MOST_UNNAMED => {
+            return Err(FormatError::Malformed(format!(
+                "a line of {first} numbers without names: are its line ends missing?"
+            )));
+        }
+        _ => return Err(FormatError::Malformed("no line of three numbers or more: x, y and z".into())),
+    };
+    options.check(bytes.len() / (2 * count) + 1, 8 * count)?;
+    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); count];
+    for (number, line) in lines.filter(|(_, line)| !is_comment(line)) {
+        let cells = separator.cells(line);
+        // An empty cell at the end is one where others have a number.
+        if cells.len() != count && cells.len() + 1 != count {
+            let found = cells.len();
+            return Err(FormatError::Malformed(format!("line {number}: {found} values instead of {count}")));
+        }
+        for (i, column) in columns.iter_mut().enumerate() {
+            let cell = match (cells.get(i), separator) {
+                (Some(cell), _) => cell,
+                (None, Separator::Mark(_)) => "",
+                (None, Separator::Space) => {
+                    let found = cells.len();
+                    return Err(FormatError::Malformed(format!("line {number}: {found} values instead of {count}")));
+                }
+            };
+            let hint = if cell.contains(',') { " (decimals need a point)" } else { "" };
+            let value = number_of(cell).ok_or_else(|| {
+                FormatError::Malformed(format!("line {number}: {} is not a number{hint}", quoted(cell)))
+            })?;
+            column.push(value);
+        }
+    }
+    if let Some(name) = names
+        .iter()
+        .flatten()
+        .enumerate()
+        .find_map(|(i, name)| names.iter().flatten().take(i).any(|other| other == name).then_some(name))
+    {
+        return Err(FormatError::Malformed(format!("two columns are called {}", quoted(name))));
     }
     let names = names.unwrap_or_else(|| guessed_names(&columns));
     let is_far = (0..count)
@@ -93,9 +159,10 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     cloud_from_columns(attributes.collect())
 }
 
-/// The name of a column as other formats have it.
-fn name_of(word: &str) -> String {
-    let name = word.to_ascii_lowercase();
+/// The name of a column as other formats have it, without its unit.
+fn name_of(cell: &str) -> String {
+    let name = cell.split(['[', '(']).next().unwrap_or(cell).to_ascii_lowercase();
+    let name = name.split_whitespace().collect::<Vec<_>>().join("_");
     match name.as_str() {
         "r" => "red".into(),
         "g" => "green".into(),
@@ -123,10 +190,11 @@ fn guessed_names(columns: &[Vec<f64>]) -> Vec<String> {
     while names.len() < columns.len() {
         let at = names.len();
         let left = columns.len() - at;
-        if left >= 3 && !names.contains(&"red") && colours(at) {
-            names.extend(colour);
-        } else if left >= 3 && !names.contains(&"normal_x") && normals(at) {
+        // First normals, since those along an axis might be colours too.
+        if left >= 3 && !names.contains(&"normal_x") && normals(at) {
             names.extend(normal);
+        } else if left >= 3 && !names.contains(&"red") && colours(at) {
+            names.extend(colour);
         } else if !names.contains(&"intensity") && (left == 1 || left == 4 || left == 7) {
             names.push("intensity");
         } else {
@@ -137,8 +205,20 @@ fn guessed_names(columns: &[Vec<f64>]) -> Vec<String> {
     named.chain((names.len() + 1..=columns.len()).map(|number| format!("column_{number}"))).collect()
 }
 
-/// One line a point; with a line of names if `separator` is a comma.
-pub(super) fn encode(cloud: CloudRef<'_>, separator: char) -> FormatResult<Vec<u8>> {
+/// What stands above the points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Heading {
+    /// The names, in a comment, if there is more than x, y and z.
+    Comment,
+    /// The number of points, as PTS has it.
+    Count,
+    /// The names, with commas between all cells.
+    Names,
+}
+
+/// One line a point.
+pub(super) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<u8>> {
+    let separator = if heading == Heading::Names { ',' } else { ' ' };
     let points = cloud.points();
     let columns = columns_from_cloud(points);
     let mut names = Vec::new();
@@ -146,10 +226,14 @@ pub(super) fn encode(cloud: CloudRef<'_>, separator: char) -> FormatResult<Vec<u
         names.extend((0..*count).map(|i| if *count == 1 { name.clone() } else { format!("{name}_{i}") }));
     }
     let mut text = String::new();
-    if separator == ',' {
-        text.push_str(&names.join(","));
-        text.push('\n');
-    }
+    // Writing to a string does not fail.
+    let _ = match heading {
+        Heading::Names => writeln!(text, "{}", names.join(",")),
+        Heading::Count => writeln!(text, "{}", points.len()),
+        Heading::Comment if columns.len() > 3 => writeln!(text, "# {}", names.join(" ")),
+        Heading::Comment => Ok(()),
+    };
+    let is_far = points.origin_m != [0.0; 3];
     for i in 0..points.len() {
         let mut is_first = true;
         for Attribute { name, count, values } in &columns {
@@ -160,7 +244,7 @@ pub(super) fn encode(cloud: CloudRef<'_>, separator: char) -> FormatResult<Vec<u
                 let at = i * count + k;
                 // Writing to a string does not fail.
                 let _ = match values {
-                    AttributeValues::F64(values) if ["x", "y", "z"].contains(&name.as_str()) => {
+                    AttributeValues::F64(values) if is_far && ["x", "y", "z"].contains(&name.as_str()) => {
                         write!(text, "{:.FAR_DIGITS$}", values[at])
                     }
                     values => with_values!(values, values => write!(text, "{}", values[at])),

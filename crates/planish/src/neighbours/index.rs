@@ -20,8 +20,10 @@ pub(crate) const LEAF: usize = 16;
 const CHILDREN: usize = 8;
 /// Enough for 2^28 points.
 const MAX_LEVELS: usize = 10;
-/// The curve visits 2^16 cells along each axis; points within a cell are sorted by their coordinates.
+/// The curve visits 2^16 cells along each axis; the points of a crowded cell are sorted along a curve of their own.
 const CURVE_BITS: u32 = 16;
+/// More points than this in a cell of the curve are sorted once more.
+const CROWDED: usize = 4 * LEAF;
 /// Points handled by a task.
 const TASK: usize = 1 << 14;
 /// The place of a point that is a hole.
@@ -105,6 +107,7 @@ impl PointIndex {
         // -0 and 0 are one place.
         let bits = |i: u32| at(i).map(|value| (value + 0.0).to_bits());
         self.keys.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| (bits(a.1), a.1).cmp(&(bits(b.1), b.1))));
+        self.keys.par_chunk_by_mut(|a, b| a.0 == b.0).for_each(|cell| refine(cell, &raw));
 
         self.places.clear();
         self.places.par_extend((0..view.len()).into_par_iter().map(|_| AtomicU32::new(HOLE)));
@@ -298,6 +301,27 @@ impl Iterator for Nearest<'_> {
     }
 }
 
+/// Sorts the points of one cell, if they are many and not all at one place, along a curve through their own box.
+fn refine(cell: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
+    if cell.len() <= CROWDED {
+        return;
+    }
+    let at = |i: u32| raw.each_ref().map(|values| values[i as usize]);
+    let bounds = cell.iter().map(|&(_, i)| Bounds::of_point(at(i))).fold(Bounds::EMPTY, Bounds::union);
+    if bounds.low == bounds.high {
+        return;
+    }
+    let extent = (0..3).map(|axis| bounds.high[axis] - bounds.low[axis]).fold(0.0, f32::max);
+    let cells_per_metre = ((1u32 << CURVE_BITS) as f32 / extent).min(f32::MAX);
+    let curve = Curve { low: bounds.low, cells_per_metre, extent_m: 0.0 };
+    cell.iter_mut().for_each(|(key, i)| *key = curve.key(at(*i)));
+    // Equal keys stay in the order of coordinates that they are in.
+    cell.par_sort_by_key(|&(key, _)| key);
+    if cell.first().map(|first| first.0) != cell.last().map(|last| last.0) {
+        cell.par_chunk_by_mut(|a, b| a.0 == b.0).for_each(|cell| refine(cell, raw));
+    }
+}
+
 fn copy(view: &PointsView<'_>, to: &mut [Vec<f32>; 3]) {
     let [x, y, z] = to;
     let tasks = x.par_chunks_mut(TASK).zip(y.par_chunks_mut(TASK)).zip(z.par_chunks_mut(TASK));
@@ -327,7 +351,7 @@ impl Curve {
     /// How far along the curve the cell of a point is: Skilling's transposition ("Programming the Hilbert curve", 2004).
     fn key(&self, point: [f32; 3]) -> u64 {
         let largest = (1u32 << CURVE_BITS) - 1;
-        // The cast stops at 0 and at the largest number.
+        // The cast saturates.
         let mut cell: [u32; 3] =
             std::array::from_fn(|axis| (((point[axis] - self.low[axis]) * self.cells_per_metre) as u32).min(largest));
         let mut bit = 1 << (CURVE_BITS - 1);

@@ -39,7 +39,7 @@ struct Copied {
 pub(super) struct Reach<S: Simd> {
     /// Beyond this there is no candidate.
     pub(super) outer: S::f32s,
-    /// Up to this, candidates count wholly; never NaN, of which the least of two numbers makes what it likes.
+    /// Up to this, candidates count wholly. Never NaN: the minimum of a NaN and a number is unspecified.
     pub(super) inner: S::f32s,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! The points are sorted by [`PointIndex`]; the neighbours of a vector's points are gathered once for all of them ([`gather`]), and
 //! the stages are those of frames on a grid. Results are computed in the order of the index, each by itself, and put into the order
-//! of the cloud at the end, so neither threads nor the order of the points change a bit.
+//! of the cloud at the end, so threads do not change a bit.
 
 mod gather;
 mod radius;
@@ -23,7 +23,7 @@ use crate::method::{GATE_FADE, MAX_RADIUS_RATIO};
 use crate::neighbours::{LEAF, PointIndex};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Radius, SmoothParams};
-use crate::range::MIN_GATE_M;
+use crate::range::{MAX_RANGE_M, MIN_GATE_M};
 use crate::simd_level::SimdLevel;
 use crate::smoothed::Smoothed;
 use crate::threads::Threads;
@@ -80,7 +80,8 @@ impl GeneralCpu {
             Radius::Fixed { radius_m } => Radii::Fixed(radius_m),
             // `Smoother::open` refuses any other.
             Radius::Neighbours { count } => {
-                let density = Density { half: count as f32 / 2.0, largest_m: index.extent_m() / 2.0 };
+                let density =
+                    Density { half: count as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
                 radii.resize(LEAF * index.leaves(), f32::NAN);
                 let solve =
                     |mut rows: RadiusRows<'_>| dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));

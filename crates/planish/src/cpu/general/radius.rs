@@ -14,7 +14,7 @@ const FIRST_REACH: f32 = 1.25;
 const NEXT_REACH: f32 = 1.5;
 /// How many are tried for all lanes together.
 const TRIES: usize = 4;
-/// Steps of Newton's method, of which five to eight are enough.
+/// Steps of Newton's method; five to eight usually suffice.
 const MOST_STEPS: usize = 50;
 
 /// The radii of some leaves.
@@ -103,6 +103,10 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
 fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
     let (mut n, mut sum) = (0.0, 0.0);
     for square in index.nearest(point) {
+        if square == f32::INFINITY {
+            // Farther away than f32 can say.
+            break;
+        }
         // Of the points before, which all are within this distance.
         if square > 0.0 && n - sum / square > density.half {
             // A little more, so that rounding takes none away.

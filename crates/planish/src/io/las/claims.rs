@@ -32,7 +32,7 @@ pub(super) fn check_chunks(bytes: &[u8], points: u64) -> Option<FormatResult<()>
     const LARGEST_CHUNK: u64 = 1 << 20;
     let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
     let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
-    // Of every record ahead of the points: 54 bytes, and as many as it says.
+    // Every record ahead of the points has 54 bytes plus the length it states.
     for _ in 0..u32_at(100)? {
         let user = bytes.get(at.checked_add(2)?..at.checked_add(18)?)?;
         if user.starts_with(b"laszip encoded") {
@@ -49,7 +49,7 @@ pub(super) fn check_chunks(bytes: &[u8], points: u64) -> Option<FormatResult<()>
     let table: usize = table.try_into().ok().or_else(at_end)?;
     let chunks = u32_at(table.checked_add(4)?)? as usize;
     let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
-    // Each begins with a point as it is.
+    // Each begins with an uncompressed point.
     if chunks.saturating_mul(record.max(1)) > bytes.len() {
         return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.len()))));
     }

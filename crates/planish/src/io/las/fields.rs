@@ -4,6 +4,7 @@ use las::{Builder, Header, Vlr, point};
 
 use super::super::FormatResult;
 use super::super::columns::with_values;
+use super::super::quoted;
 use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
 
@@ -98,7 +99,7 @@ pub(super) struct Field {
 }
 
 /// The fields of a point format, but for x, y and z.
-pub(super) fn fields(format: &point::Format) -> Vec<Field> {
+pub(super) fn fields_of(format: &point::Format) -> Vec<Field> {
     let mut fields = Vec::new();
     let mut at = 12;
     let mut add = |name: &str, stored: Stored, last_of_byte: bool| {
@@ -155,6 +156,7 @@ pub(super) fn extra_fields(header: &Header) -> Vec<Field> {
     let format = header.point_format();
     let mut at = usize::from(format.len()) - usize::from(format.extra_bytes);
     let end = usize::from(format.len());
+    let standard = fields_of(format);
     let mut fields: Vec<Field> = Vec::new();
     let records = header.all_vlrs().filter(|vlr| is_extra_bytes(vlr));
     for description in records.flat_map(|vlr| vlr.data.chunks_exact(DESCRIPTION)) {
@@ -165,8 +167,14 @@ pub(super) fn extra_fields(header: &Header) -> Vec<Field> {
         let name = &description[NAME_AT];
         let name = &name[..name.iter().position(|&byte| byte == 0).unwrap_or(name.len())];
         let name: String = String::from_utf8_lossy(name).split_whitespace().collect::<Vec<_>>().join("_");
-        let is_taken = |name: &str| ["x", "y", "z"].contains(&name) || fields.iter().any(|field| field.name == name);
-        let name = if name.is_empty() || is_taken(&name) { format!("extra_{}", fields.len()) } else { name };
+        let is_taken = |name: &str| {
+            name.is_empty()
+                || ["x", "y", "z", UNDESCRIBED].contains(&name)
+                || standard.iter().chain(&fields).any(|field| field.name == name)
+        };
+        let numbered = (0..).map(|number| format!("extra_{number}"));
+        // There are more numbers than names.
+        let name = [name].into_iter().chain(numbered).find(|name| !is_taken(name)).unwrap_or_default();
         fields.push(Field { name, at, stored, count });
         at += count * stored.size();
     }
@@ -211,6 +219,44 @@ pub(super) fn decode_field(field: &Field, raw: &[u8], record: usize) -> Attribut
     Attribute { name: name.clone(), count, values }
 }
 
+/// Describes what is left of the extra bytes, so that descriptions may follow of what comes behind them.
+pub(super) fn describe_rest(builder: &mut Builder, all: &[Field]) -> FormatResult<()> {
+    let Some(Field { at, stored, .. }) = all.iter().find(|field| field.name == UNDESCRIBED) else { return Ok(()) };
+    let described = all.iter().filter(|field| field.at >= usize::from(base_len(builder)) && field.at < *at).count();
+    let records = builder.vlrs.iter().chain(&builder.evlrs).filter(|vlr| is_extra_bytes(vlr));
+    let descriptions: usize = records.map(|vlr| vlr.data.len() / DESCRIPTION).sum();
+    match u8::try_from(stored.size()) {
+        Ok(size) if descriptions == described => {
+            push_description(builder, UNDESCRIBED, 0, size);
+            Ok(())
+        }
+        _ => Err(FormatError::Unsupported(
+            "the file has extra bytes that it does not describe, behind which no field can be added".into(),
+        )),
+    }
+}
+
+/// Bytes of a record without its extra bytes.
+fn base_len(builder: &Builder) -> u16 {
+    builder.point_format.len() - builder.point_format.extra_bytes
+}
+
+/// Adds a description to the last record of them.
+fn push_description(builder: &mut Builder, name: &str, number: u8, options: u8) {
+    let mut description = vec![0u8; DESCRIPTION];
+    (description[TYPE_AT], description[OPTIONS_AT]) = (number, options);
+    description[NAME_AT.start..NAME_AT.start + name.len()].copy_from_slice(name.as_bytes());
+    let Builder { vlrs, evlrs, .. } = builder;
+    match vlrs.iter_mut().chain(evlrs).rev().find(|vlr| is_extra_bytes(vlr)) {
+        Some(vlr) => vlr.data.extend(description),
+        None => {
+            let (user_id, record_id) = EXTRA_BYTES;
+            let vlr = Vlr { user_id: user_id.into(), record_id, description: "extra bytes".into(), data: description };
+            builder.vlrs.push(vlr);
+        }
+    }
+}
+
 /// Makes room for a column in the extra bytes, and describes it.
 pub(super) fn add_extra_field(builder: &mut Builder, all: &mut Vec<Field>, attribute: &Attribute) -> FormatResult<()> {
     let number = Stored::number_of(&attribute.values);
@@ -221,28 +267,13 @@ pub(super) fn add_extra_field(builder: &mut Builder, all: &mut Vec<Field>, attri
             return Err(FormatError::Unsupported(reason));
         }
     };
-    let mut description = vec![0u8; DESCRIPTION];
-    description[TYPE_AT] = number;
-    let name = attribute.name.as_bytes();
-    if name.len() > NAME_AT.len() {
-        return Err(FormatError::Unsupported(format!(
-            "the name {} is longer than LAS allows (32 bytes)",
-            attribute.name
-        )));
+    if attribute.name.len() > NAME_AT.len() {
+        let reason = format!("the name {} is longer than LAS allows (32 bytes)", quoted(&attribute.name));
+        return Err(FormatError::Unsupported(reason));
     }
-    description[NAME_AT.start..NAME_AT.start + name.len()].copy_from_slice(name);
-    match builder.vlrs.iter_mut().rev().find(|vlr| is_extra_bytes(vlr)) {
-        Some(vlr) => vlr.data.extend(description),
-        None => {
-            let (user_id, record_id) = EXTRA_BYTES;
-            builder.vlrs.push(Vlr {
-                user_id: user_id.into(),
-                record_id,
-                description: "extra bytes".into(),
-                data: description,
-            });
-        }
-    }
+    let too_long = || FormatError::Unsupported("more fields than fit into a LAS record of 65,535 bytes".into());
+    builder.point_format.len().checked_add(stored.size() as u16).ok_or_else(too_long)?;
+    push_description(builder, &attribute.name, number, 0);
     let at = usize::from(builder.point_format.len());
     builder.point_format.extra_bytes += stored.size() as u16;
     all.push(Field { name: attribute.name.clone(), at, stored, count });
@@ -260,7 +291,12 @@ pub(super) fn encode_field(
 ) -> FormatResult<()> {
     let &Field { at, stored, count, .. } = field;
     let values_a_point = if let Stored::Bytes(size) = stored { size } else { count };
-    let out_of_range = || FormatError::Unsupported(format!("field {} has values that LAS has no room for", field.name));
+    let out_of_range = || {
+        FormatError::Unsupported(format!(
+            "field {} has values that LAS does not store there, being negative, too large, or no integers: rename the field",
+            field.name
+        ))
+    };
     if attribute.count != values_a_point {
         return Err(out_of_range());
     }
@@ -274,7 +310,7 @@ pub(super) fn encode_field(
                     ($number:ty) => {{
                         let stored = value as $number;
                         // A cast of another type may have cut it.
-                        if stored as f64 != number && !number.is_nan() {
+                        if stored as f64 != number && !(number.is_nan() && stored as f64 != 0.0) {
                             return Err(out_of_range());
                         }
                         let size = size_of::<$number>();

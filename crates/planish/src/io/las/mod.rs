@@ -1,4 +1,4 @@
-//! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; all else of the file, such as its
+//! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; everything else in the file, such as its
 //! coordinate system, stays with the cloud and is written back.
 
 mod claims;
@@ -15,7 +15,7 @@ use crate::cloud::{Attribute, PointCloud};
 use crate::error::FormatError;
 use crate::xyz::Xyz;
 use claims::{Claims, check_chunks, claims, extended_records};
-use fields::{Field, add_extra_field, decode_field, encode_field, extra_fields, fields};
+use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
 
 /// Coordinates of files that we make are multiples of this, where they fit: finer than any scanner measures.
 const SCALE_M: f64 = 1e-5;
@@ -84,7 +84,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     let mut cloud = PointCloud::new(Xyz { x, y, z });
     cloud.origin_m = [origin_x, origin_y, origin_z];
     cloud.position_columns.double = true;
-    let all = fields(header.point_format()).into_iter().chain(extra_fields(&header));
+    let all = fields_of(header.point_format()).into_iter().chain(extra_fields(&header));
     cloud.attributes = all.map(|field| decode_field(&field, raw, record)).collect();
     cloud.las_header = Some(Arc::new(header));
     Ok(cloud)
@@ -103,16 +103,20 @@ pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u
         Some(header) => Builder::from((**header).clone()),
         None => new_builder(cloud, &kept, colour.is_some()).map_err(cannot)?,
     };
-    // What says how other bytes are compressed, and the index of another order of points.
+    // Records that describe the old compression, and COPC's index.
     builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
     builder.evlrs.retain(|vlr| vlr.user_id != "copc");
     builder.point_format.is_compressed = compressed;
     let known = builder.clone().into_header().map_err(cannot)?;
-    let mut all: Vec<Field> = fields(&builder.point_format).into_iter().chain(extra_fields(&known)).collect();
+    let mut all: Vec<Field> = fields_of(&builder.point_format).into_iter().chain(extra_fields(&known)).collect();
     // Every other column is an extra field.
+    let mut rest_is_described = false;
     let is_colour = |name: &str| colour.is_some() && (["rgb", "rgba"].contains(&name) || channels.contains(&name));
     for attribute in cloud.attributes.iter().filter(|attribute| attribute.name != "_" && !is_colour(&attribute.name)) {
         if !all.iter().any(|field| field.name == attribute.name) {
+            if !std::mem::replace(&mut rest_is_described, true) {
+                describe_rest(&mut builder, &all)?;
+            }
             add_extra_field(&mut builder, &mut all, attribute)?;
         }
     }
@@ -152,7 +156,7 @@ pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u
     Ok(writer.into_inner().map_err(cannot)?.into_inner())
 }
 
-/// A header for a cloud that was no LAS.
+/// A header for a cloud that was not read from LAS.
 fn new_builder(cloud: &PointCloud, kept: &[usize], has_colour: bool) -> Result<Builder, las::Error> {
     let mut builder = Builder::from(Version::new(1, 4));
     let has = |name: &str| cloud.attribute(name).is_some();
@@ -165,7 +169,9 @@ fn new_builder(cloud: &PointCloud, kept: &[usize], has_colour: bool) -> Result<B
     builder.generating_software = concat!("planish ", env!("CARGO_PKG_VERSION")).to_owned();
     let transform = |values: &[f32], origin: f64| {
         let largest = kept.iter().map(|&i| f64::from(values[i]).abs()).fold(0.0, f64::max);
-        let mut scale = SCALE_M;
+        // A millionth of a small cloud, as a power of ten.
+        let small = 10f64.powf((largest * 1e-6).log10().floor());
+        let mut scale = if small > 0.0 { SCALE_M.min(small) } else { SCALE_M };
         while largest / scale > LARGEST_INTEGER {
             scale *= 10.0;
         }
