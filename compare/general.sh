@@ -1,0 +1,24 @@
+#!/usr/bin/env bash
+# PCL and planish on frames without their grid, all neighbours within a radius, degree 2: see README.md beside this.
+set -euo pipefail
+[ $# -ge 1 ] || { echo "usage: $0 FRAME.pcd:RADIUS_M [FRAME.pcd:RADIUS_M ..]" >&2; exit 2; }
+here=$(cd "$(dirname "$0")" && pwd)
+project=$(dirname "$here")
+work=$project/target/compare
+threads=2
+"$here/install.sh" >&2
+cargo build --release --quiet --manifest-path "$project/Cargo.toml" -p planish-tests --example general_speed
+
+cpu() { grep -m1 "$1" /proc/cpuinfo | cut -d: -f2 | xargs; }
+echo "$(cpu 'model name') (family $(cpu 'cpu family')), $(nproc) cores; $threads threads; points and normals out"
+echo
+echo "| frame, radius | PCL, k-d tree, ms | planish, instruction set, ms | PCL over planish |"
+echo "|---|---|---|---|"
+for pair in "$@"; do
+  frame=${pair%:*} radius=${pair##*:}
+  read -r pcl _ <<<"$("$work/pcl_mls" "$frame" kdtree "$radius" 2 $threads 1)"
+  "$project/target/release/examples/general_speed" "$frame" "$radius" 2 $threads 9 | while read -r level ms _; do
+    awk -v name="$(basename "$frame"), $radius m" -v pcl="$pcl" -v level="$level" -v ms="$ms" \
+      'BEGIN { printf "| %s | %.0f | %s, %.1f | %.1f |\n", name, pcl, level, ms, pcl / ms }'
+  done
+done
