@@ -58,6 +58,10 @@ pub(super) fn check_chunks(bytes: &[u8], points: u64) -> Option<FormatResult<()>
 
 /// The extended records, behind the points. The library reads the first alone.
 pub(super) fn extended_records(bytes: &[u8], (at, count): (usize, u32)) -> Option<Vec<Vlr>> {
+    if count == 0 {
+        // Where they would begin means nothing.
+        return Some(Vec::new());
+    }
     let mut rest = bytes.get(at..)?;
     let mut records = Vec::new();
     for _ in 0..count {

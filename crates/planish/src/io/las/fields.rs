@@ -18,6 +18,7 @@ const OPTIONS_AT: usize = 3;
 const NAME_AT: std::ops::Range<usize> = 4..36;
 /// What is left of the extra bytes where no description says what they are.
 const UNDESCRIBED: &str = "extra_bytes";
+
 /// How a field is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Stored {

@@ -1,0 +1,166 @@
+//! LAS and LAZ: nothing but the positions changes, and what lies is refused.
+
+use std::fs;
+use std::path::Path;
+
+use planish::PointCloud;
+use planish::io::{self, Contents, Encoding};
+use planish_tests::data::{folder, general_cloud};
+
+/// The records of a LAS file and what its header says beside their number.
+fn las_records(path: &Path) -> (las::Header, Vec<u8>) {
+    let mut reader = las::Reader::from_path(path).unwrap();
+    let records = reader.read_all().unwrap().raw_bytes().to_vec();
+    (reader.header().clone(), records)
+}
+
+#[test]
+fn las_files_keep_every_bit_but_those_of_the_positions() {
+    let Some(data) = folder("LAS") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for name in
+        ["readers/simple.las", "unorganized/simple.laz", "unorganized/autzen_trim.laz", "readers/append-bug.laz"]
+    {
+        let input = data.join(name);
+        let mut cloud = general_cloud(&data, name);
+        let (header, records) = las_records(&input);
+        assert_eq!(cloud.len() as u64, header.number_of_points(), "{name}");
+        for extension in ["las", "laz"] {
+            let output = folder.path().join(format!("out.{extension}"));
+            io::write_cloud(&output, &cloud, Encoding::Binary).unwrap();
+            let (written, copied) = las_records(&output);
+            assert!(copied == records, "{name}");
+            let (before, after) = (header.vlrs(), written.vlrs());
+            let kept =
+                |vlrs: &[las::Vlr]| vlrs.iter().filter(|v| v.user_id != "laszip encoded").cloned().collect::<Vec<_>>();
+            assert_eq!(kept(before), kept(after), "{name}");
+            assert_eq!((written.transforms(), written.version()), (header.transforms(), header.version()), "{name}");
+            assert_eq!(
+                io::read(&output).unwrap().0,
+                if extension == "las" { io::Format::Las } else { io::Format::Laz }
+            );
+        }
+
+        // Fields that it has no place for become extra bytes, described.
+        let output = folder.path().join("more.laz");
+        cloud.set_attribute("normal_x", (0..cloud.len()).map(|i| i as f32).collect::<Vec<f32>>());
+        cloud.set_attribute("status", vec![3u8; cloud.len()]);
+        io::write_cloud(&output, &cloud, Encoding::Binary).unwrap();
+        let Contents::General(copy) = io::read(&output).unwrap().1 else { panic!("points") };
+        assert_eq!(copy.attributes, cloud.attributes, "{name}");
+        assert_eq!((&copy.positions, copy.origin_m), (&cloud.positions, cloud.origin_m), "{name}");
+    }
+}
+
+#[test]
+fn other_clouds_become_las_and_come_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("c.laz");
+    let mut cloud = PointCloud::new([[0.5, -2.25, 1.0], [f32::NAN; 3], [3.0, 4.0, 5.5]].into_iter().collect());
+    cloud.origin_m = [432_000.0, 5_600_000.0, 120.0];
+    cloud.set_attribute("rgb", vec![0x00ff_8001u32, 0, 0x0001_0203]);
+    cloud.set_attribute("intensity", vec![7u16, 8, 9]);
+    cloud.set_attribute("depth", vec![1.5f64, 2.5, -3.5]);
+    io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+    let Contents::General(copy) = io::read(&path).unwrap().1 else { panic!("points") };
+    // Without its hole.
+    assert_eq!(copy.len(), 2);
+    for (i, from) in [0, 2].into_iter().enumerate() {
+        for axis in 0..3 {
+            let of = |cloud: &PointCloud, i: usize| cloud.origin_m[axis] + f64::from(cloud.positions.get(i)[axis]);
+            assert!((of(&copy, i) - of(&cloud, from)).abs() < 1e-5, "{i} {axis}");
+        }
+    }
+    let values = |name: &str| copy.attribute(name).unwrap().values.clone();
+    assert_eq!(values("red"), vec![0xff * 257u16, 257].into());
+    assert_eq!(values("intensity"), vec![7u16, 9].into());
+    assert_eq!(values("depth"), vec![1.5f64, -3.5].into());
+    cloud.set_attribute("intensity", vec![7.5f32, 8.0, 9.0]);
+    assert!(io::write_cloud(&path, &cloud, Encoding::Binary).unwrap_err().to_string().contains("intensity"));
+}
+
+/// Writes a cloud as LAS and reads it back.
+fn through_las(cloud: &PointCloud) -> Result<PointCloud, planish::IoError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("c.las");
+    io::write_cloud(&path, cloud, Encoding::Binary)?;
+    let Contents::General(copy) = io::read(&path)?.1 else { panic!("points") };
+    Ok(copy)
+}
+
+#[test]
+fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
+    // Bytes that no record describes, and fields with the names of others.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("odd.las");
+    let mut builder = las::Builder::from((1, 4));
+    builder.point_format = las::point::Format::new(6).unwrap();
+    builder.point_format.extra_bytes = 6;
+    let mut description = vec![0u8; 192];
+    description[2] = 3;
+    description[4..13].copy_from_slice(b"intensity");
+    let vlr = las::Vlr { user_id: "LASF_Spec".into(), record_id: 4, description: String::new(), data: description };
+    builder.vlrs.push(vlr);
+    let mut writer = las::Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
+    for i in 0..3u8 {
+        let extra_bytes = vec![77, 0, i, 1, 2, 3];
+        let gps_time = Some(f64::from(i));
+        let point = las::Point { x: f64::from(i), intensity: 9, gps_time, extra_bytes, ..Default::default() };
+        writer.write_point(point).unwrap();
+    }
+    writer.close().unwrap();
+    let Contents::General(mut cloud) = io::read(&path).unwrap().1 else { panic!("points") };
+    let values = |cloud: &PointCloud, name: &str| cloud.attribute(name).unwrap().values.clone();
+    assert_eq!(values(&cloud, "intensity"), vec![9u16; 3].into());
+    assert_eq!(values(&cloud, "extra_0"), vec![77u16; 3].into());
+    cloud.set_attribute("curvature", vec![0.25f32; 3]);
+    let copy = through_las(&cloud).unwrap();
+    assert_eq!(values(&copy, "curvature"), vec![0.25f32; 3].into());
+    assert_eq!(values(&copy, "intensity"), vec![9u16; 3].into());
+    let rest = vec![0u8, 1, 2, 3, 1, 1, 2, 3, 2, 1, 2, 3];
+    assert!(copy.attributes.iter().any(|attribute| attribute.values == rest.clone().into()), "{:?}", copy.attributes);
+    // And once more.
+    let mut twice = copy;
+    twice.set_attribute("status", vec![4u8; 3]);
+    let copy = through_las(&twice).unwrap();
+    assert_eq!((values(&copy, "status"), values(&copy, "curvature")), (vec![4u8; 3].into(), vec![0.25f32; 3].into()));
+
+    // So many that their descriptions stand behind the points; and more than a record holds.
+    let mut wide = PointCloud::new([[1.0; 3], [2.0; 3]].into_iter().collect());
+    (0..400).for_each(|i| wide.set_attribute(&format!("c{i}"), vec![i as f32, 0.5]));
+    let mut copy = through_las(&wide).unwrap();
+    copy.set_attribute("curvature", vec![0.25f32; 2]);
+    let copy = through_las(&copy).unwrap();
+    assert_eq!(values(&copy, "curvature"), vec![0.25f32; 2].into());
+    assert_eq!(values(&copy, "c399"), vec![399f32, 0.5].into());
+    (400..9000).for_each(|i| {
+        wide.attributes.push(planish::Attribute { name: format!("c{i}"), count: 1, values: vec![0f64; 2].into() })
+    });
+    assert!(through_las(&wide).unwrap_err().to_string().contains("record"));
+
+    // A small cloud keeps its shape, and what is no number does not become one.
+    let mut tiny = PointCloud::new([[1e-6; 3], [2e-6, 0.0, -1e-6]].into_iter().collect());
+    let copy = through_las(&tiny).unwrap();
+    assert!((copy.origin_m[0] + f64::from(copy.positions.x[1]) - 2e-6).abs() < 1e-11);
+    tiny.set_attribute("intensity", vec![f32::NAN, 1.0]);
+    assert!(through_las(&tiny).unwrap_err().to_string().contains("intensity"));
+}
+
+#[test]
+fn damaged_las_files_are_refused() {
+    let Some(data) = folder("damaged LAS") else { return };
+    for name in ["readers/simple.las", "unorganized/simple.laz"] {
+        let bytes = fs::read(data.join(name)).unwrap();
+        for cut in [5, 100, 230, 400, bytes.len() / 2, bytes.len() - 1] {
+            let error = io::decode(&bytes[..cut], None).unwrap_err().to_string();
+            assert!(error.len() < 300, "{name} {cut}: {error}");
+        }
+        // More points than there are.
+        let mut lying = bytes.clone();
+        lying[107..111].copy_from_slice(&u32::MAX.to_le_bytes());
+        assert!(io::decode(&lying, None).is_err(), "{name}");
+        let mut scaleless = bytes;
+        scaleless[131..139].copy_from_slice(&0f64.to_le_bytes());
+        assert!(io::decode(&scaleless, None).unwrap_err().to_string().contains("scales"), "{name}");
+    }
+}
