@@ -20,11 +20,13 @@ fn every_level_of_this_machine_is_tested() {
 }
 
 #[test]
+#[ignore = "takes minutes: the gate runs it"]
 fn simulated_frames_agree_over_the_whole_grid() {
     parity::simulated_frames_agree(&levels());
 }
 
 #[test]
+#[ignore = "takes minutes: the gate runs it"]
 fn real_frames_agree() {
     parity::real_frames_agree(&levels(), "the CPU engine on real frames");
 }

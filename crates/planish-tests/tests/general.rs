@@ -1,7 +1,7 @@
 //! General clouds: the fast engines against the reference, and what holds for any cloud.
 
 use planish::agreement::Agreement;
-use planish::{Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Status};
+use planish::{Engine, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother, Status};
 use planish_tests::data::{bunny, folder, general_cloud};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{simulated, small_camera};
@@ -250,4 +250,28 @@ fn only_what_is_asked_for_is_there() {
         engine.smooth_to(view, SmoothParams::general(), Outputs::POINTS.with_points(false).with_normals(true));
     assert!(normals.points.is_empty() && normals.status.is_none());
     assert_eq!(format!("{:?}", normals.normals), format!("{:?}", all.normals));
+}
+
+#[test]
+fn progress_of_another_thread_grows_to_the_whole() {
+    let points = uneven_sphere(60_000, 3);
+    for engine in [Engine::Cpu, Engine::Reference] {
+        let mut smoother = Smoother::open(SmoothParams::general(), engine, None).unwrap();
+        let progress = smoother.progress().unwrap();
+        assert_eq!(progress.share(), 0.0);
+        let mut shares = vec![progress.share()];
+        std::thread::scope(|scope| {
+            let smoothing = scope.spawn(|| {
+                smoother.smooth(PointsView::from_rows(&points).unwrap(), &mut Smoothed::default()).unwrap();
+            });
+            while !smoothing.is_finished() {
+                let share = progress.share();
+                if shares.last() != Some(&share) {
+                    shares.push(share);
+                }
+            }
+        });
+        assert_eq!(progress.share(), 1.0);
+        assert!(shares.len() > 10 && shares.is_sorted(), "{engine:?}: {} shares", shares.len());
+    }
 }

@@ -24,11 +24,13 @@ fn both_builds(test: &str) -> Vec<Subject> {
 }
 
 #[test]
+#[ignore = "takes minutes: the gate runs it"]
 fn simulated_frames_agree_over_the_whole_grid() {
     parity::simulated_frames_agree(&both_builds("the GPU engine on simulated frames"));
 }
 
 #[test]
+#[ignore = "takes minutes: the gate runs it"]
 fn real_frames_agree() {
     // With the checks off alone: they cost a software adapter minutes, and the simulated frames compare both.
     let subjects = both_builds("the GPU engine on real frames");

@@ -3,6 +3,8 @@
 //! Positions are f32 metres. A hole (a pixel without a measurement) is a non-finite position. An organized cloud is
 //! row-major: pixel (u, v) is index v * width + u.
 
+use rayon::prelude::*;
+
 use crate::camera::Camera;
 use crate::error::FrameError;
 use crate::pose::SensorPose;
@@ -154,6 +156,37 @@ impl PointCloud {
             }
         }
         Ok(())
+    }
+
+    /// The sides of the box around all finite points, in metres; zeros without any.
+    pub fn extent_m(&self) -> [f32; 3] {
+        let finite = |values: &[f32]| {
+            let finite = values.iter().filter(|value| value.is_finite());
+            finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], &value| [low.min(value), high.max(value)])
+        };
+        let Xyz { x, y, z } = &self.positions;
+        [x, y, z].map(|values| finite(values)).map(|[low, high]| (high - low).max(0.0))
+    }
+
+    /// Estimates how many points lie within `radius_m` of a point, from every n-th of them.
+    pub fn mean_neighbours(&self, radius_m: f32) -> f64 {
+        const QUERIES: usize = 32;
+        let Xyz { x, y, z } = &self.positions;
+        let finite: Vec<usize> = (0..self.len()).filter(|&i| self.positions.is_finite(i)).collect();
+        let queries: Vec<usize> =
+            finite.iter().copied().step_by((finite.len() / QUERIES).max(1)).take(QUERIES).collect();
+        let square = f64::from(radius_m) * f64::from(radius_m);
+        let within = |&query: &usize| {
+            let p = self.positions.get(query).map(f64::from);
+            let points = x.iter().zip(y).zip(z);
+            let distance = |((&x, &y), &z): ((&f32, &f32), &f32)| {
+                let offset = [f64::from(x) - p[0], f64::from(y) - p[1], f64::from(z) - p[2]];
+                offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]
+            };
+            points.map(distance).filter(|distance| *distance <= square).count()
+        };
+        let total: usize = queries.par_iter().map(within).sum();
+        total as f64 / queries.len().max(1) as f64
     }
 }
 

@@ -1,10 +1,12 @@
 //! What every engine implements: the one interface between the front door and an implementation of the method.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry};
 use crate::outputs::{Outputs, SmoothedMut};
+use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
@@ -45,6 +47,11 @@ pub(crate) trait SmoothingEngine: Send {
     fn device_name(&self) -> Option<&str> {
         None
     }
+
+    /// How far a frame has come, of an engine that may take long.
+    fn progress(&self) -> Option<Arc<Progress>> {
+        None
+    }
 }
 
 /// An engine that computes a frame where it is called.
@@ -58,6 +65,11 @@ pub(crate) trait ImmediateEngine: Send {
 
     fn buffer_bytes(&self) -> u64 {
         0
+    }
+
+    /// How far a frame has come, where that may take long.
+    fn progress(&self) -> Option<Arc<Progress>> {
+        None
     }
 }
 
@@ -136,5 +148,9 @@ impl<E: ImmediateEngine> SmoothingEngine for Immediate<E> {
 
     fn buffer_bytes(&self) -> u64 {
         self.engine.buffer_bytes()
+    }
+
+    fn progress(&self) -> Option<Arc<Progress>> {
+        self.engine.progress()
     }
 }

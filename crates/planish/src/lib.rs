@@ -76,6 +76,7 @@ mod neighbours;
 mod outputs;
 mod params;
 mod pose;
+mod progress;
 mod range;
 mod reference;
 #[cfg(feature = "evaluate")]
@@ -105,6 +106,7 @@ pub use frame::{DepthFrame, DepthImage, DepthView, Frame, IntoFrame, PointLayout
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};
 pub use params::{Edges, Project, Radius, SmoothParams, Strength};
 pub use pose::SensorPose;
+pub use progress::Progress;
 pub use sensor::SensorModel;
 pub use simd_level::SimdLevel;
 pub use smoothed::Smoothed;

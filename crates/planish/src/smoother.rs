@@ -1,11 +1,14 @@
 //! The front door: open an engine once for a grid or for general clouds, then smooth any number of frames.
 
+use std::sync::Arc;
+
 use crate::engine::{AdmittedFrame, SmoothingEngine};
 use crate::engines::{self, Capabilities, ChoiceReason, Engine, SmootherOptions};
 use crate::error::{Error, FrameError, ParamError};
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, Radius, SmoothParams};
+use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
@@ -172,6 +175,12 @@ impl Smoother {
     /// engine, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.opened.timings()
+    }
+
+    /// How far the frame has come that another thread smooths, of an engine that may take long: those for general clouds, and the
+    /// reference.
+    pub fn progress(&self) -> Option<Arc<Progress>> {
+        self.opened.progress()
     }
 
     /// Bytes that the engine keeps for its samples from frame to frame, beside frames and results: the padded frame of the CPU

@@ -191,6 +191,12 @@ pub struct StreamArgs {
     #[cfg(feature = "rerun")]
     #[arg(long, value_name = "FILE")]
     pub rrd: Option<PathBuf>,
+    #[cfg(not(feature = "rerun"))]
+    #[arg(long, hide = true)]
+    pub rerun: bool,
+    #[cfg(not(feature = "rerun"))]
+    #[arg(long, hide = true)]
+    pub rrd: Option<PathBuf>,
     /// Fields to add to the points, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
     pub fields: Vec<FieldArg>,

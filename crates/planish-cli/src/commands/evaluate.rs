@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{Case, Evaluation, Report, Suite, TileReport, jitter_mm, tile_planes};
 use planish::internal::write_rgb_png;
-use planish::io::{self, Contents, Encoding, write_cloud};
+use planish::io::{self, Contents, Encoding, write_cloud, write_whole};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
 use planish::simulate::DepthNoise;
 use planish::{DepthFrame, Error, IntoFrame, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
@@ -167,7 +167,8 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     }
     if let Some(folder) = &args.out {
         let file = folder.join("report.json");
-        fs::write(&file, serde_json::to_string_pretty(&rows)?).with_context(|| file.display().to_string())?;
+        write_whole(&file, serde_json::to_string_pretty(&rows)?.as_bytes())
+            .with_context(|| file.display().to_string())?;
         draw_error_over_z(&folder.join("error-over-z.svg"), &rows)?;
     }
     if args.json {
@@ -314,5 +315,5 @@ fn draw_error_over_z(file: &Path, rows: &[Row]) -> Result<()> {
         chart.configure_series_labels().border_style(RGBColor(200, 200, 200)).background_style(WHITE).draw()?;
         area.present()?;
     }
-    fs::write(file, svg).with_context(|| file.display().to_string())
+    write_whole(file, svg.as_bytes()).with_context(|| file.display().to_string())
 }

@@ -1,10 +1,12 @@
 //! `planish completions` and `planish man`.
 
 use std::fs;
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::CommandFactory;
+use planish::io::write_whole;
 use planish_bench::out;
 
 use crate::args::{Args, CompletionsArgs, ManArgs};
@@ -19,6 +21,21 @@ pub fn completions(args: &CompletionsArgs) -> Result<ExitCode> {
 pub fn man(args: &ManArgs) -> Result<ExitCode> {
     let of_folder = || args.folder.display().to_string();
     fs::create_dir_all(&args.folder).with_context(of_folder)?;
-    clap_mangen::generate_to(Args::command(), &args.folder).with_context(of_folder)?;
+    let mut command = Args::command();
+    command.build();
+    write_page(&command, &args.folder)?;
+    command.get_subcommands().filter(|command| !command.is_hide_set()).try_for_each(|command| {
+        write_page(command, &args.folder)?;
+        command.get_subcommands().try_for_each(|command| write_page(command, &args.folder))
+    })?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the page of a command, as `planish-smooth.1`.
+fn write_page(command: &clap::Command, folder: &Path) -> Result<()> {
+    let mut page = Vec::new();
+    let man = clap_mangen::Man::new(command.clone());
+    let file = folder.join(man.get_filename());
+    man.render(&mut page)?;
+    write_whole(&file, &page).with_context(|| file.display().to_string())
 }

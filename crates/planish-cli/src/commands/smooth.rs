@@ -1,5 +1,7 @@
 //! `planish smooth`: one file, or every frame of a folder.
 
+mod checks;
+mod progress;
 mod report;
 
 use std::collections::{HashMap, HashSet};
@@ -11,13 +13,15 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use planish::io::{self, CloudRef, Contents, Format};
+use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format};
 use planish::{
     Camera, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, PointsView, Radius,
     RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
 };
 use planish_bench::{errln, outln};
 
+use checks::{check_output, check_radius, is_same_file};
+use progress::with_progress;
 use report::{
     Failure, FolderReport, Report, SmoothTimes, StatusCounts, likely_cause, print_report, report_range_rule, summarize,
 };
@@ -46,6 +50,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     if args.input.is_dir() {
         return run_folder(&mut worker);
     }
+    check_output(args, &args.output)?;
     if !args.overwrite && is_same_file(&args.input, &args.output) {
         bail!(
             "{}: is the input, the only copy of what was measured: write to another file, or add --overwrite",
@@ -76,6 +81,7 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
     }
     fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
     let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
+    outputs.iter().try_for_each(|output| check_output(args, output))?;
     let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
     let is_input = |output: &&PathBuf| output.canonicalize().is_ok_and(|output| originals.contains(&output));
     if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
@@ -121,7 +127,9 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
         outln!("{}", serde_json::to_string(&report)?);
     } else {
         let end = if report.interrupted { "; interrupted" } else { "" };
-        outln!("{} frames smoothed, {} failed{end}", report.frames.len(), report.failed.len());
+        let frames = report.frames.len();
+        let noun = if frames == 1 { "frame" } else { "frames" };
+        outln!("{frames} {noun} smoothed, {} failed{end}", report.failed.len());
     }
     Ok(if report.interrupted {
         ExitCode::from(INTERRUPTED)
@@ -130,18 +138,6 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
     } else {
         ExitCode::from(1)
     })
-}
-
-/// Whether two names stand for one file, by links of either kind.
-fn is_same_file(a: &Path, b: &Path) -> bool {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        let identity = |path: &Path| fs::metadata(path).map(|metadata| (metadata.dev(), metadata.ino())).ok();
-        identity(a).is_some_and(|a| identity(b) == Some(a))
-    }
-    #[cfg(not(unix))]
-    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
 /// Where a frame of the input folder is written.
@@ -184,7 +180,7 @@ enum Output {
 impl Worker<'_> {
     fn smooth_file(&mut self, input: &Path, output: &Path) -> Result<Report> {
         let start = Instant::now();
-        let (format, mut contents) = io::read_with(input, &self.args.memory.read_options())?;
+        let FileRead { format, encoding, mut contents, .. } = io::read_file(input, &self.args.memory.read_options())?;
         let read_ms = ms_since(start);
         let (width, height) = contents.shape();
         self.set_pose(input, &mut contents)?;
@@ -209,7 +205,7 @@ impl Worker<'_> {
         }
 
         let start = Instant::now();
-        self.write(input, output, &result)?;
+        self.write(output, &result, self.args.encoding().or(encoding).unwrap_or_default())?;
         let (smoother, ..) = self.open.as_ref().context("no engine is open")?;
         Ok(Report {
             input: input.to_path_buf(),
@@ -336,32 +332,12 @@ impl Worker<'_> {
             let verb = if unused.len() == 1 { "changes" } else { "change" };
             errln!("{}: a general cloud, for which {} {verb} nothing", input.display(), unused.join(", "));
         }
-        if let Radius::Fixed { radius_m } = params.radius {
-            self.check_radius(input, cloud, radius_m)?;
+        if let (Radius::Fixed { radius_m }, false) = (params.radius, self.args.force) {
+            check_radius(input, cloud, radius_m)?;
         }
         let outputs = self.args.outputs().with_status(true);
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
         self.smooth(output, cloud.into_frame().map_err(of_input)?, outputs, params)
-    }
-
-    /// Refuses a radius that is out of all proportion to the cloud: each point would have most others as neighbours.
-    fn check_radius(&self, input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<()> {
-        let finite = |values: &[f32]| {
-            let finite = values.iter().filter(|value| value.is_finite());
-            finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], &value| [low.min(value), high.max(value)])
-        };
-        let positions = &cloud.positions;
-        let spans = [&positions.x, &positions.y, &positions.z].map(|values| finite(values));
-        let extent_m = spans.into_iter().map(|[low, high]| high - low).fold(0.0, f32::max);
-        if self.args.force || cloud.valid_points() < FEW_POINTS || radius_m <= MAX_RADIUS_SHARE * extent_m {
-            return Ok(());
-        }
-        let slip = if extent_m < 2.0 { "is the cloud in kilometres?" } else { "is the radius in millimetres?" };
-        bail!(
-            "{}: a radius of {radius_m} m on a cloud {extent_m} m wide would take long and flatten all of it ({slip}): give a \
-             smaller --radius in the file's unit, or add --force",
-            input.display()
-        );
     }
 
     /// Smooths a frame as many times as requested, and reports if many points were lost.
@@ -377,7 +353,7 @@ impl Worker<'_> {
         for _ in 0..self.args.repeat {
             let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
             let start = Instant::now();
-            let result = smoother.smooth(frame, &mut self.smoothed);
+            let result = with_progress(smoother.progress(), || smoother.smooth(frame, &mut self.smoothed));
             if matches!(result, Err(Error::Engine(_))) {
                 // An engine that failed is no use for the next frame.
                 self.open = None;
@@ -432,7 +408,7 @@ impl Worker<'_> {
         Ok(())
     }
 
-    fn write(&self, input: &Path, output: &Path, result: &Output) -> Result<()> {
+    fn write(&self, output: &Path, result: &Output, encoding: Encoding) -> Result<()> {
         let cloud = match result {
             Output::Organized(cloud) => Some(&cloud.points),
             Output::General(cloud) => Some(cloud),
@@ -444,7 +420,6 @@ impl Worker<'_> {
                 errln!("{}: {holes} holes are left out, since LAS has no place for them", output.display());
             }
         }
-        let encoding = self.args.encoding().or_else(|| io::encoding_of(input)).unwrap_or_default();
         match result {
             Output::Organized(cloud) => io::write_cloud(output, CloudRef::Organized(cloud), encoding)?,
             Output::General(cloud) => io::write_cloud(output, CloudRef::General(cloud), encoding)?,
@@ -469,11 +444,6 @@ impl Worker<'_> {
 
 /// What an engine and its results take at most for each point (the default setting and all outputs: 130 to 150 bytes).
 const ENGINE_BYTES_A_POINT: u64 = 160;
-
-/// A radius over this share of a cloud's extent is taken for a slip of units.
-const MAX_RADIUS_SHARE: f32 = 0.2;
-/// Clouds with fewer points may have any radius: they are done at once.
-const FEW_POINTS: usize = 1000;
 
 /// How many points came in, and how many of those became holes.
 struct PointCounts {

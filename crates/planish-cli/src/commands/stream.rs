@@ -60,9 +60,15 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if args.save.is_some() && format == SinkFormat::DepthPng {
         outputs = Outputs::DEPTH;
     }
-    #[cfg(feature = "rerun")]
     if args.rerun || args.rrd.is_some() {
-        outputs.points = true;
+        #[cfg(not(feature = "rerun"))]
+        bail!(
+            "this planish was built without the feature rerun: build it with `cargo install --path crates/planish-cli --features rerun`"
+        );
+        #[cfg(feature = "rerun")]
+        {
+            outputs.points = true;
+        }
     }
     let options = StreamOptions::new(params, args.smoothing.options(outputs)?)
         .with_adapt_stride(args.smoothing.adapts_window())
@@ -148,6 +154,10 @@ impl Source for WithoutFloating {
         Ok(frame)
     }
 
+    fn frame_name(&self) -> Option<String> {
+        self.source.frame_name()
+    }
+
     fn dropped(&self) -> u64 {
         self.source.dropped()
     }
@@ -197,6 +207,10 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
             }
         }
         Ok(None)
+    }
+
+    fn frame_name(&self) -> Option<String> {
+        self.source.as_ref().and_then(|source| source.frame_name())
     }
 
     fn dropped(&self) -> u64 {

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use planish::PointCloud;
 use planish::io::{Encoding, write_cloud};
 
 use super::{ok, planish, refused, small_frame, str, text, with_frame};
@@ -224,13 +225,13 @@ fn a_signal_at_any_time_leaves_no_temporary_and_no_broken_file() {
             .unwrap();
     }
     let whole = fs::metadata(input.join("0.pcd")).unwrap().len();
-    for run in 0..24u64 {
+    for run in 0..100u64 {
         let mut child = Command::new(env!("CARGO_BIN_EXE_planish"))
             .args(["smooth", str(&input), str(&output), "--engine", "cpu", "--threads", "1"])
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        std::thread::sleep(Duration::from_millis(5 * run));
+        std::thread::sleep(Duration::from_millis(37 * run % 120));
         let signal = if run % 2 == 0 { "-TERM" } else { "-INT" };
         // It may be over already.
         let _ = Command::new("kill").args([signal, &child.id().to_string()]).stderr(Stdio::null()).status().unwrap();
@@ -273,4 +274,47 @@ fn completions_and_manual_pages_are_written() {
     ok(&["man", str(&pages)]);
     assert!(fs::read_to_string(pages.join("planish-smooth.1")).unwrap().contains("max\\-memory"));
     assert!(ok(&["--help"]).contains("Exit codes"));
+}
+
+#[test]
+fn options_that_the_output_has_no_use_for_are_refused_before_anything_is_read() {
+    let (folder, _, path) = with_frame();
+    let path_of = |name: &str| folder.path().join(name);
+    for name in ["out.las", "out.csv", "out.xyz", "out.npy"] {
+        let stderr = refused_at_once(&["smooth", str(&path), str(&path_of(name)), "--encoding", "ascii"]);
+        assert!(stderr.contains("--encoding is for .pcd and .ply"), "{stderr}");
+    }
+    assert!(refused_at_once(&["smooth", "no-such-file", str(&path_of("out.abc"))]).contains("end the name in"));
+}
+
+#[test]
+fn a_radius_with_thousands_of_neighbours_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["cloud.pcd", "out.pcd"].map(|name| folder.path().join(name));
+    // 120,000 points within half a metre, and two far away.
+    let dense = (0..120_000).map(|i| [0.5 * (i % 400) as f32 / 400.0, 0.5 * (i / 400) as f32 / 300.0, 1.0]);
+    let cloud = PointCloud::new(dense.chain([[0.0, 0.0, 50.0], [50.0, 0.0, 1.0]]).collect());
+    write_cloud(&input, &cloud, Encoding::Binary).unwrap();
+    let smooth = ["smooth", str(&input), str(&output), "--radius"];
+    let stderr = refused_at_once(&[&smooth[..], &["0.2"]].concat());
+    assert!(stderr.contains("others") && stderr.contains("--force"), "{stderr}");
+    ok(&[&smooth[..], &["0.02"]].concat());
+    ok(&[&smooth[..], &["0.07", "--force"]].concat());
+}
+
+#[test]
+fn the_encoding_of_standard_input_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["in.pcd", "out.pcd"].map(|name| folder.path().join(name));
+    write_cloud(&input, &small_frame(1).deproject().unwrap(), Encoding::BinaryCompressed).unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_planish"))
+        .args(["smooth", "-", str(&output), "--engine", "cpu"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(&fs::read(&input).unwrap()).unwrap();
+    assert!(child.wait().unwrap().success());
+    let header = fs::read(&output).unwrap();
+    assert!(String::from_utf8_lossy(&header[..400]).contains("DATA binary_compressed"));
 }

@@ -4,10 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use planish::io::{Encoding, write_cloud};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, DepthFrame, OrganizedCloud};
 
-use super::{json_line, ok, refused, str, text};
+use super::{json_line, ok, refused, small_frame, str, text};
 
 #[test]
 fn a_stream_is_saved_and_counted() {
@@ -20,6 +21,9 @@ fn a_stream_is_saved_and_counted() {
     for i in 0..5 {
         let cloud = OrganizedCloud::read(&out.join(format!("{i:06}.pcd"))).unwrap();
         assert!(cloud.points.attribute("rgb").is_some() && cloud.points.valid_points() > 200_000);
+    }
+    if !cfg!(feature = "rerun") {
+        assert!(refused(&["stream", "synthetic", "--rerun"]).contains("without the feature rerun"));
     }
     assert!(refused(&["stream", "no-such-source"]).contains("a source is kinect"));
     assert!(refused(&["stream", "synthetic:x"]).contains("whole number"));
@@ -35,8 +39,18 @@ fn a_recording_streams_back() {
     let saved = folder.path().join("saved");
     let report = json_line(&ok(&["stream", str(&recording), "--save", str(&saved), "--format", "png", "--json"]));
     assert_eq!(report["frames_out"], 4);
-    assert!(saved.join("000003.png").exists());
-    // What is saved is a data set again, with its camera, units and time stamps.
+    // What is saved is a data set again, with its names, colour, camera, units and time stamps.
+    let names = |folder: &Path| -> Vec<String> {
+        let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let mut names: Vec<String> = files.filter(|name| name.ends_with(".png")).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(names(&saved), names(&recording.join("depth")));
+    for name in names(&recording.join("rgb")) {
+        let colour = |folder: &Path| planish::internal::read_rgb_png(&folder.join("rgb").join(&name)).unwrap();
+        assert_eq!(colour(&saved), colour(&recording));
+    }
     let again = json_line(&ok(&["stream", str(&saved), "--json"]));
     assert_eq!(again["frames_out"], report["frames_out"]);
     let stamps = |list: &Path| -> Vec<f64> {
@@ -52,6 +66,22 @@ fn a_recording_streams_back() {
     assert!(refused(&["stream", str(&recording), "--save", str(&saved), "--format", "png"]).contains("another folder"));
     assert_eq!(fs::read(saved.join("depth.txt")).unwrap(), list);
     assert!(refused(&["record", "synthetic", str(&recording), "--frames", "1"]).contains("another folder"));
+}
+
+#[test]
+fn frames_are_saved_under_their_own_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let [frames, saved] = ["frames", "saved"].map(|name| folder.path().join(name));
+    fs::create_dir(&frames).unwrap();
+    let cloud = small_frame(1).deproject().unwrap();
+    for name in ["kitchen.pcd", "kitchen.ply", "yard.pcd"] {
+        write_cloud(&frames.join(name), &cloud, Encoding::Binary).unwrap();
+    }
+    ok(&["stream", str(&frames), "--engine", "cpu", "--save", str(&saved)]);
+    let names = fs::read_dir(&saved).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<String> = names.collect();
+    names.sort();
+    assert_eq!(names, ["kitchen-000001.pcd", "kitchen.pcd", "yard.pcd"]);
 }
 
 #[test]

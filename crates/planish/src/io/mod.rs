@@ -244,7 +244,33 @@ pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
 
 /// [`read`] with other options than the default.
 pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents), IoError> {
-    let read = || decode_with(&read_bytes(path, options)?, Format::of_extension(path), options);
+    read_file(path, options).map(|file| (file.format, file.contents))
+}
+
+/// A file that was read.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct FileRead {
+    /// Its format.
+    pub format: Format,
+    /// How a PCD or PLY file stores its points; `None` for other formats.
+    pub encoding: Option<Encoding>,
+    /// What it holds.
+    pub contents: Contents,
+}
+
+/// [`read_with`], with how the file stores its points.
+pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError> {
+    let read = || {
+        let bytes = read_bytes(path, options)?;
+        let (format, contents) = decode_with(&bytes, Format::of_extension(path), options)?;
+        let encoding = match format {
+            Format::Pcd => pcd::encoding(&bytes),
+            Format::Ply => ply::encoding(&bytes),
+            _ => None,
+        };
+        Ok(FileRead { format, encoding, contents })
+    };
     read().map_err(IoError::at(path))
 }
 
@@ -270,19 +296,6 @@ pub(crate) fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec
     options.check(usize::try_from(metadata.len()).unwrap_or(usize::MAX), 1)?;
     fs::File::open(path)?.take(most).read_to_end(&mut bytes)?;
     Ok(bytes)
-}
-
-/// How the points of a PCD or PLY file are stored; `None` for other formats and for headers that cannot be read.
-pub fn encoding_of(path: &Path) -> Option<Encoding> {
-    const HEADER_BYTES: u64 = 64 * 1024;
-    let mut bytes = Vec::new();
-    fs::metadata(path).ok().filter(fs::Metadata::is_file)?;
-    fs::File::open(path).ok()?.take(HEADER_BYTES).read_to_end(&mut bytes).ok()?;
-    match Format::of_contents(&bytes).or(Format::of_extension(path))? {
-        Format::Pcd => pcd::encoding(&bytes),
-        Format::Ply => ply::encoding(&bytes),
-        _ => None,
-    }
 }
 
 /// Decodes a file's contents; `announced` is the format of its extension, used where the contents are ambiguous.

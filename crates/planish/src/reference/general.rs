@@ -11,6 +11,7 @@ use crate::error::Error;
 use crate::frame::FrameGeometry;
 use crate::neighbours::{NeighbourSearch, extent_m};
 use crate::params::{Radius, SmoothParams};
+use crate::progress::Progress;
 use crate::status::Status;
 use crate::threads::Threads;
 
@@ -33,6 +34,7 @@ pub(super) fn smooth(
     threads: &Threads,
     points: &[DVec3],
     geometry: &FrameGeometry,
+    progress: &Progress,
 ) -> Result<Vec<PointResult>, Error> {
     // Turned like the sensor, but not moved: it may stand so far away that moved points would lose digits.
     let turn = |p: DVec3| geometry.cloud_from_sensor.map_or(p, |transform| transform.rotation.transpose() * p);
@@ -42,6 +44,7 @@ pub(super) fn smooth(
     let search = NeighbourSearch::new(&turned)?;
     let positions = Positions { points: turned, counts, search };
     let extent_m = extent_m(points);
+    progress.begin(distinct.len());
 
     let results: Vec<PointResult> = threads.install(|| {
         let radii_m = positions.radii_m(params, extent_m);
@@ -52,6 +55,7 @@ pub(super) fn smooth(
             let offsets: Vec<DVec3> = repeated.filter(|&offset| fading_gate(offset, radius_m) > 0.0).collect();
             let surface = Surface::own(&offsets, radius_m, p - sensor);
             let result = smooth_point(p, sensor, &offsets, radius_m, params, &surface, false);
+            progress.add(1);
             if result.status == Status::TooFew && !params.remove_isolated { result.kept() } else { result }
         };
         positions.points.par_iter().zip(&radii_m).map_init(Vec::new, smooth).collect()

@@ -15,6 +15,8 @@ mod radius;
 mod solve;
 mod window;
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -23,6 +25,7 @@ use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry};
 use crate::outputs::SmoothedMut;
 use crate::params::{Edges, SmoothParams};
+use crate::progress::Progress;
 use crate::status::Status;
 use crate::threads::Threads;
 use plane::Plane;
@@ -107,6 +110,7 @@ fn smooth_point(
 pub(crate) struct Reference {
     params: SmoothParams,
     threads: Threads,
+    progress: Arc<Progress>,
 }
 
 impl ImmediateEngine for Reference {
@@ -115,11 +119,15 @@ impl ImmediateEngine for Reference {
         store(frame, &points, &results, out);
         Ok(())
     }
+
+    fn progress(&self) -> Option<Arc<Progress>> {
+        Some(Arc::clone(&self.progress))
+    }
 }
 
 impl Reference {
     pub(crate) fn open(params: SmoothParams, threads: Option<usize>) -> Result<Self, EngineError> {
-        Ok(Self { params, threads: Threads::open(threads)? })
+        Ok(Self { params, threads: Threads::open(threads)?, progress: Arc::default() })
     }
 
     /// The points as measured, in the cloud's frame, and their results in the sensor's.
@@ -132,12 +140,14 @@ impl Reference {
             Frame::Points(points) => (0..points.len()).map(|i| points.point(i)).collect(),
         };
         let results = match frame.frame.grid() {
-            None => general::smooth(&self.params, &self.threads, &points, &frame.geometry)?,
+            None => general::smooth(&self.params, &self.threads, &points, &frame.geometry, &self.progress)?,
             Some((width, height)) => {
                 let points = match frame.geometry.cloud_from_sensor {
                     None => points.clone(),
                     Some(transform) => points.iter().map(|&p| transform.to_sensor(p)).collect(),
                 };
+                // Passes over all pixels: the last takes by far the longest.
+                self.progress.begin(width * height);
                 self.smooth_grid(&Grid { points, width, height }, &frame.geometry)
             }
         };
@@ -176,6 +186,7 @@ impl Reference {
         let smooth = |p, pixel| {
             let Some(surface) = surface_of(pixel) else { return PointResult::hole() };
             let offsets = self.neighbours(samples, geometry, p, pixel);
+            self.progress.add(1);
             smooth_point(p, DVec3::ZERO, &offsets, self.radius_m(geometry, p), params, &surface, on_ray)
         };
         self.for_each_pixel(grid, PointResult::hole(), smooth)

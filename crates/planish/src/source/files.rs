@@ -54,6 +54,17 @@ impl Source for FileSource {
         }
         Ok(Some(frame))
     }
+
+    fn frame_name(&self) -> Option<String> {
+        // A repeated file would name every frame the same.
+        let last = self.next.checked_sub(1).filter(|_| !self.repeats)?;
+        file_stem(self.files.get(last)?)
+    }
+}
+
+/// The name of a file without its extension, if that is text.
+pub(super) fn file_stem(file: &Path) -> Option<String> {
+    file.file_stem()?.to_str().map(str::to_owned)
 }
 
 /// Reads one frame file; depth needs a camera.

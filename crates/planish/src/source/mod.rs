@@ -81,6 +81,11 @@ pub trait Source: Send {
     /// A frame that cannot be read is an error; the caller may go on with the one after it.
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error>;
 
+    /// Returns the name of the frame delivered last, where it has one of its own: that of its file, without the extension.
+    fn frame_name(&self) -> Option<String> {
+        None
+    }
+
     /// Takes a flag that a stream sets when it ends, before the first frame. A source that may wait for long looks at it.
     fn end_with(&mut self, _ended: Arc<AtomicBool>) {}
 

@@ -39,6 +39,10 @@ impl Source for Paced {
         Ok(frame)
     }
 
+    fn frame_name(&self) -> Option<String> {
+        self.source.frame_name()
+    }
+
     fn is_live(&self) -> bool {
         true
     }

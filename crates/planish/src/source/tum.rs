@@ -7,7 +7,7 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use super::files::read_frame;
+use super::files::{file_stem, read_frame};
 use super::{Source, SourceFrame, malformed};
 use crate::camera::Camera;
 use crate::error::{Error, FormatError, IoError};
@@ -76,6 +76,10 @@ impl Source for TumSource {
             }
         }
         Ok(Some(frame))
+    }
+
+    fn frame_name(&self) -> Option<String> {
+        file_stem(&self.entries.get(self.next.checked_sub(1)?)?.depth)
     }
 }
 

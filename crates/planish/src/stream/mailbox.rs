@@ -8,8 +8,16 @@ use std::time::{Duration, Instant};
 use crate::error::Error;
 use crate::source::SourceFrame;
 
-/// A frame and its time of arrival; or an error, and whether the source ends with it.
-pub(super) type Item = Result<(SourceFrame, Instant), (Error, bool)>;
+/// A frame that has arrived from the source.
+pub(super) struct Arrived {
+    pub(super) frame: SourceFrame,
+    /// Its own name, where the source has one for it.
+    pub(super) name: Option<String>,
+    pub(super) since: Instant,
+}
+
+/// A frame; or an error, and whether the source ends with it.
+pub(super) type Item = Result<Arrived, (Error, bool)>;
 
 /// Accumulated time, added to by one thread and read by another.
 #[derive(Default)]
@@ -180,12 +188,12 @@ mod tests {
     fn item(number: usize) -> Item {
         let positions: Xyz = [[number as f32; 3]].into_iter().collect();
         let cloud = OrganizedCloud::from_positions(1, 1, positions).unwrap();
-        Ok((SourceFrame::Cloud { cloud, timestamp_s: None }, Instant::now()))
+        Ok(Arrived { frame: SourceFrame::Cloud { cloud, timestamp_s: None }, name: None, since: Instant::now() })
     }
 
     fn number(item: Item) -> usize {
         match item {
-            Ok((SourceFrame::Cloud { cloud, .. }, _)) => cloud.positions().x[0] as usize,
+            Ok(Arrived { frame: SourceFrame::Cloud { cloud, .. }, .. }) => cloud.positions().x[0] as usize,
             _ => panic!("a cloud"),
         }
     }

@@ -24,7 +24,7 @@ use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::source::{Source, SourceFrame};
 use crate::view::SmoothedView;
-use mailbox::{Mailbox, Policy, TimeSpent};
+use mailbox::{Arrived, Mailbox, Policy, TimeSpent};
 use sinks::SinkThread;
 
 #[cfg(feature = "rerun")]
@@ -43,6 +43,8 @@ const LOST_SHARE_TOLD: f64 = 0.01;
 pub struct StreamFrame {
     /// Its index among the frames smoothed, from 0.
     pub index: u64,
+    /// Its own name, where the source has one for it: that of its file, without the extension.
+    pub name: Option<String>,
     /// The frame as the source delivered it.
     pub source: SourceFrame,
     /// Its result.
@@ -100,12 +102,6 @@ pub enum StreamEvent<'a> {
     Frame(&'a StreamStatistics),
     /// Something failed that the stream survives: an unreadable frame, a sink, a lost GPU.
     Warning(String),
-}
-
-/// A frame in flight, with what is needed to smooth it again if its device is lost.
-struct Pending {
-    frame: SourceFrame,
-    since: Instant,
 }
 
 /// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
@@ -195,7 +191,7 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
         match mailbox.capture_time.on(|| source.next_frame()) {
             Ok(Some(frame)) => {
                 failures = 0;
-                mailbox.put(Ok((frame, Instant::now())));
+                mailbox.put(Ok(Arrived { frame, name: source.frame_name(), since: Instant::now() }));
                 if source.is_live() && !is_ready {
                     // Opening an engine takes longer than many frames, which must not count as dropped.
                     mailbox.wait_ready();
@@ -227,7 +223,8 @@ struct Stream<'a> {
     params: Option<SmoothParams>,
     reopened: bool,
     told_lost_points: bool,
-    pending: VecDeque<Pending>,
+    /// Frames in flight, kept to be smoothed again if their device is lost.
+    pending: VecDeque<Arrived>,
     sinks: Vec<SinkThread>,
     statistics: StreamStatistics,
     smooth_time: TimeSpent,
@@ -261,8 +258,8 @@ impl Stream<'_> {
             };
             match next {
                 mailbox::Taken::Item(item) => match *item {
-                    Ok((frame, since)) => {
-                        self.submit(Pending { frame, since }, tell)?;
+                    Ok(arrived) => {
+                        self.submit(arrived, tell)?;
                         submitted += 1;
                         // The engine is open: from now on the stream keeps up with a live source.
                         mailbox.set_ready();
@@ -288,7 +285,7 @@ impl Stream<'_> {
         Ok(())
     }
 
-    fn submit(&mut self, pending: Pending, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+    fn submit(&mut self, pending: Arrived, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         let shape = pending.frame.shape();
         let of_shape = self.params.filter(|_| shape == self.shape);
         let found = || self.options.params.at_known_resolution_of(pending.frame.into_frame().ok()?);
@@ -317,7 +314,7 @@ impl Stream<'_> {
 
     /// Submits the newest frame.
     fn submit_last(&mut self) -> Result<(), Error> {
-        let Some(Pending { frame, .. }) = self.pending.back() else { return Ok(()) };
+        let Some(Arrived { frame, .. }) = self.pending.back() else { return Ok(()) };
         let params = self.params.unwrap_or(self.options.params);
         let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
         self.statistics.engine = smoother.engine();
@@ -340,14 +337,14 @@ impl Stream<'_> {
 
     /// Passes the result of the oldest frame to the sinks.
     fn deliver(&mut self, view: SmoothedView, tell: &mut impl FnMut(StreamEvent<'_>)) {
-        let Some(Pending { frame, since }) = self.pending.pop_front() else { return };
+        let Some(Arrived { frame, name, since }) = self.pending.pop_front() else { return };
         let received = Instant::now();
         let latency = received.duration_since(since);
         self.statistics.add(latency);
         let index = self.statistics.frames_out - 1;
         let smoothed = view.into_smoothed();
         self.tell_lost_points(&frame, &smoothed, tell);
-        let frame = Arc::new(StreamFrame { index, source: frame, smoothed, latency, received });
+        let frame = Arc::new(StreamFrame { index, name, source: frame, smoothed, latency, received });
         for sink in &mut self.sinks {
             if let Some(warning) = sink.give(&frame, self.live) {
                 tell(StreamEvent::Warning(warning));
@@ -397,7 +394,7 @@ impl Stream<'_> {
 
     /// Smooths the frames in flight one by one.
     fn smooth_pending(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
-        while let Some(Pending { frame, .. }) = self.pending.front() {
+        while let Some(Arrived { frame, .. }) = self.pending.front() {
             let params = self.params.unwrap_or(self.options.params);
             let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
             self.statistics.engine = smoother.engine();

@@ -1,5 +1,6 @@
 //! Where results go: folders, or any [`Sink`], each on a thread of its own.
 
+use std::collections::HashSet;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,8 +11,8 @@ use std::thread::{self, JoinHandle};
 use super::mailbox::TimeSpent;
 use super::{StreamFrame, StreamStatistics};
 use crate::error::{EngineError, Error, FormatError, IoError};
-use crate::frame::DepthImage;
-use crate::io::{self, CloudRef, Encoding};
+use crate::frame::{DepthFrame, DepthImage};
+use crate::io::{self, CloudRef, Encoding, RgbImage};
 use crate::outputs::Outputs;
 use crate::source::SourceFrame;
 
@@ -51,28 +52,74 @@ impl SinkFormat {
     }
 }
 
-/// Writes every result to a folder, as `000000.pcd` and so on, each file atomically. Depth becomes a data set: `depth.txt` with the time
-/// stamps, and `camera.json` with intrinsics and units.
+/// Writes every result to a folder, under the name of its frame or else as `000000.pcd` and so on, each file atomically.
+///
+/// Depth becomes a data set in TUM layout: `depth.txt` with the time stamps, `camera.json` with intrinsics and units, and colour in `rgb`
+/// with `rgb.txt`. Clouds whose source has time stamps are listed in `points.txt`.
 pub struct FolderSink {
     folder: PathBuf,
     format: SinkFormat,
     outputs: Outputs,
+    /// Names that were used.
+    names: HashSet<String>,
     /// Whether the camera has been written.
     has_camera: bool,
 }
 
+/// The lists and the camera of a data set.
+const OF_A_DATA_SET: [&str; 4] = ["depth.txt", "rgb.txt", "points.txt", "camera.json"];
+
 impl FolderSink {
-    /// Creates the folder. `outputs` are the fields to add to points. Depth is not put into a folder that has a data set already, whose
-    /// list and camera it would replace.
+    /// Creates the folder. `outputs` are the fields to add to points. Refuses a folder that has a data set already, whose lists and camera
+    /// would be mixed with the new ones.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
         std::fs::create_dir_all(folder)
             .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
-        if format == SinkFormat::DepthPng && ["depth.txt", "camera.json"].iter().any(|name| folder.join(name).exists())
-        {
+        if OF_A_DATA_SET.iter().any(|name| folder.join(name).exists()) {
             let problem = FormatError::Unsupported("has a data set already; save into another folder".into());
             return Err(IoError { path: folder.to_path_buf(), problem }.into());
         }
-        Ok(Self { folder: folder.to_path_buf(), format, outputs, has_camera: false })
+        Ok(Self { folder: folder.to_path_buf(), format, outputs, names: HashSet::new(), has_camera: false })
+    }
+
+    /// The name of a frame's file without its extension: no two frames have one name.
+    fn name_of(&mut self, frame: &StreamFrame) -> String {
+        let number = format!("{:06}", frame.index);
+        let is_free = |name: &String| !self.names.contains(name);
+        let name = frame.name.clone().filter(is_free).unwrap_or_else(|| match &frame.name {
+            Some(taken) => format!("{taken}-{number}"),
+            None => number,
+        });
+        self.names.insert(name.clone());
+        name
+    }
+
+    /// Writes depth, its colour and the lists of a data set.
+    fn write_depth(&mut self, frame: &StreamFrame, name: &str) -> Result<(), Error> {
+        let (width, height) = (frame.smoothed.width, frame.smoothed.height);
+        let missing = crate::FrameError::MissingCamera { what: "depth as an output" };
+        let raw = frame.smoothed.depth.clone().ok_or(missing)?;
+        let file = format!("{name}.{}", self.format.extension());
+        io::write_depth(&self.folder.join(&file), &DepthImage { width, height, raw })?;
+        let seconds = frame.source.timestamp_s().unwrap_or(frame.index as f64 / FRAMES_PER_SECOND);
+        if let SourceFrame::Depth(DepthFrame { rgb: Some(rgb), .. }) = &frame.source {
+            let colour = format!("rgb/{name}.png");
+            let folder = self.folder.join("rgb");
+            std::fs::create_dir_all(&folder).map_err(|error| IoError { path: folder, problem: error.into() })?;
+            io::write_rgb_png(&self.folder.join(&colour), &RgbImage { width, height, rgb: rgb.clone() })?;
+            self.append("rgb.txt", &format!("{seconds:.6} {colour}\n"))?;
+        }
+        // After its images, so that a stream that is cut off leaves a data set up to there.
+        self.append("depth.txt", &format!("{seconds:.6} {file}\n"))?;
+        let camera = match &frame.source {
+            SourceFrame::Depth(depth) => Some(depth.camera),
+            SourceFrame::Cloud { cloud, .. } => cloud.camera,
+        };
+        if let (Some(camera), false) = (camera, self.has_camera) {
+            self.append("camera.json", &io::camera_to_json(&camera))?;
+            self.has_camera = true;
+        }
+        Ok(())
     }
 
     fn append(&self, name: &str, text: &str) -> Result<(), IoError> {
@@ -89,21 +136,9 @@ impl Sink for FolderSink {
     }
 
     fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
-        let name = format!("{:06}.{}", frame.index, self.format.extension());
-        let path = self.folder.join(&name);
+        let name = self.name_of(frame);
         if self.format == SinkFormat::DepthPng {
-            let (width, height) = (frame.smoothed.width, frame.smoothed.height);
-            let missing = crate::FrameError::MissingCamera { what: "depth as an output" };
-            let raw = frame.smoothed.depth.clone().ok_or(missing)?;
-            io::write_depth(&path, &DepthImage { width, height, raw })?;
-            let seconds = frame.source.timestamp_s().unwrap_or(frame.index as f64 / FRAMES_PER_SECOND);
-            // After its image, so that a stream that is cut off leaves a data set up to there.
-            self.append("depth.txt", &format!("{seconds:.6} {name}\n"))?;
-            if let (SourceFrame::Depth(depth), false) = (&frame.source, self.has_camera) {
-                self.append("camera.json", &io::camera_to_json(&depth.camera))?;
-                self.has_camera = true;
-            }
-            return Ok(());
+            return self.write_depth(frame, &name);
         }
         let mut cloud = match &frame.source {
             SourceFrame::Depth(depth) => depth.deproject()?,
@@ -113,7 +148,12 @@ impl Sink for FolderSink {
         if self.format == SinkFormat::Ply {
             cloud.points.unpack_colour();
         }
-        Ok(io::write_cloud(&path, CloudRef::Organized(&cloud), Encoding::Binary)?)
+        let file = format!("{name}.{}", self.format.extension());
+        io::write_cloud(&self.folder.join(&file), CloudRef::Organized(&cloud), Encoding::Binary)?;
+        if let Some(seconds) = frame.source.timestamp_s() {
+            self.append("points.txt", &format!("{seconds:.6} {file}\n"))?;
+        }
+        Ok(())
     }
 }
 

@@ -7,6 +7,8 @@
 mod gather;
 mod radius;
 
+use std::sync::Arc;
+
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
 use super::output::OutputRows;
@@ -23,6 +25,7 @@ use crate::method::{GATE_FADE, MAX_RADIUS_RATIO};
 use crate::neighbours::{LEAF, PointIndex};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Radius, SmoothParams};
+use crate::progress::Progress;
 use crate::range::{MAX_RANGE_M, MIN_GATE_M};
 use crate::simd_level::SimdLevel;
 use crate::smoothed::Smoothed;
@@ -43,6 +46,7 @@ pub(crate) struct GeneralCpu {
     /// In the order of the index, where radii differ.
     radii: Vec<f32>,
     sorted: Smoothed,
+    progress: Arc<Progress>,
 }
 
 /// What a kernel needs to know beside the points.
@@ -67,15 +71,19 @@ impl GeneralCpu {
         simd: Option<SimdLevel>,
     ) -> Result<Self, EngineError> {
         let (level, threads) = (super::level(simd)?, Threads::open(threads)?);
-        let (index, radii, sorted) = Default::default();
-        Ok(Self { params, level, threads, outputs, index, radii, sorted })
+        let (index, radii, sorted, progress) = Default::default();
+        Ok(Self { params, level, threads, outputs, index, radii, sorted, progress })
     }
 
     fn smooth_points(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) {
         let Frame::Points(view) = frame.frame else { return };
-        let Self { params, level, outputs, index, radii, sorted, .. } = self;
+        let Self { params, level, outputs, index, radii, sorted, progress, .. } = self;
         let level = *level;
+        progress.begin(0);
         index.fill(&view);
+        // Radii take about as long as a tenth of the fits.
+        let (of_radius, of_fit) = (1, 9);
+        progress.begin((of_radius + of_fit) * index.leaves());
         let radii = match params.radius {
             Radius::Fixed { radius_m } => Radii::Fixed(radius_m),
             // `Smoother::open` refuses any other.
@@ -83,8 +91,10 @@ impl GeneralCpu {
                 let density =
                     Density { half: count as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
                 radii.resize(LEAF * index.leaves(), f32::NAN);
-                let solve =
-                    |mut rows: RadiusRows<'_>| dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
+                let solve = |mut rows: RadiusRows<'_>| {
+                    dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
+                    progress.add(of_radius * rows.count());
+                };
                 halve(LEAVES_PER_TASK, RadiusRows { first: 0, radii }, &solve);
                 Radii::Of(radii)
             }
@@ -101,10 +111,13 @@ impl GeneralCpu {
             radii,
         };
         sorted.prepare(LEAF, index.leaves(), *outputs);
-        let smooth = |mut rows: OutputRows<'_>| match params.degree {
-            1 => dispatch!(level, simd => smooth_leaves::<_, 1>(simd, &kernel, &mut rows)),
-            2 => dispatch!(level, simd => smooth_leaves::<_, 2>(simd, &kernel, &mut rows)),
-            _ => dispatch!(level, simd => smooth_leaves::<_, 3>(simd, &kernel, &mut rows)),
+        let smooth = |mut rows: OutputRows<'_>| {
+            match params.degree {
+                1 => dispatch!(level, simd => smooth_leaves::<_, 1>(simd, &kernel, &mut rows)),
+                2 => dispatch!(level, simd => smooth_leaves::<_, 2>(simd, &kernel, &mut rows)),
+                _ => dispatch!(level, simd => smooth_leaves::<_, 3>(simd, &kernel, &mut rows)),
+            }
+            progress.add(of_fit * rows.count());
         };
         halve(LEAVES_PER_TASK, OutputRows::of_grid((LEAF, index.leaves()), sorted.as_mut()), &smooth);
         let unsort = |mut rows: OutputRows<'_>| rows.take_from(sorted, |i| index.place(i));
@@ -117,6 +130,10 @@ impl ImmediateEngine for GeneralCpu {
         let threads = self.threads.clone();
         threads.install(|| self.smooth_points(frame, out));
         Ok(())
+    }
+
+    fn progress(&self) -> Option<Arc<Progress>> {
+        Some(Arc::clone(&self.progress))
     }
 
     /// Of the sorted points, their radii and results.

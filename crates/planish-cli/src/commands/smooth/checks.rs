@@ -1,0 +1,67 @@
+//! What is refused before any smoothing.
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use planish::PointCloud;
+use planish::io::Format;
+
+use crate::args::SmoothArgs;
+
+/// A radius over this share of a cloud's extent is taken for a slip of units.
+const MAX_RADIUS_SHARE: f32 = 0.2;
+/// More neighbours of a point than this are taken for one too.
+const MOST_NEIGHBOURS: f64 = 5000.0;
+/// Clouds with fewer points may have any radius: they are done at once.
+const FEW_POINTS: usize = 1000;
+
+/// Refuses, before anything is read, an output of no known format, and an encoding that its format does not have.
+pub fn check_output(args: &SmoothArgs, output: &Path) -> Result<()> {
+    match (Format::of_extension(output), args.encoding) {
+        (None, _) => bail!(
+            "{}: cannot tell the format to write: end the name in .pcd, .ply, .las, .laz, .xyz, .csv, .png, .tiff or .npy",
+            output.display()
+        ),
+        (Some(Format::Pcd | Format::Ply), _) | (_, None) => Ok(()),
+        (Some(format), Some(_)) => {
+            bail!("{}: --encoding is for .pcd and .ply; {} has one encoding", output.display(), format.name())
+        }
+    }
+}
+
+/// Whether two names stand for one file, by links of either kind.
+pub fn is_same_file(a: &Path, b: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let identity = |path: &Path| std::fs::metadata(path).map(|metadata| (metadata.dev(), metadata.ino())).ok();
+        identity(a).is_some_and(|a| identity(b) == Some(a))
+    }
+    #[cfg(not(unix))]
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
+}
+
+/// Refuses a radius that is out of all proportion to the cloud: each point would have most others as neighbours, or thousands.
+pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<()> {
+    let extent_m = cloud.extent_m().into_iter().fold(0.0, f32::max);
+    if cloud.valid_points() < FEW_POINTS {
+        return Ok(());
+    }
+    if radius_m <= MAX_RADIUS_SHARE * extent_m {
+        let neighbours = cloud.mean_neighbours(radius_m);
+        if neighbours > MOST_NEIGHBOURS {
+            bail!(
+                "{}: within {radius_m} m each point has some {neighbours:.0} others, which would take long and flatten the \
+                 surface: give a smaller --radius in the file's unit (the cloud is {extent_m} m wide), or add --force",
+                input.display()
+            );
+        }
+        return Ok(());
+    }
+    let slip = if extent_m < 2.0 { "is the cloud in kilometres?" } else { "is the radius in millimetres?" };
+    bail!(
+        "{}: a radius of {radius_m} m on a cloud {extent_m} m wide would take long and flatten all of it ({slip}): give a \
+         smaller --radius in the file's unit, or add --force",
+        input.display()
+    );
+}
