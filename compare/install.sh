@@ -20,5 +20,11 @@ if [ ! "$work/pcl_mls" -nt "$here/pcl_mls.cpp" ]; then
     $(pkg-config --cflags pcl_surface pcl_search pcl_filters pcl_io eigen3) -I/usr/include \
     -lpcl_surface -lpcl_search -lpcl_kdtree -lpcl_filters -lpcl_io -lpcl_common -lboost_system
 fi
+if [ ! "$work/pcl_clean" -nt "$here/pcl_clean.cpp" ]; then
+  # shellcheck disable=SC2046
+  g++ -O3 -DNDEBUG -fopenmp -w "$here/pcl_clean.cpp" -o "$work/pcl_clean" \
+    $(pkg-config --cflags pcl_search pcl_filters pcl_io eigen3) -I/usr/include \
+    -lpcl_search -lpcl_kdtree -lpcl_filters -lpcl_io -lpcl_common -lboost_system
+fi
 cargo build --release --quiet --manifest-path "$project/Cargo.toml"
 

@@ -22,6 +22,7 @@ fn main() -> ExitCode {
     let result = match parse().command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Smooth(args) => commands::smooth::run(&args),
+        Command::Clean(args) => commands::clean::run(&args),
         Command::Info(args) => commands::info::run(&args),
         Command::Render(args) => commands::render::run(&args),
         Command::Stream(args) => commands::stream::run(&args),

@@ -28,6 +28,27 @@ macro_rules! attribute_values {
             pub fn scalar_size(&self) -> usize {
                 match self { $(Self::$variant(_) => size_of::<$scalar>(),)* }
             }
+
+            /// Value `i` as f64: 64-bit integers beyond 2^53 are rounded.
+            pub(crate) fn get_f64(&self, i: usize) -> f64 {
+                match self { $(Self::$variant(values) => values[i] as f64,)* }
+            }
+
+            /// Other values in the same type; integers are rounded and kept within their range.
+            pub(crate) fn of_f64(&self, new: Vec<f64>) -> Self {
+                match self { $(Self::$variant(_) => {
+                    let convert = |value: f64| if 0.5 as $scalar == 0 as $scalar { value.round() as $scalar } else { value as $scalar };
+                    Self::$variant(new.into_iter().map(convert).collect())
+                })* }
+            }
+
+            /// The values of some points, `count` each.
+            fn select(&self, points: &[usize], count: usize) -> Self {
+                match self { $(Self::$variant(values) => {
+                    let of_point = |&i: &usize| values[count * i..count * (i + 1)].iter().copied();
+                    Self::$variant(points.iter().flat_map(of_point).collect())
+                })* }
+            }
         }
 
         $(impl From<Vec<$scalar>> for AttributeValues {
@@ -65,6 +86,13 @@ pub struct Attribute {
     pub count: usize,
     /// `count` values for each point, point after point.
     pub values: AttributeValues,
+}
+
+impl Attribute {
+    /// The field of some points.
+    pub(crate) fn select(&self, points: &[usize]) -> Self {
+        Self { name: self.name.clone(), count: self.count, values: self.values.select(points, self.count) }
+    }
 }
 
 /// Where a file has its columns x, y and z, and how wide, so that it is written as it was read.
@@ -156,6 +184,29 @@ impl PointCloud {
             }
         }
         Ok(())
+    }
+
+    /// Some of the points, with all their fields, in the order given.
+    ///
+    /// # Panics
+    /// If an index is not less than [`len`](Self::len).
+    pub fn select(&self, points: &[usize]) -> Self {
+        let positions = points.iter().map(|&i| self.positions.get(i)).collect();
+        let attributes = self.attributes.par_iter().map(|attribute| attribute.select(points)).collect();
+        Self { positions, attributes, ..self.without_points() }
+    }
+
+    /// What a cloud is beside its points: origin, pose, columns, header.
+    pub(crate) fn without_points(&self) -> Self {
+        Self {
+            positions: Xyz::default(),
+            origin_m: self.origin_m,
+            attributes: Vec::new(),
+            position_columns: self.position_columns,
+            pose: self.pose,
+            #[cfg(feature = "io")]
+            las_header: self.las_header.clone(),
+        }
     }
 
     /// The sides of the box around all finite points, in metres; zeros without any.

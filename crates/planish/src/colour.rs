@@ -5,7 +5,7 @@ use crate::cloud::{Attribute, AttributeValues, PointCloud};
 const CHANNELS: [&str; 4] = ["red", "green", "blue", "alpha"];
 
 /// The bits of a packed colour field: 0xAARRGGBB for each point.
-fn packed(attribute: &Attribute) -> Option<Vec<u32>> {
+pub(crate) fn packed(attribute: &Attribute) -> Option<Vec<u32>> {
     if attribute.count != 1 {
         return None;
     }

@@ -55,6 +55,7 @@
 #[doc(hidden)]
 pub mod agreement;
 mod camera;
+pub mod clean;
 mod cloud;
 mod colour;
 mod cpu;

@@ -2,6 +2,7 @@
 
 mod bench;
 mod camera;
+mod clean;
 mod smoothing;
 
 use std::path::PathBuf;
@@ -12,6 +13,7 @@ use planish::io::{Encoding, ReadOptions};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGpuArgs, ExperimentArgs};
 pub use camera::{CameraArgs, PoseArgs};
+pub use clean::CleanArgs;
 pub use smoothing::{EngineArg, SmoothingArgs};
 
 const AFTER_HELP: &str = "Exit codes: 0 done; 1 some frames failed, the others are done; 2 bad arguments or input; 130 ended by a \
@@ -31,6 +33,8 @@ pub enum Command {
     Demo(DemoArgs),
     /// Smooth a file, or every frame of a folder
     Smooth(SmoothArgs),
+    /// Remove outliers, thin a cloud, cut out a box: what comes before smoothing
+    Clean(CleanArgs),
     /// Show what a file contains
     Info(InfoArgs),
     /// Draw the relief of an organized cloud
@@ -301,6 +305,16 @@ pub enum EncodingArg {
     Compressed,
 }
 
+impl From<EncodingArg> for Encoding {
+    fn from(encoding: EncodingArg) -> Self {
+        match encoding {
+            EncodingArg::Ascii => Self::Ascii,
+            EncodingArg::Binary => Self::Binary,
+            EncodingArg::Compressed => Self::BinaryCompressed,
+        }
+    }
+}
+
 /// The outputs that fields are made from.
 pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
     let wants = |field| fields.contains(&field);
@@ -317,10 +331,6 @@ impl SmoothArgs {
 
     /// The encoding to write, if one was asked for.
     pub fn encoding(&self) -> Option<Encoding> {
-        self.encoding.map(|encoding| match encoding {
-            EncodingArg::Ascii => Encoding::Ascii,
-            EncodingArg::Binary => Encoding::Binary,
-            EncodingArg::Compressed => Encoding::BinaryCompressed,
-        })
+        self.encoding.map(Encoding::from)
     }
 }

@@ -1,6 +1,8 @@
 //! The commands, one file each.
 
 pub mod bench;
+mod checks;
+pub mod clean;
 pub mod demo;
 pub mod devices;
 pub mod evaluate;

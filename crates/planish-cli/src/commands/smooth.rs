@@ -1,6 +1,5 @@
 //! `planish smooth`: one file, or every frame of a folder.
 
-mod checks;
 mod progress;
 mod report;
 
@@ -20,12 +19,12 @@ use planish::{
 };
 use planish_bench::{errln, outln};
 
-use checks::{check_output, check_radius, is_same_file};
 use progress::with_progress;
 use report::{
     Failure, FolderReport, Report, SmoothTimes, StatusCounts, likely_cause, print_report, report_range_rule, summarize,
 };
 
+use super::checks::{check_not_input, check_output, check_radius, convert_colour, report_columns, report_holes};
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs};
 use crate::signals::{INTERRUPTED, stop_flag};
@@ -50,13 +49,8 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     if args.input.is_dir() {
         return run_folder(&mut worker);
     }
-    check_output(args, &args.output)?;
-    if !args.overwrite && is_same_file(&args.input, &args.output) {
-        bail!(
-            "{}: is the input, the only copy of what was measured: write to another file, or add --overwrite",
-            args.output.display()
-        );
-    }
+    check_output(&args.output, args.encoding.is_some())?;
+    check_not_input(&args.input, &args.output, args.overwrite)?;
     let report = worker.smooth_file(&args.input, &args.output)?;
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
@@ -81,7 +75,7 @@ fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
     }
     fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
     let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
-    outputs.iter().try_for_each(|output| check_output(args, output))?;
+    outputs.iter().try_for_each(|output| check_output(output, args.encoding.is_some()))?;
     let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
     let is_input = |output: &&PathBuf| output.canonicalize().is_ok_and(|output| originals.contains(&output));
     if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
@@ -187,20 +181,15 @@ impl Worker<'_> {
 
         let (mut result, points, times_ms) = match contents {
             Contents::General(cloud) => {
-                if matches!(format, Format::Text | Format::Csv) {
-                    let names = cloud.attributes.iter().map(|attribute| attribute.name.as_str());
-                    let columns: Vec<&str> = ["x", "y", "z"].into_iter().chain(names).collect();
-                    errln!("{}: columns taken as {}", input.display(), columns.join(" "));
-                }
+                report_columns(input, format, &cloud);
                 let (points, times_ms) = self.smooth_general(input, output, &cloud)?;
                 (Output::General(cloud), points, times_ms)
             }
             contents => self.smooth_organized(input, output, contents)?,
         };
-        let written_format = Format::of_extension(output);
         match &mut result {
-            Output::Organized(cloud) => self.apply(&mut cloud.points, format, written_format)?,
-            Output::General(cloud) => self.apply(cloud, format, written_format)?,
+            Output::Organized(cloud) => self.apply(&mut cloud.points, format, output)?,
+            Output::General(cloud) => self.apply(cloud, format, output)?,
             Output::Depth { .. } => {}
         }
 
@@ -398,31 +387,22 @@ impl Worker<'_> {
     }
 
     /// Puts the result into the cloud, with its colour as the format to write has it.
-    fn apply(&self, cloud: &mut PointCloud, read: Format, written: Option<Format>) -> Result<()> {
+    fn apply(&self, cloud: &mut PointCloud, read: Format, output: &Path) -> Result<()> {
         cloud.apply(&self.smoothed, self.args.outputs()).map_err(Error::from)?;
-        match written {
-            Some(Format::Ply) if read != Format::Ply => cloud.unpack_colour(),
-            Some(Format::Pcd) if read == Format::Ply => cloud.pack_colour(),
-            _ => {}
-        }
+        convert_colour(cloud, read, output);
         Ok(())
     }
 
     fn write(&self, output: &Path, result: &Output, encoding: Encoding) -> Result<()> {
-        let cloud = match result {
-            Output::Organized(cloud) => Some(&cloud.points),
-            Output::General(cloud) => Some(cloud),
-            Output::Depth { .. } => None,
-        };
-        if let (Some(Format::Las | Format::Laz), Some(cloud)) = (Format::of_extension(output), cloud) {
-            let holes = cloud.len() - cloud.valid_points();
-            if holes > 0 {
-                errln!("{}: {holes} holes are left out, since LAS has no place for them", output.display());
-            }
-        }
         match result {
-            Output::Organized(cloud) => io::write_cloud(output, CloudRef::Organized(cloud), encoding)?,
-            Output::General(cloud) => io::write_cloud(output, CloudRef::General(cloud), encoding)?,
+            Output::Organized(cloud) => {
+                report_holes(output, &cloud.points);
+                io::write_cloud(output, CloudRef::Organized(cloud), encoding)?;
+            }
+            Output::General(cloud) => {
+                report_holes(output, cloud);
+                io::write_cloud(output, CloudRef::General(cloud), encoding)?;
+            }
             &Output::Depth { width, height } => {
                 if let Some(depth_m) = &self.smoothed.depth_m {
                     io::write_depth_metres(output, width, depth_m)?;

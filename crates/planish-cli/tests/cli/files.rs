@@ -8,7 +8,7 @@ use planish::io::{self, Contents, Encoding, write_cloud};
 use planish::{AttributeValues, DepthImage, OrganizedCloud, SensorPose};
 use serde_json::Value;
 
-use super::{CAMERA, ok, planish, refused, small_frame, str, text, with_frame};
+use super::{CAMERA, json_line, ok, planish, refused, small_frame, str, text, with_frame};
 
 #[test]
 fn demo_halves_the_error_and_writes_its_three_files() {
@@ -431,4 +431,33 @@ fn camera_files_of_other_programs_are_read() {
     );
     assert_eq!(flat, smooth(&info.replace("K1", "0")));
     assert_ne!(flat, smooth(&info.replace("K1", "0.1")));
+}
+
+#[test]
+fn clean_removes_what_was_asked_for_and_keeps_fields_and_grids() {
+    let (folder, cloud, path) = with_frame();
+    let path_of = |name: &str| folder.path().join(name);
+    let cleaned = path_of("clean.pcd");
+    let report = json_line(&ok(&["clean", str(&path), str(&cleaned), "--statistical", "20,2", "--json"]));
+    let organized = OrganizedCloud::read(&cleaned).unwrap();
+    assert_eq!((organized.width(), organized.height()), (cloud.width(), cloud.height()));
+    let removed = report["statistical_outliers"].as_u64().unwrap() as usize;
+    assert!(removed > 0 && organized.points.valid_points() == cloud.points.valid_points() - removed);
+
+    let thinned = path_of("thin.ply");
+    let all = ["--crop", "-0.5,-0.5,0,0.5,0.5,3", "--voxel", "0.01", "--radius-outliers", "0.03,4", "--json"];
+    let report = json_line(&ok(&[&["clean", str(&path), str(&thinned)], &all[..]].concat()));
+    let Contents::General(points) = planish::io::read(&thinned).unwrap().1 else { panic!("a voxel is no pixel") };
+    assert_eq!(report["points_out"].as_u64().unwrap() as usize, points.len());
+    let removed = ["outside_box", "merged", "radius_outliers"].map(|step| report[step].as_u64().unwrap());
+    assert_eq!(report["points_in"].as_u64().unwrap() - removed.iter().sum::<u64>(), points.len() as u64);
+    assert!(removed.iter().all(|count| *count > 0), "{removed:?}");
+    assert!(points.positions.iter().all(|[x, y, _]| x.abs() <= 0.5 && y.abs() <= 0.5));
+
+    assert!(refused(&["clean", str(&path), str(&cleaned)]).contains("nothing to do"));
+    assert!(refused(&["clean", str(&path), str(&path), "--voxel", "0.01"]).contains("the only copy"));
+    assert!(refused(&["clean", str(&path), str(&cleaned), "--crop", "9,9,9,10,10,10"]).contains("no point is left"));
+    assert!(refused(&["clean", str(&path), str(&cleaned), "--crop", "9,9,9,1,1,1"]).contains("least x, y, z"));
+    assert!(refused(&["clean", str(&path), str(&cleaned), "--statistical", "a"]).contains("as 20,2"));
+    assert!(refused(&["clean", str(&path), str(&path_of("out.png")), "--voxel", "1"]).contains("holds depth"));
 }

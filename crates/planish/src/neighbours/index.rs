@@ -46,7 +46,7 @@ impl Bounds {
         Self { low: of(f32::min, [self.low, other.low]), high: of(f32::max, [self.high, other.high]) }
     }
 
-    fn of_point(point: [f32; 3]) -> Self {
+    pub(crate) fn of_point(point: [f32; 3]) -> Self {
         Self { low: point, high: point }
     }
 
@@ -173,6 +173,11 @@ impl PointIndex {
     #[inline(always)]
     pub(crate) fn moments(&self, leaf: usize) -> &LeafMoments {
         &self.moments[leaf]
+    }
+
+    /// The box around the points of a leaf.
+    pub(crate) fn leaf_bounds(&self, leaf: usize) -> Bounds {
+        self.levels[0][leaf]
     }
 
     /// How many leaves they fill.

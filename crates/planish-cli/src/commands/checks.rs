@@ -1,12 +1,11 @@
-//! What is refused before any smoothing.
+//! What the commands that write points have in common: what they refuse, what they report, how colours are written.
 
 use std::path::Path;
 
 use anyhow::{Result, bail};
 use planish::PointCloud;
 use planish::io::Format;
-
-use crate::args::SmoothArgs;
+use planish_bench::errln;
 
 /// A radius over this share of a cloud's extent is taken for a slip of units.
 const MAX_RADIUS_SHARE: f32 = 0.2;
@@ -16,21 +15,32 @@ const MOST_NEIGHBOURS: f64 = 5000.0;
 const FEW_POINTS: usize = 1000;
 
 /// Refuses, before anything is read, an output of no known format, and an encoding that its format does not have.
-pub fn check_output(args: &SmoothArgs, output: &Path) -> Result<()> {
-    match (Format::of_extension(output), args.encoding) {
+pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
+    match (Format::of_extension(output), encoding_is_given) {
         (None, _) => bail!(
             "{}: cannot tell the format to write: end the name in .pcd, .ply, .las, .laz, .xyz, .csv, .png, .tiff or .npy",
             output.display()
         ),
-        (Some(Format::Pcd | Format::Ply), _) | (_, None) => Ok(()),
-        (Some(format), Some(_)) => {
+        (Some(Format::Pcd | Format::Ply), _) | (_, false) => Ok(()),
+        (Some(format), true) => {
             bail!("{}: --encoding is for .pcd and .ply; {} has one encoding", output.display(), format.name())
         }
     }
 }
 
+/// Refuses to write over the input, unless that was asked for.
+pub fn check_not_input(input: &Path, output: &Path, overwrite: bool) -> Result<()> {
+    if !overwrite && is_same_file(input, output) {
+        bail!(
+            "{}: is the input, the only copy of what was measured: write to another file, or add --overwrite",
+            output.display()
+        );
+    }
+    Ok(())
+}
+
 /// Whether two names stand for one file, by links of either kind.
-pub fn is_same_file(a: &Path, b: &Path) -> bool {
+fn is_same_file(a: &Path, b: &Path) -> bool {
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt;
@@ -64,4 +74,36 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
          smaller --radius in the file's unit, or add --force",
         input.display()
     );
+}
+
+/// Reports what the columns of lines of text were taken for.
+pub fn report_columns(input: &Path, format: Format, cloud: &PointCloud) {
+    const MOST: usize = 12;
+    if !matches!(format, Format::Text | Format::Csv) {
+        return;
+    }
+    let names = cloud.attributes.iter().map(|attribute| attribute.name.as_str());
+    let columns: Vec<&str> = ["x", "y", "z"].into_iter().chain(names).collect();
+    let more = columns.len().checked_sub(MOST).filter(|more| *more > 0);
+    let more = more.map_or(String::new(), |more| format!(" and {more} more"));
+    errln!("{}: columns taken as {}{more}", input.display(), columns[..columns.len().min(MOST)].join(" "));
+}
+
+/// Reports holes that the format to write has no place for.
+pub fn report_holes(output: &Path, cloud: &PointCloud) {
+    if matches!(Format::of_extension(output), Some(Format::Las | Format::Laz)) {
+        let holes = cloud.len() - cloud.valid_points();
+        if holes > 0 {
+            errln!("{}: {holes} holes are left out, since LAS has no place for them", output.display());
+        }
+    }
+}
+
+/// Puts colours as the format to write has them.
+pub fn convert_colour(cloud: &mut PointCloud, read: Format, output: &Path) {
+    match Format::of_extension(output) {
+        Some(Format::Ply) if read != Format::Ply => cloud.unpack_colour(),
+        Some(Format::Pcd) if read == Format::Ply => cloud.pack_colour(),
+        _ => {}
+    }
 }

@@ -1,0 +1,59 @@
+// PCL's outlier filters and voxel grid, timed: FRAME.pcd RADIUS_M VOXEL_M. Prints lines of: operation, median ms of 5, points left.
+#include <pcl/filters/filter.h>
+#include <pcl/filters/radius_outlier_removal.h>
+#include <pcl/filters/statistical_outlier_removal.h>
+#include <pcl/filters/voxel_grid.h>
+#include <pcl/io/pcd_io.h>
+#include <pcl/point_types.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <vector>
+
+using Point = pcl::PointXYZRGB;
+using Cloud = pcl::PointCloud<Point>;
+
+template <class Filter>
+void report(const char *name, Filter filter) {
+  std::vector<double> times_ms;
+  Cloud out;
+  for (int run = 0; run < 5; ++run) {
+    const auto start = std::chrono::steady_clock::now();
+    filter(out);
+    const std::chrono::duration<double, std::milli> time = std::chrono::steady_clock::now() - start;
+    times_ms.push_back(time.count());
+  }
+  std::sort(times_ms.begin(), times_ms.end());
+  std::printf("%s %.2f %zu\n", name, times_ms[2], out.size());
+}
+
+int main(int argc, char **argv) {
+  if (argc != 4) return 2;
+  Cloud::Ptr cloud(new Cloud);
+  if (pcl::io::loadPCDFile(argv[1], *cloud) != 0) return 1;
+  pcl::Indices kept;
+  pcl::removeNaNFromPointCloud(*cloud, *cloud, kept);
+  const double radius = std::atof(argv[2]), voxel = std::atof(argv[3]);
+  report("statistical", [&](Cloud &out) {
+    pcl::StatisticalOutlierRemoval<Point> filter;
+    filter.setInputCloud(cloud);
+    filter.setMeanK(20);
+    filter.setStddevMulThresh(2.0);
+    filter.filter(out);
+  });
+  report("radius", [&](Cloud &out) {
+    pcl::RadiusOutlierRemoval<Point> filter;
+    filter.setInputCloud(cloud);
+    filter.setRadiusSearch(radius);
+    filter.setMinNeighborsInRadius(5);
+    filter.filter(out);
+  });
+  report("voxel", [&](Cloud &out) {
+    pcl::VoxelGrid<Point> filter;
+    filter.setInputCloud(cloud);
+    filter.setLeafSize(voxel, voxel, voxel);
+    filter.filter(out);
+  });
+}

@@ -1,0 +1,266 @@
+//! Points far from all others.
+//!
+//! Both tests visit the points leaf by leaf of a [`PointIndex`]: the leaves around one are gathered once for its 16 points, whose
+//! distances to all that was gathered are computed in vectors, whatever the machine has.
+
+use fearless_simd::{Level, dispatch};
+use rayon::prelude::*;
+
+use crate::error::ParamError;
+use crate::frame::PointsView;
+use crate::neighbours::{Bounds, LEAF, PointIndex};
+
+/// Leaves of a task.
+const LEAVES_PER_TASK: usize = 64;
+
+/// A leaf wider than so many times the reach has strays, whose neighbours are gathered one by one.
+const WIDEST_LEAF: f32 = 4.0;
+
+/// Marks the points whose mean distance to their nearest `neighbours` is larger than the mean of all such distances by more than
+/// `deviations` of their standard deviations: the statistical test of PCL and Open3D (Rusu et al., 2008).
+///
+/// `neighbours` does not count the point itself, as in PCL; Open3D's `nb_neighbors` does.
+///
+/// # Errors
+/// If `neighbours` is not 1 to 1000, or `deviations` no positive number.
+pub fn statistical_outliers(
+    points: &PointsView<'_>,
+    neighbours: usize,
+    deviations: f32,
+) -> Result<Vec<bool>, ParamError> {
+    if !(1..=1000).contains(&neighbours) {
+        return Err(ParamError { field: "neighbours", value: neighbours.to_string(), allowed: "1 to 1000" });
+    }
+    check_positive("deviations", deviations)?;
+    let index = index_of(points);
+    let level = Level::new();
+    let mut means_m = vec![0.0f32; LEAF * index.leaves()];
+    means_m.par_chunks_mut(LEAF * LEAVES_PER_TASK).enumerate().for_each(|(task, means_m)| {
+        let mut search = Search::new(&index);
+        dispatch!(level, simd => { let _ = simd; search.mean_distances(LEAVES_PER_TASK * task, neighbours, means_m) });
+    });
+    let mean_of = |i: usize| index.place(i).map(|place| f64::from(means_m[place]));
+    let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
+    for mean_m in (0..points.len()).filter_map(mean_of) {
+        count += 1.0;
+        sum += mean_m;
+        squares += mean_m * mean_m;
+    }
+    let variance: f64 = (squares - sum * sum / f64::max(count, 1.0)) / f64::max(count - 1.0, 1.0);
+    let most_m = sum / f64::max(count, 1.0) + f64::from(deviations) * variance.max(0.0).sqrt();
+    Ok((0..points.len()).into_par_iter().map(|i| mean_of(i).is_some_and(|mean_m| mean_m > most_m)).collect())
+}
+
+/// Marks the points that have fewer than `least` others within `radius_m`, as PCL and Open3D do.
+///
+/// # Errors
+/// If the radius is no positive number, or `least` 0.
+pub fn radius_outliers(points: &PointsView<'_>, radius_m: f32, least: usize) -> Result<Vec<bool>, ParamError> {
+    check_positive("radius", radius_m)?;
+    if least == 0 {
+        return Err(ParamError { field: "neighbours", value: "0".into(), allowed: "1 or more" });
+    }
+    let index = index_of(points);
+    let level = Level::new();
+    let mut is_outlier = vec![false; LEAF * index.leaves()];
+    is_outlier.par_chunks_mut(LEAF * LEAVES_PER_TASK).enumerate().for_each(|(task, is_outlier)| {
+        let mut search = Search::new(&index);
+        let first = LEAVES_PER_TASK * task;
+        dispatch!(level, simd => { let _ = simd; search.are_alone(first, radius_m, least, is_outlier) });
+    });
+    Ok((0..points.len()).into_par_iter().map(|i| index.place(i).is_some_and(|place| is_outlier[place])).collect())
+}
+
+fn check_positive(field: &'static str, value: f32) -> Result<(), ParamError> {
+    if value > 0.0 && value.is_finite() {
+        return Ok(());
+    }
+    Err(ParamError { field, value: value.to_string(), allowed: "a number above 0" })
+}
+
+fn index_of(points: &PointsView<'_>) -> PointIndex {
+    let mut index = PointIndex::default();
+    index.fill(points);
+    index
+}
+
+/// The points around some of a leaf.
+struct Search<'a> {
+    index: &'a PointIndex,
+    positions: [Vec<f32>; 3],
+    counts: Vec<f32>,
+    /// Whether several points are at one of these positions.
+    has_repeated: bool,
+    squares: Vec<f32>,
+    nearest: Vec<f32>,
+}
+
+impl<'a> Search<'a> {
+    fn new(index: &'a PointIndex) -> Self {
+        let (positions, counts, squares, nearest) = Default::default();
+        Self { index, positions, counts, has_repeated: false, squares, nearest }
+    }
+
+    /// Gathers the leaves that come nearer to a box than `reach_m`; whether these are all there are.
+    #[inline(always)]
+    fn gather(&mut self, bounds: &Bounds, reach_m: f32) -> bool {
+        let Self { index, positions, counts, .. } = self;
+        positions.iter_mut().for_each(Vec::clear);
+        counts.clear();
+        let wanted = Bounds { low: bounds.low.map(|value| value - reach_m), high: bounds.high.map(|v| v + reach_m) };
+        let mut leaves = 0;
+        index.for_each_leaf(
+            |bounds| bounds.overlaps(&wanted),
+            |leaf, _| {
+                let places = LEAF * leaf..LEAF * (leaf + 1);
+                for (values, all) in positions.iter_mut().zip(&index.positions) {
+                    values.extend_from_slice(&all[places.clone()]);
+                }
+                counts.extend_from_slice(&index.counts[places]);
+                leaves += 1;
+            },
+        );
+        self.has_repeated = self.counts.iter().any(|count| *count > 1.0);
+        leaves == index.leaves()
+    }
+
+    /// Squares of the distances from a point to all that was gathered; NaN beyond the last of a leaf.
+    #[inline(always)]
+    fn measure(&mut self, point: [f32; 3]) {
+        let [x, y, z] = &self.positions;
+        self.squares.resize(x.len(), 0.0);
+        for (((square, x), y), z) in self.squares.iter_mut().zip(x).zip(y).zip(z) {
+            let (dx, dy, dz) = (x - point[0], y - point[1], z - point[2]);
+            *square = dx * dx + dy * dy + dz * dz;
+        }
+    }
+
+    /// The places of a leaf and the boxes to gather around: one for all, or one for each where the leaf has strays.
+    #[inline(always)]
+    fn groups(&self, leaf: usize, reach_m: f32) -> impl Iterator<Item = (std::ops::Range<usize>, Bounds)> + use<> {
+        let places = LEAF * leaf..(LEAF * (leaf + 1)).min(self.index.len());
+        let bounds = self.index.leaf_bounds(leaf);
+        let is_wide = (0..3).any(|axis| bounds.high[axis] - bounds.low[axis] > WIDEST_LEAF * reach_m);
+        let points: [[f32; 3]; LEAF] =
+            std::array::from_fn(|i| self.index.point((places.start + i).min(places.end - 1)));
+        let each = if is_wide { 1 } else { LEAF };
+        let first = places.start;
+        places.clone().step_by(each).map(move |start| {
+            let own = if is_wide { Bounds::of_point(points[start - first]) } else { bounds };
+            (start..(start + each).min(places.end), own)
+        })
+    }
+
+    /// The mean distance from each point of some leaves to its nearest so many.
+    #[inline(always)]
+    fn mean_distances(&mut self, first_leaf: usize, neighbours: usize, means_m: &mut [f32]) {
+        // Of the leaf before, which lies beside this one.
+        let mut reach_m = 0.0;
+        for (leaf, means_m) in (first_leaf..).zip(means_m.chunks_mut(LEAF)) {
+            if reach_m == 0.0 {
+                reach_m = self.first_reach_m(leaf, neighbours);
+            }
+            let mut largest_m = 0.0f32;
+            for (places, bounds) in self.groups(leaf, reach_m) {
+                let mut reach_m = reach_m;
+                let mut has_all = self.gather(&bounds, reach_m);
+                for place in places {
+                    let farthest_m = loop {
+                        match self.mean_of_nearest(place, neighbours, if has_all { f32::INFINITY } else { reach_m }) {
+                            Some((mean_m, farthest_m)) => {
+                                means_m[place % LEAF] = mean_m;
+                                break farthest_m;
+                            }
+                            None => {
+                                reach_m *= 1.5;
+                                has_all = self.gather(&bounds, reach_m);
+                            }
+                        }
+                    };
+                    largest_m = largest_m.max(farthest_m);
+                }
+            }
+            // A stray's reach would gather far too much for the next.
+            reach_m = (1.1 * largest_m).clamp(0.5 * reach_m, 2.0 * reach_m);
+        }
+    }
+
+    /// Somewhat more than the distance from the first point of a leaf to its nearest so many.
+    fn first_reach_m(&self, leaf: usize, neighbours: usize) -> f32 {
+        let nearest = self.index.nearest(self.index.point(LEAF * leaf)).take(neighbours + 1);
+        1.1 * nearest.last().unwrap_or(0.0).sqrt().max(f32::MIN_POSITIVE.sqrt())
+    }
+
+    /// The mean distance from a point to its nearest so many, and the largest; `None` if so many are not within the reach.
+    #[inline(always)]
+    fn mean_of_nearest(&mut self, place: usize, neighbours: usize, reach_m: f32) -> Option<(f32, f32)> {
+        self.measure(self.index.point(place));
+        let most = reach_m * reach_m;
+        self.nearest.resize(self.squares.len(), 0.0);
+        let mut within = 0;
+        for &square in &self.squares {
+            self.nearest[within] = square;
+            // Also false for NaN.
+            within += usize::from(square <= most);
+        }
+        self.nearest.truncate(within);
+        if self.has_repeated {
+            // They count as often as they are there.
+            for (&square, &count) in self.squares.iter().zip(&self.counts).filter(|(square, _)| **square <= most) {
+                self.nearest.extend(std::iter::repeat_n(square, (count as usize - 1).min(neighbours)));
+            }
+        }
+        // The point itself is among them, at no distance.
+        if self.nearest.len() <= neighbours {
+            if reach_m.is_finite() {
+                return None;
+            }
+            let farthest = self.nearest.iter().copied().fold(0.0, f32::max);
+            let sum: f64 = self.nearest.iter().map(|&square| f64::from(square).sqrt()).sum();
+            return Some(((sum / (self.nearest.len().max(2) - 1) as f64) as f32, farthest.sqrt()));
+        }
+        let (nearer, &mut farthest, _) = self.nearest.select_nth_unstable_by(neighbours, f32::total_cmp);
+        let farthest_m = farthest.sqrt();
+        let sum: f64 = nearer.iter().map(|square| f64::from(square.sqrt())).sum();
+        Some((((sum + f64::from(farthest_m)) / neighbours as f64) as f32, farthest_m))
+    }
+
+    /// Whether the points of a leaf have enough others within the radius in it and the leaves before and after it alone, which
+    /// is so for most and soon found out.
+    #[inline(always)]
+    fn have_company(&self, leaf: usize, most: f32, least: usize) -> bool {
+        let [x, y, z] = &self.index.positions;
+        let around = LEAF * leaf.saturating_sub(1)..(LEAF * (leaf + 2)).min(x.len());
+        let has_company = |place: usize| {
+            let squares =
+                x[around.clone()].iter().zip(&y[around.clone()]).zip(&z[around.clone()]).map(|((u, v), w)| {
+                    let (dx, dy, dz) = (u - x[place], v - y[place], w - z[place]);
+                    dx * dx + dy * dy + dz * dz
+                });
+            let counts = squares.zip(&self.index.counts[around.clone()]);
+            let count: f32 = counts.map(|(square, count)| if square <= most { *count } else { 0.0 }).sum();
+            count as usize > least
+        };
+        (LEAF * leaf..(LEAF * (leaf + 1)).min(self.index.len())).all(has_company)
+    }
+
+    /// Whether each point of some leaves has fewer than `least` others within the radius.
+    #[inline(always)]
+    fn are_alone(&mut self, first_leaf: usize, radius_m: f32, least: usize, is_outlier: &mut [bool]) {
+        let most = radius_m * radius_m;
+        for (leaf, is_outlier) in (first_leaf..).zip(is_outlier.chunks_mut(LEAF)) {
+            if self.have_company(leaf, most, least) {
+                continue;
+            }
+            for (places, bounds) in self.groups(leaf, radius_m) {
+                self.gather(&bounds, radius_m);
+                for place in places {
+                    self.measure(self.index.point(place));
+                    let within = self.squares.iter().zip(&self.counts);
+                    let count: f32 = within.map(|(square, count)| if *square <= most { *count } else { 0.0 }).sum();
+                    is_outlier[place % LEAF] = (count as usize) <= least;
+                }
+            }
+        }
+    }
+}
