@@ -127,6 +127,10 @@ fn samples() -> Vec<(Format, Vec<u8>)> {
     }
     io::write_cloud(&folder.path().join("a.npy"), &cloud, Encoding::Binary).unwrap();
     keep("a.npy", Format::Npy);
+    for (name, format) in [("a.npz", Format::Npz), ("a.e57", Format::E57)] {
+        io::write_cloud(&folder.path().join(name), &cloud, Encoding::Binary).unwrap();
+        keep(name, format);
+    }
     for (name, format) in [("d.png", Format::DepthPng), ("d.tiff", Format::DepthTiff), ("d.npy", Format::Npy)] {
         io::write_depth(&folder.path().join(name), &image).unwrap();
         keep(name, format);
@@ -149,7 +153,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn damaged_files_never_panic(sample in 0usize..9, hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6)) {
+    fn damaged_files_never_panic(sample in 0usize..11, hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6)) {
         let (format, mut bytes) = samples().swap_remove(sample);
         for (index, value) in hits {
             let at = index.index(bytes.len());

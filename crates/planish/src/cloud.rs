@@ -128,6 +128,9 @@ pub struct PointCloud {
     /// written back with the cloud.
     #[cfg(feature = "io")]
     pub(crate) las_header: Option<std::sync::Arc<las::Header>>,
+    /// The same of the scans of an E57 file.
+    #[cfg(feature = "io")]
+    pub(crate) e57_scans: Option<std::sync::Arc<crate::io::Scans>>,
 }
 
 impl PointCloud {
@@ -141,6 +144,8 @@ impl PointCloud {
             pose: SensorPose::IDENTITY,
             #[cfg(feature = "io")]
             las_header: None,
+            #[cfg(feature = "io")]
+            e57_scans: None,
         }
     }
 
@@ -206,6 +211,8 @@ impl PointCloud {
             pose: self.pose,
             #[cfg(feature = "io")]
             las_header: self.las_header.clone(),
+            #[cfg(feature = "io")]
+            e57_scans: self.e57_scans.clone(),
         }
     }
 

@@ -82,7 +82,7 @@ pub struct DemoArgs {
 
 #[derive(clap::Args)]
 pub struct SmoothArgs {
-    /// A cloud (.pcd, .ply, .las, .laz, .xyz, .csv, .npy), a depth image (.png, .tiff, .npy), or a folder of them
+    /// A cloud (.pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npy, .npz, .bin, .obj, .stl), a depth image (.png, .tiff, .npy), or a folder of them
     pub input: PathBuf,
     /// The file or folder to write; depth in and .png, .tiff or .npy out gives depth
     pub output: PathBuf,

@@ -17,10 +17,9 @@ const FEW_POINTS: usize = 1000;
 /// Refuses, before anything is read, an output of no known format, and an encoding that its format does not have.
 pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
     match (Format::of_extension(output), encoding_is_given) {
-        (None, _) => bail!(
-            "{}: cannot tell the format to write: end the name in .pcd, .ply, .las, .laz, .xyz, .csv, .png, .tiff or .npy",
-            output.display()
-        ),
+        (None, _) => {
+            bail!("{}: cannot tell the format to write: end the name in {}", output.display(), planish::io::WRITTEN)
+        }
         (Some(Format::Pcd | Format::Ply), _) | (_, false) => Ok(()),
         (Some(format), true) => {
             bail!("{}: --encoding is for .pcd and .ply; {} has one encoding", output.display(), format.name())

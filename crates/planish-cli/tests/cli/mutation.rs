@@ -52,7 +52,7 @@ fn seeds(folder: &Path) -> Vec<(&'static str, Vec<u8>)> {
     write_cloud(&path("points.npy"), &cloud, Encoding::Binary).unwrap();
     let mut with_field = cloud.points.clone();
     with_field.set_attribute("confidence", vec![0.5f32; cloud.points.len()]);
-    for name in ["points.las", "points.laz"] {
+    for name in ["points.las", "points.laz", "points.e57", "points.npz"] {
         write_cloud(&path(name), &with_field, Encoding::Binary).unwrap();
     }
     let image = DepthImage { width: SIZE.0, height: SIZE.1, raw: frame.raw };
@@ -70,6 +70,8 @@ fn seeds(folder: &Path) -> Vec<(&'static str, Vec<u8>)> {
         "points.npy",
         "points.las",
         "points.laz",
+        "points.e57",
+        "points.npz",
         "depth.png",
         "depth.tiff",
         "depth.npy",

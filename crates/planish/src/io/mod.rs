@@ -7,8 +7,12 @@ mod camera_file;
 mod columns;
 mod depth_png;
 mod depth_tiff;
+mod e57;
+mod kitti;
 mod las;
+mod mesh;
 mod npy;
+mod npz;
 mod pcd;
 mod ply;
 #[cfg(any(feature = "internal", feature = "stream"))]
@@ -26,6 +30,7 @@ use crate::cloud::{OrganizedCloud, PointCloud};
 use crate::error::{FormatError, IoError};
 use crate::frame::{DepthFrame, DepthImage};
 
+pub(crate) use self::e57::Scans;
 pub use camera_file::{camera_to_json, parse_camera, read_camera};
 pub use pcd::Encoding;
 #[cfg(feature = "stream")]
@@ -76,6 +81,38 @@ pub(crate) mod internal {
     pub use super::rgb_png::{read_rgb_png, write_rgb_png};
 }
 
+/// The endings of what can be written, for messages.
+pub const WRITTEN: &str = ".pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npz, .bin, .png, .tiff or .npy";
+
+/// Formats of other programs that are not read, and what converts them: endings, and what to do.
+const CONVERTIBLE: [(&[&str], &str); 7] = [
+    (
+        &["fls", "fws", "lsproj", "rcp", "rcs", "zfs", "dp", "imp"],
+        "a scanner maker's own format: export E57 or LAS from its program",
+    ),
+    (
+        &["bag", "db3", "mcap"],
+        "a recording of ROS: extract its clouds as PCD (ros2 run pcl_ros bag_to_pcd, or `pip install rosbags`)",
+    ),
+    (&["pcap", "pcapng"], "packets of a lidar: extract clouds with its driver (ouster-cli, VeloView, pcap tools)"),
+    (&["oni", "klg", "svo", "svo2"], "a camera's recording: export depth images with its own tool"),
+    (
+        &["vtk", "vtp", "off", "glb", "gltf", "fbx", "3ds", "dae", "wrl", "x3d"],
+        "a mesh: convert it to PLY (MeshLab, or open3d.io)",
+    ),
+    (
+        &["exr", "hdr", "pfm", "dpt", "h5", "hdf5", "mat", "parquet"],
+        "an array of another program: save it as .npy or .npz",
+    ),
+    (&["ptx", "ptg"], "a scanner's text: convert it to E57 (CloudCompare) to keep its poses"),
+];
+
+/// What to do about a file of an ending that is not read, if that is known.
+fn what_converts(path: &Path) -> Option<&'static str> {
+    let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+    CONVERTIBLE.iter().find(|(endings, _)| endings.contains(&extension.as_str())).map(|(_, what)| *what)
+}
+
 /// The file formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
@@ -98,6 +135,18 @@ pub enum Format {
     Text,
     /// The same with commas, and names above.
     Csv,
+    /// A NumPy archive of points and their fields, or of depth.
+    Npz,
+    /// ASTM E57: scans with their poses.
+    E57,
+    /// KITTI's lidar scans: x, y, z, intensity as f32.
+    KittiBin,
+    /// The same of nuScenes, with a ring.
+    NuScenesBin,
+    /// The vertices of a Wavefront OBJ; read, not written.
+    Obj,
+    /// The vertices of an STL; read, not written.
+    Stl,
 }
 
 impl Format {
@@ -113,6 +162,12 @@ impl Format {
             Self::Laz => "LAZ",
             Self::Text => "text",
             Self::Csv => "CSV",
+            Self::Npz => "NPZ",
+            Self::E57 => "E57",
+            Self::KittiBin => "KITTI .bin",
+            Self::NuScenesBin => "nuScenes .pcd.bin",
+            Self::Obj => "OBJ",
+            Self::Stl => "STL",
         }
     }
 
@@ -128,14 +183,21 @@ impl Format {
             "laz" => Some(Self::Laz),
             "xyz" | "txt" | "asc" | "pts" => Some(Self::Text),
             "csv" => Some(Self::Csv),
+            "npz" => Some(Self::Npz),
+            "e57" => Some(Self::E57),
+            "bin" if path.file_stem()?.to_str()?.to_ascii_lowercase().ends_with(".pcd") => Some(Self::NuScenesBin),
+            "bin" => Some(Self::KittiBin),
+            "obj" => Some(Self::Obj),
+            "stl" => Some(Self::Stl),
             _ => None,
         }
     }
 
     /// Whether a file of this extension in a folder is taken for a frame: .txt and .csv may be anything.
     pub fn is_of_frames(path: &Path) -> bool {
-        let may_be_anything =
-            |extension: &std::ffi::OsStr| ["txt", "csv"].iter().any(|name| extension.eq_ignore_ascii_case(name));
+        let may_be_anything = |extension: &std::ffi::OsStr| {
+            ["txt", "csv", "npz", "obj", "stl"].iter().any(|name| extension.eq_ignore_ascii_case(name))
+        };
         Self::of_extension(path).is_some() && !path.extension().is_some_and(may_be_anything)
     }
 
@@ -150,6 +212,10 @@ impl Format {
             Some(Self::DepthTiff)
         } else if starts(b"\x93NUMPY") {
             Some(Self::Npy)
+        } else if starts(b"PK\x03\x04") {
+            Some(Self::Npz)
+        } else if starts(b"ASTM-E57") {
+            Some(Self::E57)
         } else if starts(b"LASF") {
             Some(las::format_of(bytes))
         } else if starts(b"# .PCD") || starts(b"VERSION") || starts(b"FIELDS") {
@@ -161,9 +227,7 @@ impl Format {
 
     fn of_output(path: &Path) -> FormatResult<Self> {
         Self::of_extension(path).ok_or_else(|| {
-            FormatError::Unsupported(
-                "cannot tell the format to write: end the name in .pcd, .ply, .las, .laz, .xyz, .csv, .png, .tiff or .npy".into(),
-            )
+            FormatError::Unsupported(format!("cannot tell the format to write: end the name in {WRITTEN}"))
         })
     }
 }
@@ -263,6 +327,10 @@ pub struct FileRead {
 pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError> {
     let read = || {
         let bytes = read_bytes(path, options)?;
+        if let (None, None, Some(what)) = (Format::of_contents(&bytes), Format::of_extension(path), what_converts(path))
+        {
+            return Err(FormatError::Unsupported(what.into()));
+        }
         let (format, contents) = decode_with(&bytes, Format::of_extension(path), options)?;
         let encoding = match format {
             Format::Pcd => pcd::encoding(&bytes),
@@ -310,7 +378,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
     }
     let format = Format::of_contents(bytes).or(announced).ok_or_else(|| {
         FormatError::Unsupported(
-            "not a point cloud or depth image: it is none of PCD, PLY, LAS, LAZ, XYZ text, CSV, 16-bit PNG or TIFF, NPY".into(),
+            "not a point cloud or depth image: it is none of PCD, PLY, LAS, LAZ, E57, XYZ text, CSV, NPY, NPZ, lidar .bin, OBJ, STL, 16-bit PNG or TIFF".into(),
         )
     })?;
     let contents = match format {
@@ -321,6 +389,12 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
         Format::Npy => npy::decode(bytes, options),
         Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options)?)),
         Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options)?)),
+        Format::Npz => npz::decode(bytes, options),
+        Format::E57 => Ok(Contents::General(self::e57::decode(bytes, options)?)),
+        Format::KittiBin => Ok(Contents::General(kitti::decode(bytes, false, options)?)),
+        Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options)?)),
+        Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options)?)),
+        Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
     }?;
     Ok((format, contents))
 }
@@ -395,6 +469,13 @@ pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: En
             }
             Format::Text => xyz_text::encode(cloud, Heading::Comment),
             Format::Csv => xyz_text::encode(cloud, Heading::Names),
+            Format::Npz => npz::encode(cloud),
+            Format::E57 => self::e57::encode(cloud.points()),
+            Format::KittiBin => kitti::encode(cloud, false),
+            Format::NuScenesBin => kitti::encode(cloud, true),
+            Format::Obj | Format::Stl => Err(FormatError::Unsupported(
+                "a mesh has faces, which points have not: end the name in .ply, which meshing programs read".into(),
+            )),
             Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
                 "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
             )),
@@ -409,9 +490,9 @@ pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
         Format::DepthPng => depth_png::encode(image),
         Format::DepthTiff => depth_tiff::encode(image),
         Format::Npy => npy::encode_depth(image),
-        Format::Pcd | Format::Ply | Format::Las | Format::Laz | Format::Text | Format::Csv => Err(
-            FormatError::Unsupported("this format holds points, not depth: end the name in .png, .tiff or .npy".into()),
-        ),
+        _ => Err(FormatError::Unsupported(
+            "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),
+        )),
     };
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }

@@ -18,7 +18,7 @@ const MAX_HEADER_BYTES: usize = 16 * 1024;
 const MAX_NESTING: usize = 4;
 
 /// Refuses headers that are cut short, or that no array of numbers has, before the library parses them.
-fn check_header(bytes: &[u8]) -> Result<(), FormatError> {
+pub(super) fn check_header(bytes: &[u8]) -> Result<(), FormatError> {
     let cut = || FormatError::Malformed("the file is cut short: its NPY header is not whole".into());
     let (start, stated) = match bytes.get(6..).ok_or_else(cut)? {
         [1, _, low, high, ..] => (10, usize::from(u16::from_le_bytes([*low, *high]))),
@@ -111,7 +111,10 @@ fn points_f64(width: usize, height: usize, values: Vec<f64>) -> Result<Contents,
     organized_if_grid(Gridded { width, height, points })
 }
 
-fn encode<T: AutoSerialize + Copy>(shape: &[u64], values: impl Iterator<Item = T>) -> Result<Vec<u8>, FormatError> {
+pub(super) fn encode<T: AutoSerialize + Copy>(
+    shape: &[u64],
+    values: impl Iterator<Item = T>,
+) -> Result<Vec<u8>, FormatError> {
     let mut bytes = Vec::new();
     let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd()?;
     writer.extend(values)?;

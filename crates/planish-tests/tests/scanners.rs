@@ -1,0 +1,206 @@
+//! Formats of scanners, lidars, meshes and NumPy archives.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use e57::{E57Writer, Quaternion, Record, RecordDataType, RecordName, RecordValue, Transform, Translation};
+use planish::io::{self, Contents, Encoding, Format};
+use planish::{AttributeValues, OrganizedCloud, PointCloud, Xyz};
+use planish_tests::data::folder;
+
+fn cloud(count: usize) -> PointCloud {
+    let mut cloud = PointCloud::new((0..count).map(|i| [0.1 * i as f32, 0.25, -1.5 + i as f32]).collect());
+    cloud.set_attribute("intensity", (0..count).map(|i| 0.5 * i as f32).collect::<Vec<_>>());
+    cloud
+}
+
+fn write_and_read(cloud: &PointCloud, name: &str) -> (Format, PointCloud) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    io::write_cloud(&path, cloud, Encoding::Binary).unwrap();
+    read(&path)
+}
+
+fn read(path: &Path) -> (Format, PointCloud) {
+    match io::read(path).unwrap() {
+        (format, Contents::General(cloud)) => (format, cloud),
+        (format, _) => panic!("{format:?} of a general cloud"),
+    }
+}
+
+fn decode(bytes: &[u8], format: Format) -> Result<PointCloud, String> {
+    match io::decode(bytes, Some(format)).map_err(|error| error.to_string())? {
+        (_, Contents::General(cloud)) => Ok(cloud),
+        _ => panic!("no general cloud"),
+    }
+}
+
+/// Two scans, one turned and far away, the second with colours; a point of the first is invalid.
+fn two_scans() -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();
+    let double = RecordDataType::Double { min: None, max: None };
+    let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+    let position = || axes.clone().map(|name| Record { name, data_type: double.clone() }).to_vec();
+    let state = RecordDataType::Integer { min: 0, max: 2 };
+    let first = [position(), vec![Record { name: RecordName::CartesianInvalidState, data_type: state }]].concat();
+    let mut scan = writer.add_pointcloud("{first}", first).unwrap();
+    scan.set_name(Some("cellar".into()));
+    // A quarter turn about z.
+    let half = 0.5f64.sqrt();
+    scan.set_transform(Some(Transform {
+        rotation: Quaternion { w: half, x: 0.0, y: 0.0, z: half },
+        translation: Translation { x: 500_000.0, y: 5_000_000.0, z: 120.0 },
+    }));
+    for (p, state) in [([1.0, 0.0, 0.5], 0), ([9.0, 9.0, 9.0], 2), ([0.0, 2.0, 0.25], 0)] {
+        let mut values = p.map(RecordValue::Double).to_vec();
+        values.push(RecordValue::Integer(state));
+        scan.add_point(values).unwrap();
+    }
+    scan.finalize().unwrap();
+    let channels = [RecordName::ColorRed, RecordName::ColorGreen, RecordName::ColorBlue];
+    let channel = |name| Record { name, data_type: RecordDataType::Integer { min: 0, max: 255 } };
+    let second = [position(), channels.map(channel).to_vec()].concat();
+    let mut scan = writer.add_pointcloud("{second}", second).unwrap();
+    let colour = [7, 8, 9].map(RecordValue::Integer);
+    scan.add_point([&[500_003.0, 5_000_001.0, 121.0].map(RecordValue::Double)[..], &colour].concat()).unwrap();
+    scan.finalize().unwrap();
+    writer.finalize().unwrap();
+    drop(writer);
+    bytes.into_inner()
+}
+
+#[test]
+fn scans_of_an_e57_are_one_cloud_in_the_frame_of_the_file_and_are_written_back_each_in_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["in.e57", "out.e57"].map(|name| folder.path().join(name));
+    std::fs::write(&input, two_scans()).unwrap();
+    let (format, cloud) = read(&input);
+    assert_eq!((format, cloud.len(), cloud.valid_points()), (Format::E57, 4, 3));
+    let at = |i: usize| [0, 1, 2].map(|axis| cloud.origin_m[axis] + f64::from(cloud.positions.get(i)[axis]));
+    for (i, expected) in [(0, [500_000.0, 5_000_001.0, 120.5]), (2, [499_998.0, 5_000_000.0, 120.25])] {
+        assert!(at(i).iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-6), "{:?}", at(i));
+    }
+    assert_eq!(at(3), [500_003.0, 5_000_001.0, 121.0]);
+    let values = |name: &str| cloud.attribute(name).unwrap().values.clone();
+    assert_eq!(values("scan"), AttributeValues::U16(vec![0, 0, 0, 1]));
+    assert_eq!(values("green"), AttributeValues::U8(vec![0, 0, 0, 8]));
+
+    io::write_cloud(&output, &cloud, Encoding::Binary).unwrap();
+    let again = read(&output).1;
+    assert_eq!((again.len(), again.valid_points(), again.origin_m), (4, 3, cloud.origin_m));
+    assert_eq!(again.attributes, cloud.attributes);
+    let reader = e57::E57Reader::from_file(&output).unwrap();
+    let scans = reader.pointclouds();
+    assert_eq!(scans.iter().map(|scan| scan.records).collect::<Vec<_>>(), [3, 1]);
+    assert_eq!(scans[0].name.as_deref(), Some("cellar"));
+    assert_eq!(scans[0].transform.as_ref().unwrap().translation.y, 5_000_000.0);
+}
+
+#[test]
+fn any_field_goes_through_an_e57() {
+    let mut cloud = cloud(5);
+    cloud.set_attribute("label", vec![1u8, 2, 3, 4, 250]);
+    cloud.set_attribute("normal_x", vec![0.5f32; 5]);
+    cloud.set_attribute("gps_time", vec![1e9 + 0.25; 5]);
+    cloud.set_attribute("reflectance", vec![-3i16, 2, 1, 0, 5]);
+    let again = write_and_read(&cloud, "cloud.e57").1;
+    assert_eq!(again.positions, cloud.positions);
+    assert_eq!(again.attribute("normal_x"), cloud.attribute("normal_x"));
+    for (name, expected) in [("label", [1.0, 2.0, 3.0, 4.0, 250.0]), ("reflectance", [-3.0, 2.0, 1.0, 0.0, 5.0])] {
+        let found = match &again.attribute(name).unwrap().values {
+            AttributeValues::U8(values) => values.iter().map(|&value| f64::from(value)).collect::<Vec<_>>(),
+            AttributeValues::I32(values) => values.iter().map(|&value| f64::from(value)).collect(),
+            other => panic!("{name}: {other:?}"),
+        };
+        assert_eq!(found, expected);
+    }
+    assert_eq!(again.attribute("gps_time"), cloud.attribute("gps_time"));
+}
+
+#[test]
+fn real_e57_files_are_read_or_refused() {
+    let Some(data) = folder("real E57 files") else { return };
+    let read = |name: &str| io::read(&data.join("readers").join(name)).map_err(|error| error.to_string());
+    let (format, Contents::General(cloud)) = read("tinyCartesianFloatRgb.e57").unwrap() else { panic!("no cloud") };
+    assert!(format == Format::E57 && cloud.rgb().is_some() && cloud.valid_points() == cloud.len() && cloud.len() > 1);
+    let error = read("corrupt_crc.e57").err().unwrap();
+    assert!(error.contains("damaged E57") && error.len() < 400, "{error}");
+    // A file that other readers failed on.
+    assert!(read("read_error.e57").is_ok_and(|(_, contents)| contents.shape().0 > 1000));
+    // Whatever is in there, it is no panic.
+    let _ = read("empty_pc.e57");
+}
+
+#[test]
+fn an_archive_has_its_fields_and_its_grid() {
+    let mut cloud = cloud(6);
+    cloud.set_attribute("label", vec![1u8, 2, 3, 4, 5, 6]);
+    let (format, again) = write_and_read(&cloud, "cloud.npz");
+    assert_eq!((format, &again.positions, &again.attributes), (Format::Npz, &cloud.positions, &cloud.attributes));
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("grid.npz");
+    let organized = OrganizedCloud::new(3, 2, cloud.clone()).unwrap();
+    io::write_cloud(&path, &organized, Encoding::Binary).unwrap();
+    let (_, Contents::Organized(again)) = io::read(&path).unwrap() else { panic!("the grid is lost") };
+    assert_eq!((again.width(), &again.points.attributes), (3, &cloud.attributes));
+}
+
+#[test]
+fn lidar_scans_are_told_apart_by_their_names() {
+    let mut cloud = cloud(7);
+    let (format, again) = write_and_read(&cloud, "000000.bin");
+    assert_eq!((format, &again.positions, &again.attributes), (Format::KittiBin, &cloud.positions, &cloud.attributes));
+    cloud.set_attribute("ring", vec![3.0f32; 7]);
+    let (format, again) = write_and_read(&cloud, "000000.pcd.bin");
+    assert_eq!((format, &again.attributes), (Format::NuScenesBin, &cloud.attributes));
+    assert!(decode(&[0; 33], Format::KittiBin).unwrap_err().contains("33 bytes"));
+    let folder = tempfile::tempdir().unwrap();
+    let error = io::write_cloud(&folder.path().join("a.bin"), &cloud, Encoding::Binary).unwrap_err();
+    assert!(error.to_string().contains("the field ring"), "{error}");
+}
+
+#[test]
+fn vertices_of_meshes_are_points() {
+    let obj = b"# a mesh\nmtllib x\nv 0 0 1 1 0 0.5\nv 1.5 0 0 0 0 0\nvn 0 0 1\nvt 0 0\nf 1 2 2\n";
+    let cloud = decode(obj, Format::Obj).unwrap();
+    assert_eq!(cloud.positions, Xyz::from_iter([[0.0, 0.0, 1.0], [1.5, 0.0, 0.0]]));
+    assert_eq!(cloud.rgb().unwrap(), [[255, 0, 128], [0, 0, 0]]);
+    assert!(decode(b"v 1 2\n", Format::Obj).unwrap_err().contains("line 1"));
+    assert!(decode(b"f 1 2 3\n", Format::Obj).unwrap_err().contains("without vertices"));
+
+    let corners = [[0.0f32; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0; 3]];
+    let text: String = corners
+        .chunks(3)
+        .map(|triangle| {
+            let lines: String = triangle.iter().map(|[x, y, z]| format!("vertex {x} {y} {z}\n")).collect();
+            format!("facet normal 0 0 1\nouter loop\n{lines}endloop\nendfacet\n")
+        })
+        .collect();
+    let mut binary = vec![b' '; 80];
+    binary.extend_from_slice(&2u32.to_le_bytes());
+    for triangle in corners.chunks(3) {
+        let values =
+            [[0.0; 3]].iter().chain(triangle).flatten().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        binary.extend([&values[..], &[0, 0]].concat());
+    }
+    for bytes in [format!("solid a\n{text}endsolid a\n").into_bytes(), binary.clone()] {
+        let cloud = decode(&bytes, Format::Stl).unwrap();
+        assert_eq!(cloud.positions, Xyz::from_iter([corners[0], corners[1], corners[2], corners[5]]));
+    }
+    assert!(decode(&binary[..binary.len() - 1], Format::Stl).unwrap_err().contains("2 triangles"));
+}
+
+#[test]
+fn files_of_other_programs_say_what_converts_them() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, expected) in
+        [("scan.fls", "export E57"), ("run.bag", "ROS"), ("mesh.glb", "PLY"), ("a.ptx", "CloudCompare")]
+    {
+        let path = folder.path().join(name);
+        std::fs::write(&path, [7u8; 64]).unwrap();
+        let error = io::read(&path).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}

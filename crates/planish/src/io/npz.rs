@@ -1,0 +1,122 @@
+//! NumPy archives: the positions as `points`, `xyz` or `positions`, or the only [N, 3] there is, and other arrays of N rows as fields.
+
+use std::io::{Cursor, Read, Write};
+
+use npyz::{DType, NpyFile, TypeChar};
+use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
+
+use super::columns::with_values;
+use super::{CloudRef, Contents, FormatResult, ReadOptions, brief, npy};
+use crate::cloud::{Attribute, AttributeValues};
+use crate::error::FormatError;
+
+const POSITIONS: [&str; 4] = ["points", "xyz", "positions", "arr_0"];
+const DEPTH: [&str; 2] = ["depth", "arr_0"];
+/// More arrays than that are no cloud.
+const MOST_ARRAYS: usize = 256;
+
+fn damaged(error: impl std::fmt::Display) -> FormatError {
+    FormatError::Malformed(format!("damaged NPZ: {}", brief(&error.to_string())))
+}
+
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<Contents> {
+    let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
+    if archive.len() > MOST_ARRAYS {
+        return Err(FormatError::Unsupported(format!("an archive of {} files, which is no cloud", archive.len())));
+    }
+    let mut arrays: Vec<(String, Vec<u8>)> = Vec::new();
+    let mut left = options.max_memory_bytes;
+    for i in 0..archive.len() {
+        let file = archive.by_index(i).map_err(damaged)?;
+        let name = file.name().map_err(damaged)?.into_owned();
+        let Some(name) = name.strip_suffix(".npy").map(str::to_owned) else { continue };
+        let mut array = Vec::new();
+        // What the archive states may be wrong.
+        file.take(left.saturating_add(1)).read_to_end(&mut array).map_err(damaged)?;
+        left = left.checked_sub(array.len() as u64).ok_or(FormatError::TooLarge {
+            needed: options.max_memory_bytes.saturating_add(1),
+            allowed: options.max_memory_bytes,
+        })?;
+        arrays.push((name, array));
+    }
+    let names = || super::quoted(&arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", "));
+    // By its name, else the only one that can be it.
+    let contents_of = |(name, array): &(String, Vec<u8>)| Some((name.clone(), npy::decode(array, options).ok()?));
+    let of_name = |wanted: &[&str], is_kind: fn(&Contents) -> bool| {
+        let named = wanted.iter().find_map(|name| arrays.iter().find(|(found, _)| found == name));
+        let named = named.and_then(contents_of).filter(|(_, contents)| is_kind(contents));
+        named.or_else(|| {
+            let mut all = arrays.iter().filter_map(contents_of).filter(|(_, contents)| is_kind(contents));
+            all.next().filter(|_| all.next().is_none())
+        })
+    };
+    let points = of_name(&POSITIONS, |contents| !contents.is_depth());
+    let Some((used, mut contents)) = points.or_else(|| of_name(&DEPTH, Contents::is_depth)) else {
+        return Err(FormatError::Unsupported(format!(
+            "an archive with {}: name the positions points, xyz or positions ([N, 3] or [H, W, 3] of f32 or f64), or a depth image depth",
+            names()
+        )));
+    };
+    let rows = contents.shape().0 * contents.shape().1;
+    let cloud = match &mut contents {
+        Contents::Organized(cloud) => &mut cloud.points,
+        Contents::General(cloud) => cloud,
+        _ => return Ok(contents),
+    };
+    for (name, array) in arrays.iter().filter(|(name, _)| *name != used) {
+        if let Some(attribute) = field(name, array, rows)? {
+            cloud.attributes.push(attribute);
+        }
+    }
+    Ok(contents)
+}
+
+/// An array as a field of so many points; `None` if it has another number of values, as a matrix beside the points.
+fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Option<Attribute>> {
+    npy::check_header(array)?;
+    let file = NpyFile::new(array).map_err(damaged)?;
+    let DType::Plain(kind) = file.dtype() else { return Ok(None) };
+    let (kind, size) = (kind.type_char(), kind.size_field());
+    let len = file.shape().iter().try_fold(1u64, |product, &n| product.checked_mul(n));
+    let Some(len) = len.filter(|len| rows > 0 && len % rows as u64 == 0 && *len > 0) else { return Ok(None) };
+    if file.order() != npyz::Order::C || len.checked_mul(size).is_none_or(|bytes| bytes > array.len() as u64) {
+        return Err(FormatError::Malformed(format!("the array {name} is cut short, or in Fortran order")));
+    }
+    let values: AttributeValues = match (kind, size) {
+        (TypeChar::Int, 1) => file.into_vec::<i8>().map_err(damaged)?.into(),
+        (TypeChar::Int, 2) => file.into_vec::<i16>().map_err(damaged)?.into(),
+        (TypeChar::Int, 4) => file.into_vec::<i32>().map_err(damaged)?.into(),
+        (TypeChar::Int, 8) => file.into_vec::<i64>().map_err(damaged)?.into(),
+        (TypeChar::Uint, 1) => file.into_vec::<u8>().map_err(damaged)?.into(),
+        (TypeChar::Uint, 2) => file.into_vec::<u16>().map_err(damaged)?.into(),
+        (TypeChar::Uint, 4) => file.into_vec::<u32>().map_err(damaged)?.into(),
+        (TypeChar::Uint, 8) => file.into_vec::<u64>().map_err(damaged)?.into(),
+        (TypeChar::Float, 4) => file.into_vec::<f32>().map_err(damaged)?.into(),
+        (TypeChar::Float, 8) => file.into_vec::<f64>().map_err(damaged)?.into(),
+        _ => return Err(FormatError::Unsupported(format!("the array {name} is of {kind:?}, not of numbers"))),
+    };
+    let count = values.len() / rows;
+    Ok(Some(Attribute { name: name.to_owned(), count, values }))
+}
+
+/// Encodes positions as `points` and every field as an array of its name.
+pub(super) fn encode(cloud: CloudRef<'_>) -> FormatResult<Vec<u8>> {
+    let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
+    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
+    let mut add = |name: &str, array: &[u8]| -> FormatResult<()> {
+        writer.start_file(format!("{name}.npy"), options).map_err(|error| FormatError::Os(error.into()))?;
+        Ok(writer.write_all(array)?)
+    };
+    add(POSITIONS[0], &npy::encode_points(cloud)?)?;
+    let (width, height) = cloud.grid();
+    for attribute in cloud.points().attributes.iter().filter(|attribute| attribute.name != "_") {
+        let grid = match cloud {
+            CloudRef::Organized(_) => vec![height as u64, width as u64],
+            CloudRef::General(_) => vec![width as u64],
+        };
+        let shape = if attribute.count == 1 { grid } else { [grid, vec![attribute.count as u64]].concat() };
+        let array = with_values!(&attribute.values, values => npy::encode(&shape, values.iter().copied())?);
+        add(&attribute.name, &array)?;
+    }
+    Ok(writer.finish().map_err(|error| FormatError::Os(error.into()))?.into_inner())
+}
