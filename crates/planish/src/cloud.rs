@@ -42,6 +42,12 @@ macro_rules! attribute_values {
                 })* }
             }
 
+            /// Adds so many zeros.
+            #[cfg(feature = "evaluate")]
+            fn push_zeros(&mut self, count: usize) {
+                match self { $(Self::$variant(values) => values.resize(values.len() + count, 0 as $scalar),)* }
+            }
+
             /// The values of some points, `count` each.
             fn select(&self, points: &[usize], count: usize) -> Self {
                 match self { $(Self::$variant(values) => {
@@ -199,6 +205,16 @@ impl PointCloud {
         let positions = points.iter().map(|&i| self.positions.get(i)).collect();
         let attributes = self.attributes.par_iter().map(|attribute| attribute.select(points)).collect();
         Self { positions, attributes, ..self.without_points() }
+    }
+
+    /// The same with a hole at the end, all of whose fields are 0.
+    #[cfg(feature = "evaluate")]
+    pub(crate) fn with_an_empty_point(&self) -> Self {
+        let mut cloud = self.clone();
+        let Xyz { x, y, z } = &mut cloud.positions;
+        [x, y, z].into_iter().for_each(|values| values.push(f32::NAN));
+        cloud.attributes.iter_mut().for_each(|attribute| attribute.values.push_zeros(attribute.count));
+        cloud
     }
 
     /// What a cloud is beside its points: origin, pose, columns, header.

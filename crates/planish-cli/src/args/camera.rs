@@ -99,6 +99,24 @@ impl std::str::FromStr for Pose {
     }
 }
 
+/// From points towards the viewer; from above if not given.
+#[derive(Clone, Copy)]
+pub struct Direction(pub [f64; 3]);
+
+impl Default for Direction {
+    fn default() -> Self {
+        Self([0.0, 0.0, 1.0])
+    }
+}
+
+impl std::str::FromStr for Direction {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        numbers(text).map(Self).ok_or_else(|| "3 numbers: X,Y,Z".to_owned())
+    }
+}
+
 pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
     numbers?.try_into().ok()

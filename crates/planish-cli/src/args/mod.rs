@@ -12,7 +12,7 @@ use planish::Outputs;
 use planish::io::{Encoding, ReadOptions};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGpuArgs, ExperimentArgs};
-pub use camera::{CameraArgs, PoseArgs};
+pub use camera::{CameraArgs, Direction, PoseArgs};
 pub use clean::CleanArgs;
 pub use smoothing::{EngineArg, SmoothingArgs};
 
@@ -37,7 +37,7 @@ pub enum Command {
     Clean(CleanArgs),
     /// Show what a file contains
     Info(InfoArgs),
-    /// Draw the relief of an organized cloud
+    /// Draw the relief of a cloud
     Render(RenderArgs),
     /// Smooth frames live: from a Kinect, a data set, a folder, the simulator
     Stream(StreamArgs),
@@ -160,10 +160,13 @@ pub struct InfoArgs {
 
 #[derive(clap::Args)]
 pub struct RenderArgs {
-    /// An organized cloud, or a depth image with --camera
+    /// A cloud, or a depth image with --camera
     pub file: PathBuf,
     /// The picture to write: relief, and beside it the colours if there are any
     pub output: PathBuf,
+    /// Where a general cloud is seen from, as a direction in its frame: 0,0,1 is from above, if z points up
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub from: Option<Direction>,
     #[command(flatten)]
     pub memory: MemoryArgs,
     #[command(flatten)]

@@ -1,18 +1,28 @@
-//! `planish render`: the relief of an organized cloud, and its colours.
+//! `planish render`: the relief of a cloud, and its colours.
 
 use std::process::ExitCode;
 
-use anyhow::Result;
+use anyhow::{Context, Result, bail};
 use planish::internal::write_rgb_png;
-use planish::io;
-use planish::render::{colours, normals_of, relief, side_by_side};
+use planish::io::{self, Contents};
+use planish::render::{colours, normals_of, relief, seen_from, side_by_side};
 
 use super::organized;
 use crate::args::RenderArgs;
 
+/// Pixels of a general cloud's picture.
+const LONGEST_SIDE: usize = 1280;
+
 pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     let (_, contents) = io::read_with(&args.file, &args.memory.read_options())?;
-    let cloud = organized(contents, &args.camera, &args.file)?;
+    let cloud = match contents {
+        Contents::General(points) => seen_from(&points, args.from.unwrap_or_default().0, LONGEST_SIDE)
+            .with_context(|| args.file.display().to_string())?,
+        _ if args.from.is_some() => {
+            bail!("{}: is drawn as its sensor saw it; --from is for general clouds", args.file.display());
+        }
+        contents => organized(contents, &args.camera, &args.file)?,
+    };
     let mut pictures = vec![relief(cloud.width(), cloud.height(), &normals_of(&cloud))];
     pictures.extend(colours(&cloud));
     write_rgb_png(&args.output, &side_by_side(&pictures))?;

@@ -461,3 +461,15 @@ fn clean_removes_what_was_asked_for_and_keeps_fields_and_grids() {
     assert!(refused(&["clean", str(&path), str(&cleaned), "--statistical", "a"]).contains("as 20,2"));
     assert!(refused(&["clean", str(&path), str(&path_of("out.png")), "--voxel", "1"]).contains("holds depth"));
 }
+
+#[test]
+fn a_general_cloud_is_drawn_from_where_one_asks() {
+    let (folder, cloud, path) = with_frame();
+    let [general, picture] = ["general.ply", "picture.png"].map(|name| folder.path().join(name));
+    write_cloud(&general, &cloud.points, Encoding::Binary).unwrap();
+    ok(&["render", str(&general), str(&picture), "--from", "0,0,-1"]);
+    let image = planish::internal::read_rgb_png(&picture).unwrap();
+    assert!(image.width > image.height && image.rgb.iter().any(|&value| value > 100));
+    assert!(refused(&["render", str(&path), str(&picture), "--from", "0,0,1"]).contains("for general clouds"));
+    assert!(refused(&["render", str(&general), str(&picture), "--from", "0,0"]).contains("3 numbers"));
+}

@@ -1,4 +1,6 @@
-//! Pictures of organized clouds: relief shaded by normals, colour, and errors against a truth.
+//! Pictures of clouds: relief shaded by normals, colour, and errors against a truth.
+
+mod general;
 
 use glam::Vec3;
 
@@ -6,6 +8,8 @@ use crate::cloud::{AttributeValues, OrganizedCloud};
 use crate::io::RgbImage;
 use crate::simulate::{NO_OBJECT, Truth};
 use crate::xyz::Xyz;
+
+pub use general::seen_from;
 
 /// Returns normals from differences of neighbouring pixels, towards the sensor; they show every bump of the points.
 ///
