@@ -204,3 +204,65 @@ fn files_of_other_programs_say_what_converts_them() {
         assert!(error.contains(expected), "{error}");
     }
 }
+
+#[test]
+fn a_pts_with_fewer_points_than_it_announces_is_cut_short() {
+    assert_eq!(decode(b"2\n0 0 1 5\n1 0 1 6\n", Format::Text).unwrap().len(), 2);
+    assert!(decode(b"3\n0 0 1 5\n1 0 1 6\n", Format::Text).unwrap_err().contains("announces 3 points and has 2"));
+}
+
+#[test]
+fn points_that_are_left_where_they_are_keep_every_digit_of_f64() {
+    // A tile in UTM coordinates with a stray point at the origin, which must not cost the others their digits.
+    let far = |i: usize| [518_972.989 + 0.137 * i as f64, 5_006_236.629 - 9.31 * i as f64, 42.333 + 0.001 * i as f64];
+    let points: Vec<[f64; 3]> = std::iter::once([0.0; 3]).chain((0..2000).map(far)).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let text: String = points.iter().map(|[x, y, z]| format!("{x:.3} {y:.3} {z:.3}\n")).collect();
+    std::fs::write(folder.path().join("in.xyz"), text).unwrap();
+    for name in ["a.npy", "a.pcd", "a.e57", "a.laz"] {
+        let path = folder.path().join(name);
+        io::write_cloud(
+            &path,
+            &read(&folder.path().join("in.xyz")).1.select(&(1..2001).collect::<Vec<_>>()),
+            Encoding::Binary,
+        )
+        .unwrap();
+        let again = folder.path().join(format!("again-{name}"));
+        io::write_cloud(&again, &read(&path).1, Encoding::Binary).unwrap();
+        let csv = folder.path().join("out.csv");
+        io::write_cloud(&csv, &read(&again).1, Encoding::Binary).unwrap();
+        let text = std::fs::read_to_string(&csv).unwrap();
+        for (line, p) in text.lines().skip(1).zip(&points[1..]) {
+            let found: Vec<f64> = line.split(',').take(3).map(|cell| cell.parse().unwrap()).collect();
+            for axis in 0..3 {
+                assert!((found[axis] - (p[axis] * 1e3).round() / 1e3).abs() < 1e-6, "{name}: {line} for {p:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn arrays_of_numpy_users_become_normals_colours_and_points_in_any_order() {
+    let mut cloud = cloud(4);
+    for name in ["red", "green", "blue"] {
+        cloud.set_attribute(name, vec![1u8, 2, 3, 200]);
+    }
+    for (name, value) in [("normal_x", 0.0f32), ("normal_y", 0.6), ("normal_z", -0.8)] {
+        cloud.set_attribute(name, vec![value; 4]);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.npz");
+    io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let has = |name: &[u8]| bytes.windows(name.len()).any(|window| window == name);
+    assert!(has(b"normals.npy") && has(b"rgb.npy") && !has(b"red.npy"));
+    let again = read(&path).1;
+    assert_eq!(again.rgb().unwrap(), cloud.rgb().unwrap());
+    assert_eq!(again.attribute("normal_y"), cloud.attribute("normal_y"));
+
+    // Columns first, as numpy keeps a transposed array.
+    let header = "{'descr': '<f4', 'fortran_order': True, 'shape': (2, 3), }";
+    let mut npy = [b"\x93NUMPY\x01\x00", &(118u16).to_le_bytes()[..], format!("{header:<117}\n").as_bytes()].concat();
+    npy.extend([1.0f32, 2.0, 10.0, 20.0, 100.0, 200.0].into_iter().flat_map(f32::to_le_bytes));
+    assert_eq!(decode(&npy, Format::Npy).unwrap().positions, Xyz::from_iter([[1.0, 10.0, 100.0], [2.0, 20.0, 200.0]]));
+}

@@ -130,6 +130,8 @@ pub struct PointCloud {
     pub position_columns: PositionColumns,
     /// Where the sensor stood, in the frame of the file (not relative to `origin_m`); the identity where that is not known.
     pub pose: SensorPose,
+    /// The coordinates as the file has them, x, y and z, where f32 loses digits (an axis where it does not may be empty): a point that is not moved is written with all of them.
+    pub(crate) exact_m: Option<[Vec<f64>; 3]>,
     /// What a LAS file says beside its points: its coordinate system, scales and offsets, and descriptions of extra bytes. It is
     /// written back with the cloud.
     #[cfg(feature = "io")]
@@ -148,6 +150,7 @@ impl PointCloud {
             attributes: Vec::new(),
             position_columns: PositionColumns::default(),
             pose: SensorPose::IDENTITY,
+            exact_m: None,
             #[cfg(feature = "io")]
             las_header: None,
             #[cfg(feature = "io")]
@@ -204,7 +207,35 @@ impl PointCloud {
     pub fn select(&self, points: &[usize]) -> Self {
         let positions = points.iter().map(|&i| self.positions.get(i)).collect();
         let attributes = self.attributes.par_iter().map(|attribute| attribute.select(points)).collect();
-        Self { positions, attributes, ..self.without_points() }
+        let exact_m = self
+            .exact_m
+            .as_ref()
+            .map(|axes| axes.each_ref().map(|values| points.iter().filter_map(|&i| values.get(i)).copied().collect()));
+        Self { positions, attributes, exact_m, ..self.without_points() }
+    }
+
+    /// Coordinate `axis` of point `i` in the cloud's frame: as the file had it where the point has not moved.
+    #[cfg(feature = "io")]
+    pub(crate) fn coordinate(&self, axis: usize, i: usize) -> f64 {
+        let (origin, here) = (self.origin_m[axis], [&self.positions.x, &self.positions.y, &self.positions.z][axis][i]);
+        let exact = self.exact_m.as_ref().and_then(|axes| axes[axis].get(i)).copied();
+        exact.filter(|exact| (exact - origin) as f32 == here).unwrap_or(origin + f64::from(here))
+    }
+
+    /// Keeps the coordinates of a file, if f32 loses digits of them.
+    #[cfg(feature = "io")]
+    pub(crate) fn keep_exact(&mut self, coordinates_m: [Vec<f64>; 3]) {
+        let loses = |axis: usize| {
+            let values = [&self.positions.x, &self.positions.y, &self.positions.z][axis];
+            let origin = self.origin_m[axis];
+            coordinates_m[axis]
+                .iter()
+                .zip(values)
+                .any(|(exact, &value)| origin + f64::from(value) != *exact && !exact.is_nan())
+        };
+        if (0..3).any(loses) {
+            self.exact_m = Some(coordinates_m);
+        }
     }
 
     /// The same with a hole at the end, all of whose fields are 0.
@@ -213,6 +244,7 @@ impl PointCloud {
         let mut cloud = self.clone();
         let Xyz { x, y, z } = &mut cloud.positions;
         [x, y, z].into_iter().for_each(|values| values.push(f32::NAN));
+        cloud.exact_m = None;
         cloud.attributes.iter_mut().for_each(|attribute| attribute.values.push_zeros(attribute.count));
         cloud
     }
@@ -225,6 +257,7 @@ impl PointCloud {
             attributes: Vec::new(),
             position_columns: self.position_columns,
             pose: self.pose,
+            exact_m: None,
             #[cfg(feature = "io")]
             las_header: self.las_header.clone(),
             #[cfg(feature = "io")]

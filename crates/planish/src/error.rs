@@ -84,6 +84,9 @@ pub enum FrameError {
         /// Which output.
         output: &'static str,
     },
+    /// A cloud without any finite point, where there must be one.
+    #[error("the cloud has no points")]
+    NoPoints,
     /// A sensor pose that is none.
     #[error("sensor pose: {0}")]
     BadPose(ParamError),

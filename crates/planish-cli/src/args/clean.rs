@@ -20,10 +20,10 @@ pub struct CleanArgs {
     #[arg(long, value_name = "METRES")]
     pub voxel: Option<f64>,
     /// Remove points whose mean distance to K nearest others is above the mean of all points by R standard deviations (1 if not given)
-    #[arg(long, value_name = "K[,R]")]
+    #[arg(long, value_name = "K[,R]", allow_hyphen_values = true)]
     pub statistical: Option<Statistical>,
     /// Remove points with fewer than N others within the radius
-    #[arg(long = "radius-outliers", value_name = "METRES,N")]
+    #[arg(long = "radius-outliers", value_name = "METRES,N", allow_hyphen_values = true)]
     pub radius: Option<RadiusOutliers>,
     #[command(flatten)]
     pub camera: CameraArgs,

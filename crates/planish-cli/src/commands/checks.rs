@@ -27,12 +27,14 @@ pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
     }
 }
 
-/// Refuses to write over the input, unless that was asked for.
-pub fn check_not_input(input: &Path, output: &Path, overwrite: bool) -> Result<()> {
-    if !overwrite && is_same_file(input, output) {
+/// Refuses to write over the input, unless that was asked for; `None` where it cannot be.
+pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> Result<()> {
+    let can_overwrite = overwrite.is_some();
+    if overwrite != Some(true) && is_same_file(input, output) {
         bail!(
-            "{}: is the input, the only copy of what was measured: write to another file, or add --overwrite",
-            output.display()
+            "{}: is the input, the only copy of what was measured: write to another file{}",
+            output.display(),
+            if can_overwrite { ", or add --overwrite" } else { "" }
         );
     }
     Ok(())
@@ -88,13 +90,17 @@ pub fn report_columns(input: &Path, format: Format, cloud: &PointCloud) {
     errln!("{}: columns taken as {}{more}", input.display(), columns[..columns.len().min(MOST)].join(" "));
 }
 
-/// Reports holes that the format to write has no place for.
-pub fn report_holes(output: &Path, cloud: &PointCloud) {
+/// Reports holes and fields that the format to write has no place for.
+pub fn report_losses(output: &Path, cloud: &PointCloud) {
     if matches!(Format::of_extension(output), Some(Format::Las | Format::Laz)) {
         let holes = cloud.len() - cloud.valid_points();
         if holes > 0 {
             errln!("{}: {holes} holes are left out, since LAS has no place for them", output.display());
         }
+    }
+    if Format::of_extension(output) == Some(Format::Npy) && !cloud.attributes.is_empty() {
+        let fields = cloud.attributes.len();
+        errln!("{}: {fields} fields are left out, since NPY has no place for them (write .npz)", output.display());
     }
 }
 

@@ -9,7 +9,7 @@ use planish::{Error, OrganizedCloud, PointCloud, PointsView, clean};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::checks::{check_not_input, check_output, convert_colour, report_columns, report_holes};
+use super::checks::{check_not_input, check_output, convert_colour, report_columns, report_losses};
 use super::{ms_since, organized};
 use crate::args::CleanArgs;
 
@@ -43,7 +43,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     if matches!(Format::of_extension(output), Some(Format::DepthPng | Format::DepthTiff)) {
         bail!("{}: an image holds depth, and this writes points: end the name in .pcd or .ply", output.display());
     }
-    check_not_input(input, output, args.overwrite)?;
+    check_not_input(input, output, Some(args.overwrite))?;
     let start = Instant::now();
     let FileRead { format, encoding, contents, .. } = io::read_file(input, &args.memory.read_options())?;
     let mut cloud = match contents {
@@ -67,7 +67,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
 
     let start = Instant::now();
     convert_colour(&mut cloud.points, format, output);
-    report_holes(output, &cloud.points);
+    report_losses(output, &cloud.points);
     let encoding = args.encoding.map(Into::into).or(encoding).unwrap_or_default();
     match cloud.grid {
         Some((width, height)) => {

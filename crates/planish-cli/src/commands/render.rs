@@ -7,6 +7,7 @@ use planish::internal::write_rgb_png;
 use planish::io::{self, Contents};
 use planish::render::{colours, normals_of, relief, seen_from, side_by_side};
 
+use super::checks::check_not_input;
 use super::organized;
 use crate::args::RenderArgs;
 
@@ -14,6 +15,10 @@ use crate::args::RenderArgs;
 const LONGEST_SIDE: usize = 1280;
 
 pub fn run(args: &RenderArgs) -> Result<ExitCode> {
+    if !args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
+        bail!("{}: pictures are written as .png", args.output.display());
+    }
+    check_not_input(&args.file, &args.output, None)?;
     let (_, contents) = io::read_with(&args.file, &args.memory.read_options())?;
     let cloud = match contents {
         Contents::General(points) => seen_from(&points, args.from.unwrap_or_default().0, LONGEST_SIDE)

@@ -24,7 +24,7 @@ use report::{
     Failure, FolderReport, Report, SmoothTimes, StatusCounts, likely_cause, print_report, report_range_rule, summarize,
 };
 
-use super::checks::{check_not_input, check_output, check_radius, convert_colour, report_columns, report_holes};
+use super::checks::{check_not_input, check_output, check_radius, convert_colour, report_columns, report_losses};
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs};
 use crate::signals::{INTERRUPTED, stop_flag};
@@ -50,7 +50,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         return run_folder(&mut worker);
     }
     check_output(&args.output, args.encoding.is_some())?;
-    check_not_input(&args.input, &args.output, args.overwrite)?;
+    check_not_input(&args.input, &args.output, Some(args.overwrite))?;
     let report = worker.smooth_file(&args.input, &args.output)?;
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
@@ -396,11 +396,11 @@ impl Worker<'_> {
     fn write(&self, output: &Path, result: &Output, encoding: Encoding) -> Result<()> {
         match result {
             Output::Organized(cloud) => {
-                report_holes(output, &cloud.points);
+                report_losses(output, &cloud.points);
                 io::write_cloud(output, CloudRef::Organized(cloud), encoding)?;
             }
             Output::General(cloud) => {
-                report_holes(output, cloud);
+                report_losses(output, cloud);
                 io::write_cloud(output, CloudRef::General(cloud), encoding)?;
             }
             &Output::Depth { width, height } => {

@@ -1,5 +1,6 @@
 //! `planish stream`: frames smoothed as they come.
 
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,6 +14,7 @@ use planish::{DeviceError, Error, Outputs, SensorModel};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
+use super::checks::check_not_input;
 use crate::args::{CameraArgs, LimitArgs, StreamArgs, StreamFormatArg, outputs_of};
 use crate::signals::stop_flag;
 
@@ -81,6 +83,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     }
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
+        check_not_input(Path::new(&args.source), folder, None)?;
         sinks.push(Box::new(FolderSink::create(folder, format, outputs)?));
     }
     #[cfg(feature = "rerun")]

@@ -470,6 +470,7 @@ fn a_general_cloud_is_drawn_from_where_one_asks() {
     ok(&["render", str(&general), str(&picture), "--from", "0,0,-1"]);
     let image = planish::internal::read_rgb_png(&picture).unwrap();
     assert!(image.width > image.height && image.rgb.iter().any(|&value| value > 100));
+    assert!(refused(&["render", str(&path), str(&path)]).contains("written as .png"));
     assert!(refused(&["render", str(&path), str(&picture), "--from", "0,0,1"]).contains("for general clouds"));
     assert!(refused(&["render", str(&general), str(&picture), "--from", "0,0"]).contains("3 numbers"));
 }

@@ -82,6 +82,9 @@ fn frames_are_saved_under_their_own_names() {
     let mut names: Vec<String> = names.collect();
     names.sort();
     assert_eq!(names, ["kitchen-000001.pcd", "kitchen.pcd", "yard.pcd"]);
+    let before = fs::read(frames.join("yard.pcd")).unwrap();
+    assert!(refused(&["stream", str(&frames), "--save", str(&frames)]).contains("the only copy"));
+    assert_eq!(fs::read(frames.join("yard.pcd")).unwrap(), before);
 }
 
 #[test]

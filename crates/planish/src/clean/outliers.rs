@@ -13,6 +13,9 @@ use crate::neighbours::{Bounds, LEAF, PointIndex};
 /// Leaves of a task.
 const LEAVES_PER_TASK: usize = 64;
 
+/// The squares of larger ones are beyond f32.
+const MAX_COORDINATE_M: f32 = 1e18;
+
 /// A leaf wider than so many times the reach has strays, whose neighbours are gathered one by one.
 const WIDEST_LEAF: f32 = 4.0;
 
@@ -32,7 +35,7 @@ pub fn statistical_outliers(
         return Err(ParamError { field: "neighbours", value: neighbours.to_string(), allowed: "1 to 1000" });
     }
     check_positive("deviations", deviations)?;
-    let index = index_of(points);
+    let index = index_of(points)?;
     let level = Level::new();
     let mut means_m = vec![0.0f32; LEAF * index.leaves()];
     means_m.par_chunks_mut(LEAF * LEAVES_PER_TASK).enumerate().for_each(|(task, means_m)| {
@@ -60,7 +63,7 @@ pub fn radius_outliers(points: &PointsView<'_>, radius_m: f32, least: usize) -> 
     if least == 0 {
         return Err(ParamError { field: "neighbours", value: "0".into(), allowed: "1 or more" });
     }
-    let index = index_of(points);
+    let index = index_of(points)?;
     let level = Level::new();
     let mut is_outlier = vec![false; LEAF * index.leaves()];
     is_outlier.par_chunks_mut(LEAF * LEAVES_PER_TASK).enumerate().for_each(|(task, is_outlier)| {
@@ -78,10 +81,15 @@ fn check_positive(field: &'static str, value: f32) -> Result<(), ParamError> {
     Err(ParamError { field, value: value.to_string(), allowed: "a number above 0" })
 }
 
-fn index_of(points: &PointsView<'_>) -> PointIndex {
+fn index_of(points: &PointsView<'_>) -> Result<PointIndex, ParamError> {
     let mut index = PointIndex::default();
     index.fill(points);
-    index
+    let largest = index.positions.iter().flatten().fold(0.0f32, |largest, value| largest.max(value.abs()));
+    if largest > MAX_COORDINATE_M {
+        let allowed = "coordinates within 10^18 m, so that distances can be squared";
+        return Err(ParamError { field: "points", value: format!("{largest:e}"), allowed });
+    }
+    Ok(index)
 }
 
 /// The points around some of a leaf.

@@ -51,21 +51,21 @@ pub(super) fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointClo
         taken[axis] = Some(columns.remove(index[axis]));
     }
     let [x, y, z] = taken.map(|column| column.map(|column| (column.count, column.values)));
-    let (positions, origin_m, double) = match (x, y, z) {
+    let (positions, origin_m, exact) = match (x, y, z) {
         (
             Some((1, AttributeValues::F32(x))),
             Some((1, AttributeValues::F32(y))),
             Some((1, AttributeValues::F32(z))),
-        ) => (Xyz { x, y, z }, [0.0; 3], false),
+        ) => (Xyz { x, y, z }, [0.0; 3], None),
         (
             Some((1, AttributeValues::F64(x))),
             Some((1, AttributeValues::F64(y))),
             Some((1, AttributeValues::F64(z))),
         ) => {
             let origin = [origin_of(&x), origin_of(&y), origin_of(&z)];
-            let relative = |values: Vec<f64>, origin: f64| values.iter().map(|v| (v - origin) as f32).collect();
-            let positions = Xyz { x: relative(x, origin[0]), y: relative(y, origin[1]), z: relative(z, origin[2]) };
-            (positions, origin, true)
+            let relative = |values: &[f64], origin: f64| values.iter().map(|v| (v - origin) as f32).collect();
+            let positions = Xyz { x: relative(&x, origin[0]), y: relative(&y, origin[1]), z: relative(&z, origin[2]) };
+            (positions, origin, Some([x, y, z]))
         }
         _ => {
             return Err(FormatError::Unsupported(
@@ -73,18 +73,28 @@ pub(super) fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointClo
             ));
         }
     };
-    Ok(PointCloud {
+    let mut cloud = PointCloud {
         origin_m,
         attributes: columns,
-        position_columns: PositionColumns { index, double },
+        position_columns: PositionColumns { index, double: exact.is_some() },
         ..PointCloud::new(positions)
-    })
+    };
+    exact.into_iter().for_each(|exact| cloud.keep_exact(exact));
+    Ok(cloud)
 }
 
-/// Returns 0, or for far coordinates the first finite one, in whole metres.
+/// Returns 0, or for far coordinates the middle one of a sample, in whole metres: no stray point moves it.
 fn origin_of(values: &[f64]) -> f64 {
-    let first = values.iter().copied().find(|v| v.is_finite()).unwrap_or(0.0);
-    if first.abs() > FAR_M { first.trunc() } else { 0.0 }
+    const SAMPLE: usize = 1000;
+    let step = values.len().div_ceil(SAMPLE).max(1);
+    let mut sample: Vec<f64> = values.iter().step_by(step).copied().filter(|value| value.is_finite()).collect();
+    sample.sort_by(f64::total_cmp);
+    let middle = sample
+        .get(sample.len().saturating_sub(1) / 2)
+        .or(values.iter().find(|value| value.is_finite()))
+        .copied()
+        .unwrap_or(0.0);
+    if middle.abs() > FAR_M { middle.trunc() } else { 0.0 }
 }
 
 /// Returns all columns of a cloud in the order of its file; x, y and z in the type they had there.
@@ -96,7 +106,7 @@ pub(super) fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
     axes.sort_by_key(|&(axis, _)| index[axis]);
     for (axis, values) in axes {
         let values = if double {
-            values.iter().map(|&v| cloud.origin_m[axis] + f64::from(v)).collect::<Vec<f64>>().into()
+            (0..cloud.len()).map(|i| cloud.coordinate(axis, i)).collect::<Vec<f64>>().into()
         } else {
             AttributeValues::F32(values.clone())
         };

@@ -327,8 +327,12 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
         prototype.push(Record { name: RecordName::CartesianInvalidState, data_type });
     }
     prototype.extend(records);
-    let origin = DVec3::from_array(cloud.origin_m);
     for (scan_number, scan) in scans.iter().enumerate() {
+        let is_of_scan = |i: &usize| number.as_ref().is_none_or(|of| of.values.get_f64(*i) as usize == scan_number);
+        // Other readers fail on scans without points.
+        if scans.len() > 1 && !(0..cloud.len()).any(|i| is_of_scan(&i)) {
+            continue;
+        }
         let own_guid = scan.guid.clone().unwrap_or_else(|| guid(&cloud, scan_number));
         let mut points = writer.add_pointcloud(&own_guid, prototype.clone()).map_err(cannot)?;
         points.set_name(scan.name.clone());
@@ -343,9 +347,8 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
         points.set_humidity(scan.humidity);
         points.set_atmospheric_pressure(scan.atmospheric_pressure);
         let (rotation, translation) = pose_of(scan);
-        let is_of_scan = |i: &usize| number.as_ref().is_none_or(|of| of.values.get_f64(*i) as usize == scan_number);
         for i in (0..cloud.len()).filter(is_of_scan) {
-            let p = DVec3::from_array(cloud.positions.get(i).map(f64::from)) + origin;
+            let p = DVec3::from_array([0, 1, 2].map(|axis| cloud.coordinate(axis, i)));
             let is_hole = !p.is_finite();
             let p = if is_hole { DVec3::ZERO } else { rotation.conjugate() * (p - translation) };
             let mut values: Vec<RecordValue> = p.to_array().map(RecordValue::Double).into();

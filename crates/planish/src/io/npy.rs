@@ -52,9 +52,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
     let DType::Plain(kind) = file.dtype() else { return unsupported("records".into()) };
     let (kind, size) = (kind.type_char(), kind.size_field());
     let shape: Vec<usize> = file.shape().iter().map(|&n| usize::try_from(n).unwrap_or(usize::MAX)).collect();
-    if file.order() != Order::C {
-        return unsupported("Fortran order (save numpy.ascontiguousarray of it)".into());
-    }
+    let is_fortran = file.order() != Order::C && shape.len() > 1;
     let available = bytes.len() as u64;
     let needed = shape.iter().try_fold(size, |product, &n| product.checked_mul(n as u64));
     if needed.is_none_or(|needed| needed > available) {
@@ -62,6 +60,10 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
     }
     // Values as they are, and as positions.
     options.check(needed.map_or(usize::MAX, |needed| needed as usize), 2)?;
+    if is_fortran {
+        let c_order = in_c_order(bytes, &shape, size as usize)?;
+        return decode(&c_order, options);
+    }
     let read = |error: std::io::Error| FormatError::Malformed(format!("damaged NPY: {error}"));
     match (shape[..].to_vec().as_slice(), kind, size) {
         (&[height, width], TypeChar::Uint, 2) => {
@@ -84,6 +86,38 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
         }
         _ => unsupported(format!("shape {shape:?} and type {kind:?} of {size} bytes")),
     }
+}
+
+/// The same array with its last index running fastest, whose header says so.
+pub(super) fn in_c_order(bytes: &[u8], shape: &[usize], size: usize) -> Result<Vec<u8>, FormatError> {
+    let cut = || FormatError::Malformed("the file is cut short: its NPY header is not whole".into());
+    let start = match bytes.get(6..10).ok_or_else(cut)? {
+        [1, _, low, high] => 10 + usize::from(u16::from_le_bytes([*low, *high])),
+        _ => 12 + u32::from_le_bytes(bytes.get(8..12).ok_or_else(cut)?.try_into().map_err(|_| cut())?) as usize,
+    };
+    let (header, data) = bytes.split_at_checked(start).ok_or_else(cut)?;
+    // The header keeps its length: a blank before True.
+    let stated = b"'fortran_order': True";
+    let at = header.windows(stated.len()).position(|window| window == stated).ok_or_else(|| {
+        FormatError::Unsupported("an array in Fortran order: save numpy.ascontiguousarray of it".into())
+    })?;
+    let mut out = header.to_vec();
+    out[at..at + stated.len()].copy_from_slice(b"'fortran_order':False");
+    let count: usize = shape.iter().product();
+    let mut index = vec![0usize; shape.len()];
+    for _ in 0..count {
+        // Where the element of this index is, with the first running fastest.
+        let place = index.iter().zip(shape).rev().fold(0, |place, (&i, &n)| place * n + i);
+        out.extend_from_slice(data.get(size * place..size * (place + 1)).ok_or_else(cut)?);
+        for (i, &n) in index.iter_mut().zip(shape).rev() {
+            *i += 1;
+            if *i < n {
+                break;
+            }
+            *i = 0;
+        }
+    }
+    Ok(out)
 }
 
 /// Returns the values as f32, whether the file has f32 or f64.
@@ -133,8 +167,8 @@ pub(super) fn encode_points(cloud: CloudRef<'_>) -> Result<Vec<u8>, FormatError>
     if origin == [0.0; 3] && !cloud.points().position_columns.double {
         encode(&shape, positions.iter().flatten())
     } else {
-        let far = |p: [f32; 3]| [0, 1, 2].map(|axis| origin[axis] + f64::from(p[axis]));
-        encode(&shape, positions.iter().flat_map(far))
+        let far = |i: usize| [0, 1, 2].map(|axis| cloud.points().coordinate(axis, i));
+        encode(&shape, (0..positions.len()).flat_map(far))
     }
 }
 

@@ -50,6 +50,20 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<Conten
             all.next().filter(|_| all.next().is_none())
         })
     };
+    if let Some((name, array)) = arrays.iter().find(|(name, _)| POSITIONS[..3].contains(&name.as_str())) {
+        // So named, it is no depth image, whatever its shape.
+        let problem = match npy::decode(array, options) {
+            Ok(contents) if !contents.is_depth() => None,
+            Ok(contents) => Some(format!("it is [{1}, {0}]", contents.shape().0, contents.shape().1)),
+            Err(error) => Some(error.to_string()),
+        };
+        if let Some(problem) = problem {
+            return Err(FormatError::Unsupported(format!(
+                "the array {name} must be [N, 3] or [H, W, 3] of f32 or f64: {}",
+                brief(&problem)
+            )));
+        }
+    }
     let points = of_name(&POSITIONS, |contents| !contents.is_depth());
     let Some((used, mut contents)) = points.or_else(|| of_name(&DEPTH, Contents::is_depth)) else {
         return Err(FormatError::Unsupported(format!(
@@ -65,7 +79,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<Conten
     };
     for (name, array) in arrays.iter().filter(|(name, _)| *name != used) {
         if let Some(attribute) = field(name, array, rows)? {
-            cloud.attributes.push(attribute);
+            cloud.attributes.extend(components(attribute, rows));
         }
     }
     Ok(contents)
@@ -79,8 +93,12 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Option<Attribute
     let (kind, size) = (kind.type_char(), kind.size_field());
     let len = file.shape().iter().try_fold(1u64, |product, &n| product.checked_mul(n));
     let Some(len) = len.filter(|len| rows > 0 && len % rows as u64 == 0 && *len > 0) else { return Ok(None) };
-    if file.order() != npyz::Order::C || len.checked_mul(size).is_none_or(|bytes| bytes > array.len() as u64) {
-        return Err(FormatError::Malformed(format!("the array {name} is cut short, or in Fortran order")));
+    if len.checked_mul(size).is_none_or(|bytes| bytes > array.len() as u64) {
+        return Err(FormatError::Malformed(format!("the array {name} is cut short")));
+    }
+    let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
+    if file.order() != npyz::Order::C && shape.len() > 1 {
+        return field(name, &npy::in_c_order(array, &shape, size as usize)?, rows);
     }
     let values: AttributeValues = match (kind, size) {
         (TypeChar::Int, 1) => file.into_vec::<i8>().map_err(damaged)?.into(),
@@ -93,10 +111,56 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Option<Attribute
         (TypeChar::Uint, 8) => file.into_vec::<u64>().map_err(damaged)?.into(),
         (TypeChar::Float, 4) => file.into_vec::<f32>().map_err(damaged)?.into(),
         (TypeChar::Float, 8) => file.into_vec::<f64>().map_err(damaged)?.into(),
-        _ => return Err(FormatError::Unsupported(format!("the array {name} is of {kind:?}, not of numbers"))),
+        (TypeChar::Bool, 1) => {
+            file.into_vec::<bool>().map_err(damaged)?.into_iter().map(u8::from).collect::<Vec<_>>().into()
+        }
+        _ => {
+            return Err(FormatError::Unsupported(format!(
+                "the array {name} is of {kind:?} of {size} bytes: save it as integers, f32 or f64, or leave it out"
+            )));
+        }
     };
     let count = values.len() / rows;
     Ok(Some(Attribute { name: name.to_owned(), count, values }))
+}
+
+/// Names of vectors, and of their components here.
+const VECTORS: [(&[&str], [&str; 3]); 2] = [
+    (&["normals", "normal"], ["normal_x", "normal_y", "normal_z"]),
+    (&["rgb", "colors", "colours", "color"], ["red", "green", "blue"]),
+];
+
+/// Normals and colours as the fields that every other format has; any other field as it is.
+fn components(attribute: Attribute, rows: usize) -> Vec<Attribute> {
+    let is_colour = |names: &[&str; 3]| names[0] == "red";
+    let is_bytes = matches!(attribute.values, AttributeValues::U8(_));
+    let vector = VECTORS.iter().find(|(names, components)| {
+        names.contains(&attribute.name.as_str()) && attribute.count == 3 && (is_bytes || !is_colour(components))
+    });
+    let Some((_, names)) = vector else { return vec![attribute] };
+    let component = |k: usize| {
+        let values: Vec<f64> = (0..rows).map(|i| attribute.values.get_f64(3 * i + k)).collect();
+        Attribute { name: names[k].into(), count: 1, values: attribute.values.of_f64(values) }
+    };
+    (0..3).map(component).collect()
+}
+
+/// Components of normals and colours as one array again.
+fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
+    let mut all = attributes.to_vec();
+    for (names, components) in VECTORS {
+        let place = |name: &str| all.iter().position(|attribute| attribute.name == name && attribute.count == 1);
+        let [Some(x), Some(y), Some(z)] = components.map(place) else { continue };
+        let kinds = [x, y, z].map(|k| std::mem::discriminant(&all[k].values));
+        if kinds[0] != kinds[1] || kinds[0] != kinds[2] || (names[0] == "rgb" && all[x].values.scalar_size() > 1) {
+            continue;
+        }
+        let rows = all[x].values.len();
+        let values = (0..rows).flat_map(|i| [x, y, z].map(|k| all[k].values.get_f64(i))).collect();
+        all[x] = Attribute { name: names[0].into(), count: 3, values: all[x].values.of_f64(values) };
+        all.retain(|attribute| !components.contains(&attribute.name.as_str()));
+    }
+    all
 }
 
 /// Encodes positions as `points` and every field as an array of its name.
@@ -109,7 +173,9 @@ pub(super) fn encode(cloud: CloudRef<'_>) -> FormatResult<Vec<u8>> {
     };
     add(POSITIONS[0], &npy::encode_points(cloud)?)?;
     let (width, height) = cloud.grid();
-    for attribute in cloud.points().attributes.iter().filter(|attribute| attribute.name != "_") {
+    let mut named = cloud.points().clone();
+    named.unpack_colour();
+    for attribute in vectors(&named.attributes).iter().filter(|attribute| attribute.name != "_") {
         let grid = match cloud {
             CloudRef::Organized(_) => vec![height as u64, width as u64],
             CloudRef::General(_) => vec![width as u64],

@@ -66,6 +66,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     let mut lines = lines.filter(|(_, line)| !line.is_empty()).peekable();
     let mut names: Option<Vec<String>> = None;
     // Comments, names, and the number of points with which PTS begins.
+    let mut stated: Option<usize> = None;
     while let Some(&(_, line)) = lines.peek() {
         if names.is_some() && !is_comment(line) {
             break;
@@ -82,7 +83,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
                     quoted(line)
                 )));
             }
-        } else if cells.len() > 1 {
+        } else if let [count] = cells[..] {
+            stated = count.parse().ok();
+        } else {
             break;
         }
         lines.next();
@@ -129,6 +132,10 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
             })?;
             column.push(value);
         }
+    }
+    if let Some(stated) = stated.filter(|stated| *stated > columns[0].len()) {
+        let found = columns[0].len();
+        return Err(FormatError::Malformed(format!("cut short: it announces {stated} points and has {found}")));
     }
     if let Some(name) = names
         .iter()

@@ -49,7 +49,7 @@ pub fn seen_from(cloud: &PointCloud, direction: [f64; 3], longest_side: usize) -
         Some([f64::from(*values.get(stray)?), f64::from(*values.get(values.len().checked_sub(1 + stray)?)?)])
     };
     let (Some(xs), Some(ys)) = (range(0), range(1)) else {
-        return Err(FrameError::LengthMismatch { what: "a picture of a cloud".into(), len: 0, expected: 1 });
+        return Err(FrameError::NoPoints);
     };
     let longest = (xs[1] - xs[0]).max(ys[1] - ys[0]).max(1e-9);
     let sheet_m2 = (xs[1] - xs[0]).max(1e-9) * (ys[1] - ys[0]).max(1e-9);

@@ -35,6 +35,7 @@ pub use tum::{TumRecorder, TumSource};
 /// A frame that owns its data.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
+#[expect(clippy::large_enum_variant, reason = "a few hundred bytes beside the megabytes of a frame")]
 pub enum SourceFrame {
     /// A depth image with its camera, time stamp and optional colour.
     Depth(DepthFrame),

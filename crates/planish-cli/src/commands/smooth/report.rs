@@ -43,7 +43,7 @@ impl StatusCounts {
     /// The points that were not smoothed, by cause; nothing for what there is none of.
     fn others(&self) -> String {
         let causes = [
-            (self.degenerate, "with neighbours in a straight line left as they are"),
+            (self.degenerate, "with neighbours in a straight line or at one place left as they are"),
             (self.isolated, "with fewer than 3 neighbours left as they are"),
             (self.too_few, "with fewer than 3 neighbours made holes"),
             (self.hole, "holes before"),
@@ -125,6 +125,7 @@ pub fn likely_cause(frame: Frame<'_>, params: &SmoothParams) -> String {
                 "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or {other}"
             )
         }
+        (Radius::Neighbours { .. }, _) if frame.valid_points() < 4 => "A surface takes more points".to_owned(),
         (Radius::Neighbours { .. }, _) => "Likely they are far from all others".to_owned(),
         (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
             "Likely they are isolated, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"

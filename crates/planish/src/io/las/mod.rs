@@ -32,6 +32,12 @@ pub(super) fn format_of(bytes: &[u8]) -> Format {
 }
 
 fn damaged(error: las::Error) -> FormatError {
+    let is_cut = |error: &std::io::Error| error.kind() == std::io::ErrorKind::UnexpectedEof;
+    if matches!(&error, las::Error::Io(error) if is_cut(error))
+        || error.to_string().contains("failed to fill whole buffer")
+    {
+        return FormatError::Malformed("damaged LAS: it is cut short, or its sizes are wrong".into());
+    }
     FormatError::Malformed(format!("damaged LAS: {}", super::brief(&error.to_string())))
 }
 
@@ -69,7 +75,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     if !usable {
         return Err(FormatError::Malformed("the header's scales and offsets are no finite numbers".into()));
     }
-    let axis = |at: usize, transform: Transform| -> (Vec<f32>, f64) {
+    let axis = |at: usize, transform: Transform| -> (Vec<f32>, f64, Vec<f64>) {
         let integers = raw
             .chunks_exact(record)
             .map(|point| i32::from_le_bytes([point[at], point[at + 1], point[at + 2], point[at + 3]]));
@@ -77,12 +83,21 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
             integers.clone().fold((i32::MAX, i32::MIN), |(low, high), value| (low.min(value), high.max(value)));
         // In the middle, on a whole metre, so that as few digits as possible are lost to f32.
         let middle = if low > high { 0.0 } else { transform.direct(low).midpoint(transform.direct(high)).round() };
-        (integers.map(|value| (transform.direct(value) - middle) as f32).collect(), middle)
+        let values: Vec<f32> = integers.clone().map(|value| (transform.direct(value) - middle) as f32).collect();
+        // Where f32 is too coarse for the file's integers.
+        let widest = transform.direct(high) - middle;
+        let exact = if f64::from(f32::EPSILON) * widest.abs() > 0.25 * transform.scale.abs() {
+            integers.map(|value| transform.direct(value)).collect()
+        } else {
+            Vec::new()
+        };
+        (values, middle, exact)
     };
-    let ((x, origin_x), (y, origin_y), (z, origin_z)) =
-        (axis(0, transforms.x), axis(4, transforms.y), axis(8, transforms.z));
+    let [(x, origin_x, exact_x), (y, origin_y, exact_y), (z, origin_z, exact_z)] =
+        [(0, transforms.x), (4, transforms.y), (8, transforms.z)].map(|(at, transform)| axis(at, transform));
     let mut cloud = PointCloud::new(Xyz { x, y, z });
     cloud.origin_m = [origin_x, origin_y, origin_z];
+    cloud.keep_exact([exact_x, exact_y, exact_z]);
     cloud.position_columns.double = true;
     let all = fields_of(header.point_format()).into_iter().chain(extra_fields(&header));
     cloud.attributes = all.map(|field| decode_field(&field, raw, record)).collect();
@@ -125,13 +140,10 @@ pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u
     let mut raw = vec![0u8; record * kept.len()];
 
     let transforms = header.transforms();
-    for (at, values, origin, transform) in [
-        (0, &cloud.positions.x, cloud.origin_m[0], transforms.x),
-        (4, &cloud.positions.y, cloud.origin_m[1], transforms.y),
-        (8, &cloud.positions.z, cloud.origin_m[2], transforms.z),
-    ] {
+    for (axis, transform) in [transforms.x, transforms.y, transforms.z].into_iter().enumerate() {
+        let at = 4 * axis;
         for (point, &i) in raw.chunks_exact_mut(record).zip(&kept) {
-            let integer = transform.inverse(origin + f64::from(values[i])).map_err(cannot)?;
+            let integer = transform.inverse(cloud.coordinate(axis, i)).map_err(cannot)?;
             point[at..at + 4].copy_from_slice(&integer.to_le_bytes());
         }
     }
