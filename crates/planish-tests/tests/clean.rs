@@ -93,6 +93,8 @@ fn a_voxel_has_the_mean_of_its_points_and_fields() {
     let mut cloud = PointCloud::new(positions.into_iter().collect());
     cloud.set_attribute("intensity", vec![10u16, 7, 21, 0, 3, 16]);
     cloud.set_attribute("label", vec![4u8, 5, 9, 0, 2, 8]);
+    // As text and lidar files have rings.
+    cloud.set_attribute("ring", vec![4.0f32, 5.0, 9.0, 0.0, 2.0, 8.0]);
     let packed = [0x0010_20ff_u32, 0x0001_0203, 0x0030_4001, 0, 0x00ff_ffff, 0x0020_3080].map(f32::from_bits);
     cloud.set_attribute("rgb", packed.to_vec());
     for (name, values) in
@@ -108,6 +110,7 @@ fn a_voxel_has_the_mean_of_its_points_and_fields() {
     let values = |name: &str| thinned.attribute(name).unwrap().values.clone();
     assert_eq!(values("intensity"), AttributeValues::U16(vec![16, 7, 3]));
     assert_eq!(values("label"), AttributeValues::U8(vec![8, 5, 2]));
+    assert_eq!(values("ring"), AttributeValues::F32(vec![8.0, 5.0, 2.0]));
     let AttributeValues::F32(colour) = values("rgb") else { panic!("packed colours are floats") };
     assert_eq!(colour.iter().map(|value| value.to_bits()).collect::<Vec<_>>(), [0x0020_3080, 0x0001_0203, 0x00ff_ffff]);
     let half = 0.5f32.sqrt();

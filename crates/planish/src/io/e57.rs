@@ -343,6 +343,9 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
         points.set_sensor_vendor(scan.sensor_vendor.clone());
         points.set_sensor_model(scan.sensor_model.clone());
         points.set_sensor_serial(scan.sensor_serial.clone());
+        points.set_sensor_hw_version(scan.sensor_hw_version.clone());
+        points.set_sensor_sw_version(scan.sensor_sw_version.clone());
+        points.set_sensor_fw_version(scan.sensor_fw_version.clone());
         points.set_temperature(scan.temperature);
         points.set_humidity(scan.humidity);
         points.set_atmospheric_pressure(scan.atmospheric_pressure);

@@ -37,10 +37,11 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    const EMPTY: Self = Self { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
+    /// Of no point.
+    pub(crate) const EMPTY: Self = Self { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
 
     /// The box of both.
-    fn union(self, other: Self) -> Self {
+    pub(crate) fn union(self, other: Self) -> Self {
         let of = |pick: fn(f32, f32) -> f32, [a, b]: [[f32; 3]; 2]| std::array::from_fn(|axis| pick(a[axis], b[axis]));
         // Of a NaN and a number, min and max give the number.
         Self { low: of(f32::min, [self.low, other.low]), high: of(f32::max, [self.high, other.high]) }
