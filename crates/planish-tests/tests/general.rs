@@ -24,7 +24,9 @@ impl Random {
 }
 
 fn engines() -> Vec<(String, TestEngine)> {
-    SimdLevel::available().map(|level| (level.name().to_owned(), TestEngine::cpu(level))).collect()
+    let cpu = SimdLevel::available().map(|level| (level.name().to_owned(), TestEngine::cpu(level)));
+    let gpu = [false, true].map(|checks| (format!("gpu, checks {checks}"), TestEngine::gpu(checks)));
+    cpu.chain(gpu).collect()
 }
 
 fn smooth(engine: TestEngine, points: &[[f32; 3]], params: SmoothParams) -> Smoothed {
@@ -272,6 +274,6 @@ fn progress_of_another_thread_grows_to_the_whole() {
             }
         });
         assert_eq!(progress.share(), 1.0);
-        assert!(shares.len() > 10 && shares.is_sorted(), "{engine:?}: {} shares", shares.len());
+        assert!(shares.len() > 3 && shares.is_sorted(), "{engine:?}: {} shares", shares.len());
     }
 }

@@ -71,6 +71,11 @@ pub(crate) trait ImmediateEngine: Send {
     fn progress(&self) -> Option<Arc<Progress>> {
         None
     }
+
+    /// The device it computes on, where that has a name.
+    fn device_name(&self) -> Option<&str> {
+        None
+    }
 }
 
 /// Makes an [`SmoothingEngine`] of an immediate one: frames in flight are results that wait.
@@ -152,5 +157,9 @@ impl<E: ImmediateEngine> SmoothingEngine for Immediate<E> {
 
     fn progress(&self) -> Option<Arc<Progress>> {
         self.engine.progress()
+    }
+
+    fn device_name(&self) -> Option<&str> {
+        self.engine.device_name()
     }
 }

@@ -4,7 +4,7 @@
 use crate::cpu::{Cpu, GeneralCpu};
 use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
 use crate::engine::{Immediate, SmoothingEngine};
-use crate::error::{EngineError, Error};
+use crate::error::Error;
 use crate::outputs::Outputs;
 use crate::params::SmoothParams;
 use crate::reference::Reference;
@@ -14,7 +14,7 @@ use crate::simd_level::SimdLevel;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Engine {
-    /// A real GPU if there is one, else the CPU; for general clouds an engine that takes them. [`Smoother::engine`] says which.
+    /// A real GPU if there is one, else the CPU. [`Smoother::engine`] says which.
     ///
     /// [`Smoother::engine`]: crate::Smoother::engine
     #[default]
@@ -62,7 +62,7 @@ impl Engine {
         let on_grids = Capabilities { grids: true, general: false, edges: true, depth_out: true, pipelined: false };
         match self {
             Self::Cpu => Capabilities { general: true, ..on_grids },
-            Self::Gpu => Capabilities { pipelined: true, ..on_grids },
+            Self::Gpu => Capabilities { general: true, pipelined: true, ..on_grids },
             Self::Auto | Self::Reference => Capabilities { general: true, ..on_grids },
         }
     }
@@ -82,15 +82,12 @@ pub enum ChoiceReason {
     NoRealGpu(Vec<GpuAdapter>),
     /// There is a GPU, but it did not open.
     GpuFailed(GpuAdapter, String),
-    /// The fastest engine that smooths general clouds.
-    GeneralCloud,
 }
 
 impl std::fmt::Display for ChoiceReason {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::RealGpu(adapter) => return write!(f, "{} is a GPU", adapter.name),
-            Self::GeneralCloud => return f.write_str("the fastest engine for general clouds"),
             Self::NoGpuInBuild => f.write_str("this build has no GPU engine"),
             Self::NoAdapter => f.write_str("no GPU adapter was found"),
             Self::NoRealGpu(adapters) => match &adapters[..] {
@@ -161,7 +158,7 @@ pub fn gpu_adapters() -> Vec<GpuAdapter> {
     Vec::new()
 }
 
-/// The engine that [`Engine::Auto`] takes for frames on a grid among these adapters, and why: a real GPU if there is one, else
+/// The engine that [`Engine::Auto`] takes among these adapters, and why: a real GPU if there is one, else
 /// the CPU.
 pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
     match real_gpu(adapters) {
@@ -184,20 +181,15 @@ pub(crate) fn open(
     if options.engine != Engine::Auto {
         return Ok((open_named(options.engine, params, options, grid)?, options.engine, None));
     }
-    let Some(grid) = grid else {
-        // The first that takes them.
-        let engine = Engine::ALL.into_iter().find(|engine| engine.capabilities().general).unwrap_or(Engine::Reference);
-        return Ok((open_named(engine, params, options, None)?, engine, Some(ChoiceReason::GeneralCloud)));
-    };
     let (mut engine, mut reason) = auto_choice(&gpu_adapters());
     if let ChoiceReason::RealGpu(adapter) = &reason {
         let gpu = GpuOptions { adapter: Some(adapter.index.to_string()), ..options.gpu.clone() };
-        match open_named(engine, params, &options.clone().with_gpu(gpu), Some(grid)) {
+        match open_named(engine, params, &options.clone().with_gpu(gpu), grid) {
             Ok(opened) => return Ok((opened, engine, Some(reason))),
             Err(error) => (engine, reason) = (Engine::Cpu, ChoiceReason::GpuFailed(adapter.clone(), error.to_string())),
         }
     }
-    Ok((open_named(engine, params, options, Some(grid))?, engine, Some(reason)))
+    Ok((open_named(engine, params, options, grid)?, engine, Some(reason)))
 }
 
 fn open_named(
@@ -216,16 +208,10 @@ fn open_named(
             let cpu = GeneralCpu::open(params, outputs, threads, simd)?;
             Ok(Box::new(Immediate::new(cpu, outputs, gpu.slots, false)))
         }
-        (Engine::Gpu, Some(shape)) => open_gpu(params, outputs, gpu, shape),
+        (Engine::Gpu, grid) => open_gpu(params, outputs, gpu, grid),
         (Engine::Reference, _) => {
             let reference = Reference::open(params, threads)?;
             Ok(Box::new(Immediate::new(reference, outputs, gpu.slots, false)))
-        }
-        (engine, None) => {
-            let able = Engine::ALL.into_iter().filter(|engine| engine.capabilities().general);
-            let names: Vec<_> = able.map(Engine::name).collect();
-            let reason = format!("it does not smooth general clouds; use auto or {}", names.join(", "));
-            Err(EngineError::Unavailable { engine: engine.name(), reason }.into())
         }
     }
 }
@@ -235,15 +221,24 @@ fn open_gpu(
     params: SmoothParams,
     outputs: Outputs,
     options: &GpuOptions,
-    shape: (usize, usize),
+    grid: Option<(usize, usize)>,
 ) -> Result<Box<dyn SmoothingEngine>, Error> {
+    let Some(shape) = grid else {
+        let general = crate::gpu::GeneralGpu::open(params, outputs, options)?;
+        return Ok(Box::new(Immediate::new(general, outputs, options.slots, options.timestamps)));
+    };
     Ok(Box::new(crate::gpu::Gpu::open(params, outputs, options, shape)?))
 }
 
 #[cfg(not(feature = "gpu"))]
-fn open_gpu(_: SmoothParams, _: Outputs, _: &GpuOptions, _: (usize, usize)) -> Result<Box<dyn SmoothingEngine>, Error> {
+fn open_gpu(
+    _: SmoothParams,
+    _: Outputs,
+    _: &GpuOptions,
+    _: Option<(usize, usize)>,
+) -> Result<Box<dyn SmoothingEngine>, Error> {
     let reason = "not in this build; enable the feature gpu, or use auto, cpu or reference".to_owned();
-    Err(EngineError::Unavailable { engine: "gpu", reason }.into())
+    Err(crate::error::EngineError::Unavailable { engine: "gpu", reason }.into())
 }
 
 #[cfg(test)]

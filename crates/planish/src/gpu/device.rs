@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use super::kernel::KernelKey;
-use crate::devices::{AdapterKind, GpuAdapter};
+use crate::devices::{AdapterKind, GpuAdapter, GpuOptions};
 use crate::error::EngineError;
 
 /// A device that has not answered for this long counts as hung.
@@ -219,6 +219,16 @@ impl GpuDevice {
         }
     }
 
+    /// Refuses time stamps where there are none.
+    pub(super) fn check_timestamps(&self, options: &GpuOptions) -> Result<(), EngineError> {
+        let needed = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
+        if options.timestamps && !self.features.contains(needed) {
+            let reason = format!("the adapter {} has no time stamps", self.name);
+            return Err(EngineError::Unavailable { engine: "gpu", reason });
+        }
+        Ok(())
+    }
+
     /// Returns the fault of this device, if any.
     pub(super) fn check(&self) -> Result<(), EngineError> {
         let fault = lock(&self.fault).clone();
@@ -309,25 +319,39 @@ impl GpuDevice {
         if let Some(kernel) = known {
             return Ok(kernel);
         }
-        let kernel = self.allocate(0, || {
+        let kernel = self.compile(key.pass.entry_point(), key.wgsl(), &self.pipeline_layout, key.bounds_checks)?;
+        lock(&self.kernels).insert(key, kernel.clone());
+        Ok(kernel)
+    }
+
+    /// Compiles one of this project's own kernels.
+    pub(super) fn compile(
+        &self,
+        entry_point: &str,
+        wgsl: String,
+        layout: &wgpu::PipelineLayout,
+        bounds_checks: bool,
+    ) -> Result<wgpu::ComputePipeline, EngineError> {
+        self.allocate(0, || {
             let source = wgpu::ShaderModuleDescriptor {
-                label: Some("smooth"),
-                source: wgpu::ShaderSource::Wgsl(key.wgsl().into()),
+                label: Some(entry_point),
+                source: wgpu::ShaderSource::Wgsl(wgsl.into()),
             };
-            let checks = if key.bounds_checks {
+            let checks = if bounds_checks {
                 wgpu::ShaderRuntimeChecks::checked()
             } else {
                 wgpu::ShaderRuntimeChecks::unchecked()
             };
             // SAFETY: every index into a buffer is derived from the layout that the buffers are sized by, and compared with
-            // the frame's width and height before; loops end after a constant number of rounds; no divisor is zero. The
-            // tests run every kernel with the checks on as well, and compare.
+            // the frame's width and height, or the cloud's points, before; loops end after a constant number of rounds, or when a
+            // count or a reach that grows with each has come to its end; no divisor is zero. The tests run every kernel
+            // with the checks on as well, and compare.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some("smooth"),
-                layout: Some(&self.pipeline_layout),
+                label: Some(entry_point),
+                layout: Some(layout),
                 module: &module,
-                entry_point: Some(key.pass.entry_point()),
+                entry_point: Some(entry_point),
                 compilation_options: wgpu::PipelineCompilationOptions {
                     // It is fully written before it is read.
                     zero_initialize_workgroup_memory: false,
@@ -335,9 +359,7 @@ impl GpuDevice {
                 },
                 cache: None,
             })
-        })?;
-        lock(&self.kernels).insert(key, kernel.clone());
-        Ok(kernel)
+        })
     }
 
     /// Submits; wgpu polls while doing so.

@@ -155,6 +155,7 @@ impl KernelKey {
         } else {
             include_str!("shaders/window_untiled.wgsl")
         };
+        text += include_str!("shaders/gate.wgsl");
         text += include_str!("shaders/window.wgsl");
         text += include_str!("shaders/eigen.wgsl");
         text += include_str!("shaders/sensor.wgsl");
@@ -176,20 +177,36 @@ impl KernelKey {
         } else {
             include_str!("shaders/own_plane.wgsl")
         };
-        text += include_str!("shaders/project_plane.wgsl");
-        if self.degree == 1 {
-            text += include_str!("shaders/surface_plane.wgsl");
-        } else {
-            let degree = self.degree as usize;
-            text += &moments_struct(degree);
-            text += &include_str!("shaders/polynomial.wgsl").replace("SUM_MOMENTS", &moment_sums(degree));
-            text += &solve(degree);
-            text += include_str!("shaders/project_polynomial.wgsl");
-        }
+        text += &surface(self.degree as usize, WINDOW_LOOP);
+        text += include_str!("shaders/pixel_result.wgsl");
+        text += include_str!("shaders/result.wgsl");
         text += include_str!("shaders/output.wgsl");
         text += include_str!("shaders/smooth.wgsl");
         text
     }
+}
+
+/// The loop over the candidates of a window, up to its body and after it.
+const WINDOW_LOOP: [&str; 2] = [
+    "for (var row = 0u; row < SIDE; row++) { for (var column = 0u; column < SIDE; column++) {
+        let e = candidate(window, column, row) - p;
+        let count = 1.0;",
+    "} }",
+];
+
+/// From the plane to the point on the surface, for a degree and a loop over the candidates.
+pub(super) fn surface(degree: usize, [before, after]: [&str; 2]) -> String {
+    let mut text = include_str!("shaders/project_plane.wgsl").to_owned();
+    if degree == 1 {
+        return text + include_str!("shaders/surface_plane.wgsl");
+    }
+    text += &moments_struct(degree);
+    text += &include_str!("shaders/polynomial.wgsl")
+        .replace("FOR_EACH_CANDIDATE", before)
+        .replace("END_OF_CANDIDATES", after)
+        .replace("SUM_MOMENTS", &moment_sums(degree));
+    text += &solve(degree);
+    text + include_str!("shaders/project_polynomial.wgsl")
 }
 
 /// The exponents with i + j <= degree.

@@ -52,7 +52,7 @@ pub(super) const ON_RAY: u32 = 2;
 const POINT_CHANNELS: usize = 6;
 const PLANE_CHANNELS: usize = 13;
 
-const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
+pub(super) const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
 const _: () = assert!(size_of::<FrameHeader>() == 88);
 
 /// The uniform of a dispatch.
@@ -249,6 +249,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("STATUS_PLANE", Status::Plane as usize),
         ("STATUS_POLYNOMIAL_2", Status::Polynomial2 as usize),
         ("STATUS_POLYNOMIAL_3", Status::Polynomial3 as usize),
+        ("STATUS_ISOLATED", Status::Isolated as usize),
     ];
     for (name, value) in words {
         constant(name, "u32", format!("{value}u"));
@@ -269,6 +270,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         constant(name, "bool", value.to_string());
     }
     let numbers = [
+        ("MIN_POSITIVE", f32::MIN_POSITIVE),
         ("GRAZING_COSINE", method::GRAZING_COSINE),
         ("MAX_ALONG", method::MAX_ALONG),
         ("MAX_RADIUS_M", MAX_RADIUS_M),
@@ -281,6 +283,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("OWN_NORMAL_WEIGHT", method::OWN_NORMAL_WEIGHT),
         ("MIN_NOISE", method::MIN_NOISE),
         ("MIN_GATE_M", MIN_GATE_M),
+        ("MAX_RADIUS_RATIO", method::MAX_RADIUS_RATIO),
         ("GATE_FADE", method::GATE_FADE),
         ("PLANE_REACH", method::PLANE_REACH),
         ("BLOCK_WIDTH", method::BLOCK_WIDTH),

@@ -7,9 +7,12 @@
 
 mod copier;
 mod device;
+mod general;
 mod kernel;
 mod layout;
+mod mapped;
 mod slot;
+mod stamps;
 #[cfg(test)]
 mod tests;
 mod upload;
@@ -48,6 +51,8 @@ pub(crate) fn adapters() -> Vec<GpuAdapter> {
 pub fn lose_devices() {
     device::lose_open();
 }
+
+pub(crate) use general::GeneralGpu;
 
 /// Free slots; views return theirs from any thread.
 type FreeSlots = Arc<Mutex<Vec<Slot>>>;
@@ -134,10 +139,7 @@ impl Gpu {
             engine: "gpu",
             reason: format!("the adapter {} {reason}", gpu.name),
         };
-        let needed = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
-        if options.timestamps && !gpu.features.contains(needed) {
-            return Err(lacks("has no time stamps"));
-        }
+        gpu.check_timestamps(&options)?;
         let direct = gpu.features.contains(wgpu::Features::MAPPABLE_PRIMARY_BUFFERS);
         options.transfer = match options.transfer {
             Transfer::Direct if !direct => return Err(lacks("cannot compute in the host's memory")),

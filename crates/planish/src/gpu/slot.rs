@@ -4,14 +4,15 @@
 //! result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes the host's buffers itself, so that
 //! the way over the bus overlaps with its arithmetic.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::time::Duration;
 
 use bytemuck::bytes_of;
 
-use super::device::{GpuDevice, TIMEOUT, lock};
+use super::device::GpuDevice;
 use super::layout::Layout;
+use super::mapped::Mapped;
+use super::stamps::Stamps;
 use super::upload::Uploader;
 use crate::devices::Transfer;
 use crate::engine::AdmittedFrame;
@@ -20,9 +21,6 @@ use crate::timings::FrameTimings;
 
 /// Bytes in a word.
 const WORD: u64 = 4;
-
-/// Time stamps of a submission: before the upload, around the kernel, after the readback.
-const STAMPS: u32 = 4;
 
 pub(super) struct Slot {
     pub(super) layout: Layout,
@@ -39,18 +37,18 @@ pub(super) struct Slot {
     _kept: [wgpu::Buffer; 2],
     bind_group: wgpu::BindGroup,
     stamps: Option<Stamps>,
-    mapped: Arc<Mapped>,
+    mapped: Mapped,
     _counted: Counted,
 }
 
-/// Counts the bytes of a slot as long as there is one.
-struct Counted {
+/// Counts the bytes of buffers as long as they are there.
+pub(super) struct Counted {
     bytes: u64,
     all: Arc<AtomicU64>,
 }
 
 impl Counted {
-    fn new(bytes: u64, all: &Arc<AtomicU64>) -> Self {
+    pub(super) fn new(bytes: u64, all: &Arc<AtomicU64>) -> Self {
         all.fetch_add(bytes, Ordering::Relaxed);
         Self { bytes, all: Arc::clone(all) }
     }
@@ -60,23 +58,6 @@ impl Drop for Counted {
     fn drop(&mut self) {
         self.all.fetch_sub(self.bytes, Ordering::Relaxed);
     }
-}
-
-/// How many buffers the host has back after a submission, and how many it will not get back.
-///
-/// Any thread that calls the device may run the callbacks that count, also a little after another has seen the submission
-/// done: a thread that needs the buffers waits for the counts.
-#[derive(Default)]
-struct Mapped {
-    counts: Mutex<(usize, usize)>,
-    changed: Condvar,
-}
-
-struct Stamps {
-    queries: wgpu::QuerySet,
-    resolved: wgpu::Buffer,
-    readback: wgpu::Buffer,
-    nanoseconds_per_tick: f64,
 }
 
 impl Slot {
@@ -125,16 +106,7 @@ impl Slot {
                 layout: &gpu.bind_group_layout,
                 entries: &entries,
             });
-            let stamps = timestamps.then(|| Stamps {
-                queries: device.create_query_set(&wgpu::QuerySetDescriptor {
-                    label: None,
-                    ty: wgpu::QueryType::Timestamp,
-                    count: STAMPS,
-                }),
-                resolved: buffer("stamps", u64::from(STAMPS) * 8, Usage::QUERY_RESOLVE | Usage::COPY_SRC, false),
-                readback: buffer("stamps read", u64::from(STAMPS) * 8, Usage::MAP_READ | Usage::COPY_DST, false),
-                nanoseconds_per_tick: f64::from(gpu.queue.get_timestamp_period()),
-            });
+            let stamps = timestamps.then(|| Stamps::new(gpu));
             Self {
                 layout,
                 frames,
@@ -145,7 +117,7 @@ impl Slot {
                 _kept: kept,
                 bind_group,
                 stamps,
-                mapped: Arc::default(),
+                mapped: Mapped::default(),
                 _counted: Counted::new(total, all_bytes),
             }
         })
@@ -177,21 +149,14 @@ impl Slot {
     ) -> wgpu::SubmissionIndex {
         self.upload.unmap();
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let stamp = |encoder: &mut wgpu::CommandEncoder, index| {
-            if let Some(stamps) = &self.stamps {
-                encoder.write_timestamp(&stamps.queries, index);
-            }
-        };
-        stamp(&mut encoder, 0);
+        if let Some(stamps) = &self.stamps {
+            stamps.write(&mut encoder, 0);
+        }
         if let Some(input) = &self.input {
             encoder.copy_buffer_to_buffer(&self.upload, 0, input, 0, None);
         }
         {
-            let timestamp_writes = self.stamps.as_ref().map(|stamps| wgpu::ComputePassTimestampWrites {
-                query_set: &stamps.queries,
-                beginning_of_pass_write_index: Some(1),
-                end_of_pass_write_index: Some(2),
-            });
+            let timestamp_writes = self.stamps.as_ref().map(Stamps::around_kernels);
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
             pass.set_bind_group(0, &self.bind_group, &[]);
             // Each waits for the one before: wgpu sees that both use what is kept.
@@ -203,52 +168,25 @@ impl Slot {
         if let Some(output) = &self.output {
             encoder.copy_buffer_to_buffer(output, 0, &self.readback, 0, None);
         }
-        stamp(&mut encoder, 3);
         if let Some(stamps) = &self.stamps {
-            encoder.resolve_query_set(&stamps.queries, 0..STAMPS, &stamps.resolved, 0);
-            encoder.copy_buffer_to_buffer(&stamps.resolved, 0, &stamps.readback, 0, None);
+            stamps.write(&mut encoder, 3);
+            stamps.resolve(&mut encoder);
         }
         let submission = gpu.submit(encoder.finish());
 
-        *lock(&self.mapped.counts) = (0, 0);
-        let modes = [(&self.upload, wgpu::MapMode::Write), (&self.readback, wgpu::MapMode::Read)];
         let stamps = self.stamps.as_ref().map(|stamps| (&stamps.readback, wgpu::MapMode::Read));
-        for (buffer, mode) in modes.into_iter().chain(stamps) {
-            let mapped = Arc::clone(&self.mapped);
-            buffer.map_async(mode, .., move |result| {
-                let mut counts = lock(&mapped.counts);
-                *(if result.is_ok() { &mut counts.0 } else { &mut counts.1 }) += 1;
-                mapped.changed.notify_all();
-            });
-        }
+        let buffers = [(&self.upload, wgpu::MapMode::Write), (&self.readback, wgpu::MapMode::Read)];
+        self.mapped.ask_for(buffers.into_iter().chain(stamps));
         submission
     }
 
     /// Waits until every buffer of a submission that has run is the host's again.
     pub(super) fn wait_mapped(&self, gpu: &GpuDevice) -> Result<(), EngineError> {
-        let buffers = if self.stamps.is_some() { 3 } else { 2 };
-        let counts = lock(&self.mapped.counts);
-        let waiting = |&mut (mapped, failed): &mut (usize, usize)| mapped + failed < buffers;
-        let (counts, _) =
-            self.mapped.changed.wait_timeout_while(counts, TIMEOUT, waiting).unwrap_or_else(PoisonError::into_inner);
-        let mapped = counts.0;
-        // What follows may run callbacks, which count.
-        drop(counts);
-        if mapped == buffers { Ok(()) } else { Err(gpu.failed("a buffer could not be mapped")) }
+        self.mapped.wait(gpu)
     }
 
     /// The times of the last submission, whose stamps are mapped; gives the stamps back to the device.
     pub(super) fn timings(&self) -> Option<FrameTimings> {
-        let stamps = self.stamps.as_ref()?;
-        let ticks: [u64; STAMPS as usize] = {
-            let range = stamps.readback.get_mapped_range(..).ok()?;
-            bytemuck::pod_read_unaligned(&range)
-        };
-        stamps.readback.unmap();
-        let between = |from: usize, to: usize| {
-            let ticks = ticks[to].wrapping_sub(ticks[from]) as i64;
-            Duration::from_nanos((ticks.max(0) as f64 * stamps.nanoseconds_per_tick) as u64)
-        };
-        Some(FrameTimings { upload: between(0, 1), kernel: between(1, 2), readback: between(2, 3) })
+        self.stamps.as_ref()?.timings()
     }
 }

@@ -80,7 +80,8 @@ fn run(gpu: &GpuDevice, functions: &str, body: &str, input: &[f32], inputs: usiz
     bytemuck::cast_slice(&mapped).to_vec()
 }
 
-const EIGEN: &str = include_str!("shaders/eigen.wgsl");
+/// What it takes from the constants of a layout is written before it.
+const EIGEN: &str = concat!("const MIN_POSITIVE: f32 = 1.1754944e-38;\n", include_str!("shaders/eigen.wgsl"));
 
 #[test]
 fn the_cosine_of_a_third_of_the_arc_cosine_keeps_its_error() {

@@ -44,6 +44,20 @@ impl Uploader {
         }
     }
 
+    /// Writes a general cloud: its header, and its points from `samples` on.
+    pub(super) fn write_general(
+        &mut self,
+        layout: &Layout,
+        admitted: &AdmittedFrame<'_>,
+        samples: usize,
+        put: &mut dyn FnMut(usize, &[u8]),
+    ) {
+        put(0, bytes_of(&self.header(admitted)));
+        if let Frame::Points(points) = admitted.frame {
+            self.write_points(layout, &points, samples, put);
+        }
+    }
+
     fn header(&self, admitted: &AdmittedFrame<'_>) -> FrameHeader {
         let rules = RangeRules::new(&self.params, &admitted.geometry);
         let on_ray = admitted.geometry.is_on_rays(self.params.project);

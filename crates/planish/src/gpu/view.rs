@@ -69,17 +69,8 @@ impl MappedView {
     pub(super) fn copy_frame_into(&self, frame: usize, out: SmoothedMut<'_>) {
         rayon::scope(|scope| {
             for (from, to) in [(self.points_of(frame), out.points), (self.normals_of(frame), out.normals)] {
-                let (Some(from), Some(to)) = (from, to) else { continue };
-                match to {
-                    VectorsMut::Planes(to) => {
-                        for (from, to) in from.into_iter().zip(to) {
-                            scope.spawn(move |_| to.copy_from_slice(from));
-                        }
-                    }
-                    VectorsMut::Rows(to) => spawn_interleaving(scope, from, to, |row, xyz| *row = xyz),
-                    VectorsMut::Rows4(to) => {
-                        spawn_interleaving(scope, from, to, |row, xyz| row[..3].copy_from_slice(&xyz));
-                    }
+                if let (Some(from), Some(to)) = (from, to) {
+                    spawn_copying(scope, from, to);
                 }
             }
             let numbers = [(self.layout.curvature(), out.curvature), (self.layout.depth_m(), out.depth_m)];
@@ -105,6 +96,19 @@ impl MappedView {
 
 /// Vectors interleaved per task.
 const VECTORS_PER_TASK: usize = 1 << 16;
+
+/// Copies vectors, channels in parallel.
+pub(super) fn spawn_copying<'s>(scope: &rayon::Scope<'s>, from: [&'s [f32]; 3], to: VectorsMut<'s>) {
+    match to {
+        VectorsMut::Planes(to) => {
+            for (from, to) in from.into_iter().zip(to) {
+                scope.spawn(move |_| to.copy_from_slice(from));
+            }
+        }
+        VectorsMut::Rows(to) => spawn_interleaving(scope, from, to, |row, xyz| *row = xyz),
+        VectorsMut::Rows4(to) => spawn_interleaving(scope, from, to, |row, xyz| row[..3].copy_from_slice(&xyz)),
+    }
+}
 
 fn spawn_interleaving<'s, T: Send>(
     scope: &rayon::Scope<'s>,

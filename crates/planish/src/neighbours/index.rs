@@ -345,8 +345,7 @@ impl Curve {
     /// Through all but stray points: the middle of a sample, and as much again on either side. What is outside is moved to the
     /// border, which changes the order and nothing else.
     fn of(raw: &[Vec<f32>; 3]) -> Self {
-        let middle =
-            raw.each_ref().map(|values| middle(values.iter().map(|&value| f64::from(value))).unwrap_or_default());
+        let middle = raw.each_ref().map(|values| middle(values.len(), |i| f64::from(values[i])).unwrap_or_default());
         let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
         let range = middle.map(|[low, high]| [low - 0.5 * (high - low), high + 0.5 * (high - low)]);
         let extent = range.iter().map(|[low, high]| high - low).fold(f64::from(f32::MIN_POSITIVE), f64::max);

@@ -14,9 +14,9 @@ pub(crate) use index::{Bounds, LEAF, LeafMoments, PointIndex};
 const SAMPLE: usize = 10_000;
 
 /// The least and the largest of some values, but for stray ones: one of a hundred on either side. `None` if none is finite.
-fn middle(values: impl ExactSizeIterator<Item = f64>) -> Option<[f64; 2]> {
-    let step = values.len().div_ceil(SAMPLE).max(1);
-    let mut sample: Vec<f64> = values.step_by(step).filter(|value| value.is_finite()).collect();
+pub(crate) fn middle(len: usize, value: impl Fn(usize) -> f64) -> Option<[f64; 2]> {
+    let step = len.div_ceil(SAMPLE).max(1);
+    let mut sample: Vec<f64> = (0..len).step_by(step).map(value).filter(|value| value.is_finite()).collect();
     let margin = sample.len() / 100;
     let last = sample.len().checked_sub(1)?;
     sample.sort_by(f64::total_cmp);
@@ -25,7 +25,7 @@ fn middle(values: impl ExactSizeIterator<Item = f64>) -> Option<[f64; 2]> {
 
 /// The diagonal of the box around all points but stray ones, in metres.
 pub(crate) fn extent_m(points: &[DVec3]) -> f64 {
-    let span = |axis: usize| middle(points.iter().map(|p| p[axis])).map_or(0.0, |[low, high]| high - low);
+    let span = |axis: usize| middle(points.len(), |i| points[i][axis]).map_or(0.0, |[low, high]| high - low);
     DVec3::new(span(0), span(1), span(2)).length()
 }
 

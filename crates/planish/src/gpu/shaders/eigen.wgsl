@@ -5,8 +5,6 @@
 // they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
 // (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
 
-const MIN_POSITIVE: f32 = 1.17549435e-38;
-
 // Where det(B)/2 is beyond this, the largest root stands alone by far and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 

@@ -1,37 +1,8 @@
 // The result in its readback layout: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
 //
-// NaN is written by its bits and never computed. Packed rows start at whole words, so a row of a tile is whole words too.
-
-const NAN_BITS: u32 = 0x7fc00000u;
-
-struct PixelResult {
-    point: vec3<u32>,
-    normal: vec3<u32>,
-    curvature: u32,
-    depth_m: u32,
-    // Status in the low byte, the number of neighbours in the next, raw depth in the upper half.
-    codes: u32,
-}
+// Packed rows start at whole words, so a row of a tile is whole words too.
 
 var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
-
-fn no_result(status: u32, n: u32) -> PixelResult {
-    return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, NAN_BITS, status | (n << 8u));
-}
-
-// The depth at which the ray of p meets the surface, in metres and in raw units.
-fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) -> PixelResult {
-    var result = without;
-    if WANTS_DEPTH || WANTS_DEPTH_M {
-        let depth = depth_of(frame, ray_to(frame, p)) * depth_scale;
-        result.depth_m = bitcast<u32>(depth);
-        let raw = round(depth * header(frame, UNITS_PER_METRE));
-        if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
-            result.codes |= u32(raw) << 16u;
-        }
-    }
-    return result;
-}
 
 fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
     output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;

@@ -2,9 +2,9 @@
 //
 // The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the in-plane coordinates and f the height over the plane, all in units of the
 // bandwidth over sqrt(log2 e). Moments: m_ij = sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for
-// i + j <= DEGREE, summed as outer products of the powers of a and b. kernel.rs writes the struct Moments and the sums in the
-// place of the line that names them, one statement for each moment; the loops stay rolled, or the kernel outgrows the
-// instruction cache.
+// i + j <= DEGREE, summed as outer products of the powers of a and b. kernel.rs writes the struct Moments, and in the place of the
+// lines that name them the loop over the candidates (e is the offset of one from p, count how many points it stands for) and the
+// sums, one statement for each moment; loops stay rolled, or the kernel outgrows the instruction cache.
 
 struct Fit {
     moments: Moments,
@@ -30,26 +30,23 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     // f² counts so many times more in the weight of section 10.
     let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
     var s: Moments;
-    for (var row = 0u; row < SIDE; row++) {
-        for (var column = 0u; column < SIDE; column++) {
-            let e = candidate(window, column, row) - p;
-            let a = fma(e.x, a_axis.x, fma(e.y, a_axis.y, e.z * a_axis.z));
-            let b = fma(e.x, b_axis.x, fma(e.y, b_axis.y, e.z * b_axis.z));
-            let above_p = fma(e.x, f_axis.x, fma(e.y, f_axis.y, e.z * f_axis.z));
-            let in_plane = fma(a, a, b * b);
-            let squared = fma(above_p, above_p, in_plane);
-            let nearness = unclamped(gate, squared);
-            if nearness > 0.0 {
-                let f = above_p - f_offset;
-                var exponent = fma(f, f, in_plane);
-                if KEEPS_EDGES {
-                    exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
-                }
-                let w = min(nearness, 1.0) * exp2(-exponent);
-                SUM_MOMENTS
+    FOR_EACH_CANDIDATE
+        let a = fma(e.x, a_axis.x, fma(e.y, a_axis.y, e.z * a_axis.z));
+        let b = fma(e.x, b_axis.x, fma(e.y, b_axis.y, e.z * b_axis.z));
+        let above_p = fma(e.x, f_axis.x, fma(e.y, f_axis.y, e.z * f_axis.z));
+        let in_plane = fma(a, a, b * b);
+        let squared = fma(above_p, above_p, in_plane);
+        let nearness = unclamped(gate, squared);
+        if nearness > 0.0 {
+            let f = above_p - f_offset;
+            var exponent = fma(f, f, in_plane);
+            if KEEPS_EDGES {
+                exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
             }
+            let w = count * (min(nearness, 1.0) * exp2(-exponent));
+            SUM_MOMENTS
         }
-    }
+    END_OF_CANDIDATES
     let extent_squared = min(plane.extent_squared, radius_squared) * per_metre * per_metre;
     return Fit(s, tangents.u, tangents.v, per_metre, extent_squared);
 }

@@ -11,33 +11,6 @@ fn origin_of(group: vec3<u32>) -> vec2<u32> {
     return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
 }
 
-struct Gate {
-    // Of the weight over the squared distance.
-    slope: f32,
-}
-
-fn gate_of(radius: f32) -> Gate {
-    return Gate(-GATE_FADE / (radius * radius));
-}
-
-// How much an offset counts by its square: not at all from 0 down, fully from 1 up.
-fn unclamped(gate: Gate, squared: f32) -> f32 {
-    return fma(squared, gate.slope, GATE_FADE + 0.5);
-}
-
-// Sums over the neighbours, relative to p.
-struct Sums {
-    // How many.
-    n: f32,
-    // How much they count together.
-    total: f32,
-    e: vec3<f32>,
-    // xx, xy, xz
-    x_row: vec3<f32>,
-    // yy, yz, zz
-    rest: vec3<f32>,
-}
-
 // The range at the end of a ray. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
 fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
     if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
@@ -57,10 +30,6 @@ fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
 fn radius_at(frame: u32, range: f32) -> f32 {
     let radius = max(range * header(frame, RADIUS_LINEAR), polynomial_in_range(frame, RADIUS, range));
     return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
-}
-
-fn square(e: vec3<f32>) -> f32 {
-    return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
 }
 
 // First pass. Masks instead of a branch: with so little to skip, branching costs more.

@@ -1,0 +1,236 @@
+//! The buffers of a general cloud on the device, kept from cloud to cloud, and what binds them.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+
+use super::super::device::GpuDevice;
+use super::super::layout::{Batch, HEADER_WORDS};
+use super::super::mapped::Mapped;
+use super::super::slot::Counted;
+use super::super::stamps::Stamps;
+use super::passes::{Compiled, DIGITS, Pass, Resource, TILE};
+use crate::error::EngineError;
+use crate::neighbours::LEAF;
+
+/// Nodes under a node.
+const CHILDREN: usize = 8;
+/// Levels of nodes that a cloud may have, and one more.
+const LEVELS: usize = 12;
+/// Bytes from one part's number to the next: every device takes uniforms at such offsets.
+const PART_STRIDE: u64 = 256;
+/// Parts of a pass, at most.
+pub(super) const MOST_PARTS: usize = 64;
+/// Words in the nodes' boxes and moments.
+const NODE_BYTES: usize = 48;
+
+/// The uniform of all kernels, as cloud.wgsl has it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub(super) struct CloudUniform {
+    pub(super) points: u32,
+    pub(super) tiles: u32,
+    pub(super) top: u32,
+    pub(super) top_nodes: u32,
+    pub(super) middle: [f32; 3],
+    pub(super) per_half_extent: f32,
+    pub(super) half_count: f32,
+    pub(super) largest_radius: f32,
+    pub(super) keeps_isolated: u32,
+    pub(super) part_places: u32,
+    pub(super) levels: [u32; LEVELS],
+}
+
+const _: () = assert!(size_of::<CloudUniform>() == 96);
+
+/// Where the nodes of each level are.
+pub(super) struct Levels {
+    /// The first node of each level, and of the one after the highest.
+    pub(super) firsts: [u32; LEVELS],
+    pub(super) top: usize,
+    pub(super) top_nodes: usize,
+}
+
+impl Levels {
+    pub(super) fn of(points: usize) -> Self {
+        let mut firsts = [0; LEVELS];
+        let (mut top, mut nodes) = (0, points.div_ceil(LEAF).max(1));
+        loop {
+            let end = firsts[top] + nodes.next_multiple_of(CHILDREN) as u32;
+            firsts[top + 1..].fill(end);
+            if nodes <= CHILDREN {
+                return Self { firsts, top, top_nodes: nodes };
+            }
+            (top, nodes) = (top + 1, nodes.div_ceil(CHILDREN));
+        }
+    }
+
+    /// How many nodes a level has, those included that fill up the last group of children.
+    pub(super) fn nodes(&self, level: usize) -> usize {
+        (self.firsts[level + 1] - self.firsts[level]) as usize
+    }
+
+    fn all_nodes(&self) -> usize {
+        self.firsts[self.top + 1] as usize
+    }
+}
+
+/// The buffers for clouds of up to so many points.
+pub(super) struct Buffers {
+    pub(super) capacity: usize,
+    /// Written by the host; mapped whenever no cloud is under way.
+    pub(super) upload: wgpu::Buffer,
+    pub(super) input: wgpu::Buffer,
+    pub(super) output: wgpu::Buffer,
+    pub(super) readback: wgpu::Buffer,
+    pub(super) batch: wgpu::Buffer,
+    pub(super) cloud: wgpu::Buffer,
+    pub(super) state: wgpu::Buffer,
+    pub(super) mapped: Mapped,
+    pub(super) stamps: Option<Stamps>,
+    /// By pass and part; of passes without parts the first.
+    groups: Vec<Vec<wgpu::BindGroup>>,
+    _counted: Counted,
+}
+
+/// Words of the input before its points.
+pub(super) const SAMPLES: usize = HEADER_WORDS;
+
+impl Buffers {
+    pub(super) fn new(
+        gpu: &GpuDevice,
+        kernels: &[Compiled],
+        capacity: usize,
+        output_words: usize,
+        timestamps: bool,
+        all_bytes: &Arc<AtomicU64>,
+    ) -> Result<Self, EngineError> {
+        use wgpu::BufferUsages as Usage;
+        let levels = Levels::of(capacity);
+        let padded = capacity.next_multiple_of(LEAF);
+        let bytes = |words: usize| 4 * words as u64;
+        let input_bytes = bytes(SAMPLES + 3 * capacity);
+        let output_bytes = bytes(output_words * capacity);
+        let sizes = [
+            ("keys", bytes(2 * capacity)),
+            ("keys", bytes(2 * capacity)),
+            ("order", bytes(capacity)),
+            ("order", bytes(capacity)),
+            ("counts", bytes(DIGITS as usize * capacity.div_ceil(TILE))),
+            ("positions", bytes(4 * padded)),
+            ("nodes", (NODE_BYTES * levels.all_nodes()) as u64),
+            ("radii", bytes(padded)),
+            ("firsts", bytes(capacity + 1)),
+        ];
+        let limits = &gpu.limits;
+        let allowed = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
+        let largest = sizes.iter().map(|&(_, size)| size).max().unwrap_or(0).max(input_bytes).max(output_bytes);
+        if largest > allowed {
+            return Err(EngineError::Limit {
+                device: gpu.name.clone(),
+                what: "bytes in a buffer",
+                allowed,
+                needed: largest,
+            });
+        }
+        let total = sizes.iter().map(|&(_, size)| size).sum::<u64>() + 2 * (input_bytes + output_bytes);
+        gpu.allocate(total, || {
+            let buffer = |label, size, usage, mapped_at_creation| {
+                gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some(label),
+                    size,
+                    usage,
+                    mapped_at_creation,
+                })
+            };
+            let upload = buffer("upload", input_bytes, Usage::MAP_WRITE | Usage::COPY_SRC, true);
+            let readback = buffer("readback", output_bytes, Usage::MAP_READ | Usage::COPY_DST, false);
+            let input = buffer("input", input_bytes, Usage::STORAGE | Usage::COPY_DST, false);
+            let output = buffer("output", output_bytes, Usage::STORAGE | Usage::COPY_SRC, false);
+            let batch = buffer("batch", size_of::<Batch>() as u64, Usage::UNIFORM | Usage::COPY_DST, false);
+            let cloud = buffer("cloud", size_of::<CloudUniform>() as u64, Usage::UNIFORM | Usage::COPY_DST, false);
+            let state = buffer("state", 16, Usage::STORAGE | Usage::COPY_DST, false);
+            let parts = buffer("parts", MOST_PARTS as u64 * PART_STRIDE, Usage::UNIFORM, true);
+            if let Ok(mut range) = parts.get_mapped_range_mut(..) {
+                for part in 0..MOST_PARTS {
+                    let at = part * PART_STRIDE as usize;
+                    range.slice(at..at + 4).copy_from_slice(bytes_of(&(part as u32)));
+                }
+            }
+            parts.unmap();
+            let kept = sizes.map(|(label, size)| buffer(label, size, Usage::STORAGE, false));
+            let bind = |kernel: &Compiled, part: usize, is_swapped: bool| {
+                // Every second pass of the sort goes back.
+                let (from, to) = if is_swapped { (1, 0) } else { (0, 1) };
+                kernel.bind(gpu, |resource| {
+                    let buffer = match resource {
+                        Resource::Batch => &batch,
+                        Resource::Input => &input,
+                        Resource::Output => &output,
+                        Resource::Keys => &kept[from],
+                        Resource::KeysOut => &kept[to],
+                        Resource::Order => &kept[2 + from],
+                        Resource::OrderOut => &kept[2 + to],
+                        Resource::Counts => &kept[4],
+                        Resource::Positions => &kept[5],
+                        Resource::Nodes => &kept[6],
+                        Resource::Radii => &kept[7],
+                        Resource::Firsts => &kept[8],
+                        Resource::State => &state,
+                        Resource::Cloud => &cloud,
+                        Resource::Part => {
+                            let size = std::num::NonZero::new(16);
+                            return wgpu::BufferBinding { buffer: &parts, offset: part as u64 * PART_STRIDE, size };
+                        }
+                    };
+                    wgpu::BufferBinding { buffer, offset: 0, size: None }
+                })
+            };
+            let groups = Pass::ALL
+                .into_iter()
+                .zip(kernels)
+                .map(|(pass, kernel)| {
+                    let is_of_sort = matches!(pass, Pass::CountDigits | Pass::ScatterDigits);
+                    (0..MOST_PARTS).map(|part| bind(kernel, part, is_of_sort && part % 2 == 1)).collect()
+                })
+                .collect();
+            Self {
+                capacity,
+                upload,
+                input,
+                output,
+                readback,
+                batch,
+                cloud,
+                state,
+                mapped: Mapped::default(),
+                stamps: timestamps.then(|| Stamps::new(gpu)),
+                groups,
+                _counted: Counted::new(total, all_bytes),
+            }
+        })
+    }
+
+    /// What binds the buffers for a part of a pass.
+    pub(super) fn bind_group(&self, pass: Pass, part: usize) -> &wgpu::BindGroup {
+        &self.groups[pass as usize][part]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_hold_all_children_of_the_one_above() {
+        for points in [1, 16, 17, 128, 129, 5000, 1 << 20, 200_000_000] {
+            let levels = Levels::of(points);
+            assert!(levels.nodes(0) * LEAF >= points && levels.top_nodes <= CHILDREN);
+            for level in 1..=levels.top {
+                assert!(levels.nodes(level) * CHILDREN >= levels.nodes(level - 1), "{points}");
+            }
+            assert_eq!(levels.all_nodes(), (0..=levels.top).map(|level| levels.nodes(level)).sum::<usize>());
+        }
+    }
+}

@@ -1,0 +1,282 @@
+//! General clouds on the GPU (docs/method.md, section 8): the points are sorted on the device along a curve, boxes are built over
+//! them, and each position is fitted by a thread that walks through the boxes within its reach. Nothing comes back before the
+//! results.
+//!
+//! [`passes`] has the kernels, in the order in which they run, [`buffers`] what they work with. Passes over all positions are
+//! submitted in parts, so that none is long enough for a desktop's watchdog, and progress can be told.
+
+mod buffers;
+mod passes;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread;
+
+use bytemuck::bytes_of;
+
+use super::device::GpuDevice;
+use super::layout::{Batch, InputKind, Layout};
+use super::upload::Uploader;
+use super::view::spawn_copying;
+use crate::devices::{GpuOptions, choose};
+use crate::engine::{AdmittedFrame, ImmediateEngine};
+use crate::error::{EngineError, Error};
+use crate::frame::{Frame, PointsView};
+use crate::neighbours::middle;
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::params::{Radius, SmoothParams};
+use crate::progress::Progress;
+use crate::range::MAX_RANGE_M;
+use crate::status::Status;
+use crate::timings::FrameTimings;
+use buffers::{Buffers, CloudUniform, Levels, MOST_PARTS, SAMPLES};
+use passes::{Compiled, Pass, SORT_PASSES, TILE};
+
+/// Positions that are fitted in one submission, at least: as many as the largest devices have threads.
+const PART_PLACES: usize = 1 << 18;
+/// Workgroups along the first axis of a dispatch: fewer than any device allows.
+const MOST_GROUPS_ACROSS: usize = 1 << 15;
+/// More than this is no point of any cloud, and its inverse is far from the end of f32.
+const LEAST_EXTENT_M: f64 = 1e-18;
+
+/// The GPU engine for general clouds, with its buffers.
+pub(crate) struct GeneralGpu {
+    gpu: Arc<GpuDevice>,
+    params: SmoothParams,
+    outputs: Outputs,
+    options: GpuOptions,
+    kernels: Vec<Compiled>,
+    uploader: Uploader,
+    buffers: Option<Buffers>,
+    progress: Arc<Progress>,
+    timings: Option<FrameTimings>,
+    bytes: Arc<AtomicU64>,
+}
+
+impl GeneralGpu {
+    /// Opens an adapter by the options.
+    pub(crate) fn open(params: SmoothParams, outputs: Outputs, options: &GpuOptions) -> Result<Self, EngineError> {
+        let gpu = GpuDevice::open(choose(&super::adapters(), options.adapter.as_deref())?)?;
+        gpu.check_timestamps(options)?;
+        // In parallel: drivers compile on the calling thread.
+        let kernels = thread::scope(|scope| {
+            let compile = |pass| Compiled::new(&gpu, pass, &params, outputs, options.bounds_checks);
+            let compiling: Vec<_> = Pass::ALL.into_iter().map(|pass| scope.spawn(move || compile(pass))).collect();
+            let failed = || Err(gpu.failed("a kernel was not compiled"));
+            compiling.into_iter().map(|thread| thread.join().unwrap_or_else(|_| failed())).collect::<Result<_, _>>()
+        })?;
+        let (uploader, options) = (Uploader::new(params), options.clone());
+        let (progress, bytes) = Default::default();
+        Ok(Self { gpu, params, outputs, options, kernels, uploader, buffers: None, progress, timings: None, bytes })
+    }
+
+    /// Where a point's results are; the words of status and neighbours lie behind the other channels.
+    fn layout(&self, points: usize) -> Layout {
+        let outputs = Outputs { status: false, neighbours: false, ..self.outputs };
+        let kind = InputKind::Points;
+        Layout { width: points, height: 1, kind, outputs, keeps_points: false, keeps_planes: false }
+    }
+
+    /// Words of a point's result.
+    fn output_words(&self) -> usize {
+        self.layout(1).output_words() + usize::from(self.outputs.status || self.outputs.neighbours)
+    }
+
+    /// The buffers for so many points; new ones if those that there are do not hold them.
+    fn take_buffers(&mut self, points: usize) -> Result<Buffers, EngineError> {
+        if let Some(buffers) = self.buffers.take().filter(|buffers| buffers.capacity >= points) {
+            return Ok(buffers);
+        }
+        let (words, timestamps) = (self.output_words(), self.options.timestamps);
+        Buffers::new(&self.gpu, &self.kernels, points, words, timestamps, &self.bytes)
+    }
+
+    fn uniform(&self, view: &PointsView<'_>, levels: &Levels) -> CloudUniform {
+        let middle =
+            [0, 1, 2].map(|axis| middle(view.len(), |i| f64::from(view.get(i)[axis] as f32)).unwrap_or_default());
+        let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
+        let half = middle.iter().map(|[low, high]| high - low).fold(0.0, f64::max) / 2.0;
+        let half_count = match self.params.radius {
+            Radius::Neighbours { count } => count as f32 / 2.0,
+            _ => 0.0,
+        };
+        CloudUniform {
+            points: view.len() as u32,
+            tiles: view.len().div_ceil(TILE) as u32,
+            top: levels.top as u32,
+            top_nodes: levels.top_nodes as u32,
+            middle: middle.map(|[low, high]| ((low + high) / 2.0) as f32),
+            per_half_extent: (1.0 / half.max(LEAST_EXTENT_M)) as f32,
+            half_count,
+            largest_radius: (extent_m as f32 / 2.0).min(MAX_RANGE_M),
+            keeps_isolated: u32::from(!self.params.remove_isolated),
+            part_places: part_places(view.len()) as u32,
+            levels: levels.firsts,
+        }
+    }
+
+    /// Writes a cloud, runs all passes, and waits for the results.
+    fn run(&mut self, buffers: &Buffers, frame: &AdmittedFrame<'_>, view: &PointsView<'_>) -> Result<(), EngineError> {
+        let (points, layout, levels) = (view.len(), self.layout(view.len()), Levels::of(view.len()));
+        let uniform = self.uniform(view, &levels);
+        {
+            let Self { gpu, uploader, .. } = self;
+            let mut range = buffers.upload.get_mapped_range_mut(..).map_err(|error| gpu.failed(error))?;
+            uploader.write_general(&layout, frame, SAMPLES, &mut |word: usize, bytes: &[u8]| {
+                range.slice(4 * word..4 * word + bytes.len()).copy_from_slice(bytes);
+            });
+        }
+        let output_bytes = (4 * self.output_words() * points) as u64;
+        let batch = Batch { width: points as u32, height: 1, input_words: 0, output_words: 0 };
+        let gpu = &self.gpu;
+        gpu.queue.write_buffer(&buffers.batch, 0, bytes_of(&batch));
+        gpu.queue.write_buffer(&buffers.cloud, 0, bytes_of(&uniform));
+        buffers.upload.unmap();
+
+        let stamp = |encoder: &mut wgpu::CommandEncoder, index| {
+            if let Some(stamps) = &buffers.stamps {
+                stamps.write(encoder, index);
+            }
+        };
+        let encoder = || gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut commands = encoder();
+        stamp(&mut commands, 0);
+        let input_bytes = (4 * (SAMPLES + 3 * points)) as u64;
+        commands.copy_buffer_to_buffer(&buffers.upload, 0, &buffers.input, 0, input_bytes);
+        commands.clear_buffer(&buffers.state, 0, None);
+        stamp(&mut commands, 1);
+        {
+            let mut pass = commands.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            self.build_index(buffers, &mut pass, points, &levels);
+        }
+        let mut submissions = vec![gpu.submit(commands.finish())];
+        let parts = points.div_ceil(part_places(points));
+        let by_density = matches!(self.params.radius, Radius::Neighbours { .. });
+        for (pass, wanted) in [(Pass::Radii, by_density), (Pass::Fit, true)] {
+            for part in (0..parts).filter(|_| wanted) {
+                let mut commands = encoder();
+                {
+                    let mut compute = commands.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                    let places = part_places(points).min(points - part * part_places(points));
+                    self.dispatch(buffers, &mut compute, pass, part, places);
+                }
+                if pass == Pass::Fit && part + 1 == parts {
+                    stamp(&mut commands, 2);
+                    commands.copy_buffer_to_buffer(&buffers.output, 0, &buffers.readback, 0, output_bytes);
+                    stamp(&mut commands, 3);
+                    if let Some(stamps) = &buffers.stamps {
+                        stamps.resolve(&mut commands);
+                    }
+                }
+                submissions.push(gpu.submit(commands.finish()));
+            }
+        }
+        let stamps = buffers.stamps.as_ref().map(|stamps| (&stamps.readback, wgpu::MapMode::Read));
+        let asked = [(&buffers.upload, wgpu::MapMode::Write), (&buffers.readback, wgpu::MapMode::Read)];
+        buffers.mapped.ask_for(asked.into_iter().chain(stamps));
+        self.progress.begin(submissions.len());
+        for submission in submissions {
+            gpu.wait(submission)?;
+            self.progress.add(1);
+        }
+        buffers.mapped.wait(gpu)
+    }
+
+    /// Sorts the points and builds the boxes.
+    fn build_index(&self, buffers: &Buffers, pass: &mut wgpu::ComputePass<'_>, points: usize, levels: &Levels) {
+        let mut run = |kernel, part, count| self.dispatch(buffers, pass, kernel, part, count);
+        run(Pass::Keys, 0, points);
+        for digit in 0..SORT_PASSES as usize {
+            run(Pass::CountDigits, digit, points);
+            run(Pass::ScanCounts, passes::DIGITS as usize, points);
+            run(Pass::ScatterDigits, digit, points);
+        }
+        run(Pass::CountHeads, 0, points);
+        run(Pass::ScanCounts, 1, points);
+        run(Pass::PlaceHeads, 0, points);
+        run(Pass::Leaves, 0, levels.nodes(0));
+        for level in 1..=levels.top {
+            run(Pass::Nodes, level, levels.nodes(level));
+        }
+    }
+
+    /// Runs a part of a pass over so many points, places or nodes. Each waits for those before: wgpu sees what they share.
+    fn dispatch(&self, buffers: &Buffers, compute: &mut wgpu::ComputePass<'_>, pass: Pass, part: usize, count: usize) {
+        let groups = pass.groups(count);
+        let across = groups.min(MOST_GROUPS_ACROSS);
+        compute.set_pipeline(&self.kernels[pass as usize].pipeline);
+        compute.set_bind_group(0, buffers.bind_group(pass, part), &[]);
+        compute.dispatch_workgroups(across as u32, groups.div_ceil(across) as u32, 1);
+    }
+
+    /// Copies the results out of mapped memory.
+    fn copy_out(&self, buffers: &Buffers, points: usize, out: SmoothedMut<'_>) -> Result<(), EngineError> {
+        let bytes = buffers.readback.get_mapped_range(..).map_err(|error| self.gpu.failed(error))?;
+        let layout = self.layout(points);
+        let numbers =
+            |words: std::ops::Range<usize>| -> &[f32] { bytemuck::cast_slice(&bytes[4 * words.start..4 * words.end]) };
+        let first_code = layout.output_words();
+        rayon::scope(|scope| {
+            for (channels, to) in [(layout.points(), out.points), (layout.normals(), out.normals)] {
+                if let (Some(channels), Some(to)) = (channels, to) {
+                    spawn_copying(scope, channels.map(numbers), to);
+                }
+            }
+            if let (Some(words), Some(to)) = (layout.curvature(), out.curvature) {
+                let from = numbers(words);
+                scope.spawn(move |_| to.copy_from_slice(from));
+            }
+            if out.status.is_some() || out.neighbours.is_some() {
+                let codes: &[u32] = bytemuck::cast_slice(&bytes[4 * first_code..4 * (first_code + points)]);
+                if let Some(to) = out.status {
+                    let status = |code: &u32| Status::of_code(*code as u8);
+                    scope.spawn(move |_| to.iter_mut().zip(codes).for_each(|(to, code)| *to = status(code)));
+                }
+                if let Some(to) = out.neighbours {
+                    scope.spawn(move |_| to.iter_mut().zip(codes).for_each(|(to, code)| *to = code >> 8));
+                }
+            }
+        });
+        Ok(())
+    }
+}
+
+/// Positions of a submission.
+fn part_places(points: usize) -> usize {
+    points.div_ceil(MOST_PARTS).next_multiple_of(PART_PLACES)
+}
+
+impl ImmediateEngine for GeneralGpu {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let Frame::Points(view) = frame.frame else { return Ok(()) };
+        self.gpu.check()?;
+        self.timings = None;
+        if view.is_empty() {
+            return Ok(());
+        }
+        let buffers = self.take_buffers(view.len())?;
+        // After an error they are given up with the device's state of them.
+        self.run(&buffers, frame, &view)?;
+        self.copy_out(&buffers, view.len(), out)?;
+        self.timings = buffers.stamps.as_ref().and_then(|stamps| stamps.timings());
+        buffers.readback.unmap();
+        self.buffers = Some(buffers);
+        Ok(())
+    }
+
+    fn timings(&self) -> Option<FrameTimings> {
+        self.timings
+    }
+
+    fn buffer_bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    fn progress(&self) -> Option<Arc<Progress>> {
+        Some(Arc::clone(&self.progress))
+    }
+
+    fn device_name(&self) -> Option<&str> {
+        Some(&self.gpu.name)
+    }
+}

@@ -1,0 +1,269 @@
+//! The kernels of a general cloud: what each reads and writes, and its WGSL.
+
+use std::fmt::Write;
+
+use super::super::device::GpuDevice;
+use super::super::kernel;
+use super::super::layout::{InputKind, constants};
+use crate::error::EngineError;
+use crate::outputs::Outputs;
+use crate::params::{Radius, SmoothParams};
+
+/// Bits of the keys that a pass of the sort looks at, and passes for a key of 64 bits.
+pub(super) const DIGITS: u32 = 16;
+pub(super) const SORT_PASSES: u32 = 16;
+/// Points of a tile of the sort, handled by one workgroup.
+pub(super) const TILE: usize = 2048;
+/// Threads of a workgroup where each has a point, a place or a node of its own.
+const THREADS: usize = 64;
+const KEY_THREADS: usize = 256;
+
+/// What a kernel works with, by its binding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Resource {
+    Batch,
+    Input,
+    Output,
+    Keys,
+    Order,
+    KeysOut,
+    OrderOut,
+    Counts,
+    Positions,
+    Nodes,
+    Radii,
+    Firsts,
+    State,
+    Cloud,
+    Part,
+}
+
+impl Resource {
+    fn name_and_type(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Batch => ("batch", "Batch"),
+            Self::Input => ("input", "array<u32>"),
+            Self::Output => ("output", "array<u32>"),
+            Self::Keys => ("keys", "array<vec2<u32>>"),
+            Self::Order => ("order", "array<u32>"),
+            Self::KeysOut => ("keys_out", "array<vec2<u32>>"),
+            Self::OrderOut => ("order_out", "array<u32>"),
+            Self::Counts => ("counts", "array<u32>"),
+            Self::Positions => ("positions", "array<vec4<f32>>"),
+            Self::Nodes => ("nodes", "array<vec4<f32>>"),
+            Self::Radii => ("radii", "array<f32>"),
+            Self::Firsts => ("firsts", "array<u32>"),
+            Self::State => ("state", "array<u32>"),
+            Self::Cloud => ("cloud", "Cloud"),
+            Self::Part => ("part", "Part"),
+        }
+    }
+
+    fn is_uniform(self) -> bool {
+        matches!(self, Self::Batch | Self::Cloud | Self::Part)
+    }
+}
+
+/// The kernels, in the order in which they run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Pass {
+    /// Where each point is along the curve; holes are done.
+    Keys,
+    /// A pass of the sort.
+    CountDigits,
+    ScanCounts,
+    ScatterDigits,
+    /// One place for equal positions.
+    CountHeads,
+    PlaceHeads,
+    /// The boxes.
+    Leaves,
+    Nodes,
+    /// Radii from the density.
+    Radii,
+    Fit,
+}
+
+impl Pass {
+    pub(super) const ALL: [Self; 10] = [
+        Self::Keys,
+        Self::CountDigits,
+        Self::ScanCounts,
+        Self::ScatterDigits,
+        Self::CountHeads,
+        Self::PlaceHeads,
+        Self::Leaves,
+        Self::Nodes,
+        Self::Radii,
+        Self::Fit,
+    ];
+
+    fn entry_point(self) -> &'static str {
+        match self {
+            Self::Keys => "find_keys",
+            Self::CountDigits => "count_digits",
+            Self::ScanCounts => "scan_counts",
+            Self::ScatterDigits => "scatter_digits",
+            Self::CountHeads => "count_heads",
+            Self::PlaceHeads => "place_heads",
+            Self::Leaves => "build_leaves",
+            Self::Nodes => "build_nodes",
+            Self::Radii => "find_radii",
+            Self::Fit => "fit_places",
+        }
+    }
+
+    /// What it reads, and what it writes; at most eight that are no uniforms, as every device has.
+    fn resources(self) -> (&'static [Resource], &'static [Resource]) {
+        use Resource::*;
+        match self {
+            Self::Keys => (&[Batch, Cloud, Input], &[Output, Keys, Order]),
+            Self::CountDigits => (&[Batch, Cloud, Part, Input, Keys], &[Counts]),
+            Self::ScanCounts => (&[Batch, Cloud, Part, Input], &[Counts]),
+            Self::ScatterDigits => (&[Batch, Cloud, Part, Input, Keys, Order, Counts], &[KeysOut, OrderOut]),
+            Self::CountHeads => (&[Batch, Cloud, Input, Keys, Order], &[Counts]),
+            Self::PlaceHeads => (&[Batch, Cloud, Input, Keys, Order, Counts], &[Positions, Firsts, State]),
+            Self::Leaves => (&[Batch, Cloud, Input, Firsts, State], &[Positions, Nodes]),
+            Self::Nodes => (&[Batch, Cloud, Part, Input], &[Nodes]),
+            Self::Radii => (&[Batch, Cloud, Part, Input, Positions, Nodes, State], &[Radii]),
+            Self::Fit => (&[Batch, Cloud, Part, Input, Order, Positions, Nodes, Radii, Firsts, State], &[Output]),
+        }
+    }
+
+    /// Workgroups for so many points, places or nodes.
+    pub(super) fn groups(self, count: usize) -> usize {
+        match self {
+            Self::Keys => count.div_ceil(KEY_THREADS),
+            Self::ScanCounts => 1,
+            Self::CountDigits | Self::ScatterDigits | Self::CountHeads | Self::PlaceHeads => count.div_ceil(TILE),
+            Self::Leaves | Self::Nodes | Self::Radii | Self::Fit => count.div_ceil(THREADS),
+        }
+    }
+
+    /// The WGSL of this kernel.
+    pub(super) fn wgsl(self, params: &SmoothParams, outputs: Outputs) -> String {
+        let mut text = constants(InputKind::Points, outputs);
+        text += include_str!("../shaders/buffers.wgsl");
+        text += include_str!("../shaders/general/cloud.wgsl");
+        let (read, written) = self.resources();
+        for (resources, access) in [(read, "read"), (written, "read_write")] {
+            for &resource in resources {
+                let (name, wgsl_type) = resource.name_and_type();
+                let space = if resource.is_uniform() { "uniform".into() } else { format!("storage, {access}") };
+                // Those of all kernels are in buffers.wgsl.
+                if !matches!(resource, Resource::Batch | Resource::Input | Resource::Output) {
+                    let binding = resource as u32;
+                    let _ = writeln!(text, "@group(0) @binding({binding}) var<{space}> {name}: {wgsl_type};");
+                }
+            }
+        }
+        let gate = include_str!("../shaders/gate.wgsl");
+        let node = include_str!("../shaders/general/node.wgsl");
+        let walk = include_str!("../shaders/general/walk.wgsl");
+        let digit = include_str!("../shaders/general/digit.wgsl");
+        let heads = include_str!("../shaders/general/heads.wgsl");
+        let store = [include_str!("../shaders/pixel_result.wgsl"), include_str!("../shaders/general/store.wgsl")];
+        match self {
+            Self::Keys => text += &(store.concat() + include_str!("../shaders/general/keys.wgsl")),
+            Self::CountDigits => text += &(digit.to_owned() + include_str!("../shaders/general/count_digits.wgsl")),
+            Self::ScanCounts => text += include_str!("../shaders/general/scan.wgsl"),
+            Self::ScatterDigits => text += &(digit.to_owned() + include_str!("../shaders/general/scatter_digits.wgsl")),
+            Self::CountHeads => text += &(heads.to_owned() + include_str!("../shaders/general/count_heads.wgsl")),
+            Self::PlaceHeads => text += &(heads.to_owned() + include_str!("../shaders/general/place_heads.wgsl")),
+            Self::Leaves => text += &(node.to_owned() + include_str!("../shaders/general/leaves.wgsl")),
+            Self::Nodes => text += &(node.to_owned() + include_str!("../shaders/general/nodes.wgsl")),
+            Self::Radii => text += &[gate, walk, include_str!("../shaders/general/radii.wgsl")].concat(),
+            Self::Fit => {
+                text += &[gate, walk, include_str!("../shaders/eigen.wgsl")].concat();
+                text += include_str!("../shaders/sensor.wgsl");
+                let _ = writeln!(text, "const DEGREE: u32 = {}u;\nconst KEEPS_EDGES: bool = false;", params.degree);
+                text += include_str!("../shaders/plane.wgsl");
+                text += &kernel::surface(params.degree as usize, LEAVES_LOOP);
+                text += &store.concat();
+                text += include_str!("../shaders/result.wgsl");
+                text += match params.radius {
+                    Radius::Neighbours { .. } => include_str!("../shaders/general/radius_limited.wgsl"),
+                    _ => include_str!("../shaders/general/radius_fixed.wgsl"),
+                };
+                text += include_str!("../shaders/general/fit.wgsl");
+            }
+        }
+        text
+    }
+}
+
+/// The loop over the points within reach, up to its body and after it.
+const LEAVES_LOOP: [&str; 2] = [
+    "var walk = new_walk();
+    while next_leaf(&walk, p, reach_squared_of(radius_squared)) {
+        for (var place = LEAF * walk.leaf; place < LEAF * (walk.leaf + 1u); place++) {
+        let q = positions[place];
+        let e = q.xyz - p;
+        let count = q.w;",
+    "} }",
+];
+
+/// A compiled kernel.
+pub(super) struct Compiled {
+    pub(super) pipeline: wgpu::ComputePipeline,
+    layout: wgpu::BindGroupLayout,
+    resources: Vec<Resource>,
+}
+
+impl Compiled {
+    pub(super) fn new(
+        gpu: &GpuDevice,
+        pass: Pass,
+        params: &SmoothParams,
+        outputs: Outputs,
+        bounds_checks: bool,
+    ) -> Result<Self, EngineError> {
+        let (read, written) = pass.resources();
+        let entry = |&resource: &Resource, read_only| {
+            let ty = if resource.is_uniform() {
+                wgpu::BufferBindingType::Uniform
+            } else {
+                wgpu::BufferBindingType::Storage { read_only }
+            };
+            wgpu::BindGroupLayoutEntry {
+                binding: resource as u32,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+                count: None,
+            }
+        };
+        let entries: Vec<_> =
+            read.iter().map(|r| entry(r, true)).chain(written.iter().map(|w| entry(w, false))).collect();
+        let layout =
+            gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
+        let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let wgsl = pass.wgsl(params, outputs);
+        let pipeline = gpu.compile(pass.entry_point(), wgsl, &pipeline_layout, bounds_checks)?;
+        Ok(Self { pipeline, layout, resources: [read, written].concat() })
+    }
+
+    /// Binds its buffers, as `buffer` gives them.
+    pub(super) fn bind<'a>(
+        &self,
+        gpu: &GpuDevice,
+        buffer: impl Fn(Resource) -> wgpu::BufferBinding<'a>,
+    ) -> wgpu::BindGroup {
+        let entries: Vec<_> = self
+            .resources
+            .iter()
+            .map(|&resource| wgpu::BindGroupEntry {
+                binding: resource as u32,
+                resource: wgpu::BindingResource::Buffer(buffer(resource)),
+            })
+            .collect();
+        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &self.layout,
+            entries: &entries,
+        })
+    }
+}

@@ -1,0 +1,46 @@
+//! Buffers that the device gives back to the host.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+
+use super::device::{GpuDevice, TIMEOUT, lock};
+use crate::error::EngineError;
+
+/// The buffers that were asked for after a submission.
+#[derive(Default)]
+pub(super) struct Mapped(Arc<Counts>);
+
+/// How many buffers are still the device's, and whether one of the others will not come back.
+///
+/// Any thread that calls the device may run the callbacks that count, also a little after another has seen the submission
+/// done: a thread that needs the buffers waits for the counts.
+#[derive(Default)]
+struct Counts {
+    missing: Mutex<(usize, bool)>,
+    changed: Condvar,
+}
+
+impl Mapped {
+    /// Asks for buffers back as soon as what was submitted before is done.
+    pub(super) fn ask_for<'a>(&self, buffers: impl Iterator<Item = (&'a wgpu::Buffer, wgpu::MapMode)>) {
+        let buffers: Vec<_> = buffers.collect();
+        *lock(&self.0.missing) = (buffers.len(), false);
+        for (buffer, mode) in buffers {
+            let counts = Arc::clone(&self.0);
+            buffer.map_async(mode, .., move |result| {
+                let mut missing = lock(&counts.missing);
+                missing.0 -= 1;
+                missing.1 |= result.is_err();
+                counts.changed.notify_all();
+            });
+        }
+    }
+
+    /// Waits until every buffer is the host's again, after a submission that has run.
+    pub(super) fn wait(&self, gpu: &GpuDevice) -> Result<(), EngineError> {
+        let missing = lock(&self.0.missing);
+        let waited = self.0.changed.wait_timeout_while(missing, TIMEOUT, |&mut (missing, _)| missing > 0);
+        let (missing, has_failed) = *waited.unwrap_or_else(PoisonError::into_inner).0;
+        // Nothing is locked here: what follows may run callbacks, which count.
+        if missing == 0 && !has_failed { Ok(()) } else { Err(gpu.failed("a buffer could not be mapped")) }
+    }
+}

@@ -1,0 +1,32 @@
+// How much a candidate counts by its distance, and the sums over those that do (docs/method.md, sections 2 and 3).
+
+struct Gate {
+    // Of the weight over the squared distance.
+    slope: f32,
+}
+
+fn gate_of(radius: f32) -> Gate {
+    return Gate(-GATE_FADE / (radius * radius));
+}
+
+// How much an offset counts by its square: not at all from 0 down, fully from 1 up.
+fn unclamped(gate: Gate, squared: f32) -> f32 {
+    return fma(squared, gate.slope, GATE_FADE + 0.5);
+}
+
+// Sums over the neighbours, relative to p.
+struct Sums {
+    // How many.
+    n: f32,
+    // How much they count together.
+    total: f32,
+    e: vec3<f32>,
+    // xx, xy, xz
+    x_row: vec3<f32>,
+    // yy, yz, zz
+    rest: vec3<f32>,
+}
+
+fn square(e: vec3<f32>) -> f32 {
+    return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
+}

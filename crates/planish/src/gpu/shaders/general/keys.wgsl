@@ -1,0 +1,93 @@
+// Where each point is along a Hilbert curve.
+
+const CELL_BITS: u32 = 18u;
+// Cells from the middle of the curve's box to its border.
+const HALF: f32 = 131072.0;
+// Beyond most points cells grow with the distance, so that stray points spoil nothing.
+const OCTAVES: f32 = 64.0;
+
+fn cell_of(p: vec3<f32>) -> vec3<u32> {
+    let t = (p - cloud.middle) * cloud.per_half_extent;
+    let within = 0.5 * abs(t);
+    let beyond = 0.5 + log2(max(abs(t), vec3<f32>(1.0))) * (0.5 / OCTAVES);
+    let u = min(select(within, beyond, abs(t) > vec3<f32>(1.0)), vec3<f32>(0.99999));
+    return vec3<u32>(HALF + sign(t) * u * HALF);
+}
+
+// How far along the curve a cell is, its bits still apart: Skilling's transposition ("Programming the Hilbert curve", 2004).
+fn transposed(cell_: vec3<u32>) -> vec3<u32> {
+    var cell = cell_;
+    for (var bit = 1u << (CELL_BITS - 1u); bit > 1u; bit >>= 1u) {
+        let below = bit - 1u;
+        for (var axis = 0u; axis < 3u; axis++) {
+            if (cell[axis] & bit) != 0u {
+                cell.x ^= below;
+            } else {
+                let exchanged = (cell.x ^ cell[axis]) & below;
+                cell.x ^= exchanged;
+                cell[axis] ^= exchanged;
+            }
+        }
+    }
+    cell.y ^= cell.x;
+    cell.z ^= cell.y;
+    var flips = 0u;
+    for (var bit = 1u << (CELL_BITS - 1u); bit > 1u; bit >>= 1u) {
+        if (cell.z & bit) != 0u {
+            flips ^= bit - 1u;
+        }
+    }
+    return cell ^ vec3<u32>(flips);
+}
+
+// 9 bits, each after two zeros.
+fn spread(low: u32) -> u32 {
+    var value = low;
+    value = (value | (value << 16u)) & 0x030000ffu;
+    value = (value | (value << 8u)) & 0x0300f00fu;
+    value = (value | (value << 4u)) & 0x030c30c3u;
+    return (value | (value << 2u)) & 0x09249249u;
+}
+
+fn interleaved(bits: vec3<u32>) -> u32 {
+    return (spread(bits.x) << 2u) | (spread(bits.y) << 1u) | spread(bits.z);
+}
+
+// Ten bits by which equal positions of a crowded cell come to lie together.
+fn hash_of(bits: vec3<u32>) -> u32 {
+    var hash = (bits.x * 0x9e3779b1u) ^ (bits.y * 0x85ebca77u) ^ (bits.z * 0xc2b2ae3du);
+    hash = (hash ^ (hash >> 15u)) * 0x2c1b3c6du;
+    return (hash ^ (hash >> 12u)) & 0x3ffu;
+}
+
+@compute @workgroup_size(256)
+fn find_keys(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = number_of(group, groups) * 256u + thread;
+    if i >= cloud.points {
+        return;
+    }
+    order[i] = i;
+    var bits = sample_bits(i);
+    if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
+        keys[i] = HOLE_KEY;
+        store(i, no_result(STATUS_HOLE, 0u));
+        return;
+    }
+    // -0 and 0 are one place.
+    bits = select(bits, vec3<u32>(0u), bits == vec3<u32>(0x80000000u));
+    let p = bitcast<vec3<f32>>(bits);
+    if any(abs(p) > vec3<f32>(MAX_RANGE_M)) {
+        // Farther away than squares can say.
+        keys[i] = HOLE_KEY;
+        store(i, isolated(p, 1u));
+        return;
+    }
+    let along = transposed(cell_of(p));
+    let high = interleaved(along >> vec3<u32>(9u));
+    let low = interleaved(along & vec3<u32>(0x1ffu));
+    keys[i] = vec2<u32>((high << 5u) | (low >> 22u), (low << 10u) | hash_of(bits));
+}

@@ -1,0 +1,96 @@
+// Radii from the density of the points (docs/method.md, section 8).
+//
+// The sum of 1 - d²/r² is convex and falls in u = 1/r², and it is a straight line between two candidates: from a large radius on,
+// Newton's method goes to the solution without passing it, and ends there.
+
+// Steps of Newton's method; five to eight usually suffice.
+const MOST_STEPS: u32 = 50u;
+// How much further, squared, a reach is tried that holds too few points.
+const NEXT_REACH: f32 = 2.25;
+
+// How many positions are within a radius, and the sum of the squares of their distances.
+struct Within {
+    n: f32,
+    sum: f32,
+}
+
+fn farthest_squared(at: u32, p: vec3<f32>) -> f32 {
+    let farther = max(p - nodes[at].xyz, nodes[at + 1u].xyz - p);
+    return dot(farther, farther);
+}
+
+fn within(p: vec3<f32>, limit: f32) -> Within {
+    var found = Within(0.0, 0.0);
+    var walk = new_walk();
+    while true {
+        var has_leaf = false;
+        while !walk.is_done && !has_leaf {
+            let at = NODE_WORDS * (level_at(walk.level) + walk.node);
+            if box_distance_squared(at, p) < limit {
+                if farthest_squared(at, p) < limit {
+                    // A node that is wholly within, by its moments.
+                    let apart = nodes[at + 2u].xyz - p;
+                    let count = nodes[at].w;
+                    found.n += count;
+                    found.sum += fma(count, dot(apart, apart), nodes[at + 1u].w);
+                } else if walk.level > 0u {
+                    descend(&walk);
+                    continue;
+                } else {
+                    walk.leaf = walk.node;
+                    has_leaf = true;
+                }
+            }
+            step_on(&walk);
+        }
+        if !has_leaf {
+            break;
+        }
+        for (var place = LEAF * walk.leaf; place < LEAF * (walk.leaf + 1u); place++) {
+            let squared = square(positions[place].xyz - p);
+            let is_near = squared < limit;
+            found.n += select(0.0, 1.0, is_near);
+            found.sum += select(0.0, squared, is_near);
+        }
+    }
+    return found;
+}
+
+fn radius_of(place: u32) -> f32 {
+    let p = positions[place].xyz;
+    let largest = cloud.largest_radius * cloud.largest_radius;
+    // As dense as the point's own leaf, and a little further.
+    let leaf = NODE_WORDS * (level_at(0u) + place / LEAF);
+    let near = 0.4 * cloud.half_count * nodes[leaf + 1u].w / max(nodes[leaf].w, 1.0);
+    var limit = clamp(near, 1e-12 * largest, largest);
+    var found = within(p, limit);
+    while (found.n - cloud.half_count) * limit < found.sum || found.n <= cloud.half_count {
+        if limit >= largest {
+            return cloud.largest_radius;
+        }
+        limit = min(max(NEXT_REACH * limit, MIN_POSITIVE), largest);
+        found = within(p, limit);
+    }
+    for (var steps = 0u; steps < MOST_STEPS; steps++) {
+        limit = found.sum / (found.n - cloud.half_count);
+        let fewer = within(p, limit);
+        if fewer.n == found.n || fewer.n <= cloud.half_count {
+            break;
+        }
+        found = fewer;
+    }
+    return min(sqrt(limit), cloud.largest_radius);
+}
+
+@compute @workgroup_size(64)
+fn find_radii(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let in_part = number_of(group, groups) * 64u + thread;
+    let place = part.number * cloud.part_places + in_part;
+    if in_part < cloud.part_places && place < state[0] {
+        radii[place] = radius_of(place);
+    }
+}
