@@ -7,7 +7,6 @@ project=$(dirname "$here")
 work=$project/target/compare
 threads=2
 "$here/install.sh" >&2
-cargo build --release --quiet --manifest-path "$project/Cargo.toml" -p planish-tests --example general_speed
 
 cpu() { grep -m1 "$1" /proc/cpuinfo | cut -d: -f2 | xargs; }
 echo "$(cpu 'model name') (family $(cpu 'cpu family')), $(nproc) cores; $threads threads; points and normals out"
@@ -17,7 +16,9 @@ echo "|---|---|---|---|"
 for pair in "$@"; do
   frame=${pair%:*} radius=${pair##*:}
   read -r pcl _ <<<"$("$work/pcl_mls" "$frame" kdtree "$radius" 2 $threads 1)"
-  "$project/target/release/examples/general_speed" "$frame" "$radius" 2 $threads 9 | while read -r level ms _; do
+  "$project/target/release/planish" bench general --input "$frame" --radius "$radius" --threads $threads --every-simd --engine cpu --json |
+    python3 -c 'import json, sys
+for row in json.load(sys.stdin): print(row["engine"].replace(" ", ""), row["timing"]["ms"]["median"])' | while read -r level ms; do
     awk -v name="$(basename "$frame"), $radius m" -v pcl="$pcl" -v level="$level" -v ms="$ms" \
       'BEGIN { printf "| %s | %.0f | %s, %.1f | %.1f |\n", name, pcl, level, ms, pcl / ms }'
   done

@@ -5,6 +5,7 @@ mod connectivity;
 mod engines;
 mod experiment;
 mod frames;
+mod general;
 mod gpu;
 pub mod output;
 mod plot;
@@ -24,6 +25,7 @@ use planish::Engine;
 
 use experiment::Bench;
 pub use frames::{Input, simulated_inputs};
+pub use general::{GeneralOptions, run as run_general};
 pub use gpu::{GpuOptions as GpuBenchOptions, run as run_gpu};
 use record::{Document, Origin};
 use section::Section;

@@ -16,6 +16,8 @@ pub struct BenchArgs {
 pub enum BenchCommand {
     /// The GPU engine: its kernels, one frame at a time, frames in flight, batches
     Gpu(BenchGpuArgs),
+    /// General clouds: from points in memory to points and normals
+    General(BenchGeneralArgs),
     /// Experiment 1 of the 2011 report: times of a frame, and how many times the serial method's
     Speedup(ExperimentArgs),
     /// Experiment 2: time over the candidates of a window
@@ -64,6 +66,43 @@ pub struct BenchGpuArgs {
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(2..))]
     pub runs: u32,
     /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct BenchGeneralArgs {
+    /// Clouds; points on a grid are taken without it. Else simulated scans of --points
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    pub input: Vec<PathBuf>,
+    /// Points of simulated scans, separated by commas
+    #[arg(long, value_delimiter = ',', value_name = "N", value_parser = clap::value_parser!(u32).range(100..=1_000_000_000))]
+    pub points: Vec<u32>,
+    /// Radii in metres, separated by commas; else, and with 0, radii by density
+    #[arg(long, value_delimiter = ',', value_name = "M")]
+    pub radius: Vec<f32>,
+    /// Neighbours that radii by density go for
+    #[arg(long, value_name = "K", default_value_t = 40)]
+    pub neighbours: u32,
+    /// Degree of the polynomial
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    pub degree: u32,
+    /// Which engines, separated by commas; else the CPU and a real GPU if there is one
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "ENGINES")]
+    pub engine: Vec<EngineArg>,
+    /// Measure the CPU engine with every instruction set of this machine
+    #[arg(long)]
+    pub every_simd: bool,
+    /// Threads of the CPU engine; one for each core if left out
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Which GPU, by its index or part of its name (see `planish devices`); else the first real one
+    #[arg(long, value_name = "NAME|INDEX")]
+    pub adapter: Option<String>,
+    /// Runs for each figure, as far as 20 s go
+    #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
+    pub runs: u32,
+    /// Print one JSON array to standard output
     #[arg(long)]
     pub json: bool,
 }

@@ -11,7 +11,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 use planish::Outputs;
 use planish::io::{Encoding, ReadOptions};
 
-pub use bench::{BenchArgs, BenchCommand, BenchGpuArgs, ExperimentArgs};
+pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, ExperimentArgs};
 pub use camera::{CameraArgs, Direction, PoseArgs};
 pub use clean::CleanArgs;
 pub use smoothing::{EngineArg, SmoothingArgs};

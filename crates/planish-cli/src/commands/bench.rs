@@ -3,18 +3,19 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use planish::io::{self, Contents};
-use planish::{DepthFrame, Error, OrganizedCloud};
-use planish_bench::{Ended, Experiment, GpuBenchOptions, Input, Options};
+use planish::{DepthFrame, Error, OrganizedCloud, Radius};
+use planish_bench::{Ended, Experiment, GeneralOptions, GpuBenchOptions, Input, Options};
 
 use super::organized;
-use crate::args::{BenchArgs, BenchCommand, BenchGpuArgs, EngineArg, ExperimentArgs};
+use crate::args::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, EngineArg, ExperimentArgs};
 use crate::signals::stop_flag;
 
 pub fn run(args: &BenchArgs) -> Result<ExitCode> {
     let (args, experiments) = match &args.what {
         BenchCommand::Gpu(args) => return run_gpu(args),
+        BenchCommand::General(args) => return run_general(args),
         BenchCommand::Speedup(args) => (args, &[Experiment::Speedup][..]),
         BenchCommand::Connectivity(args) => (args, &[Experiment::Connectivity][..]),
         BenchCommand::Scaleup(args) => (args, &[Experiment::Scaleup][..]),
@@ -43,6 +44,38 @@ fn run_gpu(args: &BenchGpuArgs) -> Result<ExitCode> {
     let input = cloud.zip(args.input.as_ref()).map(|(cloud, path)| (path.display().to_string(), cloud));
     let options = GpuBenchOptions { input, adapter: args.adapter.clone(), runs: args.runs, json: args.json };
     planish_bench::run_gpu(&options)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
+    let cloud = |path: &PathBuf| {
+        let cloud = match io::read(path).map_err(Error::from)?.1 {
+            Contents::Organized(cloud) => cloud.points,
+            Contents::General(cloud) => cloud,
+            _ => bail!("{}: a depth image, not a cloud; use `planish bench speedup`", path.display()),
+        };
+        Ok((path.file_name().unwrap_or_default().to_string_lossy().into_owned(), cloud))
+    };
+    let radius = |&radius_m: &f32| match radius_m {
+        0.0 => Radius::Neighbours { count: args.neighbours },
+        _ => Radius::Fixed { radius_m },
+    };
+    let mut scans: Vec<usize> = args.points.iter().map(|&points| points as usize).collect();
+    if args.input.is_empty() && scans.is_empty() {
+        scans = vec![100_000, 1_000_000];
+    }
+    planish_bench::run_general(&GeneralOptions {
+        clouds: args.input.iter().map(cloud).collect::<Result<_>>()?,
+        scans,
+        radii: if args.radius.is_empty() { vec![radius(&0.0)] } else { args.radius.iter().map(radius).collect() },
+        degree: args.degree,
+        engines: args.engine.iter().copied().map(EngineArg::engine).collect(),
+        every_simd: args.every_simd,
+        threads: args.threads,
+        adapter: args.adapter.clone(),
+        runs: args.runs as usize,
+        json: args.json,
+    })?;
     Ok(ExitCode::SUCCESS)
 }
 

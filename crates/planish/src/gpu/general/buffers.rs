@@ -22,7 +22,9 @@ const LEVELS: usize = 12;
 const PART_STRIDE: u64 = 256;
 /// Parts of a pass, at most.
 pub(super) const MOST_PARTS: usize = 64;
-/// Words in the nodes' boxes and moments.
+/// What the kernels tell of a cloud as a whole (cloud.wgsl).
+pub(super) const STATE_BYTES: u64 = 8;
+/// Bytes of a node's box and moments.
 const NODE_BYTES: usize = 48;
 
 /// The uniform of all kernels, as cloud.wgsl has it.
@@ -145,12 +147,12 @@ impl Buffers {
                 })
             };
             let upload = buffer("upload", input_bytes, Usage::MAP_WRITE | Usage::COPY_SRC, true);
-            let readback = buffer("readback", output_bytes, Usage::MAP_READ | Usage::COPY_DST, false);
+            let readback = buffer("readback", output_bytes + STATE_BYTES, Usage::MAP_READ | Usage::COPY_DST, false);
             let input = buffer("input", input_bytes, Usage::STORAGE | Usage::COPY_DST, false);
             let output = buffer("output", output_bytes, Usage::STORAGE | Usage::COPY_SRC, false);
             let batch = buffer("batch", size_of::<Batch>() as u64, Usage::UNIFORM | Usage::COPY_DST, false);
             let cloud = buffer("cloud", size_of::<CloudUniform>() as u64, Usage::UNIFORM | Usage::COPY_DST, false);
-            let state = buffer("state", 16, Usage::STORAGE | Usage::COPY_DST, false);
+            let state = buffer("state", STATE_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST, false);
             let parts = buffer("parts", MOST_PARTS as u64 * PART_STRIDE, Usage::UNIFORM, true);
             if let Ok(mut range) = parts.get_mapped_range_mut(..) {
                 for part in 0..MOST_PARTS {

@@ -29,7 +29,7 @@ use crate::progress::Progress;
 use crate::range::MAX_RANGE_M;
 use crate::status::Status;
 use crate::timings::FrameTimings;
-use buffers::{Buffers, CloudUniform, Levels, MOST_PARTS, SAMPLES};
+use buffers::{Buffers, CloudUniform, Levels, MOST_PARTS, SAMPLES, STATE_BYTES};
 use passes::{Compiled, Pass, SORT_PASSES, TILE};
 
 /// Positions that are fitted in one submission, at least: as many as the largest devices have threads.
@@ -163,6 +163,7 @@ impl GeneralGpu {
                 if pass == Pass::Fit && part + 1 == parts {
                     stamp(&mut commands, 2);
                     commands.copy_buffer_to_buffer(&buffers.output, 0, &buffers.readback, 0, output_bytes);
+                    commands.copy_buffer_to_buffer(&buffers.state, 0, &buffers.readback, output_bytes, STATE_BYTES);
                     stamp(&mut commands, 3);
                     if let Some(stamps) = &buffers.stamps {
                         stamps.resolve(&mut commands);
@@ -212,6 +213,12 @@ impl GeneralGpu {
     /// Copies the results out of mapped memory.
     fn copy_out(&self, buffers: &Buffers, points: usize, out: SmoothedMut<'_>) -> Result<(), EngineError> {
         let bytes = buffers.readback.get_mapped_range(..).map_err(|error| self.gpu.failed(error))?;
+        let state_at = 4 * self.output_words() * points;
+        let [_, ended_early]: [u32; 2] =
+            bytemuck::pod_read_unaligned(&bytes[state_at..state_at + STATE_BYTES as usize]);
+        if ended_early != 0 {
+            return Err(self.gpu.failed("its driver ended a loop early: with fewer neighbours it may not"));
+        }
         let layout = self.layout(points);
         let numbers =
             |words: std::ops::Range<usize>| -> &[f32] { bytemuck::cast_slice(&bytes[4 * words.start..4 * words.end]) };

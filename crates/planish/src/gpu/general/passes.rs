@@ -125,8 +125,8 @@ impl Pass {
             Self::PlaceHeads => (&[Batch, Cloud, Input, Keys, Order, Counts], &[Positions, Firsts, State]),
             Self::Leaves => (&[Batch, Cloud, Input, Firsts, State], &[Positions, Nodes]),
             Self::Nodes => (&[Batch, Cloud, Part, Input], &[Nodes]),
-            Self::Radii => (&[Batch, Cloud, Part, Input, Positions, Nodes, State], &[Radii]),
-            Self::Fit => (&[Batch, Cloud, Part, Input, Order, Positions, Nodes, Radii, Firsts, State], &[Output]),
+            Self::Radii => (&[Batch, Cloud, Part, Input, Positions, Nodes], &[Radii, State]),
+            Self::Fit => (&[Batch, Cloud, Part, Input, Order, Positions, Nodes, Radii, Firsts], &[Output, State]),
         }
     }
 
@@ -200,7 +200,8 @@ const LEAVES_LOOP: [&str; 2] = [
         let q = positions[place];
         let e = q.xyz - p;
         let count = q.w;",
-    "} }",
+    "} }
+    check_done(walk);",
 ];
 
 /// A compiled kernel.

@@ -37,6 +37,9 @@ const NODE_WORDS: u32 = 3u;
 const SORT_THREADS: u32 = 128u;
 const RUN: u32 = 16u;
 const TILE: u32 = SORT_THREADS * RUN;
+// Words of the state: how many positions there are; not 0 if a walk did not come to its end.
+const PLACES: u32 = 0u;
+const ENDED_EARLY: u32 = 1u;
 // No key of a point.
 const HOLE_KEY: vec2<u32> = vec2<u32>(0xffffffffu, 0xffffffffu);
 

@@ -29,6 +29,7 @@ fn sums_of(p: vec3<f32>, radius: f32) -> Sums {
             sums.rest = fma(weighted.yyz, e.yzz, sums.rest);
         }
     }
+    check_done(walk);
     return sums;
 }
 
@@ -50,7 +51,7 @@ fn fit_places(
 ) {
     let in_part = number_of(group, groups) * 64u + thread;
     let place = part.number * cloud.part_places + in_part;
-    if in_part >= cloud.part_places || place >= state[0] {
+    if in_part >= cloud.part_places || place >= state[PLACES] {
         return;
     }
     let result = smooth_place(place);

@@ -35,7 +35,7 @@ fn place_heads(
         // The last point that is no hole.
         if any(keys[i] != HOLE_KEY) && (i + 1u == cloud.points || all(keys[min(i + 1u, cloud.points - 1u)] == HOLE_KEY)) {
             firsts[place] = i + 1u;
-            state[0] = place;
+            state[PLACES] = place;
         }
     }
 }

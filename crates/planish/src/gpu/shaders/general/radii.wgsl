@@ -53,15 +53,49 @@ fn within(p: vec3<f32>, limit: f32) -> Within {
             found.sum += select(0.0, squared, is_near);
         }
     }
+    check_done(walk);
     return found;
+}
+
+// The square of the fourth smallest distance to another position of the point's own leaf.
+fn fourth_squared(p: vec3<f32>, leaf: u32) -> f32 {
+    var nearest = vec4<f32>(NO_POINT * NO_POINT);
+    for (var place = LEAF * leaf; place < LEAF * (leaf + 1u); place++) {
+        let squared = square(positions[place].xyz - p);
+        if squared > 0.0 {
+            // Into its place among the four, which ascend.
+            nearest = min(nearest, max(vec4<f32>(0.0, nearest.xyz), vec4<f32>(squared)));
+        }
+    }
+    return nearest.w;
+}
+
+// The square of a distance within which there is a whole node of the second level, or all there is.
+fn crowd_squared(p: vec3<f32>) -> f32 {
+    let level = min(1u, cloud.top);
+    var nearest = NO_POINT * NO_POINT;
+    var walk = new_walk();
+    while !walk.is_done {
+        let at = NODE_WORDS * (level_at(walk.level) + walk.node);
+        if box_distance_squared(at, p) < nearest {
+            if walk.level > level {
+                descend(&walk);
+                continue;
+            }
+            nearest = select(nearest, min(nearest, farthest_squared(at, p)), nodes[at].w > 0.0);
+        }
+        step_on(&walk);
+    }
+    check_done(walk);
+    return nearest;
 }
 
 fn radius_of(place: u32) -> f32 {
     let p = positions[place].xyz;
     let largest = cloud.largest_radius * cloud.largest_radius;
-    // As dense as the point's own leaf, and a little further.
-    let leaf = NODE_WORDS * (level_at(0u) + place / LEAF);
-    let near = 0.4 * cloud.half_count * nodes[leaf + 1u].w / max(nodes[leaf].w, 1.0);
+    // As dense as the point's own leaf, and a little further; where that is far, no further than there are points. From too large a
+    // radius on the search takes long.
+    let near = min(0.5 * cloud.half_count * fourth_squared(p, place / LEAF), crowd_squared(p));
     var limit = clamp(near, 1e-12 * largest, largest);
     var found = within(p, limit);
     while (found.n - cloud.half_count) * limit < found.sum || found.n <= cloud.half_count {
@@ -90,7 +124,7 @@ fn find_radii(
 ) {
     let in_part = number_of(group, groups) * 64u + thread;
     let place = part.number * cloud.part_places + in_part;
-    if in_part < cloud.part_places && place < state[0] {
+    if in_part < cloud.part_places && place < state[PLACES] {
         radii[place] = radius_of(place);
     }
 }

@@ -16,5 +16,6 @@ fn radius_at(place: u32, p: vec3<f32>) -> f32 {
             }
         }
     }
+    check_done(walk);
     return select(radius, min(radius, MAX_RADIUS_RATIO * sum / max(total, MIN_POSITIVE)), total > 0.0);
 }
