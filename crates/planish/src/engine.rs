@@ -52,6 +52,11 @@ pub(crate) trait SmoothingEngine: Send {
     fn progress(&self) -> Option<Arc<Progress>> {
         None
     }
+
+    /// The radius by density that point `i` of the last cloud had before its limit, where there was one.
+    fn own_radius_m(&self, _: usize) -> Option<f32> {
+        None
+    }
 }
 
 /// An engine that computes a frame where it is called.
@@ -74,6 +79,11 @@ pub(crate) trait ImmediateEngine: Send {
 
     /// The device it computes on, where that has a name.
     fn device_name(&self) -> Option<&str> {
+        None
+    }
+
+    /// The radius by density that point `i` of the last cloud had before its limit, where there was one.
+    fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
 }
@@ -161,5 +171,9 @@ impl<E: ImmediateEngine> SmoothingEngine for Immediate<E> {
 
     fn device_name(&self) -> Option<&str> {
         self.engine.device_name()
+    }
+
+    fn own_radius_m(&self, i: usize) -> Option<f32> {
+        self.engine.own_radius_m(i)
     }
 }

@@ -94,6 +94,8 @@ mod status;
 #[cfg(feature = "stream")]
 pub mod stream;
 mod threads;
+#[cfg(feature = "io")]
+pub mod tiles;
 mod timings;
 mod view;
 mod xyz;

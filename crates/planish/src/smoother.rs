@@ -78,7 +78,7 @@ impl Smoother {
 
     /// The same with everything chosen by the caller.
     ///
-    /// Limits are checked, kernels compiled and a first frame computed here. `Auto` chooses here and never later; a GPU that
+    /// Limits are checked, kernels compiled and for grids a first frame computed here. `Auto` chooses here and never later; a GPU that
     /// cannot be opened for these frames leaves it with the CPU. General clouds need [`Radius::Neighbours`] or
     /// [`Radius::Fixed`]: without a grid there is no pixel spacing to derive a radius from ([`SmoothParams::general`]).
     pub fn open_with(
@@ -181,6 +181,12 @@ impl Smoother {
     /// reference.
     pub fn progress(&self) -> Option<Arc<Progress>> {
         self.opened.progress()
+    }
+
+    /// The radius by density that point `i` of the last cloud had before its limit.
+    #[cfg(feature = "io")]
+    pub(crate) fn own_radius_m(&self, i: usize) -> Option<f32> {
+        self.opened.own_radius_m(i)
     }
 
     /// Bytes that the engine keeps for its samples from frame to frame, beside frames and results: the padded frame of the CPU

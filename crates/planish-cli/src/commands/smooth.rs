@@ -7,15 +7,17 @@ use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format};
+use planish::tiles::{self, TileOptions};
 use planish::{
-    Camera, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, PointsView, Radius,
-    RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
+    Camera, DepthFrame, DepthImage, Engine, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, PointsView,
+    Progress, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
 };
 use planish_bench::{errln, outln};
 
@@ -173,6 +175,9 @@ enum Output {
 
 impl Worker<'_> {
     fn smooth_file(&mut self, input: &Path, output: &Path) -> Result<Report> {
+        if let Some(report) = self.smooth_in_tiles(input, output)? {
+            return Ok(report);
+        }
         let start = Instant::now();
         let FileRead { format, encoding, mut contents, .. } = io::read_file(input, &self.args.memory.read_options())?;
         let read_ms = ms_since(start);
@@ -207,6 +212,7 @@ impl Worker<'_> {
             points_in: points.valid,
             points_lost: points.lost,
             status: self.status_counts(),
+            tiles: None,
             read_ms,
             smooth_ms: times_ms,
             write_ms: ms_since(start),
@@ -302,13 +308,24 @@ impl Worker<'_> {
         output: &Path,
         cloud: &PointCloud,
     ) -> Result<(PointCounts, SmoothTimes)> {
-        let params = self.args.smoothing.general_params()?;
-        if self.args.smoothing.remove_floating {
-            bail!("{}: a general cloud; --remove-floating needs the pixels around each point", input.display());
-        }
+        let params = self.general_params(input)?;
         let engine = self.args.smoothing.engine();
         if !engine.capabilities().general {
             bail!("{}: a general cloud, which --engine {} does not smooth", input.display(), engine.name());
+        }
+        if let (Radius::Fixed { radius_m }, false) = (params.radius, self.args.force) {
+            check_radius(input, cloud, radius_m)?;
+        }
+        let outputs = self.args.outputs().with_status(true);
+        let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
+        self.smooth(output, cloud.into_frame().map_err(of_input)?, outputs, params)
+    }
+
+    /// The parameters for a general cloud; says what is assumed, and what changes nothing.
+    fn general_params(&self, input: &Path) -> Result<SmoothParams> {
+        let params = self.args.smoothing.general_params()?;
+        if self.args.smoothing.remove_floating {
+            bail!("{}: a general cloud; --remove-floating needs the pixels around each point", input.display());
         }
         if let (Radius::Neighbours { count }, None) = (params.radius, self.args.smoothing.neighbours) {
             errln!(
@@ -321,12 +338,55 @@ impl Worker<'_> {
             let verb = if unused.len() == 1 { "changes" } else { "change" };
             errln!("{}: a general cloud, for which {} {verb} nothing", input.display(), unused.join(", "));
         }
-        if let (Radius::Fixed { radius_m }, false) = (params.radius, self.args.force) {
-            check_radius(input, cloud, radius_m)?;
+        Ok(params)
+    }
+
+    /// Smooths a LAS or LAZ file tile by tile into another, if it does not fit the memory that is allowed.
+    fn smooth_in_tiles(&mut self, input: &Path, output: &Path) -> Result<Option<Report>> {
+        let allowed = self.args.memory.read_options().max_memory_bytes;
+        let is_las = |path: &Path| matches!(Format::of_extension(path), Some(Format::Las | Format::Laz));
+        if !is_las(output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {
+            return Ok(None);
         }
-        let outputs = self.args.outputs().with_status(true);
-        let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
-        self.smooth(output, cloud.into_frame().map_err(of_input)?, outputs, params)
+        let params = self.general_params(input)?;
+        errln!("{}: larger than --max-memory, so smoothed in tiles", input.display());
+        let mut smoother = self.args.smoothing.options(Outputs::POINTS)?;
+        smoother = smoother.with_outputs(self.args.outputs().with_status(true));
+        if let (Radius::Neighbours { .. }, Engine::Auto) = (params.radius, smoother.engine) {
+            // The one that tells its radii.
+            smoother = smoother.with_engine(Engine::Cpu);
+        }
+        let engine = smoother.engine.name();
+        let options = TileOptions::new(params, smoother, allowed).with_fields(self.args.outputs()).with_pose(self.pose);
+        let progress = Arc::new(Progress::default());
+        let start = Instant::now();
+        let report =
+            with_progress(Some(Arc::clone(&progress)), || tiles::smooth_tiles(input, output, &options, &progress))?;
+        if report.reaching_beyond > 0 {
+            errln!(
+                "{}: {} of {} points reach beyond what their tile holds, being far from others; with more memory they may come out a little different",
+                output.display(),
+                report.reaching_beyond,
+                report.points
+            );
+        }
+        let status = StatusCounts::of(report.status_counts);
+        Ok(Some(Report {
+            input: input.to_path_buf(),
+            output: output.to_path_buf(),
+            engine,
+            adapter: None,
+            engine_reason: None,
+            width: report.points,
+            height: 1,
+            points_in: report.points,
+            points_lost: status.too_few,
+            status,
+            tiles: Some(report.tiles),
+            read_ms: 0.0,
+            smooth_ms: summarize(vec![ms_since(start)]),
+            write_ms: 0.0,
+        }))
     }
 
     /// Smooths a frame as many times as requested, and reports if many points were lost.
@@ -416,9 +476,7 @@ impl Worker<'_> {
     }
 
     fn status_counts(&self) -> StatusCounts {
-        let [hole, too_few, degenerate, plane, quadratic, cubic, isolated] =
-            self.smoothed.status_counts().unwrap_or_default();
-        StatusCounts { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated }
+        StatusCounts::of(self.smoothed.status_counts().unwrap_or_default())
     }
 }
 

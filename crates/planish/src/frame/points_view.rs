@@ -62,6 +62,8 @@ pub struct PointsView<'a> {
     /// What is subtracted from the positions; those of a [`PointCloud`] are relative to its origin already.
     subtracted_m: DVec3,
     camera: Option<&'a Camera>,
+    /// Of the cloud that the points are a part of.
+    extent_m: Option<f64>,
 }
 
 /// Coordinates as they lie in memory.
@@ -147,6 +149,7 @@ impl<'a> PointsView<'a> {
             origin_m: DVec3::ZERO,
             subtracted_m: DVec3::ZERO,
             camera: None,
+            extent_m: None,
         }
     }
 
@@ -198,6 +201,17 @@ impl<'a> PointsView<'a> {
         let origin_m = DVec3::from_array(origin_m);
         // Positions may be relative to another origin already.
         Ok(Self { origin_m, subtracted_m: self.subtracted_m + (origin_m - self.origin_m), ..self })
+    }
+
+    /// The same as a part of a cloud whose points span so many metres.
+    #[cfg(feature = "io")]
+    pub(crate) fn with_extent_m(self, extent_m: f64) -> Self {
+        Self { extent_m: Some(extent_m), ..self }
+    }
+
+    /// How far the whole cloud spans, if these points are a part of one.
+    pub(crate) fn extent_m(&self) -> Option<f64> {
+        self.extent_m
     }
 
     /// How many points there are, holes included.

@@ -34,9 +34,11 @@ use crate::frame::{DepthFrame, DepthImage};
 pub(crate) use self::e57::Scans;
 pub use self::format::{Format, WRITTEN};
 pub use camera_file::{camera_to_json, parse_camera, read_camera};
+pub(crate) use las::{LasReader, LasWriter, Records, cloud_of};
 pub use pcd::Encoding;
 #[cfg(feature = "stream")]
 pub(crate) use rgb_png::{read_rgb_png, write_rgb_png};
+pub(crate) use whole::{Temporary, WholeFile, folder_of};
 pub use whole::{remove_temporaries, write_whole};
 
 /// The name that stands for standard input.

@@ -42,33 +42,69 @@ pub fn remove_temporaries() {
 /// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file that is replaced
 /// keeps its permissions, and its place until the new one is on the disk.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
-    let path = &behind_links(path)?;
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    if !folder.is_dir() {
-        return Err(FormatError::Unsupported(format!("the folder {} does not exist", folder.display())));
-    }
-    let replaced = fs::metadata(path).ok();
-    if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
-        return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
-    }
-    if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
-        return Err(FormatError::Unsupported("a pipe or a device has this name; give a file's name".into()));
-    }
-    sweep(folder);
+    let whole = WholeFile::new(path)?;
+    let mut file = whole.file();
+    file.write_all(bytes)?;
+    whole.finish()
+}
 
-    let prefix = format!("{PREFIX}{}-{}-", machine(), std::process::id());
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(&prefix).suffix(SUFFIX);
-    #[cfg(unix)]
-    {
-        // The permissions of any new file: the process's umask applies.
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(fs::Permissions::from_mode(0o666));
+/// A file that is being written under a temporary name, as [`write_whole`] does; removed if it is not finished.
+pub(crate) struct WholeFile {
+    temporary: Temporary,
+    path: PathBuf,
+    replaced: bool,
+}
+
+impl WholeFile {
+    pub(crate) fn new(path: &Path) -> FormatResult<Self> {
+        let path = behind_links(path)?;
+        let folder = folder_of(&path);
+        if !folder.is_dir() {
+            return Err(FormatError::Unsupported(format!("the folder {} does not exist", folder.display())));
+        }
+        let replaced = fs::metadata(&path).ok();
+        if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
+            return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
+        }
+        if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
+            return Err(FormatError::Unsupported("a pipe or a device has this name; give a file's name".into()));
+        }
+        let temporary = Temporary::new(folder)?;
+        if let Some(metadata) = &replaced {
+            temporary.file().set_permissions(metadata.permissions())?;
+        }
+        Ok(Self { temporary, replaced: replaced.is_some(), path })
     }
-    let mut file = {
+
+    pub(crate) fn file(&self) -> &fs::File {
+        self.temporary.file()
+    }
+
+    /// Puts it in its place.
+    pub(crate) fn finish(self) -> FormatResult<()> {
+        if self.replaced {
+            // Or a crash of the machine could leave an empty file in the place of one that was whole.
+            self.file().sync_all()?;
+        }
+        Ok(self.temporary.persist(&self.path)?)
+    }
+}
+
+/// A file under a temporary name, removed when it is dropped and when the process is about to end.
+pub(crate) struct Temporary(Option<tempfile::NamedTempFile>);
+
+impl Temporary {
+    pub(crate) fn new(folder: &Path) -> FormatResult<Self> {
+        sweep(folder);
+        let prefix = format!("{PREFIX}{}-{}-", machine(), std::process::id());
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(&prefix).suffix(SUFFIX);
+        #[cfg(unix)]
+        {
+            // The permissions of any new file: the process's umask applies.
+            use std::os::unix::fs::PermissionsExt;
+            builder.permissions(fs::Permissions::from_mode(0o666));
+        }
         // Made and noted at once, or a signal between the two would leave it behind.
         let mut known = known();
         if known.is_over {
@@ -76,23 +112,47 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
         }
         let file = builder.tempfile_in(folder)?;
         known.temporaries.get_or_insert_default().insert(file.path().to_path_buf());
-        file
-    };
-    let temporary = file.path().to_path_buf();
-    let write = || -> std::io::Result<()> {
-        let Some(metadata) = replaced else { return file.write_all(bytes) };
-        file.as_file().set_permissions(metadata.permissions())?;
-        file.write_all(bytes)?;
-        // Or a crash of the machine could leave an empty file in the place of one that was whole.
-        file.as_file().sync_all()
-    };
-    let written = write();
-    // On failure dropping the file removes it.
-    let result = written.and_then(|()| file.persist(path).map(drop).map_err(|error| error.error));
-    if let Some(temporaries) = &mut known().temporaries {
-        temporaries.remove(&temporary);
+        Ok(Self(Some(file)))
     }
-    Ok(result?)
+
+    pub(crate) fn file(&self) -> &fs::File {
+        match &self.0 {
+            Some(file) => file.as_file(),
+            None => unreachable!("it is taken only when it is dropped"),
+        }
+    }
+
+    fn persist(mut self, path: &Path) -> std::io::Result<()> {
+        let Some(file) = self.0.take() else { return Ok(()) };
+        let temporary = file.path().to_path_buf();
+        let result = file.persist(path).map(drop).map_err(|error| error.error);
+        forget(&temporary);
+        result
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if let Some(file) = self.0.take() {
+            let temporary = file.path().to_path_buf();
+            drop(file);
+            forget(&temporary);
+        }
+    }
+}
+
+fn forget(temporary: &Path) {
+    if let Some(temporaries) = &mut known().temporaries {
+        temporaries.remove(temporary);
+    }
+}
+
+/// The folder that a file is in.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
 }
 
 /// The file that a name stands for in the end, whether it exists or not.

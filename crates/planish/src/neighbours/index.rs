@@ -98,7 +98,7 @@ impl PointIndex {
         let mut raw = [(); 3].map(|()| vec![0.0; view.len()]);
         copy(view, &mut raw);
         let curve = Curve::of(&raw);
-        self.extent_m = curve.extent_m;
+        self.extent_m = view.extent_m().unwrap_or(curve.extent_m);
         let at = |i: u32| raw.each_ref().map(|values| values[i as usize]);
         self.keys.clear();
         self.keys.par_extend((0..view.len() as u32).into_par_iter().filter_map(|i| {

@@ -34,6 +34,7 @@ pub(super) fn smooth(
     threads: &Threads,
     points: &[DVec3],
     geometry: &FrameGeometry,
+    known_extent_m: Option<f64>,
     progress: &Progress,
 ) -> Result<Vec<PointResult>, Error> {
     // Turned like the sensor, but not moved: it may stand so far away that moved points would lose digits.
@@ -43,7 +44,7 @@ pub(super) fn smooth(
     let turned: Vec<DVec3> = distinct.iter().map(|&p| turn(p)).collect();
     let search = NeighbourSearch::new(&turned)?;
     let positions = Positions { points: turned, counts, search };
-    let extent_m = extent_m(points);
+    let extent_m = known_extent_m.unwrap_or_else(|| extent_m(points));
     progress.begin(distinct.len());
 
     let results: Vec<PointResult> = threads.install(|| {

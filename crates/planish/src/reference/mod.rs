@@ -140,7 +140,13 @@ impl Reference {
             Frame::Points(points) => (0..points.len()).map(|i| points.point(i)).collect(),
         };
         let results = match frame.frame.grid() {
-            None => general::smooth(&self.params, &self.threads, &points, &frame.geometry, &self.progress)?,
+            None => {
+                let extent_m = match frame.frame {
+                    Frame::Points(view) => view.extent_m(),
+                    Frame::Depth(_) => None,
+                };
+                general::smooth(&self.params, &self.threads, &points, &frame.geometry, extent_m, &self.progress)?
+            }
             Some((width, height)) => {
                 let points = match frame.geometry.cloud_from_sensor {
                     None => points.clone(),

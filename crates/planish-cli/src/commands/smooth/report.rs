@@ -24,6 +24,9 @@ pub struct Report {
     /// How many of those became holes.
     pub points_lost: usize,
     pub status: StatusCounts,
+    /// How many tiles a file was smoothed in that is larger than memory; the time to smooth then includes reading and writing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tiles: Option<usize>,
     pub read_ms: f64,
     pub smooth_ms: SmoothTimes,
     pub write_ms: f64,
@@ -40,6 +43,11 @@ pub struct StatusCounts {
 }
 
 impl StatusCounts {
+    /// From the number of points of each status, by its code.
+    pub fn of([hole, too_few, degenerate, plane, quadratic, cubic, isolated]: [usize; 7]) -> Self {
+        Self { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated }
+    }
+
     /// The points that were not smoothed, by cause; nothing for what there is none of.
     fn others(&self) -> String {
         let causes = [
@@ -92,6 +100,9 @@ pub fn print_report(report: &Report) {
     } else {
         String::new()
     };
+    if let Some(tiles) = report.tiles {
+        return outln!("  {tiles} tiles, {:.1} s with reading and writing", 1e-3 * smooth_ms.median);
+    }
     outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
 }
 

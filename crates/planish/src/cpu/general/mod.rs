@@ -136,6 +136,11 @@ impl ImmediateEngine for GeneralCpu {
         Some(Arc::clone(&self.progress))
     }
 
+    fn own_radius_m(&self, i: usize) -> Option<f32> {
+        let place = self.index.place(i)?;
+        matches!(self.params.radius, Radius::Neighbours { .. }).then(|| self.radii[place])
+    }
+
     /// Of the sorted points, their radii and results.
     fn buffer_bytes(&self) -> u64 {
         (self.index.bytes() + 4 * self.radii.capacity() + self.sorted.bytes()) as u64

@@ -94,7 +94,8 @@ impl GeneralGpu {
     fn uniform(&self, view: &PointsView<'_>, levels: &Levels) -> CloudUniform {
         let middle =
             [0, 1, 2].map(|axis| middle(view.len(), |i| f64::from(view.get(i)[axis] as f32)).unwrap_or_default());
-        let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
+        let own_extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
+        let extent_m = view.extent_m().unwrap_or(own_extent_m);
         let half = middle.iter().map(|[low, high]| high - low).fold(0.0, f64::max) / 2.0;
         let half_count = match self.params.radius {
             Radius::Neighbours { count } => count as f32 / 2.0,

@@ -1,9 +1,47 @@
 //! What a header claims, checked against the file before the decoder believes it.
 
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+
 use las::Vlr;
 
 use super::super::FormatResult;
 use crate::error::FormatError;
+
+/// A file's bytes, in memory or on disk.
+pub(super) trait FileBytes {
+    /// How many.
+    fn size(&self) -> usize;
+
+    /// Bytes from a place on; `None` if the file ends before their end, and before anything is allocated.
+    fn read(&self, at: usize, len: usize) -> Option<Vec<u8>>;
+}
+
+impl FileBytes for [u8] {
+    fn size(&self) -> usize {
+        self.len()
+    }
+
+    fn read(&self, at: usize, len: usize) -> Option<Vec<u8>> {
+        Some(self.get(at..at.checked_add(len)?)?.to_vec())
+    }
+}
+
+impl FileBytes for File {
+    fn size(&self) -> usize {
+        self.metadata().map_or(0, |metadata| usize::try_from(metadata.len()).unwrap_or(usize::MAX))
+    }
+
+    fn read(&self, at: usize, len: usize) -> Option<Vec<u8>> {
+        if at.checked_add(len)? > self.size() {
+            return None;
+        }
+        let (mut file, mut bytes) = (self, vec![0; len]);
+        file.seek(SeekFrom::Start(at as u64)).ok()?;
+        file.read_exact(&mut bytes).ok()?;
+        Some(bytes)
+    }
+}
 
 /// What a header says that the decoder would believe.
 pub(super) struct Claims {
@@ -14,10 +52,10 @@ pub(super) struct Claims {
 }
 
 /// Checks against the file what its header claims; `None` if it ends before that.
-pub(super) fn claims(bytes: &[u8]) -> Option<Claims> {
+pub(super) fn claims(bytes: &(impl FileBytes + ?Sized)) -> Option<Claims> {
     let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
     let legacy = u64::from(u32::from_le_bytes(read_at(bytes, 107)?));
-    if bytes[25] < 4 {
+    if read_at::<1>(bytes, 25)? < [4] {
         return Some(Claims { points: legacy, record, extended: None });
     }
     let extended_at = usize::try_from(u64::from_le_bytes(read_at(bytes, 235)?)).ok()?;
@@ -27,14 +65,14 @@ pub(super) fn claims(bytes: &[u8]) -> Option<Claims> {
 }
 
 /// Refuses chunks of points that the file cannot hold: the decoder allocates what is claimed. `None` if it is cut off.
-pub(super) fn check_chunks(bytes: &[u8], points: u64) -> Option<FormatResult<()>> {
+pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Option<FormatResult<()>> {
     /// More points than that in a chunk are believed only of a file that has them.
     const LARGEST_CHUNK: u64 = 1 << 20;
     let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
     let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
     // Every record ahead of the points has 54 bytes plus the length it states.
     for _ in 0..u32_at(100)? {
-        let user = bytes.get(at.checked_add(2)?..at.checked_add(18)?)?;
+        let user = bytes.read(at.checked_add(2)?, 16)?;
         if user.starts_with(b"laszip encoded") {
             let chunk = u32_at(at + 54 + 12)?;
             if chunk != u32::MAX && u64::from(chunk) > points.max(LARGEST_CHUNK) {
@@ -45,35 +83,29 @@ pub(super) fn check_chunks(bytes: &[u8], points: u64) -> Option<FormatResult<()>
     }
     let table = i64::from_le_bytes(read_at(bytes, u32_at(96)? as usize)?);
     // It stands at the end where a writer could not go back.
-    let at_end = || i64::from_le_bytes(read_at(bytes, bytes.len().checked_sub(8)?)?).try_into().ok();
+    let at_end = || i64::from_le_bytes(read_at(bytes, bytes.size().checked_sub(8)?)?).try_into().ok();
     let table: usize = table.try_into().ok().or_else(at_end)?;
     let chunks = u32_at(table.checked_add(4)?)? as usize;
     let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
     // Each begins with an uncompressed point.
-    if chunks.saturating_mul(record.max(1)) > bytes.len() {
-        return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.len()))));
+    if chunks.saturating_mul(record.max(1)) > bytes.size() {
+        return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.size()))));
     }
     Some(Ok(()))
 }
 
 /// The extended records, behind the points. The library reads the first alone.
-pub(super) fn extended_records(bytes: &[u8], (at, count): (usize, u32)) -> Option<Vec<Vlr>> {
-    if count == 0 {
-        // Where they would begin means nothing.
-        return Some(Vec::new());
-    }
-    let mut rest = bytes.get(at..)?;
+pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (mut at, count): (usize, u32)) -> Option<Vec<Vlr>> {
     let mut records = Vec::new();
+    // Of none it means nothing where they would begin.
     for _ in 0..count {
-        // Nothing is allocated for what is not there.
-        let length = usize::try_from(u64::from_le_bytes(read_at(rest, 20)?)).ok()?;
-        let (record, behind) = rest.split_at_checked(length.checked_add(60)?)?;
-        records.push(Vlr::new(las::raw::Vlr::read_from(record, true).ok()?));
-        rest = behind;
+        let length = usize::try_from(u64::from_le_bytes(read_at(bytes, at.checked_add(20)?)?)).ok()?.checked_add(60)?;
+        records.push(Vlr::new(las::raw::Vlr::read_from(&bytes.read(at, length)?[..], true).ok()?));
+        at = at.checked_add(length)?;
     }
     Some(records)
 }
 
-fn read_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
-    bytes.get(at..at.checked_add(N)?)?.try_into().ok()
+fn read_at<const N: usize>(bytes: &(impl FileBytes + ?Sized), at: usize) -> Option<[u8; N]> {
+    bytes.read(at, N)?.try_into().ok()
 }

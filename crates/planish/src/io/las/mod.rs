@@ -3,18 +3,21 @@
 
 mod claims;
 mod fields;
+mod stream;
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use las::{Builder, Reader, Transform, Version, Writer, point};
+use las::{Builder, Header, Reader, Transform, Version, Vlr, Writer, point};
 
 use super::{Format, FormatResult, ReadOptions};
 use crate::cloud::{Attribute, PointCloud};
 use crate::error::FormatError;
 use crate::xyz::Xyz;
-use claims::{Claims, check_chunks, claims, extended_records};
+pub(crate) use stream::{LasReader, LasWriter};
+
+use claims::{Claims, FileBytes, check_chunks, claims, extended_records};
 use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
 
 /// Coordinates of files that we make are multiples of this, where they fit: finer than any scanner measures.
@@ -42,18 +45,9 @@ fn damaged(error: las::Error) -> FormatError {
 }
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
-    let cut_off = || FormatError::Malformed("cut off".into());
-    let Claims { points, record, extended } = claims(bytes).ok_or_else(cut_off)?;
-    let count = usize::try_from(points).unwrap_or(usize::MAX);
+    let Checked { points, record, extended } = Checked::of(bytes, format_of(bytes))?;
     // The records, and positions and columns.
-    options.check(count, 2 * record + 12)?;
-    match format_of(bytes) {
-        Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
-        _ if count.saturating_mul(record) > bytes.len() => return Err(cut_off()),
-        _ => {}
-    }
-    let extended =
-        extended.map_or(Some(Vec::new()), |extended| extended_records(bytes, extended)).ok_or_else(cut_off)?;
+    options.check(points, 2 * record + 12)?;
     // The decoder of compressed points trusts them: on damaged ones it may divide by zero.
     let decoded = catch_unwind(AssertUnwindSafe(|| {
         let mut reader = Reader::new(Cursor::new(bytes.to_vec()))?;
@@ -61,13 +55,43 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
         builder.evlrs = extended;
         Ok((builder.into_header()?, reader.read_all()?))
     }));
-    let unreadable = || FormatError::Malformed("damaged LAZ: its points cannot be decompressed".into());
-    let (header, points) = decoded.map_err(|_| unreadable())?.map_err(damaged)?;
-    let record = usize::from(header.point_format().len());
-    if points.len() != count {
-        return Err(FormatError::Malformed(format!("cut off: {} of {count} points", points.len())));
+    let (header, found) = decoded.map_err(|_| unreadable())?.map_err(damaged)?;
+    if found.len() != points {
+        return Err(FormatError::Malformed(format!("cut off: {} of {points} points", found.len())));
     }
-    let raw = points.raw_bytes();
+    cloud_of(Arc::new(header), found.raw_bytes())
+}
+
+fn unreadable() -> FormatError {
+    FormatError::Malformed("damaged LAZ: its points cannot be decompressed".into())
+}
+
+/// What a header says, checked against the file.
+struct Checked {
+    points: usize,
+    /// Bytes of a point.
+    record: usize,
+    extended: Vec<Vlr>,
+}
+
+impl Checked {
+    fn of(bytes: &(impl FileBytes + ?Sized), format: Format) -> FormatResult<Self> {
+        let cut_off = || FormatError::Malformed("cut off".into());
+        let Claims { points, record, extended } = claims(bytes).ok_or_else(cut_off)?;
+        let count = usize::try_from(points).unwrap_or(usize::MAX);
+        match format {
+            Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
+            _ if count.saturating_mul(record) > bytes.size() => return Err(cut_off()),
+            _ => {}
+        }
+        let extended = extended.map_or(Some(Vec::new()), |extended| extended_records(bytes, extended));
+        Ok(Self { points: count, record, extended: extended.ok_or_else(cut_off)? })
+    }
+}
+
+/// The cloud of some records of a file with this header.
+pub(crate) fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
+    let record = usize::from(header.point_format().len());
     let transforms = header.transforms();
     let usable = [transforms.x, transforms.y, transforms.z]
         .iter()
@@ -101,71 +125,101 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     cloud.position_columns.double = true;
     let all = fields_of(header.point_format()).into_iter().chain(extra_fields(&header));
     cloud.attributes = all.map(|field| decode_field(&field, raw, record)).collect();
-    cloud.las_header = Some(Arc::new(header));
+    cloud.las_header = Some(header);
     Ok(cloud)
 }
 
 /// Encodes a cloud; without its holes, for which LAS has no place.
 pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u8>> {
-    let cannot = |error: las::Error| {
-        FormatError::Unsupported(format!("no LAS of this cloud: {}", super::brief(&error.to_string())))
-    };
     let kept: Vec<usize> = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
-    // Of 8 bits; 16-bit channels are columns like any other.
-    let colour = cloud.rgb();
-    let channels = ["red", "green", "blue"];
-    let mut builder = match &cloud.las_header {
-        Some(header) => Builder::from((**header).clone()),
-        None => new_builder(cloud, &kept, colour.is_some()).map_err(cannot)?,
-    };
-    // Records that describe the old compression, and COPC's index.
-    builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
-    builder.evlrs.retain(|vlr| vlr.user_id != "copc");
-    builder.point_format.is_compressed = compressed;
-    let known = builder.clone().into_header().map_err(cannot)?;
-    let mut all: Vec<Field> = fields_of(&builder.point_format).into_iter().chain(extra_fields(&known)).collect();
-    // Every other column is an extra field.
-    let mut rest_is_described = false;
-    let is_colour = |name: &str| colour.is_some() && (["rgb", "rgba"].contains(&name) || channels.contains(&name));
-    for attribute in cloud.attributes.iter().filter(|attribute| attribute.name != "_" && !is_colour(&attribute.name)) {
-        if !all.iter().any(|field| field.name == attribute.name) {
-            if !std::mem::replace(&mut rest_is_described, true) {
-                describe_rest(&mut builder, &all)?;
-            }
-            add_extra_field(&mut builder, &mut all, attribute)?;
-        }
-    }
-    let header = builder.into_header().map_err(cannot)?;
-    let record = usize::from(header.point_format().len());
-    let mut raw = vec![0u8; record * kept.len()];
-
-    let transforms = header.transforms();
-    for (axis, transform) in [transforms.x, transforms.y, transforms.z].into_iter().enumerate() {
-        let at = 4 * axis;
-        for (point, &i) in raw.chunks_exact_mut(record).zip(&kept) {
-            let integer = transform.inverse(cloud.coordinate(axis, i)).map_err(cannot)?;
-            point[at..at + 4].copy_from_slice(&integer.to_le_bytes());
-        }
-    }
-    for field in all.iter().filter(|field| !is_colour(&field.name)) {
-        if let Some(attribute) = cloud.attribute(&field.name) {
-            encode_field(field, attribute, &kept, &mut raw, record)?;
-        }
-    }
-    if let Some(colour) = &colour {
-        for (channel, name) in channels.into_iter().enumerate() {
-            let values: Vec<u16> = colour.iter().map(|rgb| u16::from(rgb[channel]) * 257).collect();
-            let attribute = Attribute { name: name.to_owned(), count: 1, values: values.into() };
-            if let Some(field) = all.iter().find(|field| field.name == name) {
-                encode_field(field, &attribute, &kept, &mut raw, record)?;
-            }
-        }
-    }
-    let points = las::PointDataBuilder::new().for_header(&header).build_from_bytes(raw).map_err(cannot)?;
-    let mut writer = Writer::new(Cursor::new(Vec::new()), header).map_err(cannot)?;
+    let records = Records::new(cloud, &kept, compressed)?;
+    let raw = records.encode(cloud, &kept)?;
+    let points = las::PointDataBuilder::new().for_header(&records.header).build_from_bytes(raw).map_err(cannot)?;
+    let mut writer = Writer::new(Cursor::new(Vec::new()), records.header).map_err(cannot)?;
     writer.write_points(&points).map_err(cannot)?;
     writer.close().map_err(cannot)?;
     Ok(writer.into_inner().map_err(cannot)?.into_inner())
+}
+
+fn cannot(error: las::Error) -> FormatError {
+    FormatError::Unsupported(format!("no LAS of this cloud: {}", super::brief(&error.to_string())))
+}
+
+/// The colour channels of a record.
+const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+
+/// How the points of a cloud become records.
+pub(crate) struct Records {
+    pub(crate) header: Header,
+    fields: Vec<Field>,
+}
+
+impl Records {
+    /// For clouds with the columns of this one, of which some points are kept.
+    pub(crate) fn new(cloud: &PointCloud, kept: &[usize], compressed: bool) -> FormatResult<Self> {
+        let has_colour = cloud.rgb().is_some();
+        let mut builder = match &cloud.las_header {
+            Some(header) => Builder::from((**header).clone()),
+            None => new_builder(cloud, kept, has_colour).map_err(cannot)?,
+        };
+        // Records that describe the old compression, and COPC's index.
+        builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
+        builder.evlrs.retain(|vlr| vlr.user_id != "copc");
+        builder.point_format.is_compressed = compressed;
+        let known = builder.clone().into_header().map_err(cannot)?;
+        let mut fields: Vec<Field> = fields_of(&builder.point_format).into_iter().chain(extra_fields(&known)).collect();
+        // Every other column is an extra field.
+        let mut rest_is_described = false;
+        let attributes = cloud.attributes.iter().filter(|attribute| attribute.name != "_");
+        for attribute in attributes.filter(|attribute| !(has_colour && is_colour(&attribute.name))) {
+            if !fields.iter().any(|field| field.name == attribute.name) {
+                if !std::mem::replace(&mut rest_is_described, true) {
+                    describe_rest(&mut builder, &fields)?;
+                }
+                add_extra_field(&mut builder, &mut fields, attribute)?;
+            }
+        }
+        Ok(Self { header: builder.into_header().map_err(cannot)?, fields })
+    }
+
+    /// Bytes of a record.
+    pub(crate) fn len(&self) -> usize {
+        usize::from(self.header.point_format().len())
+    }
+
+    /// The records of the kept points, one after another.
+    pub(crate) fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>> {
+        let record = self.len();
+        let mut raw = vec![0u8; record * kept.len()];
+        let transforms = self.header.transforms();
+        for (axis, transform) in [transforms.x, transforms.y, transforms.z].into_iter().enumerate() {
+            let at = 4 * axis;
+            for (point, &i) in raw.chunks_exact_mut(record).zip(kept) {
+                let integer = transform.inverse(cloud.coordinate(axis, i)).map_err(cannot)?;
+                point[at..at + 4].copy_from_slice(&integer.to_le_bytes());
+            }
+        }
+        // Of 8 bits; 16-bit channels are columns like any other.
+        let colour = cloud.rgb();
+        for field in self.fields.iter().filter(|field| colour.is_none() || !is_colour(&field.name)) {
+            if let Some(attribute) = cloud.attribute(&field.name) {
+                encode_field(field, attribute, kept, &mut raw, record)?;
+            }
+        }
+        for (channel, name) in CHANNELS.into_iter().enumerate() {
+            let (Some(colour), Some(field)) = (&colour, self.fields.iter().find(|field| field.name == name)) else {
+                continue;
+            };
+            let values: Vec<u16> = colour.iter().map(|rgb| u16::from(rgb[channel]) * 257).collect();
+            let attribute = Attribute { name: name.to_owned(), count: 1, values: values.into() };
+            encode_field(field, &attribute, kept, &mut raw, record)?;
+        }
+        Ok(raw)
+    }
+}
+
+fn is_colour(name: &str) -> bool {
+    ["rgb", "rgba"].contains(&name) || CHANNELS.contains(&name)
 }
 
 /// A header for a cloud that was not read from LAS.

@@ -1,0 +1,176 @@
+//! Clouds larger than memory: what comes out in tiles is what comes out of the whole cloud.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use planish::io::{self, Contents, Encoding};
+use planish::tiles::{TileOptions, TilesReport, bytes_in_memory, smooth_tiles};
+use planish::{
+    AttributeValues, Engine, IntoFrame, Outputs, PointCloud, Progress, SmoothParams, Smoothed, Smoother,
+    SmootherOptions,
+};
+use planish_tests::data::folder;
+
+fn read(path: &Path) -> PointCloud {
+    match io::read(path).unwrap().1 {
+        Contents::General(cloud) => cloud,
+        _ => panic!("{} is a general cloud", path.display()),
+    }
+}
+
+/// A wavy field far from the origin, four times as dense on one side, with repeated points and a stray one, in an order that jumps.
+fn field(points: usize) -> PointCloud {
+    let position = |i: usize| {
+        let i = (i * 7919) % points;
+        let spread = |k: f64| ((i as f64 + 0.5) * k).fract();
+        let (x, y) = (spread(0.754_877_666).powi(2), spread(0.569_840_291));
+        let noise = 0.01 * (spread(0.323_7) - 0.5);
+        [60.0 * x, 30.0 * y, (0.3 * 60.0 * x).sin() * (0.2 * 30.0 * y).cos() + noise].map(|value| value as f32)
+    };
+    let mut cloud = PointCloud::new((0..points).map(position).collect());
+    for i in (0..points).step_by(50) {
+        let p = cloud.positions.get(i);
+        [&mut cloud.positions.x, &mut cloud.positions.y, &mut cloud.positions.z]
+            .into_iter()
+            .zip(p)
+            .for_each(|(values, value)| values[i + 1] = value);
+    }
+    cloud.positions.z[77] = 40.0;
+    cloud.origin_m = [637_000.0, 849_000.0, 100.0];
+    cloud.set_attribute("intensity", (0..points).map(|i| (i % 60_000) as u16).collect::<Vec<_>>());
+    cloud.set_attribute("classification", (0..points).map(|i| (i % 19) as u8).collect::<Vec<_>>());
+    cloud.set_attribute("deviation", (0..points).map(|i| 0.125 * i as f32).collect::<Vec<_>>());
+    cloud
+}
+
+fn cpu() -> SmootherOptions {
+    SmootherOptions::new(Engine::Cpu, Outputs::ALL)
+}
+
+fn fields() -> Outputs {
+    Outputs::POINTS.with_normals(true).with_status(true)
+}
+
+fn whole(cloud: &PointCloud, params: SmoothParams) -> PointCloud {
+    let mut smoothed = Smoothed::default();
+    let mut smoother = Smoother::open_with(params, &cpu(), None).unwrap();
+    smoother.smooth(cloud.into_frame().unwrap(), &mut smoothed).unwrap();
+    let mut result = cloud.clone();
+    result.apply(&smoothed, fields()).unwrap();
+    result
+}
+
+/// Smooths a file in tiles into another, in a share of the memory that it takes whole.
+fn in_tiles(input: &Path, output: &Path, params: SmoothParams, share: u64) -> TilesReport {
+    let bytes = bytes_in_memory(input).unwrap() / share;
+    let options = TileOptions::new(params, cpu(), bytes).with_fields(fields());
+    let progress = Progress::default();
+    let report = smooth_tiles(input, output, &options, &progress).unwrap();
+    assert!(report.tiles as u64 >= share, "{report:?}");
+    assert!((progress.share() - 1.0).abs() < 0.01, "{}", progress.share());
+    report
+}
+
+/// Points to a step of the file's coordinates, normals to the rounding of f32, all else equal.
+fn assert_same(found: &PointCloud, expected: &PointCloud, step_m: f64, what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    let coordinate =
+        |cloud: &PointCloud, axis: usize, i: usize| cloud.origin_m[axis] + f64::from(cloud.positions.get(i)[axis]);
+    let far =
+        |i: usize| (0..3).map(|k| (coordinate(found, k, i) - coordinate(expected, k, i)).abs()).fold(0.0, f64::max);
+    let steps: Vec<f64> = (0..found.len()).map(|i| far(i) / step_m).collect();
+    // Rounding to a step may go either way.
+    let differing = steps.iter().filter(|&&steps| steps > 0.5).count();
+    let farther = steps.iter().filter(|&&steps| steps > 1.5).count();
+    assert!(differing * 5 < found.len() && farther == 0, "{what}: {differing} {farther}");
+    for attribute in &expected.attributes {
+        let same = found.attribute(&attribute.name).unwrap();
+        if attribute.name.starts_with("normal_") {
+            let (AttributeValues::F32(same), AttributeValues::F32(values)) = (&same.values, &attribute.values) else {
+                panic!("normals are f32")
+            };
+            let off = same.iter().zip(values).filter(|(a, b)| (**a - **b).abs() > 1e-3).count();
+            assert!(off * 1000 < found.len(), "{what}: {} of {off} points", attribute.name);
+        } else {
+            assert_eq!(same.values, attribute.values, "{what}: {}", attribute.name);
+        }
+    }
+}
+
+/// Where nothing but these files may be.
+fn assert_only(folder: &Path, files: &[&Path]) {
+    let found: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert!(found.iter().all(|path| files.contains(&path.as_path())) && found.len() == files.len(), "{found:?}");
+}
+
+#[test]
+fn tiles_give_what_the_whole_cloud_gives() {
+    let folder = tempfile::tempdir().unwrap();
+    let (las, laz, out) = (folder.path().join("a.las"), folder.path().join("a.laz"), folder.path().join("out.las"));
+    let cloud = field(60_000);
+    io::write_cloud(&las, &cloud, Encoding::Binary).unwrap();
+    io::write_cloud(&laz, &cloud, Encoding::Binary).unwrap();
+    let general = SmoothParams::general();
+    for (params, input, share) in [
+        (general, &laz, 4),
+        (general.with_radius_m(0.6), &las, 4),
+        (general.with_remove_isolated(true).with_degree(1), &las, 3),
+        (general.with_radius_m(0.3).with_degree(3), &laz, 8),
+    ] {
+        let what = format!("{params:?}, {share}");
+        let report = in_tiles(input, &out, params, share);
+        let expected = folder.path().join("expected.las");
+        io::write_cloud(&expected, &whole(&read(input), params), Encoding::Binary).unwrap();
+        let (found, expected) = (read(&out), read(&expected));
+        assert_same(&found, &expected, 1e-5, &what);
+        assert_eq!(found.len() < cloud.len(), params.remove_isolated, "{what}");
+        assert_eq!((report.points, report.status_counts.iter().sum()), (cloud.len(), cloud.len()), "{what}");
+        // The stray point, at most.
+        assert!(report.reaching_beyond < 30, "{report:?}");
+        fs::remove_file(folder.path().join("expected.las")).unwrap();
+        assert_only(folder.path(), &[&las, &laz, &out]);
+    }
+}
+
+#[test]
+fn a_real_scan_in_tiles_is_the_same() {
+    let Some(data) = folder("an aerial scan in tiles") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (data.join("unorganized/autzen_trim.laz"), folder.path().join("out.laz"));
+    in_tiles(&input, &out, SmoothParams::general(), 4);
+    let expected = folder.path().join("expected.laz");
+    io::write_cloud(&expected, &whole(&read(&input), SmoothParams::general()), Encoding::Binary).unwrap();
+    // Its coordinates are whole hundredths of a foot, and so is what differs.
+    assert_same(&read(&out), &read(&expected), 0.01, "autzen");
+}
+
+#[test]
+fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (folder.path().join("a.las"), folder.path().join("out.las"));
+    io::write_cloud(&input, &field(5000), Encoding::Binary).unwrap();
+    let needed = bytes_in_memory(&input).unwrap();
+    let smooth = |input: &Path, options: &TileOptions| {
+        let result = smooth_tiles(input, &out, options, &Progress::default());
+        result.expect_err("an error").to_string()
+    };
+    let options =
+        |engine, bytes| TileOptions::new(SmoothParams::general(), SmootherOptions::new(engine, Outputs::ALL), bytes);
+    let found = smooth(&input, &options(Engine::Cpu, 10_000));
+    assert!(found.contains("a.las") && found.contains("MiB"), "{found}");
+    let found = smooth(&input, &options(Engine::Reference, needed / 3));
+    assert!(found.contains("--engine cpu"), "{found}");
+    let whole = fs::read(&input).unwrap();
+    let cut = folder.path().join("cut.las");
+    fs::write(&cut, &whole[..whole.len() / 2]).unwrap();
+    let found = smooth(&cut, &options(Engine::Cpu, needed / 3));
+    assert!(found.contains("cut.las") && found.contains("cut"), "{found}");
+    fs::write(&cut, "LASF").unwrap();
+    assert!(smooth(&cut, &options(Engine::Cpu, needed)).contains("cut off"));
+    assert!(bytes_in_memory(&cut).is_none() && bytes_in_memory(Path::new("none.las")).is_none());
+    assert_only(folder.path(), &[&input, &cut]);
+    // Without a point there is nothing to smooth, and a file all the same.
+    io::write_cloud(&input, &PointCloud::new(Default::default()), Encoding::Binary).unwrap();
+    smooth_tiles(&input, &out, &options(Engine::Cpu, needed), &Progress::default()).unwrap();
+    assert_eq!(read(&out).len(), 0);
+}

@@ -1,0 +1,515 @@
+//! Clouds that do not fit memory: LAS and LAZ files, smoothed tile by tile into another such file.
+//!
+//! The file is read once, and its records are dealt to temporary files, one a tile of cells seen from above ([`plan`]). A tile is
+//! smoothed with a halo of the points around it, as wide as its points reach, so that each gets what it gets in the whole cloud; the
+//! records of its own points are kept. At the end they are put together in the order of the input.
+
+mod plan;
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+use crate::cloud::PointCloud;
+use crate::engines::SmootherOptions;
+use crate::error::{Error, FormatError, IoError};
+use crate::frame::{IntoFrame, PointsView};
+use crate::io::{Format, LasReader, LasWriter, Records, Temporary, WholeFile, cloud_of, folder_of};
+use crate::neighbours::middle;
+use crate::outputs::Outputs;
+use crate::params::{Radius, SmoothParams};
+use crate::pose::SensorPose;
+use crate::progress::Progress;
+use crate::smoothed::Smoothed;
+use crate::smoother::Smoother;
+use plan::{Cells, Tile};
+
+/// Records read or written together.
+const BATCH: usize = 1 << 18;
+/// What a point of a tile takes beside its records: positions twice, an engine and its results.
+const ENGINE_BYTES_A_POINT: u64 = 200;
+/// A tile's records take so many times their size: as read, in columns, and as written.
+const COPIES: u64 = 3;
+/// The share of a tile's points with its halo that are its own, when tiles are planned.
+const OWN_SHARE: f64 = 0.6;
+/// Open files that every system allows, and some for others.
+const MOST_TILES: usize = 400;
+/// A halo reaches so many times as far as a point's radius: its neighbours have neighbours.
+const REACH: f64 = 2.04;
+/// More points than this share, whose radius reaches beyond the halo, ask for a wider one.
+const MAY_REACH_BEYOND: f64 = 1e-4;
+/// Where memory does not hold a wider one, no more than this share.
+const MAY_BE_INEXACT: f64 = 0.01;
+/// Points by which the extent of a cloud is known.
+const SAMPLE: usize = 10_000;
+
+/// How to smooth in tiles.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct TileOptions {
+    /// The parameters, as for any general cloud.
+    pub params: SmoothParams,
+    /// The engine and its options; with radii by density one that tells them: the CPU's.
+    pub smoother: SmootherOptions,
+    /// What is written beside the points.
+    pub fields: Outputs,
+    /// Where the sensor stood, if normals are to face it.
+    pub pose: Option<SensorPose>,
+    /// Bytes that may be used; LAZ takes some 100 MB besides.
+    pub max_memory_bytes: u64,
+}
+
+impl TileOptions {
+    /// With so many bytes of memory.
+    pub fn new(params: SmoothParams, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
+        Self { params, smoother, fields: Outputs::POINTS, pose: None, max_memory_bytes }
+    }
+
+    /// The same with other fields written.
+    pub fn with_fields(self, fields: Outputs) -> Self {
+        Self { fields, ..self }
+    }
+
+    /// The same with the sensor's pose.
+    pub fn with_pose(self, pose: Option<SensorPose>) -> Self {
+        Self { pose, ..self }
+    }
+}
+
+/// What became of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct TilesReport {
+    /// How many points there were.
+    pub points: usize,
+    /// In how many tiles.
+    pub tiles: usize,
+    /// Points of each status, by its code.
+    pub status_counts: [usize; 7],
+    /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
+    pub reaching_beyond: usize,
+}
+
+/// The bytes that smoothing a LAS or LAZ file whole takes; `None` for other files and for those that cannot be read.
+pub fn bytes_in_memory(path: &Path) -> Option<u64> {
+    if !matches!(Format::of_extension(path), Some(Format::Las | Format::Laz)) {
+        return None;
+    }
+    let reader = LasReader::open(path).ok()?;
+    Some(reader.points() as u64 * bytes_a_point(reader.record()))
+}
+
+fn bytes_a_point(record: usize) -> u64 {
+    COPIES * record as u64 + ENGINE_BYTES_A_POINT
+}
+
+/// Smooths a LAS or LAZ file into another, in as much memory as is allowed. Beside the output as much room is needed as three times
+/// the records take.
+///
+/// Results are those of the whole cloud, relative to an origin in each tile.
+///
+/// # Errors
+/// If a file cannot be read or written, an engine fails, or the memory does not hold a tile.
+pub fn smooth_tiles(
+    input: &Path,
+    output: &Path,
+    options: &TileOptions,
+    progress: &Progress,
+) -> Result<TilesReport, Error> {
+    let whole = WholeFile::new(output).map_err(IoError::at(output))?;
+    let reader = LasReader::open(input).map_err(IoError::at(input))?;
+    progress.begin(3 * reader.points());
+    let mut dealt = Dealt::of(reader, folder_of(output), options, progress).map_err(IoError::at(input))?;
+    let mut tiler = Tiler { options, smoother: None, halo_share: 1.0, report: TilesReport::default(), records: None };
+    for number in 0..dealt.tiles.len() {
+        tiler.smooth(&mut dealt, number, output).map_err(|error| match error {
+            TileError::Files(problem @ FormatError::TooLarge { .. }) => IoError::at(input)(problem).into(),
+            TileError::Files(problem) => IoError::at(output)(problem).into(),
+            TileError::Other(error) => error,
+        })?;
+        progress.add(dealt.tiles[number].tile.points as usize);
+    }
+    let Tiler { report, records, .. } = tiler;
+    let compressed = Format::of_extension(output) == Some(Format::Laz);
+    dealt.put_together(records, compressed, &whole, progress).map_err(IoError::at(output))?;
+    whole.finish().map_err(IoError::at(output))?;
+    Ok(TilesReport { points: dealt.points, tiles: dealt.tiles.len(), ..report })
+}
+
+enum TileError {
+    Files(FormatError),
+    Other(Error),
+}
+
+impl From<FormatError> for TileError {
+    fn from(problem: FormatError) -> Self {
+        Self::Files(problem)
+    }
+}
+
+impl From<std::io::Error> for TileError {
+    fn from(error: std::io::Error) -> Self {
+        Self::Files(error.into())
+    }
+}
+
+impl From<Error> for TileError {
+    fn from(error: Error) -> Self {
+        Self::Other(error)
+    }
+}
+
+/// The records of a file, dealt to tiles.
+struct Dealt {
+    header: Arc<las::Header>,
+    record: usize,
+    points: usize,
+    most_in_memory: u64,
+    extent_m: f64,
+    cells: Cells,
+    tiles: Vec<TileFiles>,
+    /// The tile of each record, in the order of the file.
+    sequence: Temporary,
+    folder: std::path::PathBuf,
+}
+
+/// A tile, its records as they were, and what became of them.
+struct TileFiles {
+    tile: Tile,
+    records: Temporary,
+    /// For each record a byte that says whether it is kept, and the new one.
+    smoothed: Option<Temporary>,
+}
+
+/// Coordinates of a record in metres.
+struct Positions([las::Transform; 3]);
+
+impl Positions {
+    fn of(header: &las::Header) -> Self {
+        let las::Vector { x, y, z } = *header.transforms();
+        Self([x, y, z])
+    }
+
+    fn of_record(&self, record: &[u8]) -> [f64; 3] {
+        std::array::from_fn(|axis| {
+            let at = 4 * axis;
+            let integer = i32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]);
+            self.0[axis].direct(integer)
+        })
+    }
+}
+
+type FormatResult<T> = Result<T, FormatError>;
+
+impl Dealt {
+    fn of(mut reader: LasReader, folder: &Path, options: &TileOptions, progress: &Progress) -> FormatResult<Self> {
+        let header = Arc::clone(reader.header());
+        let (record, points) = (reader.record(), reader.points());
+        let positions = Positions::of(&header);
+        let most_in_memory = options.max_memory_bytes / bytes_a_point(record);
+        // All records once more, so that they are decompressed once.
+        let spool = Temporary::new(folder)?;
+        let mut sample: [Vec<f64>; 3] = Default::default();
+        let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
+        let step = points.div_ceil(SAMPLE).max(1);
+        let mut to = BufWriter::with_capacity(1 << 20, spool.file());
+        let mut read = 0;
+        while read < points {
+            let records = reader.next_records(BATCH)?;
+            to.write_all(records)?;
+            for (i, point) in records.chunks_exact(record).enumerate() {
+                let position = positions.of_record(point);
+                for axis in 0..2 {
+                    bounds[0][axis] = bounds[0][axis].min(position[axis]);
+                    bounds[1][axis] = bounds[1][axis].max(position[axis]);
+                }
+                if (read + i).is_multiple_of(step) {
+                    sample.iter_mut().zip(position).for_each(|(sample, value)| sample.push(value));
+                }
+            }
+            read += records.len() / record;
+            progress.add(records.len() / record / 2);
+        }
+        to.flush()?;
+        drop(to);
+        let span = |values: &Vec<f64>| middle(values.len(), |i| values[i]).map_or(0.0, |[low, high]| high - low);
+        let extent_m = sample.iter().map(|values| span(values).powi(2)).sum::<f64>().sqrt();
+        let mut cells = Cells::new(bounds[0], bounds[1]);
+        for_each_batch(spool.file(), record, |records| {
+            records.chunks_exact(record).map(|point| positions.of_record(point)).for_each(|[x, y, _]| cells.add(x, y));
+            Ok(())
+        })?;
+
+        let tiles = cells.tiles(((most_in_memory as f64 * OWN_SHARE) as u64).max(1));
+        let largest = tiles.iter().map(|tile| tile.points).max().unwrap_or(0);
+        if tiles.len() > MOST_TILES || largest > most_in_memory {
+            let fewest = (points / MOST_TILES) as u64;
+            let needed = largest.max((fewest as f64 / OWN_SHARE) as u64 + 1) * bytes_a_point(record);
+            return Err(FormatError::TooLarge { needed, allowed: options.max_memory_bytes });
+        }
+        let of_cells = cells.tile_of_cells(&tiles);
+        let file = |tile| Ok(TileFiles { tile, records: Temporary::new(folder)?, smoothed: None });
+        let tiles = tiles.into_iter().map(file).collect::<FormatResult<Vec<_>>>()?;
+        let sequence = Temporary::new(folder)?;
+        {
+            let mut numbers = BufWriter::with_capacity(1 << 20, sequence.file());
+            let mut to: Vec<_> =
+                tiles.iter().map(|tile| BufWriter::with_capacity(1 << 16, tile.records.file())).collect();
+            for_each_batch(spool.file(), record, |records| {
+                for point in records.chunks_exact(record) {
+                    let [x, y, _] = positions.of_record(point);
+                    let number = of_cells[cells.place(cells.cell_of(x, y))];
+                    to[usize::from(number)].write_all(point)?;
+                    numbers.write_all(&number.to_le_bytes())?;
+                }
+                progress.add(records.len() / record / 2);
+                Ok(())
+            })?;
+            to.iter_mut().try_for_each(Write::flush)?;
+            numbers.flush()?;
+        }
+        let folder = folder.to_path_buf();
+        Ok(Self { header, record, points, most_in_memory, extent_m, cells, tiles, sequence, folder })
+    }
+
+    /// The records of a tile, and behind them those of others within its halo.
+    fn with_halo(&self, number: usize, halo_m: f64) -> FormatResult<Vec<u8>> {
+        let positions = Positions::of(&self.header);
+        let mut records = Vec::new();
+        read_whole(self.tiles[number].records.file(), &mut records)?;
+        let [low, high] = self.cells.bounds(&self.tiles[number].tile);
+        let is_near = |x: f64, y: f64| {
+            [(x, 0), (y, 1)]
+                .into_iter()
+                .all(|(value, axis)| low[axis] - halo_m <= value && value <= high[axis] + halo_m)
+        };
+        for (_, other) in self.tiles.iter().enumerate().filter(|(other, _)| *other != number) {
+            let [other_low, other_high] = self.cells.bounds(&other.tile);
+            let overlaps =
+                (0..2).all(|axis| other_low[axis] <= high[axis] + halo_m && other_high[axis] >= low[axis] - halo_m);
+            if !overlaps {
+                continue;
+            }
+            for_each_batch(other.records.file(), self.record, |batch| {
+                for point in batch.chunks_exact(self.record) {
+                    let [x, y, _] = positions.of_record(point);
+                    if is_near(x, y) {
+                        records.extend_from_slice(point);
+                    }
+                }
+                Ok(())
+            })?;
+        }
+        Ok(records)
+    }
+
+    /// Writes the smoothed records in the order of the input.
+    fn put_together(
+        &self,
+        records: Option<Records>,
+        compressed: bool,
+        whole: &WholeFile,
+        progress: &Progress,
+    ) -> FormatResult<()> {
+        let records = match records {
+            Some(records) => records,
+            // Without a point.
+            None => Records::new(&cloud_of(Arc::clone(&self.header), &[])?, &[], compressed)?,
+        };
+        let length = records.len();
+        let mut writer = LasWriter::new(whole.file().try_clone()?, records.header)?;
+        let mut sources = Vec::new();
+        for tile in &self.tiles {
+            let Some(smoothed) = &tile.smoothed else { continue };
+            let mut file = smoothed.file();
+            file.seek(SeekFrom::Start(0))?;
+            sources.push(BufReader::with_capacity(1 << 16, file));
+        }
+        let mut point = vec![0u8; 1 + length];
+        for_each_batch(self.sequence.file(), 2, |numbers| {
+            let mut batch = Vec::with_capacity(numbers.len() / 2 * length);
+            for number in numbers.chunks_exact(2) {
+                let source = &mut sources[usize::from(u16::from_le_bytes([number[0], number[1]]))];
+                source.read_exact(&mut point)?;
+                if point[0] != 0 {
+                    batch.extend_from_slice(&point[1..]);
+                }
+            }
+            progress.add(numbers.len() / 2);
+            writer.write(batch)
+        })?;
+        writer.finish()
+    }
+}
+
+/// Reads a temporary file from its beginning, so many things of a size at a time.
+fn for_each_batch(mut file: &File, size: usize, mut visit: impl FnMut(&[u8]) -> FormatResult<()>) -> FormatResult<()> {
+    let mut left = file.metadata()?.len() as usize;
+    file.seek(SeekFrom::Start(0))?;
+    let mut bytes = vec![0; (BATCH * size).min(left)];
+    while left > 0 {
+        let wanted = bytes.len().min(left);
+        file.read_exact(&mut bytes[..wanted])?;
+        visit(&bytes[..wanted])?;
+        left -= wanted;
+    }
+    Ok(())
+}
+
+fn read_whole(mut file: &File, to: &mut Vec<u8>) -> FormatResult<()> {
+    file.seek(SeekFrom::Start(0))?;
+    file.read_to_end(to)?;
+    Ok(())
+}
+
+/// What goes from tile to tile.
+struct Tiler<'a> {
+    options: &'a TileOptions,
+    smoother: Option<Smoother>,
+    /// How wide the last tile's halo was, in those by density.
+    halo_share: f64,
+    report: TilesReport,
+    /// How points become records; the same for every tile.
+    records: Option<Records>,
+}
+
+impl Tiler<'_> {
+    /// Smooths a tile with its halo, wider until its points do not reach beyond it.
+    fn smooth(&mut self, dealt: &mut Dealt, number: usize, output: &Path) -> Result<(), TileError> {
+        let tile = dealt.tiles[number].tile;
+        let own = tile.points as usize;
+        let by_density_m = self.halo_by_density_m(dealt, &tile);
+        let mut halo_m = self.halo_share * by_density_m;
+        let mut may_widen = true;
+        loop {
+            let raw = dealt.with_halo(number, halo_m)?;
+            let in_memory = (raw.len() / dealt.record) as u64;
+            if in_memory > dealt.most_in_memory {
+                if matches!(self.options.params.radius, Radius::Neighbours { .. }) && in_memory > own as u64 {
+                    (halo_m, may_widen) = (0.7 * halo_m, false);
+                    continue;
+                }
+                let needed = in_memory * bytes_a_point(dealt.record);
+                return Err(FormatError::TooLarge { needed, allowed: self.options.max_memory_bytes }.into());
+            }
+            let mut cloud = cloud_of(Arc::clone(&dealt.header), &raw)?;
+            drop(raw);
+            if let Some(pose) = self.options.pose {
+                cloud.pose = pose;
+            }
+            let smoothed = self.smoothed(&cloud, dealt.extent_m)?;
+            let (wider_m, beyond) = self.needed_halo_m(dealt, &tile, &cloud, halo_m)?;
+            let may_be_wider = beyond as f64 > MAY_REACH_BEYOND * own as f64;
+            // The area that would be in memory, as dense as this one.
+            let grows = dealt.cells.area(&tile).sqrt();
+            let share = ((grows + 2.0 * wider_m) / (grows + 2.0 * halo_m)).powi(2);
+            if may_widen && may_be_wider && (in_memory as f64 * share) < dealt.most_in_memory as f64 {
+                halo_m = wider_m;
+                continue;
+            }
+            if beyond as f64 > MAY_BE_INEXACT * own as f64 {
+                let needed = (in_memory as f64 * share.max(2.0)) as u64 * bytes_a_point(dealt.record);
+                return Err(FormatError::TooLarge { needed, allowed: self.options.max_memory_bytes }.into());
+            }
+            self.halo_share = halo_m / by_density_m;
+            self.report.reaching_beyond += beyond;
+            return self.keep(dealt, number, &mut cloud, &smoothed, output);
+        }
+    }
+
+    /// Exact for a fixed radius; else about twice the radius at the tile's density.
+    fn halo_by_density_m(&self, dealt: &Dealt, tile: &Tile) -> f64 {
+        match self.options.params.radius {
+            Radius::Fixed { radius_m } => 1.02 * f64::from(radius_m),
+            Radius::Neighbours { count } => {
+                let area = dealt.cells.area(tile);
+                2.0 * REACH * (f64::from(count) * area / (std::f64::consts::PI * tile.points as f64)).sqrt()
+            }
+            // `Smoother::open` refuses it.
+            Radius::Sensor => 1.0,
+        }
+    }
+
+    fn smoothed(&mut self, cloud: &PointCloud, extent_m: f64) -> Result<Smoothed, Error> {
+        let smoother = match &mut self.smoother {
+            Some(smoother) => smoother,
+            none => none.insert(Smoother::open_with(self.options.params, &self.options.smoother, None)?),
+        };
+        let mut smoothed = Smoothed::default();
+        smoother.smooth(PointsView::from_cloud(cloud)?.with_extent_m(extent_m).into_frame()?, &mut smoothed)?;
+        Ok(smoothed)
+    }
+
+    /// The halo that the tile's points need, but for the few that reach farthest, and how many reach beyond that which they have.
+    fn needed_halo_m(
+        &self,
+        dealt: &Dealt,
+        tile: &Tile,
+        cloud: &PointCloud,
+        halo_m: f64,
+    ) -> Result<(f64, usize), TileError> {
+        let (Radius::Neighbours { .. }, Some(smoother)) = (self.options.params.radius, &self.smoother) else {
+            return Ok((halo_m, 0));
+        };
+        let [low, high] = dealt.cells.bounds(tile);
+        let mut needed_m = Vec::with_capacity(tile.points as usize);
+        for i in 0..tile.points as usize {
+            let Some(radius_m) = smoother.own_radius_m(i) else {
+                return Err(TileError::Files(FormatError::Unsupported(
+                    "larger than the memory that is allowed, and radii by density in tiles need --engine cpu".into(),
+                )));
+            };
+            // From the point to the border of its tile, beyond which there are other points.
+            let to_border = (0..2).map(|axis| {
+                let value = cloud.coordinate(axis, i);
+                (value - low[axis]).min(high[axis] - value)
+            });
+            needed_m.push(REACH * f64::from(radius_m) - to_border.fold(f64::INFINITY, f64::min));
+        }
+        let beyond = needed_m.iter().filter(|needed_m| **needed_m > halo_m).count();
+        let farthest = (needed_m.len() as f64 * (1.0 - MAY_REACH_BEYOND / 2.0)) as usize;
+        let farthest = farthest.min(needed_m.len() - 1);
+        let (_, wider_m, _) = needed_m.select_nth_unstable_by(farthest, f64::total_cmp);
+        Ok((1.05 * *wider_m, beyond))
+    }
+
+    /// Writes the new records of the tile's own points.
+    fn keep(
+        &mut self,
+        dealt: &mut Dealt,
+        number: usize,
+        cloud: &mut PointCloud,
+        smoothed: &Smoothed,
+        output: &Path,
+    ) -> Result<(), TileError> {
+        let own = dealt.tiles[number].tile.points as usize;
+        cloud.apply(smoothed, self.options.fields).map_err(Error::from)?;
+        for status in smoothed.status.iter().flatten().take(own) {
+            self.report.status_counts[*status as usize] += 1;
+        }
+        let kept: Vec<usize> = (0..own).filter(|&i| cloud.positions.is_finite(i)).collect();
+        let compressed = Format::of_extension(output) == Some(Format::Laz);
+        let records = match &self.records {
+            Some(records) => records,
+            none => {
+                debug_assert!(none.is_none());
+                self.records.insert(Records::new(cloud, &kept, compressed)?)
+            }
+        };
+        let raw = records.encode(cloud, &kept)?;
+        let file = Temporary::new(&dealt.folder)?;
+        let mut to = BufWriter::with_capacity(1 << 20, file.file());
+        let mut next = raw.chunks_exact(records.len());
+        let none = vec![0; records.len()];
+        for i in 0..own {
+            let is_kept = cloud.positions.is_finite(i);
+            to.write_all(&[u8::from(is_kept)])?;
+            to.write_all(if is_kept { next.next().unwrap_or(&none) } else { &none })?;
+        }
+        to.flush()?;
+        drop(to);
+        dealt.tiles[number].smoothed = Some(file);
+        Ok(())
+    }
+}
