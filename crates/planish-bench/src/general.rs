@@ -20,7 +20,7 @@ const LONGEST: Duration = Duration::from_secs(20);
 /// What to measure of general clouds.
 #[derive(Debug, Clone)]
 pub struct GeneralOptions {
-    /// Clouds under their names; none stands for a simulated scan.
+    /// Clouds under their names.
     pub clouds: Vec<(String, PointCloud)>,
     /// Points of simulated scans.
     pub scans: Vec<usize>,
@@ -38,7 +38,7 @@ pub struct GeneralOptions {
     pub adapter: Option<String>,
     /// Runs for each figure, at most.
     pub runs: usize,
-    /// Print one JSON object.
+    /// Print one JSON array.
     pub json: bool,
 }
 
@@ -149,9 +149,16 @@ fn measure(options: &GeneralOptions, name: &str, cloud: &PointCloud, params: Smo
         smoother.smooth(view(&cloud.positions)?, &mut found)?;
         let neighbours = found.neighbours.iter().flatten().map(|&count| f64::from(count)).sum::<f64>();
         let from_first_m = first.as_ref().map(|first| {
-            let mut agreement = Agreement::default();
-            agreement.add(&found, first, |_| radius_m);
-            [agreement.position_m(0.999), agreement.position_m(1.0)]
+            let both = found.points.iter().zip(first.points.iter());
+            let square = |(a, b): ([f32; 3], [f32; 3])| (0..3).map(|k| f64::from(a[k] - b[k]).powi(2)).sum::<f64>();
+            let mut distances_m: Vec<f64> =
+                both.map(square).filter(|square| square.is_finite()).map(f64::sqrt).collect();
+            distances_m.sort_by(f64::total_cmp);
+            let of_share = |share: f64| {
+                let place = (distances_m.len() as f64 * share) as usize;
+                distances_m.get(place).or(distances_m.last()).copied().unwrap_or(0.0)
+            };
+            [of_share(0.999), of_share(1.0)]
         });
         first.get_or_insert(found);
         drop(smoother);

@@ -1,7 +1,7 @@
 //! General clouds: the fast engines against the reference, and what holds for any cloud.
 
 use planish::agreement::Agreement;
-use planish::{Engine, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother, Status};
+use planish::{Edges, Engine, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother, Status};
 use planish_tests::data::{bunny, folder, general_cloud};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{simulated, small_camera};
@@ -69,6 +69,8 @@ fn settings() -> Vec<SmoothParams> {
         fixed,
         fixed.with_degree(3).with_bandwidth_m(Some(0.02)),
         fixed.with_radius_m(0.2),
+        // Along rays, which general clouds have not.
+        SmoothParams::default().with_edges(Edges::Off).with_average_blocks(false).with_radius_m(0.05),
     ]
 }
 
@@ -165,7 +167,7 @@ fn points_at_one_place_count_each_and_cost_nothing() {
     let mut points = vec![[0.5, 0.25, 1.0]; 200_000];
     points.extend((0..2500).map(|i| [(i % 50) as f32 * 0.02, (i / 50) as f32 * 0.02, 1.0 + 0.001 * (i % 3) as f32]));
     for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(0.07)] {
-        for engine in [TestEngine::cpu(SimdLevel::best()), TestEngine::REFERENCE] {
+        for engine in [TestEngine::cpu(SimdLevel::best()), TestEngine::gpu(false), TestEngine::REFERENCE] {
             let engine_name = engine.engine.name();
             if engine_name == "reference" && params.radius == SmoothParams::general().with_radius_m(0.07).radius {
                 continue;
@@ -182,12 +184,29 @@ fn points_at_one_place_count_each_and_cost_nothing() {
 
 #[test]
 fn a_dense_cluster_in_a_wide_cloud_costs_what_it_costs_alone() {
-    // All of it lies in one cell of the index's curve. Were it searched as one, this would take minutes.
+    // All of it lies in one cell of the CPU index's curve. Were it searched as one, this would take minutes. Stray points have all of it
+    // as neighbours: more than lavapipe has rounds for, were it as large for the GPU.
     let mut random = Random(9);
-    let mut points: Points = (0..100_000).map(|_| [0.0; 3].map(|_: f64| random.between(0.0, 1e-3) as f32)).collect();
-    points.extend((0..5000).map(|_| [0.0; 3].map(|_: f64| random.between(-500.0, 500.0) as f32)));
-    let found = smooth(TestEngine::cpu(SimdLevel::best()), &points, SmoothParams::general());
-    assert!(found.points.iter().zip(&points).take(100_000).all(|(p, q)| (p[0] - q[0]).abs() < 1e-3));
+    let mut within = |count: usize, low: f64, high: f64| -> Points {
+        (0..count).map(|_| [0.0; 3].map(|_: f64| random.between(low, high) as f32)).collect()
+    };
+    let (cluster, strays) = (within(100_000, 0.0, 1e-3), within(5000, -500.0, 500.0));
+    for (engine, count) in [(TestEngine::cpu(SimdLevel::best()), 100_000), (TestEngine::gpu(false), 4_000)] {
+        let points = [&cluster[..count], &strays[..count / 20]].concat();
+        let found = smooth(engine, &points, SmoothParams::general());
+        assert!(found.points.iter().zip(&points).take(count).all(|(p, q)| (p[0] - q[0]).abs() < 1e-3));
+    }
+    // The same positions twice, one after the other in the file: each counts once in the density around it.
+    let twice = [&cluster[..600], &cluster[..600], &strays[..150]].concat();
+    let expected = smooth(TestEngine::REFERENCE, &twice, SmoothParams::general());
+    for (name, engine) in engines() {
+        let found = smooth(engine, &twice, SmoothParams::general());
+        // Those of the cluster: the radii of others hang on its last digits (section 8).
+        let far =
+            |i: usize| (0..3).map(|k| (found.points.get(i)[k] - expected.points.get(i)[k]).abs()).fold(0.0, f32::max);
+        let farthest = (0..1200).map(far).fold(0.0, f32::max);
+        assert!(farthest < 1e-6, "{name}: {farthest}");
+    }
 }
 
 #[test]
@@ -217,6 +236,21 @@ fn clouds_of_any_size_and_place_come_out_smoother() {
             let found = smooth(engine, &wild, params);
             assert!(found.points.iter().all(|p| p.iter().all(|value| value.is_finite())), "{name}, {params:?}");
         }
+    }
+}
+
+#[test]
+fn a_driver_that_ends_loops_early_is_an_error() {
+    // More neighbours than lavapipe has rounds for; a GPU takes them all.
+    let mut random = Random(3);
+    let points: Points = (0..70_000).map(|_| [0.0; 3].map(|_: f64| random.between(0.0, 1.0) as f32)).collect();
+    let params = SmoothParams::general().with_radius_m(3.0).with_degree(1);
+    let engine = TestEngine::gpu(false);
+    let mut smoother = Smoother::open_with(params, &engine.options(Outputs::ALL), None).unwrap();
+    let mut found = Smoothed::default();
+    match smoother.smooth(PointsView::from_rows(&points).unwrap(), &mut found) {
+        Ok(()) => assert!(found.neighbours.unwrap().iter().all(|&count| count == 70_000)),
+        Err(error) => assert!(error.to_string().contains("ended a loop early"), "{error}"),
     }
 }
 

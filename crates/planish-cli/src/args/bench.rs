@@ -76,7 +76,7 @@ pub struct BenchGeneralArgs {
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub input: Vec<PathBuf>,
     /// Points of simulated scans, separated by commas
-    #[arg(long, value_delimiter = ',', value_name = "N", value_parser = clap::value_parser!(u32).range(100..=1_000_000_000))]
+    #[arg(long, value_delimiter = ',', value_name = "N", value_parser = clap::value_parser!(u32).range(5000..=1_000_000_000))]
     pub points: Vec<u32>,
     /// Radii in metres, separated by commas; else, and with 0, radii by density
     #[arg(long, value_delimiter = ',', value_name = "M")]

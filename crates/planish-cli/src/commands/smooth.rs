@@ -16,8 +16,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format};
 use planish::tiles::{self, TileOptions};
 use planish::{
-    Camera, DepthFrame, DepthImage, Engine, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, PointsView,
-    Progress, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
+    Camera, DepthFrame, DepthImage, Engine, EngineError, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud,
+    PointsView, Progress, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
 };
 use planish_bench::{errln, outln};
 
@@ -399,13 +399,23 @@ impl Worker<'_> {
     ) -> Result<(PointCounts, SmoothTimes)> {
         self.open(frame, outputs, params)?;
         let mut times_ms = Vec::new();
-        for _ in 0..self.args.repeat {
+        while times_ms.len() < self.args.repeat as usize {
             let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
             let start = Instant::now();
             let result = with_progress(smoother.progress(), || smoother.smooth(frame, &mut self.smoothed));
             if matches!(result, Err(Error::Engine(_))) {
                 // An engine that failed is no use for the next frame.
                 self.open = None;
+            }
+            if let (Err(Error::Engine(error)), Engine::Auto) = (&result, self.args.smoothing.engine())
+                && matches!(error, EngineError::Limit { .. } | EngineError::OutOfMemory { .. })
+            {
+                // How large a general cloud is, is known after auto has chosen.
+                errln!("{}: {error}; smoothed on the CPU", output.display());
+                let options = self.args.smoothing.options(outputs)?.with_engine(Engine::Cpu);
+                let cpu = Smoother::open_with(params, &options, frame.grid())?;
+                self.open = Some((cpu, (frame.grid(), outputs, params)));
+                continue;
             }
             result?;
             times_ms.push(ms_since(start));

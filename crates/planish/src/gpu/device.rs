@@ -343,9 +343,11 @@ impl GpuDevice {
                 wgpu::ShaderRuntimeChecks::unchecked()
             };
             // SAFETY: every index into a buffer is derived from the layout that the buffers are sized by, and compared with
-            // the frame's width and height, or the cloud's points, before; loops end after a constant number of rounds, or when a
-            // count or a reach that grows with each has come to its end; no divisor is zero. The tests run every kernel
-            // with the checks on as well, and compare.
+            // the frame's width and height, or the cloud's points, before; or it is a number that earlier passes over the same
+            // cloud computed, which is below the number of its points: places in its sort, which are a permutation, and places of
+            // its positions, nodes and leaves. Loops end after a constant number of rounds; walks, since the number of their
+            // node only advances; searches for a radius, since what they try grows up to a limit. No divisor is zero. The tests
+            // run every kernel with the checks on as well, and compare.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),

@@ -119,7 +119,7 @@ impl Buffers {
             ("keys", bytes(2 * capacity)),
             ("order", bytes(capacity)),
             ("order", bytes(capacity)),
-            ("counts", bytes(DIGITS as usize * capacity.div_ceil(TILE))),
+            ("counts", bytes(DIGITS * capacity.div_ceil(TILE))),
             ("positions", bytes(4 * padded)),
             ("nodes", (NODE_BYTES * levels.all_nodes()) as u64),
             ("radii", bytes(padded)),
@@ -127,7 +127,8 @@ impl Buffers {
         ];
         let limits = &gpu.limits;
         let allowed = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
-        let largest = sizes.iter().map(|&(_, size)| size).max().unwrap_or(0).max(input_bytes).max(output_bytes);
+        let largest =
+            sizes.iter().map(|&(_, size)| size).max().unwrap_or(0).max(input_bytes).max(output_bytes + STATE_BYTES);
         if largest > allowed {
             return Err(EngineError::Limit {
                 device: gpu.name.clone(),

@@ -24,19 +24,19 @@ use crate::error::{EngineError, Error};
 use crate::frame::{Frame, PointsView};
 use crate::neighbours::middle;
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{Radius, SmoothParams};
+use crate::params::{Project, Radius, SmoothParams};
 use crate::progress::Progress;
 use crate::range::MAX_RANGE_M;
 use crate::status::Status;
 use crate::timings::FrameTimings;
 use buffers::{Buffers, CloudUniform, Levels, MOST_PARTS, SAMPLES, STATE_BYTES};
-use passes::{Compiled, Pass, SORT_PASSES, TILE};
+use passes::{Compiled, DIGITS, Pass, TILE};
 
 /// Positions that are fitted in one submission, at least: as many as the largest devices have threads.
 const PART_PLACES: usize = 1 << 18;
 /// Workgroups along the first axis of a dispatch: fewer than any device allows.
 const MOST_GROUPS_ACROSS: usize = 1 << 15;
-/// More than this is no point of any cloud, and its inverse is far from the end of f32.
+/// A smaller extent counts as this, so that its inverse stays within f32.
 const LEAST_EXTENT_M: f64 = 1e-18;
 
 /// The GPU engine for general clouds, with its buffers.
@@ -65,7 +65,9 @@ impl GeneralGpu {
             let failed = || Err(gpu.failed("a kernel was not compiled"));
             compiling.into_iter().map(|thread| thread.join().unwrap_or_else(|_| failed())).collect::<Result<_, _>>()
         })?;
-        let (uploader, options) = (Uploader::new(params), options.clone());
+        // General clouds have no rays (section 7).
+        let uploader = Uploader::new(params.with_project(Project::Normal));
+        let options = options.clone();
         let (progress, bytes) = Default::default();
         Ok(Self { gpu, params, outputs, options, kernels, uploader, buffers: None, progress, timings: None, bytes })
     }
@@ -146,33 +148,28 @@ impl GeneralGpu {
         commands.copy_buffer_to_buffer(&buffers.upload, 0, &buffers.input, 0, input_bytes);
         commands.clear_buffer(&buffers.state, 0, None);
         stamp(&mut commands, 1);
-        {
-            let mut pass = commands.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            self.build_index(buffers, &mut pass, points, &levels);
-        }
         let mut submissions = vec![gpu.submit(commands.finish())];
+        for steps in index_steps(points, &levels) {
+            submissions.push(self.submit_steps(buffers, &steps, encoder()));
+        }
         let parts = points.div_ceil(part_places(points));
         let by_density = matches!(self.params.radius, Radius::Neighbours { .. });
         for (pass, wanted) in [(Pass::Radii, by_density), (Pass::Fit, true)] {
             for part in (0..parts).filter(|_| wanted) {
-                let mut commands = encoder();
-                {
-                    let mut compute = commands.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                    let places = part_places(points).min(points - part * part_places(points));
-                    self.dispatch(buffers, &mut compute, pass, part, places);
-                }
-                if pass == Pass::Fit && part + 1 == parts {
-                    stamp(&mut commands, 2);
-                    commands.copy_buffer_to_buffer(&buffers.output, 0, &buffers.readback, 0, output_bytes);
-                    commands.copy_buffer_to_buffer(&buffers.state, 0, &buffers.readback, output_bytes, STATE_BYTES);
-                    stamp(&mut commands, 3);
-                    if let Some(stamps) = &buffers.stamps {
-                        stamps.resolve(&mut commands);
-                    }
-                }
-                submissions.push(gpu.submit(commands.finish()));
+                let places = part_places(points).min(points - part * part_places(points));
+                submissions.push(self.submit_steps(buffers, &[(pass, part, places)], encoder()));
             }
         }
+        submissions.push(self.submit_steps(buffers, &[(Pass::Repeat, 0, points)], encoder()));
+        let mut commands = encoder();
+        stamp(&mut commands, 2);
+        commands.copy_buffer_to_buffer(&buffers.output, 0, &buffers.readback, 0, output_bytes);
+        commands.copy_buffer_to_buffer(&buffers.state, 0, &buffers.readback, output_bytes, STATE_BYTES);
+        stamp(&mut commands, 3);
+        if let Some(stamps) = &buffers.stamps {
+            stamps.resolve(&mut commands);
+        }
+        submissions.push(gpu.submit(commands.finish()));
         let stamps = buffers.stamps.as_ref().map(|stamps| (&stamps.readback, wgpu::MapMode::Read));
         let asked = [(&buffers.upload, wgpu::MapMode::Write), (&buffers.readback, wgpu::MapMode::Read)];
         buffers.mapped.ask_for(asked.into_iter().chain(stamps));
@@ -184,31 +181,24 @@ impl GeneralGpu {
         buffers.mapped.wait(gpu)
     }
 
-    /// Sorts the points and builds the boxes.
-    fn build_index(&self, buffers: &Buffers, pass: &mut wgpu::ComputePass<'_>, points: usize, levels: &Levels) {
-        let mut run = |kernel, part, count| self.dispatch(buffers, pass, kernel, part, count);
-        run(Pass::Keys, 0, points);
-        for digit in 0..SORT_PASSES as usize {
-            run(Pass::CountDigits, digit, points);
-            run(Pass::ScanCounts, passes::DIGITS as usize, points);
-            run(Pass::ScatterDigits, digit, points);
+    /// Runs parts of passes one after the other. Each waits for those before: wgpu sees what they share.
+    fn submit_steps(
+        &self,
+        buffers: &Buffers,
+        steps: &[Step],
+        mut commands: wgpu::CommandEncoder,
+    ) -> wgpu::SubmissionIndex {
+        {
+            let mut compute = commands.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            for &(pass, part, count) in steps {
+                let groups = pass.groups(count);
+                let across = groups.min(MOST_GROUPS_ACROSS);
+                compute.set_pipeline(&self.kernels[pass as usize].pipeline);
+                compute.set_bind_group(0, buffers.bind_group(pass, part), &[]);
+                compute.dispatch_workgroups(across as u32, groups.div_ceil(across) as u32, 1);
+            }
         }
-        run(Pass::CountHeads, 0, points);
-        run(Pass::ScanCounts, 1, points);
-        run(Pass::PlaceHeads, 0, points);
-        run(Pass::Leaves, 0, levels.nodes(0));
-        for level in 1..=levels.top {
-            run(Pass::Nodes, level, levels.nodes(level));
-        }
-    }
-
-    /// Runs a part of a pass over so many points, places or nodes. Each waits for those before: wgpu sees what they share.
-    fn dispatch(&self, buffers: &Buffers, compute: &mut wgpu::ComputePass<'_>, pass: Pass, part: usize, count: usize) {
-        let groups = pass.groups(count);
-        let across = groups.min(MOST_GROUPS_ACROSS);
-        compute.set_pipeline(&self.kernels[pass as usize].pipeline);
-        compute.set_bind_group(0, buffers.bind_group(pass, part), &[]);
-        compute.dispatch_workgroups(across as u32, groups.div_ceil(across) as u32, 1);
+        self.gpu.submit(commands.finish())
     }
 
     /// Copies the results out of mapped memory.
@@ -218,7 +208,9 @@ impl GeneralGpu {
         let [_, ended_early]: [u32; 2] =
             bytemuck::pod_read_unaligned(&bytes[state_at..state_at + STATE_BYTES as usize]);
         if ended_early != 0 {
-            return Err(self.gpu.failed("its driver ended a loop early: with fewer neighbours it may not"));
+            return Err(self.gpu.failed(
+                "its driver ended a loop early; a smaller radius, fewer neighbours or the CPU engine may help",
+            ));
         }
         let layout = self.layout(points);
         let numbers =
@@ -249,6 +241,32 @@ impl GeneralGpu {
     }
 }
 
+/// A part of a pass, over so many points, places or nodes.
+type Step = (Pass, usize, usize);
+
+/// What sorts the points and builds the boxes, by submission: the lowest bits of the keys, the middle ones, the highest, the rest.
+fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
+    let sort = |digits: std::ops::Range<usize>| {
+        digits.flat_map(|digit| {
+            [
+                (Pass::CountDigits, digit, points),
+                (Pass::ScanCounts, DIGITS, points),
+                (Pass::ScatterDigits, digit, points),
+            ]
+        })
+    };
+    let keys = |part| std::iter::once((Pass::Keys, part, points));
+    let places = [(Pass::CountHeads, 0, points), (Pass::ScanCounts, 1, points), (Pass::PlaceHeads, 0, points)];
+    let nodes = (1..=levels.top).map(|level| (Pass::Nodes, level, levels.nodes(level)));
+    let boxes = std::iter::once((Pass::Leaves, 0, levels.nodes(0))).chain(nodes);
+    [
+        keys(0).chain(sort(0..8)).collect(),
+        keys(1).chain(sort(0..8)).collect(),
+        sort(8..16).collect(),
+        places.into_iter().chain(boxes).collect(),
+    ]
+}
+
 /// Positions of a submission.
 fn part_places(points: usize) -> usize {
     points.div_ceil(MOST_PARTS).next_multiple_of(PART_PLACES)
@@ -259,11 +277,12 @@ impl ImmediateEngine for GeneralGpu {
         let Frame::Points(view) = frame.frame else { return Ok(()) };
         self.gpu.check()?;
         self.timings = None;
+        self.progress.begin(0);
         if view.is_empty() {
             return Ok(());
         }
         let buffers = self.take_buffers(view.len())?;
-        // After an error they are given up with the device's state of them.
+        // After an error the buffers are dropped: whether they are mapped is not known.
         self.run(&buffers, frame, &view)?;
         self.copy_out(&buffers, view.len(), out)?;
         self.timings = buffers.stamps.as_ref().and_then(|stamps| stamps.timings());

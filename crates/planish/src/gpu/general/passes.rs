@@ -9,14 +9,13 @@ use crate::error::EngineError;
 use crate::outputs::Outputs;
 use crate::params::{Radius, SmoothParams};
 
-/// Bits of the keys that a pass of the sort looks at, and passes for a key of 64 bits.
-pub(super) const DIGITS: u32 = 16;
-pub(super) const SORT_PASSES: u32 = 16;
+/// Values of the four bits of a key that a pass of the sort looks at.
+pub(super) const DIGITS: usize = 16;
 /// Points of a tile of the sort, handled by one workgroup.
 pub(super) const TILE: usize = 2048;
 /// Threads of a workgroup where each has a point, a place or a node of its own.
 const THREADS: usize = 64;
-const KEY_THREADS: usize = 256;
+const POINT_THREADS: usize = 256;
 
 /// What a kernel works with, by its binding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,7 +52,7 @@ impl Resource {
             Self::Nodes => ("nodes", "array<vec4<f32>>"),
             Self::Radii => ("radii", "array<f32>"),
             Self::Firsts => ("firsts", "array<u32>"),
-            Self::State => ("state", "array<u32>"),
+            Self::State => ("state", "array<atomic<u32>, 2>"),
             Self::Cloud => ("cloud", "Cloud"),
             Self::Part => ("part", "Part"),
         }
@@ -82,10 +81,12 @@ pub(super) enum Pass {
     /// Radii from the density.
     Radii,
     Fit,
+    /// The results of points at the same position.
+    Repeat,
 }
 
 impl Pass {
-    pub(super) const ALL: [Self; 10] = [
+    pub(super) const ALL: [Self; 11] = [
         Self::Keys,
         Self::CountDigits,
         Self::ScanCounts,
@@ -96,6 +97,7 @@ impl Pass {
         Self::Nodes,
         Self::Radii,
         Self::Fit,
+        Self::Repeat,
     ];
 
     fn entry_point(self) -> &'static str {
@@ -110,30 +112,32 @@ impl Pass {
             Self::Nodes => "build_nodes",
             Self::Radii => "find_radii",
             Self::Fit => "fit_places",
+            Self::Repeat => "repeat_results",
         }
     }
 
-    /// What it reads, and what it writes; at most eight that are no uniforms, as every device has.
+    /// What it reads, and what it writes; at most eight storage buffers.
     fn resources(self) -> (&'static [Resource], &'static [Resource]) {
         use Resource::*;
         match self {
-            Self::Keys => (&[Batch, Cloud, Input], &[Output, Keys, Order]),
+            Self::Keys => (&[Batch, Cloud, Part, Input], &[Output, Keys, Order]),
             Self::CountDigits => (&[Batch, Cloud, Part, Input, Keys], &[Counts]),
             Self::ScanCounts => (&[Batch, Cloud, Part, Input], &[Counts]),
             Self::ScatterDigits => (&[Batch, Cloud, Part, Input, Keys, Order, Counts], &[KeysOut, OrderOut]),
             Self::CountHeads => (&[Batch, Cloud, Input, Keys, Order], &[Counts]),
-            Self::PlaceHeads => (&[Batch, Cloud, Input, Keys, Order, Counts], &[Positions, Firsts, State]),
-            Self::Leaves => (&[Batch, Cloud, Input, Firsts, State], &[Positions, Nodes]),
+            Self::PlaceHeads => (&[Batch, Cloud, Input, Keys, Order, Counts], &[Positions, Firsts, State, OrderOut]),
+            Self::Leaves => (&[Batch, Cloud, Input, Firsts], &[Positions, Nodes, State]),
             Self::Nodes => (&[Batch, Cloud, Part, Input], &[Nodes]),
             Self::Radii => (&[Batch, Cloud, Part, Input, Positions, Nodes], &[Radii, State]),
             Self::Fit => (&[Batch, Cloud, Part, Input, Order, Positions, Nodes, Radii, Firsts], &[Output, State]),
+            Self::Repeat => (&[Batch, Cloud, Input, Keys, Order, OrderOut, Firsts], &[Output]),
         }
     }
 
     /// Workgroups for so many points, places or nodes.
     pub(super) fn groups(self, count: usize) -> usize {
         match self {
-            Self::Keys => count.div_ceil(KEY_THREADS),
+            Self::Keys | Self::Repeat => count.div_ceil(POINT_THREADS),
             Self::ScanCounts => 1,
             Self::CountDigits | Self::ScatterDigits | Self::CountHeads | Self::PlaceHeads => count.div_ceil(TILE),
             Self::Leaves | Self::Nodes | Self::Radii | Self::Fit => count.div_ceil(THREADS),
@@ -170,6 +174,7 @@ impl Pass {
             Self::ScatterDigits => text += &(digit.to_owned() + include_str!("../shaders/general/scatter_digits.wgsl")),
             Self::CountHeads => text += &(heads.to_owned() + include_str!("../shaders/general/count_heads.wgsl")),
             Self::PlaceHeads => text += &(heads.to_owned() + include_str!("../shaders/general/place_heads.wgsl")),
+            Self::Repeat => text += include_str!("../shaders/general/repeat.wgsl"),
             Self::Leaves => text += &(node.to_owned() + include_str!("../shaders/general/leaves.wgsl")),
             Self::Nodes => text += &(node.to_owned() + include_str!("../shaders/general/nodes.wgsl")),
             Self::Radii => text += &[gate, walk, include_str!("../shaders/general/radii.wgsl")].concat(),

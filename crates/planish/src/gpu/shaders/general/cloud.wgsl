@@ -40,7 +40,7 @@ const TILE: u32 = SORT_THREADS * RUN;
 // Words of the state: how many positions there are; not 0 if a walk did not come to its end.
 const PLACES: u32 = 0u;
 const ENDED_EARLY: u32 = 1u;
-// No key of a point.
+// No key of a point (keys.wgsl).
 const HOLE_KEY: vec2<u32> = vec2<u32>(0xffffffffu, 0xffffffffu);
 
 fn sample_bits(i: u32) -> vec3<u32> {

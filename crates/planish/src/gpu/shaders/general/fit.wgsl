@@ -1,5 +1,8 @@
 // The results: sections 3 to 7 with the points within the radius as neighbours, one place a thread.
 
+// Results have 24 bits for the number of neighbours.
+const MOST_COUNTED: f32 = 16777215.0;
+
 // What a window is to a pixel: all that is needed is the point.
 alias WindowOrigin = u32;
 
@@ -40,7 +43,7 @@ fn smooth_place(place: u32) -> PixelResult {
     if sums.n < 3.0 {
         return isolated(p, u32(sums.n));
     }
-    return result_of(0u, place, p, radius, LocalSurface(plane_of(ray_to(0u, p), sums), sums.n, 0.0));
+    return result_of(0u, place, p, radius, LocalSurface(plane_of(ray_to(0u, p), sums), min(sums.n, MOST_COUNTED), 0.0));
 }
 
 @compute @workgroup_size(64)
@@ -51,11 +54,8 @@ fn fit_places(
 ) {
     let in_part = number_of(group, groups) * 64u + thread;
     let place = part.number * cloud.part_places + in_part;
-    if in_part >= cloud.part_places || place >= state[PLACES] {
+    if in_part >= cloud.part_places || place >= atomicLoad(&state[PLACES]) {
         return;
     }
-    let result = smooth_place(place);
-    for (var i = firsts[place]; i < firsts[place + 1u]; i++) {
-        store(order[i], result);
-    }
+    store(order[firsts[place]], smooth_place(place));
 }

@@ -1,8 +1,10 @@
-// Where each point is along a Hilbert curve.
+// Where each point is along a Hilbert curve: first the lowest bits, then, in the order of those, the others.
 
-const CELL_BITS: u32 = 18u;
+const LOWEST_BITS: u32 = 0u;
+
+const CELL_BITS: u32 = 30u;
 // Cells from the middle of the curve's box to its border.
-const HALF: f32 = 131072.0;
+const HALF: u32 = 1u << 29u;
 // Beyond most points cells grow with the distance, so that stray points spoil nothing.
 const OCTAVES: f32 = 64.0;
 
@@ -10,8 +12,11 @@ fn cell_of(p: vec3<f32>) -> vec3<u32> {
     let t = (p - cloud.middle) * cloud.per_half_extent;
     let within = 0.5 * abs(t);
     let beyond = 0.5 + log2(max(abs(t), vec3<f32>(1.0))) * (0.5 / OCTAVES);
+    // Short of the border: the curve ends in a corner, whose key is that of holes.
     let u = min(select(within, beyond, abs(t) > vec3<f32>(1.0)), vec3<f32>(0.99999));
-    return vec3<u32>(HALF + sign(t) * u * HALF);
+    // From the middle, near which f32 is finer.
+    let steps = vec3<u32>(u * f32(HALF));
+    return select(HALF + steps, HALF - 1u - steps, t < vec3<f32>(0.0));
 }
 
 // How far along the curve a cell is, its bits still apart: Skilling's transposition ("Programming the Hilbert curve", 2004).
@@ -40,7 +45,7 @@ fn transposed(cell_: vec3<u32>) -> vec3<u32> {
     return cell ^ vec3<u32>(flips);
 }
 
-// 9 bits, each after two zeros.
+// 10 bits, each after two zeros.
 fn spread(low: u32) -> u32 {
     var value = low;
     value = (value | (value << 16u)) & 0x030000ffu;
@@ -49,15 +54,10 @@ fn spread(low: u32) -> u32 {
     return (value | (value << 2u)) & 0x09249249u;
 }
 
-fn interleaved(bits: vec3<u32>) -> u32 {
+// Ten bits of each axis from one on.
+fn interleaved(along: vec3<u32>, from_bit: u32) -> u32 {
+    let bits = (along >> vec3<u32>(from_bit)) & vec3<u32>(0x3ffu);
     return (spread(bits.x) << 2u) | (spread(bits.y) << 1u) | spread(bits.z);
-}
-
-// Ten bits by which equal positions of a crowded cell come to lie together.
-fn hash_of(bits: vec3<u32>) -> u32 {
-    var hash = (bits.x * 0x9e3779b1u) ^ (bits.y * 0x85ebca77u) ^ (bits.z * 0xc2b2ae3du);
-    hash = (hash ^ (hash >> 15u)) * 0x2c1b3c6du;
-    return (hash ^ (hash >> 12u)) & 0x3ffu;
 }
 
 @compute @workgroup_size(256)
@@ -66,14 +66,17 @@ fn find_keys(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = number_of(group, groups) * 256u + thread;
-    if i >= cloud.points {
+    let place = number_of(group, groups) * 256u + thread;
+    if place >= cloud.points {
         return;
     }
-    order[i] = i;
+    if part.number == LOWEST_BITS {
+        order[place] = place;
+    }
+    let i = order[place];
     var bits = sample_bits(i);
     if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
-        keys[i] = HOLE_KEY;
+        keys[place] = HOLE_KEY;
         store(i, no_result(STATUS_HOLE, 0u));
         return;
     }
@@ -82,12 +85,14 @@ fn find_keys(
     let p = bitcast<vec3<f32>>(bits);
     if any(abs(p) > vec3<f32>(MAX_RANGE_M)) {
         // Farther away than squares can say.
-        keys[i] = HOLE_KEY;
+        keys[place] = HOLE_KEY;
         store(i, isolated(p, 1u));
         return;
     }
     let along = transposed(cell_of(p));
-    let high = interleaved(along >> vec3<u32>(9u));
-    let low = interleaved(along & vec3<u32>(0x1ffu));
-    keys[i] = vec2<u32>((high << 5u) | (low >> 22u), (low << 10u) | hash_of(bits));
+    if part.number == LOWEST_BITS {
+        keys[place] = vec2<u32>(0u, interleaved(along, 0u));
+    } else {
+        keys[place] = vec2<u32>(interleaved(along, 20u), interleaved(along, 10u));
+    }
 }

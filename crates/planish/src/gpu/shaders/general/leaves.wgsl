@@ -10,7 +10,7 @@ fn build_leaves(
     if leaf >= nodes_of_level(0u) {
         return;
     }
-    let places = state[PLACES];
+    let places = atomicLoad(&state[PLACES]);
     let end = min(LEAF * (leaf + 1u), places);
     var node = empty_node();
     for (var place = LEAF * leaf; place < end; place++) {

@@ -32,10 +32,12 @@ fn place_heads(
             firsts[place] = i;
             place++;
         }
+        // Of a hole this means nothing.
+        order_out[i] = place - 1u;
         // The last point that is no hole.
         if any(keys[i] != HOLE_KEY) && (i + 1u == cloud.points || all(keys[min(i + 1u, cloud.points - 1u)] == HOLE_KEY)) {
             firsts[place] = i + 1u;
-            state[PLACES] = place;
+            atomicStore(&state[PLACES], place);
         }
     }
 }

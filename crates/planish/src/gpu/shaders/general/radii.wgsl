@@ -46,11 +46,17 @@ fn within(p: vec3<f32>, limit: f32) -> Within {
         if !has_leaf {
             break;
         }
-        for (var place = LEAF * walk.leaf; place < LEAF * (walk.leaf + 1u); place++) {
-            let squared = square(positions[place].xyz - p);
-            let is_near = squared < limit;
-            found.n += select(0.0, 1.0, is_near);
-            found.sum += select(0.0, squared, is_near);
+        // Four at a time.
+        for (var place = LEAF * walk.leaf; place < LEAF * (walk.leaf + 1u); place += 4u) {
+            let squared = vec4<f32>(
+                square(positions[place].xyz - p),
+                square(positions[place + 1u].xyz - p),
+                square(positions[place + 2u].xyz - p),
+                square(positions[place + 3u].xyz - p),
+            );
+            let is_near = squared < vec4<f32>(limit);
+            found.n += dot(select(vec4<f32>(0.0), vec4<f32>(1.0), is_near), vec4<f32>(1.0));
+            found.sum += dot(select(vec4<f32>(0.0), squared, is_near), vec4<f32>(1.0));
         }
     }
     check_done(walk);
@@ -59,7 +65,7 @@ fn within(p: vec3<f32>, limit: f32) -> Within {
 
 // The square of the fourth smallest distance to another position of the point's own leaf.
 fn fourth_squared(p: vec3<f32>, leaf: u32) -> f32 {
-    var nearest = vec4<f32>(NO_POINT * NO_POINT);
+    var nearest = vec4<f32>(MAX_RANGE_M * MAX_RANGE_M);
     for (var place = LEAF * leaf; place < LEAF * (leaf + 1u); place++) {
         let squared = square(positions[place].xyz - p);
         if squared > 0.0 {
@@ -93,9 +99,9 @@ fn crowd_squared(p: vec3<f32>) -> f32 {
 fn radius_of(place: u32) -> f32 {
     let p = positions[place].xyz;
     let largest = cloud.largest_radius * cloud.largest_radius;
-    // As dense as the point's own leaf, and a little further; where that is far, no further than there are points. From too large a
-    // radius on the search takes long.
-    let near = min(0.5 * cloud.half_count * fourth_squared(p, place / LEAF), crowd_squared(p));
+    // As dense as the point's own leaf, and a little further; where that is far, no further than there are points. Starting from too
+    // large a radius makes the search slow.
+    let near = min(0.5 * cloud.half_count * min(fourth_squared(p, place / LEAF), largest), crowd_squared(p));
     var limit = clamp(near, 1e-12 * largest, largest);
     var found = within(p, limit);
     while (found.n - cloud.half_count) * limit < found.sum || found.n <= cloud.half_count {
@@ -124,7 +130,7 @@ fn find_radii(
 ) {
     let in_part = number_of(group, groups) * 64u + thread;
     let place = part.number * cloud.part_places + in_part;
-    if in_part < cloud.part_places && place < state[PLACES] {
+    if in_part < cloud.part_places && place < atomicLoad(&state[PLACES]) {
         radii[place] = radius_of(place);
     }
 }

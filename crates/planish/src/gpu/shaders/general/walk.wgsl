@@ -53,6 +53,6 @@ fn next_leaf(walk: ptr<function, Walk>, p: vec3<f32>, reach_squared: f32) -> boo
 // Some drivers end loops of many rounds early; then the host is told.
 fn check_done(walk: Walk) {
     if !walk.is_done {
-        state[ENDED_EARLY] = 1u;
+        atomicStore(&state[ENDED_EARLY], 1u);
     }
 }
