@@ -2,22 +2,21 @@
 
 mod progress;
 mod report;
+mod tiles;
 
 use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format};
-use planish::tiles::{self, TileOptions};
 use planish::{
     Camera, DepthFrame, DepthImage, Engine, EngineError, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud,
-    PointsView, Progress, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
+    PointsView, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
 };
 use planish_bench::{errln, outln};
 
@@ -339,54 +338,6 @@ impl Worker<'_> {
             errln!("{}: a general cloud, for which {} {verb} nothing", input.display(), unused.join(", "));
         }
         Ok(params)
-    }
-
-    /// Smooths a LAS or LAZ file tile by tile into another, if it does not fit the memory that is allowed.
-    fn smooth_in_tiles(&mut self, input: &Path, output: &Path) -> Result<Option<Report>> {
-        let allowed = self.args.memory.read_options().max_memory_bytes;
-        let is_las = |path: &Path| matches!(Format::of_extension(path), Some(Format::Las | Format::Laz));
-        if !is_las(output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {
-            return Ok(None);
-        }
-        let params = self.general_params(input)?;
-        errln!("{}: larger than --max-memory, so smoothed in tiles", input.display());
-        let mut smoother = self.args.smoothing.options(Outputs::POINTS)?;
-        smoother = smoother.with_outputs(self.args.outputs().with_status(true));
-        if let (Radius::Neighbours { .. }, Engine::Auto) = (params.radius, smoother.engine) {
-            // The one that tells its radii.
-            smoother = smoother.with_engine(Engine::Cpu);
-        }
-        let engine = smoother.engine.name();
-        let options = TileOptions::new(params, smoother, allowed).with_fields(self.args.outputs()).with_pose(self.pose);
-        let progress = Arc::new(Progress::default());
-        let start = Instant::now();
-        let report =
-            with_progress(Some(Arc::clone(&progress)), || tiles::smooth_tiles(input, output, &options, &progress))?;
-        if report.reaching_beyond > 0 {
-            errln!(
-                "{}: {} of {} points reach beyond what their tile holds, being far from others; with more memory they may come out a little different",
-                output.display(),
-                report.reaching_beyond,
-                report.points
-            );
-        }
-        let status = StatusCounts::of(report.status_counts);
-        Ok(Some(Report {
-            input: input.to_path_buf(),
-            output: output.to_path_buf(),
-            engine,
-            adapter: None,
-            engine_reason: None,
-            width: report.points,
-            height: 1,
-            points_in: report.points,
-            points_lost: status.too_few,
-            status,
-            tiles: Some(report.tiles),
-            read_ms: 0.0,
-            smooth_ms: summarize(vec![ms_since(start)]),
-            write_ms: 0.0,
-        }))
     }
 
     /// Smooths a frame as many times as requested, and reports if many points were lost.

@@ -1,13 +1,13 @@
 //! Clouds that do not fit memory: LAS and LAZ files, smoothed tile by tile into another such file.
 //!
-//! The file is read once, and its records are dealt to temporary files, one a tile of cells seen from above ([`plan`]). A tile is
+//! The file is read once, and its records are dealt to temporary files, one a tile of cells seen from above. A tile is
 //! smoothed with a halo of the points around it, as wide as its points reach, so that each gets what it gets in the whole cloud; the
 //! records of its own points are kept. At the end they are put together in the order of the input.
 
+mod dealt;
 mod plan;
 
-use std::fs::File;
-use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -15,34 +15,28 @@ use crate::cloud::PointCloud;
 use crate::engines::SmootherOptions;
 use crate::error::{Error, FormatError, IoError};
 use crate::frame::{IntoFrame, PointsView};
-use crate::io::{Format, LasReader, LasWriter, Records, Temporary, WholeFile, cloud_of, folder_of};
-use crate::neighbours::middle;
+use crate::io::{Format, LasReader, Records, Temporary, WholeFile, cloud_of, folder_of};
 use crate::outputs::Outputs;
 use crate::params::{Radius, SmoothParams};
 use crate::pose::SensorPose;
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
-use plan::{Cells, Tile};
+use dealt::Dealt;
+use plan::Tile;
 
-/// Records read or written together.
-const BATCH: usize = 1 << 18;
 /// What a point of a tile takes beside its records: positions twice, an engine and its results.
 const ENGINE_BYTES_A_POINT: u64 = 200;
 /// A tile's records take so many times their size: as read, in columns, and as written.
 const COPIES: u64 = 3;
 /// The share of a tile's points with its halo that are its own, when tiles are planned.
 const OWN_SHARE: f64 = 0.6;
-/// Open files that every system allows, and some for others.
-const MOST_TILES: usize = 400;
 /// A halo reaches so many times as far as a point's radius: its neighbours have neighbours.
 const REACH: f64 = 2.04;
 /// More points than this share, whose radius reaches beyond the halo, ask for a wider one.
 const MAY_REACH_BEYOND: f64 = 1e-4;
 /// Where memory does not hold a wider one, no more than this share.
 const MAY_BE_INEXACT: f64 = 0.01;
-/// Points by which the extent of a cloud is known.
-const SAMPLE: usize = 10_000;
 
 /// How to smooth in tiles.
 #[derive(Debug, Clone)]
@@ -120,7 +114,8 @@ pub fn smooth_tiles(
     let whole = WholeFile::new(output).map_err(IoError::at(output))?;
     let reader = LasReader::open(input).map_err(IoError::at(input))?;
     progress.begin(3 * reader.points());
-    let mut dealt = Dealt::of(reader, folder_of(output), options, progress).map_err(IoError::at(input))?;
+    let mut dealt =
+        Dealt::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(IoError::at(input))?;
     let mut tiler = Tiler { options, smoother: None, halo_share: 1.0, report: TilesReport::default(), records: None };
     for number in 0..dealt.tiles.len() {
         tiler.smooth(&mut dealt, number, output).map_err(|error| match error {
@@ -158,209 +153,6 @@ impl From<Error> for TileError {
     fn from(error: Error) -> Self {
         Self::Other(error)
     }
-}
-
-/// The records of a file, dealt to tiles.
-struct Dealt {
-    header: Arc<las::Header>,
-    record: usize,
-    points: usize,
-    most_in_memory: u64,
-    extent_m: f64,
-    cells: Cells,
-    tiles: Vec<TileFiles>,
-    /// The tile of each record, in the order of the file.
-    sequence: Temporary,
-    folder: std::path::PathBuf,
-}
-
-/// A tile, its records as they were, and what became of them.
-struct TileFiles {
-    tile: Tile,
-    records: Temporary,
-    /// For each record a byte that says whether it is kept, and the new one.
-    smoothed: Option<Temporary>,
-}
-
-/// Coordinates of a record in metres.
-struct Positions([las::Transform; 3]);
-
-impl Positions {
-    fn of(header: &las::Header) -> Self {
-        let las::Vector { x, y, z } = *header.transforms();
-        Self([x, y, z])
-    }
-
-    fn of_record(&self, record: &[u8]) -> [f64; 3] {
-        std::array::from_fn(|axis| {
-            let at = 4 * axis;
-            let integer = i32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]);
-            self.0[axis].direct(integer)
-        })
-    }
-}
-
-type FormatResult<T> = Result<T, FormatError>;
-
-impl Dealt {
-    fn of(mut reader: LasReader, folder: &Path, options: &TileOptions, progress: &Progress) -> FormatResult<Self> {
-        let header = Arc::clone(reader.header());
-        let (record, points) = (reader.record(), reader.points());
-        let positions = Positions::of(&header);
-        let most_in_memory = options.max_memory_bytes / bytes_a_point(record);
-        // All records once more, so that they are decompressed once.
-        let spool = Temporary::new(folder)?;
-        let mut sample: [Vec<f64>; 3] = Default::default();
-        let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
-        let step = points.div_ceil(SAMPLE).max(1);
-        let mut to = BufWriter::with_capacity(1 << 20, spool.file());
-        let mut read = 0;
-        while read < points {
-            let records = reader.next_records(BATCH)?;
-            to.write_all(records)?;
-            for (i, point) in records.chunks_exact(record).enumerate() {
-                let position = positions.of_record(point);
-                for axis in 0..2 {
-                    bounds[0][axis] = bounds[0][axis].min(position[axis]);
-                    bounds[1][axis] = bounds[1][axis].max(position[axis]);
-                }
-                if (read + i).is_multiple_of(step) {
-                    sample.iter_mut().zip(position).for_each(|(sample, value)| sample.push(value));
-                }
-            }
-            read += records.len() / record;
-            progress.add(records.len() / record / 2);
-        }
-        to.flush()?;
-        drop(to);
-        let span = |values: &Vec<f64>| middle(values.len(), |i| values[i]).map_or(0.0, |[low, high]| high - low);
-        let extent_m = sample.iter().map(|values| span(values).powi(2)).sum::<f64>().sqrt();
-        let mut cells = Cells::new(bounds[0], bounds[1]);
-        for_each_batch(spool.file(), record, |records| {
-            records.chunks_exact(record).map(|point| positions.of_record(point)).for_each(|[x, y, _]| cells.add(x, y));
-            Ok(())
-        })?;
-
-        let tiles = cells.tiles(((most_in_memory as f64 * OWN_SHARE) as u64).max(1));
-        let largest = tiles.iter().map(|tile| tile.points).max().unwrap_or(0);
-        if tiles.len() > MOST_TILES || largest > most_in_memory {
-            let fewest = (points / MOST_TILES) as u64;
-            let needed = largest.max((fewest as f64 / OWN_SHARE) as u64 + 1) * bytes_a_point(record);
-            return Err(FormatError::TooLarge { needed, allowed: options.max_memory_bytes });
-        }
-        let of_cells = cells.tile_of_cells(&tiles);
-        let file = |tile| Ok(TileFiles { tile, records: Temporary::new(folder)?, smoothed: None });
-        let tiles = tiles.into_iter().map(file).collect::<FormatResult<Vec<_>>>()?;
-        let sequence = Temporary::new(folder)?;
-        {
-            let mut numbers = BufWriter::with_capacity(1 << 20, sequence.file());
-            let mut to: Vec<_> =
-                tiles.iter().map(|tile| BufWriter::with_capacity(1 << 16, tile.records.file())).collect();
-            for_each_batch(spool.file(), record, |records| {
-                for point in records.chunks_exact(record) {
-                    let [x, y, _] = positions.of_record(point);
-                    let number = of_cells[cells.place(cells.cell_of(x, y))];
-                    to[usize::from(number)].write_all(point)?;
-                    numbers.write_all(&number.to_le_bytes())?;
-                }
-                progress.add(records.len() / record / 2);
-                Ok(())
-            })?;
-            to.iter_mut().try_for_each(Write::flush)?;
-            numbers.flush()?;
-        }
-        let folder = folder.to_path_buf();
-        Ok(Self { header, record, points, most_in_memory, extent_m, cells, tiles, sequence, folder })
-    }
-
-    /// The records of a tile, and behind them those of others within its halo.
-    fn with_halo(&self, number: usize, halo_m: f64) -> FormatResult<Vec<u8>> {
-        let positions = Positions::of(&self.header);
-        let mut records = Vec::new();
-        read_whole(self.tiles[number].records.file(), &mut records)?;
-        let [low, high] = self.cells.bounds(&self.tiles[number].tile);
-        let is_near = |x: f64, y: f64| {
-            [(x, 0), (y, 1)]
-                .into_iter()
-                .all(|(value, axis)| low[axis] - halo_m <= value && value <= high[axis] + halo_m)
-        };
-        for (_, other) in self.tiles.iter().enumerate().filter(|(other, _)| *other != number) {
-            let [other_low, other_high] = self.cells.bounds(&other.tile);
-            let overlaps =
-                (0..2).all(|axis| other_low[axis] <= high[axis] + halo_m && other_high[axis] >= low[axis] - halo_m);
-            if !overlaps {
-                continue;
-            }
-            for_each_batch(other.records.file(), self.record, |batch| {
-                for point in batch.chunks_exact(self.record) {
-                    let [x, y, _] = positions.of_record(point);
-                    if is_near(x, y) {
-                        records.extend_from_slice(point);
-                    }
-                }
-                Ok(())
-            })?;
-        }
-        Ok(records)
-    }
-
-    /// Writes the smoothed records in the order of the input.
-    fn put_together(
-        &self,
-        records: Option<Records>,
-        compressed: bool,
-        whole: &WholeFile,
-        progress: &Progress,
-    ) -> FormatResult<()> {
-        let records = match records {
-            Some(records) => records,
-            // Without a point.
-            None => Records::new(&cloud_of(Arc::clone(&self.header), &[])?, &[], compressed)?,
-        };
-        let length = records.len();
-        let mut writer = LasWriter::new(whole.file().try_clone()?, records.header)?;
-        let mut sources = Vec::new();
-        for tile in &self.tiles {
-            let Some(smoothed) = &tile.smoothed else { continue };
-            let mut file = smoothed.file();
-            file.seek(SeekFrom::Start(0))?;
-            sources.push(BufReader::with_capacity(1 << 16, file));
-        }
-        let mut point = vec![0u8; 1 + length];
-        for_each_batch(self.sequence.file(), 2, |numbers| {
-            let mut batch = Vec::with_capacity(numbers.len() / 2 * length);
-            for number in numbers.chunks_exact(2) {
-                let source = &mut sources[usize::from(u16::from_le_bytes([number[0], number[1]]))];
-                source.read_exact(&mut point)?;
-                if point[0] != 0 {
-                    batch.extend_from_slice(&point[1..]);
-                }
-            }
-            progress.add(numbers.len() / 2);
-            writer.write(batch)
-        })?;
-        writer.finish()
-    }
-}
-
-/// Reads a temporary file from its beginning, so many things of a size at a time.
-fn for_each_batch(mut file: &File, size: usize, mut visit: impl FnMut(&[u8]) -> FormatResult<()>) -> FormatResult<()> {
-    let mut left = file.metadata()?.len() as usize;
-    file.seek(SeekFrom::Start(0))?;
-    let mut bytes = vec![0; (BATCH * size).min(left)];
-    while left > 0 {
-        let wanted = bytes.len().min(left);
-        file.read_exact(&mut bytes[..wanted])?;
-        visit(&bytes[..wanted])?;
-        left -= wanted;
-    }
-    Ok(())
-}
-
-fn read_whole(mut file: &File, to: &mut Vec<u8>) -> FormatResult<()> {
-    file.seek(SeekFrom::Start(0))?;
-    file.read_to_end(to)?;
-    Ok(())
 }
 
 /// What goes from tile to tile.
