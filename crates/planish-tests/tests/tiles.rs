@@ -174,3 +174,22 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
     smooth_tiles(&input, &out, &options(Engine::Cpu, needed), &Progress::default()).unwrap();
     assert_eq!(read(&out).len(), 0);
 }
+
+#[test]
+fn a_file_in_parts_has_every_point_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("a.laz");
+    io::write_cloud(&input, &field(5000), Encoding::Binary).unwrap();
+    let whole = read(&input);
+    let (mut parts, mut intensities) = (Vec::new(), Vec::new());
+    io::read_las_in_parts(&input, 1800, |part| {
+        parts.push(part.len());
+        match &part.attribute("intensity").unwrap().values {
+            AttributeValues::U16(values) => intensities.extend_from_slice(values),
+            other => panic!("{other:?}"),
+        }
+    })
+    .unwrap();
+    assert_eq!(parts, [1800, 1800, 1400]);
+    assert_eq!(whole.attribute("intensity").unwrap().values, AttributeValues::U16(intensities));
+}

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use anyhow::Result;
 use planish::io::{self, Contents, Format};
 use planish::{
-    Attribute, AttributeValues, DepthFrame, DepthView, Error, OrganizedCloud, PointCloud, PointsView, RangeRule,
-    SensorModel,
+    Attribute, AttributeValues, DepthFrame, DepthView, Error, FormatError, IoError, OrganizedCloud, PointCloud,
+    PointsView, RangeRule, SensorModel,
 };
 use planish_bench::outln;
 use serde::Serialize;
@@ -45,38 +45,77 @@ struct SensorInfo {
 }
 
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
-    let (format, mut contents) = io::read_with(&args.file, &args.memory.read_options())?;
+    let read = io::read_with(&args.file, &args.memory.read_options());
+    let is_las = matches!(Format::of_extension(&args.file), Some(Format::Las | Format::Laz));
+    if let (Err(IoError { problem: FormatError::TooLarge { .. }, .. }), true) = (&read, is_las) {
+        return show(args, &describe_in_parts(args)?, false);
+    }
+    let (format, mut contents) = read?;
     if let (Some(pose), Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points)) =
         (args.pose.pose()?, &mut contents)
     {
         points.pose = pose;
     }
-    let info = describe(args, format, &contents)?;
+    show(args, &describe(args, format, &contents)?, contents.is_depth())
+}
+
+fn show(args: &InfoArgs, info: &Info, is_depth: bool) -> Result<ExitCode> {
     if args.json {
-        outln!("{}", serde_json::to_string(&info)?);
+        outln!("{}", serde_json::to_string(info)?);
     } else {
-        print_text(&args.file, &info, contents.is_depth());
+        print_text(&args.file, info, is_depth);
     }
     Ok(ExitCode::SUCCESS)
 }
 
+impl Info {
+    /// Of which nothing is known but its size.
+    fn new(format: Format, (width, height): (usize, usize), organized: bool) -> Self {
+        Self {
+            format: format.name(),
+            width,
+            height,
+            organized,
+            fields: vec!["depth".into()],
+            valid_points: 0,
+            bounds_m: None,
+            median_z_m: None,
+            pixel_pitch_at_1m: None,
+            range: None,
+            sensor_pose: None,
+            sensor: None,
+            raw_depth: None,
+        }
+    }
+}
+
+/// Of a file larger than memory; its median is that of a sample.
+fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
+    const POINTS_AT_ONCE: usize = 1 << 18;
+    const SAMPLE_STEP: usize = 97;
+    let mut info = Info::new(Format::Las, (0, 1), false);
+    let mut sample = Vec::new();
+    let format = io::read_las_in_parts(&args.file, POINTS_AT_ONCE, |cloud| {
+        let mut part = Info::new(Format::Las, (cloud.len(), 1), false);
+        describe_points(cloud, &mut part);
+        info.width += cloud.len();
+        info.valid_points += part.valid_points;
+        info.bounds_m = [info.bounds_m, part.bounds_m].into_iter().flatten().reduce(union);
+        info.fields = fields(cloud);
+        sample.extend(cloud.positions.z.iter().step_by(SAMPLE_STEP).map(|&z| cloud.origin_m[2] + f64::from(z)));
+    })?;
+    info.format = format.name();
+    info.median_z_m = median(&mut sample);
+    Ok(info)
+}
+
+fn union([low, high]: [[f64; 3]; 2], [other_low, other_high]: [[f64; 3]; 2]) -> [[f64; 3]; 2] {
+    [[0, 1, 2].map(|axis| low[axis].min(other_low[axis])), [0, 1, 2].map(|axis| high[axis].max(other_high[axis]))]
+}
+
 fn describe(args: &InfoArgs, format: Format, contents: &Contents) -> Result<Info> {
     let (width, height) = contents.shape();
-    let mut info = Info {
-        format: format.name(),
-        width,
-        height,
-        organized: !matches!(contents, Contents::General(_)),
-        fields: vec!["depth".into()],
-        valid_points: 0,
-        bounds_m: None,
-        median_z_m: None,
-        pixel_pitch_at_1m: None,
-        range: None,
-        sensor_pose: None,
-        sensor: None,
-        raw_depth: None,
-    };
+    let mut info = Info::new(format, (width, height), !matches!(contents, Contents::General(_)));
     match contents {
         Contents::Depth(image) => {
             let valid = || image.raw.iter().copied().filter(|&raw| raw != 0 && raw != planish::SATURATED_DEPTH);
@@ -134,9 +173,7 @@ fn describe_points(cloud: &PointCloud, info: &mut Info) {
         [0, 1, 2].map(|axis| cloud.origin_m[axis] + f64::from(p[axis]))
     });
     let valid: Vec<[f64; 3]> = valid.collect();
-    info.bounds_m = valid.iter().copied().map(|p| [p, p]).reduce(|[low, high], [p, _]| {
-        [[0, 1, 2].map(|axis| low[axis].min(p[axis])), [0, 1, 2].map(|axis| high[axis].max(p[axis]))]
-    });
+    info.bounds_m = valid.iter().map(|&p| [p, p]).reduce(union);
     info.median_z_m = median(&mut valid.iter().map(|p| p[2]).collect::<Vec<_>>());
 }
 

@@ -25,6 +25,7 @@ mod xyz_text;
 use std::fs;
 use std::io::Read;
 use std::path::Path;
+use std::sync::Arc;
 
 use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
@@ -162,6 +163,31 @@ pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
 /// [`read`] with other options than the default.
 pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents), IoError> {
     read_file(path, options).map(|file| (file.format, file.contents))
+}
+
+/// Reads a LAS or LAZ file some points at a time, each part a cloud with all fields and an origin of its own; of a file without points one empty
+/// cloud.
+pub fn read_las_in_parts(
+    path: &Path,
+    points_at_once: usize,
+    mut visit: impl FnMut(&PointCloud),
+) -> Result<Format, IoError> {
+    let mut read = || {
+        let mut reader = LasReader::open(path)?;
+        let header = Arc::clone(reader.header());
+        let format = if header.point_format().is_compressed { Format::Laz } else { Format::Las };
+        loop {
+            let records = reader.next_records(points_at_once.max(1))?;
+            let is_last = records.is_empty();
+            if !is_last || header.number_of_points() == 0 {
+                visit(&cloud_of(Arc::clone(&header), records)?);
+            }
+            if is_last {
+                return Ok(format);
+            }
+        }
+    };
+    read().map_err(IoError::at(path))
 }
 
 /// A file that was read.
