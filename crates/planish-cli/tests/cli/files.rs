@@ -474,3 +474,27 @@ fn a_general_cloud_is_drawn_from_where_one_asks() {
     assert!(refused(&["render", str(&path), str(&picture), "--from", "0,0,1"]).contains("for general clouds"));
     assert!(refused(&["render", str(&general), str(&picture), "--from", "0,0"]).contains("3 numbers"));
 }
+
+#[test]
+fn las_larger_than_memory_is_smoothed_in_tiles_and_described_in_parts() {
+    let (folder, cloud, _) = with_frame();
+    let file = |name: &str| folder.path().join(name);
+    let (input, output, whole) = (file("a.las"), file("out.laz"), file("whole.laz"));
+    write_cloud(&input, &cloud.points, Encoding::Binary).unwrap();
+    let memory = ["--max-memory", "3M", "--json"];
+    let tiled = planish(&[&["smooth", str(&input), str(&output)], &memory[..]].concat());
+    assert!(tiled.status.success() && text(&tiled.stderr).contains("in tiles"), "{}", text(&tiled.stderr));
+    let report = json_line(&text(&tiled.stdout));
+    assert!(report["tiles"].as_u64().unwrap() > 1 && report["engine"] == "cpu", "{report}");
+    let expected = json_line(&ok(&["smooth", str(&input), str(&whole), "--json", "--engine", "cpu"]));
+    assert!(expected.get("tiles").is_none() && report["status"] == expected["status"], "{report} {expected}");
+    // Only tiles of the same kind of file.
+    let refused = planish(&["smooth", str(&input), str(&file("out.ply")), "--max-memory", "1M"]);
+    assert!(!refused.status.success() && !file("out.ply").exists(), "{}", text(&refused.stderr));
+
+    let info = |arguments: &[&str]| json_line(&ok(&[&["info", str(&whole), "--json"], arguments].concat()));
+    let (whole, parts) = (info(&[]), info(&["--max-memory", "1M"]));
+    for field in ["format", "width", "fields", "valid_points"] {
+        assert_eq!(whole[field], parts[field], "{field}");
+    }
+}

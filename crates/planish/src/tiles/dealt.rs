@@ -14,8 +14,8 @@ use crate::progress::Progress;
 
 /// Records read or written together.
 const BATCH: usize = 1 << 18;
-/// Open files that every system allows, and some for others.
-const MOST_TILES: usize = 400;
+/// Each has two open files: fewer than any system allows.
+const MOST_TILES: usize = 100;
 /// Points by which the extent of a cloud is known.
 const SAMPLE: usize = 10_000;
 
