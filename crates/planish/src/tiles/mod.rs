@@ -35,8 +35,10 @@ const OWN_SHARE: f64 = 0.6;
 const REACH: f64 = 2.04;
 /// More points than this share, whose radius reaches beyond the halo, ask for a wider one.
 const MAY_REACH_BEYOND: f64 = 1e-4;
-/// Where memory does not hold a wider one, no more than this share.
+/// Where memory does not hold a wider one, no more than this share of a tile's points, or of those of a usual tile.
 const MAY_BE_INEXACT: f64 = 0.01;
+/// No halo is narrower than this share of that by density.
+const NARROWEST: f64 = 0.01;
 
 /// How to smooth in tiles.
 #[derive(Debug, Clone)]
@@ -178,7 +180,8 @@ impl Tiler<'_> {
             let raw = dealt.with_halo(number, halo_m)?;
             let in_memory = (raw.len() / dealt.record) as u64;
             if in_memory > dealt.most_in_memory {
-                if matches!(self.options.params.radius, Radius::Neighbours { .. }) && in_memory > own as u64 {
+                let may_be_narrower = matches!(self.options.params.radius, Radius::Neighbours { .. });
+                if may_be_narrower && halo_m > NARROWEST * by_density_m {
                     (halo_m, may_widen) = (0.7 * halo_m, false);
                     continue;
                 }
@@ -200,7 +203,8 @@ impl Tiler<'_> {
                 halo_m = wider_m;
                 continue;
             }
-            if beyond as f64 > MAY_BE_INEXACT * own as f64 {
+            let usual = dealt.points / dealt.tiles.len();
+            if beyond as f64 > MAY_BE_INEXACT * own.max(usual) as f64 {
                 let needed = (in_memory as f64 * share.max(2.0)) as u64 * bytes_a_point(dealt.record);
                 return Err(FormatError::TooLarge { needed, allowed: self.options.max_memory_bytes }.into());
             }
