@@ -348,7 +348,7 @@ impl Worker<'_> {
         outputs: Outputs,
         params: SmoothParams,
     ) -> Result<(PointCounts, SmoothTimes)> {
-        self.open(frame, outputs, params)?;
+        self.open(frame, outputs, params).with_context(|| output.display().to_string())?;
         let mut times_ms = Vec::new();
         while times_ms.len() < self.args.repeat as usize {
             let (smoother, ..) = self.open.as_mut().context("no engine is open")?;

@@ -26,6 +26,8 @@ pub(super) struct Dealt {
     pub(super) points: usize,
     pub(super) most_in_memory: u64,
     pub(super) extent_m: f64,
+    /// Whether there are points of a later return than the fifth, in records that headers before LAS 1.4 do not count.
+    has_late_returns: bool,
     pub(super) cells: Cells,
     pub(super) tiles: Vec<TileFiles>,
     /// The tile of each record, in the order of the file.
@@ -39,6 +41,14 @@ pub(super) struct TileFiles {
     records: Temporary,
     /// For each record a byte that says whether it is kept, and the new one.
     pub(super) smoothed: Option<Temporary>,
+}
+
+/// What a user is told whose memory does not hold the tiles of a file.
+pub(super) fn too_large(points: usize, record: usize, max_memory_bytes: u64) -> FormatError {
+    let (allowed, whole) = (max_memory_bytes >> 20, (points as u64 * bytes_a_point(record)).div_ceil(1 << 20));
+    FormatError::Unsupported(format!(
+        "its tiles, with the points around them, do not fit the {allowed} MiB that are allowed: raise the limit (the whole needs {whole} MiB)"
+    ))
 }
 
 /// Coordinates of a record in metres.
@@ -78,12 +88,13 @@ impl Dealt {
         let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
         let step = points.div_ceil(SAMPLE).max(1);
         let mut to = BufWriter::with_capacity(1 << 20, spool.file());
-        let mut read = 0;
+        let (mut read, mut has_late_returns) = (0, false);
         while read < points {
             let records = reader.next_records(BATCH)?;
             to.write_all(records)?;
             for (i, point) in records.chunks_exact(record).enumerate() {
                 let position = positions.of_record(point);
+                has_late_returns |= !header.point_format().is_extended && point[14] & 7 > 5;
                 for axis in 0..2 {
                     bounds[0][axis] = bounds[0][axis].min(position[axis]);
                     bounds[1][axis] = bounds[1][axis].max(position[axis]);
@@ -99,6 +110,13 @@ impl Dealt {
         drop(to);
         let span = |values: &Vec<f64>| middle(values.len(), |i| values[i]).map_or(0.0, |[low, high]| high - low);
         let extent_m = sample.iter().map(|values| span(values).powi(2)).sum::<f64>().sqrt();
+        // Over most points: one far away is not to make all others lie in one cell.
+        for axis in 0..2 {
+            if let Some([low, high]) = middle(sample[axis].len(), |i| sample[axis][i]) {
+                bounds[0][axis] = bounds[0][axis].max(low - (high - low));
+                bounds[1][axis] = bounds[1][axis].min(high + (high - low));
+            }
+        }
         let mut cells = Cells::new(bounds[0], bounds[1]);
         for_each_batch(spool.file(), record, |records| {
             records.chunks_exact(record).map(|point| positions.of_record(point)).for_each(|[x, y, _]| cells.add(x, y));
@@ -108,9 +126,7 @@ impl Dealt {
         let tiles = cells.tiles(((most_in_memory as f64 * OWN_SHARE) as u64).max(1));
         let largest = tiles.iter().map(|tile| tile.points).max().unwrap_or(0);
         if tiles.len() > MOST_TILES || largest > most_in_memory {
-            let fewest = (points / MOST_TILES) as u64;
-            let needed = largest.max((fewest as f64 / OWN_SHARE) as u64 + 1) * bytes_a_point(record);
-            return Err(FormatError::TooLarge { needed, allowed: max_memory_bytes });
+            return Err(too_large(points, record, max_memory_bytes));
         }
         let of_cells = cells.tile_of_cells(&tiles);
         let file = |tile| Ok(TileFiles { tile, records: Temporary::new(folder)?, smoothed: None });
@@ -134,11 +150,12 @@ impl Dealt {
             numbers.flush()?;
         }
         let folder = folder.to_path_buf();
-        Ok(Self { header, record, points, most_in_memory, extent_m, cells, tiles, sequence, folder })
+        Ok(Self { header, record, points, most_in_memory, extent_m, has_late_returns, cells, tiles, sequence, folder })
     }
 
-    /// The records of a tile, and behind them those of others within its halo.
-    pub(super) fn with_halo(&self, number: usize, halo_m: f64) -> FormatResult<Vec<u8>> {
+    /// The records of a tile, and behind them those of others within its halo; `None` if that is more than fits.
+    pub(super) fn with_halo(&self, number: usize, halo_m: f64) -> FormatResult<Option<Vec<u8>>> {
+        let most = usize::try_from(self.most_in_memory).unwrap_or(usize::MAX).saturating_mul(self.record);
         let positions = Positions::of(&self.header);
         let mut records = Vec::new();
         read_whole(self.tiles[number].records.file(), &mut records)?;
@@ -164,8 +181,11 @@ impl Dealt {
                 }
                 Ok(())
             })?;
+            if records.len() > most {
+                return Ok(None);
+            }
         }
-        Ok(records)
+        Ok(Some(records))
     }
 
     /// Writes the smoothed records in the order of the input.
@@ -181,8 +201,10 @@ impl Dealt {
             // Without a point.
             None => Records::new(&cloud_of(Arc::clone(&self.header), &[])?, &[], compressed)?,
         };
+        let records = if self.has_late_returns { records.with_all_returns()? } else { records };
         let length = records.len();
-        let mut writer = LasWriter::new(whole.file().try_clone()?, records.header)?;
+        let to = BufWriter::with_capacity(1 << 20, whole.file().try_clone()?);
+        let mut writer = LasWriter::new(to, records.header)?;
         let mut sources = Vec::new();
         for tile in &self.tiles {
             let Some(smoothed) = &tile.smoothed else { continue };
@@ -203,7 +225,8 @@ impl Dealt {
             progress.add(numbers.len() / 2);
             writer.write(batch)
         })?;
-        writer.finish()
+        writer.finish()?.into_inner().map_err(|error| FormatError::Os(error.into_error()))?;
+        Ok(())
     }
 }
 

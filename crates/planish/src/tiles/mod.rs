@@ -12,8 +12,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::cloud::PointCloud;
-use crate::engines::SmootherOptions;
-use crate::error::{Error, FormatError, IoError};
+use crate::engines::{Engine, SmootherOptions};
+use crate::error::{EngineError, Error, FormatError, IoError};
 use crate::frame::{IntoFrame, PointsView};
 use crate::io::{Format, LasReader, Records, Temporary, WholeFile, cloud_of, folder_of};
 use crate::outputs::Outputs;
@@ -22,7 +22,7 @@ use crate::pose::SensorPose;
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
-use dealt::Dealt;
+use dealt::{Dealt, too_large};
 use plan::Tile;
 
 /// What a point of a tile takes beside its records: positions twice, an engine and its results.
@@ -46,7 +46,7 @@ const NARROWEST: f64 = 0.01;
 pub struct TileOptions {
     /// The parameters, as for any general cloud.
     pub params: SmoothParams,
-    /// The engine and its options; with radii by density one that tells them: the CPU's.
+    /// The engine and its options; with radii by density the CPU's, or `Auto`, which takes it.
     pub smoother: SmootherOptions,
     /// What is written beside the points.
     pub fields: Outputs,
@@ -81,6 +81,8 @@ pub struct TilesReport {
     pub points: usize,
     /// In how many tiles.
     pub tiles: usize,
+    /// By which engine; what was asked for where there was no point.
+    pub engine: Engine,
     /// Points of each status, by its code.
     pub status_counts: [usize; 7],
     /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
@@ -90,6 +92,10 @@ pub struct TilesReport {
 /// The bytes that smoothing a LAS or LAZ file whole takes; `None` for other files and for those that cannot be read.
 pub fn bytes_in_memory(path: &Path) -> Option<u64> {
     if !matches!(Format::of_extension(path), Some(Format::Las | Format::Laz)) {
+        return None;
+    }
+    // Asked before it is opened: opening a pipe waits for its other end.
+    if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
         return None;
     }
     let reader = LasReader::open(path).ok()?;
@@ -113,25 +119,39 @@ pub fn smooth_tiles(
     options: &TileOptions,
     progress: &Progress,
 ) -> Result<TilesReport, Error> {
+    let engine = match (options.params.radius, options.smoother.engine) {
+        // Radii by density have to be known.
+        (Radius::Neighbours { .. }, Engine::Auto | Engine::Cpu) => Engine::Cpu,
+        (Radius::Neighbours { .. }, engine) => {
+            let reason = "radii by density in tiles need the CPU engine; give a radius, or cpu".to_owned();
+            return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
+        }
+        (_, engine) => engine,
+    };
     let whole = WholeFile::new(output).map_err(IoError::at(output))?;
     let reader = LasReader::open(input).map_err(IoError::at(input))?;
     progress.begin(3 * reader.points());
-    let mut dealt =
-        Dealt::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(IoError::at(input))?;
-    let mut tiler = Tiler { options, smoother: None, halo_share: 1.0, report: TilesReport::default(), records: None };
+    // Of the files that go on the way, those that are written are at fault for what the system says.
+    let at_either = |problem: FormatError| match problem {
+        FormatError::Os(_) => Error::from(IoError::at(output)(problem)),
+        _ => IoError::at(input)(problem).into(),
+    };
+    let mut dealt = Dealt::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
+    let mut tiler =
+        Tiler { options, engine, smoother: None, halo_share: 1.0, report: TilesReport::default(), records: None };
     for number in 0..dealt.tiles.len() {
         tiler.smooth(&mut dealt, number, output).map_err(|error| match error {
-            TileError::Files(problem @ FormatError::TooLarge { .. }) => IoError::at(input)(problem).into(),
-            TileError::Files(problem) => IoError::at(output)(problem).into(),
+            TileError::Files(problem) => at_either(problem),
             TileError::Other(error) => error,
         })?;
         progress.add(dealt.tiles[number].tile.points as usize);
     }
-    let Tiler { report, records, .. } = tiler;
+    let Tiler { report, records, smoother, .. } = tiler;
+    let engine = smoother.as_ref().map_or(engine, Smoother::engine);
     let compressed = Format::of_extension(output) == Some(Format::Laz);
     dealt.put_together(records, compressed, &whole, progress).map_err(IoError::at(output))?;
     whole.finish().map_err(IoError::at(output))?;
-    Ok(TilesReport { points: dealt.points, tiles: dealt.tiles.len(), ..report })
+    Ok(TilesReport { points: dealt.points, tiles: dealt.tiles.len(), engine, ..report })
 }
 
 enum TileError {
@@ -160,6 +180,7 @@ impl From<Error> for TileError {
 /// What goes from tile to tile.
 struct Tiler<'a> {
     options: &'a TileOptions,
+    engine: Engine,
     smoother: Option<Smoother>,
     /// How wide the last tile's halo was, in those by density.
     halo_share: f64,
@@ -177,17 +198,14 @@ impl Tiler<'_> {
         let mut halo_m = self.halo_share * by_density_m;
         let mut may_widen = true;
         loop {
-            let raw = dealt.with_halo(number, halo_m)?;
-            let in_memory = (raw.len() / dealt.record) as u64;
-            if in_memory > dealt.most_in_memory {
+            let Some(raw) = dealt.with_halo(number, halo_m)? else {
                 let may_be_narrower = matches!(self.options.params.radius, Radius::Neighbours { .. });
                 if may_be_narrower && halo_m > NARROWEST * by_density_m {
                     (halo_m, may_widen) = (0.7 * halo_m, false);
                     continue;
                 }
-                let needed = in_memory * bytes_a_point(dealt.record);
-                return Err(FormatError::TooLarge { needed, allowed: self.options.max_memory_bytes }.into());
-            }
+                return Err(too_large(dealt.points, dealt.record, self.options.max_memory_bytes).into());
+            };
             let mut cloud = cloud_of(Arc::clone(&dealt.header), &raw)?;
             drop(raw);
             if let Some(pose) = self.options.pose {
@@ -195,18 +213,13 @@ impl Tiler<'_> {
             }
             let smoothed = self.smoothed(&cloud, dealt.extent_m)?;
             let (wider_m, beyond) = self.needed_halo_m(dealt, &tile, &cloud, halo_m)?;
-            let may_be_wider = beyond as f64 > MAY_REACH_BEYOND * own as f64;
-            // The area that would be in memory, as dense as this one.
-            let grows = dealt.cells.area(&tile).sqrt();
-            let share = ((grows + 2.0 * wider_m) / (grows + 2.0 * halo_m)).powi(2);
-            if may_widen && may_be_wider && (in_memory as f64 * share) < dealt.most_in_memory as f64 {
+            if may_widen && beyond as f64 > MAY_REACH_BEYOND * own as f64 {
                 halo_m = wider_m;
                 continue;
             }
             let usual = dealt.points / dealt.tiles.len();
             if beyond as f64 > MAY_BE_INEXACT * own.max(usual) as f64 {
-                let needed = (in_memory as f64 * share.max(2.0)) as u64 * bytes_a_point(dealt.record);
-                return Err(FormatError::TooLarge { needed, allowed: self.options.max_memory_bytes }.into());
+                return Err(too_large(dealt.points, dealt.record, self.options.max_memory_bytes).into());
             }
             self.halo_share = halo_m / by_density_m;
             self.report.reaching_beyond += beyond;
@@ -230,7 +243,10 @@ impl Tiler<'_> {
     fn smoothed(&mut self, cloud: &PointCloud, extent_m: f64) -> Result<Smoothed, Error> {
         let smoother = match &mut self.smoother {
             Some(smoother) => smoother,
-            none => none.insert(Smoother::open_with(self.options.params, &self.options.smoother, None)?),
+            none => {
+                let options = self.options.smoother.clone().with_engine(self.engine);
+                none.insert(Smoother::open_with(self.options.params, &options, None)?)
+            }
         };
         let mut smoothed = Smoothed::default();
         smoother.smooth(PointsView::from_cloud(cloud)?.with_extent_m(extent_m).into_frame()?, &mut smoothed)?;
@@ -251,11 +267,8 @@ impl Tiler<'_> {
         let [low, high] = dealt.cells.bounds(tile);
         let mut needed_m = Vec::with_capacity(tile.points as usize);
         for i in 0..tile.points as usize {
-            let Some(radius_m) = smoother.own_radius_m(i) else {
-                return Err(TileError::Files(FormatError::Unsupported(
-                    "larger than the memory that is allowed, and radii by density in tiles need --engine cpu".into(),
-                )));
-            };
+            // None of a hole, which reaches nothing.
+            let radius_m = smoother.own_radius_m(i).unwrap_or(0.0);
             // From the point to the border of its tile, beyond which there are other points.
             let to_border = (0..2).map(|axis| {
                 let value = cloud.coordinate(axis, i);

@@ -7,13 +7,13 @@ use std::time::Instant;
 use anyhow::Result;
 use planish::io::Format;
 use planish::tiles::{self, TileOptions};
-use planish::{Engine, Outputs, Progress, Radius};
+use planish::{Outputs, Progress};
 use planish_bench::errln;
 
 use super::super::ms_since;
-use super::Worker;
 use super::progress::with_progress;
 use super::report::{Report, StatusCounts, summarize};
+use super::{LOST_SHARE_TOLD, Worker};
 
 impl Worker<'_> {
     /// Smooths a LAS or LAZ file tile by tile into another, if it does not fit the memory that is allowed.
@@ -27,11 +27,9 @@ impl Worker<'_> {
         errln!("{}: larger than --max-memory, so smoothed in tiles", input.display());
         let mut smoother = self.args.smoothing.options(Outputs::POINTS)?;
         smoother = smoother.with_outputs(self.args.outputs().with_status(true));
-        if let (Radius::Neighbours { .. }, Engine::Auto) = (params.radius, smoother.engine) {
-            // The one that tells its radii.
-            smoother = smoother.with_engine(Engine::Cpu);
+        if self.args.repeat > 1 {
+            errln!("{}: --repeat changes nothing for a file in tiles", input.display());
         }
-        let engine = smoother.engine.name();
         let options = TileOptions::new(params, smoother, allowed).with_fields(self.args.outputs()).with_pose(self.pose);
         let progress = Arc::new(Progress::default());
         let start = Instant::now();
@@ -46,10 +44,19 @@ impl Worker<'_> {
             );
         }
         let status = StatusCounts::of(report.status_counts);
+        for (count, became) in [(status.too_few, "became holes"), (status.isolated, "stay where they are")] {
+            if count as f64 > LOST_SHARE_TOLD * report.points as f64 {
+                errln!(
+                    "{}: {count} of {} points {became}: they have fewer than 3 neighbours. Likely the radius is below the spacing of the points",
+                    output.display(),
+                    report.points
+                );
+            }
+        }
         Ok(Some(Report {
             input: input.to_path_buf(),
             output: output.to_path_buf(),
-            engine,
+            engine: report.engine.name(),
             adapter: None,
             engine_reason: None,
             width: report.points,

@@ -9,11 +9,12 @@ use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use las::{Builder, Header, Reader, Transform, Version, Vlr, Writer, point};
+use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
 
 use super::{Format, FormatResult, ReadOptions};
-use crate::cloud::{Attribute, PointCloud};
+use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::FormatError;
+use crate::neighbours::middle;
 use crate::xyz::Xyz;
 pub(crate) use stream::{LasReader, LasWriter};
 
@@ -89,28 +90,42 @@ impl Checked {
     }
 }
 
+/// Refuses scales and offsets by which points are nowhere.
+fn check_transforms(header: &Header) -> FormatResult<()> {
+    let las::Vector { x, y, z } = *header.transforms();
+    let is_usable = |t: &Transform| {
+        t.scale != 0.0 && [i32::MIN, i32::MAX].iter().all(|&end| t.direct(end).abs() < f64::from(f32::MAX))
+    };
+    match [x, y, z].iter().all(is_usable) {
+        true => Ok(()),
+        false => Err(FormatError::Malformed(
+            "the header's scales and offsets are no finite numbers, or far too large".into(),
+        )),
+    }
+}
+
 /// The cloud of some records of a file with this header.
 pub(crate) fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
+    check_transforms(&header)?;
     let record = usize::from(header.point_format().len());
-    let transforms = header.transforms();
-    let usable = [transforms.x, transforms.y, transforms.z]
-        .iter()
-        .all(|t| t.scale.is_finite() && t.scale != 0.0 && t.offset.is_finite());
-    if !usable {
-        return Err(FormatError::Malformed("the header's scales and offsets are no finite numbers".into()));
-    }
+    let transforms = *header.transforms();
     let axis = |at: usize, transform: Transform| -> (Vec<f32>, f64, Vec<f64>) {
         let integers = raw
             .chunks_exact(record)
             .map(|point| i32::from_le_bytes([point[at], point[at + 1], point[at + 2], point[at + 3]]));
         let (low, high) =
             integers.clone().fold((i32::MAX, i32::MIN), |(low, high), value| (low.min(value), high.max(value)));
-        // In the middle, on a whole metre, so that as few digits as possible are lost to f32.
-        let middle = if low > high { 0.0 } else { transform.direct(low).midpoint(transform.direct(high)).round() };
+        // In the middle of most points, on a whole metre, so that as few digits as possible are lost to f32.
+        let integer = |i: usize| {
+            let place = i * record + at;
+            i32::from_le_bytes([raw[place], raw[place + 1], raw[place + 2], raw[place + 3]])
+        };
+        let most = middle(raw.len() / record, |i| transform.direct(integer(i)));
+        let middle = most.map_or(0.0, |[low, high]| low.midpoint(high).round());
         let values: Vec<f32> = integers.clone().map(|value| (transform.direct(value) - middle) as f32).collect();
         // Where f32 is too coarse for the file's integers.
-        let widest = transform.direct(high) - middle;
-        let exact = if f64::from(f32::EPSILON) * widest.abs() > 0.25 * transform.scale.abs() {
+        let widest = (transform.direct(high) - middle).abs().max((transform.direct(low) - middle).abs());
+        let exact = if f64::from(f32::EPSILON) * widest > 0.25 * transform.scale.abs() {
             integers.map(|value| transform.direct(value)).collect()
         } else {
             Vec::new()
@@ -134,12 +149,13 @@ pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u
     let kept: Vec<usize> = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
     let records = Records::new(cloud, &kept, compressed)?;
     let raw = records.encode(cloud, &kept)?;
-    let points = las::PointDataBuilder::new().for_header(&records.header).build_from_bytes(raw).map_err(cannot)?;
-    let mut writer = Writer::new(Cursor::new(Vec::new()), records.header).map_err(cannot)?;
-    writer.write_points(&points).map_err(cannot)?;
-    writer.close().map_err(cannot)?;
-    Ok(writer.into_inner().map_err(cannot)?.into_inner())
+    let mut writer = LasWriter::new(Cursor::new(Vec::new()), records.header)?;
+    writer.write(raw)?;
+    Ok(writer.finish()?.into_inner())
 }
+
+/// Before LAS 1.4 headers count points by their return only up to the fifth.
+const MOST_RETURNS: u8 = 5;
 
 fn cannot(error: las::Error) -> FormatError {
     FormatError::Unsupported(format!("no LAS of this cloud: {}", super::brief(&error.to_string())))
@@ -166,6 +182,11 @@ impl Records {
         builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
         builder.evlrs.retain(|vlr| vlr.user_id != "copc");
         builder.point_format.is_compressed = compressed;
+        if let Some(AttributeValues::U8(returns)) = cloud.attribute("return_number").map(|returns| &returns.values)
+            && returns.iter().any(|&number| number > MOST_RETURNS)
+        {
+            Self::count_all_returns(&mut builder);
+        }
         let known = builder.clone().into_header().map_err(cannot)?;
         let mut fields: Vec<Field> = fields_of(&builder.point_format).into_iter().chain(extra_fields(&known)).collect();
         // Every other column is an extra field.
@@ -180,6 +201,20 @@ impl Records {
             }
         }
         Ok(Self { header: builder.into_header().map_err(cannot)?, fields })
+    }
+
+    /// Makes it the version whose headers count points of every return.
+    fn count_all_returns(builder: &mut Builder) {
+        if builder.version < Version::new(1, 4) {
+            builder.version = Version::new(1, 4);
+        }
+    }
+
+    /// The same for files that have points of a later return than the fifth, wherever they are.
+    pub(crate) fn with_all_returns(self) -> FormatResult<Self> {
+        let mut builder = Builder::from(self.header);
+        Self::count_all_returns(&mut builder);
+        Ok(Self { header: builder.into_header().map_err(cannot)?, fields: self.fields })
     }
 
     /// Bytes of a record.

@@ -1,7 +1,8 @@
 //! The records of a file some at a time, for clouds that do not fit memory.
 
+use std::fmt;
 use std::fs::File;
-use std::io::{BufReader, BufWriter};
+use std::io::{BufReader, Seek, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
@@ -38,6 +39,7 @@ impl LasReader {
             Ok((builder.into_header()?, reader))
         }));
         let (header, reader) = opened.map_err(|_| unreadable())?.map_err(damaged)?;
+        super::check_transforms(&header)?;
         let buffer = PointDataBuilder::new().for_header(&header).build();
         Ok(Self { reader, header: Arc::new(header), points, read: 0, buffer })
     }
@@ -71,28 +73,53 @@ impl LasReader {
 }
 
 /// Writes records in their order.
-pub(crate) struct LasWriter {
-    writer: Writer<BufWriter<File>>,
+pub(crate) struct LasWriter<W: Write + Seek + Send + Sync + fmt::Debug + 'static> {
+    /// `None` after an error: the library panics if a writer is dropped that it cannot close.
+    writer: Option<Writer<W>>,
     header: Header,
 }
 
-impl LasWriter {
+impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
     /// Begins a file with this header, whose count and bounds follow from what is written.
-    pub(crate) fn new(file: File, header: Header) -> FormatResult<Self> {
-        let writer = Writer::new(BufWriter::with_capacity(1 << 20, file), header.clone()).map_err(cannot)?;
-        Ok(Self { writer, header })
+    pub(crate) fn new(to: W, header: Header) -> FormatResult<Self> {
+        let writer = Writer::new(to, header.clone()).map_err(written)?;
+        Ok(Self { writer: Some(writer), header })
+    }
+
+    fn with_writer(&mut self, work: impl FnOnce(&mut Writer<W>) -> las::Result<()>) -> FormatResult<()> {
+        let Some(writer) = &mut self.writer else { return Ok(()) };
+        let result = work(writer).map_err(written);
+        if result.is_err() {
+            std::mem::forget(self.writer.take());
+        }
+        result
     }
 
     pub(crate) fn write(&mut self, records: Vec<u8>) -> FormatResult<()> {
         let points = PointDataBuilder::new().for_header(&self.header).build_from_bytes(records).map_err(cannot)?;
-        self.writer.write_points(&points).map_err(cannot)
+        self.with_writer(|writer| writer.write_points(&points))
     }
 
     /// Writes what stands behind the points, and the header again.
-    pub(crate) fn finish(mut self) -> FormatResult<()> {
-        self.writer.close().map_err(cannot)?;
-        let buffered = self.writer.into_inner().map_err(cannot)?;
-        buffered.into_inner().map_err(|error| FormatError::Os(error.into_error()))?;
-        Ok(())
+    pub(crate) fn finish(mut self) -> FormatResult<W> {
+        self.with_writer(Writer::close)?;
+        let writer = self.writer.take().ok_or_else(|| FormatError::Malformed("nothing was written".into()))?;
+        writer.into_inner().map_err(cannot)
+    }
+}
+
+impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> Drop for LasWriter<W> {
+    fn drop(&mut self) {
+        // What was begun and is not finished is of no use.
+        std::mem::forget(self.writer.take());
+    }
+}
+
+/// A full disk is no fault of the cloud's.
+fn written(error: las::Error) -> FormatError {
+    match error {
+        las::Error::Io(error) => FormatError::Os(error),
+        las::Error::LasZipError(laz::LasZipError::IoError(error)) => FormatError::Os(error),
+        error => cannot(error),
     }
 }
