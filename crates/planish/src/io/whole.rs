@@ -91,7 +91,14 @@ impl WholeFile {
 }
 
 /// A file under a temporary name, removed when it is dropped and when the process is about to end.
-pub(crate) struct Temporary(Option<tempfile::NamedTempFile>);
+pub(crate) struct Temporary {
+    file: tempfile::NamedTempFile,
+    /// Dropped after the file: until then a signal has to remove it.
+    _noted: Noted,
+}
+
+/// The name of a temporary among those that are being written.
+struct Noted(PathBuf);
 
 impl Temporary {
     pub(crate) fn new(folder: &Path) -> FormatResult<Self> {
@@ -111,39 +118,25 @@ impl Temporary {
             return Err(std::io::Error::from(std::io::ErrorKind::Interrupted).into());
         }
         let file = builder.tempfile_in(folder)?;
-        known.temporaries.get_or_insert_default().insert(file.path().to_path_buf());
-        Ok(Self(Some(file)))
+        let path = file.path().to_path_buf();
+        known.temporaries.get_or_insert_default().insert(path.clone());
+        Ok(Self { file, _noted: Noted(path) })
     }
 
     pub(crate) fn file(&self) -> &fs::File {
-        match &self.0 {
-            Some(file) => file.as_file(),
-            None => unreachable!("it is taken only when it is dropped"),
-        }
+        self.file.as_file()
     }
 
-    fn persist(mut self, path: &Path) -> std::io::Result<()> {
-        let Some(file) = self.0.take() else { return Ok(()) };
-        let temporary = file.path().to_path_buf();
-        let result = file.persist(path).map(drop).map_err(|error| error.error);
-        forget(&temporary);
-        result
+    fn persist(self, path: &Path) -> std::io::Result<()> {
+        self.file.persist(path).map(drop).map_err(|error| error.error)
     }
 }
 
-impl Drop for Temporary {
+impl Drop for Noted {
     fn drop(&mut self) {
-        if let Some(file) = self.0.take() {
-            let temporary = file.path().to_path_buf();
-            drop(file);
-            forget(&temporary);
+        if let Some(temporaries) = &mut known().temporaries {
+            temporaries.remove(&self.0);
         }
-    }
-}
-
-fn forget(temporary: &Path) {
-    if let Some(temporaries) = &mut known().temporaries {
-        temporaries.remove(temporary);
     }
 }
 

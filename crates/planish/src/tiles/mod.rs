@@ -299,12 +299,9 @@ impl Tiler<'_> {
         }
         let kept: Vec<usize> = (0..own).filter(|&i| cloud.positions.is_finite(i)).collect();
         let compressed = Format::of_extension(output) == Some(Format::Laz);
-        let records = match &self.records {
+        let records = match &mut self.records {
             Some(records) => records,
-            none => {
-                debug_assert!(none.is_none());
-                self.records.insert(Records::new(cloud, &kept, compressed)?)
-            }
+            none => none.insert(Records::new(cloud, &kept, compressed)?),
         };
         let raw = records.encode(cloud, &kept)?;
         let file = Temporary::new(&dealt.folder)?;
