@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use planish::agreement::Agreement;
 use planish::{
-    Engine, Error, GpuOptions, Outputs, PointCloud, PointsView, Radius, SimdLevel, SmoothParams, Smoothed, Smoother,
-    SmootherOptions, Xyz, auto_choice, gpu_adapters,
+    Edges, Engine, Error, GpuOptions, Outputs, PointCloud, PointsView, Radius, SimdLevel, SmoothParams, Smoothed,
+    Smoother, SmootherOptions, Xyz, auto_choice, gpu_adapters,
 };
 use serde::Serialize;
 
@@ -28,6 +28,8 @@ pub struct GeneralOptions {
     pub radii: Vec<Radius>,
     /// Degree of the polynomial.
     pub degree: u32,
+    /// Whether edges are kept.
+    pub edges: Edges,
     /// Which engines; none, or `Auto` among them, are the CPU and a real GPU.
     pub engines: Vec<Engine>,
     /// Whether the CPU engine is measured with every instruction set of the machine, instead of the widest alone.
@@ -68,7 +70,8 @@ pub fn run(options: &GeneralOptions) -> Result<()> {
     let scans = options.scans.iter().map(|&points| ("a simulated scan".to_owned(), scan(points)));
     for (name, cloud) in options.clouds.iter().cloned().chain(scans) {
         for &radius in &options.radii {
-            let params = SmoothParams::general().with_radius(radius).with_degree(options.degree);
+            let params =
+                SmoothParams::general().with_radius(radius).with_degree(options.degree).with_edges(options.edges);
             rows.extend(measure(options, &name, &cloud, params).with_context(|| format!("{name}, {radius:?}"))?);
         }
     }

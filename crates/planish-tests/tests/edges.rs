@@ -2,8 +2,8 @@
 
 use planish::evaluate::{Evaluation, Report, Suite};
 use planish::{
-    DepthFrame, Edges, OrganizedCloud, Outputs, Radius, SensorModel, SimdLevel, SmoothParams, Smoothed, Status,
-    Strength, Xyz,
+    DepthFrame, Edges, OrganizedCloud, Outputs, PointsView, Radius, SensorModel, SimdLevel, SmoothParams, Smoothed,
+    Status, Strength, Xyz,
 };
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, height_field, simulated, small_camera};
@@ -198,4 +198,29 @@ fn the_suite_says_what_it_is_told() {
     assert!(moved.sphere_radius_bias > 0.01 && moved.cylinder_radius_bias > 0.01);
     // The sensor's holes are pixels of the truth that were not measured.
     assert!(exact.lost_share == 0.0 && exact.invented > 0);
+}
+
+#[test]
+fn general_clouds_keep_edges_as_frames_do() {
+    let suite = Suite::default();
+    let general = SmoothParams::general().with_radius(Radius::Neighbours { count: 490 }).with_ridge(1e-2);
+    let evaluate_general = |params: SmoothParams| {
+        let mut smoothed = Evaluation::default();
+        for case in suite.cases(1).unwrap() {
+            let points: Vec<[f32; 3]> = case.frame.deproject().unwrap().positions().iter().collect();
+            let outputs = Outputs::POINTS.with_normals(true);
+            let view = PointsView::from_rows(&points).unwrap();
+            let result = TestEngine::cpu(SimdLevel::best()).smooth_to(view, params.with_remove_isolated(true), outputs);
+            smoothed.add(&case, &result.points, result.normals.as_ref().unwrap());
+        }
+        smoothed.report()
+    };
+    let (_, on_grid) = evaluate(SmoothParams::default(), &suite);
+    let [off, robust] = [Edges::Off, Edges::Robust].map(|edges| evaluate_general(general.with_edges(edges)));
+    assert!(robust.crease_deg < 1.2 * on_grid.crease_deg, "{} {}", robust.crease_deg, on_grid.crease_deg);
+    assert!(robust.edge_mean_mm < 1.2 * on_grid.edge_mean_mm, "{} {}", robust.edge_mean_mm, on_grid.edge_mean_mm);
+    assert!(off.crease_deg > 5.0 * robust.crease_deg && off.edge_mean_mm > 1.1 * robust.edge_mean_mm);
+    for (range, of_grid) in robust.ranges.iter().zip(&on_grid.ranges) {
+        assert!(range.rmse_mm < 1.2 * of_grid.rmse_mm && range.normal_mean_deg < of_grid.normal_mean_deg, "{range:?}");
+    }
 }

@@ -61,6 +61,7 @@ fn frame_points(seed: u64) -> Points {
 fn settings() -> Vec<SmoothParams> {
     let general = SmoothParams::general();
     let fixed = general.with_radius_m(0.06);
+    let robust = general.with_edges(Edges::Robust);
     vec![
         general,
         general.with_degree(3),
@@ -69,6 +70,12 @@ fn settings() -> Vec<SmoothParams> {
         fixed,
         fixed.with_degree(3).with_bandwidth_m(Some(0.02)),
         fixed.with_radius_m(0.2),
+        robust,
+        robust.with_degree(1),
+        // With a smaller ridge a few stray points of the sphere hang on the last digits of their normals.
+        robust.with_degree(3).with_ridge(1e-2).with_radius(planish::Radius::Neighbours { count: 60 }),
+        robust.with_radius_m(0.06),
+        robust.with_radius_m(0.1).with_ridge(1e-2).with_bandwidth_m(Some(0.05)),
         // Along rays, which general clouds have not.
         SmoothParams::default().with_edges(Edges::Off).with_average_blocks(false).with_radius_m(0.05),
     ]

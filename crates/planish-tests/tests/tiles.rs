@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use planish::io::{self, Contents, Encoding};
 use planish::tiles::{TileOptions, TilesReport, bytes_in_memory, smooth_tiles};
 use planish::{
-    AttributeValues, Engine, IntoFrame, Outputs, PointCloud, Progress, SmoothParams, Smoothed, Smoother,
+    AttributeValues, Edges, Engine, IntoFrame, Outputs, PointCloud, Progress, SmoothParams, Smoothed, Smoother,
     SmootherOptions,
 };
 use planish_tests::data::folder;
@@ -116,6 +116,8 @@ fn tiles_give_what_the_whole_cloud_gives() {
         (general.with_radius_m(0.6), &las, 4),
         (general.with_remove_isolated(true).with_degree(1), &las, 3),
         (general.with_radius_m(0.3).with_degree(3), &laz, 8),
+        (general.with_edges(Edges::Robust), &las, 3),
+        (general.with_edges(Edges::Robust).with_radius_m(0.4), &laz, 4),
     ] {
         let what = format!("{params:?}, {share}");
         let report = in_tiles(input, &out, params, share);

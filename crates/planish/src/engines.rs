@@ -35,7 +35,7 @@ pub struct Capabilities {
     pub grids: bool,
     /// General clouds.
     pub general: bool,
-    /// Keeping edges, in frames on a grid.
+    /// Keeping edges.
     pub edges: bool,
     /// Depth as an output.
     pub depth_out: bool,

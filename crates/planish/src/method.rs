@@ -1,5 +1,8 @@
 //! Constants of the method for the f32 engines, once for CPU and GPU; the reference has its own (docs/method.md).
 
+/// With fewer neighbours there is no plane (section 7).
+pub(crate) const LEAST_NEIGHBOURS: f32 = 3.0;
+
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line (section 4).
 pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
 /// Lengths are measured in units of B/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
@@ -14,7 +17,7 @@ pub(crate) const GRAZING_COSINE: f32 = 0.2;
 pub(crate) const MAX_ALONG: f32 = 0.5;
 
 /// No radius of a general cloud is more than so many times the mean of those around it (section 8).
-pub(crate) const MAX_RADIUS_RATIO: f32 = 3.0;
+pub(crate) const MAX_RADIUS_RATIO: f32 = 1.5;
 
 // Section 10.
 
@@ -46,6 +49,15 @@ pub(crate) const STAY_WEIGHT: f32 = 1e-3;
 pub(crate) const OWN_NORMAL_WEIGHT: f32 = 1e-12;
 /// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
+
+// Section 10 in general clouds.
+
+/// The mean of the positions up to this share of the radius away stands for p where its distance from a plane is asked.
+pub(crate) const GENERAL_MEAN_REACH: f32 = 0.4;
+/// How much that distance weighs beside the plane's own residual, both squared.
+pub(crate) const GENERAL_DISTANCE_WEIGHT: f32 = 0.2;
+/// From this cosine of the angle to p's own plane down, planes count less and less: their normals' side is not known.
+pub(crate) const FACING_COSINE: f32 = 0.1;
 
 /// The exponents (i, j) of the monomials a^i b^j, ordered by degree (section 5).
 pub(crate) const MONOMIALS: [(usize, usize); 10] =

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use crate::error::ParamError;
-use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, PointsView};
 use crate::sensor::SensorModel;
 
 /// How the radius of a neighbourhood is found (docs/method.md, section 3).
@@ -16,7 +16,7 @@ pub enum Radius {
         radius_m: f32,
     },
     /// For general clouds: the radius within which evenly spread points would number so many, of the density around each point; at
-    /// most three times the mean radius of its neighbours (docs/method.md, section 8).
+    /// most one and a half times the mean radius of its neighbours (docs/method.md, section 8).
     Neighbours {
         /// How many, 6 to 1000.
         count: u32,
@@ -32,7 +32,7 @@ pub enum Edges {
     /// Every neighbour counts: the surface is rounded off within a window's reach of an edge.
     Off,
     /// The surface of each point is taken from the planes around it, and neighbours off that surface by more than the sensor's
-    /// noise do not count: edges stay, and flat surfaces are smoother too. General clouds are smoothed without it.
+    /// noise do not count: edges stay, and flat surfaces are smoother too. In general clouds the noise is that of the planes around a point.
     Robust,
 }
 
@@ -169,7 +169,8 @@ pub struct SmoothParams {
     pub project: Project,
     /// Whether edges are kept.
     pub edges: Edges,
-    /// Whether points of a general cloud with fewer than three neighbours become holes; else they stay as measured.
+    /// Whether isolated points of a general cloud become holes, those with fewer than three neighbours or a quarter of
+    /// [`Radius::Neighbours`]; else they stay as measured.
     pub remove_isolated: bool,
     /// Whose steps and noise they are: [`Radius::Sensor`], [`Edges::Robust`] and block means go by it.
     pub sensor: SensorModel,
@@ -325,6 +326,16 @@ impl SmoothParams {
     /// point.
     pub fn general() -> Self {
         Self { radius: Radius::Neighbours { count: GENERAL_NEIGHBOURS }, degree: 2, ..Self::paper() }
+    }
+
+    /// With fewer neighbours a point of a general cloud is isolated (docs/method.md, section 8).
+    pub(crate) fn least_neighbours(&self, cloud: &PointsView<'_>) -> u32 {
+        // Of a part of a larger cloud it is not known how many points that has.
+        let points = if cloud.extent_m().is_some() { u32::MAX } else { u32::try_from(cloud.len()).unwrap_or(u32::MAX) };
+        match self.radius {
+            Radius::Neighbours { count } => count.div_ceil(4).min(points / 16).max(3),
+            Radius::Fixed { .. } | Radius::Sensor => 3,
+        }
     }
 
     /// Refuses every value outside its range.

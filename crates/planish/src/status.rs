@@ -18,7 +18,7 @@ pub enum Status {
     Polynomial2 = 4,
     /// On a polynomial of degree 3.
     Polynomial3 = 5,
-    /// In a general cloud, fewer than 3 neighbours: the point stays as measured and has no normal.
+    /// In a general cloud, fewer than 3 neighbours or a quarter of those that its radius is chosen for: the point stays as measured and has no normal.
     Isolated = 6,
 }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Subcommand;
 
-use super::{CameraArgs, EngineArg};
+use super::{CameraArgs, EdgesArg, EngineArg};
 
 #[derive(clap::Args)]
 pub struct BenchArgs {
@@ -87,6 +87,9 @@ pub struct BenchGeneralArgs {
     /// Degree of the polynomial
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub degree: u32,
+    /// Whether creases and steps are kept
+    #[arg(long, value_enum, default_value = "off")]
+    pub edges: EdgesArg,
     /// Which engines, separated by commas; else the CPU and a real GPU if there is one
     #[arg(long, value_enum, value_delimiter = ',', value_name = "ENGINES")]
     pub engine: Vec<EngineArg>,

@@ -14,7 +14,7 @@ use planish::io::{Encoding, ReadOptions};
 pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, ExperimentArgs};
 pub use camera::{CameraArgs, Direction, PoseArgs};
 pub use clean::CleanArgs;
-pub use smoothing::{EngineArg, SmoothingArgs};
+pub use smoothing::{EdgesArg, EngineArg, SmoothingArgs};
 
 const AFTER_HELP: &str = "Exit codes: 0 done; 1 some frames failed, the others are done; 2 bad arguments or input; 130 ended by a \
                           signal (a stream or recording ends with 0).\nStart with `planish demo`, then `planish smooth your.pcd smooth.pcd`.";
@@ -267,9 +267,12 @@ pub struct EvaluateArgs {
     /// Simulate only this seed
     #[arg(long, value_name = "SEED", conflicts_with = "seeds")]
     pub seed: Option<u64>,
-    /// A real organized cloud, or a depth image with --camera: its flatness tile by tile, before and after
+    /// A real cloud, or a depth image with --camera: its flatness tile by tile before and after, of general clouds patch by patch
     #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "out"])]
     pub input: Option<PathBuf>,
+    /// Smooth the simulated frames as general clouds, without their grid; the default setting on the grid stands beside
+    #[arg(long, conflicts_with_all = ["input", "export", "results"])]
+    pub general: bool,
     /// Only write the simulated frames into this folder as organized clouds, for other programs to smooth
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
     pub export: Option<PathBuf>,

@@ -52,6 +52,15 @@ pub enum EdgesArg {
     Robust,
 }
 
+impl EdgesArg {
+    pub fn edges(self) -> Edges {
+        match self {
+            Self::Off => Edges::Off,
+            Self::Robust => Edges::Robust,
+        }
+    }
+}
+
 #[derive(Clone, Copy, ValueEnum)]
 pub enum ProjectArg {
     /// Along its ray, as depth noise acts
@@ -91,7 +100,8 @@ pub struct SmoothingArgs {
     /// Which sensor took the frames: its depth steps set the radius, its noise what counts as an edge
     #[arg(long, value_enum)]
     pub sensor: Option<SensorArg>,
-    /// Whether creases and steps are kept
+    /// Whether creases and steps are kept; by default they are in frames on a grid, and not in general clouds, which then take three times
+    /// as long
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
     /// First turn pixels that float between two surfaces into holes
@@ -113,7 +123,7 @@ pub struct SmoothingArgs {
     /// Of general clouds instead of a radius: so many neighbours (6 to 1000, else 40), by the density around each point
     #[arg(long, value_name = "K", conflicts_with = "radius")]
     pub neighbours: Option<u32>,
-    /// Of general clouds: turn points with fewer than 3 neighbours into holes; else they stay where they are
+    /// Of general clouds: turn isolated points into holes, those with fewer than 3 neighbours or a quarter of K; else they stay where they are
     #[arg(long)]
     pub remove_isolated: bool,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
@@ -146,7 +156,6 @@ impl SmoothingArgs {
             ("--window", self.window.is_some()),
             ("--stride", self.stride.is_some()),
             ("--average-blocks", self.average_blocks.is_some()),
-            ("--edges", matches!(self.edges, Some(EdgesArg::Robust))),
             ("--project", matches!(self.project, Some(ProjectArg::Ray))),
             ("--sensor", self.sensor.is_some()),
             ("--preset", !matches!(self.preset, None | Some(PresetArg::Paper))),
@@ -180,15 +189,11 @@ impl SmoothingArgs {
         params.stride = self.stride.unwrap_or(params.stride);
         params.average_blocks = self.average_blocks.unwrap_or(params.average_blocks);
         self.override_fit(&mut params);
+        params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
         match self.project {
             None => {}
             Some(ProjectArg::Ray) => params.project = Project::Ray,
             Some(ProjectArg::Normal) => params.project = Project::Normal,
-        }
-        match self.edges {
-            None => {}
-            Some(EdgesArg::Off) => params.edges = Edges::Off,
-            Some(EdgesArg::Robust) => params.edges = Edges::Robust,
         }
         params.validate()?;
         Ok(params)
@@ -201,6 +206,7 @@ impl SmoothingArgs {
             _ => SmoothParams::general(),
         };
         self.override_fit(&mut params);
+        params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
         params.remove_isolated = self.remove_isolated;
         params.validate()?;
         Ok(params)

@@ -69,6 +69,7 @@ fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
         scans,
         radii: if args.radius.is_empty() { vec![radius(&0.0)] } else { args.radius.iter().map(radius).collect() },
         degree: args.degree,
+        edges: args.edges.edges(),
         engines: args.engine.iter().copied().map(EngineArg::engine).collect(),
         every_simd: args.every_simd,
         threads: args.threads,

@@ -7,12 +7,17 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use planish::evaluate::{Case, Evaluation, Report, Suite, TileReport, jitter_mm, tile_planes};
+use planish::evaluate::{
+    Case, Evaluation, PatchReport, Report, Suite, TileReport, jitter_mm, patch_planes, tile_planes,
+};
 use planish::internal::write_rgb_png;
 use planish::io::{self, Contents, Encoding, write_cloud, write_whole};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
 use planish::simulate::DepthNoise;
-use planish::{DepthFrame, Error, IntoFrame, Outputs, SmoothParams, Smoothed, Smoother, Xyz};
+use planish::{
+    AttributeValues, DepthFrame, Error, IntoFrame, Outputs, PointCloud, PointsView, SmoothParams, Smoothed, Smoother,
+    Strength, Xyz,
+};
 use planish_bench::{out, outln};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
 use plotters::series::PointSeries;
@@ -48,6 +53,13 @@ struct Tiles {
     smoothed: TileReport,
 }
 
+#[derive(Serialize)]
+struct Patches {
+    file: String,
+    raw: PatchReport,
+    smoothed: PatchReport,
+}
+
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     match &args.input {
         Some(file) => on_file(args, file),
@@ -57,7 +69,11 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
 
 /// A real cloud, whose truth nobody knows.
 fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
-    let mut cloud = organized(io::read(file)?.1, &args.camera, file)?;
+    let contents = io::read(file)?.1;
+    if let Contents::General(cloud) = &contents {
+        return on_general(args, file, cloud);
+    }
+    let mut cloud = organized(contents, &args.camera, file)?;
     if let Some(sensor) = args.smoothing.floating_sensor(Some(&cloud))? {
         cloud.remove_floating(&sensor);
     }
@@ -92,6 +108,63 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
         outln!("  {name:<9} {rms_mm:16.2} mm {:33.1}° {:7.1}° {specks:>18}", tiles.normal_deg, tiles.facet_deg);
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// A real cloud without a grid.
+fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<ExitCode> {
+    let (points, normals) = match &args.results {
+        Some(result) => {
+            let Contents::General(other) = io::read(result)?.1 else {
+                bail!("{}: is no general cloud, as {} is", result.display(), file.display());
+            };
+            if other.len() != cloud.len() {
+                let counts = format!("{} points, and {} has {}", other.len(), file.display(), cloud.len());
+                bail!("{}: has {counts}: each point must stay in its place", result.display());
+            }
+            let normals = normals_field(&other);
+            (moved_to_origin(&other, cloud.origin_m), normals)
+        }
+        None => {
+            let params = args.smoothing.general_params()?;
+            let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
+            let mut smoothed = Smoothed::default();
+            Smoother::open_with(params, &options, None)?
+                .smooth(cloud.into_frame().map_err(Error::from)?, &mut smoothed)?;
+            (smoothed.points, smoothed.normals)
+        }
+    };
+    let report = Patches {
+        file: file.display().to_string(),
+        raw: patch_planes(cloud, &cloud.positions, normals_field(cloud).as_ref())?,
+        smoothed: patch_planes(cloud, &points, normals.as_ref())?,
+    };
+    if args.json {
+        outln!("{}", serde_json::to_string(&report)?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    outln!("{}: {} patches of 64 points on one surface\n", report.file, report.raw.patches);
+    outln!("            median RMS distance   mean angle of the points' normals to its own");
+    for (name, patches) in [("raw", report.raw), ("smoothed", report.smoothed)] {
+        let normal = if patches.normal_deg.is_nan() { "-".to_owned() } else { format!("{:.1}°", patches.normal_deg) };
+        outln!("  {name:<9} {:16.3} mm {normal:>33}", patches.rms_mm);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The normals that a cloud came with.
+fn normals_field(cloud: &PointCloud) -> Option<Xyz> {
+    let [x, y, z] = ["normal_x", "normal_y", "normal_z"].map(|name| match &cloud.attribute(name)?.values {
+        AttributeValues::F32(values) => Some(values.clone()),
+        _ => None,
+    });
+    Some(Xyz { x: x?, y: y?, z: z? })
+}
+
+/// A cloud's positions relative to another origin.
+fn moved_to_origin(cloud: &PointCloud, origin_m: [f64; 3]) -> Xyz {
+    let by_m = [0, 1, 2].map(|axis| cloud.origin_m[axis] - origin_m[axis]);
+    let moved = |p: [f32; 3]| [0, 1, 2].map(|axis| (f64::from(p[axis]) + by_m[axis]) as f32);
+    cloud.positions.iter().map(moved).collect()
 }
 
 /// Simulated frames against their truth.
@@ -182,6 +255,8 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
 /// A setting with what it made so far.
 struct Method {
     name: &'static str,
+    /// Whether frames lose their grid before.
+    is_general: bool,
     smoother: Smoother,
     smoothed: Smoothed,
     evaluation: Evaluation,
@@ -193,6 +268,15 @@ impl Method {
         let mut frame = frame.clone();
         if let Some(sensor) = smoothing.floating_sensor(None)?.filter(|_| self.name != PAPER) {
             frame.remove_floating(&sensor);
+        }
+        if self.is_general {
+            let cloud = frame.deproject().map_err(Error::from)?;
+            let Xyz { x, y, z } = cloud.positions();
+            let points = PointsView::from_planes(x, y, z).map_err(Error::from)?;
+            let start = Instant::now();
+            self.smoother.smooth(points, &mut self.smoothed)?;
+            self.times_ms.push(ms_since(start));
+            return Ok(());
         }
         let start = Instant::now();
         self.smoother.smooth(&frame, &mut self.smoothed)?;
@@ -208,16 +292,24 @@ impl Method {
     }
 }
 
-/// The 2011 report's setting, to compare with, and the one that was asked for.
+/// The one that was asked for, after another to compare with: the 2011 report's setting, or of general clouds the default on the grid.
 fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     let camera = Suite::default().camera;
     let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
-    let method = |(name, params): (&'static str, SmoothParams)| {
-        let smoother = Smoother::open_with(params, &options, (camera.width, camera.height))?;
+    let method = |name: &'static str, params: SmoothParams, is_general: bool| -> Result<Method> {
+        let grid = (!is_general).then_some((camera.width, camera.height));
+        let smoother = Smoother::open_with(params, &options, grid)?;
         let (smoothed, evaluation) = (Smoothed::default(), Evaluation::default());
-        Ok(Method { name, smoother, smoothed, evaluation, times_ms: Vec::new() })
+        Ok(Method { name, is_general, smoother, smoothed, evaluation, times_ms: Vec::new() })
     };
-    [(PAPER, SmoothParams::paper()), ("smoothed", args.smoothing.params()?)].into_iter().map(method).collect()
+    if args.general {
+        let on_grid = SmoothParams::for_sensor(args.smoothing.params()?.sensor, Strength::DEFAULT);
+        return Ok(vec![
+            method("on the grid", on_grid, false)?,
+            method("smoothed", args.smoothing.general_params()?, true)?,
+        ]);
+    }
+    Ok(vec![method(PAPER, SmoothParams::paper(), false)?, method("smoothed", args.smoothing.params()?, false)?])
 }
 
 /// What another program made of a frame of that shape: points and normals.

@@ -378,7 +378,7 @@ impl Worker<'_> {
                 let share = 100.0 * count as f64 / valid as f64;
                 let cause = likely_cause(frame, &params);
                 errln!(
-                    "{}: {count} of {valid} valid points ({share:.1} %) {became}: they have fewer than 3 neighbours. {cause}",
+                    "{}: {count} of {valid} valid points ({share:.1} %) {became}: they have too few neighbours. {cause}",
                     output.display()
                 );
             }

@@ -55,6 +55,33 @@ fn evaluate_measures_itself_and_what_others_made_of_the_same_frames() {
     let same: Value = serde_json::from_str(&same).unwrap();
     assert_eq!(same["raw"]["rms_mm"], same["smoothed"]["rms_mm"]);
     assert_eq!(same["raw"]["tiles"], same["smoothed"]["tiles"]);
+
+    // And without its grid.
+    let rows: Value = serde_json::from_str(&ok(&[
+        "evaluate",
+        "--seed",
+        "2",
+        "--json",
+        "--general",
+        "--neighbours",
+        "150",
+        "--edges",
+        "robust",
+    ]))
+    .unwrap();
+    let of_points = |row: usize| rows[row]["ranges"][1]["rmse_mm"].as_f64().unwrap();
+    assert_eq!(rows[1]["name"], "on the grid");
+    assert!(of_points(1) < 0.3 * of_points(0) && of_points(2) < 0.5 * of_points(0), "{rows}");
+    let general = out.join("general.ply");
+    let points = planish::io::read(&frame).unwrap().1;
+    let planish::io::Contents::Organized(cloud) = points else { panic!("a frame") };
+    planish::io::write_cloud(&general, &cloud.points, planish::io::Encoding::Binary).unwrap();
+    let patches: Value = serde_json::from_str(&ok(&["evaluate", "--input", str(&general), "--json"])).unwrap();
+    let rms = |of: &str| patches[of]["rms_mm"].as_f64().unwrap();
+    assert!(rms("smoothed") < 0.5 * rms("raw") && patches["raw"]["patches"].as_u64().unwrap() > 1000, "{patches}");
+    assert!(patches["raw"]["normal_deg"].is_null() && patches["smoothed"]["normal_deg"].as_f64().unwrap() < 20.0);
+    let error = refused(&["evaluate", "--input", str(&general), "--results", str(&frame)]);
+    assert!(error.contains("room-2.pcd") && error.contains("no general cloud"), "{error}");
 }
 
 #[test]

@@ -37,6 +37,7 @@ use crate::camera::Rays;
 use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
+use crate::method::LEAST_NEIGHBOURS;
 use crate::outputs::SmoothedMut;
 use crate::params::{Edges, SmoothParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, MIN_GATE_M, RangeRules};
@@ -71,11 +72,14 @@ struct Kernel {
 }
 
 /// How the surface is fitted over a plane.
+#[derive(Clone, Copy)]
 struct Fitting {
     bandwidth_m: Option<f32>,
     ridge: f32,
     /// Whether points with too few neighbours stay where they are.
     keeps_isolated: bool,
+    /// With fewer a point has too few.
+    least_neighbours: f32,
 }
 
 /// c0 + c1 z + c2 z².
@@ -194,7 +198,12 @@ impl ImmediateEngine for Cpu {
             degree: self.params.degree,
             rules: RangeRules::new(&self.params, &frame.geometry),
             sensor: Sensor::new(&frame.geometry),
-            fitting: Fitting { bandwidth_m: self.params.bandwidth_m, ridge: self.params.ridge, keeps_isolated: false },
+            fitting: Fitting {
+                bandwidth_m: self.params.bandwidth_m,
+                ridge: self.params.ridge,
+                keeps_isolated: false,
+                least_neighbours: LEAST_NEIGHBOURS,
+            },
             on_ray: frame.geometry.is_on_rays(self.params.project),
         };
         match self.threads.take() {
@@ -309,7 +318,8 @@ impl Fitting {
         projection: Projection,
         terms: &mut Terms<S>,
     ) -> Projected<S> {
-        let projection = Projection { keeps_isolated: self.keeps_isolated, ..projection };
+        let Self { keeps_isolated, least_neighbours, .. } = *self;
+        let projection = Projection { keeps_isolated, least_neighbours, ..projection };
         if D == 1 {
             return project::project::<S, D>(simd, p, ray, plane, None, radius, n, valid, projection);
         }

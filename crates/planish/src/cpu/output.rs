@@ -8,6 +8,7 @@ use super::row_tasks::SplitRows;
 use super::vector::Vec3;
 use crate::camera::Camera;
 use crate::engine::AdmittedFrame;
+use crate::method::LEAST_NEIGHBOURS;
 use crate::outputs::{SmoothedMut, VectorsMut};
 use crate::smoothed::Smoothed;
 use crate::status::Status;
@@ -76,6 +77,7 @@ impl<'a> OutputRows<'a> {
             needs_normal: self.out.normals.is_some() || on_ray || needs_depth,
             needs_depth,
             keeps_isolated: false,
+            least_neighbours: LEAST_NEIGHBOURS,
         }
     }
 

@@ -28,6 +28,8 @@ pub(super) struct Projection {
     pub(super) needs_depth: bool,
     /// Whether points with too few neighbours stay where they are.
     pub(super) keeps_isolated: bool,
+    /// With fewer a point has too few.
+    pub(super) least_neighbours: f32,
 }
 
 /// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c. `ray` leads from
@@ -77,7 +79,7 @@ pub(super) fn project<S: Simd, const D: usize>(
     let on_surface = if projection.on_ray { p.add_scaled(along, ray) } else { p.add_scaled(moved, plane.normal) };
     let point = p.or(on_line, on_surface);
     let nan = Vec3::splat(simd, f32::NAN);
-    let few: Mask<S> = n.simd_lt(splat(simd, 3.0));
+    let few: Mask<S> = n.simd_lt(splat(simd, projection.least_neighbours));
     let (alone, few_status) = if projection.keeps_isolated { (p, splat(simd, 6.0)) } else { (nan, one) };
     Projected {
         point: alone.or(few, point),

@@ -9,6 +9,7 @@ use fearless_simd::Simd;
 use super::vector::{Vec3, splat};
 use crate::frame::FrameGeometry;
 
+#[derive(Clone, Copy)]
 pub(super) struct Sensor {
     position: [f32; 3],
     /// The unit vector along which it looks.

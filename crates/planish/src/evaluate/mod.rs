@@ -3,6 +3,7 @@
 //! [`Suite`] has the frames, [`Evaluation`] the scores of any method on them. [`tile_planes`] needs no ground truth.
 
 mod evaluation;
+mod patches;
 mod suite;
 mod tiles;
 
@@ -11,6 +12,7 @@ use crate::simulate::{NO_OBJECT, Truth};
 use crate::xyz::Xyz;
 
 pub use evaluation::{AngleReport, Evaluation, RangeReport, Report, jitter_mm};
+pub use patches::{PatchReport, patch_planes};
 pub use suite::{Case, Gauges, Suite};
 pub use tiles::{LargestPlane, TileReport, largest_plane, tile_planes};
 

@@ -60,6 +60,16 @@ impl NeighbourSearch {
         found.sort_unstable();
     }
 
+    /// Indices of so many points nearest to p or fewer, ascending.
+    #[cfg(feature = "evaluate")]
+    pub(crate) fn nearest(&self, p: DVec3, count: usize) -> Vec<usize> {
+        let (Some(tree), Some(count)) = (&self.tree, NonZero::new(count)) else { return Vec::new() };
+        let nearest = tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
+        let mut found: Vec<usize> = nearest.into_iter().map(|found| self.index[found.item as usize] as usize).collect();
+        found.sort_unstable();
+        found
+    }
+
     /// The squares of the distances from p to so many nearest points or fewer, ascending.
     pub(crate) fn nearest_squares(&self, p: DVec3, count: usize) -> Vec<f64> {
         let (Some(tree), Some(count)) = (&self.tree, NonZero::new(count)) else { return Vec::new() };

@@ -10,19 +10,19 @@ use crate::params::{SmoothParams, edge_shift_px};
 use crate::sensor::SensorModel;
 
 /// A plane whose points count less than this together is not used, and wholly from one more on.
-const MIN_TOTAL: f64 = 5.0;
+pub(super) const MIN_TOTAL: f64 = 5.0;
 /// The noise is at least this share of the radius.
-const MIN_NOISE: f64 = 0.01;
+pub(super) const MIN_NOISE: f64 = 0.01;
 /// How much a plane's distance from p weighs beside its own residual, both squared.
 const DISTANCE_WEIGHT: f64 = 0.3;
 /// Neighbours count up to this many standard deviations of the noise from the surface.
-const WIDTH: f64 = 1.0;
+pub(super) const WIDTH: f64 = 1.0;
 
 /// Planes of points up to so many radii away are considered: on oblique surfaces those of a window's reach are as far.
-const PLANE_REACH: f64 = 2.0;
+pub(super) const PLANE_REACH: f64 = 2.0;
 
 /// A plane that its points hardly determine counts as noisier: by this share of the noise's variance for a disc.
-const DOUBT_WEIGHT: f64 = 0.01;
+pub(super) const DOUBT_WEIGHT: f64 = 0.01;
 
 /// No camera measures a surface steeper than this; what looks like one is a row of points far apart.
 const MIN_INCIDENCE_COSINE: f64 = 0.05;
@@ -30,9 +30,9 @@ const MIN_INCIDENCE_COSINE: f64 = 0.05;
 const COSINE_FADE: f64 = 0.01;
 
 /// What it weighs that p stays where it was measured, beside the planes around it.
-const STAY_WEIGHT: f64 = 1e-3;
+pub(super) const STAY_WEIGHT: f64 = 1e-3;
 /// What the normal of p's own window weighs besides, so that there is one where no plane is near.
-const OWN_NORMAL_WEIGHT: f64 = 1e-12;
+pub(super) const OWN_NORMAL_WEIGHT: f64 = 1e-12;
 
 /// The standard deviation of depth at a range.
 pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 {

@@ -5,21 +5,32 @@ use std::collections::HashMap;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::edges::PLANE_REACH;
+use super::general_edges::FirstPlane;
 use super::window::{fading_gate, reach_m};
 use super::{PointResult, Surface, smooth_point};
 use crate::error::Error;
 use crate::frame::FrameGeometry;
 use crate::neighbours::{NeighbourSearch, extent_m};
-use crate::params::{Radius, SmoothParams};
+use crate::params::{Edges, Radius, SmoothParams};
 use crate::progress::Progress;
 use crate::status::Status;
 use crate::threads::Threads;
 
 /// No radius is more than so many times the mean of those around it.
-const MAX_RADIUS_RATIO: f64 = 3.0;
+const MAX_RADIUS_RATIO: f64 = 1.5;
 
 /// No radius is smaller.
 const MIN_RADIUS_M: f64 = 1e-12;
+
+/// What is to be smoothed.
+pub(super) struct Cloud<'a> {
+    pub(super) points: &'a [DVec3],
+    /// Where it is part of a larger one, that one's.
+    pub(super) extent_m: Option<f64>,
+    /// With fewer a point is isolated.
+    pub(super) least_neighbours: u32,
+}
 
 /// The positions of a cloud, each once, and how many points are there.
 struct Positions {
@@ -32,11 +43,11 @@ struct Positions {
 pub(super) fn smooth(
     params: &SmoothParams,
     threads: &Threads,
-    points: &[DVec3],
+    cloud: &Cloud<'_>,
     geometry: &FrameGeometry,
-    known_extent_m: Option<f64>,
     progress: &Progress,
 ) -> Result<Vec<PointResult>, Error> {
+    let &Cloud { points, extent_m: known_extent_m, least_neighbours } = cloud;
     // Turned like the sensor, but not moved: it may stand so far away that moved points would lose digits.
     let turn = |p: DVec3| geometry.cloud_from_sensor.map_or(p, |transform| transform.rotation.transpose() * p);
     let sensor = turn(geometry.sensor_position());
@@ -49,17 +60,32 @@ pub(super) fn smooth(
 
     let results: Vec<PointResult> = threads.install(|| {
         let radii_m = positions.radii_m(params, extent_m);
-        let smooth = |found: &mut Vec<usize>, (&p, &radius_m): (&DVec3, &f64)| {
-            positions.search.within(p, reach_m(radius_m), found);
-            let repeated =
-                found.iter().flat_map(|&i| std::iter::repeat_n(positions.points[i] - p, positions.counts[i] as usize));
-            let offsets: Vec<DVec3> = repeated.filter(|&offset| fading_gate(offset, radius_m) > 0.0).collect();
-            let surface = Surface::own(&offsets, radius_m, p - sensor);
-            let result = smooth_point(p, sensor, &offsets, radius_m, params, &surface, false);
-            progress.add(1);
-            if result.status == Status::TooFew && !params.remove_isolated { result.kept() } else { result }
+        let first_plane = |found: &mut Vec<usize>, (&p, &radius_m): (&DVec3, &f64)| {
+            FirstPlane::new(Surface::own(&positions.neighbours(p, radius_m, found), radius_m, p - sensor), radius_m)
         };
-        positions.points.par_iter().zip(&radii_m).map_init(Vec::new, smooth).collect()
+        let firsts: Vec<FirstPlane> =
+            positions.points.par_iter().zip(&radii_m).map_init(Vec::new, first_plane).collect();
+        let smooth = |found: &mut Vec<usize>, (&p, first): (&DVec3, &FirstPlane)| {
+            let radius_m = first.radius_m;
+            let surface = match params.edges {
+                Edges::Off => first.surface,
+                Edges::Robust => {
+                    positions.search.within(p, reach_m(PLANE_REACH * radius_m), found);
+                    let around: Vec<_> = found.iter().map(|&i| (positions.points[i] - p, &firsts[i])).collect();
+                    first.surface(&around, p - sensor)
+                }
+            };
+            let offsets = positions.neighbours(p, radius_m, found);
+            let result = if surface.neighbours < least_neighbours {
+                let few = PointResult { neighbours: surface.neighbours, ..PointResult::hole() };
+                if params.remove_isolated { PointResult { status: Status::TooFew, ..few } } else { few.kept() }
+            } else {
+                smooth_point(p, sensor, &offsets, radius_m, params, &surface, false)
+            };
+            progress.add(1);
+            result
+        };
+        positions.points.par_iter().zip(&firsts).map_init(Vec::new, smooth).collect()
     });
     Ok(places.into_iter().map(|place| place.map_or_else(PointResult::hole, |place| results[place])).collect())
 }
@@ -83,6 +109,13 @@ fn distinct_positions(points: &[DVec3]) -> (Vec<Option<usize>>, Vec<DVec3>, Vec<
 }
 
 impl Positions {
+    /// The points within the radius of p, as offsets from it; `found` is room for the search.
+    fn neighbours(&self, p: DVec3, radius_m: f64, found: &mut Vec<usize>) -> Vec<DVec3> {
+        self.search.within(p, reach_m(radius_m), found);
+        let repeated = found.iter().flat_map(|&i| std::iter::repeat_n(self.points[i] - p, self.counts[i] as usize));
+        repeated.filter(|&offset| fading_gate(offset, radius_m) > 0.0).collect()
+    }
+
     /// The radius at every position.
     fn radii_m(&self, params: &SmoothParams, extent_m: f64) -> Vec<f64> {
         let count = match params.radius {

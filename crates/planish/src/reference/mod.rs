@@ -8,6 +8,7 @@
 mod blocks;
 mod edges;
 mod general;
+mod general_edges;
 mod plane;
 mod polynomial;
 mod project;
@@ -141,11 +142,16 @@ impl Reference {
         };
         let results = match frame.frame.grid() {
             None => {
-                let extent_m = match frame.frame {
-                    Frame::Points(view) => view.extent_m(),
-                    Frame::Depth(_) => None,
+                let cloud = match frame.frame {
+                    Frame::Points(view) => general::Cloud {
+                        points: &points,
+                        extent_m: view.extent_m(),
+                        least_neighbours: self.params.least_neighbours(&view),
+                    },
+                    // Always on a grid.
+                    Frame::Depth(_) => general::Cloud { points: &points, extent_m: None, least_neighbours: 0 },
                 };
-                general::smooth(&self.params, &self.threads, &points, &frame.geometry, extent_m, &self.progress)?
+                general::smooth(&self.params, &self.threads, &cloud, &frame.geometry, &self.progress)?
             }
             Some((width, height)) => {
                 let points = match frame.geometry.cloud_from_sensor {

@@ -16,8 +16,9 @@ use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FormatError, IoError};
 use crate::frame::{IntoFrame, PointsView};
 use crate::io::{Format, LasReader, Records, Temporary, WholeFile, cloud_of, folder_of};
+use crate::method::PLANE_REACH;
 use crate::outputs::Outputs;
-use crate::params::{Radius, SmoothParams};
+use crate::params::{Edges, Radius, SmoothParams};
 use crate::pose::SensorPose;
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
@@ -31,8 +32,8 @@ const ENGINE_BYTES_A_POINT: u64 = 200;
 const COPIES: u64 = 3;
 /// The share of a tile's points with its halo that are its own, when tiles are planned.
 const OWN_SHARE: f64 = 0.6;
-/// A halo reaches so many times as far as a point's radius: its neighbours have neighbours.
-const REACH: f64 = 2.04;
+/// How far the gate reaches, in radii.
+const GATE_REACH: f64 = 1.02;
 /// More points than this share, whose radius reaches beyond the halo, ask for a wider one.
 const MAY_REACH_BEYOND: f64 = 1e-4;
 /// Where memory does not hold a wider one, no more than this share of a tile's points, or of those of a usual tile.
@@ -227,13 +228,22 @@ impl Tiler<'_> {
         }
     }
 
+    /// How far what a point gets depends on others, in radii: radii by density on those of the neighbours, and where edges are kept, on
+    /// the planes of points twice as far away.
+    fn reach(&self) -> f64 {
+        let SmoothParams { radius, edges, .. } = self.options.params;
+        let of_radius = if matches!(radius, Radius::Neighbours { .. }) { 2.0 } else { 1.0 };
+        let of_planes = if edges == Edges::Off { 0.0 } else { f64::from(PLANE_REACH) };
+        GATE_REACH * (of_radius + of_planes)
+    }
+
     /// Exact for a fixed radius; else about twice the radius at the tile's density.
     fn halo_by_density_m(&self, dealt: &Dealt, tile: &Tile) -> f64 {
         match self.options.params.radius {
-            Radius::Fixed { radius_m } => 1.02 * f64::from(radius_m),
+            Radius::Fixed { radius_m } => self.reach() * f64::from(radius_m),
             Radius::Neighbours { count } => {
                 let area = dealt.cells.area(tile);
-                2.0 * REACH * (f64::from(count) * area / (std::f64::consts::PI * tile.points as f64)).sqrt()
+                2.0 * self.reach() * (f64::from(count) * area / (std::f64::consts::PI * tile.points as f64)).sqrt()
             }
             // `Smoother::open` refuses it.
             Radius::Sensor => 1.0,
@@ -274,7 +284,7 @@ impl Tiler<'_> {
                 let value = cloud.coordinate(axis, i);
                 (value - low[axis]).min(high[axis] - value)
             });
-            needed_m.push(REACH * f64::from(radius_m) - to_border.fold(f64::INFINITY, f64::min));
+            needed_m.push(self.reach() * f64::from(radius_m) - to_border.fold(f64::INFINITY, f64::min));
         }
         let beyond = needed_m.iter().filter(|needed_m| **needed_m > halo_m).count();
         let farthest = (needed_m.len() as f64 * (1.0 - MAY_REACH_BEYOND / 2.0)) as usize;

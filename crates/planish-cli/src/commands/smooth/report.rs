@@ -52,8 +52,8 @@ impl StatusCounts {
     fn others(&self) -> String {
         let causes = [
             (self.degenerate, "with neighbours in a straight line or at one place left as they are"),
-            (self.isolated, "with fewer than 3 neighbours left as they are"),
-            (self.too_few, "with fewer than 3 neighbours made holes"),
+            (self.isolated, "with too few neighbours left as they are"),
+            (self.too_few, "with too few neighbours made holes"),
             (self.hole, "holes before"),
         ];
         let there = causes.into_iter().filter(|(count, _)| *count > 0);

@@ -47,7 +47,7 @@ impl Worker<'_> {
         for (count, became) in [(status.too_few, "became holes"), (status.isolated, "stay where they are")] {
             if count as f64 > LOST_SHARE_TOLD * report.points as f64 {
                 errln!(
-                    "{}: {count} of {} points {became}: they have fewer than 3 neighbours. Likely the radius is below the spacing of the points",
+                    "{}: {count} of {} points {became}: they have too few neighbours. Likely the radius is below the spacing of the points",
                     output.display(),
                     report.points
                 );

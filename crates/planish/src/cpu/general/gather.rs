@@ -78,11 +78,22 @@ impl Gathered {
     /// The squares of the distances of all candidates, and their places.
     #[inline(always)]
     pub(super) fn for_each_square<S: Simd>(&self, simd: S, p: Vec3<S>, mut visit: impl FnMut(S::f32s, usize)) {
+        self.for_each_offset(
+            simd,
+            p,
+            #[inline(always)]
+            |offset, place| visit(offset.length_squared(), place),
+        );
+    }
+
+    /// The offsets of all candidates from p, and their places.
+    #[inline(always)]
+    pub(super) fn for_each_offset<S: Simd>(&self, simd: S, p: Vec3<S>, mut visit: impl FnMut(Vec3<S>, usize)) {
         for Copied { x, y, z, places, len, .. } in [&self.whole, &self.others] {
             let positions = x[..*len].iter().zip(&y[..*len]).zip(&z[..*len]);
             for (((&x, &y), &z), &place) in positions.zip(&places[..*len]) {
                 let q = Vec3::<S>::new(splat(simd, x), splat(simd, y), splat(simd, z));
-                visit(q.sub(p).length_squared(), place as usize);
+                visit(q.sub(p), place as usize);
             }
         }
     }

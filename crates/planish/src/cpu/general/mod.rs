@@ -4,6 +4,7 @@
 //! the stages are those of frames on a grid. Results are computed in the order of the index, each by itself, and put into the order
 //! of the cloud at the end, so threads do not change a bit.
 
+mod edges;
 mod gather;
 mod radius;
 
@@ -24,12 +25,13 @@ use crate::frame::Frame;
 use crate::method::{GATE_FADE, MAX_RADIUS_RATIO};
 use crate::neighbours::{LEAF, PointIndex};
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{Radius, SmoothParams};
+use crate::params::{Edges, Radius, SmoothParams};
 use crate::progress::Progress;
 use crate::range::{MAX_RANGE_M, MIN_GATE_M};
 use crate::simd_level::SimdLevel;
 use crate::smoothed::Smoothed;
 use crate::threads::Threads;
+use edges::{FirstPlaneRows, FirstPlanes};
 use gather::{Gathered, Reach};
 use radius::{Density, RadiusRows};
 
@@ -45,22 +47,30 @@ pub(crate) struct GeneralCpu {
     index: PointIndex,
     /// In the order of the index, where radii differ.
     radii: Vec<f32>,
+    /// Where edges are kept.
+    first_planes: FirstPlanes,
     sorted: Smoothed,
     progress: Arc<Progress>,
 }
 
 /// What a kernel needs to know beside the points.
+#[derive(Clone, Copy)]
 struct Kernel<'a> {
     fitting: Fitting,
     sensor: Sensor,
     index: &'a PointIndex,
     radii: Radii<'a>,
+    /// Where edges are kept.
+    first_planes: Option<&'a FirstPlanes>,
 }
 
 #[derive(Clone, Copy)]
 enum Radii<'a> {
     Fixed(f32),
+    /// By the density around each point, before those around it limit it.
     Of(&'a [f32]),
+    /// As they are taken.
+    Known(&'a [f32]),
 }
 
 impl GeneralCpu {
@@ -71,19 +81,21 @@ impl GeneralCpu {
         simd: Option<SimdLevel>,
     ) -> Result<Self, EngineError> {
         let (level, threads) = (super::level(simd)?, Threads::open(threads)?);
-        let (index, radii, sorted, progress) = Default::default();
-        Ok(Self { params, level, threads, outputs, index, radii, sorted, progress })
+        let (index, radii, first_planes, sorted, progress) = Default::default();
+        Ok(Self { params, level, threads, outputs, index, radii, first_planes, sorted, progress })
     }
 
     fn smooth_points(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) {
         let Frame::Points(view) = frame.frame else { return };
-        let Self { params, level, outputs, index, radii, sorted, progress, .. } = self;
+        let Self { params, level, outputs, index, radii, first_planes, sorted, progress, .. } = self;
         let level = *level;
         progress.begin(0);
         index.fill(&view);
         // Radii take about as long as a tenth of the fits.
         let (of_radius, of_fit) = (1, 9);
-        progress.begin((of_radius + of_fit) * index.leaves());
+        let keeps_edges = params.edges != Edges::Off;
+        let of_first_plane = if keeps_edges { 5 } else { 0 };
+        progress.begin((of_radius + of_first_plane + of_fit) * index.leaves());
         let radii = match params.radius {
             Radius::Fixed { radius_m } => Radii::Fixed(radius_m),
             // `Smoother::open` refuses any other.
@@ -100,16 +112,26 @@ impl GeneralCpu {
             }
             Radius::Sensor => return,
         };
-        let kernel = Kernel {
+        let mut kernel = Kernel {
             fitting: Fitting {
                 bandwidth_m: params.bandwidth_m,
                 ridge: params.ridge,
                 keeps_isolated: !params.remove_isolated,
+                least_neighbours: params.least_neighbours(&view) as f32,
             },
             sensor: Sensor::new(&frame.geometry),
             index,
             radii,
+            first_planes: None,
         };
+        if keeps_edges {
+            let fit = |mut rows: FirstPlaneRows<'_>| {
+                dispatch!(level, simd => edges::fit_first_planes(simd, &kernel, &mut rows));
+                progress.add(of_first_plane * rows.count());
+            };
+            halve(LEAVES_PER_TASK, first_planes.rows(index.leaves()), &fit);
+            kernel.first_planes = Some(first_planes);
+        }
         sorted.prepare(LEAF, index.leaves(), *outputs);
         let smooth = |mut rows: OutputRows<'_>| {
             match params.degree {
@@ -144,7 +166,7 @@ impl ImmediateEngine for GeneralCpu {
 
     /// Of the sorted points, their radii and results.
     fn buffer_bytes(&self) -> u64 {
-        (self.index.bytes() + 4 * self.radii.capacity() + self.sorted.bytes()) as u64
+        (self.index.bytes() + 4 * self.radii.capacity() + self.first_planes.bytes() + self.sorted.bytes()) as u64
     }
 }
 
@@ -188,33 +210,57 @@ fn smooth_vector<S: Simd, const D: usize>(
         rows.store_holes(row, u, S::f32s::LEN);
         return;
     }
-    let radius = match kernel.radii {
-        Radii::Fixed(radius_m) => splat(simd, radius_m),
-        Radii::Of(radii) => S::f32s::from_slice(simd, &radii[place..place + S::f32s::LEN]),
+    let (plane, n, width, radius) = match kernel.first_planes {
+        None => {
+            let radius = kernel.gather(simd, gathered, p, valid, place);
+            let sums = (&*gathered).sums(simd, p, radius);
+            (plane::fit(simd, kernel.sensor.ray(simd, p), &sums), sums.n, None, radius)
+        }
+        Some(first_planes) => {
+            let surface = edges::find_surfaces(simd, kernel, first_planes, gathered, p, valid, place);
+            let radii = Radii::Known(first_planes.radii());
+            let radius = Kernel { radii, ..*kernel }.gather(simd, gathered, p, valid, place);
+            (surface.plane, surface.n, Some(surface.width), radius)
+        }
     };
-    // Where the gate has faded out; and where it begins to, a little within.
-    let nan = splat(simd, f32::NAN);
-    let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), nan);
-    let inner = match kernel.radii {
-        Radii::Fixed(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
-        // The radius that counts is known only when its candidates are.
-        Radii::Of(_) => splat(simd, 0.0),
-    };
-    gathered.fill(simd, kernel.index, p, Reach { outer, inner });
-    let radius = match kernel.radii {
-        Radii::Fixed(_) => radius,
-        Radii::Of(radii) => radius.min(mean_radius(simd, gathered, radii, p, radius) * splat(simd, MAX_RADIUS_RATIO)),
-    };
-    let radius = valid.select(radius, splat(simd, 1.0)).max(splat(simd, MIN_GATE_M));
-    let gathered = &*gathered;
+    let n = valid.select(n, splat(simd, 0.0));
     let ray = kernel.sensor.ray(simd, p);
-    let sums = gathered.sums(simd, p, radius);
-    let plane = plane::fit(simd, ray, &sums);
-    let n = valid.select(sums.n, splat(simd, 0.0));
     let projection = rows.projection(false);
     let projected =
-        kernel.fitting.fit::<S, _, D>(simd, gathered, p, ray, &plane, None, radius, n, valid, projection, terms);
+        kernel.fitting.fit::<S, _, D>(simd, &*gathered, p, ray, &plane, width, radius, n, valid, projection, terms);
     rows.store(row, u, splat(simd, 0.0), &projected, &plane, n);
+}
+
+impl Kernel<'_> {
+    /// Gathers the candidates of the points p from a place on, and gives their radii.
+    #[inline(always)]
+    fn gather<S: Simd>(&self, simd: S, gathered: &mut Gathered, p: Vec3<S>, valid: Mask<S>, place: usize) -> S::f32s {
+        let radius = load_radius(simd, self.radii, place);
+        // Where the gate has faded out; and where it begins to, a little within.
+        let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), splat(simd, f32::NAN));
+        let inner = match self.radii {
+            Radii::Fixed(_) | Radii::Known(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
+            // The radius that counts is known only when its candidates are.
+            Radii::Of(_) => splat(simd, 0.0),
+        };
+        gathered.fill(simd, self.index, p, Reach { outer, inner });
+        let radius = match self.radii {
+            Radii::Fixed(_) | Radii::Known(_) => radius,
+            Radii::Of(radii) => {
+                radius.min(mean_radius(simd, gathered, radii, p, radius) * splat(simd, MAX_RADIUS_RATIO))
+            }
+        };
+        valid.select(radius, splat(simd, 1.0)).max(splat(simd, MIN_GATE_M))
+    }
+}
+
+/// The radii of the points from a place on, as they are before any limit.
+#[inline(always)]
+fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S::f32s {
+    match radii {
+        Radii::Fixed(radius_m) => splat(simd, radius_m),
+        Radii::Of(radii) | Radii::Known(radii) => S::f32s::from_slice(simd, &radii[place..place + S::f32s::LEN]),
+    }
 }
 
 /// The mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without neighbours.

@@ -26,6 +26,8 @@ pub(super) const MOST_PARTS: usize = 64;
 pub(super) const STATE_BYTES: u64 = 8;
 /// Bytes of a node's box and moments.
 const NODE_BYTES: usize = 48;
+/// Bytes of a first plane.
+const PLANE_BYTES: usize = 48;
 
 /// The uniform of all kernels, as cloud.wgsl has it.
 #[repr(C)]
@@ -39,7 +41,7 @@ pub(super) struct CloudUniform {
     pub(super) per_half_extent: f32,
     pub(super) half_count: f32,
     pub(super) largest_radius: f32,
-    pub(super) keeps_isolated: u32,
+    pub(super) least_neighbours: u32,
     pub(super) part_places: u32,
     pub(super) levels: [u32; LEVELS],
 }
@@ -105,6 +107,7 @@ impl Buffers {
         kernels: &[Compiled],
         capacity: usize,
         output_words: usize,
+        keeps_edges: bool,
         timestamps: bool,
         all_bytes: &Arc<AtomicU64>,
     ) -> Result<Self, EngineError> {
@@ -124,6 +127,8 @@ impl Buffers {
             ("nodes", (NODE_BYTES * levels.all_nodes()) as u64),
             ("radii", bytes(padded)),
             ("firsts", bytes(capacity + 1)),
+            // A buffer has at least one.
+            ("planes", (PLANE_BYTES * if keeps_edges { padded } else { 1 }) as u64),
         ];
         let limits = &gpu.limits;
         let allowed = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
@@ -180,6 +185,7 @@ impl Buffers {
                         Resource::Nodes => &kept[6],
                         Resource::Radii => &kept[7],
                         Resource::Firsts => &kept[8],
+                        Resource::Planes => &kept[9],
                         Resource::State => &state,
                         Resource::Cloud => &cloud,
                         Resource::Part => {

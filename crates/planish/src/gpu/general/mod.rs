@@ -24,7 +24,7 @@ use crate::error::{EngineError, Error};
 use crate::frame::{Frame, PointsView};
 use crate::neighbours::middle;
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{Project, Radius, SmoothParams};
+use crate::params::{Edges, Project, Radius, SmoothParams};
 use crate::progress::Progress;
 use crate::range::MAX_RANGE_M;
 use crate::status::Status;
@@ -90,7 +90,8 @@ impl GeneralGpu {
             return Ok(buffers);
         }
         let (words, timestamps) = (self.output_words(), self.options.timestamps);
-        Buffers::new(&self.gpu, &self.kernels, points, words, timestamps, &self.bytes)
+        let keeps_edges = self.params.edges != Edges::Off;
+        Buffers::new(&self.gpu, &self.kernels, points, words, keeps_edges, timestamps, &self.bytes)
     }
 
     fn uniform(&self, view: &PointsView<'_>, levels: &Levels) -> CloudUniform {
@@ -112,7 +113,7 @@ impl GeneralGpu {
             per_half_extent: (1.0 / half.max(LEAST_EXTENT_M)) as f32,
             half_count,
             largest_radius: (extent_m as f32 / 2.0).min(MAX_RANGE_M),
-            keeps_isolated: u32::from(!self.params.remove_isolated),
+            least_neighbours: self.params.least_neighbours(view),
             part_places: part_places(view.len()) as u32,
             levels: levels.firsts,
         }
@@ -154,7 +155,8 @@ impl GeneralGpu {
         }
         let parts = points.div_ceil(part_places(points));
         let by_density = matches!(self.params.radius, Radius::Neighbours { .. });
-        for (pass, wanted) in [(Pass::Radii, by_density), (Pass::Fit, true)] {
+        let keeps_edges = self.params.edges != Edges::Off;
+        for (pass, wanted) in [(Pass::Radii, by_density), (Pass::FirstPlanes, keeps_edges), (Pass::Fit, true)] {
             for part in (0..parts).filter(|_| wanted) {
                 let places = part_places(points).min(points - part * part_places(points));
                 submissions.push(self.submit_steps(buffers, &[(pass, part, places)], encoder()));

@@ -7,7 +7,7 @@ use super::super::kernel;
 use super::super::layout::{InputKind, constants};
 use crate::error::EngineError;
 use crate::outputs::Outputs;
-use crate::params::{Radius, SmoothParams};
+use crate::params::{Edges, Radius, SmoothParams};
 
 /// Values of the four bits of a key that a pass of the sort looks at.
 pub(super) const DIGITS: usize = 16;
@@ -32,6 +32,7 @@ pub(super) enum Resource {
     Nodes,
     Radii,
     Firsts,
+    Planes,
     State,
     Cloud,
     Part,
@@ -52,6 +53,7 @@ impl Resource {
             Self::Nodes => ("nodes", "array<vec4<f32>>"),
             Self::Radii => ("radii", "array<f32>"),
             Self::Firsts => ("firsts", "array<u32>"),
+            Self::Planes => ("planes", "array<vec4<f32>>"),
             Self::State => ("state", "array<atomic<u32>, 2>"),
             Self::Cloud => ("cloud", "Cloud"),
             Self::Part => ("part", "Part"),
@@ -80,13 +82,15 @@ pub(super) enum Pass {
     Nodes,
     /// Radii from the density.
     Radii,
+    /// The planes of all positions, where edges are kept.
+    FirstPlanes,
     Fit,
     /// The results of points at the same position.
     Repeat,
 }
 
 impl Pass {
-    pub(super) const ALL: [Self; 11] = [
+    pub(super) const ALL: [Self; 12] = [
         Self::Keys,
         Self::CountDigits,
         Self::ScanCounts,
@@ -96,6 +100,7 @@ impl Pass {
         Self::Leaves,
         Self::Nodes,
         Self::Radii,
+        Self::FirstPlanes,
         Self::Fit,
         Self::Repeat,
     ];
@@ -111,13 +116,14 @@ impl Pass {
             Self::Leaves => "build_leaves",
             Self::Nodes => "build_nodes",
             Self::Radii => "find_radii",
+            Self::FirstPlanes => "fit_first_planes",
             Self::Fit => "fit_places",
             Self::Repeat => "repeat_results",
         }
     }
 
     /// What it reads, and what it writes; at most eight storage buffers.
-    fn resources(self) -> (&'static [Resource], &'static [Resource]) {
+    fn resources(self, edges: Edges) -> (&'static [Resource], &'static [Resource]) {
         use Resource::*;
         match self {
             Self::Keys => (&[Batch, Cloud, Part, Input], &[Output, Keys, Order]),
@@ -129,7 +135,11 @@ impl Pass {
             Self::Leaves => (&[Batch, Cloud, Input, Firsts], &[Positions, Nodes, State]),
             Self::Nodes => (&[Batch, Cloud, Part, Input], &[Nodes]),
             Self::Radii => (&[Batch, Cloud, Part, Input, Positions, Nodes], &[Radii, State]),
-            Self::Fit => (&[Batch, Cloud, Part, Input, Order, Positions, Nodes, Radii, Firsts], &[Output, State]),
+            Self::FirstPlanes => (&[Batch, Cloud, Part, Input, Positions, Nodes, Radii], &[Planes, State]),
+            Self::Fit if edges == Edges::Off => {
+                (&[Batch, Cloud, Part, Input, Order, Positions, Nodes, Radii, Firsts], &[Output, State])
+            }
+            Self::Fit => (&[Batch, Cloud, Part, Input, Order, Positions, Nodes, Planes, Firsts], &[Output, State]),
             Self::Repeat => (&[Batch, Cloud, Input, Keys, Order, OrderOut, Firsts], &[Output]),
         }
     }
@@ -140,16 +150,17 @@ impl Pass {
             Self::Keys | Self::Repeat => count.div_ceil(POINT_THREADS),
             Self::ScanCounts => 1,
             Self::CountDigits | Self::ScatterDigits | Self::CountHeads | Self::PlaceHeads => count.div_ceil(TILE),
-            Self::Leaves | Self::Nodes | Self::Radii | Self::Fit => count.div_ceil(THREADS),
+            Self::Leaves | Self::Nodes | Self::Radii | Self::FirstPlanes | Self::Fit => count.div_ceil(THREADS),
         }
     }
 
     /// The WGSL of this kernel.
     pub(super) fn wgsl(self, params: &SmoothParams, outputs: Outputs) -> String {
         let mut text = constants(InputKind::Points, outputs);
+        let _ = writeln!(text, "const KEEPS_ISOLATED: bool = {};", !params.remove_isolated);
         text += include_str!("../shaders/buffers.wgsl");
         text += include_str!("../shaders/general/cloud.wgsl");
-        let (read, written) = self.resources();
+        let (read, written) = self.resources(params.edges);
         for (resources, access) in [(read, "read"), (written, "read_write")] {
             for &resource in resources {
                 let (name, wgsl_type) = resource.name_and_type();
@@ -178,22 +189,45 @@ impl Pass {
             Self::Leaves => text += &(node.to_owned() + include_str!("../shaders/general/leaves.wgsl")),
             Self::Nodes => text += &(node.to_owned() + include_str!("../shaders/general/nodes.wgsl")),
             Self::Radii => text += &[gate, walk, include_str!("../shaders/general/radii.wgsl")].concat(),
-            Self::Fit => {
+            Self::FirstPlanes => {
                 text += &[gate, walk, include_str!("../shaders/eigen.wgsl")].concat();
                 text += include_str!("../shaders/sensor.wgsl");
-                let _ = writeln!(text, "const DEGREE: u32 = {}u;\nconst KEEPS_EDGES: bool = false;", params.degree);
                 text += include_str!("../shaders/plane.wgsl");
+                text += include_str!("../shaders/general/neighbours.wgsl");
+                text += radius_of(params.radius);
+                text += include_str!("../shaders/general/first_planes.wgsl");
+                text += include_str!("../shaders/general/fit_first_planes.wgsl");
+            }
+            Self::Fit => {
+                let keeps_edges = params.edges != Edges::Off;
+                text += &[gate, walk, include_str!("../shaders/eigen.wgsl")].concat();
+                text += include_str!("../shaders/sensor.wgsl");
+                let _ = writeln!(text, "const DEGREE: u32 = {}u;", params.degree);
+                let _ = writeln!(text, "const KEEPS_EDGES: bool = {keeps_edges};");
+                text += include_str!("../shaders/plane.wgsl");
+                text += include_str!("../shaders/general/neighbours.wgsl");
                 text += &kernel::surface(params.degree as usize, LEAVES_LOOP);
                 text += &store.concat();
                 text += include_str!("../shaders/result.wgsl");
-                text += match params.radius {
-                    Radius::Neighbours { .. } => include_str!("../shaders/general/radius_limited.wgsl"),
-                    _ => include_str!("../shaders/general/radius_fixed.wgsl"),
-                };
+                if keeps_edges {
+                    text += include_str!("../shaders/general/first_planes.wgsl");
+                    text += include_str!("../shaders/general/fit_found_surface.wgsl");
+                } else {
+                    text += radius_of(params.radius);
+                    text += include_str!("../shaders/general/fit_own_plane.wgsl");
+                }
                 text += include_str!("../shaders/general/fit.wgsl");
             }
         }
         text
+    }
+}
+
+/// The function that gives the radius of a place.
+fn radius_of(radius: Radius) -> &'static str {
+    match radius {
+        Radius::Neighbours { .. } => include_str!("../shaders/general/radius_limited.wgsl"),
+        Radius::Fixed { .. } | Radius::Sensor => include_str!("../shaders/general/radius_fixed.wgsl"),
     }
 }
 
@@ -224,7 +258,7 @@ impl Compiled {
         outputs: Outputs,
         bounds_checks: bool,
     ) -> Result<Self, EngineError> {
-        let (read, written) = pass.resources();
+        let (read, written) = pass.resources(params.edges);
         let entry = |&resource: &Resource, read_only| {
             let ty = if resource.is_uniform() {
                 wgpu::BufferBindingType::Uniform

@@ -17,7 +17,8 @@ struct Cloud {
     // Half of the neighbours that evenly spread points would have, where radii follow the density, and the largest radius in metres.
     half_count: f32,
     largest_radius: f32,
-    keeps_isolated: u32,
+    // A point with fewer is isolated.
+    least_neighbours: u32,
     // Places in a part of the fit.
     part_places: u32,
     // Where each level of nodes begins.

@@ -19,9 +19,9 @@ fn store(i: u32, result: PixelResult) {
     }
 }
 
-// Of a point with fewer than 3 neighbours.
+// Of a point with too few neighbours.
 fn isolated(p: vec3<f32>, n: u32) -> PixelResult {
-    if cloud.keeps_isolated == 0u {
+    if !KEEPS_ISOLATED {
         return no_result(STATUS_TOO_FEW, n);
     }
     var result = no_result(STATUS_ISOLATED, n);

@@ -1,0 +1,244 @@
+//! Edge preservation in general clouds: the surface that a point lies on is found from the first planes of the positions around it
+//! (docs/method.md, section 10).
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
+
+use super::super::plane::{self, Plane};
+use super::super::row_tasks::SplitRows;
+use super::super::vector::{Mask, Vec3, splat};
+use super::super::window::{Candidates, Gate};
+use super::gather::{Gathered, Reach};
+use super::{Kernel, Radii, load, load_radius};
+use crate::method::{
+    DOUBT_WEIGHT, FACING_COSINE, GATE_FADE, GENERAL_DISTANCE_WEIGHT, GENERAL_MEAN_REACH, MIN_NOISE, MIN_TOTAL,
+    NARROW_WIDTH, OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
+};
+use crate::neighbours::LEAF;
+
+/// What the neighbours of a position say.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct FirstPlane {
+    normal: [f32; 3],
+    /// The foot of the position is this times the normal.
+    height: f32,
+    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or on a line.
+    residual: f32,
+    curvature: f32,
+    /// The number of neighbours; negative where they are on a line.
+    count: f32,
+    /// The square of the extent in m².
+    extent_squared: f32,
+}
+
+/// The first planes of all positions, in the order of the index, and the radii that were taken for them.
+#[derive(Default)]
+pub(super) struct FirstPlanes {
+    planes: Vec<FirstPlane>,
+    radii: Vec<f32>,
+}
+
+/// Those of some leaves.
+pub(super) struct FirstPlaneRows<'a> {
+    first: usize,
+    planes: &'a mut [FirstPlane],
+    radii: &'a mut [f32],
+}
+
+impl SplitRows for FirstPlaneRows<'_> {
+    fn count(&self) -> usize {
+        self.radii.len() / LEAF
+    }
+
+    fn split_at(self, leaves: usize) -> (Self, Self) {
+        let (planes, planes_after) = self.planes.split_at_mut(LEAF * leaves);
+        let (radii, radii_after) = self.radii.split_at_mut(LEAF * leaves);
+        (
+            Self { first: self.first, planes, radii },
+            Self { first: self.first + leaves, planes: planes_after, radii: radii_after },
+        )
+    }
+}
+
+impl FirstPlanes {
+    /// Room for so many leaves.
+    pub(super) fn rows(&mut self, leaves: usize) -> FirstPlaneRows<'_> {
+        self.planes.resize(LEAF * leaves, FirstPlane::default());
+        self.radii.resize(LEAF * leaves, f32::NAN);
+        FirstPlaneRows { first: 0, planes: &mut self.planes, radii: &mut self.radii }
+    }
+
+    /// The radii that were taken, for all positions.
+    pub(super) fn radii(&self) -> &[f32] {
+        &self.radii
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        size_of::<FirstPlane>() * self.planes.capacity() + 4 * self.radii.capacity()
+    }
+
+    /// A number of the planes from a place on.
+    #[inline(always)]
+    fn load<S: Simd>(&self, simd: S, place: usize, number: impl Fn(&FirstPlane) -> f32) -> S::f32s {
+        let mut lanes = [0.0; LEAF];
+        for (lane, plane) in lanes.iter_mut().zip(&self.planes[place..place + S::f32s::LEN]) {
+            *lane = number(plane);
+        }
+        S::f32s::from_slice(simd, &lanes[..S::f32s::LEN])
+    }
+
+    /// The planes of the positions from a place on, as their own neighbours say, and how many those are.
+    #[inline(always)]
+    fn own<S: Simd>(&self, simd: S, place: usize) -> (Plane<S>, S::f32s) {
+        let [x, y, z] = [0, 1, 2].map(
+            #[inline(always)]
+            |axis: usize| self.load(simd, place, |plane| plane.normal[axis]),
+        );
+        let count = self.load(simd, place, |plane| plane.count);
+        let plane = Plane {
+            normal: Vec3::new(x, y, z),
+            height: self.load(simd, place, |plane| plane.height),
+            residual: splat(simd, 0.0),
+            doubt: splat(simd, 1.0),
+            extent_squared: self.load(simd, place, |plane| plane.extent_squared),
+            curvature: self.load(simd, place, |plane| plane.curvature),
+            off_line: splat(simd, 0.0),
+            degenerate: count.simd_lt(splat(simd, 0.0)),
+        };
+        (plane, count.abs())
+    }
+}
+
+/// The surface that points lie on.
+pub(super) struct Surface<S: Simd> {
+    pub(super) plane: Plane<S>,
+    /// How many neighbours.
+    pub(super) n: S::f32s,
+    /// How far from the plane a neighbour counts, in metres; infinite where there is no plane.
+    pub(super) width: S::f32s,
+}
+
+/// The pass of the first planes, for some leaves.
+#[inline(always)]
+pub(super) fn fit_first_planes<S: Simd>(simd: S, kernel: &Kernel<'_>, rows: &mut FirstPlaneRows<'_>) {
+    let mut gathered = Gathered::default();
+    for at in (0..rows.radii.len()).step_by(S::f32s::LEN) {
+        let place = LEAF * rows.first + at;
+        let p = load(simd, kernel.index, place);
+        let valid: Mask<S> = p.x.simd_eq(p.x);
+        if !valid.any_true() {
+            break;
+        }
+        let radius = kernel.gather(simd, &mut gathered, p, valid, place);
+        let sums = (&gathered).sums(simd, p, radius);
+        let plane = plane::fit(simd, kernel.sensor.ray(simd, p), &sums);
+        let [enough, off_line] = [sums.total - splat(simd, MIN_TOTAL), plane.off_line].map(
+            #[inline(always)]
+            |share| share.max(splat(simd, 0.0)).min(splat(simd, 1.0)),
+        );
+        let least = radius * splat(simd, MIN_NOISE);
+        let variance = least.mul_add(least, plane.residual);
+        let doubtful = variance * plane.doubt.mul_add(splat(simd, DOUBT_WEIGHT), splat(simd, 1.0));
+        let usable = enough * off_line;
+        let is_usable: Mask<S> = usable.simd_gt(splat(simd, 0.0));
+        let residual = is_usable.select(doubtful / usable, splat(simd, f32::INFINITY));
+        let count = plane.degenerate.select(-sums.n, sums.n);
+        radius.store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
+        for (lane, first) in rows.planes[at..at + S::f32s::LEN].iter_mut().enumerate() {
+            *first = FirstPlane {
+                normal: [plane.normal.x, plane.normal.y, plane.normal.z].map(|values| values.as_slice()[lane]),
+                height: plane.height.as_slice()[lane],
+                residual: residual.as_slice()[lane],
+                curvature: plane.curvature.as_slice()[lane],
+                count: count.as_slice()[lane],
+                extent_squared: plane.extent_squared.as_slice()[lane],
+            };
+        }
+    }
+}
+
+/// Finds the surfaces that the points p from a place on lie on; `gathered` has room for the positions around them.
+#[inline(always)]
+pub(super) fn find_surfaces<S: Simd>(
+    simd: S,
+    kernel: &Kernel<'_>,
+    first_planes: &FirstPlanes,
+    gathered: &mut Gathered,
+    p: Vec3<S>,
+    valid: Mask<S>,
+    place: usize,
+) -> Surface<S> {
+    let (zero, one, infinity) = (splat(simd, 0.0), splat(simd, 1.0), splat(simd, f32::INFINITY));
+    let (mut plane, n) = first_planes.own(simd, place);
+    let radius = valid.select(load_radius(simd, Radii::Known(&first_planes.radii), place), one);
+    let plane_reach = radius * splat(simd, PLANE_REACH);
+    let outer = valid.select(plane_reach * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), splat(simd, f32::NAN));
+    gathered.fill(simd, kernel.index, p, Reach { outer, inner: zero });
+    let gate = Gate::new(simd, plane_reach);
+    let mean_gate = Gate::new(simd, radius * splat(simd, GENERAL_MEAN_REACH));
+    let radius_squared = radius * radius;
+    // The noise is the harmonic mean of the residuals: that of the planes that fit.
+    let (mut total, mut inverse, mut near, mut mean) = (zero, zero, zero, Vec3::splat(simd, 0.0));
+    gathered.for_each_offset(
+        simd,
+        p,
+        #[inline(always)]
+        |offset, place| {
+            let (_, nearness, _) = gate.apply(simd, offset);
+            total += nearness;
+            let residual = splat(simd, first_planes.planes[place].residual);
+            inverse = (nearness * radius_squared / residual) + inverse;
+            let (offset, nearness, _) = mean_gate.apply(simd, offset);
+            near += nearness;
+            mean = mean.add_scaled(nearness, offset);
+        },
+    );
+    let has_plane: Mask<S> = valid & n.simd_ge(splat(simd, 3.0)) & inverse.simd_gt(zero) & !plane.degenerate;
+    let mean = mean.scale(one / near.max(splat(simd, f32::MIN_POSITIVE)));
+    let per_variance = has_plane.select(inverse / (total * radius_squared), one);
+    let per_facing = splat(simd, 1.0 / FACING_COSINE);
+    let (mut normal, mut height, mut total) =
+        (plane.normal.scale(splat(simd, OWN_NORMAL_WEIGHT)), zero, splat(simd, STAY_WEIGHT));
+    gathered.for_each_offset(
+        simd,
+        p,
+        #[inline(always)]
+        |offset, place| {
+            let first = &first_planes.planes[place];
+            // One on a line may hold anything.
+            if first.residual == f32::INFINITY {
+                return;
+            }
+            let (offset, nearness, near) = gate.apply(simd, offset);
+            let n = Vec3::<S>::new(
+                splat(simd, first.normal[0]),
+                splat(simd, first.normal[1]),
+                splat(simd, first.normal[2]),
+            );
+            // From p to the plane along its normal, and from the mean.
+            let to_plane = offset.dot(n) + splat(simd, first.height);
+            let from_mean = to_plane - mean.dot(n);
+            let residual =
+                (from_mean * from_mean).mul_add(splat(simd, GENERAL_DISTANCE_WEIGHT), splat(simd, first.residual));
+            let root = one / residual.mul_add(per_variance, one);
+            let square = root * root;
+            let weight = near.select(square * square * nearness, zero);
+            // Normals that point the other way are turned round.
+            let facing = (plane.normal.dot(n) * per_facing).max(-one).min(one);
+            let turned = weight * facing;
+            normal = normal.add_scaled(turned, n);
+            height = turned.mul_add(to_plane, height);
+            total = weight.mul_add(facing.abs(), total);
+        },
+    );
+    // Planes that disagree may lie further away than a point may move.
+    let height = (height / total).max(-radius).min(radius);
+    let length = has_plane.select(normal.dot(normal), one).sqrt();
+    // The other way round it is the same plane.
+    let away: Mask<S> = normal.dot(kernel.sensor.ray(simd, p)).simd_gt(zero);
+    let sign = away.select(-one, one);
+    plane.normal = normal.scale(sign / length).or(has_plane, plane.normal);
+    plane.height = has_plane.select(sign * height, plane.height);
+    let noise = (one / per_variance).sqrt();
+    let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, infinity);
+    Surface { plane, n, width }
+}

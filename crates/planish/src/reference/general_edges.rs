@@ -1,0 +1,86 @@
+//! Edge preservation in general clouds: the surface that a point lies on is found from the first planes of the positions around it
+//! (docs/method.md, section 10). Metres.
+
+use glam::DVec3;
+
+use super::Surface;
+use super::edges::{DOUBT_WEIGHT, MIN_NOISE, MIN_TOTAL, OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT, WIDTH};
+use super::plane::{DEGENERATE_RATIO, Plane};
+use super::window::fading_gate;
+
+/// The mean of the positions up to this share of the radius away stands for p where its distance from a plane is asked.
+const MEAN_REACH: f64 = 0.4;
+
+/// How much that distance weighs beside the plane's own residual, both squared.
+const DISTANCE_WEIGHT: f64 = 0.2;
+
+/// From this cosine of the angle to p's own plane down, planes count less and less: their normals' side is not known.
+const FACING_COSINE: f64 = 0.1;
+
+/// What the neighbours of a position say.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FirstPlane {
+    pub(super) surface: Surface,
+    pub(super) radius_m: f64,
+    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or on a line.
+    residual: f64,
+}
+
+impl FirstPlane {
+    pub(super) fn new(surface: Surface, radius_m: f64) -> Self {
+        let residual = surface.plane.as_ref().map_or(f64::INFINITY, |plane| residual(plane, radius_m));
+        Self { surface, radius_m, residual }
+    }
+
+    /// The surface that its position p lies on, by the first planes `around` it, its own among them, with their offsets from p.
+    pub(super) fn surface(&self, around: &[(DVec3, &Self)], from_sensor: DVec3) -> Surface {
+        let Some(own_plane) = self.surface.plane else { return self.surface };
+        let radius_squared = self.radius_m * self.radius_m;
+        let gate = |offset: DVec3| fading_gate(offset, PLANE_REACH * self.radius_m);
+        // The noise is the harmonic mean of the residuals: that of the planes that fit.
+        let (mut total, mut inverse) = (0.0, 0.0);
+        let (mut near, mut mean) = (0.0, DVec3::ZERO);
+        for &(offset, first) in around {
+            total += gate(offset);
+            inverse += gate(offset) * radius_squared / first.residual;
+            let nearness = fading_gate(offset, MEAN_REACH * self.radius_m);
+            near += nearness;
+            mean += nearness * offset;
+        }
+        if inverse <= 0.0 {
+            return self.surface;
+        }
+        let mean = mean / near;
+        let noise_squared = radius_squared * total / inverse;
+
+        let (mut normal, mut height_m, mut total) = (OWN_NORMAL_WEIGHT * own_plane.normal, 0.0, STAY_WEIGHT);
+        for &(offset, first) in around {
+            let Some(plane) = first.surface.plane.filter(|_| first.residual.is_finite()) else { continue };
+            // From p to the plane along its normal, and from the mean.
+            let to_plane_m = (offset + plane.foot).dot(plane.normal);
+            let from_mean_m = to_plane_m - mean.dot(plane.normal);
+            let residual = first.residual + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
+            let weight = gate(offset) * (1.0 + residual / noise_squared).powi(-4);
+            // Normals that point the other way are turned round.
+            let facing = (plane.normal.dot(own_plane.normal) / FACING_COSINE).clamp(-1.0, 1.0);
+            normal += weight * facing * plane.normal;
+            height_m += weight * facing * to_plane_m;
+            total += weight * facing.abs();
+        }
+        // Planes that disagree may lie further away than a point may move.
+        let height_m = (height_m / total).clamp(-self.radius_m, self.radius_m);
+        // The foot is the same whichever way the normal points.
+        let foot = height_m * normal.normalize();
+        let normal = if normal.dot(from_sensor) > 0.0 { -normal.normalize() } else { normal.normalize() };
+        // The curvature, and the extent that is the unit of the fit, are those of its own neighbours.
+        let plane = Plane { normal, foot, ..own_plane };
+        Surface { plane: Some(plane), width_m: WIDTH * noise_squared.sqrt(), ..self.surface }
+    }
+}
+
+fn residual(plane: &Plane, radius_m: f64) -> f64 {
+    let enough = (plane.total - MIN_TOTAL).clamp(0.0, 1.0);
+    let off_line = plane.middle_variance / (DEGENERATE_RATIO * plane.largest_variance) - 1.0;
+    let variance = plane.smallest_variance + (MIN_NOISE * radius_m).powi(2);
+    variance * (1.0 + DOUBT_WEIGHT * plane.doubt) / (enough * off_line.clamp(0.0, 1.0))
+}
