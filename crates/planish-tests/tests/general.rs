@@ -72,8 +72,7 @@ fn settings() -> Vec<SmoothParams> {
         fixed.with_radius_m(0.2),
         robust,
         robust.with_degree(1),
-        // With a smaller ridge a few stray points of the sphere hang on the last digits of their normals.
-        robust.with_degree(3).with_ridge(1e-2).with_radius(planish::Radius::Neighbours { count: 60 }),
+        robust.with_degree(3),
         robust.with_radius_m(0.06),
         robust.with_radius_m(0.1).with_ridge(1e-2).with_bandwidth_m(Some(0.05)),
         // Along rays, which general clouds have not.
@@ -101,6 +100,11 @@ fn every_engine_agrees_with_the_reference() {
         let bunny: Points = bunny().positions.iter().collect();
         assert_agrees("bunny", &bunny, params);
     }
+    // With so many neighbours the sphere's stray points reach the pole, where their radii hang on the last digits of sums.
+    let wide = SmoothParams::general().with_edges(Edges::Robust).with_degree(3);
+    let wide = wide.with_radius(planish::Radius::Neighbours { count: 100 });
+    assert_agrees("frame", &frame_points(1), wide);
+    assert_agrees("room", &frame_points(2), wide);
 }
 
 #[test]
