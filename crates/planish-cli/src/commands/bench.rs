@@ -1,7 +1,7 @@
 //! `planish bench`: arguments and frames for the experiments.
 
+use crate::exit::ExitCode;
 use std::path::PathBuf;
-use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use planish::io::{self, Contents};

@@ -1,6 +1,6 @@
 //! `planish clean`: a box cut out, a cloud thinned, outliers removed.
 
-use std::process::ExitCode;
+use crate::exit::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};

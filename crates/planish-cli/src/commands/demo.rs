@@ -1,7 +1,7 @@
 //! `planish demo`: a simulated frame, smoothed, against its truth.
 
+use crate::exit::ExitCode;
 use std::fs;
-use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context, Result};

@@ -1,6 +1,6 @@
 //! `planish devices`: what this machine computes with, and what `auto` takes.
 
-use std::process::ExitCode;
+use crate::exit::ExitCode;
 use std::thread::available_parallelism;
 
 use anyhow::Result;

@@ -1,8 +1,8 @@
 //! `planish evaluate`: how good the surface is.
 
+use crate::exit::ExitCode;
 use std::fs;
 use std::path::Path;
-use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};

@@ -1,7 +1,7 @@
 //! `planish info`: what a file contains.
 
+use crate::exit::ExitCode;
 use std::path::Path;
-use std::process::ExitCode;
 
 use anyhow::Result;
 use planish::io::{self, Contents, Format};

@@ -1,8 +1,8 @@
 //! `planish completions` and `planish man`.
 
+use crate::exit::ExitCode;
 use std::fs;
 use std::path::Path;
-use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::CommandFactory;

@@ -1,6 +1,6 @@
 //! `planish record`: frames as they come, into a data set.
 
-use std::process::ExitCode;
+use crate::exit::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 

@@ -1,6 +1,6 @@
 //! `planish render`: the relief of a cloud, and its colours.
 
-use std::process::ExitCode;
+use crate::exit::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use planish::internal::write_rgb_png;

@@ -4,10 +4,10 @@ mod progress;
 mod report;
 mod tiles;
 
+use crate::exit::ExitCode;
 use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 

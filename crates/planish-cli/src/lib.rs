@@ -1,0 +1,80 @@
+//! The command `planish`: it reads arguments, calls the library and prints; it decides nothing. A library, so that Python's wheel
+//! can hold it beside its own module.
+//!
+//! Exit codes: 0 done, 1 some frames failed, 2 bad arguments or input, 130 ended by a signal.
+
+mod args;
+mod commands;
+mod exit;
+mod signals;
+
+use std::ffi::OsString;
+
+use clap::{ArgAction, CommandFactory, FromArgMatches};
+use planish_bench::errln;
+
+use args::{Args, Command};
+
+/// Runs the command with its arguments, the program's name first, and returns its exit code. Bad arguments and `--help` end the process.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    quiet_the_window_system();
+    quiet_the_decoder_of_laz();
+    if let Err(error) = signals::install() {
+        errln!("warning: {error:#}");
+    }
+    let result = match parse(arguments).command {
+        Command::Demo(args) => commands::demo::run(&args),
+        Command::Smooth(args) => commands::smooth::run(&args),
+        Command::Clean(args) => commands::clean::run(&args),
+        Command::Info(args) => commands::info::run(&args),
+        Command::Render(args) => commands::render::run(&args),
+        Command::Stream(args) => commands::stream::run(&args),
+        Command::Record(args) => commands::record::run(&args),
+        Command::Devices(args) => commands::devices::run(&args),
+        Command::Evaluate(args) => commands::evaluate::run(&args),
+        Command::Bench(args) => commands::bench::run(&args),
+        Command::Completions(args) => commands::manual::completions(&args),
+        Command::Man(args) => commands::manual::man(&args),
+    };
+    match result {
+        Ok(code) => code.number(),
+        Err(error) => {
+            errln!("error: {error:#}");
+            2
+        }
+    }
+}
+
+/// Reads the arguments. What is below zero reaches an option's own check instead of being taken for another option.
+fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
+    fn with_negative_numbers(command: clap::Command) -> clap::Command {
+        let takes_value = |argument: &clap::Arg| {
+            argument.get_long().is_some() && matches!(argument.get_action(), ArgAction::Set | ArgAction::Append)
+        };
+        command
+            .mut_args(|argument| if takes_value(&argument) { argument.allow_negative_numbers(true) } else { argument })
+            .mut_subcommands(with_negative_numbers)
+    }
+    let matches = with_negative_numbers(Args::command()).get_matches_from(arguments);
+    Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+/// The decoder of LAZ panics on some damaged files. The library catches that and says what is wrong with the file; where in the decoder
+/// it happened is of no use to anybody.
+fn quiet_the_decoder_of_laz() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !panic.location().is_some_and(|location| location.file().contains("/laz-")) {
+            usual(panic);
+        }
+    }));
+}
+
+/// Where there is no session of a desktop, Mesa's Vulkan drivers look for one nevertheless and complain on standard error of a
+/// missing XDG_RUNTIME_DIR, once for every question. Any folder quiets them.
+fn quiet_the_window_system() {
+    if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // SAFETY: the process has no other thread yet that could read the environment.
+        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
+    }
+}

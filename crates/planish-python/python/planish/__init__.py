@@ -1,0 +1,41 @@
+"""planish: smooth depth frames and point clouds by Moving Least Squares, fast enough for every frame.
+
+One call:
+
+>>> import planish
+>>> frame = planish.simulate("table")
+>>> result = planish.smooth(frame.depth, frame.camera)
+>>> result.points.shape, result.normals.shape
+((480, 640, 3), (480, 640, 3))
+
+Many frames, with buffers that are kept:
+
+>>> with planish.Smoother(camera=frame.camera, outputs=["depth"]) as smoother:
+...     for _ in range(3):
+...         depth = smoother.smooth(frame.depth).depth
+>>> depth.dtype, depth.shape
+(dtype('uint16'), (480, 640))
+"""
+
+from ._files import Devices, Frame, Simulated, devices, evaluate, info, read, simulate, write
+from ._planish import VERSION as __version__
+from ._planish import Camera
+from ._smoothing import Smoothed, Smoother, Status, smooth
+
+__all__ = [
+    "Camera",
+    "Devices",
+    "Frame",
+    "Simulated",
+    "Smoothed",
+    "Smoother",
+    "Status",
+    "__version__",
+    "devices",
+    "evaluate",
+    "info",
+    "read",
+    "simulate",
+    "smooth",
+    "write",
+]

@@ -1,0 +1,92 @@
+"""What callers hand in, as numpy's arrays of a kind that the engines read where they lie."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._planish import Camera
+
+# DLPack's numbers of devices whose memory the processor reads: its own, and pinned for CUDA and ROCm.
+_HOST_DEVICES = (1, 3, 11)
+
+
+def as_array(given: Any) -> NDArray[Any]:
+    """The array that an object holds, without a copy where that is possible.
+
+    Takes numpy's arrays, anything with ``__array_interface__``, ``__array__`` or ``__dlpack__`` (torch, cupy, jax), structured arrays and
+    data frames with columns x, y and z, and nested sequences. What lies on a device is copied to the host, with a warning.
+    """
+    if isinstance(given, np.ndarray):
+        return _without_names(given)
+    if hasattr(given, "columns") and {"x", "y", "z"} <= set(given.columns):
+        return np.ascontiguousarray(given[["x", "y", "z"]].to_numpy())
+    if hasattr(given, "__dlpack_device__"):
+        device, _ = given.__dlpack_device__()
+        if int(device) not in _HOST_DEVICES:
+            warnings.warn("an array on a device is copied to the host before it is smoothed", stacklevel=4)
+            given = given.cpu() if hasattr(given, "cpu") else given.get()
+        if hasattr(given, "detach"):
+            given = given.detach()
+        if not isinstance(given, np.ndarray):
+            return np.from_dlpack(given)
+    return _without_names(np.asarray(given))
+
+
+def _without_names(array: NDArray[Any]) -> NDArray[Any]:
+    """A structured array with x, y and z as points [.., 3]."""
+    if array.dtype.names is None:
+        return array
+    if not {"x", "y", "z"} <= set(array.dtype.names):
+        raise TypeError(f"a structured array needs the fields x, y and z, and this one has {', '.join(array.dtype.names)}")
+    return np.stack([array["x"], array["y"], array["z"]], axis=-1)
+
+
+def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
+    """The array of a frame, and whether it is a depth image."""
+    array = as_array(given)
+    is_float = array.dtype.kind == "f"
+    is_depth = False
+    if array.ndim == 3 and array.shape[2] == 3:
+        pass
+    elif array.ndim == 2 and array.shape[1] == 3 and is_float and (camera is None or camera.width != 3):
+        pass
+    elif array.ndim == 2:
+        is_depth = True
+    else:
+        raise ValueError(
+            f"a frame of shape {list(array.shape)} is not allowed: depth [H, W], points [H, W, 3] or points [N, 3]"
+        )
+    allowed = (np.uint16, np.float32) if is_depth else (np.float32, np.float64)
+    if array.dtype.newbyteorder("=") not in allowed:
+        expected = "depth is uint16 (raw values) or float32 (metres)" if is_depth else "points are float32 or float64"
+        raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: {expected}")
+    if 0 in array.shape and array.shape != (0, 3):
+        raise ValueError(f"a frame of shape {list(array.shape)} has no pixels")
+    if is_depth and camera is None:
+        raise ValueError("a depth image needs its camera: camera=planish.Camera(width, height, fx, fy)")
+    if is_depth and camera is not None and array.shape != (camera.height, camera.width):
+        height, width = array.shape
+        raise ValueError(f"the depth image is {width}x{height}, and its camera {camera.width}x{camera.height}")
+    if not array.dtype.isnative:
+        array = array.astype(array.dtype.newbyteorder("="))
+    return _readable(array, is_depth), is_depth
+
+
+def _readable(array: NDArray[Any], is_depth: bool) -> NDArray[Any]:
+    """The same array where the engines can read it as it lies; else a copy in order."""
+    strides, size = array.strides, array.itemsize
+    in_order = array.flags.aligned and all(stride >= 0 for stride in strides)
+    if is_depth:
+        height, width = array.shape
+        lies_apart = strides[1] == size and (height < 2 or strides[0] >= width * size) and strides[0] % size == 0
+    else:
+        # Points apart from one another, and so are rows.
+        span = 2 * strides[-1] + size
+        lies_apart = strides[-1] >= size and (array.shape[-2] < 2 or strides[-2] >= span)
+        if array.ndim == 3 and array.shape[0] > 1:
+            lies_apart = lies_apart and strides[0] >= (array.shape[1] - 1) * strides[1] + span
+    return array if in_order and lies_apart else np.ascontiguousarray(array)

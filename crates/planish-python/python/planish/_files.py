@@ -1,0 +1,247 @@
+"""Files, simulated frames, scores and devices."""
+
+from __future__ import annotations
+
+import errno
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _planish
+from ._arrays import as_array
+from ._planish import Camera
+
+
+@dataclass(slots=True)
+class Frame:
+    """What a file holds: a depth image, or points.
+
+    Attributes
+    ----------
+    format : str
+        Name of the file's format.
+    depth : ndarray, [H, W]
+        Raw values (uint16, holes 0) or metres (float32, holes NaN); ``None`` for points.
+    points : ndarray, [H, W, 3] or [N, 3]
+        Metres, holes NaN; float32, or float64 where float32 would lose digits; ``None`` for depth.
+    fields : dict of str to ndarray
+        Every other field of the points: colour, intensity, label, ..., [H, W] or [N].
+    camera : Camera
+        Where the file says it.
+    pose : tuple of 7 floats
+        Where the sensor stands: x, y, z, qw, qx, qy, qz; ``None`` if the file does not say.
+    """
+
+    format: str
+    depth: NDArray[Any] | None = None
+    points: NDArray[Any] | None = None
+    fields: dict[str, NDArray[Any]] = field(default_factory=dict)
+    camera: Camera | None = None
+    pose: tuple[float, ...] | None = None
+
+    @property
+    def array(self) -> NDArray[Any]:
+        """The depth or the points, as `planish.smooth` takes them."""
+        if self.depth is not None:
+            return self.depth
+        if self.points is None:
+            raise ValueError("the frame holds neither depth nor points")
+        return self.points
+
+
+@dataclass(slots=True)
+class Simulated:
+    """A simulated depth image with its truth.
+
+    Attributes
+    ----------
+    depth : ndarray of uint16, [H, W]
+        Raw depth with the sensor's noise, 0 for holes.
+    camera : Camera
+        The camera that took it.
+    points, normals : ndarray of float32, [H, W, 3]
+        The true surface in metres; NaN where there is none.
+    """
+
+    depth: NDArray[np.uint16]
+    camera: Camera
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+
+
+@dataclass(slots=True)
+class Devices:
+    """The engines of this machine.
+
+    Attributes
+    ----------
+    gpus : list of (index, name, kind)
+        Every adapter, software renderers among them.
+    auto : str
+        The engine that ``engine="auto"`` takes.
+    reason : str
+        Why.
+    """
+
+    gpus: list[tuple[int, str, str]]
+    auto: str
+    reason: str
+
+
+def read(path: str | PathLike[str]) -> Frame:
+    """Read a cloud or a depth image: PCD, PLY, LAS, LAZ, E57, XYZ, PTS, CSV, NPY, NPZ, KITTI .bin, OBJ, STL, 16-bit PNG or TIFF.
+
+    Raises
+    ------
+    OSError
+        If there is no such file (``FileNotFoundError``), or it cannot be read.
+    ValueError
+        If its contents contradict its format.
+    """
+    found = _planish.read(path)
+    grid = found.pop("grid", None)
+    if grid is not None:
+        found["points"] = found["points"].reshape(*grid, 3)
+        found["fields"] = {name: values.reshape(*grid, *values.shape[1:]) for name, values in found["fields"].items()}
+    if "pose" in found:
+        found["pose"] = tuple(found["pose"])
+    return Frame(**found)
+
+
+def write(
+    path: str | PathLike[str],
+    data: Any,
+    *,
+    fields: Mapping[str, NDArray[Any]] | None = None,
+    pose: Iterable[float] | None = None,
+    encoding: Literal["binary", "ascii", "compressed"] = "binary",
+) -> None:
+    """Write points or a depth image; the extension says the format.
+
+    Parameters
+    ----------
+    path : path
+        ``.pcd``, ``.ply``, ``.las``, ``.laz``, ``.xyz``, ``.csv``, ``.npy``, ... for points, ``.png``, ``.tiff`` or ``.npy`` for depth.
+    data : array or Frame
+        Points [H, W, 3] or [N, 3], or depth [H, W] (uint16, or float32 in metres).
+    fields : mapping of str to array, optional
+        A value for each point: ``{"intensity": ..., "normal_x": ...}``.
+    pose : sequence of 7 floats, optional
+        Where the sensor stands: x, y, z, qw, qx, qy, qz.
+    encoding : {"binary", "ascii", "compressed"}
+        Of .pcd and .ply.
+    """
+    folder = Path(path).parent
+    if not folder.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(folder))
+    if isinstance(data, Frame):
+        fields = {**data.fields, **(fields or {})}
+        pose = data.pose if pose is None else pose
+        data = data.array
+    array = as_array(data)
+    if array.ndim == 2 and (array.dtype == np.uint16 or (array.dtype == np.float32 and array.shape[1] != 3)):
+        if fields or pose is not None:
+            raise ValueError("a depth image has neither fields nor a pose")
+        _planish.write_depth(path, np.ascontiguousarray(array))
+        return
+    if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind != "f":
+        raise ValueError(
+            f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: points [H, W, 3] or [N, 3], or depth [H, W] of uint16 or float32"
+        )
+    grid = (array.shape[0], array.shape[1]) if array.ndim == 3 else None
+    flat = {}
+    for name, values in (fields or {}).items():
+        values = np.asarray(values)
+        if values.shape != array.shape[:-1]:
+            raise ValueError(f"fields[{name!r}]: the shape {list(array.shape[:-1])} is expected, not {list(values.shape)}")
+        flat[name] = np.ascontiguousarray(values).reshape(-1)
+    rows = np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
+    _planish.write_points(path, rows, grid, flat, None if pose is None else tuple(pose), encoding)
+
+
+def info(path: str | PathLike[str]) -> dict[str, Any]:
+    """What a file holds, in short.
+
+    Examples
+    --------
+    >>> import planish, tempfile, pathlib
+    >>> file = pathlib.Path(tempfile.mkdtemp()) / "depth.png"
+    >>> planish.write(file, planish.simulate("table").depth)
+    >>> planish.info(file)["shape"]
+    (480, 640)
+    """
+    frame = read(path)
+    array = frame.array
+    valid = np.isfinite(array).all(axis=-1) if frame.points is not None else np.isfinite(array) & (array != 0)
+    found: dict[str, Any] = {
+        "format": frame.format,
+        "kind": "depth" if frame.depth is not None else ("organized" if array.ndim == 3 else "general"),
+        "shape": array.shape[:2] if frame.depth is not None else array.shape[:-1],
+        "dtype": str(array.dtype),
+        "valid": int(valid.sum()),
+        "fields": {name: str(values.dtype) for name, values in frame.fields.items()},
+        "camera": frame.camera,
+        "pose": frame.pose,
+    }
+    if valid.any():
+        values = array[valid]
+        found["least"], found["largest"] = values.min(axis=0).tolist(), values.max(axis=0).tolist()
+    return found
+
+
+def simulate(
+    scene: Literal["table", "room", "shapes"] = "table",
+    *,
+    seed: int = 1,
+    camera: Camera | None = None,
+    sensor: str = "kinect1",
+    index: int = 0,
+) -> Simulated:
+    """Simulate a depth image of a known scene, with the noise of a sensor; the same seed gives the same image.
+
+    Parameters
+    ----------
+    scene : {"table", "room", "shapes"}
+        What is seen.
+    seed : int
+        Of the scene and its noise.
+    camera : Camera, optional
+        A Kinect v1 if left out.
+    sensor : str
+        Whose noise, as `Smoother` names them.
+    index : int
+        Which image of the same still scene.
+    """
+    camera = Camera.kinect_v1() if camera is None else camera
+    depth, points, normals = _planish.simulate(scene, seed, camera, sensor, index)
+    return Simulated(depth, camera, points, normals)
+
+
+def evaluate(*, seeds: Iterable[int] = (1,), **settings: Any) -> dict[str, Any]:
+    """Smooth simulated frames and measure the result against the truth, as ``planish evaluate`` does.
+
+    Parameters
+    ----------
+    seeds : iterable of int
+        Three frames each.
+    **settings
+        As `Smoother` takes them.
+
+    Returns
+    -------
+    dict
+        ``"raw"`` and ``"smoothed"``, each with errors by range, edges, shapes and lost pixels; millimetres and degrees.
+    """
+    scores: dict[str, Any] = json.loads(_planish.evaluate(dict(settings), [int(seed) for seed in seeds]))
+    return scores
+
+
+def devices() -> Devices:
+    """The GPUs of this machine, and what ``engine="auto"`` takes."""
+    return Devices(*_planish.devices())

@@ -1,0 +1,102 @@
+"""The extension module; what users call is in `planish` itself."""
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+VERSION: str
+
+_Place = tuple[Camera | None, tuple[float, ...] | None, tuple[float, ...] | None]
+
+class Camera:
+    """A pinhole camera, with OpenCV's distortion.
+
+    Parameters
+    ----------
+    width, height : int
+        Size of its images in pixels.
+    fx, fy : float
+        Focal lengths in pixels.
+    cx, cy : float, optional
+        Principal point in pixels, counted from the middle of the first pixel; the middle of the image if left out.
+    depth_units_per_metre : float
+        What a raw depth value of 1 m is: 1000 for millimetres.
+    distortion : sequence of float, optional
+        OpenCV's 4, 5 or 8 coefficients (k1, k2, p1, p2, k3, ...).
+    """
+
+    def __new__(
+        cls,
+        width: int,
+        height: int,
+        fx: float,
+        fy: float,
+        cx: float | None = None,
+        cy: float | None = None,
+        depth_units_per_metre: float = 1000.0,
+        distortion: list[float] | None = None,
+    ) -> Camera: ...
+    @staticmethod
+    def kinect_v1() -> Camera:
+        """The depth camera of a Kinect v1, as PCL and ROS assume it."""
+    @staticmethod
+    def read(path: str | PathLike[str], shape: tuple[int, int] | None = None) -> Camera:
+        """Read a camera file: ROS camera_info, Kalibr, Open3D, COLMAP or planish's own; `shape` is (height, width)."""
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def fx(self) -> float: ...
+    @property
+    def fy(self) -> float: ...
+    @property
+    def cx(self) -> float: ...
+    @property
+    def cy(self) -> float: ...
+    @property
+    def depth_units_per_metre(self) -> float: ...
+    @property
+    def distortion(self) -> list[float]: ...
+
+class Engine:
+    def __new__(cls, settings: dict[str, Any]) -> Engine: ...
+    def smooth(
+        self, array: NDArray[Any], is_depth: bool, place: _Place, out: dict[str, NDArray[Any]]
+    ) -> str | None: ...
+    def submit(
+        self, array: NDArray[Any], is_depth: bool, place: _Place, outputs: dict[str, NDArray[Any]]
+    ) -> None: ...
+    def receive(self, out: dict[str, NDArray[Any]]) -> bool: ...
+    def in_flight(self) -> tuple[int, int]: ...
+    def smooth_batch(
+        self,
+        arrays: list[NDArray[Any]],
+        is_depth: bool,
+        camera: Camera | None,
+        outs: list[dict[str, NDArray[Any]]],
+    ) -> None: ...
+    def time_library(
+        self, array: NDArray[Any], is_depth: bool, place: _Place, outputs: dict[str, NDArray[Any]], runs: int
+    ) -> list[float]: ...
+    def opened(self) -> tuple[str | None, str | None, str | None]: ...
+    def close(self) -> None: ...
+
+def read(path: str | PathLike[str]) -> dict[str, Any]: ...
+def write_points(
+    path: str | PathLike[str],
+    points: NDArray[np.float64],
+    grid: tuple[int, int] | None,
+    fields: dict[str, NDArray[Any]],
+    pose: tuple[float, ...] | None,
+    encoding: str,
+) -> None: ...
+def write_depth(path: str | PathLike[str], depth: NDArray[Any]) -> None: ...
+def simulate(
+    scene: str, seed: int, camera: Camera, sensor: str, index: int
+) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.float32]]: ...
+def evaluate(settings: dict[str, Any], seeds: list[int]) -> str: ...
+def command(arguments: list[str]) -> int: ...
+def devices() -> tuple[list[tuple[int, str, str]], str, str]: ...

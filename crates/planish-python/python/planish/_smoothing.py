@@ -1,0 +1,494 @@
+"""Smoothing: one call, or a smoother that keeps its engine and buffers."""
+
+from __future__ import annotations
+
+import enum
+import threading
+import warnings
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from ._arrays import as_frame
+from ._planish import Camera, Engine
+
+Output = Literal["points", "normals", "curvature", "status", "neighbours", "depth", "depth_m"]
+Preset = Literal["light", "default", "strong", "paper"]
+Sensor = Literal["kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone", "exact", "auto"]
+Pose = Sequence[float]
+
+_OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
+    # The type of an output's values, and whether each is a vector.
+    "points": (np.float32, True),
+    "normals": (np.float32, True),
+    "curvature": (np.float32, False),
+    "status": (np.uint8, False),
+    "neighbours": (np.uint32, False),
+    "depth": (np.uint16, False),
+    "depth_m": (np.float32, False),
+}
+
+#: Coordinates of a map rather than of a scene: float32 would lose their digits.
+_FAR_M = 1000.0
+
+
+class Status(enum.IntEnum):
+    """What became of a point."""
+
+    #: No measurement came in, none goes out.
+    HOLE = 0
+    #: Fewer than 3 neighbours: the output is a hole.
+    TOO_FEW = 1
+    #: The neighbours lie on a line: the point stays as measured and has no normal.
+    DEGENERATE = 2
+    #: On the plane.
+    PLANE = 3
+    #: On a polynomial of degree 2.
+    POLYNOMIAL_2 = 4
+    #: On a polynomial of degree 3.
+    POLYNOMIAL_3 = 5
+    #: In a general cloud, far from all others: the point stays as measured and has no normal.
+    ISOLATED = 6
+
+
+@dataclass(slots=True)
+class Smoothed:
+    """The result of a frame; what was not asked for is ``None``.
+
+    Attributes
+    ----------
+    points : ndarray of float32, [H, W, 3] or [N, 3]
+        Points in metres, NaN for holes; float64 where the points that came in were.
+    normals : ndarray of float32, the same shape
+        Unit normals towards the sensor, NaN where there is none.
+    curvature : ndarray of float32, [H, W] or [N]
+        Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
+    status : ndarray of uint8, [H, W] or [N]
+        What became of each point, as `Status`.
+    neighbours : ndarray of uint32, [H, W] or [N]
+        Number of neighbours, the point itself included.
+    depth : ndarray of uint16, [H, W]
+        Raw depth in the camera's units, 0 for holes.
+    depth_m : ndarray of float32, [H, W]
+        Depth in metres, NaN for holes.
+    """
+
+    points: NDArray[Any] | None = None
+    normals: NDArray[np.float32] | None = None
+    curvature: NDArray[np.float32] | None = None
+    status: NDArray[np.uint8] | None = None
+    neighbours: NDArray[np.uint32] | None = None
+    depth: NDArray[np.uint16] | None = None
+    depth_m: NDArray[np.float32] | None = None
+
+
+@dataclass(slots=True)
+class _Kind:
+    """What the result of a frame is like."""
+
+    shape: tuple[int, ...]
+    points: DTypeLike
+    origin: tuple[float, float, float] | None
+
+
+class Smoother:
+    """An open engine with its buffers: the way to smooth many frames.
+
+    The engine is opened with the first frame, whose resolution strides and windows follow, and again where frames change their shape, camera or
+    pose. A smoother is for one thread at a time;
+    open one for each. It can be pickled: its settings are, its buffers are not.
+
+    Parameters
+    ----------
+    camera : Camera, optional
+        Of depth images, and of organized points whose depth is wanted.
+    outputs : iterable of str
+        Of ``"points"``, ``"normals"``, ``"curvature"``, ``"status"``, ``"neighbours"``, ``"depth"`` (uint16) and ``"depth_m"``; the fewer, the
+        faster.
+    preset : {"default", "light", "strong", "paper"}, optional
+        How much to smooth: windows of 25x25, 15x15 and 29x29 pixels of a Kinect v1, and as the noise of others demands; ``"paper"`` is
+        the setting of the 2011 report.
+    strength : float, optional
+        The same as a number from 0 (light) to 1 (strong), instead of a preset.
+    sensor : str, optional
+        Whose noise it is: ``"kinect1"`` (the default), ``"d415"``, ``"d435"``, ``"d455"``, ``"azure-kinect"``, ``"l515"``, ``"iphone"``, ``"exact"``, or
+        ``"auto"``, estimated from each frame.
+    radius : float or "sensor", optional
+        Radius of a neighbourhood in metres; ``"sensor"`` grows with distance as the sensor's noise does (frames on a grid).
+    neighbours : int, optional
+        Of general clouds instead of a radius: so many neighbours by the density around each point, 6 to 1000 (40).
+    edges : {"robust", "off"}, optional
+        Whether creases and steps are kept: by default they are in frames on a grid, and not in general clouds.
+    window, stride : int, optional
+        Half width of the window, 1 to 7, and distance between its samples in pixels, 1 to 8.
+    average_blocks : bool, optional
+        Whether each sample is the mean of its block of pixels.
+    degree : int, optional
+        Degree of the surface: 1 to 3.
+    bandwidth : float, optional
+        Bandwidth of the Gaussian weights in metres; else the radius.
+    ridge : float, optional
+        How much slopes and curvatures are damped, 1e-3 to 100.
+    project : {"ray", "normal"}, optional
+        Along which line points are put onto the surface.
+    remove_isolated : bool
+        Whether isolated points of a general cloud become holes; else they stay.
+    engine : {"auto", "cpu", "gpu", "reference"}
+        ``"auto"`` takes a real GPU where there is one, else the CPU.
+    adapter : str or int, optional
+        Which GPU: its index or part of its name.
+    threads : int, optional
+        Threads of the CPU engine; one for each core if left out.
+
+    Examples
+    --------
+    >>> import planish
+    >>> frame = planish.simulate("room", seed=2)
+    >>> smoother = planish.Smoother(camera=frame.camera, preset="strong")
+    >>> result = smoother.smooth(frame.depth)
+    >>> bool((result.status >= planish.Status.PLANE).mean() > 0.9)
+    True
+    """
+
+    def __init__(
+        self,
+        camera: Camera | None = None,
+        *,
+        outputs: Iterable[Output] = ("points", "normals", "status"),
+        preset: Preset | None = None,
+        strength: float | None = None,
+        sensor: Sensor | None = None,
+        radius: float | Literal["sensor"] | None = None,
+        neighbours: int | None = None,
+        edges: Literal["robust", "off"] | None = None,
+        window: int | None = None,
+        stride: int | None = None,
+        average_blocks: bool | None = None,
+        degree: int | None = None,
+        bandwidth: float | None = None,
+        ridge: float | None = None,
+        project: Literal["ray", "normal"] | None = None,
+        remove_isolated: bool = False,
+        engine: Literal["auto", "cpu", "gpu", "reference"] = "auto",
+        adapter: str | int | None = None,
+        threads: int | None = None,
+    ) -> None:
+        if camera is not None and not isinstance(camera, Camera):
+            raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
+        if radius is not None and neighbours is not None:
+            raise ValueError("radius and neighbours are two ways to say the same: give one")
+        self._camera = camera
+        self._outputs = _checked_outputs(outputs)
+        self._settings: dict[str, Any] = {
+            "preset": preset,
+            "strength": strength,
+            "sensor": sensor,
+            "radius": radius,
+            "neighbours": neighbours,
+            "edges": edges,
+            "window": window,
+            "stride": stride,
+            "average_blocks": average_blocks,
+            "degree": degree,
+            "bandwidth": bandwidth,
+            "ridge": ridge,
+            "project": project,
+            "remove_isolated": remove_isolated,
+            "engine": engine,
+            "adapter": adapter,
+            "threads": threads,
+        }
+        self._engine = Engine(self._settings)
+        self._in_flight: deque[_Kind] = deque()
+        self._order = threading.Lock()
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera that depth images are taken to be from."""
+        return self._camera
+
+    @property
+    def engine(self) -> str | None:
+        """The engine that is open, with the name of its GPU; ``None`` before the first frame."""
+        name, gpu, _ = self._engine.opened()
+        return f"{name}, {gpu}" if gpu else name
+
+    @property
+    def chosen_because(self) -> str | None:
+        """Why ``engine="auto"`` chose as it did."""
+        return self._engine.opened()[2]
+
+    def smooth(
+        self,
+        frame: Any,
+        out: Smoothed | Mapping[str, NDArray[Any]] | None = None,
+        *,
+        pose: Pose | None = None,
+    ) -> Smoothed:
+        """Smooth a frame.
+
+        Parameters
+        ----------
+        frame : array
+            Depth [H, W], uint16 in the camera's units or float32 in metres; organized points [H, W, 3], or a general cloud [N, 3], float32 or
+            float64 in metres. Holes are 0 in depth and NaN in points. Arrays are read where they lie, whatever their strides; anything
+            with ``__array_interface__`` or ``__dlpack__`` is taken, and data frames with columns x, y and z.
+        out : Smoothed or mapping of str to ndarray, optional
+            C-contiguous arrays to write into, instead of new ones; what they are decides the outputs.
+        pose : sequence of 7 floats, optional
+            Where the sensor stands in the frame of the points: x, y, z, qw, qx, qy, qz.
+
+        Returns
+        -------
+        Smoothed
+            With `out`, that which holds the same arrays.
+
+        Raises
+        ------
+        TypeError
+            For an array of another type.
+        ValueError
+            For another shape, parameters out of range, arrays that overlap or are read-only.
+        RuntimeError
+            If an engine is not available or fails, or while another thread smooths with it.
+        """
+        array, is_depth = as_frame(frame, self._camera)
+        kind = _kind_of(array, is_depth)
+        arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
+        # The engine writes float32; points of other types are made of them.
+        written = {name: _written(name, array) for name, array in arrays.items()}
+        said = self._engine.smooth(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), written)
+        if said is not None:
+            warnings.warn(f"smoothed on the CPU: {said}", RuntimeWarning, stacklevel=2)
+        return _finished(arrays, written, kind)
+
+    def submit(self, frame: Any, *, pose: Pose | None = None) -> None:
+        """Hand a frame over without waiting for its result; a GPU computes it while Python goes on.
+
+        The frame may be changed as soon as this returns. At most `max_in_flight` frames may be in flight.
+        """
+        array, is_depth = as_frame(frame, self._camera)
+        kind = _kind_of(array, is_depth)
+        kinds = {name: np.empty(0, _OUTPUTS[name][0]) for name in self._outputs}
+        with self._order:
+            self._engine.submit(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), kinds)
+            self._in_flight.append(kind)
+
+    def receive(self) -> Smoothed | None:
+        """Wait for the result of the first frame in flight; ``None`` if none is."""
+        with self._order:
+            if not self._in_flight:
+                return None
+            kind = self._in_flight[0]
+            arrays = _new_arrays(self._outputs, kind)
+            written = {name: _written(name, array) for name, array in arrays.items()}
+            try:
+                received = self._engine.receive(written)
+            except Exception:
+                # The engine is closed, and all frames in flight with it.
+                self._in_flight.clear()
+                raise
+            self._in_flight.popleft()
+        return _finished(arrays, written, kind) if received else None
+
+    @property
+    def in_flight(self) -> int:
+        """How many frames are in flight."""
+        return self._engine.in_flight()[0]
+
+    @property
+    def max_in_flight(self) -> int:
+        """How many frames may be; 1 before the first."""
+        return self._engine.in_flight()[1]
+
+    def smooth_batch(
+        self,
+        frames: Any,
+        out: Mapping[str, NDArray[Any]] | None = None,
+    ) -> Smoothed:
+        """Smooth frames of one shape, as many at once as the engine takes.
+
+        Parameters
+        ----------
+        frames : array or sequence of arrays
+            Depth [B, H, W] or organized points [B, H, W, 3], or a sequence of frames.
+        out : mapping of str to ndarray, optional
+            C-contiguous arrays to write into, with the frames as first dimension.
+
+        Returns
+        -------
+        Smoothed
+            Arrays with the frames as first dimension.
+        """
+        given = [as_frame(frame, self._camera) for frame in frames]
+        kinds = {(array.shape, array.dtype.str, is_depth) for array, is_depth in given}
+        if len(kinds) > 1:
+            raise ValueError(f"frames of a batch have one shape and type, and these have {len(kinds)}")
+        if not given:
+            raise ValueError("a batch has one frame or more")
+        kind = _kind_of(*given[0])
+        kind = _Kind((len(given), *kind.shape), np.float32, None)
+        arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
+        outs = [{name: array[i] for name, array in arrays.items()} for i in range(len(given))]
+        self._engine.smooth_batch([array for array, _ in given], given[0][1], self._camera, outs)
+        return Smoothed(**arrays)
+
+    def close(self) -> None:
+        """Close the engine and give its memory back; the next frame opens it again."""
+        with self._order:
+            self._engine.close()
+            self._in_flight.clear()
+
+    def __enter__(self) -> Smoother:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"camera": self._camera, "outputs": self._outputs, **self._settings}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        Smoother.__init__(self, **state)
+
+    def __repr__(self) -> str:
+        given = {"camera": self._camera, **self._settings}
+        usual = {"remove_isolated": False, "engine": "auto"}
+        texts = [f"{name}={value!r}" for name, value in given.items() if value is not None and value != usual.get(name)]
+        return f"Smoother({', '.join(texts)})"
+
+
+def smooth(
+    frame: Any,
+    camera: Camera | None = None,
+    *,
+    pose: Pose | None = None,
+    outputs: Iterable[Output] = ("points", "normals", "status"),
+    **settings: Any,
+) -> Smoothed:
+    """Smooth one frame. For many, open a `Smoother`: it keeps its engine and buffers.
+
+    Parameters
+    ----------
+    frame : array
+        Depth [H, W] (uint16 or float32), points [H, W, 3] or [N, 3] (float32 or float64); see `Smoother.smooth`.
+    camera : Camera, optional
+        Of a depth image.
+    pose : sequence of 7 floats, optional
+        Where the sensor stands in the frame of the points: x, y, z, qw, qx, qy, qz.
+    outputs : iterable of str
+        What is wanted; see `Smoother`.
+    **settings
+        As `Smoother` takes them: ``preset``, ``sensor``, ``radius``, ``neighbours``, ``edges``, ``engine``, ...
+
+    Returns
+    -------
+    Smoothed
+
+    Examples
+    --------
+    A general cloud:
+
+    >>> import numpy as np, planish
+    >>> rng = np.random.default_rng(1)
+    >>> points = np.column_stack([rng.random((5000, 2)), rng.normal(0, 0.004, 5000)]).astype(np.float32)
+    >>> result = planish.smooth(points)
+    >>> bool(np.std(result.points[:, 2]) < 0.5 * np.std(points[:, 2]))
+    True
+    """
+    with Smoother(camera, outputs=outputs, **settings) as smoother:
+        return smoother.smooth(frame, pose=pose)
+
+
+def _checked_outputs(outputs: Iterable[str]) -> tuple[str, ...]:
+    if isinstance(outputs, str):
+        raise TypeError(f"outputs: a list of names is expected, as [{outputs!r}]")
+    names = tuple(dict.fromkeys(outputs))
+    unknown = [name for name in names if name not in _OUTPUTS]
+    if unknown or not names:
+        found = f"{unknown[0]!r} is not allowed" if unknown else "none are given"
+        raise ValueError(f"outputs: {found}: {', '.join(_OUTPUTS)}")
+    return names
+
+
+def _checked_pose(pose: Pose | None) -> tuple[float, ...] | None:
+    if pose is None:
+        return None
+    values = tuple(float(value) for value in pose)
+    if len(values) != 7:
+        raise ValueError(f"pose: 7 numbers are expected (x, y, z, qw, qx, qy, qz), not {len(values)}")
+    return values
+
+
+def _kind_of(array: NDArray[Any], is_depth: bool) -> _Kind:
+    if is_depth or array.dtype == np.float32:
+        return _Kind(array.shape[:2] if is_depth else array.shape[:-1], np.float32, None)
+    origin = None
+    # One point says whether these are coordinates of a map.
+    rows = array.reshape(-1, 3) if array.flags.c_contiguous else array
+    finite = np.isfinite(rows).all(axis=-1)
+    if finite.any():
+        first = rows[finite][0] if rows.ndim == 2 else rows[tuple(np.argwhere(finite)[0])]
+        if np.abs(first).max() > _FAR_M:
+            x, y, z = (float(value) for value in np.round(first))
+            origin = (x, y, z)
+    return _Kind(array.shape[:-1], np.float64, origin)
+
+
+def _shape_of(name: str, kind: _Kind) -> tuple[int, ...]:
+    return (*kind.shape, 3) if _OUTPUTS[name][1] else kind.shape
+
+
+def _new_arrays(names: Iterable[str], kind: _Kind) -> dict[str, NDArray[Any]]:
+    def dtype_of(name: str) -> DTypeLike:
+        return kind.points if name == "points" else _OUTPUTS[name][0]
+
+    return {name: np.empty(_shape_of(name, kind), dtype_of(name)) for name in names}
+
+
+def _given_arrays(out: Smoothed | Mapping[str, NDArray[Any]], kind: _Kind) -> dict[str, NDArray[Any]]:
+    """The caller's arrays, checked."""
+    if isinstance(out, Smoothed):
+        given = {name: getattr(out, name) for name in _OUTPUTS if getattr(out, name) is not None}
+    elif isinstance(out, Mapping):
+        given = dict(out)
+    else:
+        raise TypeError(f"out: a planish.Smoothed or a dict of arrays is expected, not {type(out).__name__}")
+    _checked_outputs(given)
+    for name, array in given.items():
+        dtype = kind.points if name == "points" else _OUTPUTS[name][0]
+        if not isinstance(array, np.ndarray):
+            raise TypeError(f"out[{name!r}]: a numpy array is expected, not {type(array).__name__}")
+        if array.dtype != dtype:
+            raise TypeError(f"out[{name!r}]: an array of {np.dtype(dtype)} is expected, not of {array.dtype}")
+        if array.shape != _shape_of(name, kind):
+            raise ValueError(f"out[{name!r}]: the shape {list(_shape_of(name, kind))} is expected, not {list(array.shape)}")
+        if not array.flags.writeable:
+            raise ValueError(f"out[{name!r}]: the array is read-only")
+        if not array.flags.c_contiguous or not array.flags.aligned:
+            raise ValueError(f"out[{name!r}]: the array must be C-contiguous")
+    arrays = list(given.values())
+    for i, array in enumerate(arrays):
+        if any(np.may_share_memory(array, other) for other in arrays[:i]):
+            raise ValueError("out: two arrays overlap")
+    return given
+
+
+def _written(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    """What the engine writes for an output."""
+    return array if array.dtype == _OUTPUTS[name][0] else np.empty(array.shape, _OUTPUTS[name][0])
+
+
+def _finished(arrays: dict[str, NDArray[Any]], written: dict[str, NDArray[Any]], kind: _Kind) -> Smoothed:
+    """The result, with points of the type that came in."""
+    points = arrays.get("points")
+    if points is not None and points is not written["points"]:
+        np.add(written["points"], kind.origin if kind.origin is not None else 0.0, out=points)
+    return Smoothed(**arrays)

@@ -1,0 +1,258 @@
+//! numpy's arrays as the library's borrowed views and buffers.
+
+use std::mem::size_of;
+
+use numpy::{
+    BorrowError, Element, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn, PyUntypedArrayMethods,
+};
+use planish::{
+    Camera, DepthView, Frame, IntoFrame, Outputs, PointLayout, PointsView, Scalar, SensorPose, SmoothedMut, Status,
+};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::errors::frame;
+
+/// An array that is read, of one of the types that frames have.
+pub enum Input<'py> {
+    DepthU16(PyReadonlyArrayDyn<'py, u16>),
+    DepthF32(PyReadonlyArrayDyn<'py, f32>),
+    PointsF32(PyReadonlyArrayDyn<'py, f32>),
+    PointsF64(PyReadonlyArrayDyn<'py, f64>),
+}
+
+impl<'py> Input<'py> {
+    /// Depth `[H, W]` or points `[.., 3]`; the Python side has checked shape and strides.
+    pub fn new(array: &Bound<'py, PyAny>, is_depth: bool) -> PyResult<Self> {
+        if let Ok(array) = array.cast::<PyArrayDyn<f32>>() {
+            let array = array.try_readonly().map_err(borrowed)?;
+            return Ok(if is_depth { Self::DepthF32(array) } else { Self::PointsF32(array) });
+        }
+        if let (Ok(array), true) = (array.cast::<PyArrayDyn<u16>>(), is_depth) {
+            return Ok(Self::DepthU16(array.try_readonly().map_err(borrowed)?));
+        }
+        if let (Ok(array), false) = (array.cast::<PyArrayDyn<f64>>(), is_depth) {
+            return Ok(Self::PointsF64(array.try_readonly().map_err(borrowed)?));
+        }
+        Err(PyTypeError::new_err("an array of uint16, float32 or float64 is expected"))
+    }
+
+    /// The frame that it holds.
+    pub fn frame<'a>(
+        &'a self,
+        camera: Option<&'a Camera>,
+        pose: Option<[f64; 7]>,
+        origin_m: Option<[f64; 3]>,
+    ) -> PyResult<Frame<'a>> {
+        let missing = || PyValueError::new_err("a depth image needs its camera");
+        match self {
+            Self::DepthU16(array) => {
+                let (raw, row_stride) = rows(array)?;
+                let view = DepthView::with_row_stride(raw, row_stride, camera.ok_or_else(missing)?);
+                view.and_then(IntoFrame::into_frame).map_err(frame)
+            }
+            Self::DepthF32(array) => {
+                let (depth_m, row_stride) = rows(array)?;
+                let view = DepthView::from_metres_with_row_stride(depth_m, row_stride, camera.ok_or_else(missing)?);
+                view.and_then(IntoFrame::into_frame).map_err(frame)
+            }
+            Self::PointsF32(array) => points(array, Scalar::F32, camera, pose, origin_m),
+            Self::PointsF64(array) => points(array, Scalar::F64, camera, pose, origin_m),
+        }
+    }
+}
+
+/// Arrays that share memory are refused by numpy's borrow checks.
+fn borrowed(error: BorrowError) -> PyErr {
+    match error {
+        BorrowError::NotWriteable => PyValueError::new_err("out: an array is read-only"),
+        _ => PyValueError::new_err(
+            "an array is written and read at the same time: out must not overlap the input, nor be in use elsewhere",
+        ),
+    }
+}
+
+/// Strides in bytes, none of them negative.
+fn strides<T: Element>(array: &PyReadonlyArrayDyn<'_, T>) -> PyResult<Vec<usize>> {
+    let positive =
+        |&stride: &isize| usize::try_from(stride).map_err(|_| PyValueError::new_err("strides must not be negative"));
+    array.strides().iter().map(positive).collect()
+}
+
+/// The rows of an image, and how many values are from one to the next.
+fn rows<'a, T: Element>(array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<(&'a [T], usize)> {
+    let (&[height, width], &[row_bytes, value_bytes]) = (array.shape(), &strides(array)?[..]) else {
+        return Err(PyValueError::new_err("a depth image has two dimensions, [H, W]"));
+    };
+    let size = size_of::<T>();
+    // The stride of a single row says nothing.
+    let row_bytes = if height == 1 { width * size } else { row_bytes };
+    if height == 0 || width == 0 || value_bytes != size || row_bytes % size != 0 || row_bytes < width * size {
+        return Err(PyValueError::new_err("the rows of a depth image must lie apart, and its values side by side"));
+    }
+    let row_stride = row_bytes / size;
+    // SAFETY: all values from the first to the last of the last row are in the array's allocation, since no stride is negative; those
+    // between rows belong to it too. numpy keeps it alive, and borrowed for reading, as long as `array`.
+    let values = unsafe { std::slice::from_raw_parts(array.data().cast_const(), (height - 1) * row_stride + width) };
+    Ok((values, row_stride))
+}
+
+fn points<'a, T: Element>(
+    array: &'a PyReadonlyArrayDyn<'_, T>,
+    scalar: Scalar,
+    camera: Option<&'a Camera>,
+    pose: Option<[f64; 7]>,
+    origin_m: Option<[f64; 3]>,
+) -> PyResult<Frame<'a>> {
+    let strides = strides(array)?;
+    let (height, width, row_stride, point_stride, value_stride) = match (array.shape(), &strides[..]) {
+        (&[height, width, 3], &[row, point, value]) => (height, width, row, point, value),
+        (&[count, 3], &[point, value]) => (1, count, 0, point, value),
+        _ => return Err(PyValueError::new_err("points have the shape [H, W, 3] or [N, 3]")),
+    };
+    // The stride of a single point says nothing.
+    let point_stride = if width == 1 { point_stride.max(2 * value_stride + size_of::<T>()) } else { point_stride };
+    let len = match (height, width) {
+        (0, _) | (_, 0) => 0,
+        _ => (height - 1) * row_stride + (width - 1) * point_stride + 2 * value_stride + size_of::<T>(),
+    };
+    // SAFETY: all bytes from the first value to the last are in the array's allocation, since no stride is negative, and stay there,
+    // borrowed for reading, as long as `array`. Any bytes are valid as u8.
+    let bytes = unsafe { std::slice::from_raw_parts(array.data().cast::<u8>().cast_const(), len) };
+    let offsets = [0, value_stride, 2 * value_stride];
+    let layout = PointLayout { scalar, offsets, point_stride, row_stride };
+    let mut view = PointsView::from_bytes(bytes, layout, (width, height)).map_err(frame)?;
+    if array.ndim() == 3 {
+        view = view.with_grid(width, height).map_err(frame)?;
+    }
+    if let Some(viewpoint) = pose {
+        view = view.with_pose(SensorPose::from_viewpoint(viewpoint)).map_err(frame)?;
+    }
+    if let Some(origin_m) = origin_m {
+        view = view.with_origin(origin_m).map_err(frame)?;
+    }
+    if let (Some(camera), true) = (camera, array.ndim() == 3) {
+        view = view.with_camera(camera).map_err(frame)?;
+    }
+    view.into_frame().map_err(frame)
+}
+
+/// The caller's arrays, by what they are for.
+#[derive(Default)]
+pub struct Buffers<'py> {
+    points: Option<PyReadwriteArrayDyn<'py, f32>>,
+    normals: Option<PyReadwriteArrayDyn<'py, f32>>,
+    curvature: Option<PyReadwriteArrayDyn<'py, f32>>,
+    depth_m: Option<PyReadwriteArrayDyn<'py, f32>>,
+    depth: Option<PyReadwriteArrayDyn<'py, u16>>,
+    neighbours: Option<PyReadwriteArrayDyn<'py, u32>>,
+    status: Option<PyReadwriteArrayDyn<'py, u8>>,
+}
+
+/// The same as slices.
+#[derive(Default)]
+pub struct Slices<'a> {
+    pub points: Option<&'a mut [[f32; 3]]>,
+    pub normals: Option<&'a mut [[f32; 3]]>,
+    pub curvature: Option<&'a mut [f32]>,
+    pub depth_m: Option<&'a mut [f32]>,
+    pub depth: Option<&'a mut [u16]>,
+    pub neighbours: Option<&'a mut [u32]>,
+    /// Codes of [`Status`].
+    pub status: Option<&'a mut [u8]>,
+}
+
+fn writable<'py, T: Element>(name: &str, array: &Bound<'py, PyAny>) -> PyResult<PyReadwriteArrayDyn<'py, T>> {
+    let array = array.cast::<PyArrayDyn<T>>().map_err(|_| {
+        PyTypeError::new_err(format!("out[{name:?}]: an array of {} is expected", T::get_dtype(array.py())))
+    })?;
+    array.try_readwrite().map_err(borrowed)
+}
+
+fn slice<'a, T: Element>(
+    name: &str,
+    array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>,
+) -> PyResult<Option<&'a mut [T]>> {
+    let contiguous = |_| PyValueError::new_err(format!("out[{name:?}]: the array must be C-contiguous"));
+    array.as_mut().map(|array| array.as_slice_mut().map_err(contiguous)).transpose()
+}
+
+impl<'py> Buffers<'py> {
+    pub fn new(out: &Bound<'py, PyDict>) -> PyResult<Self> {
+        let mut buffers = Self::default();
+        for (name, array) in out.iter() {
+            let name: String = name.extract()?;
+            match name.as_str() {
+                "points" => buffers.points = Some(writable(&name, &array)?),
+                "normals" => buffers.normals = Some(writable(&name, &array)?),
+                "curvature" => buffers.curvature = Some(writable(&name, &array)?),
+                "depth_m" => buffers.depth_m = Some(writable(&name, &array)?),
+                "depth" => buffers.depth = Some(writable(&name, &array)?),
+                "neighbours" => buffers.neighbours = Some(writable(&name, &array)?),
+                "status" => buffers.status = Some(writable(&name, &array)?),
+                _ => return Err(PyValueError::new_err(format!("out: there is no output {name:?}"))),
+            }
+        }
+        Ok(buffers)
+    }
+
+    /// Which outputs these are.
+    pub fn outputs(&self) -> Outputs {
+        Outputs::POINTS
+            .with_points(self.points.is_some())
+            .with_normals(self.normals.is_some())
+            .with_curvature(self.curvature.is_some())
+            .with_depth_m(self.depth_m.is_some())
+            .with_depth(self.depth.is_some())
+            .with_neighbours(self.neighbours.is_some())
+            .with_status(self.status.is_some())
+    }
+
+    pub fn slices(&mut self) -> PyResult<Slices<'_>> {
+        let vectors = |name: &str, values: Option<&mut [f32]>| -> PyResult<()> {
+            match values {
+                Some(values) if values.len() % 3 != 0 => {
+                    Err(PyValueError::new_err(format!("out[{name:?}]: the last dimension must be 3")))
+                }
+                _ => Ok(()),
+            }
+        };
+        vectors("points", slice("points", &mut self.points)?)?;
+        vectors("normals", slice("normals", &mut self.normals)?)?;
+        Ok(Slices {
+            points: slice("points", &mut self.points)?.map(|values| values.as_chunks_mut().0),
+            normals: slice("normals", &mut self.normals)?.map(|values| values.as_chunks_mut().0),
+            curvature: slice("curvature", &mut self.curvature)?,
+            depth_m: slice("depth_m", &mut self.depth_m)?,
+            depth: slice("depth", &mut self.depth)?,
+            neighbours: slice("neighbours", &mut self.neighbours)?,
+            status: slice("status", &mut self.status)?,
+        })
+    }
+}
+
+impl<'a> Slices<'a> {
+    /// As the library takes them; the status goes into `status`, from where [`store_status`] brings it.
+    pub fn smoothed_mut<'b>(&'b mut self, status: &'b mut Vec<Status>) -> SmoothedMut<'b> {
+        let mut out = SmoothedMut::new();
+        if let Some(codes) = &self.status {
+            status.resize(codes.len(), Status::Hole);
+            out = out.with_status(status);
+        }
+        out.points = self.points.as_deref_mut().map(Into::into);
+        out.normals = self.normals.as_deref_mut().map(Into::into);
+        out.curvature = self.curvature.as_deref_mut();
+        out.depth_m = self.depth_m.as_deref_mut();
+        out.depth = self.depth.as_deref_mut();
+        out.neighbours = self.neighbours.as_deref_mut();
+        out
+    }
+
+    /// Writes the codes of what became of each pixel.
+    pub fn store_status(&mut self, status: &[Status]) {
+        if let Some(codes) = &mut self.status {
+            codes.iter_mut().zip(status).for_each(|(code, &status)| *code = status as u8);
+        }
+    }
+}

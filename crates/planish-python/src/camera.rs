@@ -1,0 +1,116 @@
+//! The camera of depth images.
+
+use std::path::PathBuf;
+
+use planish::{Camera, Distortion};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::errors::{frame, to_py};
+
+#[pyclass(frozen, eq, name = "Camera", module = "planish")]
+#[derive(Clone, Copy, PartialEq)]
+pub struct PyCamera(pub Camera);
+
+/// What pickle makes a camera from again.
+type Arguments = (usize, usize, f64, f64, f64, f64, f64, Vec<f64>);
+
+#[pymethods]
+impl PyCamera {
+    #[new]
+    #[pyo3(signature = (width, height, fx, fy, cx=None, cy=None, depth_units_per_metre=1000.0, distortion=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        width: usize,
+        height: usize,
+        fx: f64,
+        fy: f64,
+        cx: Option<f64>,
+        cy: Option<f64>,
+        depth_units_per_metre: f64,
+        distortion: Option<Vec<f64>>,
+    ) -> PyResult<Self> {
+        let middle = |pixels: usize| (pixels as f64 - 1.0) / 2.0;
+        let principal = [cx.unwrap_or_else(|| middle(width)), cy.unwrap_or_else(|| middle(height))];
+        let mut camera = Camera::new((width, height), [fx, fy], principal);
+        camera.depth_units_per_metre = depth_units_per_metre;
+        if let Some(coefficients) = distortion {
+            camera.distortion = Distortion::from_opencv(&coefficients).ok_or_else(|| {
+                let count = coefficients.len();
+                PyValueError::new_err(format!("distortion has {count} coefficients: OpenCV's 4, 5 or 8 are expected"))
+            })?;
+        }
+        camera.validate().map_err(frame)?;
+        Ok(Self(camera))
+    }
+
+    #[staticmethod]
+    fn kinect_v1() -> Self {
+        Self(Camera::kinect_v1())
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (path, shape=None))]
+    fn read(path: PathBuf, shape: Option<(usize, usize)>) -> PyResult<Self> {
+        let shape = shape.map(|(height, width)| (width, height));
+        planish::io::read_camera(&path, shape).map(Self).map_err(to_py)
+    }
+
+    #[getter]
+    fn width(&self) -> usize {
+        self.0.width
+    }
+
+    #[getter]
+    fn height(&self) -> usize {
+        self.0.height
+    }
+
+    #[getter]
+    fn fx(&self) -> f64 {
+        self.0.fx
+    }
+
+    #[getter]
+    fn fy(&self) -> f64 {
+        self.0.fy
+    }
+
+    #[getter]
+    fn cx(&self) -> f64 {
+        self.0.cx
+    }
+
+    #[getter]
+    fn cy(&self) -> f64 {
+        self.0.cy
+    }
+
+    #[getter]
+    fn depth_units_per_metre(&self) -> f64 {
+        self.0.depth_units_per_metre
+    }
+
+    #[getter]
+    fn distortion(&self) -> Vec<f64> {
+        if self.0.distortion.is_none() { Vec::new() } else { self.0.distortion.to_opencv().to_vec() }
+    }
+
+    fn __repr__(&self) -> String {
+        let Camera { width, height, fx, fy, cx, cy, depth_units_per_metre: units, .. } = self.0;
+        let mut text = format!("Camera({width}, {height}, {fx:?}, {fy:?}, {cx:?}, {cy:?}");
+        if units != 1000.0 {
+            text += &format!(", depth_units_per_metre={units:?}");
+        }
+        if !self.0.distortion.is_none() {
+            text += &format!(", distortion={:?}", self.distortion());
+        }
+        text + ")"
+    }
+
+    fn __getnewargs__(&self) -> Arguments {
+        let Camera { width, height, fx, fy, cx, cy, depth_units_per_metre, .. } = self.0;
+        let distortion = if self.0.distortion.is_none() { vec![0.0; 4] } else { self.distortion() };
+        (width, height, fx, fy, cx, cy, depth_units_per_metre, distortion)
+    }
+}

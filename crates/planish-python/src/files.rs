@@ -1,0 +1,249 @@
+//! Files, simulated frames, scores and devices.
+
+use std::path::PathBuf;
+
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
+use planish::evaluate::{Evaluation, Suite};
+use planish::io::{self, Contents, Encoding};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
+use planish::{
+    AttributeValues, Camera, DepthImage, IntoFrame, OrganizedCloud, Outputs, PointCloud, Smoothed, Smoother, Xyz,
+};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::camera::PyCamera;
+use crate::errors::{frame, to_py};
+use crate::settings::{Settings, sensor_named};
+
+/// Reads a file: a dictionary of what it holds.
+#[pyfunction]
+pub fn read<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, PyDict>> {
+    let (format, contents) = py.detach(|| io::read(&path)).map_err(to_py)?;
+    let found = PyDict::new(py);
+    found.set_item("format", format.name())?;
+    let (width, height) = contents.shape();
+    match contents {
+        Contents::Depth(image) => {
+            found.set_item("depth", PyArray1::from_vec(py, image.raw).reshape([height, width])?)?;
+        }
+        Contents::DepthMetres { depth_m, .. } => {
+            found.set_item("depth", PyArray1::from_vec(py, depth_m).reshape([height, width])?)?;
+        }
+        Contents::Organized(cloud) => {
+            found.set_item("grid", (height, width))?;
+            if let Some(camera) = cloud.camera {
+                found.set_item("camera", Py::new(py, PyCamera(camera))?)?;
+            }
+            put_cloud(py, &found, cloud.points)?;
+        }
+        Contents::General(cloud) => put_cloud(py, &found, cloud)?,
+        _ => return Err(PyValueError::new_err(format!("{}: not a kind of file that is known here", path.display()))),
+    }
+    Ok(found)
+}
+
+fn put_cloud<'py>(py: Python<'py>, found: &Bound<'py, PyDict>, cloud: PointCloud) -> PyResult<()> {
+    let len = cloud.len();
+    if cloud.origin_m == [0.0; 3] {
+        let rows: Vec<f32> = cloud.positions.iter().flatten().collect();
+        found.set_item("points", PyArray1::from_vec(py, rows).reshape([len, 3])?)?;
+    } else {
+        let absolute = |p: [f32; 3]| [0, 1, 2].map(|axis| cloud.origin_m[axis] + f64::from(p[axis]));
+        let rows: Vec<f64> = cloud.positions.iter().flat_map(absolute).collect();
+        found.set_item("points", PyArray1::from_vec(py, rows).reshape([len, 3])?)?;
+    }
+    if !cloud.pose.is_identity() {
+        found.set_item("pose", cloud.pose.viewpoint())?;
+    }
+    let fields = PyDict::new(py);
+    for attribute in cloud.attributes.into_iter().filter(|attribute| attribute.name != "_") {
+        let values = match attribute.values {
+            AttributeValues::I8(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::U8(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::I16(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::U16(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::I32(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::U32(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::I64(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::U64(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::F32(values) => PyArray1::from_vec(py, values).into_any(),
+            AttributeValues::F64(values) => PyArray1::from_vec(py, values).into_any(),
+        };
+        let shaped =
+            if attribute.count == 1 { values } else { values.call_method1("reshape", (len, attribute.count))? };
+        fields.set_item(attribute.name, shaped)?;
+    }
+    found.set_item("fields", fields)
+}
+
+/// Writes points with their fields; `grid` is (height, width) of an organized cloud.
+#[pyfunction]
+#[pyo3(signature = (path, points, grid, fields, pose, encoding))]
+pub fn write_points(
+    py: Python<'_>,
+    path: PathBuf,
+    points: PyReadonlyArray2<'_, f64>,
+    grid: Option<(usize, usize)>,
+    fields: &Bound<'_, PyDict>,
+    pose: Option<[f64; 7]>,
+    encoding: &str,
+) -> PyResult<()> {
+    let encoding = match encoding {
+        "binary" => Encoding::Binary,
+        "ascii" => Encoding::Ascii,
+        "compressed" => Encoding::BinaryCompressed,
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "encoding = {encoding:?} is not allowed: \"binary\", \"ascii\", \"compressed\""
+            )));
+        }
+    };
+    let rows = points.as_array();
+    let first = rows.outer_iter().find(|p| p.iter().all(|value| value.is_finite()));
+    // f32 holds coordinates of a scene, and not those of a map.
+    let origin = |axis: usize| {
+        let value = first.as_ref().map_or(0.0, |p| p[axis]);
+        if value.abs() > 1000.0 { value.round() } else { 0.0 }
+    };
+    let origin_m = [origin(0), origin(1), origin(2)];
+    let positions: Xyz = rows.outer_iter().map(|p| [0, 1, 2].map(|axis| (p[axis] - origin_m[axis]) as f32)).collect();
+    let mut cloud = PointCloud::new(positions);
+    cloud.origin_m = origin_m;
+    if let Some(pose) = pose {
+        cloud.pose = planish::SensorPose::from_viewpoint(pose);
+        cloud.pose.validate().map_err(frame)?;
+    }
+    for (name, values) in fields.iter() {
+        let name: String = name.extract()?;
+        let values = attribute_values(&values).ok_or_else(|| {
+            PyTypeError::new_err(format!(
+                "fields[{name:?}]: an array of integers or floats, one for each point, is expected"
+            ))
+        })?;
+        if values.len() != cloud.len() {
+            let (found, expected) = (values.len(), cloud.len());
+            return Err(PyValueError::new_err(format!(
+                "fields[{name:?}] has {found} values, and there are {expected} points"
+            )));
+        }
+        cloud.set_attribute(&name, values);
+    }
+    let written = match grid {
+        None => py.detach(|| io::write_cloud(&path, &cloud, encoding)),
+        Some((height, width)) => {
+            let cloud = OrganizedCloud::new(width, height, cloud).map_err(frame)?;
+            py.detach(|| io::write_cloud(&path, &cloud, encoding))
+        }
+    };
+    written.map_err(to_py)
+}
+
+fn attribute_values(array: &Bound<'_, PyAny>) -> Option<AttributeValues> {
+    macro_rules! of_type {
+        ($($scalar:ty => $kind:ident),*) => {
+            $(if let Ok(array) = array.cast::<PyArray1<$scalar>>() {
+                return Some(AttributeValues::$kind(array.to_vec().ok()?));
+            })*
+        };
+    }
+    of_type!(i8 => I8, u8 => U8, i16 => I16, u16 => U16, i32 => I32, u32 => U32, i64 => I64, u64 => U64, f32 => F32, f64 => F64);
+    None
+}
+
+/// Writes a depth image of raw values, or of metres.
+#[pyfunction]
+pub fn write_depth(py: Python<'_>, path: PathBuf, depth: &Bound<'_, PyAny>) -> PyResult<()> {
+    if let Ok(raw) = depth.extract::<PyReadonlyArray2<'_, u16>>() {
+        let (height, width) = (raw.as_array().nrows(), raw.as_array().ncols());
+        let values: Vec<u16> = raw.as_array().iter().copied().collect();
+        let image = DepthImage { width, height, raw: values };
+        return py.detach(|| io::write_depth(&path, &image)).map_err(to_py);
+    }
+    let depth_m = depth.extract::<PyReadonlyArray2<'_, f32>>()?;
+    let width = depth_m.as_array().ncols();
+    let values: Vec<f32> = depth_m.as_array().iter().copied().collect();
+    py.detach(|| io::write_depth_metres(&path, width, &values)).map_err(to_py)
+}
+
+/// A simulated depth image with its truth: raw depth, points and normals, each in rows.
+#[pyfunction]
+pub fn simulate<'py>(
+    py: Python<'py>,
+    scene: &str,
+    seed: u64,
+    camera: PyRef<'py, PyCamera>,
+    sensor: &str,
+    index: u64,
+) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    let (scene, pose) = match scene {
+        "table" => Scene::tabletop(seed),
+        "room" => Scene::room(seed),
+        "shapes" => {
+            let (scene, pose, _) = Scene::gauges(seed);
+            (scene, pose)
+        }
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "scene = {scene:?} is not allowed: \"table\", \"room\", \"shapes\""
+            )));
+        }
+    };
+    let (camera, noise): (Camera, DepthNoise) = (camera.0, DepthNoise::of_sensor(&sensor_named(sensor)?));
+    let (depth, truth) = py
+        .detach(|| {
+            let truth = scene.render(&camera, &pose);
+            DepthSimulator::new(noise, camera, seed).frame(&truth, index).map(|depth| (depth, truth))
+        })
+        .map_err(frame)?;
+    let shape = [camera.height, camera.width];
+    let vectors = |of: &Xyz| {
+        let rows: Vec<f32> = of.iter().flatten().collect();
+        PyArray1::from_vec(py, rows).reshape([shape[0], shape[1], 3])
+    };
+    let raw = PyArray1::from_vec(py, depth.raw).reshape(shape)?;
+    Ok((raw.into_any(), vectors(&truth.points)?.into_any(), vectors(&truth.normals)?.into_any()))
+}
+
+/// The scores on simulated frames, as JSON.
+#[pyfunction]
+pub fn evaluate(py: Python<'_>, settings: &Bound<'_, PyDict>, seeds: Vec<u64>) -> PyResult<String> {
+    let settings = Settings::from_dict(settings)?;
+    let suite = Suite { noise: DepthNoise::of_sensor(&settings.known_sensor()), ..Suite::default() };
+    let (mut raw, mut smoothed) = (Evaluation::default(), Evaluation::default());
+    for seed in seeds {
+        py.check_signals()?;
+        for case in suite.cases(seed).map_err(frame)? {
+            let view = (&case.frame).into_frame().map_err(frame)?;
+            let params = settings.params_for(view, None)?;
+            let options = settings.options(Outputs::POINTS.with_normals(true));
+            let cloud = case.frame.deproject().map_err(frame)?;
+            let normals = planish::render::difference_normals(cloud.width(), cloud.height(), cloud.positions());
+            raw.add(&case, cloud.positions(), &normals);
+            let result = py.detach(|| -> Result<Smoothed, planish::Error> {
+                let mut out = Smoothed::default();
+                Smoother::open_with(params, &options, view.grid())?.smooth(view, &mut out)?;
+                Ok(out)
+            });
+            let result = result.map_err(to_py)?;
+            if let Some(normals) = &result.normals {
+                smoothed.add(&case, &result.points, normals);
+            }
+        }
+    }
+    let scores = serde_json::json!({ "raw": raw.report(), "smoothed": smoothed.report() });
+    Ok(scores.to_string())
+}
+
+/// The GPUs of this machine, and what `auto` takes: its name and why.
+#[pyfunction]
+pub fn devices(py: Python<'_>) -> (Vec<(usize, String, String)>, String, String) {
+    let adapters = py.detach(planish::gpu_adapters);
+    let (engine, reason) = planish::auto_choice(&adapters);
+    let listed = adapters
+        .iter()
+        .map(|adapter| (adapter.index, adapter.name.clone(), format!("{:?}", adapter.kind).to_lowercase()))
+        .collect();
+    (listed, engine.name().to_owned(), reason.to_string())
+}

@@ -1,0 +1,34 @@
+//! The extension module `planish._planish`: the library's types for Python. What users see is in `python/planish`.
+
+mod arrays;
+mod camera;
+mod errors;
+mod files;
+mod settings;
+mod smoother;
+
+use std::ffi::OsString;
+
+use pyo3::prelude::*;
+
+/// Runs the command `planish` with its arguments, the program's name first, and returns its exit code.
+#[pyfunction]
+fn command(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
+    py.detach(|| planish_cli::run(arguments))
+}
+
+/// planish for Python.
+#[pyo3::pymodule(gil_used = false)]
+mod _planish {
+    #[pymodule_export]
+    use super::camera::PyCamera;
+    #[pymodule_export]
+    use super::command;
+    #[pymodule_export]
+    use super::files::{devices, evaluate, read, simulate, write_depth, write_points};
+    #[pymodule_export]
+    use super::smoother::PySmoother;
+
+    #[pymodule_export]
+    const VERSION: &str = env!("CARGO_PKG_VERSION");
+}

@@ -1,0 +1,103 @@
+"""Files, simulated frames, scores, devices and batches of a pipeline."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import planish
+from planish.data import SmoothFrames
+
+FRAME = planish.simulate("table")
+
+
+def test_points_come_back_with_their_fields(tmp_path):
+    rng = np.random.default_rng(2)
+    points = rng.random((500, 3), dtype=np.float32)
+    fields = {"intensity": rng.random(500, dtype=np.float32), "label": np.arange(500, dtype=np.uint16)}
+    for name, encoding in [("a.pcd", "binary"), ("b.pcd", "ascii"), ("c.pcd", "compressed"), ("d.ply", "binary")]:
+        planish.write(tmp_path / name, points, fields=fields, pose=[0.1, 0, 0.6, 1, 0, 0, 0], encoding=encoding)
+        frame = planish.read(tmp_path / name)
+        assert np.array_equal(frame.points, points) and np.allclose(frame.pose, (0.1, 0, 0.6, 1, 0, 0, 0))
+        assert all(np.array_equal(frame.fields[key], values) for key, values in fields.items())
+        assert planish.info(tmp_path / name)["valid"] == 500
+    far = points.astype(np.float64) + [637_000.0, 4_849_000.0, 0.0]
+    planish.write(tmp_path / "map.laz", far)
+    assert np.abs(planish.read(tmp_path / "map.laz").points - far).max() < 1e-3
+
+
+def test_grids_and_depth_come_back(tmp_path):
+    frame = planish.simulate("room", camera=planish.Camera(160, 120, 131.0, 131.0))
+    result = planish.smooth(frame.depth, frame.camera)
+    planish.write(tmp_path / "grid.pcd", result.points, fields={"status": result.status})
+    grid = planish.read(tmp_path / "grid.pcd")
+    assert np.array_equal(grid.points, result.points, equal_nan=True)
+    assert np.array_equal(grid.fields["status"], result.status)
+    for name in ("depth.png", "depth.tiff", "depth.npy"):
+        planish.write(tmp_path / name, frame.depth)
+        assert np.array_equal(planish.read(tmp_path / name).depth, frame.depth)
+        assert planish.info(tmp_path / name)["kind"] == "depth"
+    planish.write(tmp_path / "copy.ply", grid)
+    assert np.array_equal(planish.read(tmp_path / "copy.ply").fields["status"], result.status)
+
+
+def test_files_that_cannot_be_used_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        planish.read(tmp_path / "none.pcd")
+    broken = tmp_path / "broken.pcd"
+    broken.write_bytes(b"VERSION .7\nFIELDS x y\n")
+    with pytest.raises(ValueError, match="broken.pcd"):
+        planish.read(broken)
+    with pytest.raises((ValueError, OSError)):
+        planish.write(tmp_path / "a.unknown", np.zeros((3, 3), np.float32))
+    with pytest.raises(FileNotFoundError):
+        planish.write(tmp_path / "none" / "a.pcd", np.zeros((3, 3), np.float32))
+    with pytest.raises(ValueError, match="intensity"):
+        planish.write(tmp_path / "a.pcd", np.zeros((3, 3), np.float32), fields={"intensity": np.zeros(2, np.float32)})
+    with pytest.raises(TypeError, match="name"):
+        planish.write(tmp_path / "a.pcd", np.zeros((2, 3), np.float32), fields={"name": np.array(["a", "b"])})
+    with pytest.raises(ValueError):
+        planish.write(tmp_path / "a.pcd", np.zeros((3, 4), np.float64))
+    assert not (tmp_path / "a.pcd").exists()
+
+
+def test_simulated_frames_and_scores_are_the_same_in_every_run():
+    a, b = planish.simulate("shapes", seed=4), planish.simulate("shapes", seed=4)
+    assert np.array_equal(a.depth, b.depth) and np.isfinite(a.points).any()
+    with pytest.raises(ValueError, match="scene"):
+        planish.simulate("garden")
+    scores = planish.evaluate(seeds=[2], engine="cpu")
+    raw, smoothed = (scores[of]["ranges"][0]["rmse_mm"] for of in ("raw", "smoothed"))
+    assert smoothed < 0.3 * raw
+
+
+def test_the_command_is_in_the_wheel(tmp_path):
+    planish.write(tmp_path / "raw.pcd", planish.smooth(FRAME.depth, FRAME.camera, preset="paper", engine="cpu").points)
+    run = [sys.executable, "-m", "planish"]
+    done = subprocess.run([*run, "smooth", tmp_path / "raw.pcd", tmp_path / "out.pcd"], capture_output=True, text=True)
+    assert done.returncode == 0 and planish.read(tmp_path / "out.pcd").points.shape == (480, 640, 3), done.stderr
+    failed = subprocess.run([*run, "smooth", tmp_path / "none.pcd", tmp_path / "out.pcd"], capture_output=True, text=True)
+    assert failed.returncode == 2 and "none.pcd" in failed.stderr
+    assert "Usage: planish" in subprocess.run([*run, "--help"], capture_output=True, text=True).stdout
+
+
+def test_devices_say_what_auto_takes():
+    devices = planish.devices()
+    assert devices.auto in ("cpu", "gpu") and devices.reason
+
+
+def test_a_pipeline_keeps_bad_frames_and_says_why():
+    frame = planish.simulate("table")
+    bad = frame.depth[:10]
+    smooth = SmoothFrames(frame.camera, engine="cpu")
+    batch = smooth({"name": np.array(["a", "b", "c"]), "depth": [frame.depth, bad, frame.depth]})
+    assert list(batch["name"]) == ["a", "b", "c"] and batch["smoothed"].dtype == np.uint16
+    assert batch["error"][0] == "" and "640x480" in batch["error"][1] and not batch["smoothed"][1].any()
+    assert np.array_equal(batch["smoothed"][0], batch["smoothed"][2]) and batch["smoothed"][0].any()
+    points = SmoothFrames(frame.camera, engine="cpu", output="points")({"depth": [bad]})
+    assert points["smoothed"].shape == (1, 480, 640, 3) and np.isnan(points["smoothed"]).all()
+    with pytest.raises(KeyError, match="depth"):
+        smooth({"name": []})
+    with pytest.raises(ValueError, match="output"):
+        SmoothFrames(frame.camera, output="mesh")

@@ -1,0 +1,37 @@
+"""What type checkers make of code that uses planish: mypy and pyright check this file, and nothing runs it."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import assert_type
+
+import planish
+from planish.data import SmoothFrames
+
+
+def smooth_all(frames: Iterable[NDArray[np.uint16]], camera: planish.Camera) -> list[NDArray[np.uint16]]:
+    results: list[NDArray[np.uint16]] = []
+    with planish.Smoother(camera, outputs=["depth"], preset="strong", sensor="d435") as smoother:
+        for frame in frames:
+            result = smoother.smooth(frame)
+            assert_type(result, planish.Smoothed)
+            assert_type(result.depth, NDArray[np.uint16] | None)
+            if result.depth is not None:
+                results.append(result.depth)
+        assert_type(smoother.engine, str | None)
+    return results
+
+
+def once(points: NDArray[np.float32]) -> NDArray[np.float32] | None:
+    return planish.smooth(points, neighbours=60, edges="robust").normals
+
+
+def files() -> None:
+    frame = planish.read("scan.pcd")
+    assert_type(frame.fields, dict[str, NDArray[Any]])
+    planish.write("out.ply", frame, encoding="ascii")
+    assert_type(planish.simulate("room").depth, NDArray[np.uint16])
+    assert_type(planish.devices().auto, str)
+    assert_type(SmoothFrames(planish.Camera.kinect_v1())({"depth": []}), dict[str, Any])
