@@ -1,5 +1,6 @@
 //! The camera of depth images.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 
 use planish::{Camera, Distortion};
@@ -106,6 +107,12 @@ impl PyCamera {
             text += &format!(", distortion={:?}", self.distortion());
         }
         text + ")"
+    }
+
+    fn __hash__(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.__repr__().hash(&mut hasher);
+        hasher.finish()
     }
 
     fn __getnewargs__(&self) -> Arguments {

@@ -7,7 +7,8 @@ use planish::evaluate::{Evaluation, Suite};
 use planish::io::{self, Contents, Encoding};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    AttributeValues, Camera, DepthImage, IntoFrame, OrganizedCloud, Outputs, PointCloud, Smoothed, Smoother, Xyz,
+    Attribute, AttributeValues, Camera, DepthImage, IntoFrame, OrganizedCloud, Outputs, PointCloud, Smoothed, Smoother,
+    Xyz,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -80,11 +81,12 @@ fn put_cloud<'py>(py: Python<'py>, found: &Bound<'py, PyDict>, cloud: PointCloud
 
 /// Writes points with their fields; `grid` is (height, width) of an organized cloud.
 #[pyfunction]
-#[pyo3(signature = (path, points, grid, fields, pose, encoding))]
+#[allow(clippy::too_many_arguments)]
 pub fn write_points(
     py: Python<'_>,
     path: PathBuf,
     points: PyReadonlyArray2<'_, f64>,
+    origin_m: [f64; 3],
     grid: Option<(usize, usize)>,
     fields: &Bound<'_, PyDict>,
     pose: Option<[f64; 7]>,
@@ -101,13 +103,6 @@ pub fn write_points(
         }
     };
     let rows = points.as_array();
-    let first = rows.outer_iter().find(|p| p.iter().all(|value| value.is_finite()));
-    // f32 holds coordinates of a scene, and not those of a map.
-    let origin = |axis: usize| {
-        let value = first.as_ref().map_or(0.0, |p| p[axis]);
-        if value.abs() > 1000.0 { value.round() } else { 0.0 }
-    };
-    let origin_m = [origin(0), origin(1), origin(2)];
     let positions: Xyz = rows.outer_iter().map(|p| [0, 1, 2].map(|axis| (p[axis] - origin_m[axis]) as f32)).collect();
     let mut cloud = PointCloud::new(positions);
     cloud.origin_m = origin_m;
@@ -122,13 +117,9 @@ pub fn write_points(
                 "fields[{name:?}]: an array of integers or floats, one for each point, is expected"
             ))
         })?;
-        if values.len() != cloud.len() {
-            let (found, expected) = (values.len(), cloud.len());
-            return Err(PyValueError::new_err(format!(
-                "fields[{name:?}] has {found} values, and there are {expected} points"
-            )));
-        }
-        cloud.set_attribute(&name, values);
+        // Of several values a point, Python has checked the shape.
+        let count = values.len() / cloud.len().max(1);
+        cloud.attributes.push(Attribute { name, count: count.max(1), values });
     }
     let written = match grid {
         None => py.detach(|| io::write_cloud(&path, &cloud, encoding)),

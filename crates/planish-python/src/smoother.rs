@@ -1,6 +1,7 @@
 //! An open engine, as Python holds it: opened with the first frame, and again where frames change.
 
-use std::sync::Mutex;
+use std::sync::{Mutex, mpsc};
+use std::thread;
 use std::time::Instant;
 
 use planish::{
@@ -17,7 +18,9 @@ use crate::errors::{frame, to_py};
 use crate::settings::Settings;
 
 /// Frames of a batch between two looks at Python's signals.
-const FRAMES_AT_ONCE: usize = 32;
+const FRAMES_AT_ONCE: usize = 256;
+/// Results that wait to be copied; each keeps its memory on the device.
+const VIEWS_WAITING: usize = 2;
 
 /// What the open engine is for.
 #[derive(Clone, Copy, PartialEq)]
@@ -54,6 +57,8 @@ struct State {
     /// The engine in place of the one asked for, where that has failed with a cloud.
     instead: Option<Engine>,
     status: Vec<Status>,
+    /// The process that has opened the engine: threads do not survive a fork.
+    process: u32,
 }
 
 #[pyclass(frozen, name = "Engine", module = "planish._planish")]
@@ -74,11 +79,15 @@ impl State {
         }
     }
 
-    /// The parameters for a frame. A source keeps its resolution, so it is not measured again; a sensor is estimated from every frame.
+    /// The parameters for a frame. A camera keeps its resolution; a sensor is estimated from every frame.
     fn params(&mut self, frame: Frame<'_>) -> PyResult<SmoothParams> {
         let source = Source::of(frame);
         if self.settings.needs_estimate() {
             return self.settings.params_for(frame, organized(frame)?.as_ref());
+        }
+        // Of points without a camera it has to be measured.
+        if frame.grid().is_some() && source.camera.is_none() {
+            return self.settings.params_for(frame, None);
         }
         match self.adapted {
             Some((adapted, params)) if adapted == source => Ok(params),
@@ -92,10 +101,16 @@ impl State {
 
     /// The smoother for a frame; opens one if the last was for others.
     fn smoother(&mut self, frame: Frame<'_>, outputs: Outputs) -> PyResult<&mut Smoother> {
+        if self.process != std::process::id() {
+            // Its threads are not there to be waited for.
+            std::mem::forget(self.open.take());
+            self.process = std::process::id();
+        }
         let params = self.params(frame)?;
         let engine = self.instead.filter(|_| frame.grid().is_none()).unwrap_or(self.settings.engine());
         let wanted = Opened { grid: frame.grid(), outputs, params, engine };
         if self.open.as_ref().is_none_or(|(opened, _)| *opened != wanted) {
+            self.check_idle()?;
             self.open = None;
             let options = self.settings.options(outputs).with_engine(engine);
             let smoother = Smoother::open_with(params, &options, wanted.grid).map_err(to_py)?;
@@ -158,7 +173,14 @@ impl PySmoother {
     #[new]
     fn new(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
         let settings = Settings::from_dict(settings)?;
-        Ok(Self(Mutex::new(State { settings, open: None, adapted: None, instead: None, status: Vec::new() })))
+        Ok(Self(Mutex::new(State {
+            settings,
+            open: None,
+            adapted: None,
+            instead: None,
+            status: Vec::new(),
+            process: std::process::id(),
+        })))
     }
 
     /// Smooths a frame into arrays; returns what is to be said of it.
@@ -197,9 +219,6 @@ impl PySmoother {
         let input = Input::new(array, is_depth)?;
         let frame = input.frame(camera.as_ref(), pose, origin_m)?;
         let mut state = self.lock()?;
-        if state.open.as_ref().is_some_and(|(opened, _)| (opened.grid, opened.outputs) != (frame.grid(), outputs)) {
-            state.check_idle()?;
-        }
         let smoother = state.smoother(frame, outputs)?;
         py.detach(|| smoother.submit_in_place(frame)).map_err(to_py)
     }
@@ -253,6 +272,7 @@ impl PySmoother {
             let smoother = state.smoother(first, outputs)?;
             if !smoother.capabilities().pipelined {
                 for (frame, slices) in frames.iter().zip(&mut slices) {
+                    py.check_signals()?;
                     state.smooth(py, *frame, outputs, slices)?;
                 }
                 continue;
@@ -321,25 +341,35 @@ impl PySmoother {
     }
 }
 
-/// Frames in flight, results in the order of the frames.
+/// Frames in flight, results in the order of the frames. A thread of its own copies them, while this one hands frames over.
 fn pipelined(smoother: &mut Smoother, frames: &[Frame<'_>], slices: &mut [Slices<'_>]) -> Result<(), Error> {
-    let mut outs = slices.iter_mut();
-    let mut receive = |smoother: &mut Smoother| -> Result<(), Error> {
-        if let (Some(view), Some(out)) = (smoother.receive()?, outs.next()) {
-            copy(view, out)?;
-        }
-        Ok(())
-    };
-    for &frame in frames {
-        if smoother.in_flight() == smoother.max_in_flight() {
-            receive(smoother)?;
-        }
-        smoother.submit_in_place(frame)?;
-    }
-    while smoother.in_flight() > 0 {
-        receive(smoother)?;
-    }
-    Ok(())
+    thread::scope(|scope| {
+        let (sender, receiver) = mpsc::sync_channel::<(SmoothedView, &mut Slices<'_>)>(VIEWS_WAITING);
+        let copier = scope.spawn(move || receiver.into_iter().try_for_each(|(view, out)| copy(view, out)));
+        let mut outs = slices.iter_mut();
+        let mut receive = |smoother: &mut Smoother| -> Result<(), Error> {
+            if let (Some(view), Some(out)) = (smoother.receive()?, outs.next()) {
+                // It fails only if the copier has ended with an error, which comes below.
+                let _ = sender.send((view, out));
+            }
+            Ok(())
+        };
+        let handed_over = frames.iter().try_for_each(|&frame| {
+            if smoother.in_flight() == smoother.max_in_flight() {
+                receive(smoother)?;
+            }
+            smoother.submit_in_place(frame)
+        });
+        let received = handed_over.and_then(|()| {
+            while smoother.in_flight() > 0 {
+                receive(smoother)?;
+            }
+            Ok(())
+        });
+        drop(sender);
+        let copied = copier.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        received.and(copied)
+    })
 }
 
 /// Copies a result into the caller's arrays.

@@ -42,6 +42,21 @@ def test_grids_and_depth_come_back(tmp_path):
     assert np.array_equal(planish.read(tmp_path / "copy.ply").fields["status"], result.status)
 
 
+def test_fields_of_any_kind_come_back(tmp_path):
+    points = np.random.default_rng(3).random((40, 3), dtype=np.float32)
+    fields = {"fpfh": np.arange(120, dtype=np.float32).reshape(40, 3), "flag": np.arange(40) % 2 == 0, "big": np.arange(40, dtype=">i4")}
+    planish.write(tmp_path / "a.pcd", points, fields=fields)
+    found = planish.read(tmp_path / "a.pcd")
+    assert all(np.array_equal(found.fields[name], values) for name, values in fields.items())
+    planish.write(tmp_path / "b.pcd", found)
+    assert np.array_equal(planish.read(tmp_path / "b.pcd").fields["fpfh"], fields["fpfh"])
+    with pytest.raises(ValueError, match="npz"):
+        planish.write(tmp_path / "a.npy", points, fields=fields)
+    with pytest.raises(ValueError, match="npy"):
+        planish.write(tmp_path / "a.png", np.ones((4, 5), np.float32))
+    assert np.array_equal(planish.smooth(found).points, planish.smooth(found.points).points)
+
+
 def test_files_that_cannot_be_used_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         planish.read(tmp_path / "none.pcd")

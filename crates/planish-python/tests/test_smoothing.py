@@ -1,5 +1,6 @@
 """Smoothing from Python: what goes in, what comes out, and what is refused."""
 
+import multiprocessing
 import pickle
 import threading
 import warnings
@@ -294,6 +295,91 @@ def test_wrong_cameras_and_poses_are_refused(frame):
     with pytest.raises(TypeError, match="Camera"):
         planish.smooth(frame.depth, (640, 480))
     with pytest.raises(ValueError, match="7 numbers"):
-        planish.smooth(frame.depth, frame.camera, pose=[0, 0, 0])
+        planish.smooth(frame.points, pose=[0, 0, 0])
+    with pytest.raises(ValueError, match="pose"):
+        planish.smooth(frame.depth, frame.camera, pose=[0, 0, 0, 1, 0, 0, 0])
     with pytest.raises(FileNotFoundError):
         planish.Camera.read("/nowhere/camera.yaml")
+
+
+def test_points_of_one_row_may_run_backwards(cloud):
+    points = cloud[np.isfinite(cloud).all(axis=-1)][:50]
+    assert planish.smooth(points[:1][::-1]).points.shape == (1, 3)
+    assert planish.smooth(points[::-1][:0]).points.shape == (0, 3)
+    row = planish.smooth(cloud[200:201][::-1], engine="cpu", radius=0.05).points
+    assert np.array_equal(row, planish.smooth(cloud[200:201], engine="cpu", radius=0.05).points, equal_nan=True)
+
+
+def test_a_stray_point_costs_others_no_digits(cloud):
+    points = cloud[np.isfinite(cloud).all(axis=-1)][::9].astype(np.float64) + [698_011.0, 6_259_973.0, 96.0]
+    alone = planish.smooth(points, engine="cpu").points
+    both = planish.smooth(np.vstack([[0, 0, 0], points]), engine="cpu").points
+    assert np.abs(both[1:] - alone).max() < 1e-3 and np.array_equal(both[0], [0, 0, 0])
+
+
+def test_batches_of_doubles_and_of_generators(cloud, frame):
+    far = np.stack([cloud.astype(np.float64) + [698_011.0, 0, 0]] * 2)
+    smoother = Smoother(engine="cpu", outputs=["points"])
+    batch = smoother.smooth_batch(far).points
+    assert batch.dtype == np.float64 and np.array_equal(batch[1], smoother.smooth(far[0]).points, equal_nan=True)
+
+    def reused():
+        buffer = np.empty_like(frame.depth)
+        for i in range(3):
+            buffer[:] = frame.depth // (i + 1)
+            yield buffer
+
+    smoother = Smoother(frame.camera, engine="cpu", outputs=["depth"])
+    batch = smoother.smooth_batch(reused()).depth
+    assert np.array_equal(batch[0], smoother.smooth(frame.depth).depth) and not np.array_equal(batch[0], batch[2])
+
+
+def test_what_is_masked_is_a_hole(frame):
+    masked = np.ma.masked_greater(frame.depth, 2000)
+    result = planish.smooth(masked, frame.camera, engine="cpu")
+    assert (result.status[masked.mask] == Status.HOLE).all() and (result.status >= Status.PLANE).any()
+
+
+def test_memory_that_is_shared_otherwise_overlaps_too(frame):
+    shared = bytearray(frame.depth.tobytes())
+    depth, out = (np.frombuffer(shared, np.uint16).reshape(480, 640) for _ in range(2))
+    with pytest.raises(ValueError, match="overlaps"):
+        Smoother(frame.camera).smooth(depth, out={"depth": out})
+
+
+def test_frames_in_flight_are_never_mixed_with_others(cloud):
+    smoother = Smoother(engine="cpu", outputs=["points"])
+    smoother.submit(cloud)
+    with pytest.raises(RuntimeError, match="in flight"):
+        smoother.submit(cloud * np.float32([3, 3, 1]))
+    assert np.array_equal(smoother.receive().points, planish.smooth(cloud, engine="cpu").points, equal_nan=True)
+    assert smoother.receive() is None
+
+
+def test_a_smoother_remembers_nothing_of_earlier_frames(cloud):
+    wide = cloud * np.float32([3, 3, 1])
+    smoother = Smoother(engine="cpu", outputs=["points"])
+    smoother.smooth(wide)
+    assert np.array_equal(smoother.smooth(cloud).points, planish.smooth(cloud, engine="cpu").points, equal_nan=True)
+
+
+def _in_child(smoother, depth, queue):
+    again = planish.smooth(depth, smoother.camera, engine="cpu", outputs=["depth"]).depth
+    queue.put((smoother.smooth(depth).depth, again))
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_processes_that_are_forked_or_spawned_go_on(frame, method):
+    smoother = Smoother(frame.camera, engine="cpu", outputs=["depth"], threads=2)
+    expected = smoother.smooth(frame.depth).depth
+    context = multiprocessing.get_context(method)
+    queue = context.Queue()
+    child = context.Process(target=_in_child, args=(smoother, frame.depth, queue))
+    child.start()
+    try:
+        for found in queue.get(timeout=60):
+            assert np.array_equal(found, expected)
+    finally:
+        child.kill()
+        child.join()
+    assert np.array_equal(smoother.smooth(frame.depth).depth, expected)

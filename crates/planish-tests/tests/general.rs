@@ -113,6 +113,10 @@ fn real_clouds_agree() {
     for name in ["unorganized/milk_color.pcd", "unorganized/room_scan1.pcd"] {
         let points: Points = general_cloud(&data, name).positions.iter().step_by(3).collect();
         assert_agrees(name, &points, SmoothParams::general());
+        // The scanner's foot has so many points that lavapipe ends a loop there, and says so.
+        if name.contains("milk") {
+            assert_agrees(name, &points, SmoothParams::general().with_edges(Edges::Robust));
+        }
     }
 }
 
@@ -120,7 +124,9 @@ fn real_clouds_agree() {
 fn small_clouds_agree_and_lose_nothing() {
     let all = uneven_sphere(40, 5);
     for count in 1..40 {
-        for params in [SmoothParams::general(), SmoothParams::paper().with_radius_m(0.5)] {
+        let general = SmoothParams::general();
+        let robust = general.with_edges(Edges::Robust);
+        for params in [general, robust, robust.with_radius_m(0.4), SmoothParams::paper().with_radius_m(0.5)] {
             assert_agrees(&format!("{count} points"), &all[..count], params);
             let found = smooth(TestEngine::cpu(SimdLevel::best()), &all[..count], params);
             assert!(found.status.unwrap().into_iter().all(Status::has_point));

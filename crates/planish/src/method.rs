@@ -54,9 +54,9 @@ pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 
 /// The mean of the positions up to this share of the radius away stands for p where its distance from a plane is asked.
 pub(crate) const GENERAL_MEAN_REACH: f32 = 0.4;
-/// How much that distance weighs beside the plane's own residual, both squared.
+/// The weight of that distance, squared, beside the plane's own residual.
 pub(crate) const GENERAL_DISTANCE_WEIGHT: f32 = 0.2;
-/// From this cosine of the angle to p's own plane down, planes count less and less: their normals' side is not known.
+/// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they face.
 pub(crate) const FACING_COSINE: f32 = 0.1;
 
 /// The exponents (i, j) of the monomials a^i b^j, ordered by degree (section 5).

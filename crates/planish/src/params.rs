@@ -330,10 +330,11 @@ impl SmoothParams {
 
     /// With fewer neighbours a point of a general cloud is isolated (docs/method.md, section 8).
     pub(crate) fn least_neighbours(&self, cloud: &PointsView<'_>) -> u32 {
-        // Of a part of a larger cloud it is not known how many points that has.
-        let points = if cloud.extent_m().is_some() { u32::MAX } else { u32::try_from(cloud.len()).unwrap_or(u32::MAX) };
         match self.radius {
-            Radius::Neighbours { count } => count.div_ceil(4).min(points / 16).max(3),
+            Radius::Neighbours { count } => {
+                let few = u32::try_from(cloud.points_of_whole().div_ceil(16)).unwrap_or(u32::MAX);
+                count.div_ceil(4).min(few).max(3)
+            }
             Radius::Fixed { .. } | Radius::Sensor => 3,
         }
     }

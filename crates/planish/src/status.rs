@@ -8,7 +8,7 @@ pub enum Status {
     /// No measurement came in, none goes out.
     #[default]
     Hole = 0,
-    /// Fewer than 3 neighbours: the output is a hole.
+    /// Fewer than 3 neighbours, or an isolated point that was to be removed: the output is a hole.
     TooFew = 1,
     /// The neighbours lie on a line: the point stays as measured and has no normal.
     Degenerate = 2,
@@ -18,7 +18,8 @@ pub enum Status {
     Polynomial2 = 4,
     /// On a polynomial of degree 3.
     Polynomial3 = 5,
-    /// In a general cloud, fewer than 3 neighbours or a quarter of those that its radius is chosen for: the point stays as measured and has no normal.
+    /// In a general cloud, fewer than 3 neighbours or about a quarter of those that its radius is chosen for (section 8): the
+    /// point stays as measured and has no normal.
     Isolated = 6,
 }
 

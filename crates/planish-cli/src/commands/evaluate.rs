@@ -18,7 +18,7 @@ use planish::{
     AttributeValues, DepthFrame, Error, IntoFrame, Outputs, PointCloud, PointsView, SmoothParams, Smoothed, Smoother,
     Strength, Xyz,
 };
-use planish_bench::{out, outln};
+use planish_bench::{errln, out, outln};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
 use plotters::series::PointSeries;
 use serde::Serialize;
@@ -125,7 +125,7 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
             (moved_to_origin(&other, cloud.origin_m), normals)
         }
         None => {
-            let params = args.smoothing.general_params()?;
+            let params = general_params(args, &file.display().to_string())?;
             let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
             let mut smoothed = Smoothed::default();
             Smoother::open_with(params, &options, None)?
@@ -151,10 +151,26 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
     Ok(ExitCode::SUCCESS)
 }
 
+/// The parameters of general clouds; says which options change nothing for them.
+fn general_params(args: &EvaluateArgs, what: &str) -> Result<SmoothParams> {
+    if args.smoothing.remove_floating {
+        bail!("{what}: a general cloud; --remove-floating needs the pixels around each point");
+    }
+    let mut unused = args.smoothing.unused_by_general_clouds();
+    // The sensor is also that of the simulated frames.
+    unused.retain(|name| *name != "--sensor" || args.input.is_some());
+    if !unused.is_empty() {
+        let verb = if unused.len() == 1 { "changes" } else { "change" };
+        errln!("{what}: a general cloud, for which {} {verb} nothing", unused.join(", "));
+    }
+    args.smoothing.general_params()
+}
+
 /// The normals that a cloud came with.
 fn normals_field(cloud: &PointCloud) -> Option<Xyz> {
     let [x, y, z] = ["normal_x", "normal_y", "normal_z"].map(|name| match &cloud.attribute(name)?.values {
         AttributeValues::F32(values) => Some(values.clone()),
+        AttributeValues::F64(values) => Some(values.iter().map(|&value| value as f32).collect()),
         _ => None,
     });
     Some(Xyz { x: x?, y: y?, z: z? })
@@ -306,7 +322,7 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
         let on_grid = SmoothParams::for_sensor(args.smoothing.params()?.sensor, Strength::DEFAULT);
         return Ok(vec![
             method("on the grid", on_grid, false)?,
-            method("smoothed", args.smoothing.general_params()?, true)?,
+            method("smoothed", general_params(args, "without their grid")?, true)?,
         ]);
     }
     Ok(vec![method(PAPER, SmoothParams::paper(), false)?, method("smoothed", args.smoothing.params()?, false)?])

@@ -442,7 +442,7 @@ impl Worker<'_> {
 }
 
 /// What an engine and its results take at most for each point (the default setting and all outputs: 130 to 150 bytes).
-const ENGINE_BYTES_A_POINT: u64 = 160;
+const ENGINE_BYTES_A_POINT: u64 = 200;
 
 /// How many points came in, and how many of those became holes.
 struct PointCounts {

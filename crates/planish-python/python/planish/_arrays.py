@@ -20,6 +20,12 @@ def as_array(given: Any) -> NDArray[Any]:
     Takes numpy's arrays, anything with ``__array_interface__``, ``__array__`` or ``__dlpack__`` (torch, cupy, jax), structured arrays and
     data frames with columns x, y and z, and nested sequences. What lies on a device is copied to the host, with a warning.
     """
+    if hasattr(given, "array") and hasattr(given, "fields"):
+        # A planish.Frame.
+        given = given.array
+    if isinstance(given, np.ma.MaskedArray):
+        # What is masked was not measured.
+        return _without_names(given.filled(np.nan if given.dtype.kind == "f" else 0))
     if isinstance(given, np.ndarray):
         return _without_names(given)
     if hasattr(given, "columns") and {"x", "y", "z"} <= set(given.columns):
@@ -89,4 +95,18 @@ def _readable(array: NDArray[Any], is_depth: bool) -> NDArray[Any]:
         lies_apart = strides[-1] >= size and (array.shape[-2] < 2 or strides[-2] >= span)
         if array.ndim == 3 and array.shape[0] > 1:
             lies_apart = lies_apart and strides[0] >= (array.shape[1] - 1) * strides[1] + span
-    return array if in_order and lies_apart else np.ascontiguousarray(array)
+    return array if in_order and lies_apart else array.copy(order="C")
+
+
+def origin_of(points: NDArray[Any]) -> tuple[float, float, float] | None:
+    """An origin near most of the points, where float32 would lose digits that matter; ``None`` near the origin of coordinates.
+
+    Of scenes float32 keeps 0.06 mm and better up to a kilometre away.
+    """
+    rows = points.reshape(-1, 3)
+    sample = rows[:: max(1, len(rows) // 10_000)]
+    sample = sample[np.isfinite(sample).all(axis=-1)]
+    if not len(sample):
+        return None
+    x, y, z = (float(value) for value in np.round(np.median(sample, axis=0)))
+    return (x, y, z) if max(abs(x), abs(y), abs(z)) > 1000.0 else None

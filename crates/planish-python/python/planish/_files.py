@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _planish
-from ._arrays import as_array
+from ._arrays import as_array, origin_of
 from ._planish import Camera
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Frame:
     """What a file holds: a depth image, or points.
 
@@ -29,7 +29,7 @@ class Frame:
     depth : ndarray, [H, W]
         Raw values (uint16, holes 0) or metres (float32, holes NaN); ``None`` for points.
     points : ndarray, [H, W, 3] or [N, 3]
-        Metres, holes NaN; float32, or float64 where float32 would lose digits; ``None`` for depth.
+        Metres, holes NaN; float32, or float64 for coordinates of a map, over a kilometre from the origin; ``None`` for depth.
     fields : dict of str to ndarray
         Every other field of the points: colour, intensity, label, ..., [H, W] or [N].
     camera : Camera
@@ -55,7 +55,7 @@ class Frame:
         return self.points
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Simulated:
     """A simulated depth image with its truth.
 
@@ -145,9 +145,15 @@ def write(
         pose = data.pose if pose is None else pose
         data = data.array
     array = as_array(data)
+    if not array.dtype.isnative:
+        array = array.astype(array.dtype.newbyteorder("="))
+    if fields and Path(path).suffix.lower() == ".npy":
+        raise ValueError(f"{path}: an array alone has no room for fields; .npz has")
     if array.ndim == 2 and (array.dtype == np.uint16 or (array.dtype == np.float32 and array.shape[1] != 3)):
         if fields or pose is not None:
             raise ValueError("a depth image has neither fields nor a pose")
+        if array.dtype == np.float32 and Path(path).suffix.lower() != ".npy":
+            raise ValueError(f"{path}: depth in metres is written to .npy; give raw values (uint16) for .png and .tiff")
         _planish.write_depth(path, np.ascontiguousarray(array))
         return
     if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind != "f":
@@ -157,12 +163,21 @@ def write(
     grid = (array.shape[0], array.shape[1]) if array.ndim == 3 else None
     flat = {}
     for name, values in (fields or {}).items():
-        values = np.asarray(values)
-        if values.shape != array.shape[:-1]:
+        values = _plain(np.asarray(values))
+        if values.shape[: array.ndim - 1] != array.shape[:-1] or values.ndim > array.ndim:
             raise ValueError(f"fields[{name!r}]: the shape {list(array.shape[:-1])} is expected, not {list(values.shape)}")
         flat[name] = np.ascontiguousarray(values).reshape(-1)
     rows = np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
-    _planish.write_points(path, rows, grid, flat, None if pose is None else tuple(pose), encoding)
+    _planish.write_points(path, rows, origin_of(rows) or (0.0, 0.0, 0.0), grid, flat, None if pose is None else tuple(pose), encoding)
+
+
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    """The same values in a type that files know."""
+    if values.dtype == np.bool_:
+        return values.astype(np.uint8)
+    if values.dtype == np.float16:
+        return values.astype(np.float32)
+    return values if values.dtype.isnative else values.astype(values.dtype.newbyteorder("="))
 
 
 def info(path: str | PathLike[str]) -> dict[str, Any]:

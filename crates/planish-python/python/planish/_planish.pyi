@@ -88,6 +88,7 @@ def read(path: str | PathLike[str]) -> dict[str, Any]: ...
 def write_points(
     path: str | PathLike[str],
     points: NDArray[np.float64],
+    origin: tuple[float, float, float],
     grid: tuple[int, int] | None,
     fields: dict[str, NDArray[Any]],
     pose: tuple[float, ...] | None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import os
 import threading
 import warnings
 from collections import deque
@@ -14,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ._arrays import as_frame
+from ._arrays import as_array, as_frame, origin_of
 from ._planish import Camera, Engine
 
 Output = Literal["points", "normals", "curvature", "status", "neighbours", "depth", "depth_m"]
@@ -33,16 +34,13 @@ _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
     "depth_m": (np.float32, False),
 }
 
-#: Coordinates of a map rather than of a scene: float32 would lose their digits.
-_FAR_M = 1000.0
-
 
 class Status(enum.IntEnum):
     """What became of a point."""
 
     #: No measurement came in, none goes out.
     HOLE = 0
-    #: Fewer than 3 neighbours: the output is a hole.
+    #: Fewer than 3 neighbours, or an isolated point that was to be removed: the output is a hole.
     TOO_FEW = 1
     #: The neighbours lie on a line: the point stays as measured and has no normal.
     DEGENERATE = 2
@@ -56,7 +54,7 @@ class Status(enum.IntEnum):
     ISOLATED = 6
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Smoothed:
     """The result of a frame; what was not asked for is ``None``.
 
@@ -203,8 +201,11 @@ class Smoother:
             "adapter": adapter,
             "threads": threads,
         }
-        self._engine = Engine(self._settings)
-        self._in_flight: deque[_Kind] = deque()
+        # A pool of its own: threads that are shared do not survive a fork.
+        own_threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        self._engine = Engine({**self._settings, "threads": own_threads if threads is None else threads})
+        # Of each frame in flight its kind, and its points where they are float64.
+        self._in_flight: deque[tuple[_Kind, NDArray[Any] | None]] = deque()
         self._order = threading.Lock()
 
     @property
@@ -260,12 +261,16 @@ class Smoother:
         array, is_depth = as_frame(frame, self._camera)
         kind = _kind_of(array, is_depth)
         arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
+        if is_depth and pose is not None:
+            raise ValueError("pose: depth images are in their camera's frame; give the pose with points")
+        if out is not None and any(np.may_share_memory(array, other) for other in arrays.values()):
+            raise ValueError("out: an array overlaps the input")
         # The engine writes float32; points of other types are made of them.
         written = {name: _written(name, array) for name, array in arrays.items()}
         said = self._engine.smooth(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), written)
         if said is not None:
             warnings.warn(f"smoothed on the CPU: {said}", RuntimeWarning, stacklevel=2)
-        return _finished(arrays, written, kind)
+        return _finished(arrays, written, array, kind)
 
     def submit(self, frame: Any, *, pose: Pose | None = None) -> None:
         """Hand a frame over without waiting for its result; a GPU computes it while Python goes on.
@@ -277,14 +282,14 @@ class Smoother:
         kinds = {name: np.empty(0, _OUTPUTS[name][0]) for name in self._outputs}
         with self._order:
             self._engine.submit(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), kinds)
-            self._in_flight.append(kind)
+            self._in_flight.append((kind, array.copy() if kind.points == np.float64 else None))
 
     def receive(self) -> Smoothed | None:
         """Wait for the result of the first frame in flight; ``None`` if none is."""
         with self._order:
             if not self._in_flight:
                 return None
-            kind = self._in_flight[0]
+            kind, measured = self._in_flight[0]
             arrays = _new_arrays(self._outputs, kind)
             written = {name: _written(name, array) for name, array in arrays.items()}
             try:
@@ -294,7 +299,7 @@ class Smoother:
                 self._in_flight.clear()
                 raise
             self._in_flight.popleft()
-        return _finished(arrays, written, kind) if received else None
+        return _finished(arrays, written, measured, kind) if received else None
 
     @property
     def in_flight(self) -> int:
@@ -325,6 +330,9 @@ class Smoother:
         Smoothed
             Arrays with the frames as first dimension.
         """
+        if not isinstance(frames, (np.ndarray, Sequence)):
+            # A generator may reuse its buffer.
+            frames = [as_array(frame).copy() for frame in frames]
         given = [as_frame(frame, self._camera) for frame in frames]
         kinds = {(array.shape, array.dtype.str, is_depth) for array, is_depth in given}
         if len(kinds) > 1:
@@ -332,10 +340,16 @@ class Smoother:
         if not given:
             raise ValueError("a batch has one frame or more")
         kind = _kind_of(*given[0])
-        kind = _Kind((len(given), *kind.shape), np.float32, None)
+        kind = _Kind((len(given), *kind.shape), kind.points, None)
         arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
         outs = [{name: array[i] for name, array in arrays.items()} for i in range(len(given))]
-        self._engine.smooth_batch([array for array, _ in given], given[0][1], self._camera, outs)
+        if any(np.may_share_memory(array, other) for array, _ in given for other in arrays.values()):
+            raise ValueError("out: an array overlaps a frame")
+        if kind.points == np.float64:
+            for (array, _), out_of_frame in zip(given, outs, strict=True):
+                self.smooth(array, out=out_of_frame)
+        else:
+            self._engine.smooth_batch([array for array, _ in given], given[0][1], self._camera, outs)
         return Smoothed(**arrays)
 
     def close(self) -> None:
@@ -361,6 +375,7 @@ class Smoother:
     def __repr__(self) -> str:
         given = {"camera": self._camera, **self._settings}
         usual = {"remove_isolated": False, "engine": "auto"}
+        given["outputs"] = list(self._outputs)
         texts = [f"{name}={value!r}" for name, value in given.items() if value is not None and value != usual.get(name)]
         return f"Smoother({', '.join(texts)})"
 
@@ -430,16 +445,7 @@ def _checked_pose(pose: Pose | None) -> tuple[float, ...] | None:
 def _kind_of(array: NDArray[Any], is_depth: bool) -> _Kind:
     if is_depth or array.dtype == np.float32:
         return _Kind(array.shape[:2] if is_depth else array.shape[:-1], np.float32, None)
-    origin = None
-    # One point says whether these are coordinates of a map.
-    rows = array.reshape(-1, 3) if array.flags.c_contiguous else array
-    finite = np.isfinite(rows).all(axis=-1)
-    if finite.any():
-        first = rows[finite][0] if rows.ndim == 2 else rows[tuple(np.argwhere(finite)[0])]
-        if np.abs(first).max() > _FAR_M:
-            x, y, z = (float(value) for value in np.round(first))
-            origin = (x, y, z)
-    return _Kind(array.shape[:-1], np.float64, origin)
+    return _Kind(array.shape[:-1], np.float64, origin_of(array))
 
 
 def _shape_of(name: str, kind: _Kind) -> tuple[int, ...]:
@@ -486,9 +492,12 @@ def _written(name: str, array: NDArray[Any]) -> NDArray[Any]:
     return array if array.dtype == _OUTPUTS[name][0] else np.empty(array.shape, _OUTPUTS[name][0])
 
 
-def _finished(arrays: dict[str, NDArray[Any]], written: dict[str, NDArray[Any]], kind: _Kind) -> Smoothed:
-    """The result, with points of the type that came in."""
+def _finished(
+    arrays: dict[str, NDArray[Any]], written: dict[str, NDArray[Any]], measured: NDArray[Any] | None, kind: _Kind
+) -> Smoothed:
+    """The result, with points of the type that came in: float64 ones as measured, plus how far they moved, so that none loses digits."""
     points = arrays.get("points")
-    if points is not None and points is not written["points"]:
-        np.add(written["points"], kind.origin if kind.origin is not None else 0.0, out=points)
+    if points is not None and points is not written["points"] and measured is not None:
+        relative = measured if kind.origin is None else measured - kind.origin
+        np.add(measured, written["points"] - relative.astype(np.float32), out=points)
     return Smoothed(**arrays)

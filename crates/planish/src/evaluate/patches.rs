@@ -1,10 +1,11 @@
 //! A measure of general clouds that needs no ground truth: how flat the surface is patch by patch.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use serde::Serialize;
 
 use super::evaluation::{angle_deg, plane};
 use crate::cloud::PointCloud;
+use crate::eigen::symmetric_eigen;
 use crate::error::Error;
 use crate::neighbours::NeighbourSearch;
 use crate::xyz::Xyz;
@@ -15,6 +16,8 @@ const PATCH_POINTS: usize = 64;
 const MOST_PATCHES: usize = 10_000;
 /// Points whose variance across the patch is more than this share of their whole variance lie on no surface, or on several.
 const LARGEST_VARIATION: f64 = 0.1;
+/// Points whose second variance is below this share of the first lie on a line: a scanner's, whose normal is arbitrary.
+const LEAST_WIDTH: f64 = 0.01;
 
 /// Planes fitted to patches of 64 points.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -30,8 +33,8 @@ pub struct PatchReport {
 }
 
 /// Fits planes to patches: points spread evenly over the file, each with its nearest ones, 64 together. Which points form a patch, and
-/// whether they lie on one surface, is decided by those `measured`, so that every method is measured on the same patches; `points` and
-/// `normals` are one for each of them.
+/// whether they lie on one surface, is decided by those `measured`, so that every method is measured on the same patches, but for those of which it leaves fewer than 12
+/// points; `points` and `normals` are one for each of them.
 ///
 /// # Errors
 /// [`EngineError::Unavailable`](crate::EngineError::Unavailable) for more points than the search takes.
@@ -43,7 +46,7 @@ pub fn patch_planes(measured: &PointCloud, points: &Xyz, normals: Option<&Xyz>) 
     let (mut rms_m, mut angles_deg) = (Vec::new(), Vec::new());
     for i in (0..all.len()).step_by(step).filter(|&i| all[i].is_finite()) {
         let patch = search.nearest(all[i], PATCH_POINTS);
-        if !lies_on_one_surface(patch.iter().map(|&i| all[i])) {
+        if !lies_on_one_surface(&patch.iter().map(|&i| all[i]).collect::<Vec<_>>()) {
             continue;
         }
         let there = || patch.iter().copied().filter(|&i| points.is_finite(i));
@@ -65,11 +68,15 @@ pub fn patch_planes(measured: &PointCloud, points: &Xyz, normals: Option<&Xyz>) 
     })
 }
 
-fn lies_on_one_surface(points: impl Iterator<Item = DVec3> + Clone) -> bool {
-    let Some((_, centre, rms)) = plane(points.clone().collect()) else { return false };
-    let (count, sum) = points.fold((0usize, 0.0), |(count, sum), p| (count + 1, sum + (p - centre).length_squared()));
-    let variance = sum / count as f64;
-    variance > 0.0 && rms * rms <= LARGEST_VARIATION * variance
+fn lies_on_one_surface(points: &[DVec3]) -> bool {
+    let count = points.len() as f64;
+    let centre = points.iter().sum::<DVec3>() / count;
+    let mut covariance = DMat3::ZERO;
+    for d in points.iter().map(|&p| p - centre) {
+        covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z) * (1.0 / count);
+    }
+    let ([across, middle, along], _) = symmetric_eigen(covariance);
+    middle >= LEAST_WIDTH * along && across.max(0.0) <= LARGEST_VARIATION * (across + middle + along) && along > 0.0
 }
 
 #[cfg(test)]
@@ -104,7 +111,7 @@ mod tests {
         let gas = PointCloud::new((0..4000).map(|_| [0; 3].map(|_| random.next())).collect());
         let line = PointCloud::new((0..4000).map(|i| [i as f32, 0.0, 0.0]).collect());
         let lone = PointCloud::new([[0.0, 0.0, f32::NAN]].into_iter().collect());
-        for (cloud, most) in [(gas, 25), (line, 250), (lone, 0)] {
+        for (cloud, most) in [(gas, 25), (line, 0), (lone, 0)] {
             let report = patch_planes(&cloud, &cloud.positions, None).unwrap();
             assert!(report.patches <= most, "{report:?}");
         }

@@ -62,8 +62,8 @@ pub struct PointsView<'a> {
     /// What is subtracted from the positions; those of a [`PointCloud`] are relative to its origin already.
     subtracted_m: DVec3,
     camera: Option<&'a Camera>,
-    /// Of the cloud that the points are a part of.
-    extent_m: Option<f64>,
+    /// The cloud that the points are a part of: how far it spans, and how many points it has.
+    whole: Option<(f64, usize)>,
 }
 
 /// Coordinates as they lie in memory.
@@ -149,7 +149,7 @@ impl<'a> PointsView<'a> {
             origin_m: DVec3::ZERO,
             subtracted_m: DVec3::ZERO,
             camera: None,
-            extent_m: None,
+            whole: None,
         }
     }
 
@@ -203,15 +203,20 @@ impl<'a> PointsView<'a> {
         Ok(Self { origin_m, subtracted_m: self.subtracted_m + (origin_m - self.origin_m), ..self })
     }
 
-    /// The same as a part of a cloud whose points span so many metres.
+    /// The same as a part of a cloud of so many points, which span so many metres.
     #[cfg(feature = "io")]
-    pub(crate) fn with_extent_m(self, extent_m: f64) -> Self {
-        Self { extent_m: Some(extent_m), ..self }
+    pub(crate) fn as_part_of(self, points: usize, extent_m: f64) -> Self {
+        Self { whole: Some((extent_m, points)), ..self }
     }
 
     /// How far the whole cloud spans, if these points are a part of one.
     pub(crate) fn extent_m(&self) -> Option<f64> {
-        self.extent_m
+        self.whole.map(|(extent_m, _)| extent_m)
+    }
+
+    /// How many points the whole cloud has, holes left out.
+    pub(crate) fn points_of_whole(&self) -> usize {
+        self.whole.map_or_else(|| self.valid_points(), |(_, points)| points)
     }
 
     /// How many points there are, holes included.

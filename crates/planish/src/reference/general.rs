@@ -63,19 +63,20 @@ pub(super) fn smooth(
         let first_plane = |found: &mut Vec<usize>, (&p, &radius_m): (&DVec3, &f64)| {
             FirstPlane::new(Surface::own(&positions.neighbours(p, radius_m, found), radius_m, p - sensor), radius_m)
         };
+        let all = || positions.points.par_iter().zip(&radii_m);
+        let keeps_edges = params.edges == Edges::Robust;
         let firsts: Vec<FirstPlane> =
-            positions.points.par_iter().zip(&radii_m).map_init(Vec::new, first_plane).collect();
-        let smooth = |found: &mut Vec<usize>, (&p, first): (&DVec3, &FirstPlane)| {
-            let radius_m = first.radius_m;
-            let surface = match params.edges {
-                Edges::Off => first.surface,
-                Edges::Robust => {
+            if keeps_edges { all().map_init(Vec::new, first_plane).collect() } else { Vec::new() };
+        let smooth = |found: &mut Vec<usize>, (i, (&p, &radius_m)): (usize, (&DVec3, &f64))| {
+            let offsets = positions.neighbours(p, radius_m, found);
+            let surface = match firsts.get(i) {
+                None => Surface::own(&offsets, radius_m, p - sensor),
+                Some(first) => {
                     positions.search.within(p, reach_m(PLANE_REACH * radius_m), found);
                     let around: Vec<_> = found.iter().map(|&i| (positions.points[i] - p, &firsts[i])).collect();
                     first.surface(&around, p - sensor)
                 }
             };
-            let offsets = positions.neighbours(p, radius_m, found);
             let result = if surface.neighbours < least_neighbours {
                 let few = PointResult { neighbours: surface.neighbours, ..PointResult::hole() };
                 if params.remove_isolated { PointResult { status: Status::TooFew, ..few } } else { few.kept() }
@@ -85,7 +86,7 @@ pub(super) fn smooth(
             progress.add(1);
             result
         };
-        positions.points.par_iter().zip(&firsts).map_init(Vec::new, smooth).collect()
+        all().enumerate().map_init(Vec::new, smooth).collect()
     });
     Ok(places.into_iter().map(|place| place.map_or_else(PointResult::hole, |place| results[place])).collect())
 }

@@ -11,10 +11,10 @@ use super::window::fading_gate;
 /// The mean of the positions up to this share of the radius away stands for p where its distance from a plane is asked.
 const MEAN_REACH: f64 = 0.4;
 
-/// How much that distance weighs beside the plane's own residual, both squared.
+/// The weight of that distance, squared, beside the plane's own residual.
 const DISTANCE_WEIGHT: f64 = 0.2;
 
-/// From this cosine of the angle to p's own plane down, planes count less and less: their normals' side is not known.
+/// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they face.
 const FACING_COSINE: f64 = 0.1;
 
 /// What the neighbours of a position say.
@@ -51,7 +51,7 @@ impl FirstPlane {
             return self.surface;
         }
         let mean = mean / near;
-        let noise_squared = radius_squared * total / inverse;
+        let noise_squared = (radius_squared * total / inverse).max(MIN_NOISE * MIN_NOISE * radius_squared);
 
         let (mut normal, mut height_m, mut total) = (OWN_NORMAL_WEIGHT * own_plane.normal, 0.0, STAY_WEIGHT);
         for &(offset, first) in around {

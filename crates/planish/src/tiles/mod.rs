@@ -27,7 +27,7 @@ use dealt::{Dealt, too_large};
 use plan::Tile;
 
 /// What a point of a tile takes beside its records: positions twice, an engine and its results.
-const ENGINE_BYTES_A_POINT: u64 = 200;
+const ENGINE_BYTES_A_POINT: u64 = 250;
 /// A tile's records take so many times their size: as read, in columns, and as written.
 const COPIES: u64 = 3;
 /// The share of a tile's points with its halo that are its own, when tiles are planned.
@@ -212,7 +212,7 @@ impl Tiler<'_> {
             if let Some(pose) = self.options.pose {
                 cloud.pose = pose;
             }
-            let smoothed = self.smoothed(&cloud, dealt.extent_m)?;
+            let smoothed = self.smoothed(&cloud, dealt)?;
             let (wider_m, beyond) = self.needed_halo_m(dealt, &tile, &cloud, halo_m)?;
             if may_widen && beyond as f64 > MAY_REACH_BEYOND * own as f64 {
                 halo_m = wider_m;
@@ -228,16 +228,17 @@ impl Tiler<'_> {
         }
     }
 
-    /// How far what a point gets depends on others, in radii: radii by density on those of the neighbours, and where edges are kept, on
-    /// the planes of points twice as far away.
+    /// How far away, in its radii, other points influence what a point gets: radii by density follow those of the neighbours, and
+    /// where edges are kept, the planes of points twice as far away count, whose own radii may be larger by the same factor.
     fn reach(&self) -> f64 {
         let SmoothParams { radius, edges, .. } = self.options.params;
-        let of_radius = if matches!(radius, Radius::Neighbours { .. }) { 2.0 } else { 1.0 };
-        let of_planes = if edges == Edges::Off { 0.0 } else { f64::from(PLANE_REACH) };
-        GATE_REACH * (of_radius + of_planes)
+        let by_density = matches!(radius, Radius::Neighbours { .. });
+        let growth = if by_density { 2.0 } else { 1.0 };
+        let of_planes = if edges == Edges::Off { 0.0 } else { growth * f64::from(PLANE_REACH) };
+        GATE_REACH * (growth + of_planes)
     }
 
-    /// Exact for a fixed radius; else about twice the radius at the tile's density.
+    /// Exact for a fixed radius; else about twice what points reach at the tile's density.
     fn halo_by_density_m(&self, dealt: &Dealt, tile: &Tile) -> f64 {
         match self.options.params.radius {
             Radius::Fixed { radius_m } => self.reach() * f64::from(radius_m),
@@ -250,7 +251,7 @@ impl Tiler<'_> {
         }
     }
 
-    fn smoothed(&mut self, cloud: &PointCloud, extent_m: f64) -> Result<Smoothed, Error> {
+    fn smoothed(&mut self, cloud: &PointCloud, dealt: &Dealt) -> Result<Smoothed, Error> {
         let smoother = match &mut self.smoother {
             Some(smoother) => smoother,
             none => {
@@ -259,7 +260,8 @@ impl Tiler<'_> {
             }
         };
         let mut smoothed = Smoothed::default();
-        smoother.smooth(PointsView::from_cloud(cloud)?.with_extent_m(extent_m).into_frame()?, &mut smoothed)?;
+        let part = PointsView::from_cloud(cloud)?.as_part_of(dealt.points, dealt.extent_m);
+        smoother.smooth(part.into_frame()?, &mut smoothed)?;
         Ok(smoothed)
     }
 

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::Result;
 use planish::io::Format;
 use planish::tiles::{self, TileOptions};
-use planish::{Outputs, Progress};
+use planish::{Outputs, Progress, Radius};
 use planish_bench::errln;
 
 use super::super::ms_since;
@@ -44,10 +44,14 @@ impl Worker<'_> {
             );
         }
         let status = StatusCounts::of(report.status_counts);
+        let cause = match params.radius {
+            Radius::Neighbours { .. } => "they are far from denser parts of the cloud, or float",
+            _ => "the radius is below the spacing of the points",
+        };
         for (count, became) in [(status.too_few, "became holes"), (status.isolated, "stay where they are")] {
             if count as f64 > LOST_SHARE_TOLD * report.points as f64 {
                 errln!(
-                    "{}: {count} of {} points {became}: they have too few neighbours. Likely the radius is below the spacing of the points",
+                    "{}: {count} of {} points {became}: they have too few neighbours. Likely {cause}",
                     output.display(),
                     report.points
                 );

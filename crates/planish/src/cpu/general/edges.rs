@@ -62,8 +62,12 @@ impl SplitRows for FirstPlaneRows<'_> {
 impl FirstPlanes {
     /// Room for so many leaves.
     pub(super) fn rows(&mut self, leaves: usize) -> FirstPlaneRows<'_> {
-        self.planes.resize(LEAF * leaves, FirstPlane::default());
-        self.radii.resize(LEAF * leaves, f32::NAN);
+        // No more room than is needed: clouds are large.
+        let places = LEAF * leaves;
+        self.planes.reserve_exact(places.saturating_sub(self.planes.len()));
+        self.planes.resize(places, FirstPlane::default());
+        self.radii.reserve_exact(places.saturating_sub(self.radii.len()));
+        self.radii.resize(places, f32::NAN);
         FirstPlaneRows { first: 0, planes: &mut self.planes, radii: &mut self.radii }
     }
 
@@ -194,7 +198,8 @@ pub(super) fn find_surfaces<S: Simd>(
     );
     let has_plane: Mask<S> = valid & n.simd_ge(splat(simd, 3.0)) & inverse.simd_gt(zero) & !plane.degenerate;
     let mean = mean.scale(one / near.max(splat(simd, f32::MIN_POSITIVE)));
-    let per_variance = has_plane.select(inverse / (total * radius_squared), one);
+    let most = splat(simd, 1.0 / (MIN_NOISE * MIN_NOISE));
+    let per_variance = has_plane.select((inverse / total).min(most) / radius_squared, one);
     let per_facing = splat(simd, 1.0 / FACING_COSINE);
     let (mut normal, mut height, mut total) =
         (plane.normal.scale(splat(simd, OWN_NORMAL_WEIGHT)), zero, splat(simd, STAY_WEIGHT));

@@ -127,7 +127,7 @@ impl Buffers {
             ("nodes", (NODE_BYTES * levels.all_nodes()) as u64),
             ("radii", bytes(padded)),
             ("firsts", bytes(capacity + 1)),
-            // A buffer has at least one.
+            // No buffer may be empty.
             ("planes", (PLANE_BYTES * if keeps_edges { padded } else { 1 }) as u64),
         ];
         let limits = &gpu.limits;

@@ -34,6 +34,8 @@ use passes::{Compiled, DIGITS, Pass, TILE};
 
 /// Positions that are fitted in one submission, at least: as many as the largest devices have threads.
 const PART_PLACES: usize = 1 << 18;
+/// The same where edges are kept, and each walks four times as far.
+const PART_PLACES_WITH_EDGES: usize = 1 << 16;
 /// Workgroups along the first axis of a dispatch: fewer than any device allows.
 const MOST_GROUPS_ACROSS: usize = 1 << 15;
 /// A smaller extent counts as this, so that its inverse stays within f32.
@@ -114,7 +116,7 @@ impl GeneralGpu {
             half_count,
             largest_radius: (extent_m as f32 / 2.0).min(MAX_RANGE_M),
             least_neighbours: self.params.least_neighbours(view),
-            part_places: part_places(view.len()) as u32,
+            part_places: part_places(view.len(), self.params.edges) as u32,
             levels: levels.firsts,
         }
     }
@@ -153,13 +155,14 @@ impl GeneralGpu {
         for steps in index_steps(points, &levels) {
             submissions.push(self.submit_steps(buffers, &steps, encoder()));
         }
-        let parts = points.div_ceil(part_places(points));
+        let part = part_places(points, self.params.edges);
+        let parts = points.div_ceil(part);
         let by_density = matches!(self.params.radius, Radius::Neighbours { .. });
         let keeps_edges = self.params.edges != Edges::Off;
         for (pass, wanted) in [(Pass::Radii, by_density), (Pass::FirstPlanes, keeps_edges), (Pass::Fit, true)] {
-            for part in (0..parts).filter(|_| wanted) {
-                let places = part_places(points).min(points - part * part_places(points));
-                submissions.push(self.submit_steps(buffers, &[(pass, part, places)], encoder()));
+            for number in (0..parts).filter(|_| wanted) {
+                let places = part.min(points - number * part);
+                submissions.push(self.submit_steps(buffers, &[(pass, number, places)], encoder()));
             }
         }
         submissions.push(self.submit_steps(buffers, &[(Pass::Repeat, 0, points)], encoder()));
@@ -211,7 +214,7 @@ impl GeneralGpu {
             bytemuck::pod_read_unaligned(&bytes[state_at..state_at + STATE_BYTES as usize]);
         if ended_early != 0 {
             return Err(self.gpu.failed(
-                "its driver ended a loop early; a smaller radius, fewer neighbours or the CPU engine may help",
+                "its driver ended a loop early; a smaller radius, fewer neighbours, edges off or the CPU engine may help",
             ));
         }
         let layout = self.layout(points);
@@ -270,8 +273,9 @@ fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
 }
 
 /// Positions of a submission.
-fn part_places(points: usize) -> usize {
-    points.div_ceil(MOST_PARTS).next_multiple_of(PART_PLACES)
+fn part_places(points: usize, edges: Edges) -> usize {
+    let least = if edges == Edges::Off { PART_PLACES } else { PART_PLACES_WITH_EDGES };
+    points.div_ceil(MOST_PARTS).next_multiple_of(least)
 }
 
 impl ImmediateEngine for GeneralGpu {

@@ -1,4 +1,4 @@
-// The results: sections 3 to 7 with the points within the radius as neighbours, one place a thread.
+// The results: sections 3 to 7 and 10 with the points within the radius as neighbours, one place a thread.
 
 @compute @workgroup_size(64)
 fn fit_places(

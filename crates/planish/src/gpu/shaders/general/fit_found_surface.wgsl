@@ -34,14 +34,18 @@ fn surroundings_of(p: vec3<f32>, radius: f32) -> Surroundings {
         }
     }
     check_done(walk);
-    return Surroundings(inverse / (total * radius_squared), mean / max(near, MIN_POSITIVE));
+    let per_variance = min(inverse / total, 1.0 / (MIN_NOISE * MIN_NOISE)) / radius_squared;
+    return Surroundings(per_variance, mean / max(near, MIN_POSITIVE));
 }
 
 fn found_surface(place: u32, p: vec3<f32>, radius: f32, own: Plane, n: f32) -> LocalSurface {
     // Without a plane every neighbour counts.
-    let unchanged = LocalSurface(own, n, 1e18);
+    let unchanged = LocalSurface(own, n, 1e37);
+    if n < 3.0 || own.is_degenerate {
+        return unchanged;
+    }
     let around = surroundings_of(p, radius);
-    if n < 3.0 || own.is_degenerate || !(around.per_variance > 0.0) {
+    if !(around.per_variance > 0.0) {
         return unchanged;
     }
     let plane_reach = PLANE_REACH * radius;
