@@ -116,7 +116,7 @@ fn tiles_give_what_the_whole_cloud_gives() {
         (general.with_radius_m(0.6), &las, 4),
         (general.with_remove_isolated(true).with_degree(1), &las, 3),
         (general.with_radius_m(0.3).with_degree(3), &laz, 8),
-        (general.with_edges(Edges::Robust), &las, 3),
+        (general.with_edges(Edges::Robust), &las, 2),
         (general.with_edges(Edges::Robust).with_radius_m(0.4), &laz, 4),
     ] {
         let what = format!("{params:?}, {share}");
