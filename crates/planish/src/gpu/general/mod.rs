@@ -34,8 +34,6 @@ use passes::{Compiled, DIGITS, Pass, TILE};
 
 /// Positions that are fitted in one submission, at least: as many as the largest devices have threads.
 const PART_PLACES: usize = 1 << 18;
-/// The same where edges are kept, and each walks four times as far.
-const PART_PLACES_WITH_EDGES: usize = 1 << 16;
 /// Workgroups along the first axis of a dispatch: fewer than any device allows.
 const MOST_GROUPS_ACROSS: usize = 1 << 15;
 /// A smaller extent counts as this, so that its inverse stays within f32.
@@ -116,7 +114,7 @@ impl GeneralGpu {
             half_count,
             largest_radius: (extent_m as f32 / 2.0).min(MAX_RANGE_M),
             least_neighbours: self.params.least_neighbours(view),
-            part_places: part_places(view.len(), self.params.edges) as u32,
+            part_places: part_places(view.len()) as u32,
             levels: levels.firsts,
         }
     }
@@ -155,7 +153,7 @@ impl GeneralGpu {
         for steps in index_steps(points, &levels) {
             submissions.push(self.submit_steps(buffers, &steps, encoder()));
         }
-        let part = part_places(points, self.params.edges);
+        let part = part_places(points);
         let parts = points.div_ceil(part);
         let by_density = matches!(self.params.radius, Radius::Neighbours { .. });
         let keeps_edges = self.params.edges != Edges::Off;
@@ -273,9 +271,8 @@ fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
 }
 
 /// Positions of a submission.
-fn part_places(points: usize, edges: Edges) -> usize {
-    let least = if edges == Edges::Off { PART_PLACES } else { PART_PLACES_WITH_EDGES };
-    points.div_ceil(MOST_PARTS).next_multiple_of(least)
+fn part_places(points: usize) -> usize {
+    points.div_ceil(MOST_PARTS).next_multiple_of(PART_PLACES)
 }
 
 impl ImmediateEngine for GeneralGpu {
