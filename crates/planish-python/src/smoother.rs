@@ -67,6 +67,25 @@ pub struct PySmoother(Mutex<State>);
 /// The camera, the sensor's pose and the origin of coordinates of a frame, as far as they are known.
 type Place<'py> = (Option<PyRef<'py, PyCamera>>, Option<[f64; 7]>, Option<[f64; 3]>);
 
+/// What makes a frame.
+struct Given<'py> {
+    input: Input<'py>,
+    camera: Option<Camera>,
+    pose: Option<[f64; 7]>,
+    origin_m: Option<[f64; 3]>,
+}
+
+impl<'py> Given<'py> {
+    fn new(array: &Bound<'py, PyAny>, is_depth: bool, (camera, pose, origin_m): Place<'py>) -> PyResult<Self> {
+        let camera = camera.map(|camera| camera.0);
+        Ok(Self { input: Input::new(array, is_depth)?, camera, pose, origin_m })
+    }
+
+    fn frame(&self) -> PyResult<Frame<'_>> {
+        self.input.frame(self.camera.as_ref(), self.pose, self.origin_m)
+    }
+}
+
 impl State {
     /// Refuses what would mix with frames in flight.
     fn check_idle(&self) -> PyResult<()> {
@@ -184,20 +203,18 @@ impl PySmoother {
     }
 
     /// Smooths a frame into arrays; returns what is to be said of it.
-    fn smooth(
+    fn smooth<'py>(
         &self,
-        py: Python<'_>,
-        array: &Bound<'_, PyAny>,
+        py: Python<'py>,
+        array: &Bound<'py, PyAny>,
         is_depth: bool,
-        place: Place<'_>,
+        place: Place<'py>,
         out: &Bound<'_, PyDict>,
     ) -> PyResult<Option<String>> {
         let mut buffers = Buffers::new(out)?;
         let outputs = buffers.outputs();
-        let (camera, pose, origin_m) = place;
-        let camera: Option<Camera> = camera.map(|camera| camera.0);
-        let input = Input::new(array, is_depth)?;
-        let frame = input.frame(camera.as_ref(), pose, origin_m)?;
+        let given = Given::new(array, is_depth, place)?;
+        let frame = given.frame()?;
         let mut slices = buffers.slices()?;
         let mut state = self.lock()?;
         state.check_idle()?;
@@ -205,19 +222,17 @@ impl PySmoother {
     }
 
     /// Hands a frame over; its result is received later. `outputs` has arrays of any size for the outputs that are wanted.
-    fn submit(
+    fn submit<'py>(
         &self,
-        py: Python<'_>,
-        array: &Bound<'_, PyAny>,
+        py: Python<'py>,
+        array: &Bound<'py, PyAny>,
         is_depth: bool,
-        place: Place<'_>,
+        place: Place<'py>,
         outputs: &Bound<'_, PyDict>,
     ) -> PyResult<()> {
         let outputs = Buffers::new(outputs)?.outputs();
-        let (camera, pose, origin_m) = place;
-        let camera: Option<Camera> = camera.map(|camera| camera.0);
-        let input = Input::new(array, is_depth)?;
-        let frame = input.frame(camera.as_ref(), pose, origin_m)?;
+        let given = Given::new(array, is_depth, place)?;
+        let frame = given.frame()?;
         let mut state = self.lock()?;
         let smoother = state.smoother(frame, outputs)?;
         py.detach(|| smoother.submit_in_place(frame)).map_err(to_py)
@@ -287,20 +302,18 @@ impl PySmoother {
     }
 
     /// Milliseconds of so many runs of the library's own call on a frame, into buffers of its own: what Python's is held against.
-    fn time_library(
+    fn time_library<'py>(
         &self,
-        py: Python<'_>,
-        array: &Bound<'_, PyAny>,
+        py: Python<'py>,
+        array: &Bound<'py, PyAny>,
         is_depth: bool,
-        place: Place<'_>,
+        place: Place<'py>,
         outputs: &Bound<'_, PyDict>,
         runs: usize,
     ) -> PyResult<Vec<f64>> {
         let outputs = Buffers::new(outputs)?.outputs();
-        let (camera, pose, origin_m) = place;
-        let camera: Option<Camera> = camera.map(|camera| camera.0);
-        let input = Input::new(array, is_depth)?;
-        let frame = input.frame(camera.as_ref(), pose, origin_m)?;
+        let given = Given::new(array, is_depth, place)?;
+        let frame = given.frame()?;
         let mut state = self.lock()?;
         state.check_idle()?;
         let smoother = state.smoother(frame, outputs)?;

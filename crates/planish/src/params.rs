@@ -330,13 +330,9 @@ impl SmoothParams {
 
     /// With fewer neighbours a point of a general cloud is isolated (docs/method.md, section 8).
     pub(crate) fn least_neighbours(&self, cloud: &PointsView<'_>) -> u32 {
-        match self.radius {
-            Radius::Neighbours { count } => {
-                let few = u32::try_from(cloud.points_of_whole().div_ceil(16)).unwrap_or(u32::MAX);
-                count.div_ceil(4).min(few).max(3)
-            }
-            Radius::Fixed { .. } | Radius::Sensor => 3,
-        }
+        let Radius::Neighbours { count } = self.radius else { return 3 };
+        let few = u32::try_from(cloud.points_of_whole().div_ceil(16)).unwrap_or(u32::MAX);
+        count.div_ceil(4).min(few).max(3)
     }
 
     /// Refuses every value outside its range.

@@ -20,7 +20,8 @@ Many frames, with buffers that are kept:
 from ._files import Devices, Frame, Simulated, devices, evaluate, info, read, simulate, write
 from ._planish import VERSION as __version__
 from ._planish import Camera
-from ._smoothing import Smoothed, Smoother, Status, smooth
+from ._result import Smoothed, Status
+from ._smoothing import Smoother, smooth
 
 __all__ = [
     "Camera",

@@ -1,0 +1,60 @@
+"""What comes out of smoothing."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Status(enum.IntEnum):
+    """What became of a point."""
+
+    #: No measurement came in, none goes out.
+    HOLE = 0
+    #: Fewer than 3 neighbours, or an isolated point that was to be removed: the output is a hole.
+    TOO_FEW = 1
+    #: The neighbours lie on a line: the point stays as measured and has no normal.
+    DEGENERATE = 2
+    #: On the plane.
+    PLANE = 3
+    #: On a polynomial of degree 2.
+    POLYNOMIAL_2 = 4
+    #: On a polynomial of degree 3.
+    POLYNOMIAL_3 = 5
+    #: In a general cloud, far from all others: the point stays as measured and has no normal.
+    ISOLATED = 6
+
+
+@dataclass(slots=True, eq=False)
+class Smoothed:
+    """The result of a frame; what was not asked for is ``None``.
+
+    Attributes
+    ----------
+    points : ndarray of float32, [H, W, 3] or [N, 3]
+        Points in metres, NaN for holes; float64 where the points that came in were.
+    normals : ndarray of float32, the same shape
+        Unit normals towards the sensor, NaN where there is none.
+    curvature : ndarray of float32, [H, W] or [N]
+        Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
+    status : ndarray of uint8, [H, W] or [N]
+        What became of each point, as `Status`.
+    neighbours : ndarray of uint32, [H, W] or [N]
+        Number of neighbours, the point itself included.
+    depth : ndarray of uint16, [H, W]
+        Raw depth in the camera's units, 0 for holes.
+    depth_m : ndarray of float32, [H, W]
+        Depth in metres, NaN for holes.
+    """
+
+    points: NDArray[Any] | None = None
+    normals: NDArray[np.float32] | None = None
+    curvature: NDArray[np.float32] | None = None
+    status: NDArray[np.uint8] | None = None
+    neighbours: NDArray[np.uint32] | None = None
+    depth: NDArray[np.uint16] | None = None
+    depth_m: NDArray[np.float32] | None = None
