@@ -49,7 +49,7 @@ pub(crate) use general::GeneralCpu;
 use output::OutputRows;
 use padded::{PaddedFrame, PaddedRows};
 use plane::Plane;
-use polynomial::{Terms, Weighting};
+use polynomial::{Source, Terms, Weighting};
 use project::{Projected, Projection};
 use row_tasks::{SplitRows, run_on_rows};
 use sensor::Sensor;
@@ -284,19 +284,20 @@ fn smooth_vector<S: Simd, const D: usize>(
     let range = kernel.range(simd, ray);
     let radius = kernel.rules.radius(simd, range);
     let window = Window::at(input.samples, kernel, u, rows.first + row);
-    let (plane, n, width) = match surfaces {
+    let (plane, n, width, source) = match surfaces {
         None => {
-            let sums = window.sums(simd, p, radius);
-            (plane::fit(simd, ray, &sums), sums.n, None)
+            let (sums, source) = terms.keep(simd, window, p, radius);
+            (plane::fit(simd, ray, &sums), sums.n, None, source)
         }
         Some(surfaces) => {
             let surface = surfaces.surface(simd, here);
-            (surface.plane, valid.select(surface.n, splat(simd, 0.0)), Some(surface.width))
+            let n = valid.select(surface.n, splat(simd, 0.0));
+            (surface.plane, n, Some(surface.width), Source::Of(window))
         }
     };
     let projection = rows.projection(kernel.on_ray);
     let fitting = &kernel.fitting;
-    let projected = fitting.fit::<S, _, D>(simd, window, p, ray, &plane, width, radius, n, valid, projection, terms);
+    let projected = fitting.fit::<S, _, D>(simd, source, p, ray, &plane, width, radius, n, valid, projection, terms);
     rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &plane, n);
 }
 
@@ -307,7 +308,7 @@ impl Fitting {
     fn fit<S: Simd, C: Candidates<S>, const D: usize>(
         &self,
         simd: S,
-        candidates: C,
+        source: Source<C>,
         p: Vec3<S>,
         ray: Vec3<S>,
         plane: &Plane<S>,
@@ -329,7 +330,7 @@ impl Fitting {
             |bandwidth_m| splat(simd, bandwidth_m),
         );
         let weighting = Weighting { radius, bandwidth, width };
-        let fit = polynomial::moments::<S, C, D>(simd, candidates, p, plane, &weighting, terms);
+        let fit = polynomial::moments::<S, C, D>(simd, source, p, plane, &weighting, terms);
         let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, self.ridge, n);
         project::project::<S, D>(simd, p, ray, plane, Some((&fit, c)), radius, n, valid, projection)
     }

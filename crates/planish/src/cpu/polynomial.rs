@@ -14,7 +14,7 @@ use super::math::exp2;
 use super::plane::Plane;
 use super::unroll::unroll;
 use super::vector::{Vec3, splat};
-use super::window::Candidates;
+use super::window::{Candidates, Sums};
 use crate::method::{MAX_OFF_SURFACE, SQRT_LOG2_E};
 
 /// Number of moments for degree 3, the most.
@@ -108,11 +108,20 @@ pub(super) struct Fit<S: Simd> {
     pub(super) extent_squared: S::f32s,
 }
 
+/// Where the second pass finds its candidates.
+#[derive(Clone, Copy)]
+pub(super) enum Source<C> {
+    /// So many, whose offsets and weights by the gate the first pass left in the terms.
+    Kept(usize),
+    /// All of these, gated once more.
+    Of(C),
+}
+
 /// Second pass over the candidates: accumulates the moments of degree D over the plane.
 #[inline(always)]
 pub(super) fn moments<S: Simd, C: Candidates<S>, const D: usize>(
     simd: S,
-    candidates: C,
+    source: Source<C>,
     p: Vec3<S>,
     plane: &Plane<S>,
     weighting: &Weighting<S>,
@@ -133,23 +142,25 @@ pub(super) fn moments<S: Simd, C: Candidates<S>, const D: usize>(
         narrowing,
     };
     let mut moments = Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
-    let rows_at_once = (CHUNK / candidates.row_len()).max(1);
-    let mut rows = 0..rows_at_once.min(candidates.rows());
-    while !rows.is_empty() {
-        let len = rows.len() * candidates.row_len();
-        if weighting.width.is_none() {
-            terms.fill::<C, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
-        } else {
-            terms.fill::<C, true>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
+    match source {
+        Source::Kept(len) => {
+            terms.turn(simd, len, &frame);
+            accumulate_all::<S, D>(&mut moments, terms, len);
         }
-        // In groups of rows that fit the registers.
-        if D == 3 {
-            accumulate::<S, D, 0, 2, 0, 1>(&mut moments, terms, len);
-            accumulate::<S, D, 2, 7, 1, 7>(&mut moments, terms, len);
-        } else {
-            accumulate::<S, D, 0, 7, 0, 7>(&mut moments, terms, len);
+        Source::Of(candidates) => {
+            let rows_at_once = (CHUNK / candidates.row_len()).max(1);
+            let mut rows = 0..rows_at_once.min(candidates.rows());
+            while !rows.is_empty() {
+                let len = rows.len() * candidates.row_len();
+                if weighting.width.is_none() {
+                    terms.fill::<C, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
+                } else {
+                    terms.fill::<C, true>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
+                }
+                accumulate_all::<S, D>(&mut moments, terms, len);
+                rows = rows.end..(rows.end + rows_at_once).min(candidates.rows());
+            }
         }
-        rows = rows.end..(rows.end + rows_at_once).min(candidates.rows());
     }
     let extent_squared = plane.extent_squared.min(weighting.radius * weighting.radius) * (per_metre * per_metre);
     Fit { moments, a_axis: frame.a_axis, b_axis: frame.b_axis, metres: splat(simd, 1.0) / per_metre, extent_squared }
@@ -187,21 +198,82 @@ impl<S: Simd> Terms<S> {
                     rows,
                     #[inline(always)]
                     |e, weight, _| {
-                        let a = e.dot(frame.a_axis);
-                        let b = e.dot(frame.b_axis);
-                        let f = e.dot(frame.f_axis) - frame.f_offset;
-                        let f2 = f * f;
-                        let mut exponent = a.mul_add(a, b.mul_add(b, f2));
-                        if NARROW {
-                            exponent += (f2 * frame.narrowing).min(splat(simd, MAX_OFF_SURFACE));
-                        }
-                        self.w[at] = weight * exp2(simd, -exponent);
-                        (self.a[at], self.b[at], self.f[at]) = (a, b, f);
+                        self.set::<NARROW>(simd, at, e, weight, frame);
                         at += 1;
                     },
                 );
             },
         );
+    }
+
+    /// Turns the first `len` candidates that [`keep`](Self::keep) left into terms. Not inlined, as [`fill`](Self::fill).
+    #[inline(never)]
+    fn turn(&mut self, simd: S, len: usize, frame: &Frame<S>) {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                for at in 0..len.min(CHUNK) {
+                    let e = Vec3::new(self.a[at], self.b[at], self.f[at]);
+                    self.set::<false>(simd, at, e, self.w[at], frame);
+                }
+            },
+        );
+    }
+
+    /// Sets a term to that of a candidate at the offset e that counts so much by the gate.
+    #[inline(always)]
+    fn set<const NARROW: bool>(&mut self, simd: S, at: usize, e: Vec3<S>, weight: S::f32s, frame: &Frame<S>) {
+        let a = e.dot(frame.a_axis);
+        let b = e.dot(frame.b_axis);
+        let f = e.dot(frame.f_axis) - frame.f_offset;
+        let f2 = f * f;
+        let mut exponent = a.mul_add(a, b.mul_add(b, f2));
+        if NARROW {
+            exponent += (f2 * frame.narrowing).min(splat(simd, MAX_OFF_SURFACE));
+        }
+        self.w[at] = weight * exp2(simd, -exponent);
+        (self.a[at], self.b[at], self.f[at]) = (a, b, f);
+    }
+
+    /// First pass: the sums over the candidates, which are left here for the second pass if they fit.
+    #[inline(always)]
+    pub(super) fn keep<C: Candidates<S>>(
+        &mut self,
+        simd: S,
+        candidates: C,
+        p: Vec3<S>,
+        radius: S::f32s,
+    ) -> (Sums<S>, Source<C>) {
+        let len = candidates.rows() * candidates.row_len();
+        if len > CHUNK {
+            return (candidates.sums(simd, p, radius), Source::Of(candidates));
+        }
+        let mut sums = Sums::zero(simd);
+        let mut at = 0;
+        candidates.neighbours(
+            simd,
+            p,
+            radius,
+            0..candidates.rows(),
+            #[inline(always)]
+            |e, weight, count| {
+                sums.add(e, weight, count);
+                (self.w[at], self.a[at], self.b[at], self.f[at]) = (weight, e.x, e.y, e.z);
+                at += 1;
+            },
+        );
+        (sums, Source::Kept(len))
+    }
+}
+
+/// Adds the first `len` terms to the moments, in groups of rows that fit the registers.
+#[inline(always)]
+fn accumulate_all<S: Simd, const D: usize>(moments: &mut Moments<S>, terms: &Terms<S>, len: usize) {
+    if D == 3 {
+        accumulate::<S, D, 0, 2, 0, 1>(moments, terms, len);
+        accumulate::<S, D, 2, 7, 1, 7>(moments, terms, len);
+    } else {
+        accumulate::<S, D, 0, 7, 0, 7>(moments, terms, len);
     }
 }
 

@@ -87,10 +87,7 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// The sums over the neighbours among the candidates of some rows.
     #[inline(always)]
     fn sums_of_rows(&self, simd: S, p: Vec3<S>, radius: S::f32s, rows: Range<usize>) -> Sums<S> {
-        let zero = splat(simd, 0.0);
-        let zeros = Vec3::splat(simd, 0.0);
-        let mut sums =
-            Sums { n: zero, total: zero, e: zeros, xx: zero, xy: zero, xz: zero, yy: zero, yz: zero, zz: zero };
+        let mut sums = Sums::zero(simd);
         self.neighbours(
             simd,
             p,
@@ -104,6 +101,13 @@ pub(super) trait Candidates<S: Simd>: Copy {
 }
 
 impl<S: Simd> Sums<S> {
+    #[inline(always)]
+    pub(super) fn zero(simd: S) -> Self {
+        let zero = splat(simd, 0.0);
+        let e = Vec3::splat(simd, 0.0);
+        Self { n: zero, total: zero, e, xx: zero, xy: zero, xz: zero, yy: zero, yz: zero, zz: zero }
+    }
+
     /// Adds a candidate: its offset, how much it counts, and how many neighbours it is.
     #[inline(always)]
     pub(super) fn add(&mut self, e: Vec3<S>, weight: S::f32s, count: S::f32s) {

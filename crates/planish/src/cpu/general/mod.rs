@@ -13,7 +13,7 @@ use std::sync::Arc;
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
 use super::output::OutputRows;
-use super::polynomial::Terms;
+use super::polynomial::{Source, Terms};
 use super::row_tasks::{SplitRows, halve};
 use super::sensor::Sensor;
 use super::vector::{Mask, Vec3, splat};
@@ -227,8 +227,19 @@ fn smooth_vector<S: Simd, const D: usize>(
     let n = valid.select(n, splat(simd, 0.0));
     let ray = kernel.sensor.ray(simd, p);
     let projection = rows.projection(false);
-    let projected =
-        kernel.fitting.fit::<S, _, D>(simd, &*gathered, p, ray, &plane, width, radius, n, valid, projection, terms);
+    let projected = kernel.fitting.fit::<S, _, D>(
+        simd,
+        Source::Of(&*gathered),
+        p,
+        ray,
+        &plane,
+        width,
+        radius,
+        n,
+        valid,
+        projection,
+        terms,
+    );
     rows.store(row, u, splat(simd, 0.0), &projected, &plane, n);
 }
 
