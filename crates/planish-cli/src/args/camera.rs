@@ -38,6 +38,11 @@ impl PoseArgs {
 }
 
 impl CameraArgs {
+    /// Whether anything is said of the camera.
+    pub fn is_given(&self) -> bool {
+        self.camera.is_some() || self.camera_file.is_some() || self.depth_scale.is_some()
+    }
+
     /// The camera for frames of this shape; `None` if the user gave none.
     pub fn camera(&self, shape: (usize, usize)) -> Result<Option<Camera>> {
         self.read(Some(shape))

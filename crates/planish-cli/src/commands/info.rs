@@ -4,7 +4,7 @@ use crate::exit::ExitCode;
 use std::path::Path;
 
 use anyhow::Result;
-use planish::io::{self, Contents, Format};
+use planish::io::{self, Contents, DepthSummary, Format};
 use planish::{
     Attribute, AttributeValues, DepthFrame, DepthView, Error, FormatError, IoError, OrganizedCloud, PointCloud,
     PointsView, RangeRule, SensorModel,
@@ -45,7 +45,13 @@ struct SensorInfo {
 }
 
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
-    let read = io::read_with(&args.file, &args.memory.read_options());
+    let options = args.memory.read_options();
+    if !args.camera.is_given() && args.file != Path::new("-") {
+        if let Some((format, summary)) = io::summarize_depth(&args.file, &options)? {
+            return show(args, &describe_depth(format, &summary), true);
+        }
+    }
+    let read = io::read_with(&args.file, &options);
     let is_las = matches!(Format::of_extension(&args.file), Some(Format::Las | Format::Laz));
     if let (Err(IoError { problem: FormatError::TooLarge { .. }, .. }), true) = (&read, is_las) {
         return show(args, &describe_in_parts(args)?, false);
@@ -113,14 +119,18 @@ fn union([low, high]: [[f64; 3]; 2], [other_low, other_high]: [[f64; 3]; 2]) -> 
     [[0, 1, 2].map(|axis| low[axis].min(other_low[axis])), [0, 1, 2].map(|axis| high[axis].max(other_high[axis]))]
 }
 
+fn describe_depth(format: Format, summary: &DepthSummary) -> Info {
+    let mut info = Info::new(format, (summary.width, summary.height), true);
+    (info.valid_points, info.raw_depth) = (summary.valid, summary.raw);
+    info
+}
+
 fn describe(args: &InfoArgs, format: Format, contents: &Contents) -> Result<Info> {
     let (width, height) = contents.shape();
     let mut info = Info::new(format, (width, height), !matches!(contents, Contents::General(_)));
     match contents {
         Contents::Depth(image) => {
-            let valid = || image.raw.iter().copied().filter(|&raw| raw != 0 && raw != planish::SATURATED_DEPTH);
-            info.valid_points = valid().count();
-            info.raw_depth = valid().min().zip(valid().max()).map(|(min, max)| [min, max]);
+            info = describe_depth(format, &DepthSummary::from(image));
             if let Some(camera) = args.camera.camera((width, height))? {
                 let frame = DepthFrame::from_image(camera, image.clone()).map_err(Error::from)?;
                 describe_grid(&frame.deproject().map_err(Error::from)?, &mut info)?;

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use planish::PointCloud;
 use planish::io::{Encoding, write_cloud};
 
-use super::{ok, planish, refused, small_frame, str, text, with_frame};
+use super::{json_line, ok, planish, refused, small_frame, str, text, with_frame};
 
 /// Longer than any refusal takes, and far shorter than what the files here took before.
 const AT_ONCE: Duration = Duration::from_secs(5);
@@ -91,19 +91,27 @@ fn older_pcd_versions_are_read() {
 fn what_needs_more_memory_than_allowed_is_refused_before_it_is_allocated() {
     let (folder, _, path) = with_frame();
     let output = folder.path().join("out.pcd");
-    let depth = folder.path().join("depth.png");
-    planish::io::write_depth(&depth, &planish::DepthImage { width: 160, height: 120, raw: small_frame(1).raw })
-        .unwrap();
     let compressed = folder.path().join("c.pcd");
     let cloud = small_frame(1).deproject().unwrap();
     write_cloud(&compressed, &cloud, Encoding::BinaryCompressed).unwrap();
-    for file in [&path, &depth, &compressed] {
+    for file in [&path, &compressed] {
         assert!(
             refused_at_once(&["info", str(file), "--max-memory", "30K"]).contains("of memory"),
             "{}",
             file.display()
         );
         ok(&["info", str(file), "--max-memory", "1G"]);
+    }
+    // 6 MB of pixels in a small file: described without being held, unless points are to be made of them.
+    let (width, height) = (2000, 1500);
+    for name in ["flat.png", "flat.tiff"] {
+        let flat = folder.path().join(name);
+        let image = planish::DepthImage { width, height, raw: vec![1500; width * height] };
+        planish::io::write_depth(&flat, &image).unwrap();
+        let info = json_line(&ok(&["info", str(&flat), "--json", "--max-memory", "3M"]));
+        assert!(info["valid_points"] == width * height && info["raw_depth"][1] == 1500, "{info}");
+        let with_camera = ["info", str(&flat), "--max-memory", "3M", "--camera", "525,525,319.5,239.5"];
+        assert!(refused_at_once(&with_camera).contains("of memory"), "{name}");
     }
     // Read, but too much for an engine.
     assert!(refused(&["smooth", str(&path), str(&output), "--max-memory", "1M"]).contains("--max-memory"));

@@ -2,19 +2,46 @@
 
 use std::io::Cursor;
 
-use super::ReadOptions;
+use super::{DepthSummary, ReadOptions};
 use crate::error::FormatError;
 use crate::frame::DepthImage;
 use crate::xyz::validate_shape;
 
 /// Row by row, so that a frame is in memory once.
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
-    let malformed = |error: png::DecodingError| FormatError::Malformed(format!("damaged PNG: {error}"));
+    let (mut reader, (width, height)) = open(bytes, options)?;
+    options.check(width * height, 2)?;
+    let mut raw = Vec::with_capacity(width * height);
+    for_each_row(&mut reader, options, |row| raw.extend(row.chunks_exact(2).map(value)))?;
+    Ok(DepthImage { width, height, raw })
+}
+
+/// Counts the pixels without keeping them.
+pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<DepthSummary, FormatError> {
+    let (mut reader, (width, height)) = open(bytes, options)?;
+    let mut summary = DepthSummary { width, height, ..DepthSummary::default() };
+    for_each_row(&mut reader, options, |row| summary.add(row.chunks_exact(2).map(value)))?;
+    Ok(summary)
+}
+
+fn value(bytes: &[u8]) -> u16 {
+    u16::from_be_bytes([bytes[0], bytes[1]])
+}
+
+fn malformed(error: png::DecodingError) -> FormatError {
+    FormatError::Malformed(format!("damaged PNG: {error}"))
+}
+
+/// The reader of a depth image, and its shape.
+fn open<'a>(
+    bytes: &'a [u8],
+    options: &ReadOptions,
+) -> Result<(png::Reader<Cursor<&'a [u8]>>, (usize, usize)), FormatError> {
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
     // Of what is no picture: texts and profiles.
     decoder.set_limits(png::Limits { bytes: options.max_memory_bytes.min(64 << 20) as usize });
     decoder.set_ignore_text_chunk(true);
-    let mut reader = decoder.read_info().map_err(malformed)?;
+    let reader = decoder.read_info().map_err(malformed)?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     let kind = (reader.info().color_type, reader.info().bit_depth);
     if kind != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
@@ -24,29 +51,38 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, 
         )));
     }
     validate_shape(width, height)?;
-    let size = reader.output_buffer_size().unwrap_or(usize::MAX);
     // Deflate compresses by 1032 at most.
-    if size / 1100 > bytes.len() {
+    if 2 * width * height / 1100 > bytes.len() {
         return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
     }
-    // Interlaced frames are put together in memory of their own.
-    let interlaced = reader.info().interlaced;
-    options.check(width * height, if interlaced { 4 } else { 2 })?;
-    let value = |bytes: &[u8]| u16::from_be_bytes([bytes[0], bytes[1]]);
-    let mut raw = Vec::with_capacity(width * height);
-    if interlaced {
-        let mut buffer = vec![0; size];
+    Ok((reader, (width, height)))
+}
+
+/// Visits the rows of an image, in big-endian bytes.
+fn for_each_row(
+    reader: &mut png::Reader<Cursor<&[u8]>>,
+    options: &ReadOptions,
+    mut visit: impl FnMut(&[u8]),
+) -> Result<(), FormatError> {
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    let mut rows = 0;
+    if reader.info().interlaced {
+        // Such frames are put together in memory of their own.
+        options.check(width * height, 4)?;
+        let mut buffer = vec![0; 2 * width * height];
         reader.next_frame(&mut buffer).map_err(malformed)?;
-        raw.extend(buffer.chunks_exact(2).map(value));
+        buffer.chunks_exact(2 * width).for_each(&mut visit);
+        rows = height;
     } else {
         while let Some(row) = reader.next_row().map_err(malformed)? {
-            raw.extend(row.data().chunks_exact(2).map(value));
+            visit(row.data());
+            rows += 1;
         }
     }
-    if raw.len() != width * height {
+    if rows != height {
         return Err(FormatError::Malformed("the PNG is cut short: rows are missing".into()));
     }
-    Ok(DepthImage { width, height, raw })
+    Ok(())
 }
 
 pub(super) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {

@@ -6,13 +6,50 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{Compression, TiffEncoder, colortype};
 use tiff::{ColorType, TiffError};
 
-use super::ReadOptions;
+use super::{DepthSummary, ReadOptions};
 use crate::error::FormatError;
 use crate::frame::DepthImage;
 use crate::xyz::validate_shape;
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
-    let malformed = |error: TiffError| FormatError::Malformed(format!("damaged TIFF: {error}"));
+    let (mut decoder, (width, height)) = open(bytes, options)?;
+    // The image, and a strip or tile that may be all of it.
+    options.check(width * height, 4)?;
+    match decoder.read_image().map_err(malformed)? {
+        DecodingResult::U16(raw) if raw.len() == width * height => Ok(DepthImage { width, height, raw }),
+        _ => Err(not_unsigned()),
+    }
+}
+
+/// Counts the pixels, a strip or tile at a time, without keeping them.
+pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<DepthSummary, FormatError> {
+    let (mut decoder, (width, height)) = open(bytes, options)?;
+    let (chunk_width, chunk_height) = decoder.chunk_dimensions();
+    options.check(chunk_width as usize * chunk_height as usize, 4)?;
+    let mut summary = DepthSummary { width, height, ..DepthSummary::default() };
+    let chunks = width.div_ceil(chunk_width.max(1) as usize) * height.div_ceil(chunk_height.max(1) as usize);
+    for chunk in 0..u32::try_from(chunks).unwrap_or(u32::MAX) {
+        match decoder.read_chunk(chunk).map_err(malformed)? {
+            DecodingResult::U16(raw) => summary.add(raw.into_iter()),
+            _ => return Err(not_unsigned()),
+        }
+    }
+    Ok(summary)
+}
+
+fn malformed(error: TiffError) -> FormatError {
+    FormatError::Malformed(format!("damaged TIFF: {error}"))
+}
+
+fn not_unsigned() -> FormatError {
+    FormatError::Unsupported("the TIFF's samples are not unsigned 16-bit integers".into())
+}
+
+/// The decoder of a depth image, and its shape.
+fn open<'a>(
+    bytes: &'a [u8],
+    options: &ReadOptions,
+) -> Result<(Decoder<Cursor<&'a [u8]>>, (usize, usize)), FormatError> {
     let most = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
     let mut limits = Limits::default();
     limits.decoding_buffer_size = most;
@@ -25,12 +62,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, 
         return Err(FormatError::Unsupported(format!("a TIFF of {kind:?}: a depth image is 16-bit grayscale")));
     }
     validate_shape(width, height)?;
-    // The image, and a strip or tile that may be all of it.
-    options.check(width * height, 4)?;
-    match decoder.read_image().map_err(malformed)? {
-        DecodingResult::U16(raw) if raw.len() == width * height => Ok(DepthImage { width, height, raw }),
-        _ => Err(FormatError::Unsupported("the TIFF's samples are not unsigned 16-bit integers".into())),
-    }
+    Ok((decoder, (width, height)))
 }
 
 pub(super) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {

@@ -155,6 +155,61 @@ impl Contents {
     }
 }
 
+/// What a depth image of 16 bits holds, in brief.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct DepthSummary {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Pixels with a depth: neither 0 nor [`SATURATED_DEPTH`](crate::SATURATED_DEPTH).
+    pub valid: usize,
+    /// The smallest and largest of their raw values.
+    pub raw: Option<[u16; 2]>,
+}
+
+impl DepthSummary {
+    /// Adds pixels.
+    pub(crate) fn add(&mut self, raw: impl Iterator<Item = u16>) {
+        for raw in raw.filter(|&raw| raw != 0 && raw != crate::SATURATED_DEPTH) {
+            self.valid += 1;
+            let [low, high] = self.raw.unwrap_or([raw; 2]);
+            self.raw = Some([low.min(raw), high.max(raw)]);
+        }
+    }
+}
+
+impl From<&DepthImage> for DepthSummary {
+    fn from(image: &DepthImage) -> Self {
+        let mut summary = Self { width: image.width, height: image.height, ..Self::default() };
+        summary.add(image.raw.iter().copied());
+        summary
+    }
+}
+
+/// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
+pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
+    /// A file of these formats begins with no more.
+    const MAGIC_BYTES: u64 = 8;
+    let summarize = || {
+        if !fs::metadata(path)?.is_file() {
+            return Ok(None);
+        }
+        let mut start = Vec::new();
+        fs::File::open(path)?.take(MAGIC_BYTES).read_to_end(&mut start)?;
+        let format = Format::of_contents(&start);
+        let summarize = match format {
+            Some(Format::DepthPng) => depth_png::summarize,
+            Some(Format::DepthTiff) => depth_tiff::summarize,
+            _ => return Ok(None),
+        };
+        let summary = summarize(&read_bytes(path, options)?, options)?;
+        Ok(format.map(|format| (format, summary)))
+    };
+    summarize().map_err(IoError::at(path))
+}
+
 /// Reads a file of any format; `-` is standard input. Refuses what is no regular file, such as pipes, sockets and devices.
 pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
     read_with(path, &ReadOptions::default())
