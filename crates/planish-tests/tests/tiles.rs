@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use planish::io::{self, Contents, Encoding};
 use planish::tiles::{TileOptions, TilesReport, bytes_in_memory, smooth_tiles};
 use planish::{
-    AttributeValues, Edges, Engine, IntoFrame, Outputs, PointCloud, Progress, SmoothParams, Smoothed, Smoother,
-    SmootherOptions,
+    AttributeValues, Edges, Engine, IntoFrame, Outputs, PointCloud, Progress, SensorPose, SmoothParams, Smoothed,
+    Smoother, SmootherOptions,
 };
 use planish_tests::data::folder;
 
@@ -74,6 +74,7 @@ fn in_tiles(input: &Path, output: &Path, params: SmoothParams, share: u64) -> Ti
 /// Points to a step of the file's coordinates, normals to the rounding of f32, all else equal.
 fn assert_same(found: &PointCloud, expected: &PointCloud, step_m: f64, what: &str) {
     assert_eq!(found.len(), expected.len(), "{what}");
+    assert!((0..found.len()).all(|i| found.positions.is_finite(i) == expected.positions.is_finite(i)), "{what}");
     let coordinate =
         |cloud: &PointCloud, axis: usize, i: usize| cloud.origin_m[axis] + f64::from(cloud.positions.get(i)[axis]);
     let far =
@@ -134,6 +135,76 @@ fn tiles_give_what_the_whole_cloud_gives() {
     }
 }
 
+/// The same file with the bytes of every vertex's values turned around; all have 4 bytes.
+fn big_endian(ply: &[u8]) -> Vec<u8> {
+    let end = b"end_header\n";
+    let at = ply.windows(end.len()).position(|window| window == end).unwrap() + end.len();
+    let header = std::str::from_utf8(&ply[..at]).unwrap().replace("little_endian", "big_endian");
+    let values = ply[at..].chunks_exact(4).flat_map(|value| [value[3], value[2], value[1], value[0]]);
+    header.into_bytes().into_iter().chain(values).collect()
+}
+
+#[test]
+fn ply_in_tiles_is_the_same_with_its_holes_types_and_pose() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    // Doubles, since it is far from the origin.
+    let far = field(30_000);
+    let mut near = field(90_000);
+    near.origin_m = [0.0; 3];
+    // More holes than a tile holds, one after another.
+    for i in (3..80_000).step_by(3).chain(50_000..80_000) {
+        near.positions.y[i] = f32::NAN;
+    }
+    near.attributes.retain(|attribute| attribute.name == "deviation");
+    // From below: normals turn round.
+    near.pose = SensorPose::from_viewpoint([30.0, 15.0, -50.0, 1.0, 0.0, 0.0, 0.0]);
+    io::write_cloud(&file("far.ply"), &far, Encoding::Binary).unwrap();
+    io::write_cloud(&file("near.ply"), &near, Encoding::Binary).unwrap();
+    io::write_cloud(&file("text.ply"), &near, Encoding::Ascii).unwrap();
+    fs::write(file("turned.ply"), big_endian(&fs::read(file("near.ply")).unwrap())).unwrap();
+    let by_density = SmoothParams::general();
+    for (name, params) in [
+        ("far.ply", by_density),
+        ("near.ply", by_density.with_radius_m(0.8)),
+        ("near.ply", by_density.with_remove_isolated(true)),
+        ("text.ply", by_density),
+        ("turned.ply", by_density),
+    ] {
+        let (input, out, expected) = (file(name), file("out.ply"), file("expected.ply"));
+        in_tiles(&input, &out, params, 3);
+        let cloud = read(&input);
+        io::write_cloud(&expected, &whole(&cloud, params), Encoding::Binary).unwrap();
+        let (found, expected) = (read(&out), read(&expected));
+        assert_same(&found, &expected, 1e-5, name);
+        assert_eq!((found.pose, found.position_columns), (expected.pose, expected.position_columns), "{name}");
+        let is_text = |path: &Path| fs::read(path).unwrap().starts_with(b"ply\nformat ascii");
+        assert_eq!(is_text(&out), is_text(&input), "{name}");
+    }
+    assert!(read(&file("turned.ply")).positions.x == near.positions.x);
+}
+
+#[test]
+fn ply_that_has_no_parts_is_left_to_be_read_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.ply");
+    let with = |elements: &str| {
+        fs::write(&file, format!("ply\nformat ascii 1.0\n{elements}end_header\n0 0 1\n1 0 1\n0 1 1\n1 1 1\n")).unwrap();
+        bytes_in_memory(&file)
+    };
+    let vertices = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\n";
+    assert!(with(vertices).is_some());
+    assert!(with(&format!("{vertices}element face 0\nproperty list uchar int vertex_indices\n")).is_some());
+    assert!(with(&format!("obj_info num_cols 2\nobj_info num_rows 2\n{vertices}")).is_none());
+    assert!(with(&format!("element other 0\nproperty float a\n{vertices}")).is_none());
+    assert!(with(&vertices.replace("float z", "int z")).is_none());
+    assert!(with(&vertices.replace("float z", "float y")).is_none());
+    let out = folder.path().join("out.las");
+    let options = TileOptions::new(SmoothParams::general(), cpu(), 1 << 20);
+    let error = smooth_tiles(&file, &out, &options, &Progress::default()).unwrap_err().to_string();
+    assert!(error.contains(".ply to .ply"), "{error}");
+}
+
 #[test]
 fn a_real_scan_in_tiles_is_the_same() {
     let Some(data) = folder("an aerial scan in tiles") else { return };
@@ -184,7 +255,7 @@ fn a_file_in_parts_has_every_point_once() {
     io::write_cloud(&input, &field(5000), Encoding::Binary).unwrap();
     let whole = read(&input);
     let (mut parts, mut intensities) = (Vec::new(), Vec::new());
-    io::read_las_in_parts(&input, 1800, |part| {
+    io::read_in_parts(&input, 1800, |part| {
         parts.push(part.len());
         match &part.attribute("intensity").unwrap().values {
             AttributeValues::U16(values) => intensities.extend_from_slice(values),

@@ -46,14 +46,15 @@ struct SensorInfo {
 
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     let options = args.memory.read_options();
-    if !args.camera.is_given() && args.file != Path::new("-") {
-        if let Some((format, summary)) = io::summarize_depth(&args.file, &options)? {
-            return show(args, &describe_depth(format, &summary), true);
-        }
+    if !args.camera.is_given()
+        && args.file != Path::new("-")
+        && let Some((format, summary)) = io::summarize_depth(&args.file, &options)?
+    {
+        return show(args, &describe_depth(format, &summary), true);
     }
     let read = io::read_with(&args.file, &options);
-    let is_las = matches!(Format::of_extension(&args.file), Some(Format::Las | Format::Laz));
-    if let (Err(IoError { problem: FormatError::TooLarge { .. }, .. }), true) = (&read, is_las) {
+    let has_parts = matches!(Format::of_extension(&args.file), Some(Format::Las | Format::Laz | Format::Ply));
+    if let (Err(IoError { problem: FormatError::TooLarge { .. }, .. }), true) = (&read, has_parts) {
         return show(args, &describe_in_parts(args)?, false);
     }
     let (format, mut contents) = read?;
@@ -101,7 +102,7 @@ fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
     const SAMPLE_STEP: usize = 97;
     let mut info = Info::new(Format::Las, (0, 1), false);
     let mut sample = Vec::new();
-    let format = io::read_las_in_parts(&args.file, POINTS_AT_ONCE, |cloud| {
+    let format = io::read_in_parts(&args.file, POINTS_AT_ONCE, |cloud| {
         let mut part = Info::new(Format::Las, (cloud.len(), 1), false);
         describe_points(cloud, &mut part);
         info.width += cloud.len();

@@ -33,10 +33,9 @@ fn malformed(error: png::DecodingError) -> FormatError {
 }
 
 /// The reader of a depth image, and its shape.
-fn open<'a>(
-    bytes: &'a [u8],
-    options: &ReadOptions,
-) -> Result<(png::Reader<Cursor<&'a [u8]>>, (usize, usize)), FormatError> {
+type Opened<'a> = (png::Reader<Cursor<&'a [u8]>>, (usize, usize));
+
+fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, FormatError> {
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
     // Of what is no picture: texts and profiles.
     decoder.set_limits(png::Limits { bytes: options.max_memory_bytes.min(64 << 20) as usize });

@@ -46,10 +46,9 @@ fn not_unsigned() -> FormatError {
 }
 
 /// The decoder of a depth image, and its shape.
-fn open<'a>(
-    bytes: &'a [u8],
-    options: &ReadOptions,
-) -> Result<(Decoder<Cursor<&'a [u8]>>, (usize, usize)), FormatError> {
+type Opened<'a> = (Decoder<Cursor<&'a [u8]>>, (usize, usize));
+
+fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, FormatError> {
     let most = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
     let mut limits = Limits::default();
     limits.decoding_buffer_size = most;

@@ -16,6 +16,7 @@ mod npy;
 mod npz;
 mod pcd;
 mod ply;
+mod records;
 #[cfg(any(feature = "internal", feature = "stream"))]
 mod rgb_png;
 mod text;
@@ -25,7 +26,6 @@ mod xyz_text;
 use std::fs;
 use std::io::Read;
 use std::path::Path;
-use std::sync::Arc;
 
 use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
@@ -35,8 +35,10 @@ use crate::frame::{DepthFrame, DepthImage};
 pub(crate) use self::e57::Scans;
 pub use self::format::{Format, WRITTEN};
 pub use camera_file::{camera_to_json, parse_camera, read_camera};
-pub(crate) use las::{LasReader, LasWriter, Records, cloud_of};
+pub(crate) use las::LasReader;
 pub use pcd::Encoding;
+pub(crate) use ply::PlyReader;
+pub(crate) use records::{RecordEncoder, RecordReader};
 #[cfg(feature = "stream")]
 pub(crate) use rgb_png::{read_rgb_png, write_rgb_png};
 pub(crate) use whole::{Temporary, WholeFile, folder_of};
@@ -220,29 +222,38 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
     read_file(path, options).map(|file| (file.format, file.contents))
 }
 
-/// Reads a LAS or LAZ file some points at a time, each part a cloud with all fields and an origin of its own; of a file without points one empty
-/// cloud.
-pub fn read_las_in_parts(
+/// Reads a LAS, LAZ or PLY file some points at a time, each part a cloud with all fields and an origin of its own; of a file without points
+/// one empty cloud.
+pub fn read_in_parts(
     path: &Path,
     points_at_once: usize,
     mut visit: impl FnMut(&PointCloud),
 ) -> Result<Format, IoError> {
-    let mut read = || {
-        let mut reader = LasReader::open(path)?;
-        let header = Arc::clone(reader.header());
-        let format = if header.point_format().is_compressed { Format::Laz } else { Format::Las };
+    fn read<R: RecordReader>(
+        path: &Path,
+        at_once: usize,
+        visit: &mut dyn FnMut(&PointCloud),
+    ) -> FormatResult<R::Header> {
+        let mut reader = R::open(path)?;
+        let header = reader.header().clone();
+        let is_empty = reader.points() == 0;
         loop {
-            let records = reader.next_records(points_at_once.max(1))?;
+            let records = reader.next_records(at_once.max(1))?;
             let is_last = records.is_empty();
-            if !is_last || header.number_of_points() == 0 {
-                visit(&cloud_of(Arc::clone(&header), records)?);
+            if !is_last || is_empty {
+                visit(&R::cloud_of(&header, records)?);
             }
             if is_last {
-                return Ok(format);
+                return Ok(header);
             }
         }
+    }
+    let read = match Format::of_extension(path) {
+        Some(Format::Ply) => read::<PlyReader>(path, points_at_once, &mut visit).map(|_| Format::Ply),
+        _ => read::<LasReader>(path, points_at_once, &mut visit)
+            .map(|header| if header.point_format().is_compressed { Format::Laz } else { Format::Las }),
     };
-    read().map_err(IoError::at(path))
+    read.map_err(IoError::at(path))
 }
 
 /// A file that was read.

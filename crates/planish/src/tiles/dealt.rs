@@ -3,12 +3,11 @@
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use super::plan::{Cells, Tile};
 use super::{OWN_SHARE, bytes_a_point};
 use crate::error::FormatError;
-use crate::io::{LasReader, LasWriter, Records, Temporary, WholeFile, cloud_of};
+use crate::io::{RecordEncoder, RecordReader, Temporary, WholeFile};
 use crate::neighbours::middle;
 use crate::progress::Progress;
 
@@ -20,14 +19,14 @@ const MOST_TILES: usize = 100;
 const SAMPLE: usize = 10_000;
 
 /// The records of a file, dealt to tiles.
-pub(super) struct Dealt {
-    pub(super) header: Arc<las::Header>,
+pub(super) struct Dealt<R: RecordReader> {
+    pub(super) header: R::Header,
     pub(super) record: usize,
     pub(super) points: usize,
     pub(super) most_in_memory: u64,
     pub(super) extent_m: f64,
-    /// Whether there are points of a later return than the fifth, in records that headers before LAS 1.4 do not count.
-    has_late_returns: bool,
+    /// Of the format.
+    needs_latest_version: bool,
     pub(super) cells: Cells,
     pub(super) tiles: Vec<TileFiles>,
     /// The tile of each record, in the order of the file.
@@ -51,36 +50,12 @@ pub(super) fn too_large(points: usize, record: usize, max_memory_bytes: u64) -> 
     ))
 }
 
-/// Coordinates of a record in metres.
-struct Positions([las::Transform; 3]);
-
-impl Positions {
-    fn of(header: &las::Header) -> Self {
-        let las::Vector { x, y, z } = *header.transforms();
-        Self([x, y, z])
-    }
-
-    fn of_record(&self, record: &[u8]) -> [f64; 3] {
-        std::array::from_fn(|axis| {
-            let at = 4 * axis;
-            let integer = i32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]);
-            self.0[axis].direct(integer)
-        })
-    }
-}
-
 type FormatResult<T> = Result<T, FormatError>;
 
-impl Dealt {
-    pub(super) fn of(
-        mut reader: LasReader,
-        folder: &Path,
-        max_memory_bytes: u64,
-        progress: &Progress,
-    ) -> FormatResult<Self> {
-        let header = Arc::clone(reader.header());
+impl<R: RecordReader> Dealt<R> {
+    pub(super) fn of(mut reader: R, folder: &Path, max_memory_bytes: u64, progress: &Progress) -> FormatResult<Self> {
+        let header = reader.header().clone();
         let (record, points) = (reader.record(), reader.points());
-        let positions = Positions::of(&header);
         let most_in_memory = max_memory_bytes / bytes_a_point(record);
         // All records once more, so that they are decompressed once.
         let spool = Temporary::new(folder)?;
@@ -88,26 +63,31 @@ impl Dealt {
         let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
         let step = points.div_ceil(SAMPLE).max(1);
         let mut to = BufWriter::with_capacity(1 << 20, spool.file());
-        let (mut read, mut has_late_returns) = (0, false);
+        let (mut read, mut finite) = (0, 0usize);
         while read < points {
             let records = reader.next_records(BATCH)?;
             to.write_all(records)?;
-            for (i, point) in records.chunks_exact(record).enumerate() {
-                let position = positions.of_record(point);
-                has_late_returns |= !header.point_format().is_extended && point[14] & 7 > 5;
+            for point in records.chunks_exact(record) {
+                let position = R::position_m(&header, point);
+                if !is_finite(position) {
+                    continue;
+                }
                 for axis in 0..2 {
                     bounds[0][axis] = bounds[0][axis].min(position[axis]);
                     bounds[1][axis] = bounds[1][axis].max(position[axis]);
                 }
-                if (read + i).is_multiple_of(step) {
+                if finite.is_multiple_of(step) {
                     sample.iter_mut().zip(position).for_each(|(sample, value)| sample.push(value));
                 }
+                finite += 1;
             }
             read += records.len() / record;
             progress.add(records.len() / record / 2);
         }
         to.flush()?;
         drop(to);
+        let needs_latest_version = reader.needs_latest_version();
+        drop(reader);
         let span = |values: &Vec<f64>| middle(values.len(), |i| values[i]).map_or(0.0, |[low, high]| high - low);
         let extent_m = sample.iter().map(|values| span(values).powi(2)).sum::<f64>().sqrt();
         // Over most points: one far away is not to make all others lie in one cell.
@@ -118,8 +98,12 @@ impl Dealt {
             }
         }
         let mut cells = Cells::new(bounds[0], bounds[1]);
+        let mut places = Places { sample: &sample, holes: 0 };
         for_each_batch(spool.file(), record, |records| {
-            records.chunks_exact(record).map(|point| positions.of_record(point)).for_each(|[x, y, _]| cells.add(x, y));
+            for point in records.chunks_exact(record) {
+                let [x, y] = places.of(R::position_m(&header, point));
+                cells.add(x, y);
+            }
             Ok(())
         })?;
 
@@ -136,9 +120,10 @@ impl Dealt {
             let mut numbers = BufWriter::with_capacity(1 << 20, sequence.file());
             let mut to: Vec<_> =
                 tiles.iter().map(|tile| BufWriter::with_capacity(1 << 16, tile.records.file())).collect();
+            let mut places = Places { sample: &sample, holes: 0 };
             for_each_batch(spool.file(), record, |records| {
                 for point in records.chunks_exact(record) {
-                    let [x, y, _] = positions.of_record(point);
+                    let [x, y] = places.of(R::position_m(&header, point));
                     let number = of_cells[cells.place(cells.cell_of(x, y))];
                     to[usize::from(number)].write_all(point)?;
                     numbers.write_all(&number.to_le_bytes())?;
@@ -150,13 +135,23 @@ impl Dealt {
             numbers.flush()?;
         }
         let folder = folder.to_path_buf();
-        Ok(Self { header, record, points, most_in_memory, extent_m, has_late_returns, cells, tiles, sequence, folder })
+        Ok(Self {
+            header,
+            record,
+            points,
+            most_in_memory,
+            extent_m,
+            needs_latest_version,
+            cells,
+            tiles,
+            sequence,
+            folder,
+        })
     }
 
     /// The records of a tile, and behind them those of others within its halo; `None` if that is more than fits.
     pub(super) fn with_halo(&self, number: usize, halo_m: f64) -> FormatResult<Option<Vec<u8>>> {
         let most = usize::try_from(self.most_in_memory).unwrap_or(usize::MAX).saturating_mul(self.record);
-        let positions = Positions::of(&self.header);
         let mut records = Vec::new();
         read_whole(self.tiles[number].records.file(), &mut records)?;
         let [low, high] = self.cells.bounds(&self.tiles[number].tile);
@@ -174,8 +169,8 @@ impl Dealt {
             }
             for_each_batch(other.records.file(), self.record, |batch| {
                 for point in batch.chunks_exact(self.record) {
-                    let [x, y, _] = positions.of_record(point);
-                    if is_near(x, y) {
+                    let [x, y, z] = R::position_m(&self.header, point);
+                    if z.is_finite() && is_near(x, y) {
                         records.extend_from_slice(point);
                     }
                 }
@@ -188,23 +183,11 @@ impl Dealt {
         Ok(Some(records))
     }
 
-    /// Writes the smoothed records in the order of the input.
-    pub(super) fn put_together(
-        &self,
-        records: Option<Records>,
-        compressed: bool,
-        whole: &WholeFile,
-        progress: &Progress,
-    ) -> FormatResult<()> {
-        let records = match records {
-            Some(records) => records,
-            // Without a point.
-            None => Records::new(&cloud_of(Arc::clone(&self.header), &[])?, &[], compressed)?,
-        };
-        let records = if self.has_late_returns { records.with_all_returns()? } else { records };
-        let length = records.len();
+    /// Writes the smoothed records in the order of the input; `encoder` made them.
+    pub(super) fn put_together(&self, encoder: R::Encoder, whole: &WholeFile, progress: &Progress) -> FormatResult<()> {
+        let encoder = if self.needs_latest_version { encoder.in_latest_version()? } else { encoder };
+        let length = encoder.record();
         let to = BufWriter::with_capacity(1 << 20, whole.file().try_clone()?);
-        let mut writer = LasWriter::new(to, records.header)?;
         let mut sources = Vec::new();
         for tile in &self.tiles {
             let Some(smoothed) = &tile.smoothed else { continue };
@@ -213,20 +196,52 @@ impl Dealt {
             sources.push(BufReader::with_capacity(1 << 16, file));
         }
         let mut point = vec![0u8; 1 + length];
-        for_each_batch(self.sequence.file(), 2, |numbers| {
-            let mut batch = Vec::with_capacity(numbers.len() / 2 * length);
-            for number in numbers.chunks_exact(2) {
-                let source = &mut sources[usize::from(u16::from_le_bytes([number[0], number[1]]))];
-                source.read_exact(&mut point)?;
-                if point[0] != 0 {
-                    batch.extend_from_slice(&point[1..]);
+        let mut sequence = self.sequence.file();
+        sequence.seek(SeekFrom::Start(0))?;
+        let mut numbers = BufReader::with_capacity(1 << 20, sequence);
+        let mut left = self.points;
+        encoder.write(to, self.points, || {
+            let mut batch = Vec::new();
+            // One whose records are all holes is no end.
+            while batch.is_empty() && left > 0 {
+                let read = left.min(BATCH);
+                batch.reserve(read * length);
+                for _ in 0..read {
+                    let mut number = [0; 2];
+                    numbers.read_exact(&mut number)?;
+                    let source = &mut sources[usize::from(u16::from_le_bytes(number))];
+                    source.read_exact(&mut point)?;
+                    if point[0] != 0 {
+                        batch.extend_from_slice(&point[1..]);
+                    }
                 }
+                left -= read;
+                progress.add(read);
             }
-            progress.add(numbers.len() / 2);
-            writer.write(batch)
-        })?;
-        writer.finish()?.into_inner().map_err(|error| FormatError::Os(error.into_error()))?;
-        Ok(())
+            Ok(batch)
+        })
+    }
+}
+
+fn is_finite(position: [f64; 3]) -> bool {
+    position.iter().all(|value| value.is_finite())
+}
+
+/// Where points belong, seen from above: holes to points of a sample in turns, so that no tile gets too many.
+struct Places<'a> {
+    sample: &'a [Vec<f64>; 3],
+    holes: usize,
+}
+
+impl Places<'_> {
+    fn of(&mut self, position: [f64; 3]) -> [f64; 2] {
+        let [xs, ys, _] = self.sample;
+        if is_finite(position) || xs.is_empty() {
+            return [position[0], position[1]];
+        }
+        self.holes += 1;
+        let i = self.holes % xs.len();
+        [xs[i], ys[i]]
     }
 }
 

@@ -1,4 +1,4 @@
-//! Clouds that do not fit memory: LAS and LAZ files, smoothed tile by tile into another such file.
+//! Clouds that do not fit memory: LAS, LAZ and PLY files, smoothed tile by tile into another such file.
 //!
 //! The file is read once, and its records are dealt to temporary files, one a tile of cells seen from above. A tile is
 //! smoothed with a halo of the points around it, as wide as its points reach, so that each gets what it gets in the whole cloud; the
@@ -9,13 +9,12 @@ mod plan;
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
-use std::sync::Arc;
 
 use crate::cloud::PointCloud;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FormatError, IoError};
 use crate::frame::{IntoFrame, PointsView};
-use crate::io::{Format, LasReader, Records, Temporary, WholeFile, cloud_of, folder_of};
+use crate::io::{Encoding, Format, LasReader, PlyReader, RecordEncoder, RecordReader, Temporary, WholeFile, folder_of};
 use crate::method::PLANE_REACH;
 use crate::outputs::Outputs;
 use crate::params::{Edges, Radius, SmoothParams};
@@ -53,6 +52,8 @@ pub struct TileOptions {
     pub fields: Outputs,
     /// Where the sensor stood, if normals are to face it.
     pub pose: Option<SensorPose>,
+    /// How a PLY file is to store its points; `None` for as the input does.
+    pub encoding: Option<Encoding>,
     /// Bytes that may be used; LAZ takes some 100 MB besides.
     pub max_memory_bytes: u64,
 }
@@ -60,12 +61,17 @@ pub struct TileOptions {
 impl TileOptions {
     /// With so many bytes of memory.
     pub fn new(params: SmoothParams, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
-        Self { params, smoother, fields: Outputs::POINTS, pose: None, max_memory_bytes }
+        Self { params, smoother, fields: Outputs::POINTS, pose: None, encoding: None, max_memory_bytes }
     }
 
     /// The same with other fields written.
     pub fn with_fields(self, fields: Outputs) -> Self {
         Self { fields, ..self }
+    }
+
+    /// The same with another encoding of PLY files.
+    pub fn with_encoding(self, encoding: Option<Encoding>) -> Self {
+        Self { encoding, ..self }
     }
 
     /// The same with the sensor's pose.
@@ -90,31 +96,58 @@ pub struct TilesReport {
     pub reaching_beyond: usize,
 }
 
-/// The bytes that smoothing a LAS or LAZ file whole takes; `None` for other files and for those that cannot be read.
+/// Whether a file is smoothed in tiles into another: two LAS or LAZ files, or two PLY files.
+pub fn are_tiled(input: &Path, output: &Path) -> bool {
+    let is_las = |path| matches!(Format::of_extension(path), Some(Format::Las | Format::Laz));
+    let is_ply = |path| Format::of_extension(path) == Some(Format::Ply);
+    (is_las(input) && is_las(output)) || (is_ply(input) && is_ply(output))
+}
+
+/// The bytes that smoothing a LAS, LAZ or PLY file whole takes; `None` for other files, organized clouds and what cannot be read.
 pub fn bytes_in_memory(path: &Path) -> Option<u64> {
-    if !matches!(Format::of_extension(path), Some(Format::Las | Format::Laz)) {
-        return None;
+    fn needed<R: RecordReader>(path: &Path) -> Option<u64> {
+        let reader = R::open(path).ok()?;
+        Some(reader.points() as u64 * bytes_a_point(reader.record()))
     }
     // Asked before it is opened: opening a pipe waits for its other end.
     if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
         return None;
     }
-    let reader = LasReader::open(path).ok()?;
-    Some(reader.points() as u64 * bytes_a_point(reader.record()))
+    match Format::of_extension(path)? {
+        Format::Las | Format::Laz => needed::<LasReader>(path),
+        Format::Ply => needed::<PlyReader>(path),
+        _ => None,
+    }
 }
 
 fn bytes_a_point(record: usize) -> u64 {
     COPIES * record as u64 + ENGINE_BYTES_A_POINT
 }
 
-/// Smooths a LAS or LAZ file into another, in as much memory as is allowed. Beside the output as much room is needed as three times
-/// the records take.
+/// Smooths a LAS, LAZ or PLY file into another of the same kind, in as much memory as is allowed. Beside the output as much room is needed as three
+/// times the records take.
 ///
 /// Results are those of the whole cloud, relative to an origin in each tile.
 ///
 /// # Errors
 /// If a file cannot be read or written, an engine fails, or the memory does not hold a tile.
 pub fn smooth_tiles(
+    input: &Path,
+    output: &Path,
+    options: &TileOptions,
+    progress: &Progress,
+) -> Result<TilesReport, Error> {
+    if !are_tiled(input, output) {
+        let reason = "files are smoothed in tiles from .las or .laz to either, and from .ply to .ply".to_owned();
+        return Err(IoError::at(output)(FormatError::Unsupported(reason)).into());
+    }
+    match Format::of_extension(input) {
+        Some(Format::Ply) => smooth_records::<PlyReader>(input, output, options, progress),
+        _ => smooth_records::<LasReader>(input, output, options, progress),
+    }
+}
+
+fn smooth_records<R: RecordReader>(
     input: &Path,
     output: &Path,
     options: &TileOptions,
@@ -130,7 +163,7 @@ pub fn smooth_tiles(
         (_, engine) => engine,
     };
     let whole = WholeFile::new(output).map_err(IoError::at(output))?;
-    let reader = LasReader::open(input).map_err(IoError::at(input))?;
+    let reader = R::open(input).map_err(IoError::at(input))?;
     progress.begin(3 * reader.points());
     // Of the files that go on the way, those that are written are at fault for what the system says.
     let at_either = |problem: FormatError| match problem {
@@ -138,8 +171,8 @@ pub fn smooth_tiles(
         _ => IoError::at(input)(problem).into(),
     };
     let mut dealt = Dealt::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
-    let mut tiler =
-        Tiler { options, engine, smoother: None, halo_share: 1.0, report: TilesReport::default(), records: None };
+    let report = TilesReport::default();
+    let mut tiler = Tiler::<R> { options, engine, smoother: None, halo_share: 1.0, report, encoder: None };
     for number in 0..dealt.tiles.len() {
         tiler.smooth(&mut dealt, number, output).map_err(|error| match error {
             TileError::Files(problem) => at_either(problem),
@@ -147,12 +180,29 @@ pub fn smooth_tiles(
         })?;
         progress.add(dealt.tiles[number].tile.points as usize);
     }
-    let Tiler { report, records, smoother, .. } = tiler;
+    let Tiler { report, encoder, smoother, .. } = tiler;
     let engine = smoother.as_ref().map_or(engine, Smoother::engine);
-    let compressed = Format::of_extension(output) == Some(Format::Laz);
-    dealt.put_together(records, compressed, &whole, progress).map_err(IoError::at(output))?;
+    let put_together = || {
+        let encoder = match encoder {
+            Some(encoder) => encoder,
+            // Without a point.
+            None => new_encoder(&dealt, &R::cloud_of(&dealt.header, &[])?, &[], output, options)?,
+        };
+        dealt.put_together(encoder, &whole, progress)
+    };
+    put_together().map_err(IoError::at(output))?;
     whole.finish().map_err(IoError::at(output))?;
     Ok(TilesReport { points: dealt.points, tiles: dealt.tiles.len(), engine, ..report })
+}
+
+fn new_encoder<R: RecordReader>(
+    dealt: &Dealt<R>,
+    cloud: &PointCloud,
+    kept: &[usize],
+    output: &Path,
+    options: &TileOptions,
+) -> Result<R::Encoder, FormatError> {
+    R::Encoder::new(&dealt.header, cloud, kept, output, options.encoding)
 }
 
 enum TileError {
@@ -179,7 +229,7 @@ impl From<Error> for TileError {
 }
 
 /// What goes from tile to tile.
-struct Tiler<'a> {
+struct Tiler<'a, R: RecordReader> {
     options: &'a TileOptions,
     engine: Engine,
     smoother: Option<Smoother>,
@@ -187,12 +237,12 @@ struct Tiler<'a> {
     halo_share: f64,
     report: TilesReport,
     /// How points become records; the same for every tile.
-    records: Option<Records>,
+    encoder: Option<R::Encoder>,
 }
 
-impl Tiler<'_> {
+impl<R: RecordReader> Tiler<'_, R> {
     /// Smooths a tile with its halo, wider until its points do not reach beyond it.
-    fn smooth(&mut self, dealt: &mut Dealt, number: usize, output: &Path) -> Result<(), TileError> {
+    fn smooth(&mut self, dealt: &mut Dealt<R>, number: usize, output: &Path) -> Result<(), TileError> {
         let tile = dealt.tiles[number].tile;
         let own = tile.points as usize;
         let by_density_m = self.halo_by_density_m(dealt, &tile);
@@ -207,7 +257,7 @@ impl Tiler<'_> {
                 }
                 return Err(too_large(dealt.points, dealt.record, self.options.max_memory_bytes).into());
             };
-            let mut cloud = cloud_of(Arc::clone(&dealt.header), &raw)?;
+            let mut cloud = R::cloud_of(&dealt.header, &raw)?;
             drop(raw);
             if let Some(pose) = self.options.pose {
                 cloud.pose = pose;
@@ -239,7 +289,7 @@ impl Tiler<'_> {
     }
 
     /// Exact for a fixed radius; else about twice what points reach at the tile's density.
-    fn halo_by_density_m(&self, dealt: &Dealt, tile: &Tile) -> f64 {
+    fn halo_by_density_m(&self, dealt: &Dealt<R>, tile: &Tile) -> f64 {
         match self.options.params.radius {
             Radius::Fixed { radius_m } => self.reach() * f64::from(radius_m),
             Radius::Neighbours { count } => {
@@ -251,7 +301,7 @@ impl Tiler<'_> {
         }
     }
 
-    fn smoothed(&mut self, cloud: &PointCloud, dealt: &Dealt) -> Result<Smoothed, Error> {
+    fn smoothed(&mut self, cloud: &PointCloud, dealt: &Dealt<R>) -> Result<Smoothed, Error> {
         let smoother = match &mut self.smoother {
             Some(smoother) => smoother,
             none => {
@@ -268,7 +318,7 @@ impl Tiler<'_> {
     /// The halo that the tile's points need, but for the few that reach farthest, and how many reach beyond that which they have.
     fn needed_halo_m(
         &self,
-        dealt: &Dealt,
+        dealt: &Dealt<R>,
         tile: &Tile,
         cloud: &PointCloud,
         halo_m: f64,
@@ -279,8 +329,8 @@ impl Tiler<'_> {
         let [low, high] = dealt.cells.bounds(tile);
         let mut needed_m = Vec::with_capacity(tile.points as usize);
         for i in 0..tile.points as usize {
-            // None of a hole, which reaches nothing.
-            let radius_m = smoother.own_radius_m(i).unwrap_or(0.0);
+            // A hole reaches nothing, and may belong to any tile.
+            let Some(radius_m) = smoother.own_radius_m(i) else { continue };
             // From the point to the border of its tile, beyond which there are other points.
             let to_border = (0..2).map(|axis| {
                 let value = cloud.coordinate(axis, i);
@@ -290,7 +340,8 @@ impl Tiler<'_> {
         }
         let beyond = needed_m.iter().filter(|needed_m| **needed_m > halo_m).count();
         let farthest = (needed_m.len() as f64 * (1.0 - MAY_REACH_BEYOND / 2.0)) as usize;
-        let farthest = farthest.min(needed_m.len() - 1);
+        let Some(last) = needed_m.len().checked_sub(1) else { return Ok((halo_m, 0)) };
+        let farthest = farthest.min(last);
         let (_, wider_m, _) = needed_m.select_nth_unstable_by(farthest, f64::total_cmp);
         Ok((1.05 * *wider_m, beyond))
     }
@@ -298,7 +349,7 @@ impl Tiler<'_> {
     /// Writes the new records of the tile's own points.
     fn keep(
         &mut self,
-        dealt: &mut Dealt,
+        dealt: &mut Dealt<R>,
         number: usize,
         cloud: &mut PointCloud,
         smoothed: &Smoothed,
@@ -309,19 +360,19 @@ impl Tiler<'_> {
         for status in smoothed.status.iter().flatten().take(own) {
             self.report.status_counts[*status as usize] += 1;
         }
-        let kept: Vec<usize> = (0..own).filter(|&i| cloud.positions.is_finite(i)).collect();
-        let compressed = Format::of_extension(output) == Some(Format::Laz);
-        let records = match &mut self.records {
-            Some(records) => records,
-            none => none.insert(Records::new(cloud, &kept, compressed)?),
+        let is_kept = |cloud: &PointCloud, i| R::Encoder::KEEPS_HOLES || cloud.positions.is_finite(i);
+        let kept: Vec<usize> = (0..own).filter(|&i| is_kept(cloud, i)).collect();
+        let encoder = match &mut self.encoder {
+            Some(encoder) => encoder,
+            none => none.insert(new_encoder(dealt, cloud, &kept, output, self.options)?),
         };
-        let raw = records.encode(cloud, &kept)?;
+        let raw = encoder.encode(cloud, &kept)?;
         let file = Temporary::new(&dealt.folder)?;
         let mut to = BufWriter::with_capacity(1 << 20, file.file());
-        let mut next = raw.chunks_exact(records.len());
-        let none = vec![0; records.len()];
+        let mut next = raw.chunks_exact(encoder.record());
+        let none = vec![0; encoder.record()];
         for i in 0..own {
-            let is_kept = cloud.positions.is_finite(i);
+            let is_kept = is_kept(cloud, i);
             to.write_all(&[u8::from(is_kept)])?;
             to.write_all(if is_kept { next.next().unwrap_or(&none) } else { &none })?;
         }

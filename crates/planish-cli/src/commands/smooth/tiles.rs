@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Result;
-use planish::io::Format;
 use planish::tiles::{self, TileOptions};
 use planish::{Outputs, Progress, Radius};
 use planish_bench::errln;
@@ -16,11 +15,10 @@ use super::report::{Report, StatusCounts, summarize};
 use super::{LOST_SHARE_TOLD, Worker};
 
 impl Worker<'_> {
-    /// Smooths a LAS or LAZ file tile by tile into another, if it does not fit the memory that is allowed.
+    /// Smooths a LAS, LAZ or PLY file tile by tile into another, if it does not fit the memory that is allowed.
     pub(super) fn smooth_in_tiles(&mut self, input: &Path, output: &Path) -> Result<Option<Report>> {
         let allowed = self.args.memory.read_options().max_memory_bytes;
-        let is_las = |path: &Path| matches!(Format::of_extension(path), Some(Format::Las | Format::Laz));
-        if !is_las(output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {
+        if !tiles::are_tiled(input, output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {
             return Ok(None);
         }
         let params = self.general_params(input)?;
@@ -30,7 +28,10 @@ impl Worker<'_> {
         if self.args.repeat > 1 {
             errln!("{}: --repeat changes nothing for a file in tiles", input.display());
         }
-        let options = TileOptions::new(params, smoother, allowed).with_fields(self.args.outputs()).with_pose(self.pose);
+        let options = TileOptions::new(params, smoother, allowed)
+            .with_fields(self.args.outputs())
+            .with_pose(self.pose)
+            .with_encoding(self.args.encoding());
         let progress = Arc::new(Progress::default());
         let start = Instant::now();
         let report =

@@ -16,7 +16,8 @@ use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::FormatError;
 use crate::neighbours::middle;
 use crate::xyz::Xyz;
-pub(crate) use stream::{LasReader, LasWriter};
+pub(crate) use stream::LasReader;
+use stream::LasWriter;
 
 use claims::{Claims, FileBytes, check_chunks, claims, extended_records};
 use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
@@ -105,7 +106,7 @@ fn check_transforms(header: &Header) -> FormatResult<()> {
 }
 
 /// The cloud of some records of a file with this header.
-pub(crate) fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
+fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
     check_transforms(&header)?;
     let record = usize::from(header.point_format().len());
     let transforms = *header.transforms();
@@ -166,13 +167,13 @@ const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 
 /// How the points of a cloud become records.
 pub(crate) struct Records {
-    pub(crate) header: Header,
+    header: Header,
     fields: Vec<Field>,
 }
 
 impl Records {
     /// For clouds with the columns of this one, of which some points are kept.
-    pub(crate) fn new(cloud: &PointCloud, kept: &[usize], compressed: bool) -> FormatResult<Self> {
+    fn new(cloud: &PointCloud, kept: &[usize], compressed: bool) -> FormatResult<Self> {
         let has_colour = cloud.rgb().is_some();
         let mut builder = match &cloud.las_header {
             Some(header) => Builder::from((**header).clone()),
@@ -211,19 +212,19 @@ impl Records {
     }
 
     /// The same for files that have points of a later return than the fifth, wherever they are.
-    pub(crate) fn with_all_returns(self) -> FormatResult<Self> {
+    fn with_all_returns(self) -> FormatResult<Self> {
         let mut builder = Builder::from(self.header);
         Self::count_all_returns(&mut builder);
         Ok(Self { header: builder.into_header().map_err(cannot)?, fields: self.fields })
     }
 
     /// Bytes of a record.
-    pub(crate) fn len(&self) -> usize {
+    fn len(&self) -> usize {
         usize::from(self.header.point_format().len())
     }
 
     /// The records of the kept points, one after another.
-    pub(crate) fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>> {
+    fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>> {
         let record = self.len();
         let mut raw = vec![0u8; record * kept.len()];
         let transforms = self.header.transforms();

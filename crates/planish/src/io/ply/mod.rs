@@ -5,6 +5,7 @@
 //! [`camera`].
 
 mod camera;
+mod records;
 
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
@@ -14,11 +15,14 @@ use ply_rs_bw::ply::{
 use ply_rs_bw::writer::Writer;
 
 use camera::PlyCamera;
+pub(crate) use records::PlyReader;
+use records::{Layout, take_records};
 
 use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
 use super::{CloudRef, Encoding, Gridded, ReadOptions, brief, quoted, text};
-use crate::cloud::{Attribute, AttributeValues};
+use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::FormatError;
+use crate::pose::SensorPose;
 use crate::xyz::MAX_PIXELS;
 
 /// A vertex or grid cell as it is read: its values in the order of the properties.
@@ -54,14 +58,16 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
     for (element, stated) in header.elements.values().zip(stated) {
         check_size(element, bytes.len())?;
         check_properties(element, stated)?;
-        // The library keeps every value of an element as an enum, in a vector for each line.
-        let value_bytes = if header.encoding == PlyEncoding::Ascii { 8 } else { size_of::<Property>() + 8 };
-        options.check(element.count, size_of::<Record>() + element.properties.len() * value_bytes)?;
+        let is_read_by_the_library = header.encoding != PlyEncoding::Ascii && element.name != "vertex";
+        // It keeps every value of an element as an enum, in a vector for each line.
+        let [value_bytes, line_bytes] =
+            if is_read_by_the_library { [size_of::<Property>() + 8, size_of::<Record>()] } else { [8, 0] };
+        options.check(element.count, line_bytes + element.properties.len() * value_bytes)?;
     }
     let mut columns = empty_columns(vertex)?;
     let Body { cells, camera } = match header.encoding {
         PlyEncoding::Ascii => read_text(&header, reader.into_inner(), &mut columns)?,
-        _ => read_binary(&header, &mut reader, &mut columns)?,
+        _ => read_binary(&header, reader.into_inner(), &mut columns)?,
     };
     let (width, height) = match (info(&header, "num_cols"), info(&header, "num_rows"), cells) {
         (Some(width), Some(height), _) if width.checked_mul(height) == Some(vertex.count) => (width, height),
@@ -155,34 +161,61 @@ fn read_text_element(
     Ok(())
 }
 
-fn read_binary(header: &Header, reader: &mut Reader<&[u8]>, columns: &mut [Attribute]) -> Result<Body, FormatError> {
-    let parser = Parser::<Record>::new();
+/// Reads a binary body: the vertices without the library, which takes twenty times their memory.
+fn read_binary(header: &Header, mut body: &[u8], columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let mut found = Body::default();
     for (name, element, is_needed) in elements_to_read(header) {
-        let records = match parser.read_payload_for_element(reader, element, header) {
-            Err(error) if is_needed => return Err(damaged(error)),
+        if name == "vertex" {
+            // `empty_columns` has refused lists.
+            let Some(layout) = Layout::of(element) else { return malformed("a vertex property is a list") };
+            let records = take_records(&layout, element.count, header.encoding, &mut body)?;
+            layout.append(columns, &records)?;
+            continue;
+        }
+        match read_binary_element(name, element, header, &mut body, &mut found) {
+            Err(error) if is_needed => return Err(error),
             Err(_) => break,
-            Ok(records) => records,
-        };
-        match name {
-            "vertex" => records.into_iter().try_for_each(|record| push(columns, record))?,
-            "range_grid" => {
-                let cell = |record: &Record| {
-                    let indices = record.0.first().and_then(Property::to_u32_list);
-                    let indices: Option<Vec<usize>> = indices.map(|list| list.iter().map(|&i| i as usize).collect());
-                    cell_of(indices.as_deref())
-                };
-                found.cells = Some(records.iter().map(cell).collect::<Result<_, _>>()?);
-            }
-            "camera" => {
-                let values: Vec<f64> =
-                    records.first().into_iter().flat_map(|record| record.0.iter().map(camera::number)).collect();
-                found.camera = PlyCamera::of(element, &values);
-            }
-            _ => {}
+            Ok(()) => {}
         }
     }
     Ok(found)
+}
+
+fn read_binary_element(
+    name: &str,
+    element: &ElementDef,
+    header: &Header,
+    body: &mut &[u8],
+    found: &mut Body,
+) -> Result<(), FormatError> {
+    let mut reader = Reader::new(*body);
+    let records = Parser::<Record>::new().read_payload_for_element(&mut reader, element, header).map_err(damaged)?;
+    *body = reader.into_inner();
+    if name == "range_grid" {
+        let cell = |record: &Record| {
+            let indices = record.0.first().and_then(Property::to_u32_list);
+            let indices: Option<Vec<usize>> = indices.map(|list| list.iter().map(|&i| i as usize).collect());
+            cell_of(indices.as_deref())
+        };
+        found.cells = Some(records.iter().map(cell).collect::<Result<_, _>>()?);
+    } else if name == "camera" {
+        let values: Vec<f64> =
+            records.first().into_iter().flat_map(|record| record.0.iter().map(camera::number)).collect();
+        found.camera = PlyCamera::of(element, &values);
+    }
+    Ok(())
+}
+
+/// What the element `camera` says whose bytes stand first.
+fn read_camera(header: &Header, mut bytes: &[u8]) -> Result<PlyCamera, FormatError> {
+    let mut found = Body::default();
+    let Some(element) = header.elements.get("camera") else { return Ok(PlyCamera::default()) };
+    if header.encoding == PlyEncoding::Ascii {
+        read_text_element("camera", element, &mut text::Body::new(bytes)?, &mut [], &mut found)?;
+    } else {
+        read_binary_element("camera", element, header, &mut bytes, &mut found)?;
+    }
+    Ok(found.camera)
 }
 
 /// Returns the vertex that a cell of the grid lists, if any.
@@ -282,26 +315,6 @@ fn empty_columns(vertex: &ElementDef) -> Result<Vec<Attribute>, FormatError> {
     vertex.properties.iter().map(column).collect()
 }
 
-fn push(columns: &mut [Attribute], record: Record) -> Result<(), FormatError> {
-    if record.0.len() != columns.len() {
-        return malformed("damaged PLY: a vertex lacks properties");
-    }
-    for (column, value) in columns.iter_mut().zip(record.0) {
-        match (&mut column.values, value) {
-            (AttributeValues::I8(values), Property::Char(value)) => values.push(value),
-            (AttributeValues::U8(values), Property::UChar(value)) => values.push(value),
-            (AttributeValues::I16(values), Property::Short(value)) => values.push(value),
-            (AttributeValues::U16(values), Property::UShort(value)) => values.push(value),
-            (AttributeValues::I32(values), Property::Int(value)) => values.push(value),
-            (AttributeValues::U32(values), Property::UInt(value)) => values.push(value),
-            (AttributeValues::F32(values), Property::Float(value)) => values.push(value),
-            (AttributeValues::F64(values), Property::Double(value)) => values.push(value),
-            (_, value) => return malformed(format!("damaged PLY: {value:?} in property {}", quoted(&column.name))),
-        }
-    }
-    Ok(())
-}
-
 /// Puts the values of the vertices on the grid.
 fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, FormatError> {
     fn on_grid<T: Copy>(values: &[T], hole: T, cells: &[Option<usize>]) -> Result<Vec<T>, FormatError> {
@@ -317,43 +330,19 @@ fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, Forma
     Ok(Attribute { values, ..column })
 }
 
-/// A vertex to be written: a row of the columns. `Default` exists because the trait demands a constructor.
-#[derive(Default)]
-struct Row<'a> {
-    columns: &'a [Attribute],
-    index: usize,
-}
-
-macro_rules! get {
-    ($($method:ident $variant:ident $scalar:ty;)*) => {$(
-        fn $method(&self, name: &str) -> Option<$scalar> {
-            match &self.columns.iter().find(|column| column.name == name)?.values {
-                AttributeValues::$variant(values) => values.get(self.index).copied(),
-                _ => None,
-            }
-        }
-    )*};
-}
-
-impl PropertyAccess for Row<'_> {
-    fn new() -> Self {
-        Self::default()
-    }
-
-    get! {
-        get_char I8 i8;
-        get_uchar U8 u8;
-        get_short I16 i16;
-        get_ushort U16 u16;
-        get_int I32 i32;
-        get_uint U32 u32;
-        get_float F32 f32;
-        get_double F64 f64;
-    }
-}
-
 pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
-    let mut columns = columns_from_cloud(cloud.points());
+    let columns = columns_of(cloud.points())?;
+    let grid = matches!(cloud, CloudRef::Organized(_)).then(|| cloud.grid());
+    let points = cloud.points().len();
+    let [mut bytes, behind] = encode_around(&columns, points, grid, &cloud.points().pose, encoding)?;
+    bytes.extend(encode_rows(&columns, points, encoding)?);
+    bytes.extend(behind);
+    Ok(bytes)
+}
+
+/// The columns of a cloud as PLY has them, each with a name of its own.
+fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatError> {
+    let mut columns = columns_from_cloud(cloud);
     let has = |columns: &[Attribute], name: &str| columns.iter().any(|column| column.name == name);
     if NORMALS.iter().all(|(_, pcl)| has(&columns, pcl)) {
         // A file of an earlier version has both: those that the rest of the library knows are newer.
@@ -364,37 +353,50 @@ pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
     }
     let parts = columns.into_iter().map(ply_columns);
     let columns = parts.collect::<Result<Vec<_>, _>>()?.concat();
-    let points = cloud.points().len();
-    let vertex = element_of("vertex", points, &columns);
-    if vertex.properties.len() != columns.len() {
+    if element_of("vertex", 0, &columns).properties.len() != columns.len() {
         return Err(FormatError::Unsupported("two fields have the same name; PLY allows each once".into()));
     }
-    let pose = &cloud.points().pose;
-    let camera = if pose.is_identity() { Vec::new() } else { PlyCamera::columns(pose, cloud.grid()) };
+    Ok(columns)
+}
+
+/// What stands before and behind so many vertices with these columns, on a grid or not: the header, and the camera where it has a pose.
+fn encode_around(
+    columns: &[Attribute],
+    points: usize,
+    grid: Option<(usize, usize)>,
+    pose: &SensorPose,
+    encoding: Encoding,
+) -> Result<[Vec<u8>; 2], FormatError> {
+    let camera = if pose.is_identity() { Vec::new() } else { PlyCamera::columns(pose, grid.unwrap_or((points, 1))) };
     let mut header = Header::new();
     header.encoding = match encoding {
         Encoding::Ascii => PlyEncoding::Ascii,
         Encoding::Binary | Encoding::BinaryCompressed => PlyEncoding::BinaryLittleEndian,
     };
-    if let CloudRef::Organized(cloud) = cloud {
-        header.obj_infos = vec![format!("num_cols {}", cloud.width()), format!("num_rows {}", cloud.height())];
+    if let Some((width, height)) = grid {
+        header.obj_infos = vec![format!("num_cols {width}"), format!("num_rows {height}")];
     }
-    header.elements.add(vertex);
+    header.elements.add(element_of("vertex", points, columns));
     if !camera.is_empty() {
         header.elements.add(element_of("camera", 1, &camera));
     }
-    let writer = Writer::<Row<'_>>::new();
-    let mut bytes = Vec::new();
-    writer.write_header(&mut bytes, &header)?;
-    for (name, columns, rows) in [("vertex", &columns, points), ("camera", &camera, usize::from(!camera.is_empty()))] {
-        if header.encoding == PlyEncoding::Ascii {
-            text::write(columns, rows, &mut bytes);
-        } else if rows > 0 {
-            let rows: Vec<Row<'_>> = (0..rows).map(|index| Row { columns, index }).collect();
-            writer.write_payload_of_element(&mut bytes, &rows, &header.elements[name], &header)?;
-        }
+    let mut before = Vec::new();
+    Writer::<Record>::new().write_header(&mut before, &header)?;
+    let behind = if camera.is_empty() { Vec::new() } else { encode_rows(&camera, 1, encoding)? };
+    Ok([before, behind])
+}
+
+/// The lines or records of the columns.
+fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
+    if encoding == Encoding::Ascii {
+        let mut lines = Vec::new();
+        text::write(columns, rows, &mut lines);
+        return Ok(lines);
     }
-    Ok(bytes)
+    match Layout::of(&element_of("rows", rows, columns)) {
+        Some(layout) => Ok(layout.encode(columns, 0..rows)),
+        None => malformed("a field is a list"),
+    }
 }
 
 /// Every integer up to this is an f64.
