@@ -359,29 +359,22 @@ impl Curve {
         // The cast saturates.
         let mut cell: [u32; 3] =
             std::array::from_fn(|axis| (((point[axis] - self.low[axis]) * self.cells_per_metre) as u32).min(largest));
-        let mut bit = 1 << (CURVE_BITS - 1);
-        while bit > 1 {
-            let below = bit - 1;
+        // Without branches, since half of them would be mispredicted.
+        for bit in (1..CURVE_BITS).rev() {
+            let below = (1 << bit) - 1;
             for axis in 0..3 {
-                if cell[axis] & bit != 0 {
-                    cell[0] ^= below;
-                } else {
-                    let exchanged = (cell[0] ^ cell[axis]) & below;
-                    cell[0] ^= exchanged;
-                    cell[axis] ^= exchanged;
-                }
+                let inverts = ((cell[axis] >> bit) & 1).wrapping_neg();
+                let exchanged = (cell[0] ^ cell[axis]) & below & !inverts;
+                cell[0] ^= exchanged ^ (below & inverts);
+                cell[axis] ^= exchanged;
             }
-            bit >>= 1;
         }
         cell[1] ^= cell[0];
         cell[2] ^= cell[1];
-        let mut flips = 0;
-        let mut bit = 1 << (CURVE_BITS - 1);
-        while bit > 1 {
-            if cell[2] & bit != 0 {
-                flips ^= bit - 1;
-            }
-            bit >>= 1;
+        // Each bit is the parity of those over it.
+        let mut flips = cell[2] >> 1;
+        for shift in [1, 2, 4, 8] {
+            flips ^= flips >> shift;
         }
         let [x, y, z] = cell.map(|value| spread(value ^ flips));
         (x << 2) | (y << 1) | z
