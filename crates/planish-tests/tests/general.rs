@@ -93,6 +93,15 @@ fn assert_agrees(name: &str, points: &[[f32; 3]], params: SmoothParams) {
 
 #[test]
 fn every_engine_agrees_with_the_reference() {
+    for params in settings().into_iter().step_by(4) {
+        assert_agrees("room", &frame_points(2), params);
+        assert_agrees("sphere", &uneven_sphere(6000, 3), params);
+    }
+}
+
+#[test]
+#[ignore = "takes a minute; the gate runs it"]
+fn every_engine_agrees_with_the_reference_in_every_setting() {
     for params in settings() {
         assert_agrees("frame", &frame_points(1), params);
         assert_agrees("room", &frame_points(2), params);
@@ -123,7 +132,7 @@ fn real_clouds_agree() {
 #[test]
 fn small_clouds_agree_and_lose_nothing() {
     let all = uneven_sphere(40, 5);
-    for count in 1..40 {
+    for count in (1..14).chain([16, 17, 31, 32, 33, 40]) {
         let general = SmoothParams::general();
         let robust = general.with_edges(Edges::Robust);
         for params in [general, robust, robust.with_radius_m(0.4), SmoothParams::paper().with_radius_m(0.5)] {
