@@ -6,6 +6,7 @@ mod errors;
 mod files;
 mod settings;
 mod smoother;
+mod stream;
 
 use std::ffi::OsString;
 
@@ -28,6 +29,8 @@ mod _planish {
     use super::files::{devices, evaluate, read, simulate, write_depth, write_points};
     #[pymodule_export]
     use super::smoother::PySmoother;
+    #[pymodule_export]
+    use super::stream::PyStream;
 
     #[pymodule_export]
     const VERSION: &str = env!("CARGO_PKG_VERSION");

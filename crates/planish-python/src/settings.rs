@@ -126,8 +126,17 @@ impl Settings {
     /// The parameters for a frame, whose resolution they follow; `cloud` is what a sensor is estimated from.
     pub fn params_for(&self, frame: Frame<'_>, cloud: Option<&OrganizedCloud>) -> PyResult<SmoothParams> {
         let params = self.params(cloud, frame.grid().is_none())?;
-        let is_adapted = self.window.is_none() && self.stride.is_none() && self.preset.as_deref() != Some("paper");
-        Ok(if is_adapted { params.at_resolution_of(frame) } else { params })
+        Ok(if self.follows_resolution() { params.at_resolution_of(frame) } else { params })
+    }
+
+    /// Whether windows and strides follow the resolution of frames.
+    pub fn follows_resolution(&self) -> bool {
+        self.window.is_none() && self.stride.is_none() && self.preset.as_deref() != Some("paper")
+    }
+
+    /// The parameters for frames on a grid before one is there.
+    pub fn fixed_params(&self) -> PyResult<SmoothParams> {
+        self.params(None, false)
     }
 
     fn params(&self, cloud: Option<&OrganizedCloud>, is_general: bool) -> PyResult<SmoothParams> {

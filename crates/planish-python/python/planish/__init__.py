@@ -22,6 +22,7 @@ from ._planish import VERSION as __version__
 from ._planish import Camera
 from ._result import Smoothed, Status
 from ._smoothing import Smoother, smooth
+from ._stream import Stream, StreamFrame, stream
 
 __all__ = [
     "Camera",
@@ -31,6 +32,8 @@ __all__ = [
     "Smoothed",
     "Smoother",
     "Status",
+    "Stream",
+    "StreamFrame",
     "__version__",
     "devices",
     "evaluate",
@@ -38,5 +41,6 @@ __all__ = [
     "read",
     "simulate",
     "smooth",
+    "stream",
     "write",
 ]

@@ -1,0 +1,151 @@
+"""Streams: frames of a camera, a recording or a folder, smoothed as they come."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from os import PathLike
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._planish import Camera
+from ._planish import Stream as _Stream
+from ._result import Smoothed
+from ._smoothing import Output, Smoother
+
+
+@dataclass(slots=True, eq=False)
+class StreamFrame:
+    """A frame of a stream with its result.
+
+    Attributes
+    ----------
+    smoothed : Smoothed
+        The result.
+    depth : ndarray of uint16, [H, W]
+        The depth image as it was measured; ``None`` for a cloud.
+    points : ndarray of float32, [H, W, 3]
+        The points as they were measured; ``None`` for a depth image.
+    rgb : ndarray of uint8, [H, W, 3]
+        Colour registered to the depth image, where the source has it.
+    camera : Camera
+        Of a depth image.
+    index : int
+        Its number among the frames smoothed, from 0.
+    name : str
+        The name of its file without the extension, where it has one.
+    timestamp_s : float
+        When it was taken, in seconds of the source's clock, where that is known.
+    latency_s : float
+        From its arrival until its result was there.
+    """
+
+    smoothed: Smoothed
+    index: int
+    latency_s: float
+    depth: NDArray[np.uint16] | None = None
+    points: NDArray[np.float32] | None = None
+    rgb: NDArray[np.uint8] | None = None
+    camera: Camera | None = None
+    name: str | None = None
+    timestamp_s: float | None = None
+
+
+class Stream:
+    """A running stream: iterate over it, and close it or use it in a ``with`` block. `stream` opens one."""
+
+    def __init__(self, running: _Stream) -> None:
+        self._running = running
+
+    def __iter__(self) -> Iterator[StreamFrame]:
+        return self
+
+    def __next__(self) -> StreamFrame:
+        found, messages = self._running.next()
+        for message in messages:
+            warnings.warn(message, RuntimeWarning, stacklevel=2)
+        if found is None:
+            raise StopIteration
+        return StreamFrame(smoothed=Smoothed(**found.pop("smoothed")), **found)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether the source is a camera, or plays at a camera's pace: then the newest frame replaces one that waits."""
+        return self._running.is_live()
+
+    @property
+    def statistics(self) -> dict[str, Any] | None:
+        """Counts, frames per second and latency of the whole stream, once it has ended; ``None`` before."""
+        return self._running.statistics()
+
+    def close(self) -> None:
+        """End the stream and wait for its threads."""
+        self._running.close()
+
+    def __enter__(self) -> Stream:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def stream(
+    source: str | PathLike[str] = "synthetic",
+    camera: Camera | None = None,
+    *,
+    outputs: Iterable[Output] = ("points", "status"),
+    fps: float | None = None,
+    frames: int | None = None,
+    depth_units_per_metre: float | None = None,
+    **settings: Any,
+) -> Stream:
+    """Smooth frames as they come; the library captures and smooths in threads of its own while Python works on the last one.
+
+    Parameters
+    ----------
+    source : str or path
+        ``"kinect"``, ``"synthetic"``, or a path: a folder of frames, a data set of TUM, a recording of fakenect, a file.
+    camera : Camera, optional
+        Of depth images that come without one.
+    outputs : iterable of str
+        What is wanted; see `Smoother`.
+    fps : float, optional
+        Play at this pace, as a camera does: frames that come while Python is busy are left out. Without it a file or folder waits, and no frame is lost.
+    frames : int, optional
+        End after so many.
+    depth_units_per_metre : float, optional
+        Of a data set that does not say it.
+    **settings
+        As `Smoother` takes them: ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...
+
+    Returns
+    -------
+    Stream
+        An iterator of `StreamFrame`.
+
+    Examples
+    --------
+    >>> import planish
+    >>> with planish.stream("synthetic", frames=3, outputs=["depth"]) as frames:
+    ...     for frame in frames:
+    ...         changed = (frame.smoothed.depth != frame.depth).mean()
+    >>> frame.index, bool(changed > 0.5)
+    (2, True)
+    """
+    if camera is not None and not isinstance(camera, Camera):
+        raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
+    if frames is not None and frames < 0:
+        raise ValueError(f"frames: {frames} is not allowed: 0 or more")
+    if not isinstance(source, str) and not os.path.exists(source):
+        raise FileNotFoundError(f"{os.fspath(source)}: no such file or folder")
+    # The same checks, names and defaults as any smoother's.
+    checked = Smoother(camera, outputs=outputs, **settings)
+    names = list(checked.__getstate__()["outputs"])
+    return Stream(_Stream(os.fspath(source), names, settings, camera, fps, frames, depth_units_per_metre))

@@ -1,0 +1,97 @@
+"""Streams: every frame of a folder, the newest of a camera, errors and ends."""
+
+import gc
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import planish
+import pytest
+
+CAMERA = planish.Camera(160, 120, fx=131.25, fy=131.25)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for seed in range(6):
+        frame = planish.simulate("table", camera=CAMERA, seed=seed)
+        planish.write(tmp_path / f"frame{seed}.png", frame.depth)
+    return tmp_path
+
+
+def test_every_frame_of_a_folder_comes_in_order_and_as_a_smoother_makes_it(folder: Path) -> None:
+    with planish.stream(folder, CAMERA, outputs=["depth", "points", "normals", "status"], engine="cpu") as frames:
+        assert not frames.is_live and frames.statistics is None
+        found = list(frames)
+    assert [frame.name for frame in found] == [f"frame{seed}" for seed in range(6)]
+    assert [frame.index for frame in found] == list(range(6))
+    with planish.Smoother(CAMERA, outputs=["depth", "points", "normals", "status"], engine="cpu") as smoother:
+        for frame in found:
+            assert frame.camera == CAMERA and frame.points is None and frame.latency_s > 0
+            expected = smoother.smooth(frame.depth)
+            for name in ("depth", "points", "normals", "status"):
+                ours, theirs = getattr(frame.smoothed, name), getattr(expected, name)
+                assert ours.dtype == theirs.dtype and ours.shape == theirs.shape
+                np.testing.assert_array_equal(ours, theirs)
+    statistics = frames.statistics
+    assert statistics is not None
+    assert (statistics["frames_in"], statistics["frames_out"], statistics["dropped"]) == (6, 6, 0)
+    assert statistics["engine"] == "cpu" and statistics["latency_p50_s"] > 0
+
+
+def test_slow_consumers_lose_frames_of_a_camera_only(folder: Path) -> None:
+    with planish.stream(folder, CAMERA, engine="cpu") as frames:
+        assert sum(time.sleep(0.05) is None for _ in frames) == 6
+    with planish.stream(folder, CAMERA, fps=100.0, engine="cpu", outputs=["depth"]) as frames:
+        assert frames.is_live
+        first = next(frames)
+        time.sleep(0.4)
+        rest = [frame.index for frame in frames]
+    # What waits is the newest.
+    assert first.index < 6 and rest[-1:] == [5][: len(rest)] and len(rest) <= 2
+    statistics = frames.statistics
+    assert statistics is not None and statistics["dropped"] >= 6 - 1 - len(rest)
+
+
+def test_a_stream_can_be_left_at_any_frame(folder: Path) -> None:
+    before = threading.active_count()
+    for _ in range(3):
+        with planish.stream("synthetic", frames=None, outputs=["depth"]) as frames:
+            assert next(frames).smoothed.depth is not None
+    left = planish.stream(folder, CAMERA)
+    next(left)
+    del left
+    gc.collect()
+    assert threading.active_count() == before
+    with planish.stream(folder, CAMERA, frames=2) as frames:
+        assert len(list(frames)) == 2
+        with pytest.raises(StopIteration):
+            next(frames)
+
+
+def test_clouds_come_with_their_points(tmp_path: Path) -> None:
+    frame = planish.simulate("room", camera=CAMERA, seed=1)
+    planish.write(tmp_path / "a.pcd", planish.smooth(frame.depth, CAMERA, outputs=["points"]).points)
+    (found,) = planish.stream(tmp_path, outputs=["points", "normals"])
+    assert found.depth is None and found.points is not None and found.points.shape == (120, 160, 3)
+    assert found.smoothed.normals is not None and found.smoothed.normals.shape == (120, 160, 3)
+
+
+def test_what_is_wrong_is_said(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        planish.stream(tmp_path / "none")
+    with pytest.raises(ValueError, match="camera"):
+        list(planish.stream(folder))
+    with pytest.raises(ValueError, match="outputs"):
+        planish.stream(folder, CAMERA, outputs=["colour"])  # type: ignore[list-item]
+    with pytest.raises(ValueError, match="auto"):
+        planish.stream(folder, CAMERA, sensor="auto")
+    with pytest.raises(ValueError, match="frames"):
+        planish.stream(folder, CAMERA, frames=-1)
+    with pytest.raises(TypeError, match=r"planish\.Camera"):
+        planish.stream(folder, "camera")  # type: ignore[arg-type]
+    (folder / "frame3.png").write_bytes(b"\x89PNG\r\n\x1a\nbroken")
+    with pytest.warns(RuntimeWarning, match="frame3"):
+        names = [frame.name for frame in planish.stream(folder, CAMERA)]
+    assert names == ["frame0", "frame1", "frame2", "frame4", "frame5"]

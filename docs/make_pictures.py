@@ -1,0 +1,102 @@
+"""Draws the pictures of the gallery and of the parameters.
+
+usage: python docs/make_pictures.py DATA
+
+DATA has real frames, as the gallery names them; without one of them its picture is left as it is. Needs the Python package and Pillow.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import planish
+from PIL import Image, ImageDraw
+
+HERE = Path(__file__).parent / "pictures"
+CELL = (480, 360)
+
+
+def relief(file: Path, folder: Path, *arguments: str) -> Image.Image:
+    """The relief of a file, without its colours."""
+    picture = folder / "relief.png"
+    subprocess.run(["planish", "render", file, picture, *arguments], check=True, capture_output=True)
+    image = Image.open(picture).convert("RGB")
+    # Colours, where there are any, stand beside the relief.
+    return image.crop((0, 0, image.width // 2, image.height)) if image.width > 2 * image.height else image
+
+
+def smoothed(file: Path, folder: Path, *arguments: str) -> Path:
+    result = folder / f"smooth{file.suffix if file.suffix != '.png' else '.pcd'}"
+    subprocess.run(["planish", "smooth", file, result, "--overwrite", *arguments], check=True, capture_output=True)
+    return result
+
+
+def side_by_side(name: str, cells: list[tuple[str, Image.Image]]) -> None:
+    """One picture of several, each with its caption."""
+    sheet = Image.new("RGB", (len(cells) * (CELL[0] + 8) - 8, CELL[1] + 24), "white")
+    draw = ImageDraw.Draw(sheet)
+    for i, (caption, image) in enumerate(cells):
+        image.thumbnail(CELL, Image.Resampling.LANCZOS)
+        sheet.paste(image, (i * (CELL[0] + 8), 24))
+        draw.text((i * (CELL[0] + 8) + 4, 4), caption, fill="black", font_size=15)
+    HERE.mkdir(exist_ok=True)
+    sheet.quantize(128).save(HERE / f"{name}.png", optimize=True)
+    print(name)
+
+
+def gallery(data: Path, folder: Path) -> None:
+    tum = ["--camera", "525,525,319.5,239.5", "--depth-scale", "5000"]
+    mm = ["--camera", "525,525,319.5,239.5"]
+    frames = [
+        ("kinect-table", "kinect/milk_cartoon_all_small_clorox.pcd", [], []),
+        ("kinect-office", "kinect/office1.pcd", [], []),
+        ("tum-desk", "tum/TUM_depth.png", tum, tum),
+        ("aerial", "unorganized/autzen_trim.laz", [], ["--neighbours", "60"]),
+    ]
+    redwood = sorted((data / "redwood").glob("**/*depth*/*.png")) or sorted((data / "redwood").glob("**/depth*.png"))
+    frames += [("redwood-room", str(path.relative_to(data)), mm, mm) for path in redwood[:1]]
+    for name, file, how_drawn, how_smoothed in frames:
+        path = data / file
+        if not path.exists():
+            print(f"{name}: left as it is, without {path}")
+            continue
+        is_depth = path.suffix == ".png"
+        result = smoothed(path, folder, *how_smoothed)
+        side_by_side(
+            name,
+            [
+                ("raw", relief(path, folder, *how_drawn)),
+                ("smoothed", relief(result, folder, *([] if is_depth else how_drawn))),
+            ],
+        )
+
+
+def parameters(folder: Path) -> None:
+    frame = planish.simulate("shapes", seed=2)
+    path = folder / "shapes.png"
+    planish.write(path, frame.depth)
+    of_camera = frame.camera
+    camera = ["--camera", f"{of_camera.fx},{of_camera.fy},{of_camera.cx},{of_camera.cy}"]
+    camera += ["--depth-scale", str(of_camera.depth_units_per_metre)]
+
+    def of(*arguments: str) -> Image.Image:
+        return relief(smoothed(path, folder, *camera, *arguments), folder)
+
+    strengths = [(f"--strength {strength}", of("--strength", strength)) for strength in ["0", "0.5", "1"]]
+    side_by_side("strength", [("raw", relief(path, folder, *camera)), *strengths])
+    edges = ["robust", "off"]
+    side_by_side("edges", [(f"--edges {edge}", of("--edges", edge)) for edge in edges])
+    blocks = [("--average-blocks false", "false"), ("--average-blocks true", "true")]
+    side_by_side("blocks", [(caption, of("--average-blocks", value)) for caption, value in blocks])
+    degrees = ["1", "2", "3"]
+    side_by_side("degree", [(f"--degree {degree}", of("--degree", degree)) for degree in degrees])
+    side_by_side("project", [(f"--project {to}", of("--project", to)) for to in ["ray", "normal"]])
+    sensors = ["kinect1", "d435", "azure-kinect", "exact"]
+    side_by_side("sensor", [(f"--sensor {sensor}", of("--sensor", sensor)) for sensor in sensors])
+
+
+with tempfile.TemporaryDirectory() as work:
+    parameters(Path(work))
+    if len(sys.argv) > 1:
+        gallery(Path(sys.argv[1]), Path(work))
