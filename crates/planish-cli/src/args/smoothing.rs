@@ -164,9 +164,14 @@ impl SmoothingArgs {
         given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 
+    /// Whether the sensor is to be estimated from a frame.
+    pub fn estimates_sensor(&self) -> bool {
+        matches!(self.sensor, Some(SensorArg::Auto))
+    }
+
     /// The parameters, where a frame that a sensor could be estimated from is not at hand.
     pub fn params(&self) -> Result<SmoothParams> {
-        if matches!(self.sensor, Some(SensorArg::Auto)) {
+        if self.estimates_sensor() {
             bail!(
                 "--sensor auto needs a frame to estimate from, and a stream has none yet: run `planish info` on one, then name the nearest sensor"
             );

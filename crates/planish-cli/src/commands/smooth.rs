@@ -1,34 +1,28 @@
 //! `planish smooth`: one file, or every frame of a folder.
 
+mod folder;
 mod progress;
 mod report;
 mod tiles;
 
 use crate::exit::ExitCode;
-use std::collections::{HashMap, HashSet};
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
-use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format};
+use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, ReadOptions};
 use planish::{
-    Camera, DepthFrame, DepthImage, Engine, EngineError, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud,
-    PointsView, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
+    DepthFrame, DepthImage, Engine, EngineError, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud,
+    PointsView, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother, SmootherOptions,
 };
 use planish_bench::{errln, outln};
 
 use progress::with_progress;
-use report::{
-    Failure, FolderReport, Report, SmoothTimes, StatusCounts, likely_cause, print_report, report_range_rule, summarize,
-};
+use report::{Report, SmoothTimes, StatusCounts, likely_cause, print_report, report_range_rule, summarize};
 
 use super::checks::{check_not_input, check_output, check_radius, convert_colour, report_columns, report_losses};
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs};
-use crate::signals::{INTERRUPTED, stop_flag};
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     // For general clouds; with --sensor auto the first frame determines the parameters of all others.
@@ -41,6 +35,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         sensor_known: false,
         floating_sensor: None,
         pose: args.pose.pose()?,
+        beside: 1,
         open: None,
         smoothed: Smoothed::default(),
     };
@@ -48,7 +43,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         bail!("--format takes a file's extension, as ply, not a path");
     }
     if args.input.is_dir() {
-        return run_folder(&mut worker);
+        return folder::run(&mut worker);
     }
     check_output(&args.output, args.encoding.is_some())?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;
@@ -59,89 +54,6 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         print_report(&report);
     }
     Ok(ExitCode::SUCCESS)
-}
-
-fn run_folder(worker: &mut Worker<'_>) -> Result<ExitCode> {
-    let args = worker.args;
-    let mut inputs: Vec<PathBuf> = fs::read_dir(&args.input)
-        .and_then(|entries| entries.map(|entry| entry.map(|entry| entry.path())).collect())
-        .with_context(|| format!("cannot list the folder {}", args.input.display()))?;
-    inputs.retain(|path| path.is_file() && Format::is_of_frames(path));
-    inputs.sort();
-    if inputs.is_empty() {
-        bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
-    }
-    if args.output.is_file() {
-        bail!("{}: is a file; a folder of frames is written to a folder", args.output.display());
-    }
-    fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
-    let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
-    outputs.iter().try_for_each(|output| check_output(output, args.encoding.is_some()))?;
-    let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
-    let is_input = |output: &&PathBuf| output.canonicalize().is_ok_and(|output| originals.contains(&output));
-    if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
-        bail!(
-            "{}: is one of the inputs: give another folder, so that no frame is overwritten, or add --overwrite",
-            output.display()
-        );
-    }
-    let mut seen = HashMap::new();
-    for (input, output) in inputs.iter().zip(&outputs) {
-        if let Some(other) = seen.insert(output, input) {
-            bail!(
-                "{} and {} would both be written to {}: smooth them into different folders",
-                other.display(),
-                input.display(),
-                output.display()
-            );
-        }
-    }
-
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
-    // Hidden by itself where standard error is not a terminal.
-    let progress = ProgressBar::new(inputs.len() as u64).with_style(style);
-    let stop = stop_flag();
-    let mut report = FolderReport { frames: Vec::new(), failed: Vec::new(), interrupted: false };
-    for (input, output) in inputs.into_iter().zip(outputs) {
-        if stop.load(Ordering::Relaxed) {
-            report.interrupted = true;
-            break;
-        }
-        match worker.smooth_file(&input, &output) {
-            Ok(frame) => report.frames.push(frame),
-            Err(error) => {
-                let error = format!("{error:#}");
-                progress.suspend(|| errln!("error: {error}"));
-                report.failed.push(Failure { input, error });
-            }
-        }
-        progress.inc(1);
-    }
-    progress.finish_and_clear();
-    if args.json {
-        outln!("{}", serde_json::to_string(&report)?);
-    } else {
-        let end = if report.interrupted { "; interrupted" } else { "" };
-        let frames = report.frames.len();
-        let noun = if frames == 1 { "frame" } else { "frames" };
-        outln!("{frames} {noun} smoothed, {} failed{end}", report.failed.len());
-    }
-    Ok(if report.interrupted {
-        ExitCode::from(INTERRUPTED)
-    } else if report.failed.is_empty() {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(1)
-    })
-}
-
-/// Where a frame of the input folder is written.
-fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
-    let path = args.output.join(input.file_name().unwrap_or_default());
-    match &args.format {
-        Some(extension) => path.with_extension(extension.trim_start_matches('.')),
-        None => path,
-    }
 }
 
 /// What an engine is open for: grid, outputs, parameters.
@@ -157,6 +69,8 @@ struct Worker<'a> {
     floating_sensor: Option<SensorModel>,
     /// Instead of what the files say.
     pose: Option<SensorPose>,
+    /// How many workers there are, of which each has its share of the threads and the memory.
+    beside: u64,
     open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
 }
@@ -178,7 +92,7 @@ impl Worker<'_> {
             return Ok(report);
         }
         let start = Instant::now();
-        let FileRead { format, encoding, mut contents, .. } = io::read_file(input, &self.args.memory.read_options())?;
+        let FileRead { format, encoding, mut contents, .. } = io::read_file(input, &self.read_options())?;
         let read_ms = ms_since(start);
         let (width, height) = contents.shape();
         self.set_pose(input, &mut contents)?;
@@ -216,6 +130,17 @@ impl Worker<'_> {
             smooth_ms: times_ms,
             write_ms: ms_since(start),
         })
+    }
+
+    /// The limit for this worker.
+    fn read_options(&self) -> ReadOptions {
+        let options = self.args.memory.read_options();
+        options.with_max_memory_bytes(options.max_memory_bytes / self.beside)
+    }
+
+    fn options(&self, outputs: Outputs) -> Result<SmootherOptions> {
+        let options = self.args.smoothing.options(outputs)?;
+        Ok(if self.beside > 1 { options.with_threads(Some(1)) } else { options })
     }
 
     /// Puts the user's pose in place of the file's.
@@ -264,15 +189,17 @@ impl Worker<'_> {
             }
             _ => None,
         };
-        let mut cloud = organized(contents, &self.args.camera, input)?;
+        // Depth that goes out as depth needs no points.
+        let needs_points = depth.is_none() || !depth_out || !self.sensor_known || self.floating_sensor.is_some();
+        let mut cloud = if needs_points { Some(organized(contents, &self.args.camera, input)?) } else { None };
         if !self.sensor_known {
             let of_frame = || input.display().to_string();
-            self.params = self.args.smoothing.params_for(Some(&cloud)).with_context(of_frame)?;
-            self.floating_sensor = self.args.smoothing.floating_sensor(Some(&cloud)).with_context(of_frame)?;
+            self.params = self.args.smoothing.params_for(cloud.as_ref()).with_context(of_frame)?;
+            self.floating_sensor = self.args.smoothing.floating_sensor(cloud.as_ref()).with_context(of_frame)?;
             self.sensor_known = true;
         }
-        if let Some(sensor) = self.floating_sensor {
-            let view = PointsView::from_organized(&cloud).map_err(Error::from)?;
+        if let (Some(sensor), Some(cloud)) = (self.floating_sensor, &mut cloud) {
+            let view = PointsView::from_organized(cloud).map_err(Error::from)?;
             if matches!(view.range_rule(), RangeRule::Constant { .. }) {
                 bail!("{}: --remove-floating needs the sensor's position: give --sensor-pose", input.display());
             }
@@ -283,20 +210,22 @@ impl Worker<'_> {
             });
         }
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
-        let frame =
-            depth.as_ref().map_or_else(|| (&cloud).into_frame(), |depth| depth.into_frame()).map_err(of_input)?;
-        report_range_rule(input, frame, self.pose.is_some());
-        let depth_camera = match cloud.camera {
-            _ if !depth_out => None,
-            None => bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display()),
-            camera => camera,
+        let frame = match (&depth, &cloud) {
+            (Some(depth), _) => depth.into_frame(),
+            (None, Some(cloud)) => cloud.into_frame(),
+            (None, None) => bail!("{}: neither depth nor points", input.display()),
         };
+        let frame = frame.map_err(of_input)?;
+        report_range_rule(input, frame, self.pose.is_some());
+        if depth_out && frame.camera().is_none() {
+            bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display());
+        }
         // Every frame gets what it gets alone, whatever came before it.
         let params = self.args.smoothing.at_resolution_of(self.params, frame);
         let (points, times_ms) = self.smooth(output, frame, outputs, params)?;
-        let result = match depth_camera {
-            Some(Camera { width, height, .. }) => Output::Depth { width, height },
-            None => Output::Organized(cloud),
+        let result = match cloud {
+            Some(cloud) if !depth_out => Output::Organized(cloud),
+            _ => Output::Depth { width: shape.0, height: shape.1 },
         };
         Ok((result, points, times_ms))
     }
@@ -353,7 +282,8 @@ impl Worker<'_> {
         while times_ms.len() < self.args.repeat as usize {
             let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
             let start = Instant::now();
-            let result = with_progress(smoother.progress(), || smoother.smooth(frame, &mut self.smoothed));
+            let progress = smoother.progress().filter(|_| self.beside == 1);
+            let result = with_progress(progress, || smoother.smooth(frame, &mut self.smoothed));
             if matches!(result, Err(Error::Engine(_))) {
                 // An engine that failed is no use for the next frame.
                 self.open = None;
@@ -363,7 +293,7 @@ impl Worker<'_> {
             {
                 // How large a general cloud is, is known after auto has chosen.
                 errln!("{}: {error}; smoothed on the CPU", output.display());
-                let options = self.args.smoothing.options(outputs)?.with_engine(Engine::Cpu);
+                let options = self.options(outputs)?.with_engine(Engine::Cpu);
                 let cpu = Smoother::open_with(params, &options, frame.grid())?;
                 self.open = Some((cpu, (frame.grid(), outputs, params)));
                 continue;
@@ -392,7 +322,7 @@ impl Worker<'_> {
         let (width, height) = frame.shape();
         let points = width * height;
         let needed = points as u64 * ENGINE_BYTES_A_POINT;
-        let allowed = self.args.memory.read_options().max_memory_bytes;
+        let allowed = self.read_options().max_memory_bytes;
         if needed > allowed {
             bail!(
                 "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
@@ -401,7 +331,7 @@ impl Worker<'_> {
             );
         }
         if self.open.as_ref().is_none_or(|(_, has)| *has != wanted) {
-            let options = self.args.smoothing.options(outputs)?;
+            let options = self.options(outputs)?;
             self.open = Some((Smoother::open_with(params, &options, frame.grid())?, wanted));
         }
         Ok(())

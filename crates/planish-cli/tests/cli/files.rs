@@ -498,3 +498,39 @@ fn las_larger_than_memory_is_smoothed_in_tiles_and_described_in_parts() {
         assert_eq!(whole[field], parts[field], "{field}");
     }
 }
+
+#[test]
+fn frames_of_a_folder_are_the_same_one_by_one_and_beside_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("in");
+    fs::create_dir(&input).unwrap();
+    for seed in 0..9 {
+        let name = input.join(format!("{seed}.png"));
+        let frame = small_frame(seed);
+        let (width, height) = (frame.camera.width, frame.camera.height);
+        planish::io::write_depth(&name, &planish::DepthImage { width, height, raw: frame.raw }).unwrap();
+    }
+    fs::write(input.join("5.png"), "no picture").unwrap();
+    write_cloud(&input.join("7.ply"), &small_frame(3).deproject().unwrap(), Encoding::Binary).unwrap();
+    let scan = planish::PointCloud::new((0..30_000).map(|i| [(i % 200) as f32, (i / 200) as f32, 1.0]).collect());
+    write_cloud(&input.join("8.pcd"), &scan, Encoding::Binary).unwrap();
+    let camera = small_frame(0).camera;
+    let camera = format!("{},{},{},{}", camera.fx, camera.fy, camera.cx, camera.cy);
+    let smooth = |name: &str, options: &[&str]| {
+        let out = folder.path().join(name);
+        let arguments = ["smooth", str(&input), str(&out), "--camera", &camera, "--engine", "cpu", "--json"];
+        let run = planish(&[&arguments, options].concat());
+        assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+        assert_eq!(text(&run.stderr).matches("5.png").count(), 1, "{}", text(&run.stderr));
+        let report = json_line(&text(&run.stdout));
+        let inputs: Vec<_> = report["frames"].as_array().unwrap().iter().map(|frame| frame["input"].clone()).collect();
+        assert_eq!(report["failed"].as_array().unwrap().len(), 1, "{report}");
+        let mut files: Vec<_> = fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().path()).collect();
+        files.sort();
+        (inputs, files.iter().map(|file| fs::read(file).unwrap()).collect::<Vec<_>>())
+    };
+    let one_by_one = smooth("one", &["--threads", "1"]);
+    assert_eq!((one_by_one.0.len(), one_by_one.1.len()), (10, 10));
+    assert!(smooth("many", &["--threads", "4"]) == one_by_one);
+    assert!(smooth("little", &["--threads", "4", "--max-memory", "12M"]) == one_by_one);
+}

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use planish::tiles::{self, TileOptions};
 use planish::{Outputs, Progress, Radius};
 use planish_bench::errln;
@@ -17,9 +17,12 @@ use super::{LOST_SHARE_TOLD, Worker};
 impl Worker<'_> {
     /// Smooths a LAS, LAZ or PLY file tile by tile into another, if it does not fit the memory that is allowed.
     pub(super) fn smooth_in_tiles(&mut self, input: &Path, output: &Path) -> Result<Option<Report>> {
-        let allowed = self.args.memory.read_options().max_memory_bytes;
+        let allowed = self.read_options().max_memory_bytes;
         if !tiles::are_tiled(input, output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {
             return Ok(None);
+        }
+        if self.beside > 1 {
+            bail!("{}: larger than the memory of a worker", input.display());
         }
         let params = self.general_params(input)?;
         errln!("{}: larger than --max-memory, so smoothed in tiles", input.display());

@@ -1,0 +1,186 @@
+//! Every frame of a folder: on the CPU several at once, each by a worker with one thread, so that reading and writing go on beside smoothing.
+
+use std::collections::{HashMap, HashSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::PoisonError;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread;
+
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use planish::io::Format;
+use planish::{Engine, Outputs, Smoothed};
+use planish_bench::{errln, outln};
+
+use super::super::checks::check_output;
+use super::Worker;
+use super::report::{Failure, FolderReport, Report};
+use crate::args::SmoothArgs;
+use crate::exit::ExitCode;
+use crate::signals::{INTERRUPTED, stop_flag};
+
+/// Larger files are smoothed one after the other, each with all threads.
+const LARGEST_BESIDE_OTHERS: u64 = 64 << 20;
+/// What a compressed frame may take in memory, over its size.
+const MEMORY_OVER_SIZE: u64 = 40;
+
+/// A frame: where it is, and where it goes.
+type Job = (PathBuf, PathBuf);
+
+pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
+    let args = worker.args;
+    let jobs = jobs(args)?;
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
+    // Hidden by itself where standard error is not a terminal.
+    let bar = ProgressBar::new(jobs.len() as u64).with_style(style);
+    let stop = stop_flag();
+    let mut done: Vec<Option<Result<Report>>> = jobs.iter().map(|_| None).collect();
+    let mut next = 0;
+    while next < jobs.len() && !stop.load(Ordering::Relaxed) {
+        let (input, output) = &jobs[next];
+        done[next] = Some(told(worker.smooth_file(input, output), &bar));
+        next += 1;
+        // What the first frames say of sensor and engine holds for all others.
+        let workers = workers(worker, &jobs[next..])?;
+        if workers > 1 {
+            beside_each_other(worker, workers, &jobs[next..], &mut done[next..], &stop, &bar);
+            // One that failed may have needed the memory that others had.
+            for (job, done) in jobs[next..].iter().zip(&mut done[next..]) {
+                if matches!(done, Some(Err(_))) && !stop.load(Ordering::Relaxed) {
+                    *done = Some(told(worker.smooth_file(&job.0, &job.1), &bar));
+                }
+            }
+            break;
+        }
+    }
+    bar.finish_and_clear();
+    let mut report = FolderReport { frames: Vec::new(), failed: Vec::new(), interrupted: false };
+    for ((input, _), done) in jobs.into_iter().zip(done) {
+        match done {
+            None => report.interrupted = true,
+            Some(Ok(frame)) => report.frames.push(frame),
+            Some(Err(error)) => report.failed.push(Failure { input, error: format!("{error:#}") }),
+        }
+    }
+    if args.json {
+        outln!("{}", serde_json::to_string(&report)?);
+    } else {
+        let end = if report.interrupted { "; interrupted" } else { "" };
+        let frames = report.frames.len();
+        let noun = if frames == 1 { "frame" } else { "frames" };
+        outln!("{frames} {noun} smoothed, {} failed{end}", report.failed.len());
+    }
+    Ok(if report.interrupted {
+        ExitCode::from(INTERRUPTED)
+    } else if report.failed.is_empty() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(1)
+    })
+}
+
+/// Says what went wrong, and counts the frame.
+fn told(result: Result<Report>, bar: &ProgressBar) -> Result<Report> {
+    if let Err(error) = &result {
+        bar.suspend(|| errln!("error: {error:#}"));
+    }
+    bar.inc(1);
+    result
+}
+
+/// The frames of a folder; refuses what would overwrite an input or write two to one file.
+fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
+    let mut inputs: Vec<PathBuf> = fs::read_dir(&args.input)
+        .and_then(|entries| entries.map(|entry| entry.map(|entry| entry.path())).collect())
+        .with_context(|| format!("cannot list the folder {}", args.input.display()))?;
+    inputs.retain(|path| path.is_file() && Format::is_of_frames(path));
+    inputs.sort();
+    if inputs.is_empty() {
+        bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
+    }
+    if args.output.is_file() {
+        bail!("{}: is a file; a folder of frames is written to a folder", args.output.display());
+    }
+    fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
+    let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
+    outputs.iter().try_for_each(|output| check_output(output, args.encoding.is_some()))?;
+    let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
+    let is_input = |output: &&PathBuf| output.canonicalize().is_ok_and(|output| originals.contains(&output));
+    if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
+        bail!(
+            "{}: is one of the inputs: give another folder, so that no frame is overwritten, or add --overwrite",
+            output.display()
+        );
+    }
+    let mut seen = HashMap::new();
+    for (input, output) in inputs.iter().zip(&outputs) {
+        if let Some(other) = seen.insert(output, input) {
+            bail!(
+                "{} and {} would both be written to {}: smooth them into different folders",
+                other.display(),
+                input.display(),
+                output.display()
+            );
+        }
+    }
+    Ok(inputs.into_iter().zip(outputs).collect())
+}
+
+/// Where a frame of the input folder is written.
+fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
+    let path = args.output.join(input.file_name().unwrap_or_default());
+    match &args.format {
+        Some(extension) => path.with_extension(extension.trim_start_matches('.')),
+        None => path,
+    }
+}
+
+/// How many workers to have for these frames: as many as threads, if the open engine is the CPU's and there are frames and memory for all.
+fn workers(worker: &Worker<'_>, jobs: &[Job]) -> Result<usize> {
+    let is_on_cpu = worker.open.as_ref().is_some_and(|(smoother, _)| smoother.engine() == Engine::Cpu);
+    let smoothing = &worker.args.smoothing;
+    let is_sensor_open = (smoothing.estimates_sensor() || smoothing.remove_floating) && !worker.sensor_known;
+    if !is_on_cpu || is_sensor_open || worker.args.repeat > 1 {
+        return Ok(1);
+    }
+    let largest = jobs.iter().filter_map(|(input, _)| fs::metadata(input).ok()).map(|file| file.len()).max();
+    let Some(largest) = largest.filter(|&largest| largest <= LARGEST_BESIDE_OTHERS) else { return Ok(1) };
+    let threads = worker.args.smoothing.options(Outputs::POINTS)?.threads;
+    let threads = threads.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));
+    let in_memory = worker.args.memory.read_options().max_memory_bytes / (MEMORY_OVER_SIZE * largest.max(1));
+    Ok(threads.min(jobs.len() / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
+}
+
+/// Smooths frames by several workers like this one; those that fail are neither told nor counted.
+fn beside_each_other(
+    like: &Worker<'_>,
+    workers: usize,
+    jobs: &[Job],
+    done: &mut [Option<Result<Report>>],
+    stop: &AtomicBool,
+    bar: &ProgressBar,
+) {
+    let next = AtomicUsize::new(0);
+    let results = Mutex::new(done);
+    let Worker { args, params, sensor_known, floating_sensor, pose, .. } = *like;
+    let work = || {
+        let (beside, smoothed) = (workers as u64, Smoothed::default());
+        let mut worker = Worker { args, params, sensor_known, floating_sensor, pose, beside, open: None, smoothed };
+        while !stop.load(Ordering::Relaxed) {
+            let at = next.fetch_add(1, Ordering::Relaxed);
+            let Some((input, output)) = jobs.get(at) else { break };
+            let result = worker.smooth_file(input, output);
+            if result.is_ok() {
+                bar.inc(1);
+            }
+            results.lock().unwrap_or_else(PoisonError::into_inner)[at] = Some(result);
+        }
+    };
+    thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(work);
+        }
+    });
+}
