@@ -200,7 +200,13 @@ def main() -> None:
             text += [f'    === "{title}"', "", "        ```python"]
             text += ["        " + line for line in body(way, name).splitlines()]
             text += ["        ```", ""]
-    Path(sys.argv[1]).write_text("\n".join(text))
+    head = """# Ten things, with planish and with Open3D
+
+Lines of Python for the same inputs and the same kind of result; both columns are run and checked by `compare/ten_things.py`, which generates this page.
+planish's fits are polynomials by default, Open3D's planes.
+
+"""
+    Path(sys.argv[1]).write_text(head + "\n".join(text).rstrip() + "\n")
     print("\n".join(text[: len(rows) + 3]))
 
 

@@ -34,12 +34,14 @@ def smoothed(file: Path, folder: Path, *arguments: str) -> Path:
 
 def side_by_side(name: str, cells: list[tuple[str, Image.Image]]) -> None:
     """One picture of several, each with its caption."""
-    sheet = Image.new("RGB", (len(cells) * (CELL[0] + 8) - 8, CELL[1] + 24), "white")
+    for _, image in cells:
+        image.thumbnail(CELL, Image.Resampling.LANCZOS)
+    width = max(image.width for _, image in cells) + 8
+    sheet = Image.new("RGB", (len(cells) * width - 8, max(image.height for _, image in cells) + 24), "white")
     draw = ImageDraw.Draw(sheet)
     for i, (caption, image) in enumerate(cells):
-        image.thumbnail(CELL, Image.Resampling.LANCZOS)
-        sheet.paste(image, (i * (CELL[0] + 8), 24))
-        draw.text((i * (CELL[0] + 8) + 4, 4), caption, fill="black", font_size=15)
+        sheet.paste(image, (i * width, 24))
+        draw.text((i * width + 4, 4), caption, fill="black", font_size=15)
     HERE.mkdir(exist_ok=True)
     sheet.quantize(128).save(HERE / f"{name}.png", optimize=True)
     print(name)

@@ -54,7 +54,14 @@ impl PyCamera {
     #[pyo3(signature = (path, shape=None))]
     fn read(path: PathBuf, shape: Option<(usize, usize)>) -> PyResult<Self> {
         let shape = shape.map(|(height, width)| (width, height));
-        planish::io::read_camera(&path, shape).map(Self).map_err(to_py)
+        let camera = planish::io::read_camera(&path, shape).map_err(to_py)?;
+        if camera.width == 0 || camera.height == 0 {
+            return Err(PyValueError::new_err(format!(
+                "{}: does not say how large the images are: give shape=(height, width)",
+                path.display()
+            )));
+        }
+        Ok(Self(camera))
     }
 
     #[getter]

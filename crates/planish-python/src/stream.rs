@@ -23,6 +23,9 @@ const WAITING: usize = 2;
 /// Between two looks at Python's signals.
 const PATIENCE: Duration = Duration::from_millis(50);
 
+/// Warnings that wait to be told.
+const MOST_WARNINGS: usize = 100;
+
 /// A frame with its result, in rows as Python has them.
 struct Delivered {
     frame: Frame,
@@ -196,6 +199,8 @@ pub struct PyStream {
     shared: Arc<Shared>,
     is_live: bool,
     thread: Mutex<Option<JoinHandle<()>>>,
+    /// The process that has opened it.
+    process: u32,
 }
 
 #[pymethods]
@@ -247,7 +252,11 @@ impl PyStream {
             move || {
                 let tell = |event: StreamEvent<'_>| {
                     if let StreamEvent::Warning(text) = event {
-                        shared.lock().warnings.push(text);
+                        let mut state = shared.lock();
+                        // A file that is repeated may have the same fault for ever.
+                        if state.warnings.len() < MOST_WARNINGS && !state.warnings.contains(&text) {
+                            state.warnings.push(text);
+                        }
                     }
                 };
                 let result = stream::run(source, &options, vec![Box::new(sink)], &shared.stop, tell);
@@ -262,26 +271,23 @@ impl PyStream {
         };
         let failed = |error: std::io::Error| PyRuntimeError::new_err(format!("could not start a thread: {error}"));
         let thread = std::thread::Builder::new().name("planish-stream".into()).spawn(work).map_err(failed)?;
-        Ok(Self { shared, is_live, thread: Mutex::new(Some(thread)) })
+        Ok(Self { shared, is_live, thread: Mutex::new(Some(thread)), process: std::process::id() })
     }
 
-    /// The next frame with its result, and what is to be warned of; no frame at the end.
-    fn next<'py>(&self, py: Python<'py>) -> PyResult<(Option<Bound<'py, PyDict>>, Vec<String>)> {
-        let delivered = loop {
-            py.check_signals()?;
-            if let Some(taken) = py.detach(|| self.shared.take()) {
-                break taken;
-            }
-        };
+    /// The next frame with its result, if there is one soon; what is to be warned of; and whether that is the end.
+    fn next<'py>(&self, py: Python<'py>) -> PyResult<(Option<Bound<'py, PyDict>>, Vec<String>, bool)> {
+        self.check_process()?;
+        py.check_signals()?;
+        let taken = py.detach(|| self.shared.take());
         let mut state = self.shared.lock();
         let warnings = std::mem::take(&mut state.warnings);
-        if delivered.is_none()
-            && let Some(error) = state.error.take()
-        {
+        let has_ended = matches!(taken, Some(None));
+        let delivered = taken.flatten();
+        if has_ended && let Some(error) = state.error.take() {
             return Err(to_py(error));
         }
         drop(state);
-        Ok((delivered.map(|delivered| delivered.into_dict(py)).transpose()?, warnings))
+        Ok((delivered.map(|delivered| delivered.into_dict(py)).transpose()?, warnings, has_ended))
     }
 
     /// Whether the source is a camera, or plays like one.
@@ -308,13 +314,34 @@ impl PyStream {
     }
 
     /// Ends the stream and waits for its threads.
-    fn close(&self, py: Python<'_>) {
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        let is_running = |thread: &Option<JoinHandle<()>>| thread.as_ref().is_some_and(|thread| !thread.is_finished());
+        if self.process != std::process::id() {
+            // Its threads are not there to be waited for.
+            std::mem::forget(self.thread.lock().unwrap_or_else(PoisonError::into_inner).take());
+            return Ok(());
+        }
         self.shared.stop.store(true, Ordering::Relaxed);
         self.shared.changed.notify_all();
+        while is_running(&self.thread.lock().unwrap_or_else(PoisonError::into_inner)) {
+            py.check_signals()?;
+            py.detach(|| std::thread::sleep(PATIENCE / 10));
+        }
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         // A panic of the library's is in nobody's hands here.
         py.detach(|| thread.map(JoinHandle::join));
         self.shared.lock().waiting.clear();
+        Ok(())
+    }
+}
+
+impl PyStream {
+    /// Threads do not survive a fork.
+    fn check_process(&self) -> PyResult<()> {
+        if self.process == std::process::id() {
+            return Ok(());
+        }
+        Err(PyRuntimeError::new_err("this stream was opened by another process: open one here"))
     }
 }
 

@@ -1,8 +1,10 @@
 """Streams: every frame of a folder, the newest of a camera, errors and ends."""
 
 import gc
+import os
 import threading
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +70,45 @@ def test_a_stream_can_be_left_at_any_frame(folder: Path) -> None:
         assert len(list(frames)) == 2
         with pytest.raises(StopIteration):
             next(frames)
+
+
+def test_a_warning_made_an_error_costs_no_frame(folder: Path) -> None:
+    (folder / "frame0.png").write_bytes(b"\x89PNG\r\n\x1a\nbroken")
+    names, warned = [], 0
+    with planish.stream(folder, CAMERA, outputs=["depth"]) as frames, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        while True:
+            try:
+                names.append(next(frames).name)
+            except RuntimeWarning:
+                warned += 1
+            except StopIteration:
+                break
+    assert names == [f"frame{seed}" for seed in range(1, 6)] and warned == 1
+
+
+def test_a_stream_ends_at_once_and_belongs_to_its_process(folder: Path) -> None:
+    with planish.stream(folder, CAMERA, fps=0.1, outputs=["depth"]) as frames:
+        next(frames)
+        start = time.monotonic()
+    assert time.monotonic() - start < 2
+    (folder / "frame1.png").unlink()
+    with planish.stream(folder / "frame0.png", outputs=["depth"]) as frames:
+        with pytest.warns(RuntimeWarning, match="camera"):
+            ended = threading.Timer(0.5, frames.close)
+            ended.start()
+            assert list(frames) == []
+    with planish.stream(folder, CAMERA) as frames:
+        child = os.fork()
+        if child == 0:
+            try:
+                next(frames)
+            except RuntimeError:
+                frames.close()
+                os._exit(7)
+            os._exit(1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+        assert len(list(frames)) == 5
 
 
 def test_clouds_come_with_their_points(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ pub struct SmoothingArgs {
     /// Which sensor took the frames: its depth steps set the radius, its noise what counts as an edge
     #[arg(long, value_enum)]
     pub sensor: Option<SensorArg>,
-    /// Whether creases and steps are kept; by default they are in frames on a grid, and not in general clouds, which then take 1.2 to
+    /// Whether creases and steps are kept; by default they are in frames on a grid, and not in general clouds, which then take 1.5 to
     /// 3.6 times as long
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,

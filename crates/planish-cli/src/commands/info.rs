@@ -109,7 +109,9 @@ fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
         info.valid_points += part.valid_points;
         info.bounds_m = [info.bounds_m, part.bounds_m].into_iter().flatten().reduce(union);
         info.fields = fields(cloud);
-        sample.extend(cloud.positions.z.iter().step_by(SAMPLE_STEP).map(|&z| cloud.origin_m[2] + f64::from(z)));
+        info.sensor_pose = info.sensor_pose.or(part.sensor_pose);
+        let finite = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i));
+        sample.extend(finite.step_by(SAMPLE_STEP).map(|i| cloud.origin_m[2] + f64::from(cloud.positions.z[i])));
     })?;
     info.format = format.name();
     info.median_z_m = median(&mut sample);

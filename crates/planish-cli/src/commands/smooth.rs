@@ -75,6 +75,18 @@ struct Worker<'a> {
     smoothed: Smoothed,
 }
 
+/// A frame needs more memory than its worker has.
+#[derive(Debug)]
+struct NeedsMemory(String);
+
+impl std::fmt::Display for NeedsMemory {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for NeedsMemory {}
+
 /// What is written, once the input has been smoothed.
 enum Output {
     Organized(OrganizedCloud),
@@ -324,11 +336,12 @@ impl Worker<'_> {
         let needed = points as u64 * ENGINE_BYTES_A_POINT;
         let allowed = self.read_options().max_memory_bytes;
         if needed > allowed {
-            bail!(
+            let text = format!(
                 "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
                 needed >> 20,
                 allowed >> 20
             );
+            return Err(NeedsMemory(text).into());
         }
         if self.open.as_ref().is_none_or(|(_, has)| *has != wanted) {
             let options = self.options(outputs)?;

@@ -534,3 +534,29 @@ fn frames_of_a_folder_are_the_same_one_by_one_and_beside_each_other() {
     assert!(smooth("many", &["--threads", "4"]) == one_by_one);
     assert!(smooth("little", &["--threads", "4", "--max-memory", "12M"]) == one_by_one);
 }
+
+#[test]
+fn a_ply_described_in_parts_is_described_as_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.ply");
+    let mut cloud = planish::PointCloud::new((0..40_000).map(|i| [(i % 97) as f32, 0.5, 1e-3 * i as f32]).collect());
+    (0..40_000).filter(|i| i % 97 < 60).for_each(|i| cloud.positions.x[i] = f32::NAN);
+    cloud.pose = planish::SensorPose::from_viewpoint([1.0, 2.0, 3.0, 0.5, -0.5, 0.5, -0.5]);
+    for encoding in [Encoding::Binary, Encoding::Ascii] {
+        write_cloud(&file, &cloud, encoding).unwrap();
+        let info = |arguments: &[&str]| json_line(&ok(&[&["info", str(&file), "--json"], arguments].concat()));
+        let (whole, parts) = (info(&[]), info(&["--max-memory", "200K"]));
+        for field in ["width", "valid_points", "bounds_m", "sensor_pose", "fields"] {
+            assert_eq!(whole[field], parts[field], "{field}");
+        }
+        let median = |info: &serde_json::Value| info["median_z_m"].as_f64().unwrap();
+        assert!((median(&whole) - median(&parts)).abs() < 0.5, "{whole} {parts}");
+    }
+    // An element without properties has no bytes, and no points.
+    fs::write(&file, "ply\nformat binary_big_endian 1.0\nelement vertex 0\nend_header\n").unwrap();
+    assert!(refused(&["info", str(&file)]).contains("no properties"));
+    // A line that does not end is not read into memory.
+    let header = "ply\nformat ascii 1.0\nelement vertex 90000\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    fs::write(&file, header.to_owned() + &"1 ".repeat(400_000)).unwrap();
+    assert!(refused(&["info", str(&file), "--max-memory", "500K"]).contains("65536 bytes"));
+}

@@ -61,14 +61,22 @@ class Stream:
 
     def __init__(self, running: _Stream) -> None:
         self._running = running
+        self._warned: set[str] = set()
+        # Taken, and not given yet since a warning was made an error.
+        self._taken: dict[str, Any] | None = None
 
     def __iter__(self) -> Iterator[StreamFrame]:
         return self
 
     def __next__(self) -> StreamFrame:
-        found, messages = self._running.next()
-        for message in messages:
-            warnings.warn(message, RuntimeWarning, stacklevel=2)
+        has_ended = False
+        while self._taken is None and not has_ended:
+            self._taken, messages, has_ended = self._running.next()
+            for message in messages:
+                if message not in self._warned:
+                    self._warned.add(message)
+                    warnings.warn(message, RuntimeWarning, stacklevel=2)
+        found, self._taken = self._taken, None
         if found is None:
             raise StopIteration
         return StreamFrame(smoothed=Smoothed(**found.pop("smoothed")), **found)
@@ -141,8 +149,10 @@ def stream(
     """
     if camera is not None and not isinstance(camera, Camera):
         raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
-    if frames is not None and frames < 0:
-        raise ValueError(f"frames: {frames} is not allowed: 0 or more")
+    if frames is not None and not isinstance(frames, int):
+        raise TypeError(f"frames: a whole number is expected, not {type(frames).__name__}")
+    if frames is not None and not 0 <= frames < 2**63:
+        raise ValueError(f"frames: {frames} is not allowed: 0 to 2**63 - 1")
     if not isinstance(source, str) and not os.path.exists(source):
         raise FileNotFoundError(f"{os.fspath(source)}: no such file or folder")
     # The same checks, names and defaults as any smoother's.

@@ -1,5 +1,7 @@
 //! A source slowed down to a camera's pace.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -11,7 +13,12 @@ pub struct Paced {
     source: Box<dyn Source>,
     interval: Duration,
     next: Option<Instant>,
+    /// Whether nobody wants another frame.
+    ended: Arc<AtomicBool>,
 }
+
+/// Between two looks at whether a frame is still wanted.
+const PATIENCE: Duration = Duration::from_millis(50);
 
 impl Paced {
     /// Paces a source to `fps` frames a second, 0.1 to 100,000.
@@ -19,7 +26,7 @@ impl Paced {
         if !(0.1..=1e5).contains(&fps) {
             return Err(ParamError { field: "fps", value: fps.to_string(), allowed: "0.1 to 100000" });
         }
-        Ok(Self { source, interval: Duration::from_secs_f64(1.0 / fps), next: None })
+        Ok(Self { source, interval: Duration::from_secs_f64(1.0 / fps), next: None, ended: Arc::default() })
     }
 }
 
@@ -28,8 +35,12 @@ impl Source for Paced {
         let frame = self.source.next_frame()?;
         let now = Instant::now();
         let due = self.next.unwrap_or(now);
-        if due > now {
-            thread::sleep(due - now);
+        while !self.ended.load(Ordering::Relaxed) {
+            let left = due.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                break;
+            }
+            thread::sleep(left.min(PATIENCE));
         }
         // Counted from when it was due, not from when it came, so that delays do not add up; frames of a longer delay are dropped.
         let missed = now.saturating_duration_since(due).as_nanos() / self.interval.as_nanos().max(1);
@@ -45,5 +56,10 @@ impl Source for Paced {
 
     fn is_live(&self) -> bool {
         true
+    }
+
+    fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        self.source.end_with(Arc::clone(&ended));
+        self.ended = ended;
     }
 }

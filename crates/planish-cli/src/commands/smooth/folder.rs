@@ -2,21 +2,22 @@
 
 use std::collections::{HashMap, HashSet};
 use std::fs;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::Format;
-use planish::{Engine, Outputs, Smoothed};
+use planish::{Engine, Error, FormatError, IoError, Outputs, Smoothed};
 use planish_bench::{errln, outln};
 
 use super::super::checks::check_output;
-use super::Worker;
 use super::report::{Failure, FolderReport, Report};
+use super::{NeedsMemory, Worker};
 use crate::args::SmoothArgs;
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
@@ -46,9 +47,9 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
         let workers = workers(worker, &jobs[next..])?;
         if workers > 1 {
             beside_each_other(worker, workers, &jobs[next..], &mut done[next..], &stop, &bar);
-            // One that failed may have needed the memory that others had.
+            // One that needed the memory which others had is tried alone.
             for (job, done) in jobs[next..].iter().zip(&mut done[next..]) {
-                if matches!(done, Some(Err(_))) && !stop.load(Ordering::Relaxed) {
+                if matches!(done, Some(Err(error)) if needs_memory(error)) && !stop.load(Ordering::Relaxed) {
                     *done = Some(told(worker.smooth_file(&job.0, &job.1), &bar));
                 }
             }
@@ -153,7 +154,17 @@ fn workers(worker: &Worker<'_>, jobs: &[Job]) -> Result<usize> {
     Ok(threads.min(jobs.len() / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
 }
 
-/// Smooths frames by several workers like this one; those that fail are neither told nor counted.
+/// Whether a frame might be smoothed with more memory.
+fn needs_memory(error: &anyhow::Error) -> bool {
+    let is_too_large = |error: &IoError| matches!(error.problem, FormatError::TooLarge { .. });
+    error.chain().any(|cause| {
+        cause.is::<NeedsMemory>()
+            || cause.downcast_ref::<IoError>().is_some_and(is_too_large)
+            || matches!(cause.downcast_ref::<Error>(), Some(Error::Io(error)) if is_too_large(error))
+    })
+}
+
+/// Smooths frames by several workers like this one; those that need more memory are neither told nor counted.
 fn beside_each_other(
     like: &Worker<'_>,
     workers: usize,
@@ -171,10 +182,14 @@ fn beside_each_other(
         while !stop.load(Ordering::Relaxed) {
             let at = next.fetch_add(1, Ordering::Relaxed);
             let Some((input, output)) = jobs.get(at) else { break };
-            let result = worker.smooth_file(input, output);
-            if result.is_ok() {
-                bar.inc(1);
-            }
+            // What panics on a frame is a defect, and no reason to lose the others.
+            let smooth = AssertUnwindSafe(|| worker.smooth_file(input, output));
+            let result = catch_unwind(smooth).unwrap_or_else(|_| {
+                worker.open = None;
+                Err(anyhow!("{}: planish panicked on it", input.display()))
+            });
+            let may_be_tried_again = matches!(&result, Err(error) if needs_memory(error));
+            let result = if may_be_tried_again { result } else { told(result, bar) };
             results.lock().unwrap_or_else(PoisonError::into_inner)[at] = Some(result);
         }
     };

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use planish::tiles::{self, TileOptions};
 use planish::{Outputs, Progress, Radius};
 use planish_bench::errln;
@@ -12,7 +12,7 @@ use planish_bench::errln;
 use super::super::ms_since;
 use super::progress::with_progress;
 use super::report::{Report, StatusCounts, summarize};
-use super::{LOST_SHARE_TOLD, Worker};
+use super::{LOST_SHARE_TOLD, NeedsMemory, Worker};
 
 impl Worker<'_> {
     /// Smooths a LAS, LAZ or PLY file tile by tile into another, if it does not fit the memory that is allowed.
@@ -22,7 +22,7 @@ impl Worker<'_> {
             return Ok(None);
         }
         if self.beside > 1 {
-            bail!("{}: larger than the memory of a worker", input.display());
+            return Err(NeedsMemory(format!("{}: larger than the memory of a worker", input.display())).into());
         }
         let params = self.general_params(input)?;
         errln!("{}: larger than --max-memory, so smoothed in tiles", input.display());

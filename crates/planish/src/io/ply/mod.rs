@@ -274,7 +274,7 @@ fn check_properties(element: &ElementDef, stated: usize) -> Result<(), FormatErr
     if stated != element.properties.len() {
         return malformed(format!("two properties of element {} have the same name", quoted(&element.name)));
     }
-    if stated == 0 && element.count > 0 {
+    if stated == 0 && (element.count > 0 || element.name == "vertex") {
         return malformed(format!("element {} has no properties", quoted(&element.name)));
     }
     Ok(())

@@ -165,19 +165,44 @@ pub(crate) struct PlyReader {
     buffer: Vec<u8>,
 }
 
+/// No line of a vertex is longer.
+const MAX_LINE_BYTES: u64 = 64 * 1024;
+
 impl PlyReader {
     fn next_text(&mut self, wanted: usize) -> FormatResult<()> {
-        let mut lines = String::new();
+        let mut lines = Vec::new();
         let mut found = 0;
         while found < wanted {
             let before = lines.len();
-            if self.body.read_line(&mut lines)? == 0 {
-                break;
+            let length = (&mut self.body).take(MAX_LINE_BYTES).read_until(b'\n', &mut lines)?;
+            if length as u64 == MAX_LINE_BYTES {
+                return malformed(format!(
+                    "vertex {}: its line has more than {MAX_LINE_BYTES} bytes",
+                    self.read + found
+                ));
             }
-            found += usize::from(!lines[before..].trim().is_empty());
+            if length == 0 {
+                return malformed(format!(
+                    "the file is cut short: {} vertices are announced, {} are there",
+                    self.points,
+                    self.read + found
+                ));
+            }
+            if lines[before..].trim_ascii().is_empty() {
+                lines.truncate(before);
+            } else {
+                found += 1;
+            }
         }
         let mut columns = self.header.columns.clone();
-        text::Body::new(lines.as_bytes())?.read(&mut columns, wanted)?;
+        let numbered_from_here = |problem| match problem {
+            FormatError::Malformed(text) if self.read > 0 => {
+                FormatError::Malformed(format!("behind the first {} vertices: {text}", self.read))
+            }
+            problem => problem,
+        };
+        let read = |columns: &mut [Attribute]| text::Body::new(&lines)?.read(columns, wanted);
+        read(&mut columns).map_err(numbered_from_here)?;
         self.buffer = self.header.layout.encode(&columns, 0..wanted);
         Ok(())
     }

@@ -1,0 +1,82 @@
+"""Smooth depth images of a folder or an object store into Parquet with Ray Data: PNG in, a row a frame out.
+
+python frames_to_parquet.py FRAMES OUT --camera 525,525,319.5,239.5
+
+FRAMES and OUT may be folders or addresses such as s3://bucket/frames. A row has the path, the smoothed depth (uint16, height x width, as bytes) and an
+error, which is empty where all went well. Paths that OUT has already are left out, so a run that was stopped goes on where it was. To read a row:
+np.frombuffer(row["smoothed"], np.uint16).reshape(480, 640).
+"""
+
+import argparse
+import io
+import os
+
+import numpy as np
+import ray
+from PIL import Image
+
+import planish
+from planish.data import SmoothFrames
+
+
+def decode(batch: dict) -> dict:
+    """16-bit PNGs as arrays; an empty one for what is no such picture."""
+
+    def depth_of(data: bytes) -> np.ndarray:
+        try:
+            return np.asarray(Image.open(io.BytesIO(data))).astype(np.uint16)
+        except (OSError, ValueError):
+            return np.empty((0, 0), np.uint16)
+
+    return {"path": batch["path"], "depth": [depth_of(data) for data in batch["bytes"]]}
+
+
+class Smooth:
+    """An actor: a smoother, whose results go on as bytes."""
+
+    def __init__(self, camera: planish.Camera) -> None:
+        self.smooth = SmoothFrames(camera, engine="cpu")
+
+    def __call__(self, batch: dict) -> dict:
+        done = self.smooth(decode(batch))
+        rows = [np.ascontiguousarray(depth).tobytes() for depth in done["smoothed"]]
+        return {"path": done["path"], "smoothed": rows, "error": done["error"]}
+
+
+def done_already(out: str) -> set[str]:
+    try:
+        return {row["path"] for row in ray.data.read_parquet(out, columns=["path"]).iter_rows()}
+    except (FileNotFoundError, ValueError):
+        return set()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("frames")
+    parser.add_argument("out")
+    parser.add_argument("--camera", required=True, help="FX,FY,CX,CY in pixels")
+    parser.add_argument("--size", default="640x480")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    args = parser.parse_args()
+    width, height = (int(value) for value in args.size.split("x"))
+    camera = planish.Camera(width, height, *(float(value) for value in args.camera.split(",")))
+    ray.init(logging_level="warning")
+    frames = ray.data.read_binary_files(
+        args.frames, file_extensions=["png"], include_paths=True, override_num_blocks=4 * args.workers
+    )
+    done = done_already(args.out)
+    if done:
+        frames = frames.filter(lambda row: row["path"] not in done)
+    smoothed = frames.map_batches(
+        Smooth,
+        fn_constructor_args=(camera,),
+        batch_size=8,
+        # Half of what an actor uses, since reading and writing need some too: with all cores taken they would wait for ever.
+        num_cpus=0.5,
+        compute=ray.data.ActorPoolStrategy(size=args.workers),
+    )
+    smoothed.write_parquet(args.out)
+
+
+if __name__ == "__main__":
+    main()
