@@ -2,11 +2,11 @@
 
 use std::sync::{Mutex, mpsc};
 use std::thread;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use planish::{
-    Camera, Engine, EngineError, Error, Frame, OrganizedCloud, Outputs, SensorPose, SmoothParams, Smoothed,
-    SmoothedView, Smoother, Status,
+    Camera, Engine, EngineError, Error, Frame, OrganizedCloud, Outputs, Progress, SensorPose, SmoothParams, Smoothed,
+    SmoothedMut, SmoothedView, Smoother, Status,
 };
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -19,6 +19,8 @@ use crate::settings::Settings;
 
 /// Frames of a batch between two looks at Python's signals.
 const FRAMES_AT_ONCE: usize = 256;
+/// Between two looks at Python's signals while a large cloud is smoothed.
+const PATIENCE: Duration = Duration::from_millis(50);
 /// Results that wait to be copied; each keeps its memory on the device.
 const VIEWS_WAITING: usize = 2;
 
@@ -153,7 +155,17 @@ impl State {
         let mut said = None;
         loop {
             let smoother = self.smoother(frame, outputs)?;
-            let result = py.detach(|| smoother.smooth_into(frame, out.smoothed_mut(&mut status)));
+            let out = out.smoothed_mut(&mut status);
+            let result = match smoother.progress().filter(|_| frame.grid().is_none()) {
+                None => py.detach(|| smoother.smooth_into(frame, out)),
+                Some(progress) => {
+                    let (result, interrupted) = py.detach(|| interruptible(smoother, frame, out, &progress));
+                    if let Some(interrupted) = interrupted {
+                        return Err(interrupted);
+                    }
+                    result
+                }
+            };
             match result {
                 Err(Error::Engine(error @ (EngineError::Limit { .. } | EngineError::OutOfMemory { .. })))
                     if self.settings.engine() == Engine::Auto && self.instead.is_none() && frame.grid().is_none() =>
@@ -172,6 +184,33 @@ impl State {
         self.status = status;
         Ok(said)
     }
+}
+
+/// Smooths on another thread, and looks at Python's signals meanwhile: an exception that one of them raises stops the work, and comes
+/// with its result.
+fn interruptible(
+    smoother: &mut Smoother,
+    frame: Frame<'_>,
+    out: SmoothedMut<'_>,
+    progress: &Progress,
+) -> (Result<(), Error>, Option<PyErr>) {
+    let this = thread::current();
+    thread::scope(|scope| {
+        let work = scope.spawn(move || {
+            let result = smoother.smooth_into(frame, out);
+            this.unpark();
+            result
+        });
+        let mut interrupted = None;
+        while !work.is_finished() {
+            thread::park_timeout(PATIENCE);
+            if !work.is_finished() && interrupted.is_none() {
+                interrupted = Python::attach(|py| py.check_signals()).err();
+                interrupted.iter().for_each(|_| progress.stop());
+            }
+        }
+        (work.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)), interrupted)
+    })
 }
 
 /// What a sensor is estimated from.

@@ -1,8 +1,11 @@
 """Smoothing from Python: what goes in, what comes out, and what is refused."""
 
 import multiprocessing
+import os
 import pickle
+import signal
 import threading
+import time
 import warnings
 
 import numpy as np
@@ -383,3 +386,18 @@ def test_processes_that_are_forked_or_spawned_go_on(frame, method):
         child.kill()
         child.join()
     assert np.array_equal(smoother.smooth(frame.depth).depth, expected)
+
+
+def test_ctrl_c_ends_one_long_cloud() -> None:
+    rng = np.random.default_rng(1)
+    # Seconds of work: thousands of neighbours a point.
+    points = rng.random((400_000, 3)).astype(np.float32)
+    smoother = planish.Smoother(outputs=["points"], engine="cpu", threads=1, radius=0.12, degree=3)
+    sender = threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT))
+    sender.start()
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        smoother.smooth(points)
+    assert time.monotonic() - start < 3
+    # And goes on with the next.
+    assert np.isfinite(smoother.smooth(points[:2000]).points).all()

@@ -337,3 +337,27 @@ fn progress_of_another_thread_grows_to_the_whole() {
         assert!(shares.len() > 3 && shares.is_sorted(), "{engine:?}: {} shares", shares.len());
     }
 }
+
+#[test]
+fn a_frame_that_is_stopped_is_an_error_and_the_next_is_whole() {
+    let points = uneven_sphere(60_000, 3);
+    for engine in [Engine::Cpu, Engine::Reference] {
+        let mut smoother = Smoother::open(SmoothParams::general(), engine, None).unwrap();
+        let progress = smoother.progress().unwrap();
+        let mut smoothed = Smoothed::default();
+        let view = || PointsView::from_rows(&points).unwrap();
+        let stopped = std::thread::scope(|scope| {
+            let smoothing = scope.spawn(|| smoother.smooth(view(), &mut smoothed));
+            // Under way.
+            while progress.share() == 0.0 && !smoothing.is_finished() {
+                std::thread::yield_now();
+            }
+            progress.stop();
+            smoothing.join().unwrap()
+        });
+        assert_eq!(stopped.unwrap_err().to_string(), "smoothing was stopped", "{engine:?}");
+        smoother.smooth(view(), &mut smoothed).unwrap();
+        assert!((0..points.len()).all(|i| smoothed.points.is_finite(i)), "{engine:?}");
+        assert_eq!(progress.share(), 1.0);
+    }
+}

@@ -169,6 +169,9 @@ pub enum EngineError {
         /// How many are in flight.
         in_flight: usize,
     },
+    /// The frame was stopped by [`Progress::stop`](crate::Progress::stop); its result is not there.
+    #[error("smoothing was stopped")]
+    Stopped,
     /// The pool of threads could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {

@@ -56,6 +56,7 @@ pub(super) fn smooth(
     let search = NeighbourSearch::new(&turned)?;
     let positions = Positions { points: turned, counts, search };
     let extent_m = known_extent_m.unwrap_or_else(|| extent_m(points));
+    progress.reset();
     progress.begin(distinct.len());
 
     let results: Vec<PointResult> = threads.install(|| {
@@ -68,6 +69,9 @@ pub(super) fn smooth(
         let firsts: Vec<FirstPlane> =
             if keeps_edges { all().map_init(Vec::new, first_plane).collect() } else { Vec::new() };
         let smooth = |found: &mut Vec<usize>, (i, (&p, &radius_m)): (usize, (&DVec3, &f64))| {
+            if progress.is_stopped() {
+                return PointResult::hole();
+            }
             let offsets = positions.neighbours(p, radius_m, found);
             let surface = match firsts.get(i) {
                 None => Surface::own(&offsets, radius_m, p - sensor),
@@ -88,6 +92,7 @@ pub(super) fn smooth(
         };
         all().enumerate().map_init(Vec::new, smooth).collect()
     });
+    progress.check()?;
     Ok(places.into_iter().map(|place| place.map_or_else(PointResult::hole, |place| results[place])).collect())
 }
 

@@ -89,7 +89,7 @@ impl GeneralCpu {
         let Frame::Points(view) = frame.frame else { return };
         let Self { params, level, outputs, index, radii, first_planes, sorted, progress, .. } = self;
         let level = *level;
-        progress.begin(0);
+        progress.reset();
         index.fill(&view);
         // Radii take about a tenth as long as the fits, first planes half.
         let of_radius = if matches!(params.radius, Radius::Neighbours { .. }) { 1 } else { 0 };
@@ -105,6 +105,9 @@ impl GeneralCpu {
                     Density { half: count as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
                 radii.resize(LEAF * index.leaves(), f32::NAN);
                 let solve = |mut rows: RadiusRows<'_>| {
+                    if progress.is_stopped() {
+                        return;
+                    }
                     dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
                     progress.add(of_radius * rows.count());
                 };
@@ -127,6 +130,9 @@ impl GeneralCpu {
         };
         if keeps_edges {
             let fit = |mut rows: FirstPlaneRows<'_>| {
+                if progress.is_stopped() {
+                    return;
+                }
                 dispatch!(level, simd => edges::fit_first_planes(simd, &kernel, &mut rows));
                 progress.add(of_first_plane * rows.count());
             };
@@ -135,6 +141,9 @@ impl GeneralCpu {
         }
         sorted.prepare(LEAF, index.leaves(), *outputs);
         let smooth = |mut rows: OutputRows<'_>| {
+            if progress.is_stopped() {
+                return;
+            }
             match params.degree {
                 1 => dispatch!(level, simd => smooth_leaves::<_, 1>(simd, &kernel, &mut rows)),
                 2 => dispatch!(level, simd => smooth_leaves::<_, 2>(simd, &kernel, &mut rows)),
@@ -143,6 +152,9 @@ impl GeneralCpu {
             progress.add(of_fit * rows.count());
         };
         halve(LEAVES_PER_TASK, OutputRows::of_grid((LEAF, index.leaves()), sorted.as_mut()), &smooth);
+        if progress.is_stopped() {
+            return;
+        }
         let unsort = |mut rows: OutputRows<'_>| rows.take_from(sorted, |i| index.place(i));
         halve(LEAF * LEAVES_PER_TASK, OutputRows::of_grid((1, view.len()), out), &unsort);
     }
@@ -152,7 +164,7 @@ impl ImmediateEngine for GeneralCpu {
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let threads = self.threads.clone();
         threads.install(|| self.smooth_points(frame, out));
-        Ok(())
+        Ok(self.progress.check()?)
     }
 
     fn progress(&self) -> Option<Arc<Progress>> {

@@ -178,6 +178,8 @@ impl GeneralGpu {
         buffers.mapped.ask_for(asked.into_iter().chain(stamps));
         self.progress.begin(submissions.len());
         for submission in submissions {
+            // What is submitted already is computed all the same, for nobody.
+            self.progress.check()?;
             gpu.wait(submission)?;
             self.progress.add(1);
         }
@@ -280,7 +282,7 @@ impl ImmediateEngine for GeneralGpu {
         let Frame::Points(view) = frame.frame else { return Ok(()) };
         self.gpu.check()?;
         self.timings = None;
-        self.progress.begin(0);
+        self.progress.reset();
         if view.is_empty() {
             return Ok(());
         }
