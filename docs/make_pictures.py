@@ -33,15 +33,17 @@ def smoothed(file: Path, folder: Path, *arguments: str) -> Path:
 
 
 def side_by_side(name: str, cells: list[tuple[str, Image.Image]]) -> None:
-    """One picture of several, each with its caption."""
+    """One picture of several, each with its caption, at most three in a row."""
     for _, image in cells:
         image.thumbnail(CELL, Image.Resampling.LANCZOS)
-    width = max(image.width for _, image in cells) + 8
-    sheet = Image.new("RGB", (len(cells) * width - 8, max(image.height for _, image in cells) + 24), "white")
+    across = 2 if len(cells) == 4 else len(cells)
+    width, height = max(image.width for _, image in cells) + 8, max(image.height for _, image in cells) + 24
+    sheet = Image.new("RGB", (across * width - 8, -(-len(cells) // across) * height), "white")
     draw = ImageDraw.Draw(sheet)
     for i, (caption, image) in enumerate(cells):
-        sheet.paste(image, (i * width, 24))
-        draw.text((i * width + 4, 4), caption, fill="black", font_size=15)
+        x, y = i % across * width, i // across * height
+        sheet.paste(image, (x, y + 24))
+        draw.text((x + 4, y + 4), caption, fill="black", font_size=15)
     HERE.mkdir(exist_ok=True)
     sheet.quantize(128).save(HERE / f"{name}.png", optimize=True)
     print(name)
