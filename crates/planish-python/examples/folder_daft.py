@@ -2,7 +2,8 @@
 
 python folder_daft.py FRAMES OUT --camera 525,525,319.5,239.5
 
-What is in OUT already is left out, so a run that was stopped goes on where it was; a file is there whole or not at all. Files that cannot be
+What is in OUT already is left out, so a run that was stopped goes on where it was; a file is there whole or not at all. (Daft ends the run if a worker is
+killed: start it again.) Files that cannot be
 smoothed are listed in OUT/errors.csv, and the others go on.
 """
 

@@ -1,6 +1,6 @@
-"""Smooth depth images of a folder or an object store into Parquet with Ray Data: PNG in, a row a frame out.
+"""Smooth depth images of a folder or an object store into Parquet or Lance with Ray Data: PNG in, a row a frame out.
 
-python frames_to_parquet.py FRAMES OUT --camera 525,525,319.5,239.5
+python frames_to_parquet.py FRAMES OUT --camera 525,525,319.5,239.5 [--lance]
 
 FRAMES and OUT may be folders or addresses such as s3://bucket/frames. A row has the path, the smoothed depth (uint16, height x width, as bytes) and an
 error, which is empty where all went well. Paths that OUT has already are left out, so a run that was stopped goes on where it was. To read a row:
@@ -43,9 +43,10 @@ class Smooth:
         return {"path": done["path"], "smoothed": rows, "error": done["error"]}
 
 
-def done_already(out: str) -> set[str]:
+def done_already(out: str, lance: bool) -> set[str]:
+    read = ray.data.read_lance if lance else ray.data.read_parquet
     try:
-        return {row["path"] for row in ray.data.read_parquet(out, columns=["path"]).iter_rows()}
+        return {row["path"] for row in read(out, columns=["path"]).iter_rows()}
     except (FileNotFoundError, ValueError):
         return set()
 
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("--camera", required=True, help="FX,FY,CX,CY in pixels")
     parser.add_argument("--size", default="640x480")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--lance", action="store_true", help="write Lance (Ray 2.60 writes it with pylance 1 to 3)")
     args = parser.parse_args()
     width, height = (int(value) for value in args.size.split("x"))
     camera = planish.Camera(width, height, *(float(value) for value in args.camera.split(",")))
@@ -64,7 +66,7 @@ def main() -> None:
     frames = ray.data.read_binary_files(
         args.frames, file_extensions=["png"], include_paths=True, override_num_blocks=4 * args.workers
     )
-    done = done_already(args.out)
+    done = done_already(args.out, args.lance)
     if done:
         frames = frames.filter(lambda row: row["path"] not in done)
     smoothed = frames.map_batches(
@@ -75,7 +77,10 @@ def main() -> None:
         num_cpus=0.5,
         compute=ray.data.ActorPoolStrategy(size=args.workers),
     )
-    smoothed.write_parquet(args.out)
+    if args.lance:
+        smoothed.write_lance(args.out, mode="append" if done else "create")
+    else:
+        smoothed.write_parquet(args.out)
 
 
 if __name__ == "__main__":

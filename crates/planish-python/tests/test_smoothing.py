@@ -401,3 +401,14 @@ def test_ctrl_c_ends_one_long_cloud() -> None:
     assert time.monotonic() - start < 3
     # And goes on with the next.
     assert np.isfinite(smoother.smooth(points[:2000]).points).all()
+
+
+def test_settings_that_change_nothing_for_a_general_cloud_are_said_once() -> None:
+    points = np.random.default_rng(1).random((500, 3)).astype(np.float32)
+    with planish.Smoother(preset="strong", stride=2, engine="cpu") as smoother:
+        with pytest.warns(RuntimeWarning, match="preset, stride change nothing"):
+            smoother.smooth(points)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            smoother.smooth(points)
+            planish.smooth(points, neighbours=20, edges="robust", degree=1, engine="cpu")

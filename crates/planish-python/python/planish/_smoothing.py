@@ -35,6 +35,11 @@ _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
 }
 
 
+# What a general cloud has no use for, and what it has all the same.
+_OF_GRIDS = ("preset", "strength", "sensor", "window", "stride", "average_blocks", "project")
+_OF_ALL = {("preset", "default"), ("preset", "paper")}
+
+
 @dataclass(slots=True)
 class _Kind:
     """What the result of a frame is like."""
@@ -151,6 +156,8 @@ class Smoother:
             "adapter": adapter,
             "threads": threads,
         }
+        # What changes nothing for points without a grid; said once, if such points come.
+        self._unused = [name for name in _OF_GRIDS if self._settings[name] is not None and (name, preset) not in _OF_ALL]
         # A pool of its own: threads that are shared do not survive a fork.
         own_threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self._engine = Engine({**self._settings, "threads": own_threads if threads is None else threads})
@@ -210,6 +217,10 @@ class Smoother:
         """
         array, is_depth = as_frame(frame, self._camera)
         kind = _kind_of(array, is_depth)
+        if self._unused and len(kind.shape) == 1:
+            verb = "changes" if len(self._unused) == 1 else "change"
+            said, self._unused = f"{', '.join(self._unused)} {verb} nothing for points without a grid", []
+            warnings.warn(said, RuntimeWarning, stacklevel=2)
         arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
         if is_depth and pose is not None:
             raise ValueError("pose: depth images are in their camera's frame; give the pose with points")
