@@ -219,8 +219,9 @@ class Smoother:
         kind = _kind_of(array, is_depth)
         if self._unused and len(kind.shape) == 1:
             verb = "changes" if len(self._unused) == 1 else "change"
-            said, self._unused = f"{', '.join(self._unused)} {verb} nothing for points without a grid", []
-            warnings.warn(said, RuntimeWarning, stacklevel=2)
+            text = f"{', '.join(self._unused)} {verb} nothing for points without a grid"
+            self._unused = []
+            warnings.warn(text, RuntimeWarning, stacklevel=2)
         arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
         if is_depth and pose is not None:
             raise ValueError("pose: depth images are in their camera's frame; give the pose with points")
