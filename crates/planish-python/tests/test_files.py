@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -116,3 +118,17 @@ def test_a_pipeline_keeps_bad_frames_and_says_why():
         smooth({"name": []})
     with pytest.raises(ValueError, match="output"):
         SmoothFrames(frame.camera, output="mesh")
+
+
+def test_a_pose_or_a_grid_that_a_format_has_no_place_for_is_said(tmp_path: Path) -> None:
+    points = np.random.default_rng(1).random((4, 5, 3)).astype(np.float32)
+    pose = (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+    for suffix, lost in [(".las", "pose and the grid"), (".npz", "the sensor's pose;"), (".xyz", "pose and the grid")]:
+        with pytest.warns(RuntimeWarning, match=lost):
+            planish.write(tmp_path / f"a{suffix}", points, pose=pose)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for suffix in (".pcd", ".ply"):
+            planish.write(tmp_path / f"a{suffix}", points, pose=pose)
+            back = planish.read(tmp_path / f"a{suffix}")
+            assert back.points.shape == (4, 5, 3) and np.allclose(back.pose, pose)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
@@ -114,6 +115,11 @@ def read(path: str | PathLike[str]) -> Frame:
     return Frame(**found)
 
 
+# The formats that keep where the sensor stood, and those that keep rows and columns.
+_WITH_POSES = (".pcd", ".ply")
+_WITH_GRIDS = (".pcd", ".ply", ".npy", ".npz")
+
+
 def write(
     path: str | PathLike[str],
     data: Any,
@@ -136,6 +142,11 @@ def write(
         Where the sensor stands: x, y, z, qw, qx, qy, qz.
     encoding : {"binary", "ascii", "compressed"}
         Of .pcd and .ply.
+
+    Warns
+    -----
+    RuntimeWarning
+        If the format has no place for the pose or the grid.
     """
     folder = Path(path).parent
     if not folder.is_dir():
@@ -168,7 +179,13 @@ def write(
             raise ValueError(f"fields[{name!r}]: the shape {list(array.shape[:-1])} is expected, not {list(values.shape)}")
         flat[name] = np.ascontiguousarray(values).reshape(-1)
     rows = np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
-    _planish.write_points(path, rows, origin_of(rows) or (0.0, 0.0, 0.0), grid, flat, None if pose is None else tuple(pose), encoding)
+    pose = None if pose is None else tuple(pose)
+    _planish.write_points(path, rows, origin_of(rows) or (0.0, 0.0, 0.0), grid, flat, pose, encoding)
+    suffix = Path(path).suffix.lower()
+    lost = ["the sensor's pose"] if pose is not None and suffix not in _WITH_POSES else []
+    lost += ["the grid"] if grid is not None and suffix not in _WITH_GRIDS else []
+    if lost:
+        warnings.warn(f"{path}: {suffix} has no place for {' and '.join(lost)}; .pcd has", RuntimeWarning, stacklevel=2)
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
