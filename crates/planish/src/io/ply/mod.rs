@@ -161,7 +161,7 @@ fn read_text_element(
     Ok(())
 }
 
-/// Reads a binary body: the vertices without the library, which takes twenty times their memory.
+/// Reads a binary body: the vertices without the library, which takes some ten times their memory.
 fn read_binary(header: &Header, mut body: &[u8], columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let mut found = Body::default();
     for (name, element, is_needed) in elements_to_read(header) {
