@@ -125,55 +125,6 @@ fn general_clouds_are_smoothed_with_radii_of_their_density() {
 }
 
 #[test]
-fn a_folder_goes_on_after_a_bad_file_and_says_so_at_the_end() {
-    let (folder, _, path) = with_frame();
-    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
-    fs::create_dir(&input).unwrap();
-    for name in ["a.pcd", "c.pcd"] {
-        fs::copy(&path, input.join(name)).unwrap();
-    }
-    fs::write(input.join("b.pcd"), "no cloud").unwrap();
-    fs::write(input.join("notes.txt"), "not a frame").unwrap();
-    let result = planish(&["smooth", str(&input), str(&output), "--json"]);
-    assert_eq!(result.status.code(), Some(1));
-    let report: Value = serde_json::from_slice(&result.stdout).unwrap();
-    assert_eq!((report["frames"].as_array().unwrap().len(), report["failed"].as_array().unwrap().len()), (2, 1));
-    assert!(report["failed"][0]["input"].as_str().unwrap().ends_with("b.pcd"));
-    assert!(text(&result.stderr).contains("b.pcd"));
-    let mut names: Vec<_> = fs::read_dir(&output).unwrap().map(|entry| entry.unwrap().file_name()).collect();
-    names.sort();
-    assert_eq!(names, ["a.pcd", "c.pcd"]);
-    assert!(refused(&["smooth", str(&input), str(&input)]).contains("--overwrite"));
-}
-
-#[test]
-fn a_folder_of_clouds_and_depth_images_gives_each_what_it_gets_alone() {
-    // The engine stays open between frames of one shape: what the first did not need the second must still get.
-    let (folder, _, path) = with_frame();
-    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
-    fs::create_dir(&input).unwrap();
-    fs::copy(&path, input.join("a.pcd")).unwrap();
-    let image = DepthImage { width: 160, height: 120, raw: small_frame(2).raw };
-    io::write_depth(&input.join("b.png"), &image).unwrap();
-    ok(&["smooth", str(&input), str(&output), "--camera", CAMERA]);
-    let alone = folder.path().join("alone.png");
-    ok(&["smooth", str(&input.join("b.png")), str(&alone), "--camera", CAMERA]);
-    assert_eq!(io::read(&output.join("b.png")).unwrap(), io::read(&alone).unwrap());
-}
-
-#[test]
-fn two_frames_that_would_take_one_name_are_refused_before_anything_is_written() {
-    let (folder, _, path) = with_frame();
-    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
-    fs::create_dir(&input).unwrap();
-    fs::copy(&path, input.join("a.pcd")).unwrap();
-    fs::copy(&path, input.join("a.ply")).unwrap();
-    let message = refused(&["smooth", str(&input), str(&output), "--format", "ply"]);
-    assert!(message.contains("a.pcd") && message.contains("a.ply"), "{message}");
-    assert_eq!(fs::read_dir(&output).unwrap().count(), 0);
-}
-
-#[test]
 fn info_and_render_tell_what_a_file_holds() {
     let (folder, input, path) = with_frame();
     let info: Value = serde_json::from_str(&ok(&["info", str(&path), "--json"])).unwrap();
@@ -497,42 +448,6 @@ fn las_larger_than_memory_is_smoothed_in_tiles_and_described_in_parts() {
     for field in ["format", "width", "fields", "valid_points"] {
         assert_eq!(whole[field], parts[field], "{field}");
     }
-}
-
-#[test]
-fn frames_of_a_folder_are_the_same_one_by_one_and_beside_each_other() {
-    let folder = tempfile::tempdir().unwrap();
-    let input = folder.path().join("in");
-    fs::create_dir(&input).unwrap();
-    for seed in 0..9 {
-        let name = input.join(format!("{seed}.png"));
-        let frame = small_frame(seed);
-        let (width, height) = (frame.camera.width, frame.camera.height);
-        planish::io::write_depth(&name, &planish::DepthImage { width, height, raw: frame.raw }).unwrap();
-    }
-    fs::write(input.join("5.png"), "no picture").unwrap();
-    write_cloud(&input.join("7.ply"), &small_frame(3).deproject().unwrap(), Encoding::Binary).unwrap();
-    let scan = planish::PointCloud::new((0..30_000).map(|i| [(i % 200) as f32, (i / 200) as f32, 1.0]).collect());
-    write_cloud(&input.join("8.pcd"), &scan, Encoding::Binary).unwrap();
-    let camera = small_frame(0).camera;
-    let camera = format!("{},{},{},{}", camera.fx, camera.fy, camera.cx, camera.cy);
-    let smooth = |name: &str, options: &[&str]| {
-        let out = folder.path().join(name);
-        let arguments = ["smooth", str(&input), str(&out), "--camera", &camera, "--engine", "cpu", "--json"];
-        let run = planish(&[&arguments, options].concat());
-        assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
-        assert_eq!(text(&run.stderr).matches("5.png").count(), 1, "{}", text(&run.stderr));
-        let report = json_line(&text(&run.stdout));
-        let inputs: Vec<_> = report["frames"].as_array().unwrap().iter().map(|frame| frame["input"].clone()).collect();
-        assert_eq!(report["failed"].as_array().unwrap().len(), 1, "{report}");
-        let mut files: Vec<_> = fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().path()).collect();
-        files.sort();
-        (inputs, files.iter().map(|file| fs::read(file).unwrap()).collect::<Vec<_>>())
-    };
-    let one_by_one = smooth("one", &["--threads", "1"]);
-    assert_eq!((one_by_one.0.len(), one_by_one.1.len()), (10, 10));
-    assert!(smooth("many", &["--threads", "4"]) == one_by_one);
-    assert!(smooth("little", &["--threads", "4", "--max-memory", "12M"]) == one_by_one);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The command as people and scripts run it: a process with arguments, exit codes, files and JSON.
 
 mod files;
+mod folders;
 mod hostile;
 mod live;
 mod measure;

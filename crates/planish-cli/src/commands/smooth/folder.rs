@@ -4,9 +4,8 @@ use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::PoisonError;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -37,6 +36,8 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     // Hidden by itself where standard error is not a terminal.
     let bar = ProgressBar::new(jobs.len() as u64).with_style(style);
     let stop = stop_flag();
+    let largest =
+        jobs.iter().filter_map(|(input, _)| fs::metadata(input).ok()).map(|file| file.len()).max().unwrap_or(0);
     let mut done: Vec<Option<Result<Report>>> = jobs.iter().map(|_| None).collect();
     let mut next = 0;
     while next < jobs.len() && !stop.load(Ordering::Relaxed) {
@@ -44,13 +45,14 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
         done[next] = Some(told(worker.smooth_file(input, output), &bar));
         next += 1;
         // What the first frames say of sensor and engine holds for all others.
-        let workers = workers(worker, &jobs[next..])?;
+        let workers = workers(worker, jobs.len() - next, largest)?;
         if workers > 1 {
             beside_each_other(worker, workers, &jobs[next..], &mut done[next..], &stop, &bar);
             // One that needed the memory which others had is tried alone.
             for (job, done) in jobs[next..].iter().zip(&mut done[next..]) {
-                if matches!(done, Some(Err(error)) if needs_memory(error)) && !stop.load(Ordering::Relaxed) {
-                    *done = Some(told(worker.smooth_file(&job.0, &job.1), &bar));
+                if matches!(done, Some(Err(error)) if needs_memory(error)) {
+                    let is_stopped = stop.load(Ordering::Relaxed);
+                    *done = (!is_stopped).then(|| told(worker.smooth_file(&job.0, &job.1), &bar));
                 }
             }
             break;
@@ -138,20 +140,19 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
     }
 }
 
-/// How many workers to have for these frames: as many as threads, if the open engine is the CPU's and there are frames and memory for all.
-fn workers(worker: &Worker<'_>, jobs: &[Job]) -> Result<usize> {
+/// How many workers to have for so many frames, the largest of which has so many bytes: as many as threads, if the open engine is the
+/// CPU's and there are frames and memory for all.
+fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
     let is_on_cpu = worker.open.as_ref().is_some_and(|(smoother, _)| smoother.engine() == Engine::Cpu);
     let smoothing = &worker.args.smoothing;
     let is_sensor_open = (smoothing.estimates_sensor() || smoothing.remove_floating) && !worker.sensor_known;
-    if !is_on_cpu || is_sensor_open || worker.args.repeat > 1 {
+    if !is_on_cpu || is_sensor_open || worker.args.repeat > 1 || largest > LARGEST_BESIDE_OTHERS {
         return Ok(1);
     }
-    let largest = jobs.iter().filter_map(|(input, _)| fs::metadata(input).ok()).map(|file| file.len()).max();
-    let Some(largest) = largest.filter(|&largest| largest <= LARGEST_BESIDE_OTHERS) else { return Ok(1) };
-    let threads = worker.args.smoothing.options(Outputs::POINTS)?.threads;
+    let threads = smoothing.options(Outputs::POINTS)?.threads;
     let threads = threads.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));
     let in_memory = worker.args.memory.read_options().max_memory_bytes / (MEMORY_OVER_SIZE * largest.max(1));
-    Ok(threads.min(jobs.len() / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
+    Ok(threads.min(frames / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
 }
 
 /// Whether a frame might be smoothed with more memory.
