@@ -54,6 +54,8 @@
 #[cfg(feature = "internal")]
 #[doc(hidden)]
 pub mod agreement;
+#[cfg(feature = "mcap")]
+pub mod bag;
 mod camera;
 pub mod clean;
 mod cloud;
@@ -82,6 +84,8 @@ mod range;
 mod reference;
 #[cfg(feature = "evaluate")]
 pub mod render;
+#[cfg(feature = "ros")]
+pub mod ros;
 mod sensor;
 mod simd_level;
 #[cfg(feature = "simulate")]

@@ -82,10 +82,17 @@ pub struct DemoArgs {
 
 #[derive(clap::Args)]
 pub struct SmoothArgs {
-    /// A cloud (.pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npy, .npz, .bin, .obj, .stl), a depth image (.png, .tiff, .npy), or a folder of them
+    /// A cloud (.pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npy, .npz, .bin, .obj, .stl), a depth image (.png, .tiff, .npy), a folder of them,
+    /// or a recording of ROS 2 (.mcap)
     pub input: PathBuf,
-    /// The file or folder to write; depth in and .png, .tiff or .npy out gives depth
+    /// The file or folder to write; depth in and .png, .tiff or .npy out gives depth. Of a recording: a recording that is the same but for
+    /// its depth, or a folder of its frames
     pub output: PathBuf,
+    #[command(flatten)]
+    pub topics: TopicArgs,
+    /// Of a recording: add a cloud for each depth image, on this topic
+    #[arg(long, value_name = "TOPIC")]
+    pub points_topic: Option<String>,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
     #[command(flatten)]
@@ -115,6 +122,18 @@ pub struct SmoothArgs {
     /// Print one JSON object to standard output
     #[arg(long)]
     pub json: bool,
+}
+
+/// Topics of a recording of ROS 2.
+#[derive(clap::Args)]
+pub struct TopicArgs {
+    /// Of a recording in MCAP: the topic with the depth images or clouds, if it has several; may be given more than once where all of them
+    /// are to be smoothed
+    #[arg(long, value_name = "TOPIC")]
+    pub topic: Vec<String>,
+    /// Of a recording in MCAP: the topic with the camera, if it is not beside the images'
+    #[arg(long, value_name = "TOPIC")]
+    pub camera_info_topic: Option<String>,
 }
 
 #[derive(clap::Args)]
@@ -175,17 +194,19 @@ pub struct RenderArgs {
 
 #[derive(clap::Args)]
 pub struct StreamArgs {
-    /// kinect[:INDEX], synthetic[:SEED], a data set in TUM layout, a recording of libfreenect, a folder of frames, or one
-    /// file, repeated
+    /// kinect[:INDEX], synthetic[:SEED], a data set in TUM layout, a recording of libfreenect or of ROS 2 (.mcap), a folder of frames, or
+    /// one file, repeated
     pub source: String,
+    #[command(flatten)]
+    pub topics: TopicArgs,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
     #[command(flatten)]
     pub limits: LimitArgs,
-    /// Write every result into this folder
-    #[arg(long, value_name = "DIR")]
+    /// Write every result into this folder, or into this recording of ROS 2 (.mcap)
+    #[arg(long, value_name = "DIR|FILE.mcap")]
     pub save: Option<PathBuf>,
     /// What to write there
     #[arg(long, value_enum, requires = "save")]
@@ -232,7 +253,9 @@ pub struct LimitArgs {
 pub struct RecordArgs {
     /// kinect[:INDEX], synthetic[:SEED], or any other source of depth
     pub source: String,
-    /// The folder to make
+    #[command(flatten)]
+    pub topics: TopicArgs,
+    /// The folder to make, or a recording of ROS 2 (.mcap)
     pub folder: PathBuf,
     #[command(flatten)]
     pub camera: CameraArgs,

@@ -27,6 +27,11 @@ pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
     }
 }
 
+/// Whether a name is that of a recording of ROS 2.
+pub fn is_mcap(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+}
+
 /// Refuses to write over the input, unless that was asked for; `None` where it cannot be.
 pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> Result<()> {
     let can_overwrite = overwrite.is_some();

@@ -1,5 +1,8 @@
 //! `planish info`: what a file contains.
 
+#[cfg(feature = "mcap")]
+mod bag;
+
 use crate::exit::ExitCode;
 use std::path::Path;
 
@@ -46,6 +49,10 @@ struct SensorInfo {
 
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     let options = args.memory.read_options();
+    #[cfg(feature = "mcap")]
+    if planish::bag::is_bag(&args.file) {
+        return bag::show(args);
+    }
     if !args.camera.is_given()
         && args.file != Path::new("-")
         && let Some((format, summary)) = io::summarize_depth(&args.file, &options)?

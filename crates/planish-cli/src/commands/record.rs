@@ -21,11 +21,53 @@ struct Report {
     seconds: f64,
 }
 
+/// What is recorded into.
+enum Recorder {
+    /// A data set in TUM layout, which has depth images.
+    Tum(TumRecorder),
+    #[cfg(feature = "mcap")]
+    Bag(planish::bag::BagWriter),
+}
+
+impl Recorder {
+    fn create(output: &std::path::Path) -> Result<Self> {
+        if super::checks::is_mcap(output) {
+            #[cfg(feature = "mcap")]
+            return Ok(Self::Bag(planish::bag::BagWriter::create(output)?));
+            #[cfg(not(feature = "mcap"))]
+            bail!("{}: this planish was built without the feature mcap", output.display());
+        }
+        Ok(Self::Tum(TumRecorder::create(output)?))
+    }
+
+    fn add(&mut self, source: &str, frame: &SourceFrame) -> Result<()> {
+        match (self, frame) {
+            (Self::Tum(recorder), SourceFrame::Depth(frame)) => Ok(recorder.add(frame)?),
+            (Self::Tum(_), _) => {
+                bail!(
+                    "{source}: gives clouds; a data set in TUM layout has depth images (a recording, .mcap, takes clouds)"
+                )
+            }
+            #[cfg(feature = "mcap")]
+            (Self::Bag(writer), frame) => Ok(writer.add(frame)?),
+        }
+    }
+
+    fn finish(self) -> Result<()> {
+        match self {
+            Self::Tum(_) => Ok(()),
+            #[cfg(feature = "mcap")]
+            Self::Bag(writer) => Ok(writer.finish()?),
+        }
+    }
+}
+
 pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.limits.max_duration()?;
     let stop = stop_flag();
-    let mut source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
-    let mut recorder = TumRecorder::create(&args.folder)?;
+    let mut source = open_source(&args.source, &args.topics, &args.camera, &args.limits, &stop)?;
+    super::checks::check_not_input(std::path::Path::new(&args.source), &args.folder, None)?;
+    let mut recorder = Recorder::create(&args.folder)?;
     let start = Instant::now();
     let mut frames = 0;
     let is_over = |frames| {
@@ -36,13 +78,11 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     while !is_over(frames) {
         match source.next_frame()? {
             None => break,
-            Some(SourceFrame::Depth(frame)) => recorder.add(&frame)?,
-            Some(_) => {
-                bail!("{}: gives clouds; a data set in TUM layout has depth images", args.source)
-            }
+            Some(frame) => recorder.add(&args.source, &frame)?,
         }
         frames += 1;
     }
+    recorder.finish()?;
     let report = Report { frames, dropped: source.dropped(), seconds: start.elapsed().as_secs_f64() };
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);

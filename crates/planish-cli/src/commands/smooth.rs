@@ -1,5 +1,7 @@
 //! `planish smooth`: one file, or every frame of a folder.
 
+#[cfg(feature = "mcap")]
+mod bag;
 mod folder;
 mod progress;
 mod report;
@@ -41,6 +43,16 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     };
     if args.format.as_ref().is_some_and(|extension| extension.contains(['/', '\\'])) {
         bail!("--format takes a file's extension, as ply, not a path");
+    }
+    #[cfg(feature = "mcap")]
+    if let Some(code) = bag::run(args)? {
+        return Ok(code);
+    }
+    if !args.topics.topic.is_empty() || args.topics.camera_info_topic.is_some() || args.points_topic.is_some() {
+        bail!(
+            "{}: --topic, --camera-info-topic and --points-topic are for recordings in MCAP, which this is not",
+            args.input.display()
+        );
     }
     if args.input.is_dir() {
         return folder::run(&mut worker);

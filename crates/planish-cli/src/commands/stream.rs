@@ -14,8 +14,8 @@ use planish::{DeviceError, Error, Outputs, SensorModel};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::checks::check_not_input;
-use crate::args::{CameraArgs, LimitArgs, StreamArgs, StreamFormatArg, outputs_of};
+use super::checks::{check_not_input, is_mcap};
+use crate::args::{CameraArgs, LimitArgs, StreamArgs, StreamFormatArg, TopicArgs, outputs_of};
 use crate::signals::stop_flag;
 
 /// What is said at the end.
@@ -77,14 +77,14 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         .with_max_frames(args.limits.frames)
         .with_max_duration(args.limits.max_duration()?);
     let stop = stop_flag();
-    let mut source = open_source(&args.source, &args.camera, &args.limits, &stop)?;
+    let mut source = open_source(&args.source, &args.topics, &args.camera, &args.limits, &stop)?;
     if let Some(sensor) = args.smoothing.floating_sensor(None)? {
         source = Box::new(WithoutFloating { source, sensor });
     }
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
         check_not_input(Path::new(&args.source), folder, None)?;
-        sinks.push(Box::new(FolderSink::create(folder, format, outputs)?));
+        sinks.push(saving_sink(folder, format, outputs)?);
     }
     #[cfg(feature = "rerun")]
     if let Some(file) = &args.rrd {
@@ -105,14 +105,30 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     Ok(if statistics.failed_sinks + statistics.unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
+/// A sink that writes a folder, or a recording where the name ends in .mcap.
+pub fn saving_sink(output: &Path, format: SinkFormat, outputs: Outputs) -> Result<Box<dyn Sink>> {
+    if is_mcap(output) {
+        #[cfg(feature = "mcap")]
+        return Ok(Box::new(planish::bag::BagSink::create(output, outputs)?));
+        #[cfg(not(feature = "mcap"))]
+        bail!("{}: this planish was built without the feature mcap", output.display());
+    }
+    Ok(Box::new(FolderSink::create(output, format, outputs)?))
+}
+
 /// Opens a source by its name; one that is to come back is waited for until `stop` is set.
 pub fn open_source(
     name: &str,
+    topics: &TopicArgs,
     camera: &CameraArgs,
     limits: &LimitArgs,
     stop: &Arc<AtomicBool>,
 ) -> Result<Box<dyn Source>> {
+    if topics.topic.len() > 1 {
+        bail!("--topic: a stream has one topic; `planish smooth` takes several");
+    }
     let options = SourceOptions::default()
+        .with_topics(topics.topic.first().cloned(), topics.camera_info_topic.clone())
         .with_camera(camera.camera_of_any_shape()?)
         .with_tum_units_per_metre(camera.depth_scale)
         .with_fps(limits.fps);

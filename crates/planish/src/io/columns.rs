@@ -24,7 +24,7 @@ macro_rules! with_values {
         }
     }};
 }
-pub(super) use with_values;
+pub(crate) use with_values;
 
 /// Coordinates in f64 beyond this lose more than 0.1 mm as f32; such a cloud is kept relative to its first point.
 const FAR_M: f64 = 1000.0;
@@ -32,7 +32,7 @@ const FAR_M: f64 = 1000.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Takes x, y and z out of the columns of a file.
-pub(super) fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
+pub(crate) fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
     let mut index = [0; 3];
     for (axis, name) in AXES.iter().enumerate() {
         index[axis] = columns.iter().position(|column| column.name == *name).ok_or_else(|| {
@@ -98,7 +98,7 @@ fn origin_of(values: &[f64]) -> f64 {
 }
 
 /// Returns all columns of a cloud in the order of its file; x, y and z in the type they had there.
-pub(super) fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
+pub(crate) fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
     let mut columns = cloud.attributes.clone();
     let PositionColumns { index, double } = cloud.position_columns;
     let double = double || cloud.origin_m != [0.0; 3];

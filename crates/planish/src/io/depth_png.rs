@@ -8,7 +8,7 @@ use crate::frame::DepthImage;
 use crate::xyz::validate_shape;
 
 /// Row by row, so that a frame is in memory once.
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
+pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
     let (mut reader, (width, height)) = open(bytes, options)?;
     options.check(width * height, 2)?;
     let mut raw = Vec::with_capacity(width * height);
@@ -84,7 +84,7 @@ fn for_each_row(
     Ok(())
 }
 
-pub(super) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
+pub(crate) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
     let bytes: Vec<u8> = image.raw.iter().flat_map(|raw| raw.to_be_bytes()).collect();
     encode_png(image.width, image.height, png::ColorType::Grayscale, png::BitDepth::Sixteen, &bytes)
 }

@@ -16,7 +16,8 @@ const CONVERTIBLE: [(&[&str], &str); 7] = [
     ),
     (
         &["bag", "db3", "mcap"],
-        "a recording of ROS: extract its clouds as PCD (ros2 run pcl_ros bag_to_pcd, or `pip install rosbags`)",
+        "a recording of ROS: MCAP is smoothed and read by `planish smooth` and `planish stream`; convert others with `pip install rosbags` and \
+         `rosbags-convert --src FILE --dst converted --dst-storage mcap`",
     ),
     (&["pcap", "pcapng"], "packets of a lidar: extract clouds with its driver (ouster-cli, VeloView, pcap tools)"),
     (&["oni", "klg", "svo", "svo2"], "a camera's recording: export depth images with its own tool"),

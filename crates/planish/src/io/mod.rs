@@ -32,6 +32,10 @@ use crate::cloud::{OrganizedCloud, PointCloud};
 use crate::error::{FormatError, IoError};
 use crate::frame::{DepthFrame, DepthImage};
 
+#[cfg(feature = "ros")]
+pub(crate) use self::columns::{cloud_from_columns, columns_from_cloud, with_values};
+#[cfg(feature = "ros")]
+pub(crate) use self::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
 pub(crate) use self::e57::Scans;
 pub use self::format::{Format, WRITTEN};
 pub use camera_file::{camera_to_json, parse_camera, read_camera};

@@ -112,6 +112,10 @@ pub struct SourceOptions {
     pub tum_units_per_metre: Option<f64>,
     /// Plays a source that is not live at this rate, in frames per second, as if it were.
     pub fps: Option<f64>,
+    /// The topic of a recording in MCAP; may be left out where only one has depth.
+    pub topic: Option<String>,
+    /// The topic with the camera of a recording in MCAP, if it is not beside the images'.
+    pub camera_info_topic: Option<String>,
 }
 
 impl SourceOptions {
@@ -125,14 +129,19 @@ impl SourceOptions {
         Self { tum_units_per_metre, ..self }
     }
 
+    /// The same with topics of a recording in MCAP: that of the depth, and that of its camera.
+    pub fn with_topics(self, topic: Option<String>, camera_info_topic: Option<String>) -> Self {
+        Self { topic, camera_info_topic, ..self }
+    }
+
     /// The same paced as live, or not.
     pub fn with_fps(self, fps: Option<f64>) -> Self {
         Self { fps, ..self }
     }
 }
 
-/// Opens `kinect[:INDEX]`, `synthetic[:SEED]`, a data set in TUM RGB-D layout, a recording of libfreenect, a folder of frames, or
-/// one file, which is repeated without end.
+/// Opens `kinect[:INDEX]`, `synthetic[:SEED]`, a data set in TUM RGB-D layout, a recording of libfreenect, one of ROS 2 in MCAP (with the
+/// feature `mcap`), a folder of frames, or one file, which is repeated without end.
 pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
     let (kind, number) = name.split_once(':').unwrap_or((name, ""));
     let source: Box<dyn Source> = match kind {
@@ -155,6 +164,18 @@ pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Erro
 }
 
 fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
+    #[cfg(feature = "mcap")]
+    {
+        crate::bag::refuse_other_bags(path)?;
+        if crate::bag::is_bag(path) {
+            let (topic, camera_info) = (options.topic.as_deref(), options.camera_info_topic.as_deref());
+            return Ok(Box::new(crate::bag::BagSource::open(path, topic, camera_info, options.camera)?));
+        }
+    }
+    if let (Some(topic), _) | (None, Some(topic)) = (&options.topic, &options.camera_info_topic) {
+        let allowed = "topics of recordings in MCAP, which this source is not";
+        return Err(ParamError { field: "topic", value: topic.clone(), allowed }.into());
+    }
     if path.is_file() {
         return Ok(Box::new(FileSource::repeat(path, options.camera)));
     }

@@ -1,0 +1,67 @@
+//! The topics of a recording of ROS 2.
+
+use anyhow::Result;
+use planish::bag::Survey;
+use planish_bench::outln;
+use serde::Serialize;
+
+use crate::args::InfoArgs;
+use crate::exit::ExitCode;
+
+#[derive(Serialize)]
+struct Info<'a> {
+    format: &'static str,
+    /// Of all topics.
+    messages: Option<u64>,
+    compression: Option<&'a str>,
+    topics: Vec<TopicInfo<'a>>,
+}
+
+/// A topic with images, clouds or cameras.
+#[derive(Serialize)]
+struct TopicInfo<'a> {
+    topic: &'a str,
+    #[serde(rename = "type")]
+    type_name: &'static str,
+    messages: Option<u64>,
+    encoding: &'a str,
+    frame_id: &'a str,
+    is_depth: bool,
+}
+
+pub fn show(args: &InfoArgs) -> Result<ExitCode> {
+    let survey = Survey::of(&args.file, &args.memory.read_options())?;
+    let topics = survey.topics.iter().map(|topic| TopicInfo {
+        topic: &topic.name,
+        type_name: topic.kind.type_name(),
+        messages: topic.messages,
+        encoding: &topic.encoding,
+        frame_id: &topic.frame_id,
+        is_depth: topic.is_depth,
+    });
+    let info = Info {
+        format: "MCAP",
+        messages: survey.messages,
+        compression: survey.compression.as_deref(),
+        topics: topics.collect(),
+    };
+    if args.json {
+        outln!("{}", serde_json::to_string(&info)?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    let count = |messages: Option<u64>| messages.map_or("? messages".to_owned(), |count| format!("{count} messages"));
+    let compression = match info.compression {
+        None => "",
+        Some("") => ", not compressed",
+        Some(name) => &format!(", compressed by {name}"),
+    };
+    outln!("{}: MCAP, {}{compression}", args.file.display(), count(info.messages));
+    for topic in &info.topics {
+        let TopicInfo { topic, type_name, messages, encoding, frame_id, .. } = topic;
+        outln!("  {topic}: {} of {type_name}, {encoding}, frame {frame_id:?}", count(*messages));
+    }
+    if info.topics.is_empty() {
+        outln!("  no images, clouds or cameras that are messages of ROS 2 in CDR");
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,62 @@
+//! Recordings of ROS 2 in MCAP: smoothed into recordings that are the same but for that, read as a source of frames, and written from
+//! one.
+//!
+//! Recordings are read and written record by record: memory holds a chunk and a message, whatever the length. The messages are those of
+//! [`ros`](crate::ros).
+
+mod records;
+mod schemas;
+mod smooth;
+mod source;
+mod survey;
+mod writer;
+
+use std::path::Path;
+
+use crate::error::{FormatError, IoError};
+use crate::io::brief;
+
+pub use smooth::{SmoothBagOptions, SmoothBagReport, TopicReport, smooth_bag};
+pub use source::BagSource;
+pub use survey::{MessageKind, Survey, Topic};
+pub use writer::{BagSink, BagWriter};
+
+/// The bytes that a recording in MCAP begins with.
+const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
+
+/// Whether a file is a recording in MCAP, by its first bytes.
+pub fn is_bag(path: &Path) -> bool {
+    use std::io::Read;
+    let mut first = [0; 8];
+    path.is_file()
+        && std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut first)).is_ok()
+        && first == MAGIC
+}
+
+/// Refuses recordings of other kinds by name: those of ROS 1 and of ROS 2 in SQLite, with the line that converts them.
+pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
+    let name = path.display();
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let kind = match extension.as_str() {
+        "bag" => "a recording of ROS 1",
+        "db3" => "a recording of ROS 2 in SQLite",
+        _ => return Ok(()),
+    };
+    Err(IoError {
+        path: path.to_path_buf(),
+        problem: FormatError::Unsupported(format!(
+            "{kind}: convert it to MCAP with `pip install rosbags`, then `rosbags-convert --src {name} --dst converted --dst-storage mcap`"
+        )),
+    })
+}
+
+/// Where a recording ends that was cut off; any other error.
+fn of_mcap(error: mcap::McapError) -> FormatError {
+    match error {
+        mcap::McapError::Io(error) => FormatError::Os(error),
+        mcap::McapError::RecordTooLarge { len, .. } | mcap::McapError::ChunkTooLarge(len) => {
+            FormatError::Malformed(format!("a record of {len} bytes, more than --max-memory allows or the file holds"))
+        }
+        error => FormatError::Malformed(brief(&format!("damaged: {error}"))),
+    }
+}

@@ -1,0 +1,312 @@
+//! Which topics a recording has, and which of them to smooth.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use mcap::records::Record;
+
+use super::records::{Next, Records, summary};
+use super::refuse_other_bags;
+use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE, MESSAGE_ENCODING};
+use crate::camera::Camera;
+use crate::error::{Error, FormatError, IoError};
+use crate::io::ReadOptions;
+use crate::ros::{
+    CameraInfo, CompressedImage, Image, PointCloud2, camera_info_topic as beside, from_cdr, is_rectified,
+};
+
+/// What the messages of a topic are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum MessageKind {
+    /// `sensor_msgs/Image`.
+    Image,
+    /// `sensor_msgs/CompressedImage`.
+    CompressedImage,
+    /// `sensor_msgs/PointCloud2`.
+    PointCloud2,
+    /// `sensor_msgs/CameraInfo`.
+    CameraInfo,
+}
+
+impl MessageKind {
+    fn of_type(name: &str) -> Option<Self> {
+        match name {
+            IMAGE_TYPE => Some(Self::Image),
+            COMPRESSED_TYPE => Some(Self::CompressedImage),
+            CLOUD_TYPE => Some(Self::PointCloud2),
+            CAMERA_INFO_TYPE => Some(Self::CameraInfo),
+            _ => None,
+        }
+    }
+
+    /// The name of the type in ROS.
+    pub fn type_name(self) -> &'static str {
+        match self {
+            Self::Image => IMAGE_TYPE,
+            Self::CompressedImage => COMPRESSED_TYPE,
+            Self::PointCloud2 => CLOUD_TYPE,
+            Self::CameraInfo => CAMERA_INFO_TYPE,
+        }
+    }
+}
+
+/// A topic that planish may have to do with.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Topic {
+    /// Its name.
+    pub name: String,
+    /// What its messages are.
+    pub kind: MessageKind,
+    /// How many there are, where the recording says so.
+    pub messages: Option<u64>,
+    /// Of its first message: the encoding of an image, the format of a compressed one, the shape of a cloud.
+    pub encoding: String,
+    /// The frame of its first message.
+    pub frame_id: String,
+    /// Whether its first message holds depth, or points.
+    pub is_depth: bool,
+    /// The first message, of a camera.
+    pub(super) camera_info: Option<CameraInfo>,
+}
+
+/// The topics of a recording.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Survey {
+    /// Those with images, clouds and cameras, by name.
+    pub topics: Vec<Topic>,
+    /// How many messages the recording has, where it says so.
+    pub messages: Option<u64>,
+    /// How its chunks are compressed: `zstd`, `lz4` or nothing; `None` where that is not known.
+    pub compression: Option<String>,
+}
+
+/// A topic to smooth, with its camera.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Chosen {
+    pub(super) topic: String,
+    pub(super) kind: MessageKind,
+    /// The topic of its camera, and the first message of that.
+    pub(super) camera: Option<(String, CameraInfo)>,
+}
+
+impl Survey {
+    /// Looks through a recording: at its summary, and at the first message of each topic.
+    ///
+    /// # Errors
+    /// If it is no recording in MCAP, or damaged before the first messages of all topics have been found.
+    pub fn of(path: &Path, options: &ReadOptions) -> Result<Self, IoError> {
+        refuse_other_bags(path)?;
+        survey(path, options).map_err(IoError::at(path))
+    }
+
+    /// Chooses what to smooth: the topics named, or else the only one with depth images, else the only one with compressed depth, else
+    /// the only one with clouds. A depth image needs its camera: that on the topic named, by convention beside it, or else the only one in
+    /// the same frame; none if the caller has one.
+    pub(super) fn choose(
+        &self,
+        path: &Path,
+        topics: &[String],
+        camera_info_topic: Option<&str>,
+        camera: Option<&Camera>,
+    ) -> Result<Vec<Chosen>, Error> {
+        let refuse = |problem: String| -> Error {
+            IoError { path: path.to_path_buf(), problem: FormatError::Unsupported(problem) }.into()
+        };
+        let chosen: Vec<&Topic> = if topics.is_empty() {
+            vec![self.only_topic().map_err(refuse)?]
+        } else {
+            let named = |name: &String| {
+                let topic =
+                    self.topics.iter().find(|topic| topic.name == *name && topic.kind != MessageKind::CameraInfo);
+                topic.ok_or_else(|| refuse(format!("has no images or clouds on {name}; {}", self.told())))
+            };
+            topics.iter().map(named).collect::<Result<_, _>>()?
+        };
+        let with_camera = |topic: &Topic| {
+            let of_topic = self.camera_of(topic, camera_info_topic).map_err(refuse)?;
+            if of_topic.is_none() && camera.is_none() && topic.kind != MessageKind::PointCloud2 {
+                return Err(refuse(format!(
+                    "has no camera for {}: neither {} nor another in its frame; name one with --camera-info-topic, or give \
+                     --camera FX,FY,CX,CY",
+                    topic.name,
+                    beside(&topic.name)
+                )));
+            }
+            Ok(Chosen { topic: topic.name.clone(), kind: topic.kind, camera: of_topic })
+        };
+        chosen.into_iter().map(with_camera).collect()
+    }
+
+    fn only_topic(&self) -> Result<&Topic, String> {
+        for kind in [MessageKind::Image, MessageKind::CompressedImage, MessageKind::PointCloud2] {
+            let found: Vec<_> = self.topics.iter().filter(|topic| topic.kind == kind && topic.is_depth).collect();
+            match found[..] {
+                [] => {}
+                [only] => return Ok(only),
+                _ => {
+                    let names: Vec<_> = found.iter().map(|topic| topic.name.as_str()).collect();
+                    return Err(format!("has depth on several topics: choose with --topic among {}", names.join(", ")));
+                }
+            }
+        }
+        Err(format!("has no depth images and no clouds; {}", self.told()))
+    }
+
+    fn told(&self) -> String {
+        const MOST: usize = 12;
+        let described: Vec<_> =
+            self.topics.iter().take(MOST).map(|topic| format!("{} ({})", topic.name, topic.encoding)).collect();
+        match &described[..] {
+            [] => "it has neither images nor clouds that are messages of ROS 2 in CDR".to_owned(),
+            all => format!("it has {}", all.join(", ")),
+        }
+    }
+
+    fn camera_of(&self, topic: &Topic, named: Option<&str>) -> Result<Option<(String, CameraInfo)>, String> {
+        let cameras = || self.topics.iter().filter_map(|topic| Some((topic, topic.camera_info.as_ref()?)));
+        let of = |(topic, info): (&Topic, &CameraInfo)| (topic.name.clone(), info.clone());
+        if let Some(named) = named {
+            let found = cameras().find(|(topic, _)| topic.name == named).map(of);
+            return found.map(Some).ok_or_else(|| format!("has no CameraInfo on {named}; {}", self.told()));
+        }
+        let beside = beside(&topic.name);
+        if let Some(found) = cameras().find(|(topic, _)| topic.name == beside) {
+            return Ok(Some(of(found)));
+        }
+        let mut same_frame = cameras().filter(|(_, info)| info.header.frame_id == topic.frame_id);
+        Ok(match (same_frame.next(), same_frame.next()) {
+            (Some(only), None) => Some(of(only)),
+            _ => None,
+        })
+    }
+}
+
+impl Chosen {
+    /// The camera of an image of that shape, the caller's if there is one.
+    pub(super) fn camera(&self, given: Option<&Camera>, shape: (usize, usize)) -> Result<Camera, FormatError> {
+        match (given, &self.camera) {
+            (Some(camera), _) if (camera.width, camera.height) == (0, 0) => Ok(camera.with_shape(shape)),
+            (Some(camera), _) => Ok(*camera),
+            (None, Some((_, info))) => info.camera(shape, is_rectified(&self.topic)),
+            (None, None) => Err(FormatError::Unsupported("an image without a camera".into())),
+        }
+    }
+}
+
+/// The channels of a recording, by their numbers.
+#[derive(Default)]
+pub(super) struct Channels {
+    types: BTreeMap<u16, String>,
+    /// Topic and kind.
+    known: BTreeMap<u16, (String, MessageKind)>,
+}
+
+impl Channels {
+    /// Notes schemas and channels.
+    pub(super) fn add(&mut self, record: &Record<'_>) {
+        match record {
+            Record::Schema { header, .. } => {
+                self.types.insert(header.id, header.name.clone());
+            }
+            Record::Channel(channel) if channel.message_encoding == MESSAGE_ENCODING => {
+                let kind = self.types.get(&channel.schema_id).and_then(|name| MessageKind::of_type(name));
+                if let Some(kind) = kind {
+                    self.known.insert(channel.id, (channel.topic.clone(), kind));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn get(&self, id: u16) -> Option<&(String, MessageKind)> {
+        self.known.get(&id)
+    }
+}
+
+fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
+    let summary = summary(path, options);
+    // Topics with messages that are still to be found; not known without a summary.
+    let mut awaited = summary.as_ref().and_then(|summary| {
+        let counts = &summary.stats.as_ref()?.channel_message_counts;
+        let with_messages = summary.channels.values().filter(|channel| {
+            let kind = channel.schema.as_ref().and_then(|schema| MessageKind::of_type(&schema.name));
+            kind.is_some() && counts.get(&channel.id).is_some_and(|count| *count > 0)
+        });
+        Some(with_messages.map(|channel| channel.topic.clone()).collect::<std::collections::BTreeSet<_>>())
+    });
+    let mut counts = BTreeMap::new();
+    if let Some(summary) = &summary
+        && let Some(statistics) = &summary.stats
+    {
+        for channel in summary.channels.values() {
+            *counts.entry(channel.topic.clone()).or_insert(0) +=
+                statistics.channel_message_counts.get(&channel.id).copied().unwrap_or(0);
+        }
+    }
+    let mut records = Records::open(path, options).map_err(|error| error.problem)?;
+    let (mut channels, mut topics) = (Channels::default(), BTreeMap::<String, Topic>::new());
+    while awaited.as_ref().is_none_or(|awaited| !awaited.is_empty()) {
+        let record = match records.next()? {
+            Next::Record(record) => record,
+            Next::End | Next::CutOff => break,
+        };
+        channels.add(&record);
+        let Record::Message { header, data } = &record else { continue };
+        let Some((name, kind)) = channels.get(header.channel_id) else { continue };
+        if !topics.contains_key(name) {
+            let topic = Topic { messages: counts.get(name).copied(), ..first_message(name, *kind, data) };
+            topics.insert(name.clone(), topic);
+            awaited.iter_mut().for_each(|awaited| {
+                awaited.remove(name);
+            });
+        }
+    }
+    let messages = summary.as_ref().and_then(|summary| Some(summary.stats.as_ref()?.message_count));
+    let compression = summary.and_then(|summary| Some(summary.chunk_indexes.first()?.compression.clone()));
+    Ok(Survey { topics: topics.into_values().collect(), messages, compression })
+}
+
+/// What the first message of a topic says; one that cannot be read is no depth.
+fn first_message(name: &str, kind: MessageKind, data: &[u8]) -> Topic {
+    let mut topic = Topic {
+        name: name.to_owned(),
+        kind,
+        messages: None,
+        encoding: "damaged".into(),
+        frame_id: String::new(),
+        is_depth: false,
+        camera_info: None,
+    };
+    match kind {
+        MessageKind::Image => {
+            if let Ok(image) = from_cdr::<Image>(data) {
+                topic.is_depth = image.is_depth();
+                (topic.encoding, topic.frame_id) = (image.encoding, image.header.frame_id);
+            }
+        }
+        MessageKind::CompressedImage => {
+            if let Ok(image) = from_cdr::<CompressedImage>(data) {
+                topic.is_depth = image.format.contains("compressedDepth");
+                (topic.encoding, topic.frame_id) = (image.format, image.header.frame_id);
+            }
+        }
+        MessageKind::PointCloud2 => {
+            if let Ok(cloud) = from_cdr::<PointCloud2>(data) {
+                topic.is_depth = true;
+                topic.encoding = format!("cloud of {}x{}", cloud.width, cloud.height);
+                topic.frame_id = cloud.header.frame_id;
+            }
+        }
+        MessageKind::CameraInfo => {
+            if let Ok(info) = from_cdr::<CameraInfo>(data) {
+                topic.encoding = format!("camera of {}x{}", info.width, info.height);
+                topic.frame_id.clone_from(&info.header.frame_id);
+                topic.camera_info = Some(info);
+            }
+        }
+    }
+    topic
+}

@@ -1,0 +1,195 @@
+//! Writes frames as a recording: depth images with their camera, or clouds.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use mcap::records::MessageHeader;
+use mcap::{WriteOptions, Writer};
+
+use super::of_mcap;
+use super::schemas::{
+    CAMERA_INFO, CAMERA_INFO_TYPE, CLOUD, CLOUD_TYPE, IMAGE, IMAGE_TYPE, MESSAGE_ENCODING, PROFILE, SCHEMA_ENCODING,
+};
+use crate::camera::Camera;
+use crate::error::{Error, FormatError, FrameError, IoError};
+use crate::frame::DepthImage;
+use crate::io::WholeFile;
+use crate::outputs::Outputs;
+use crate::ros::{CameraInfo, DepthPixels, Header, Image, PointCloud2, Time, camera_info_topic, to_cdr};
+use crate::source::SourceFrame;
+use crate::stream::{Sink, StreamFrame};
+
+/// Where frames go: names that depth_image_proc and RViz expect.
+const RECTIFIED_TOPIC: &str = "/camera/depth/image_rect";
+const RAW_TOPIC: &str = "/camera/depth/image_raw";
+const POINTS_TOPIC: &str = "/camera/depth/points";
+const FRAME_ID: &str = "camera_depth_optical_frame";
+
+/// Of frames without time stamps.
+const FRAMES_PER_SECOND: f64 = 30.0;
+
+/// What rosbag2 expects to find with a channel: that nothing is known of how it was offered.
+pub(super) fn channel_metadata() -> BTreeMap<String, String> {
+    BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())])
+}
+
+/// Writes frames to a recording, which is there whole after [`finish`](Self::finish) or not at all.
+///
+/// Depth goes to `/camera/depth/image_rect` (`image_raw` with distortion) as 16UC1 in millimetres with `camera_info` beside it, clouds to
+/// `/camera/depth/points`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames, else 30 a second.
+pub struct BagWriter {
+    path: PathBuf,
+    whole: WholeFile,
+    writer: Writer<BufWriter<File>>,
+    channels: BTreeMap<String, u16>,
+    frames: u32,
+}
+
+impl BagWriter {
+    /// Creates a recording.
+    pub fn create(path: &Path) -> Result<Self, Error> {
+        let opened = || -> Result<_, FormatError> {
+            let whole = WholeFile::new(path)?;
+            let file = BufWriter::new(whole.file().try_clone()?);
+            let writer = WriteOptions::new().profile(PROFILE).create(file).map_err(of_mcap)?;
+            Ok((whole, writer))
+        };
+        let (whole, writer) = opened().map_err(IoError::at(path))?;
+        Ok(Self { path: path.to_path_buf(), whole, writer, channels: BTreeMap::new(), frames: 0 })
+    }
+
+    /// Adds a depth image with its camera, whose unit may be any.
+    pub fn add_depth(&mut self, image: &DepthImage, camera: &Camera, timestamp_s: Option<f64>) -> Result<(), Error> {
+        camera.validate()?;
+        camera.check_shape((image.width, image.height))?;
+        let header = self.header(timestamp_s);
+        let topic = if camera.distortion.is_none() { RECTIFIED_TOPIC } else { RAW_TOPIC };
+        let to_millimetres = camera.with_depth_units_per_metre(1000.0);
+        let raw = if camera.depth_units_per_metre == 1000.0 {
+            image.raw.clone()
+        } else {
+            image.raw.iter().map(|&raw| to_millimetres.raw_depth(camera.depth_m(raw))).collect()
+        };
+        let pixels = DepthPixels::Millimetres(DepthImage { raw, ..*image });
+        let info = CameraInfo::of_camera(header.clone(), camera);
+        self.write(&camera_info_topic(topic), CAMERA_INFO_TYPE, CAMERA_INFO, &header, to_cdr(&info))?;
+        self.write(topic, IMAGE_TYPE, IMAGE, &header, to_cdr(&Image::of_depth(header.clone(), &pixels)))?;
+        self.frames += 1;
+        Ok(())
+    }
+
+    /// Adds a cloud.
+    pub fn add_cloud(
+        &mut self,
+        cloud: &crate::PointCloud,
+        grid: Option<(usize, usize)>,
+        timestamp_s: Option<f64>,
+    ) -> Result<(), Error> {
+        let header = self.header(timestamp_s);
+        let message = PointCloud2::of_cloud(header.clone(), cloud, grid)?;
+        self.write(POINTS_TOPIC, CLOUD_TYPE, CLOUD, &header, to_cdr(&message))?;
+        self.frames += 1;
+        Ok(())
+    }
+
+    /// Adds a frame as its source gave it.
+    pub fn add(&mut self, frame: &SourceFrame) -> Result<(), Error> {
+        match frame {
+            SourceFrame::Depth(depth) => {
+                let (width, height) = frame.shape();
+                let image = DepthImage { width, height, raw: depth.raw.clone() };
+                self.add_depth(&image, &depth.camera, depth.timestamp_s)
+            }
+            SourceFrame::Cloud { cloud, timestamp_s } => {
+                self.add_cloud(&cloud.points, Some(frame.shape()), *timestamp_s)
+            }
+        }
+    }
+
+    /// Completes the recording and puts it in its place.
+    pub fn finish(mut self) -> Result<(), Error> {
+        let finish = || -> Result<(), FormatError> {
+            self.writer.finish().map_err(of_mcap)?;
+            self.writer.into_inner().flush()?;
+            self.whole.finish()
+        };
+        Ok(finish().map_err(IoError::at(&self.path))?)
+    }
+
+    fn header(&self, timestamp_s: Option<f64>) -> Header {
+        let seconds = timestamp_s.unwrap_or(f64::from(self.frames) / FRAMES_PER_SECOND);
+        Header { stamp: Time::from_nanoseconds((1e9 * seconds).round() as u64), frame_id: FRAME_ID.into() }
+    }
+
+    fn write(
+        &mut self,
+        topic: &str,
+        type_name: &str,
+        definition: &str,
+        header: &Header,
+        message: Result<Vec<u8>, FormatError>,
+    ) -> Result<(), IoError> {
+        let result = message.and_then(|bytes| {
+            let channel_id = match self.channels.get(topic) {
+                Some(channel) => *channel,
+                None => {
+                    let schema =
+                        self.writer.add_schema(type_name, SCHEMA_ENCODING, definition.as_bytes()).map_err(of_mcap)?;
+                    let metadata = channel_metadata();
+                    let added = self.writer.add_channel(schema, topic, MESSAGE_ENCODING, &metadata);
+                    *self.channels.entry(topic.to_owned()).or_insert(added.map_err(of_mcap)?)
+                }
+            };
+            let time = header.stamp.nanoseconds();
+            let header = MessageHeader { channel_id, sequence: self.frames, log_time: time, publish_time: time };
+            self.writer.write_to_known_channel(&header, &bytes).map_err(of_mcap)
+        });
+        result.map_err(IoError::at(&self.path))
+    }
+}
+
+/// A sink of a stream that writes results as a recording: depth if the stream's outputs have it, else clouds.
+pub struct BagSink {
+    writer: Option<BagWriter>,
+    name: String,
+    outputs: Outputs,
+}
+
+impl BagSink {
+    /// Creates the recording. `outputs` are the stream's: depth, or points with the fields to add to them.
+    pub fn create(path: &Path, outputs: Outputs) -> Result<Self, Error> {
+        Ok(Self { writer: Some(BagWriter::create(path)?), name: path.display().to_string(), outputs })
+    }
+}
+
+impl Sink for BagSink {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        let Some(writer) = &mut self.writer else { return Ok(()) };
+        let timestamp_s = frame.source.timestamp_s();
+        if let Some(raw) = &frame.smoothed.depth {
+            let camera = match &frame.source {
+                SourceFrame::Depth(depth) => Some(depth.camera),
+                SourceFrame::Cloud { cloud, .. } => cloud.camera,
+            };
+            let camera = camera.ok_or(FrameError::MissingCamera { what: "depth as an output" })?;
+            let (width, height) = (frame.smoothed.width, frame.smoothed.height);
+            return writer.add_depth(&DepthImage { width, height, raw: raw.clone() }, &camera, timestamp_s);
+        }
+        let mut cloud = match &frame.source {
+            SourceFrame::Depth(depth) => depth.deproject()?,
+            SourceFrame::Cloud { cloud, .. } => cloud.clone(),
+        };
+        cloud.points.apply(&frame.smoothed, self.outputs)?;
+        writer.add_cloud(&cloud.points, Some((cloud.width(), cloud.height())), timestamp_s)
+    }
+
+    fn close(&mut self) -> Result<(), Error> {
+        self.writer.take().map_or(Ok(()), BagWriter::finish)
+    }
+}

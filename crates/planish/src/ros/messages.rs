@@ -1,0 +1,153 @@
+//! The messages, field by field as in the packages `std_msgs` and `sensor_msgs`, in the order of their definitions: their
+//! serialization is CDR.
+
+use serde::{Deserialize, Serialize};
+
+/// `builtin_interfaces/Time`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Time {
+    /// Seconds.
+    pub sec: i32,
+    /// Nanoseconds, less than 1e9.
+    pub nanosec: u32,
+}
+
+impl Time {
+    /// The time in seconds; a recent date keeps some 0.2 µs.
+    pub fn seconds(self) -> f64 {
+        f64::from(self.sec) + 1e-9 * f64::from(self.nanosec)
+    }
+
+    /// The time so many nanoseconds after 0; the latest that there is, where it is too late.
+    pub fn from_nanoseconds(nanoseconds: u64) -> Self {
+        match i32::try_from(nanoseconds / 1_000_000_000) {
+            Ok(sec) => Self { sec, nanosec: (nanoseconds % 1_000_000_000) as u32 },
+            Err(_) => Self { sec: i32::MAX, nanosec: 999_999_999 },
+        }
+    }
+
+    /// Nanoseconds since 0; 0 for times before it.
+    pub fn nanoseconds(self) -> u64 {
+        u64::try_from(self.sec).map_or(0, |sec| 1_000_000_000 * sec + u64::from(self.nanosec))
+    }
+}
+
+/// `std_msgs/Header`.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Header {
+    /// When the data was taken.
+    pub stamp: Time,
+    /// The frame of reference it is in.
+    pub frame_id: String,
+}
+
+/// `sensor_msgs/Image`.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Image {
+    /// Stamp and optical frame.
+    pub header: Header,
+    /// Rows.
+    pub height: u32,
+    /// Columns.
+    pub width: u32,
+    /// Depth is 16UC1 (millimetres) or 32FC1 (metres).
+    pub encoding: String,
+    /// Whether samples are big-endian.
+    pub is_bigendian: u8,
+    /// Bytes from one row to the next.
+    pub step: u32,
+    /// `step * height` bytes.
+    #[serde(with = "serde_bytes")]
+    pub data: Vec<u8>,
+}
+
+/// `sensor_msgs/CompressedImage`.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct CompressedImage {
+    /// Stamp and optical frame.
+    pub header: Header,
+    /// Depth is `16UC1; compressedDepth png` or `32FC1; compressedDepth png`.
+    pub format: String,
+    /// The compressed image, for depth behind 12 bytes of parameters.
+    #[serde(with = "serde_bytes")]
+    pub data: Vec<u8>,
+}
+
+/// `sensor_msgs/RegionOfInterest`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct RegionOfInterest {
+    /// First column.
+    pub x_offset: u32,
+    /// First row.
+    pub y_offset: u32,
+    /// Rows; 0 for all.
+    pub height: u32,
+    /// Columns; 0 for all.
+    pub width: u32,
+    /// Whether the region is of the rectified image.
+    pub do_rectify: bool,
+}
+
+/// `sensor_msgs/CameraInfo`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CameraInfo {
+    /// Stamp and optical frame of the image that it belongs to.
+    pub header: Header,
+    /// Rows that the camera was calibrated with.
+    pub height: u32,
+    /// Columns that the camera was calibrated with.
+    pub width: u32,
+    /// `plumb_bob`, `rational_polynomial`, `equidistant`, or empty.
+    pub distortion_model: String,
+    /// Coefficients of the distortion.
+    pub d: Vec<f64>,
+    /// Intrinsics of the image as it was taken, row by row: fx, 0, cx, 0, fy, cy, 0, 0, 1.
+    pub k: [f64; 9],
+    /// Rotation of the rectification.
+    pub r: [f64; 9],
+    /// Projection of the rectified image, row by row: fx, 0, cx, Tx, 0, fy, cy, Ty, 0, 0, 1, 0.
+    pub p: [f64; 12],
+    /// Columns put into one; 0 and 1 mean none.
+    pub binning_x: u32,
+    /// Rows put into one.
+    pub binning_y: u32,
+    /// The part of the image that was sent.
+    pub roi: RegionOfInterest,
+}
+
+/// `sensor_msgs/PointField`.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct PointField {
+    /// The name, as `x` or `rgb`.
+    pub name: String,
+    /// Bytes from the beginning of a point.
+    pub offset: u32,
+    /// 1 to 8: i8, u8, i16, u16, i32, u32, f32, f64.
+    pub datatype: u8,
+    /// Values a point.
+    pub count: u32,
+}
+
+/// `sensor_msgs/PointCloud2`.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct PointCloud2 {
+    /// Stamp and frame of the points.
+    pub header: Header,
+    /// Rows; 1 for a cloud without a grid.
+    pub height: u32,
+    /// Columns, or points.
+    pub width: u32,
+    /// What a point has.
+    pub fields: Vec<PointField>,
+    /// Whether values are big-endian.
+    pub is_bigendian: bool,
+    /// Bytes from one point to the next.
+    pub point_step: u32,
+    /// Bytes from one row to the next.
+    pub row_step: u32,
+    /// `row_step * height` bytes.
+    #[serde(with = "serde_bytes")]
+    pub data: Vec<u8>,
+    /// Whether all points are finite.
+    pub is_dense: bool,
+}

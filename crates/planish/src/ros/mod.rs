@@ -1,0 +1,17 @@
+//! Messages of ROS 2 that hold depth, clouds and cameras, and their conversion: what recordings in MCAP and a node have in common.
+//!
+//! [`from_cdr`] and [`to_cdr`] read and write them as ROS 2 does, byte for byte. [`MessageSmoother`] smooths the data of one message
+//! after another and gives messages of the same type.
+
+mod camera;
+mod cdr;
+mod cloud;
+mod depth;
+mod messages;
+mod smoother;
+
+pub use camera::{camera_info_topic, is_rectified};
+pub use cdr::{from_cdr, to_cdr};
+pub use depth::{DepthMessage, DepthPixels};
+pub use messages::{CameraInfo, CompressedImage, Header, Image, PointCloud2, PointField, RegionOfInterest, Time};
+pub use smoother::{MessageError, MessageSmoother};

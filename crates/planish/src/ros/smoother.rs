@@ -1,0 +1,180 @@
+//! Smooths messages, whatever their shape.
+
+use super::{DepthMessage, DepthPixels, PointCloud2};
+use crate::camera::Camera;
+use crate::engines::{Engine, SmootherOptions};
+use crate::error::{Error, FormatError, FrameError};
+use crate::frame::{DepthImage, DepthView, Frame, PointsView};
+use crate::io::ReadOptions;
+use crate::outputs::Outputs;
+use crate::params::SmoothParams;
+use crate::smoothed::Smoothed;
+use crate::smoother::Smoother;
+
+/// Why a message was not smoothed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MessageError {
+    /// The message is malformed, or of a kind that planish cannot use; the next may be fine.
+    #[error(transparent)]
+    Message(#[from] FormatError),
+    /// A parameter or an engine, which will fail for the next message too.
+    #[error(transparent)]
+    Engine(Error),
+}
+
+impl From<Error> for MessageError {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Frame(error) => Self::Message(error.into()),
+            error => Self::Engine(error),
+        }
+    }
+}
+
+impl From<FrameError> for MessageError {
+    fn from(error: FrameError) -> Self {
+        Self::Message(error.into())
+    }
+}
+
+/// What an engine is open for.
+type OpenFor = (Option<(usize, usize)>, Outputs, SmoothParams);
+
+/// Smooths depth images and clouds one after another. The engine is opened for the first, and again when shape or parameters change.
+pub struct MessageSmoother {
+    params: SmoothParams,
+    general: SmoothParams,
+    adapt_stride: bool,
+    options: SmootherOptions,
+    read: ReadOptions,
+    open: Option<(Smoother, OpenFor)>,
+    smoothed: Smoothed,
+}
+
+impl MessageSmoother {
+    /// Creates a smoother with parameters for frames on a grid, whose outputs are chosen message by message; those of `options` say
+    /// which fields clouds get beside points.
+    pub fn new(params: SmoothParams, options: SmootherOptions) -> Self {
+        Self {
+            params,
+            general: SmoothParams::general(),
+            adapt_stride: false,
+            options,
+            read: ReadOptions::default(),
+            open: None,
+            smoothed: Smoothed::default(),
+        }
+    }
+
+    /// The same with other parameters for clouds without a grid.
+    pub fn with_general(self, general: SmoothParams) -> Self {
+        Self { general, ..self }
+    }
+
+    /// The same with windows and strides for coarse pixels ([`SmoothParams::at_resolution_of`]), or as given.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The same with another limit to the memory that a message may take.
+    pub fn with_read_options(self, read: ReadOptions) -> Self {
+        Self { read, ..self }
+    }
+
+    /// Sets the parameters of frames on a grid from the next message on.
+    pub fn set_params(&mut self, params: SmoothParams, adapt_stride: bool) {
+        (self.params, self.adapt_stride) = (params, adapt_stride);
+    }
+
+    /// Sets the fields that clouds get beside points.
+    pub fn set_outputs(&mut self, outputs: Outputs) {
+        self.options.outputs = outputs;
+    }
+
+    /// The engine that smoothed the last message.
+    pub fn engine(&self) -> Option<Engine> {
+        self.open.as_ref().map(|(smoother, _)| smoother.engine())
+    }
+
+    /// The result of the last message.
+    pub fn smoothed(&self) -> &Smoothed {
+        &self.smoothed
+    }
+
+    /// Smooths a depth image with the camera that is found for its shape; `points` says whether the result holds points and the fields
+    /// beside them, too. Returns the smoothed depth, in the unit of the image.
+    ///
+    /// # Errors
+    /// If the message is none of depth, or the camera is of another shape, or the engine fails.
+    pub fn smooth_depth(
+        &mut self,
+        message: &DepthMessage,
+        camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
+        points: bool,
+    ) -> Result<DepthPixels, MessageError> {
+        let pixels = message.pixels(&self.read)?;
+        let camera = camera(pixels.shape())?;
+        camera.check_shape(pixels.shape())?;
+        let Outputs { normals, curvature, .. } = self.options.outputs;
+        let only = Outputs::DEPTH.with_depth(false);
+        let fields = only.with_points(points).with_normals(points && normals).with_curvature(points && curvature);
+        let (width, height) = pixels.shape();
+        match pixels {
+            DepthPixels::Millimetres(DepthImage { raw, .. }) => {
+                // The units of the message, whatever the camera says.
+                let camera = camera.with_depth_units_per_metre(1000.0);
+                let view = DepthView::new(&raw, &camera)?;
+                self.smooth(Frame::Depth(view), fields.with_depth(true))?;
+                let raw = self.smoothed.depth.clone().unwrap_or_default();
+                Ok(DepthPixels::Millimetres(DepthImage { width, height, raw }))
+            }
+            DepthPixels::Metres { depth_m, .. } => {
+                let view = DepthView::from_metres(&depth_m, &camera)?;
+                self.smooth(Frame::Depth(view), fields.with_depth_m(true))?;
+                let depth_m = self.smoothed.depth_m.clone().unwrap_or_default();
+                Ok(DepthPixels::Metres { width, height, depth_m })
+            }
+        }
+    }
+
+    /// Smooths a cloud, on its grid or without one. All its fields are kept.
+    ///
+    /// # Errors
+    /// If the message contradicts itself, or the engine fails.
+    pub fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<PointCloud2, MessageError> {
+        self.read.check(cloud.data.len(), 2)?;
+        let cloud = cloud.into_native()?;
+        let Outputs { normals, curvature, .. } = self.options.outputs;
+        let view: PointsView<'_> = cloud.view()?;
+        if view.is_empty() {
+            return Ok(cloud);
+        }
+        self.smooth(Frame::Points(view), Outputs::POINTS.with_normals(normals).with_curvature(curvature))?;
+        Ok(cloud.with_smoothed(&self.smoothed)?)
+    }
+
+    fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<(), Error> {
+        let grid = frame.grid();
+        let params = match grid {
+            None => self.general,
+            Some(_) if self.adapt_stride => self.params.at_resolution_of(frame),
+            Some(_) => self.params,
+        };
+        let wanted = (grid, outputs, params);
+        let open = self.open.take().filter(|(_, open_for)| *open_for == wanted);
+        let (smoother, _) = match open {
+            Some(open) => self.open.insert(open),
+            None => {
+                let options = self.options.clone().with_outputs(outputs);
+                self.open.insert((Smoother::open_with(params, &options, grid)?, wanted))
+            }
+        };
+        let result = smoother.smooth(frame, &mut self.smoothed);
+        if matches!(result, Err(Error::Engine(_))) {
+            // An engine that failed is opened again for the next message.
+            self.open = None;
+        }
+        result
+    }
+}
