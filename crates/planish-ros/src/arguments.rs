@@ -1,0 +1,193 @@
+//! The command line as nodes of ROS 2 have it: `--ros-args -r from:=to -p name:=value --params-file FILE`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use ros2_client::ParameterValue;
+use serde_yaml_ng::Value;
+
+/// The node's name, where nothing else is given.
+pub const NODE_NAME: &str = "planish";
+
+/// What the command line says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Arguments {
+    /// The node's namespace, which begins with a slash.
+    pub namespace: String,
+    /// The node's name.
+    pub node: String,
+    /// Topics by other names.
+    remappings: Vec<(String, String)>,
+    /// Values of parameters; later ones win.
+    pub parameters: BTreeMap<String, ParameterValue>,
+}
+
+impl Arguments {
+    /// Reads the arguments behind the program's name.
+    pub fn parse(arguments: impl IntoIterator<Item = String>) -> Result<Self> {
+        let mut parsed =
+            Self { namespace: "/".into(), node: NODE_NAME.into(), remappings: Vec::new(), parameters: BTreeMap::new() };
+        let mut arguments = arguments.into_iter();
+        let (mut of_ros, mut files, mut set) = (false, Vec::new(), Vec::new());
+        while let Some(argument) = arguments.next() {
+            let mut value = |what: &str| arguments.next().with_context(|| format!("{argument} needs {what} behind it"));
+            match argument.as_str() {
+                "--ros-args" => of_ros = true,
+                "--" if of_ros => of_ros = false,
+                "-r" | "--remap" if of_ros => parsed.remap(&value("FROM:=TO")?)?,
+                "-p" | "--param" if of_ros => set.push(value("NAME:=VALUE")?),
+                "--params-file" if of_ros => files.push(value("a file")?),
+                // Accepted, as launch files give them.
+                "--log-level" | "--log-config-file" | "-e" | "--enclave" if of_ros => drop(value("a value")?),
+                "--enable-rosout-logs"
+                | "--disable-rosout-logs"
+                | "--enable-stdout-logs"
+                | "--disable-stdout-logs"
+                | "--enable-external-lib-logs"
+                | "--disable-external-lib-logs" => {}
+                other => bail!("{other}: not understood; `planish-ros --help` says what is"),
+            }
+        }
+        // Names are known now, by which files tell nodes apart.
+        for file in files {
+            parsed.read_file(Path::new(&file))?;
+        }
+        for assignment in set {
+            let (name, value) =
+                assignment.split_once(":=").with_context(|| format!("-p {assignment}: NAME:=VALUE is expected"))?;
+            let value: Value = serde_yaml_ng::from_str(value).with_context(|| format!("-p {assignment}"))?;
+            // A parameter may be for one node of several.
+            let (node, name) = name.split_once(':').unwrap_or((&parsed.node, name));
+            if node == parsed.node {
+                let value = parameter(&value).with_context(|| format!("-p {assignment}"))?;
+                parsed.parameters.insert(name.to_owned(), value);
+            }
+        }
+        Ok(parsed)
+    }
+
+    fn remap(&mut self, rule: &str) -> Result<()> {
+        let (from, to) = rule.split_once(":=").with_context(|| format!("-r {rule}: FROM:=TO is expected"))?;
+        match from {
+            "__ns" if to.starts_with('/') => self.namespace = to.to_owned(),
+            "__ns" => bail!("-r {rule}: a namespace begins with a slash"),
+            "__node" | "__name" => self.node = to.to_owned(),
+            from => self.remappings.push((from.to_owned(), to.to_owned())),
+        }
+        Ok(())
+    }
+
+    /// The full name of a topic, after remapping: relative names are in the node's namespace, `~` is the node itself.
+    pub fn topic(&self, name: &str) -> String {
+        let full = self.absolute(name);
+        let of_rule = |(from, to): &(String, String)| (self.absolute(from) == full).then(|| self.absolute(to));
+        self.remappings.iter().find_map(of_rule).unwrap_or(full)
+    }
+
+    fn absolute(&self, name: &str) -> String {
+        let namespace = self.namespace.trim_end_matches('/');
+        match (name.strip_prefix("~/"), name.starts_with('/')) {
+            (_, true) => name.to_owned(),
+            (Some(private), false) => format!("{namespace}/{}/{private}", self.node),
+            (None, false) => format!("{namespace}/{name}"),
+        }
+    }
+
+    /// Reads the parameters of this node from a file: those under its name, its full name, or patterns with `*` and `**`.
+    fn read_file(&mut self, path: &Path) -> Result<()> {
+        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        let file: Value = serde_yaml_ng::from_str(&text).with_context(|| path.display().to_string())?;
+        let Value::Mapping(nodes) = file else {
+            bail!("{}: a node's name with ros__parameters is expected", path.display())
+        };
+        for (name, entry) in &nodes {
+            let Some(name) = name.as_str() else { bail!("{}: a node's name is expected", path.display()) };
+            if !self.is_meant(name) {
+                continue;
+            }
+            let Some(Value::Mapping(parameters)) = entry.get("ros__parameters") else {
+                bail!("{}: {name} has no ros__parameters", path.display());
+            };
+            for (name, value) in parameters {
+                let name =
+                    name.as_str().with_context(|| format!("{}: a parameter's name is expected", path.display()))?;
+                let value = parameter(value).with_context(|| format!("{}: {name}", path.display()))?;
+                self.parameters.insert(name.to_owned(), value);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a name in a file stands for this node.
+    fn is_meant(&self, name: &str) -> bool {
+        let full = format!("{}/{}", self.namespace.trim_end_matches('/'), self.node);
+        name == self.node || name == full || name == "/**" || name == "**" || name == "/*" && self.namespace == "/"
+    }
+}
+
+fn parameter(value: &Value) -> Result<ParameterValue> {
+    Ok(match value {
+        Value::Bool(value) => ParameterValue::Boolean(*value),
+        Value::String(value) => ParameterValue::String(value.clone()),
+        Value::Number(value) => match (value.as_i64(), value.as_f64()) {
+            (Some(value), _) => ParameterValue::Integer(value),
+            (None, Some(value)) => ParameterValue::Double(value),
+            (None, None) => bail!("{value}: a number out of range"),
+        },
+        _ => bail!("a truth value, a number or a text is expected"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(line: &str) -> Result<Arguments> {
+        Arguments::parse(line.split_whitespace().map(str::to_owned))
+    }
+
+    #[test]
+    fn topics_are_remapped_as_rcl_does() {
+        let arguments = parse(
+            "--ros-args -r __ns:=/arm -r __node:=wrist -r image_rect:=/camera/depth/image_rect_raw -r points:=~/cloud",
+        )
+        .unwrap();
+        assert_eq!(arguments.topic("image_rect"), "/camera/depth/image_rect_raw");
+        assert_eq!(arguments.topic("points"), "/arm/wrist/cloud");
+        assert_eq!(arguments.topic("camera_info"), "/arm/camera_info");
+        assert_eq!(arguments.topic("/diagnostics"), "/diagnostics");
+        assert_eq!(parse("").unwrap().topic("points"), "/points");
+    }
+
+    #[test]
+    fn parameters_of_the_command_line_win_over_those_of_files() {
+        let folder = std::env::temp_dir().join(format!("planish-ros-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let file = folder.join("params.yaml");
+        let text = "/**:\n  ros__parameters:\n    strength: 0.25\n    sensor: d435\nother:\n  ros__parameters:\n    sensor: l515\n";
+        std::fs::write(&file, text).unwrap();
+        let arguments =
+            parse(&format!("--ros-args -p strength:=1 --params-file {} -p other:sensor:=d415", file.display()))
+                .unwrap();
+        assert_eq!(arguments.parameters["strength"], ParameterValue::Integer(1));
+        assert_eq!(arguments.parameters["sensor"], ParameterValue::String("d435".into()));
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn what_is_not_understood_is_named() {
+        for (line, text) in [
+            ("--ros-args -r", "FROM:=TO"),
+            ("--ros-args -r a", "FROM:=TO"),
+            ("--ros-args -p strength", "NAME:=VALUE"),
+            ("--fast", "--fast"),
+            ("--ros-args -r __ns:=arm", "slash"),
+            ("--ros-args --params-file /nowhere.yaml", "/nowhere.yaml"),
+            ("--ros-args -p strength:=[1,2]", "strength"),
+        ] {
+            let error = format!("{:#}", parse(line).unwrap_err());
+            assert!(error.contains(text), "{line}: {error}");
+        }
+    }
+}

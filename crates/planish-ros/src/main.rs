@@ -1,0 +1,70 @@
+//! `planish-ros`: a node of ROS 2 that smooths depth images and organized clouds. It needs no installation of ROS.
+
+mod arguments;
+mod diagnostics;
+mod node;
+mod settings;
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use arguments::{Arguments, NODE_NAME};
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    if arguments.iter().any(|argument| argument == "--help" || argument == "-h") {
+        print_help();
+        return ExitCode::SUCCESS;
+    }
+    if arguments.iter().any(|argument| argument == "--version") {
+        println!("planish-ros {}", env!("CARGO_PKG_VERSION"));
+        return ExitCode::SUCCESS;
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    let run = || {
+        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))?;
+        node::run(&Arguments::parse(arguments)?, &stop)
+    };
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn print_help() {
+    println!(
+        "A node of ROS 2 that smooths depth images and organized clouds.
+
+Usage: planish-ros [--ros-args [-r FROM:=TO]... [-p NAME:=VALUE]... [--params-file FILE]...]
+
+Topics, all of which can be remapped (-r); the node is /{NODE_NAME} (-r __node:=, -r __ns:=):
+  image_rect       in: depth, 16UC1 (millimetres) or 32FC1 (metres)
+  camera_info      in: its camera
+  input            in: clouds, with -p input:=points
+  points           out: smoothed clouds
+  image_smoothed   out: smoothed depth, with -p publish_depth:=true
+  /diagnostics     out: rates, drops and latencies
+
+Parameters (-p, * can be changed while the node runs):"
+    );
+    for (name, default, changes, what) in settings::declared() {
+        let mark = if changes { "*" } else { " " };
+        println!("  {mark} {name:16} {what} [{}]", shown(&default));
+    }
+}
+
+fn shown(value: &ros2_client::ParameterValue) -> String {
+    use ros2_client::ParameterValue::{Boolean, Double, Integer, String};
+    match value {
+        Boolean(value) => value.to_string(),
+        Integer(value) => value.to_string(),
+        Double(value) => value.to_string(),
+        String(value) => value.clone(),
+        other => format!("{other:?}"),
+    }
+}

@@ -1,0 +1,414 @@
+//! The node: receives the newest message, smooths it, publishes the result.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::{Context as _, Result, anyhow};
+use futures::executor::block_on;
+use futures::{StreamExt, future, stream};
+use planish::FormatError;
+use planish::ros::{
+    CameraInfo, CompressedImage, DepthMessage, Header, Image, MessageError, MessageSmoother, PointCloud2, Time,
+    is_rectified,
+};
+use ros2_client::{
+    Context, MessageTypeName, Name, Node, NodeName, NodeOptions, ParameterValue, Publisher, QosProfile, Subscription,
+    WriteError, log::LogLevel, rosout,
+};
+
+use crate::arguments::Arguments;
+use crate::diagnostics::{DiagnosticArray, Statistics};
+use crate::settings::{Input, Settings, declared};
+
+/// How often diagnostics are published, and the same warning is repeated at most.
+const REPORT_EVERY: Duration = Duration::from_secs(1);
+const WARN_EVERY: Duration = Duration::from_secs(10);
+/// How long a wait for a message lasts before the node looks whether it is to end.
+const PATIENCE: Duration = Duration::from_millis(50);
+
+/// A message as it arrived.
+enum Arrived {
+    Depth(DepthMessage),
+    Cloud(PointCloud2),
+}
+
+/// What the receiving thread leaves for the smoothing one: the newest message and the newest camera.
+#[derive(Default)]
+struct Inbox {
+    newest: Option<(Arrived, Instant)>,
+    camera: Option<CameraInfo>,
+    received: u64,
+    replaced: u64,
+    damaged: u64,
+    /// Why no more can be received.
+    broken: Option<String>,
+}
+
+#[derive(Default)]
+struct Shared {
+    inbox: Mutex<Inbox>,
+    arrived: Condvar,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Inbox> {
+        self.inbox.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn put(&self, message: Arrived) {
+        let mut inbox = self.lock();
+        inbox.received += 1;
+        if inbox.newest.replace((message, Instant::now())).is_some() {
+            inbox.replaced += 1;
+        }
+        self.arrived.notify_one();
+    }
+
+    fn damaged(&self) {
+        let mut inbox = self.lock();
+        inbox.received += 1;
+        inbox.damaged += 1;
+    }
+}
+
+/// Where results go.
+struct Publishers {
+    points: Publisher<PointCloud2>,
+    depth: Publisher<Image>,
+    compressed: Option<Publisher<CompressedImage>>,
+    diagnostics: Publisher<DiagnosticArray>,
+}
+
+/// Runs the node until `stop` is set.
+pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
+    let settings = Settings::of(&arguments.parameters)?;
+    let changed = Arc::new(Mutex::new(None));
+    let context = Context::new().map_err(|error| anyhow!("no DDS participant: {error}"))?;
+    let name = NodeName::new(&arguments.namespace, &arguments.node)
+        .with_context(|| format!("{}/{}", arguments.namespace, arguments.node))?;
+    let options = node_options(arguments, &changed);
+    let mut node = context.new_node(name, options).map_err(|error| anyhow!("no node: {error}"))?;
+
+    let shared = Arc::new(Shared::default());
+    let (image_topic, camera_topic) = input_topics(arguments, settings.input);
+    let receiver = subscribe(&mut node, &settings, &image_topic, &camera_topic, &shared)?;
+    let publishers = publish(&mut node, &settings, arguments)?;
+    let spinner = node.spinner().map_err(|error| anyhow!("no discovery: {error}"))?;
+    // Both threads wait for messages without end; they go with the process.
+    thread::Builder::new().name("planish-discovery".into()).spawn(move || block_on(spinner.spin()))?;
+    thread::Builder::new().name("planish-receive".into()).spawn(receiver)?;
+    rosout!(node, LogLevel::Info, "planish smooths {} -> {}", image_topic, arguments.topic("points"));
+    eprintln!("planish smooths {image_topic} -> {}", arguments.topic("points"));
+
+    let mut work = Work {
+        smoother: MessageSmoother::new(settings.params, settings.options()).with_adapt_stride(true),
+        is_rectified: is_rectified(&image_topic),
+        camera_topic,
+        settings,
+        node,
+        publishers,
+        statistics: Statistics::new()?,
+        warned: BTreeMap::new(),
+    };
+    let mut reported = Instant::now();
+    while !stop.load(Ordering::Relaxed) {
+        if let Some(settings) = changed.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            work.change(settings);
+        }
+        if let Some((message, camera, since)) = work.newest(&shared)? {
+            work.smooth(message, camera, since)?;
+        }
+        if reported.elapsed() >= REPORT_EVERY {
+            reported = Instant::now();
+            work.report();
+        }
+    }
+    Ok(())
+}
+
+/// The topics of the depth images or clouds, and of the camera.
+fn input_topics(arguments: &Arguments, input: Input) -> (String, String) {
+    let image = match input {
+        Input::Image => arguments.topic("image_rect"),
+        Input::CompressedDepth => format!("{}/compressedDepth", arguments.topic("image_rect")),
+        Input::Points => arguments.topic("input"),
+    };
+    (image, arguments.topic("camera_info"))
+}
+
+/// Declares the parameters; a change is checked with all others as they are, and left in `changed`.
+fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<Settings>>>) -> NodeOptions {
+    let values = Arc::new(Mutex::new(arguments.parameters.clone()));
+    let mut options = NodeOptions::new();
+    for (name, default, ..) in declared() {
+        let value = match (arguments.parameters.get(name), &default) {
+            // 1 is given where 1.0 is meant.
+            (Some(ParameterValue::Integer(value)), ParameterValue::Double(_)) => ParameterValue::Double(*value as f64),
+            (Some(value), _) => value.clone(),
+            (None, default) => default.clone(),
+        };
+        options = options.declare_parameter(name, value);
+    }
+    let with = |values: &BTreeMap<String, ParameterValue>, name: &str, value: &ParameterValue| {
+        let mut values = values.clone();
+        values.insert(name.to_owned(), value.clone());
+        values
+    };
+    let known = Arc::clone(&values);
+    let validate = move |name: &str, value: &ParameterValue| {
+        let is_fixed = declared().iter().any(|(known, _, changes, _)| *known == name && !changes);
+        let known = known.lock().unwrap_or_else(PoisonError::into_inner);
+        let current = known
+            .get(name)
+            .cloned()
+            .or_else(|| declared().into_iter().find(|(known, ..)| *known == name).map(|(_, default, ..)| default));
+        if is_fixed && current.as_ref() != Some(value) {
+            return Err(format!("{name} is set when the node starts: -p {name}:=VALUE"));
+        }
+        Settings::of(&with(&known, name, value)).map(drop).map_err(|error| format!("{error:#}"))
+    };
+    let changed = Arc::clone(changed);
+    let act = move |name: &str, value: &ParameterValue| {
+        let mut values = values.lock().unwrap_or_else(PoisonError::into_inner);
+        let settings = Settings::of(&with(&values, name, value)).map_err(|error| format!("{error:#}"))?;
+        values.insert(name.to_owned(), value.clone());
+        *changed.lock().unwrap_or_else(PoisonError::into_inner) = Some(settings);
+        Ok(())
+    };
+    options.parameter_validator(Box::new(validate)).parameter_set_action(Box::new(act))
+}
+
+/// Subscribes to the input, and returns what is to be done on a thread of its own.
+fn subscribe(
+    node: &mut Node,
+    settings: &Settings,
+    image_topic: &str,
+    camera_topic: &str,
+    shared: &Arc<Shared>,
+) -> Result<Box<dyn FnOnce() + Send>> {
+    let qos = settings.subscription_qos();
+    Ok(match settings.input {
+        Input::Image => {
+            let images = subscription::<Image>(node, image_topic, "Image", &qos)?;
+            let cameras = subscription::<CameraInfo>(node, camera_topic, "CameraInfo", &qos)?;
+            receive(images, Some(cameras), shared, |image| Arrived::Depth(DepthMessage::Image(image)))
+        }
+        Input::CompressedDepth => {
+            let images = subscription::<CompressedImage>(node, image_topic, "CompressedImage", &qos)?;
+            let cameras = subscription::<CameraInfo>(node, camera_topic, "CameraInfo", &qos)?;
+            receive(images, Some(cameras), shared, |image| Arrived::Depth(DepthMessage::Compressed(image)))
+        }
+        Input::Points => {
+            let clouds = subscription::<PointCloud2>(node, image_topic, "PointCloud2", &qos)?;
+            receive(clouds, None, shared, Arrived::Cloud)
+        }
+    })
+}
+
+fn receive<M: serde::de::DeserializeOwned + Send + 'static>(
+    messages: Subscription<M>,
+    cameras: Option<Subscription<CameraInfo>>,
+    shared: &Arc<Shared>,
+    arrived: impl Fn(M) -> Arrived + Send + 'static,
+) -> Box<dyn FnOnce() + Send> {
+    let shared = Arc::clone(shared);
+    Box::new(move || {
+        let messages = messages.async_stream().map(|result| {
+            match result {
+                Ok((message, _)) => shared.put(arrived(message)),
+                Err(_) => shared.damaged(),
+            };
+        });
+        let cameras = cameras.as_ref().map(|cameras| {
+            cameras.async_stream().map(|result| {
+                if let Ok((camera, _)) = result {
+                    shared.lock().camera = Some(camera);
+                }
+            })
+        });
+        let cameras = cameras.map_or_else(|| stream::pending().boxed_local(), StreamExt::boxed_local);
+        block_on(stream::select(messages.boxed_local(), cameras).for_each(|()| future::ready(())));
+        shared.lock().broken = Some("the subscription ended".into());
+    })
+}
+
+fn subscription<M: 'static>(node: &mut Node, topic: &str, kind: &str, qos: &QosProfile) -> Result<Subscription<M>> {
+    let topic = node
+        .create_topic(
+            &Name::parse(topic).with_context(|| topic.to_owned())?,
+            MessageTypeName::new("sensor_msgs", kind),
+            qos,
+        )
+        .map_err(|error| anyhow!("{topic}: {error}"))?;
+    node.create_subscription(&topic, Some(qos.clone())).map_err(|error| anyhow!("no subscription: {error}"))
+}
+
+fn publisher<M: serde::Serialize>(
+    node: &mut Node,
+    topic: &str,
+    package: &str,
+    kind: &str,
+    qos: &QosProfile,
+) -> Result<Publisher<M>> {
+    let topic = node
+        .create_topic(&Name::parse(topic).with_context(|| topic.to_owned())?, MessageTypeName::new(package, kind), qos)
+        .map_err(|error| anyhow!("{topic}: {error}"))?;
+    node.create_publisher(&topic, Some(qos.clone())).map_err(|error| anyhow!("no publisher: {error}"))
+}
+
+fn publish(node: &mut Node, settings: &Settings, arguments: &Arguments) -> Result<Publishers> {
+    let qos = settings.publisher_qos();
+    let depth = arguments.topic("image_smoothed");
+    let compressed = match settings.input {
+        Input::CompressedDepth => {
+            let topic = format!("{depth}/compressedDepth");
+            Some(publisher(node, &topic, "sensor_msgs", "CompressedImage", &qos)?)
+        }
+        _ => None,
+    };
+    Ok(Publishers {
+        points: publisher(node, &arguments.topic("points"), "sensor_msgs", "PointCloud2", &qos)?,
+        depth: publisher(node, &depth, "sensor_msgs", "Image", &qos)?,
+        compressed,
+        diagnostics: publisher(
+            node,
+            &arguments.topic("/diagnostics"),
+            "diagnostic_msgs",
+            "DiagnosticArray",
+            &QosProfile::publisher_default(),
+        )?,
+    })
+}
+
+/// The smoothing thread.
+struct Work {
+    smoother: MessageSmoother,
+    settings: Settings,
+    is_rectified: bool,
+    camera_topic: String,
+    node: Node,
+    publishers: Publishers,
+    statistics: Statistics,
+    /// When each warning was given last.
+    warned: BTreeMap<String, Instant>,
+}
+
+impl Work {
+    fn change(&mut self, settings: Settings) {
+        self.smoother.set_params(settings.params, true);
+        self.smoother.set_outputs(settings.outputs());
+        self.settings = settings;
+    }
+
+    /// Waits for the newest message, for a short time.
+    fn newest(&mut self, shared: &Shared) -> Result<Option<(Arrived, Option<CameraInfo>, Instant)>> {
+        let mut inbox = shared.lock();
+        if inbox.newest.is_none() {
+            inbox = shared.arrived.wait_timeout(inbox, PATIENCE).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        if let Some(reason) = &inbox.broken {
+            return Err(anyhow!("{reason}"));
+        }
+        self.statistics.received = inbox.received;
+        self.statistics.dropped = inbox.replaced;
+        let damaged = std::mem::take(&mut inbox.damaged);
+        let newest = inbox.newest.take().map(|(message, since)| (message, inbox.camera.clone(), since));
+        drop(inbox);
+        if damaged > 0 {
+            self.statistics.failed += damaged;
+            self.warn("a message could not be decoded".into());
+        }
+        Ok(newest)
+    }
+
+    fn smooth(&mut self, message: Arrived, camera: Option<CameraInfo>, since: Instant) -> Result<()> {
+        let result = match message {
+            Arrived::Depth(message) => self.smooth_depth(&message, camera),
+            Arrived::Cloud(cloud) => self.smooth_cloud(cloud),
+        };
+        match result {
+            Ok(()) => self.statistics.add(since.elapsed()),
+            Err(MessageError::Engine(error)) => return Err(error).context("the engine failed"),
+            Err(error) => {
+                self.statistics.failed += 1;
+                self.warn(error.to_string());
+            }
+        }
+        Ok(())
+    }
+
+    fn smooth_depth(&mut self, message: &DepthMessage, camera: Option<CameraInfo>) -> Result<(), MessageError> {
+        let Some(camera) = camera else {
+            let text = format!("no CameraInfo on {} yet; frames wait for it", self.camera_topic);
+            return Err(FormatError::Unsupported(text).into());
+        };
+        let is_rectified = self.is_rectified;
+        let camera = |shape| camera.camera(shape, is_rectified);
+        let Settings { publish_points, publish_depth, .. } = self.settings;
+        let depth = self.smoother.smooth_depth(message, camera, publish_points)?;
+        if publish_points {
+            let cloud = PointCloud2::of_smoothed(message.header().clone(), self.smoother.smoothed());
+            let sent = self.publishers.points.publish(cloud);
+            self.count(sent);
+        }
+        if publish_depth {
+            match message.with_pixels(&depth)? {
+                DepthMessage::Image(image) => {
+                    let sent = self.publishers.depth.publish(image);
+                    self.count(sent);
+                }
+                DepthMessage::Compressed(image) => {
+                    if let Some(publisher) = &self.publishers.compressed {
+                        let sent = publisher.publish(image);
+                        self.count(sent);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<(), MessageError> {
+        let smoothed = self.smoother.smooth_cloud(cloud)?;
+        let sent = self.publishers.points.publish(smoothed);
+        self.count(sent);
+        Ok(())
+    }
+
+    fn count<M>(&mut self, sent: Result<(), WriteError<M>>) {
+        if let Err(error) = sent {
+            self.statistics.unsent += 1;
+            if !matches!(error, WriteError::WouldBlock { .. }) {
+                self.warn(format!("cannot publish: {error}"));
+            }
+        }
+    }
+
+    /// Warns, of the same only now and then.
+    fn warn(&mut self, text: String) {
+        let now = Instant::now();
+        let is_new = self.warned.get(&text).is_none_or(|last| now.duration_since(*last) >= WARN_EVERY);
+        if is_new {
+            eprintln!("warning: {text}");
+            rosout!(self.node, LogLevel::Warn, "{}", text);
+            // What is different each time must not fill the memory.
+            if self.warned.len() > 100 {
+                self.warned.clear();
+            }
+            self.warned.insert(text.clone(), now);
+        }
+        self.statistics.problem = Some(text);
+    }
+
+    fn report(&mut self) {
+        let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let header = Header { stamp: Time::from_nanoseconds(since.as_nanos() as u64), frame_id: String::new() };
+        let engine = self.smoother.engine().map(|engine| engine.name());
+        let report = self.statistics.report(header, &self.node.fully_qualified_name(), engine);
+        // Nobody may listen.
+        let _ = self.publishers.diagnostics.publish(report);
+    }
+}
