@@ -348,23 +348,30 @@ impl Work {
         let is_rectified = self.is_rectified;
         let camera = |shape| camera.camera(shape, is_rectified);
         let Settings { publish_points, publish_depth, .. } = self.settings;
+        if publish_points && !publish_depth {
+            let cloud = self.smoother.smooth_depth_to_cloud(message, camera)?;
+            let sent = self.publishers.points.publish(cloud);
+            self.count(sent);
+            return Ok(());
+        }
+        if !publish_depth {
+            return Ok(());
+        }
         let depth = self.smoother.smooth_depth(message, camera, publish_points)?;
         if publish_points {
             let cloud = PointCloud2::of_smoothed(message.header().clone(), self.smoother.smoothed());
             let sent = self.publishers.points.publish(cloud);
             self.count(sent);
         }
-        if publish_depth {
-            match message.with_pixels(&depth)? {
-                DepthMessage::Image(image) => {
-                    let sent = self.publishers.depth.publish(image);
+        match message.with_pixels(&depth)? {
+            DepthMessage::Image(image) => {
+                let sent = self.publishers.depth.publish(image);
+                self.count(sent);
+            }
+            DepthMessage::Compressed(image) => {
+                if let Some(publisher) = &self.publishers.compressed {
+                    let sent = publisher.publish(image);
                     self.count(sent);
-                }
-                DepthMessage::Compressed(image) => {
-                    if let Some(publisher) = &self.publishers.compressed {
-                        let sent = publisher.publish(image);
-                        self.count(sent);
-                    }
                 }
             }
         }

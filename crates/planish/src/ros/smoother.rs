@@ -102,8 +102,8 @@ impl MessageSmoother {
         &self.smoothed
     }
 
-    /// Smooths a depth image with the camera that is found for its shape; `points` says whether the result holds points and the fields
-    /// beside them, too. Returns the smoothed depth, in the unit of the image.
+    /// Smooths a depth image with the camera that is found for its shape. Returns the smoothed depth, in the unit of the image, and if `points`
+    /// is set leaves points and the fields beside them in [`smoothed`](Self::smoothed).
     ///
     /// # Errors
     /// If the message is none of depth, or the camera is of another shape, or the engine fails.
@@ -113,29 +113,58 @@ impl MessageSmoother {
         camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
         points: bool,
     ) -> Result<DepthPixels, MessageError> {
+        let pixels = self.smooth_pixels(message, camera, true, points)?;
+        let (width, height) = pixels.shape();
+        Ok(match pixels {
+            DepthPixels::Millimetres(_) => {
+                let raw = self.smoothed.depth.clone().unwrap_or_default();
+                DepthPixels::Millimetres(DepthImage { width, height, raw })
+            }
+            DepthPixels::Metres { .. } => {
+                let depth_m = self.smoothed.depth_m.clone().unwrap_or_default();
+                DepthPixels::Metres { width, height, depth_m }
+            }
+        })
+    }
+
+    /// Smooths a depth image into a cloud and nothing else.
+    ///
+    /// # Errors
+    /// As [`smooth_depth`](Self::smooth_depth).
+    pub fn smooth_depth_to_cloud(
+        &mut self,
+        message: &DepthMessage,
+        camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
+    ) -> Result<PointCloud2, MessageError> {
+        self.smooth_pixels(message, camera, false, true)?;
+        Ok(PointCloud2::of_smoothed(message.header().clone(), &self.smoothed))
+    }
+
+    /// Smooths a depth image; returns it as it came.
+    fn smooth_pixels(
+        &mut self,
+        message: &DepthMessage,
+        camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
+        depth: bool,
+        points: bool,
+    ) -> Result<DepthPixels, MessageError> {
         let pixels = message.pixels(&self.read)?;
         let camera = camera(pixels.shape())?;
         camera.check_shape(pixels.shape())?;
         let Outputs { normals, curvature, .. } = self.options.outputs;
-        let only = Outputs::DEPTH.with_depth(false);
-        let fields = only.with_points(points).with_normals(points && normals).with_curvature(points && curvature);
-        let (width, height) = pixels.shape();
-        match pixels {
-            DepthPixels::Millimetres(DepthImage { raw, .. }) => {
-                // The units of the message, whatever the camera says.
+        let outputs = Outputs::POINTS.with_points(points);
+        let outputs = outputs.with_normals(points && normals).with_curvature(points && curvature);
+        match &pixels {
+            DepthPixels::Millimetres(image) => {
+                // The unit of the message, whatever the camera says.
                 let camera = camera.with_depth_units_per_metre(1000.0);
-                let view = DepthView::new(&raw, &camera)?;
-                self.smooth(Frame::Depth(view), fields.with_depth(true))?;
-                let raw = self.smoothed.depth.clone().unwrap_or_default();
-                Ok(DepthPixels::Millimetres(DepthImage { width, height, raw }))
+                self.smooth(Frame::Depth(DepthView::new(&image.raw, &camera)?), outputs.with_depth(depth))?;
             }
             DepthPixels::Metres { depth_m, .. } => {
-                let view = DepthView::from_metres(&depth_m, &camera)?;
-                self.smooth(Frame::Depth(view), fields.with_depth_m(true))?;
-                let depth_m = self.smoothed.depth_m.clone().unwrap_or_default();
-                Ok(DepthPixels::Metres { width, height, depth_m })
+                self.smooth(Frame::Depth(DepthView::from_metres(depth_m, &camera)?), outputs.with_depth_m(depth))?;
             }
         }
+        Ok(pixels)
     }
 
     /// Smooths a cloud, on its grid or without one. All its fields are kept.

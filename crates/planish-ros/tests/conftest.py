@@ -1,0 +1,50 @@
+"""What the tests share: the programs, and messages as a camera gives them."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+WIDTH, HEIGHT, FOCAL = 160, 120, 131.25
+
+
+def program(name):
+    """A program of this project: the release build, else the one of development."""
+    for profile in ("release", "debug"):
+        path = TARGET / profile / name
+        if path.exists():
+            return str(path)
+    pytest.fail(f"{name} is not built: cargo build --release -p planish-cli -p planish-ros")
+
+
+def smooth(*arguments, code=0):
+    """Runs planish, checks its exit code, and returns what it wrote."""
+    run = subprocess.run([program("planish"), "smooth", *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    assert run.returncode == code, run.stdout + run.stderr
+    return run.stdout + run.stderr
+
+
+def depth_mm(seed, width=WIDTH, height=HEIGHT):
+    """A bent wall with a box in front of it, as a noisy camera sees it, in millimetres; the left columns are holes."""
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    z = 1.2 + 0.3 * u / width + 0.1 * np.sin(v / 10)
+    z[height // 4 : height // 2, width // 3 : width // 2] -= 0.3
+    z = z + np.random.default_rng(seed).normal(size=z.shape) * 0.002
+    depth = np.round(1000 * z).astype(np.uint16)
+    depth[:, :4] = 0
+    return depth
+
+
+def roughness(depth):
+    """The median second difference along rows, where there is depth."""
+    depth = np.asarray(depth, float)
+    second = np.abs(depth[:, 10:-2] - 2 * depth[:, 11:-1] + depth[:, 12:])
+    return float(np.nanmedian(second))
+
+
+CAMERA = [FOCAL, 0.0, WIDTH / 2 - 0.5, 0.0, FOCAL, HEIGHT / 2 - 0.5, 0.0, 0.0, 1.0]
+PROJECTION = [FOCAL, 0.0, WIDTH / 2 - 0.5, 0.0, 0.0, FOCAL, HEIGHT / 2 - 0.5, 0.0, 0.0, 0.0, 1.0, 0.0]
