@@ -154,6 +154,10 @@ pub fn smooth_bag(
                 }
             }
             Ok(Next::End) => break,
+            Ok(Next::CutOff) if copy.done + copy.copied == 0 => {
+                let problem = FormatError::Malformed("ends before its first message".into());
+                return Err(IoError { path: input.to_path_buf(), problem }.into());
+            }
             Ok(Next::CutOff) => {
                 cut_off = Some("it ends in the middle of a record".to_owned());
                 break;

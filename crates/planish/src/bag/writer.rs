@@ -24,6 +24,7 @@ use crate::stream::{Sink, StreamFrame};
 /// Where frames go: names that depth_image_proc and RViz expect.
 const RECTIFIED_TOPIC: &str = "/camera/depth/image_rect";
 const RAW_TOPIC: &str = "/camera/depth/image_raw";
+const COLOUR_TOPIC: &str = "/camera/rgb/image_rect_color";
 const POINTS_TOPIC: &str = "/camera/depth/points";
 const FRAME_ID: &str = "camera_depth_optical_frame";
 
@@ -38,7 +39,7 @@ pub(super) fn channel_metadata() -> BTreeMap<String, String> {
 /// Writes frames to a recording, which is there whole after [`finish`](Self::finish) or not at all.
 ///
 /// Depth goes to `/camera/depth/image_rect` (`image_raw` with distortion) as 16UC1 in millimetres with `camera_info` beside it, clouds to
-/// `/camera/depth/points`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames, else 30 a second.
+/// `/camera/depth/points`, colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames, else 30 a second.
 pub struct BagWriter {
     path: PathBuf,
     whole: WholeFile,
@@ -94,12 +95,35 @@ impl BagWriter {
         Ok(())
     }
 
+    /// Adds colour registered to the depth image that is added next, 3 bytes (red, green, blue) a pixel.
+    fn add_colour(
+        &mut self,
+        (width, height): (usize, usize),
+        rgb: &[u8],
+        timestamp_s: Option<f64>,
+    ) -> Result<(), Error> {
+        let header = self.header(timestamp_s);
+        let image = Image {
+            header: header.clone(),
+            height: height as u32,
+            width: width as u32,
+            encoding: "rgb8".into(),
+            is_bigendian: 0,
+            step: 3 * width as u32,
+            data: rgb.to_vec(),
+        };
+        Ok(self.write(COLOUR_TOPIC, IMAGE_TYPE, IMAGE, &header, to_cdr(&image))?)
+    }
+
     /// Adds a frame as its source gave it.
     pub fn add(&mut self, frame: &SourceFrame) -> Result<(), Error> {
         match frame {
             SourceFrame::Depth(depth) => {
                 let (width, height) = frame.shape();
                 let image = DepthImage { width, height, raw: depth.raw.clone() };
+                if let Some(rgb) = &depth.rgb {
+                    self.add_colour((width, height), rgb, depth.timestamp_s)?;
+                }
                 self.add_depth(&image, &depth.camera, depth.timestamp_s)
             }
             SourceFrame::Cloud { cloud, timestamp_s } => {
@@ -179,6 +203,9 @@ impl Sink for BagSink {
             };
             let camera = camera.ok_or(FrameError::MissingCamera { what: "depth as an output" })?;
             let (width, height) = (frame.smoothed.width, frame.smoothed.height);
+            if let SourceFrame::Depth(crate::DepthFrame { rgb: Some(rgb), .. }) = &frame.source {
+                writer.add_colour((width, height), rgb, timestamp_s)?;
+            }
             return writer.add_depth(&DepthImage { width, height, raw: raw.clone() }, &camera, timestamp_s);
         }
         let mut cloud = match &frame.source {

@@ -1,0 +1,155 @@
+//! Recordings in MCAP: what is written is read again, and what is damaged ends in an error.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use planish::bag::{BagSource, BagWriter, SmoothBagOptions, SmoothBagReport, Survey, is_bag, smooth_bag};
+use planish::io::ReadOptions;
+use planish::ros::MessageSmoother;
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
+use planish::source::{self, Source, SourceFrame, SourceOptions};
+use planish::{
+    Camera, DepthFrame, Distortion, Engine, EngineError, Error, Outputs, SmoothParams, Smoothed, Smoother,
+    SmootherOptions,
+};
+use planish_tests::scenes::small_camera;
+use tempfile::TempDir;
+
+const FRAMES: u64 = 4;
+
+fn frames(camera: Camera) -> Vec<DepthFrame> {
+    let (scene, pose) = Scene::tabletop(1);
+    let truth = scene.render(&camera, &pose);
+    let simulator = DepthSimulator::new(DepthNoise::default(), camera, 1);
+    let frame = |number| {
+        let mut frame = simulator.frame(&truth, number).unwrap().with_timestamp_s(100.0 + number as f64 / 4.0);
+        frame.rgb = None;
+        frame
+    };
+    (0..FRAMES).map(frame).collect()
+}
+
+/// A recording of depth, and the frames in it.
+fn recording(folder: &TempDir, camera: Camera) -> (PathBuf, Vec<DepthFrame>) {
+    let (path, frames) = (folder.path().join("depth.mcap"), frames(camera));
+    let mut writer = BagWriter::create(&path).unwrap();
+    frames.iter().for_each(|frame| writer.add(&SourceFrame::Depth(frame.clone())).unwrap());
+    writer.finish().unwrap();
+    (path, frames)
+}
+
+fn read_all(path: &Path) -> Vec<SourceFrame> {
+    let mut source = BagSource::open(path, None, None, None).unwrap();
+    std::iter::from_fn(|| source.next_frame().unwrap()).collect()
+}
+
+fn smoother() -> MessageSmoother {
+    MessageSmoother::new(SmoothParams::default(), SmootherOptions::new(Engine::Cpu, Outputs::POINTS))
+}
+
+fn smooth(input: &Path, output: &Path) -> Result<SmoothBagReport, Error> {
+    let options = SmoothBagOptions::default();
+    smooth_bag(input, output, &mut smoother(), &options, &AtomicBool::new(false), &mut |_, _| ())
+}
+
+#[test]
+fn depth_comes_back_with_camera_and_time_stamps() {
+    let folder = TempDir::new().unwrap();
+    let distortion = Distortion::from_opencv(&[0.1, -0.2, 1e-3, 2e-3, 0.05]).unwrap();
+    for camera in [small_camera(), small_camera().with_distortion(distortion)] {
+        let (path, frames) = recording(&folder, camera);
+        assert!(is_bag(&path) && !is_bag(folder.path()));
+        let back = read_all(&path);
+        assert!(back == frames.into_iter().map(SourceFrame::Depth).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn other_units_become_millimetres() {
+    let folder = TempDir::new().unwrap();
+    let camera = small_camera().with_depth_units_per_metre(5000.0);
+    let (path, frames) = recording(&folder, camera);
+    let SourceFrame::Depth(back) = &read_all(&path)[0] else { panic!("depth") };
+    assert_eq!(back.camera, camera.with_depth_units_per_metre(1000.0));
+    for (raw, millimetres) in frames[0].raw.iter().zip(&back.raw) {
+        assert!((f64::from(*raw) / 5.0 - f64::from(*millimetres)).abs() <= 0.5);
+    }
+}
+
+#[test]
+fn clouds_come_back_with_all_their_fields() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("clouds.mcap");
+    let mut cloud = frames(small_camera())[0].deproject().unwrap();
+    cloud.camera = None;
+    cloud.points.set_attribute("label", (0..cloud.points.len()).map(|i| i as u16).collect::<Vec<_>>());
+    let mut writer = BagWriter::create(&path).unwrap();
+    writer.add(&source::open("synthetic", &SourceOptions::default()).unwrap().next_frame().unwrap().unwrap()).unwrap();
+    writer.add_cloud(&cloud.points, Some((cloud.width(), cloud.height())), Some(3.5)).unwrap();
+    writer.finish().unwrap();
+    let mut source = BagSource::open(&path, Some("/camera/depth/points"), None, None).unwrap();
+    let Some(SourceFrame::Cloud { cloud: back, timestamp_s, .. }) = source.next_frame().unwrap() else {
+        panic!("a cloud")
+    };
+    assert_eq!(timestamp_s, Some(3.5));
+    assert_eq!(back.points.attributes, cloud.points.attributes);
+    for i in 0..back.points.len() {
+        assert_eq!(back.points.positions.get(i).map(f32::to_bits), cloud.points.positions.get(i).map(f32::to_bits));
+    }
+}
+
+#[test]
+fn smoothing_a_recording_is_smoothing_its_frames() {
+    let folder = TempDir::new().unwrap();
+    let (path, frames) = recording(&folder, small_camera());
+    let output = folder.path().join("out.mcap");
+    let report = smooth(&path, &output).unwrap();
+    assert_eq!((report.topics[0].smoothed, report.copied, &report.cut_off), (FRAMES, FRAMES, &None));
+    let options = SmootherOptions::new(Engine::Cpu, Outputs::DEPTH);
+    let mut alone = Smoother::open_with(SmoothParams::default(), &options, (160, 120)).unwrap();
+    for (frame, smoothed) in frames.iter().zip(read_all(&output)) {
+        let mut expected = Smoothed::default();
+        alone.smooth(frame, &mut expected).unwrap();
+        let SourceFrame::Depth(smoothed) = smoothed else { panic!("depth") };
+        assert!(Some(&smoothed.raw) == expected.depth.as_ref() && smoothed.raw != frame.raw);
+        assert_eq!(smoothed.timestamp_s, frame.timestamp_s);
+    }
+    let survey = Survey::of(&output, &ReadOptions::default()).unwrap();
+    assert_eq!((survey.messages, survey.compression.as_deref()), (Some(2 * FRAMES), Some("zstd")));
+}
+
+#[test]
+fn a_recording_cut_anywhere_is_an_error_or_smoothed_up_to_there() {
+    let folder = TempDir::new().unwrap();
+    let (path, _) = recording(&folder, small_camera());
+    let bytes = std::fs::read(&path).unwrap();
+    let (cut, output) = (folder.path().join("cut.mcap"), folder.path().join("out.mcap"));
+    for length in (0..bytes.len()).step_by(bytes.len() / 40) {
+        std::fs::write(&cut, &bytes[..length]).unwrap();
+        match smooth(&cut, &output) {
+            Ok(report) => {
+                let smoothed = report.topics[0].smoothed;
+                assert!(smoothed + report.copied > 0 && (report.cut_off.is_some() || smoothed == FRAMES), "{length}");
+                assert_eq!(read_all(&output).len() as u64, report.topics[0].smoothed);
+                std::fs::remove_file(&output).unwrap();
+            }
+            Err(error) => assert!(error.to_string().contains("cut.mcap") && !output.exists(), "{length}: {error}"),
+        }
+    }
+}
+
+#[test]
+fn a_stopped_run_leaves_nothing_behind() {
+    let folder = TempDir::new().unwrap();
+    let (path, _) = recording(&folder, small_camera());
+    let output = folder.path().join("out.mcap");
+    let options = SmoothBagOptions::default();
+    let stop = AtomicBool::new(false);
+    let mut tell = |done, total| {
+        assert_eq!(total, Some(FRAMES));
+        stop.store(done == 2, std::sync::atomic::Ordering::Relaxed);
+    };
+    let result = smooth_bag(&path, &output, &mut smoother(), &options, &stop, &mut tell);
+    assert!(matches!(result, Err(Error::Engine(EngineError::Stopped))));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
