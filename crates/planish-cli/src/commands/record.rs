@@ -26,14 +26,14 @@ enum Recorder {
     /// A data set in TUM layout, which has depth images.
     Tum(TumRecorder),
     #[cfg(feature = "mcap")]
-    Bag(planish::bag::BagWriter),
+    Bag(Box<planish::bag::BagWriter>),
 }
 
 impl Recorder {
     fn create(output: &std::path::Path) -> Result<Self> {
         if super::checks::is_mcap(output) {
             #[cfg(feature = "mcap")]
-            return Ok(Self::Bag(planish::bag::BagWriter::create(output)?));
+            return Ok(Self::Bag(Box::new(planish::bag::BagWriter::create(output)?)));
             #[cfg(not(feature = "mcap"))]
             bail!("{}: this planish was built without the feature mcap", output.display());
         }

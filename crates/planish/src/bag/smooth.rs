@@ -231,11 +231,9 @@ impl Copy<'_> {
     fn record<W: Write + Seek>(&mut self, writer: &mut Writer<W>, record: Record<'_>) -> Result<(), CopyError> {
         self.channels.add(&record);
         match record {
-            Record::Schema { header, data } => {
-                // Schema 0 means none.
-                if header.id != 0 {
-                    writer.add_schema_with_id(header.id, &header.name, &header.encoding, &data)?;
-                }
+            // Schema 0 means none.
+            Record::Schema { header, data } if header.id != 0 => {
+                writer.add_schema_with_id(header.id, &header.name, &header.encoding, &data)?;
             }
             Record::Channel(channel) => {
                 writer.add_channel_with_id(

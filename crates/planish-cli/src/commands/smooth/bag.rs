@@ -49,7 +49,7 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
     refuse_other_bags(&args.input)?;
     refuse_other_bags(&args.output)?;
     let (reads, writes) = (is_bag(&args.input), is_mcap(&args.output));
-    if !reads && !(writes && args.input.is_dir()) {
+    if !(reads || writes && args.input.is_dir()) {
         if writes && !is_mcap(&args.input) {
             bail!("{}: a recording is written from a folder of frames, or from a recording", args.output.display());
         }
@@ -102,7 +102,7 @@ fn between_recordings(args: &SmoothArgs) -> Result<ExitCode> {
         other => other?,
     };
     let engine = smoother.engine().map(|engine| engine.name());
-    Ok(show(args, &report, engine, start.elapsed().as_secs_f64())?)
+    show(args, &report, engine, start.elapsed().as_secs_f64())
 }
 
 fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str>, seconds: f64) -> Result<ExitCode> {
