@@ -49,7 +49,15 @@ impl Arguments {
                 other => bail!("{other}: not understood; `planish-ros --help` says what is"),
             }
         }
-        // Names are known now, by which files tell nodes apart.
+        // Names are known now, by which files and rules tell nodes apart.
+        let own = format!("{}:", parsed.node);
+        for (from, _) in &mut parsed.remappings {
+            if let Some(topic) = from.strip_prefix(&own) {
+                *from = topic.to_owned();
+            }
+        }
+        // Rules for other nodes; no topic's name has a colon.
+        parsed.remappings.retain(|(from, _)| !from.contains(':'));
         for file in files {
             parsed.read_file(Path::new(&file))?;
         }
@@ -98,31 +106,50 @@ impl Arguments {
     fn read_file(&mut self, path: &Path) -> Result<()> {
         let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
         let file: Value = serde_yaml_ng::from_str(&text).with_context(|| path.display().to_string())?;
-        let Value::Mapping(nodes) = file else {
-            bail!("{}: a node's name with ros__parameters is expected", path.display())
-        };
-        for (name, entry) in &nodes {
-            let Some(name) = name.as_str() else { bail!("{}: a node's name is expected", path.display()) };
-            if !self.is_meant(name) {
+        if !matches!(file, Value::Mapping(_)) {
+            bail!("{}: a node's name with ros__parameters is expected", path.display());
+        }
+        self.read_nodes(&file, "").with_context(|| path.display().to_string())
+    }
+
+    /// Reads what stands under a name: parameters, or further parts of the name.
+    fn read_nodes(&mut self, entries: &Value, name: &str) -> Result<()> {
+        let Value::Mapping(entries) = entries else { bail!("{name} has no ros__parameters") };
+        for (key, entry) in entries {
+            let key = key.as_str().context("a node's name is expected")?;
+            if key != "ros__parameters" {
+                self.read_nodes(entry, &format!("{}/{}", name.trim_end_matches('/'), key.trim_start_matches('/')))?;
                 continue;
             }
-            let Some(Value::Mapping(parameters)) = entry.get("ros__parameters") else {
-                bail!("{}: {name} has no ros__parameters", path.display());
-            };
-            for (name, value) in parameters {
-                let name =
-                    name.as_str().with_context(|| format!("{}: a parameter's name is expected", path.display()))?;
-                let value = parameter(value).with_context(|| format!("{}: {name}", path.display()))?;
-                self.parameters.insert(name.to_owned(), value);
+            let Value::Mapping(parameters) = entry else { bail!("{name}: ros__parameters has no parameters") };
+            for (parameter_name, value) in parameters {
+                let parameter_name = parameter_name.as_str().context("a parameter's name is expected")?;
+                let value = parameter(value).with_context(|| parameter_name.to_owned())?;
+                if self.is_meant(name) {
+                    self.parameters.insert(parameter_name.to_owned(), value);
+                }
             }
         }
         Ok(())
     }
 
-    /// Whether a name in a file stands for this node.
+    /// Whether a name in a file stands for this node: `*` is any part of it, `**` any number of parts. A name alone is the node's in any
+    /// namespace.
     fn is_meant(&self, name: &str) -> bool {
-        let full = format!("{}/{}", self.namespace.trim_end_matches('/'), self.node);
-        name == self.node || name == full || name == "/**" || name == "**" || name == "/*" && self.namespace == "/"
+        fn matches(pattern: &[&str], parts: &[&str]) -> bool {
+            match (pattern, parts) {
+                ([], []) => true,
+                (["**", rest @ ..], parts) => (0..=parts.len()).any(|skipped| matches(rest, &parts[skipped..])),
+                ([first, rest @ ..], [part, parts @ ..]) => (*first == "*" || first == part) && matches(rest, parts),
+                _ => false,
+            }
+        }
+        fn parts(name: &str) -> Vec<&str> {
+            name.split('/').filter(|part| !part.is_empty()).collect()
+        }
+        let full = format!("{}/{}", self.namespace, self.node);
+        let pattern = parts(name);
+        pattern == [self.node.as_str()] || matches(&pattern, &parts(&full))
     }
 }
 
@@ -158,6 +185,8 @@ mod tests {
         assert_eq!(arguments.topic("camera_info"), "/arm/camera_info");
         assert_eq!(arguments.topic("/diagnostics"), "/diagnostics");
         assert_eq!(parse("").unwrap().topic("points"), "/points");
+        let arguments = parse("--ros-args -r planish:points:=/mine -r other:points:=/theirs").unwrap();
+        assert_eq!(arguments.topic("points"), "/mine");
     }
 
     #[test]
@@ -167,6 +196,13 @@ mod tests {
         let file = folder.join("params.yaml");
         let text = "/**:\n  ros__parameters:\n    strength: 0.25\n    sensor: d435\nother:\n  ros__parameters:\n    sensor: l515\n";
         std::fs::write(&file, text).unwrap();
+        let nested = folder.join("nested.yaml");
+        let text = "arm:\n  planish:\n    ros__parameters:\n      strength: 0.75\n/leg/**:\n  ros__parameters:\n    strength: 0.0\n/*/planish:\n  \
+                    ros__parameters:\n    sensor: d455\n";
+        std::fs::write(&nested, text).unwrap();
+        let arguments = parse(&format!("--ros-args -r __ns:=/arm --params-file {}", nested.display())).unwrap();
+        assert_eq!(arguments.parameters["strength"], ParameterValue::Double(0.75));
+        assert_eq!(arguments.parameters["sensor"], ParameterValue::String("d455".into()));
         let arguments =
             parse(&format!("--ros-args -p strength:=1 --params-file {} -p other:sensor:=d415", file.display()))
                 .unwrap();

@@ -21,6 +21,7 @@ fn main() -> ExitCode {
         println!("planish-ros {}", env!("CARGO_PKG_VERSION"));
         return ExitCode::SUCCESS;
     }
+    return_large_buffers();
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let run = || {
@@ -36,9 +37,24 @@ fn main() -> ExitCode {
     }
 }
 
+/// Has the allocator give messages back to the system when they are dropped. It would keep those that are freed on other threads than they
+/// were made on, some gigabyte of them.
+fn return_large_buffers() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    {
+        const M_MMAP_THRESHOLD: i32 = -3;
+        const BYTES: i32 = 128 << 10;
+        unsafe extern "C" {
+            fn mallopt(parameter: i32, value: i32) -> i32;
+        }
+        // SAFETY: the C library's own function, with a parameter that it defines; no other thread runs yet.
+        unsafe { mallopt(M_MMAP_THRESHOLD, BYTES) };
+    }
+}
+
 fn print_help() {
     println!(
-        "A node of ROS 2 that smooths depth images and organized clouds.
+        "A node of ROS 2 that smooths depth images and clouds.
 
 Usage: planish-ros [--ros-args [-r FROM:=TO]... [-p NAME:=VALUE]... [--params-file FILE]...]
 

@@ -15,8 +15,8 @@ use planish::ros::{
     is_rectified,
 };
 use ros2_client::{
-    Context, MessageTypeName, Name, Node, NodeName, NodeOptions, ParameterValue, Publisher, QosProfile, Subscription,
-    WriteError, log::LogLevel, rosout,
+    Context, ContextOptions, MessageTypeName, Name, Node, NodeName, NodeOptions, ParameterValue, Publisher, QosProfile,
+    Subscription, WriteError, log::LogLevel, rosout,
 };
 
 use crate::arguments::Arguments;
@@ -86,7 +86,8 @@ struct Publishers {
 pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     let settings = Settings::of(&arguments.parameters)?;
     let changed = Arc::new(Mutex::new(None));
-    let context = Context::new().map_err(|error| anyhow!("no DDS participant: {error}"))?;
+    let options = ContextOptions::new().domain_id(domain_id()?);
+    let context = Context::with_options(options).map_err(|error| anyhow!("no DDS participant: {error}"))?;
     let name = NodeName::new(&arguments.namespace, &arguments.node)
         .with_context(|| format!("{}/{}", arguments.namespace, arguments.node))?;
     let options = node_options(arguments, &changed);
@@ -127,6 +128,19 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// The domain of DDS that the environment names, as for every node of ROS 2.
+fn domain_id() -> Result<u16> {
+    const HIGHEST: u16 = 232;
+    match std::env::var("ROS_DOMAIN_ID") {
+        Err(_) => Ok(0),
+        Ok(text) if text.is_empty() => Ok(0),
+        Ok(text) => {
+            let number = text.parse().ok().filter(|number| *number <= HIGHEST);
+            number.with_context(|| format!("ROS_DOMAIN_ID={text}: a number from 0 to {HIGHEST} is expected"))
+        }
+    }
 }
 
 /// The topics of the depth images or clouds, and of the camera.
@@ -325,12 +339,20 @@ impl Work {
     }
 
     fn smooth(&mut self, message: Arrived, camera: Option<CameraInfo>, since: Instant) -> Result<()> {
+        if !self.settings.publishes() {
+            return Ok(());
+        }
         let result = match message {
             Arrived::Depth(message) => self.smooth_depth(&message, camera),
             Arrived::Cloud(cloud) => self.smooth_cloud(cloud),
         };
         match result {
-            Ok(()) => self.statistics.add(since.elapsed()),
+            Ok(()) => {
+                self.statistics.add(since.elapsed());
+                if let Some(warning) = self.smoother.take_warning() {
+                    self.warn(warning);
+                }
+            }
             Err(MessageError::Engine(error)) => return Err(error).context("the engine failed"),
             Err(error) => {
                 self.statistics.failed += 1;
@@ -342,7 +364,7 @@ impl Work {
 
     fn smooth_depth(&mut self, message: &DepthMessage, camera: Option<CameraInfo>) -> Result<(), MessageError> {
         let Some(camera) = camera else {
-            let text = format!("no CameraInfo on {} yet; frames wait for it", self.camera_topic);
+            let text = format!("no CameraInfo on {} yet: frames are left out until it comes", self.camera_topic);
             return Err(FormatError::Unsupported(text).into());
         };
         let is_rectified = self.is_rectified;
@@ -379,6 +401,9 @@ impl Work {
     }
 
     fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<(), MessageError> {
+        if !self.settings.publish_points {
+            return Ok(());
+        }
         let smoothed = self.smoother.smooth_cloud(cloud)?;
         let sent = self.publishers.points.publish(smoothed);
         self.count(sent);

@@ -32,12 +32,7 @@ pub fn declared() -> Vec<Declared> {
         ("normals", Boolean(false), true, "Whether clouds have normal_x, normal_y, normal_z and curvature"),
         ("publish_points", Boolean(true), true, "Whether clouds are published (points)"),
         ("publish_depth", Boolean(false), true, "Whether depth images are published (image_smoothed)"),
-        (
-            "input",
-            text("depth"),
-            false,
-            "depth: images on image_rect with camera_info; points: organized clouds on input",
-        ),
+        ("input", text("depth"), false, "depth: images on image_rect with camera_info; points: clouds on input"),
         ("image_transport", text("raw"), false, "raw, or compressedDepth: images on image_rect/compressedDepth"),
         ("qos", text("sensor_data"), false, "How input is subscribed to: sensor_data (best effort) or reliable"),
         ("publish_qos", text("reliable"), false, "How output is published: reliable or sensor_data"),
@@ -79,7 +74,7 @@ impl Settings {
             values.keys().find(|name| !is_common(name) && declared.iter().all(|(known, ..)| known != name))
         {
             let known: Vec<_> = declared.iter().map(|(name, ..)| *name).collect();
-            bail!("{name}: no parameter of this node, which has {}", known.join(", "));
+            bail!("{name}: not a parameter of this node; it has {}", known.join(", "));
         }
         let get = |name: &str| -> Result<ParameterValue> {
             let default = declared.iter().find(|(known, ..)| *known == name).map(|(_, value, ..)| value.clone());
@@ -138,6 +133,11 @@ impl Settings {
             subscribe_reliably: is_reliable("qos")?,
             publish_reliably: is_reliable("publish_qos")?,
         })
+    }
+
+    /// Whether anything is published: clouds have no depth images.
+    pub fn publishes(&self) -> bool {
+        self.publish_points || self.publish_depth && self.input != Input::Points
     }
 
     /// What the engine is opened with.

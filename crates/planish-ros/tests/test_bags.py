@@ -1,12 +1,15 @@
 """Recordings written by rosbags are smoothed; what comes out is read by another library, mcap-ros2-support."""
 
 import json
+import signal
 import struct
+import subprocess
+import time
 import zlib
 
 import numpy as np
 import pytest
-from conftest import CAMERA, FOCAL, HEIGHT, PROJECTION, WIDTH, depth_mm, roughness, smooth
+from conftest import CAMERA, FOCAL, HEIGHT, PROJECTION, WIDTH, depth_mm, program, roughness, smooth
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from mcap_ros2.decoder import DecoderFactory
@@ -173,6 +176,44 @@ def test_what_is_wrong_is_said(bag, tmp_path):
     assert not out.exists()
 
 
+def test_a_folder_of_rosbag2_is_its_recording(bag, tmp_path):
+    smooth(bag.parent, tmp_path / "out.mcap", "--topic", IMAGE)
+    assert len(decoded(tmp_path / "out.mcap", IMAGE)) == FRAMES
+
+
+def test_options_that_recordings_cannot_have_are_refused(bag, tmp_path):
+    out = tmp_path / "out.mcap"
+    for output, *options in [(tmp_path / "out.pcd",), (out, "--format", "pcd"), (tmp_path / "f", "--format", "tiff"),
+                             (out, "--depth-scale", "5000"), (out, "--points-topic", "bad topic"), (out, "--repeat", "2")]:
+        text = smooth(bag, output, "--topic", IMAGE, *options, code=2)
+        assert options[:1] == [] or options[0].strip("-").replace("-", "_") in text.replace("-", "_"), text
+        assert not output.exists()
+
+
+def test_a_radius_that_loses_the_points_is_warned_of(bag, tmp_path):
+    assert "became holes" in smooth(bag, tmp_path / "out.mcap", "--topic", IMAGE, "--radius", "0.0001")
+
+
+def test_metres_are_written_as_images_where_images_are_asked_for(bag, tmp_path):
+    smooth(bag, tmp_path / "png", "--topic", FLOAT, "--format", "png")
+    assert len(list((tmp_path / "png").glob("*.png"))) == FRAMES
+    smooth(bag, tmp_path / "clouds", "--topic", FLOAT)
+    assert len(list((tmp_path / "clouds").glob("*.pcd"))) == FRAMES
+
+
+def test_a_signal_leaves_no_part_of_a_recording(bag, tmp_path):
+    frames, out = tmp_path / "frames", tmp_path / "out.mcap"
+    frames.mkdir()
+    for i in range(300):
+        (frames / f"{i:03}.png").write_bytes(png(depth_mm(i % 3, 640, 480)))
+    command = [program("planish"), "smooth", frames, out, "--camera", "525,525,319.5,239.5", "--engine", "cpu"]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    time.sleep(0.7)
+    run.send_signal(signal.SIGINT)
+    assert run.wait(20) == 130, run.stderr.read()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "frames"]
+
+
 def test_a_recording_that_was_cut_off_is_smoothed_up_to_there(bag, tmp_path):
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     data = bag.read_bytes()
@@ -211,7 +252,7 @@ def test_attachments_metadata_and_channels_come_through(tmp_path):
         writer.add_metadata("place", {"room": "7"})
         writer.finish()
     text = smooth(source, out, code=1)
-    assert "1 messages copied as they were" in text
+    assert "copied as they were: 1 message" in text
     before, after = raw_messages(source), raw_messages(out)
     assert [m[:5] for m in before] == [m[:5] for m in after] and before[3] == after[3] and before[0][5] != after[0][5]
     with open(out, "rb") as file:

@@ -201,6 +201,32 @@ def test_bad_input_is_said_and_the_next_frame_is_smoothed(robot, start):
     assert sum("rgb8" in line for line in lines) == 1
 
 
+def test_a_cloud_that_lies_about_its_size_does_not_end_the_node(robot, start):
+    node = start("-p", "input:=points", "-p", "normals:=true", "-r", "input:=cloud_in")
+    robot.listen(PointCloud2, "points")
+    clouds = robot.node.create_publisher(PointCloud2, "cloud_in", 5)
+    fields = [PointField(name=n, offset=o, datatype=7, count=1) for n, o in [("x", 0), ("y", 4), ("z", 8)]]
+    bad = PointCloud2(width=1, height=1, fields=fields, point_step=2**32 - 1, row_step=16, data=bytes(16))
+    lines = []
+    threading.Thread(target=lambda: lines.extend(iter(node.stderr.readline, "")), daemon=True).start()
+    robot.publish_until([(clouds, bad)], lambda: any("4294967295" in line for line in lines))
+    points = np.random.default_rng(1).normal(size=(500, 4)).astype(np.float32)
+    good = PointCloud2(width=500, height=1, fields=fields, point_step=16, row_step=8000, data=points.tobytes())
+    robot.publish_until([(clouds, good)], lambda: robot.received["points"])
+    assert [field.name for field in robot.received["points"][-1].fields][3:] == ["normal_x", "normal_y", "normal_z", "curvature"]
+
+
+def test_the_domain_of_the_environment_is_taken(robot, start, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "x")
+    run = subprocess.run([program("planish-ros")], capture_output=True, text=True, timeout=20)
+    assert run.returncode == 1 and "ROS_DOMAIN_ID" in run.stderr
+    # In another domain the node cannot be found.
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    start()
+    client = robot.node.create_client(ListParameters, f"{robot.node.get_namespace()}/planish/list_parameters")
+    assert not client.wait_for_service(3)
+
+
 def test_wrong_arguments_end_the_node_with_the_reason():
     for arguments, text in [(["--fast"], "--fast"), (["--ros-args", "-p", "strength:=7"], "strength"),
                             (["--ros-args", "-p", "speed:=7"], "speed"), (["--ros-args", "-r", "__ns:=x"], "slash")]:

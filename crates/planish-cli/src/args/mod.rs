@@ -90,7 +90,7 @@ pub struct SmoothArgs {
     pub output: PathBuf,
     #[command(flatten)]
     pub topics: TopicArgs,
-    /// Of a recording: add a cloud for each depth image, on this topic
+    /// For recordings: add a cloud for each depth image, on this topic
     #[arg(long, value_name = "TOPIC")]
     pub points_topic: Option<String>,
     #[command(flatten)]
@@ -127,11 +127,11 @@ pub struct SmoothArgs {
 /// Topics of a recording of ROS 2.
 #[derive(clap::Args)]
 pub struct TopicArgs {
-    /// Of a recording in MCAP: the topic with the depth images or clouds, if it has several; may be given more than once where all of them
-    /// are to be smoothed
+    /// For recordings in MCAP: the topic with the depth images or clouds, if there are several. `planish smooth` takes more than one into
+    /// another recording
     #[arg(long, value_name = "TOPIC")]
     pub topic: Vec<String>,
-    /// Of a recording in MCAP: the topic with the camera, if it is not beside the images'
+    /// For recordings in MCAP: the topic with the camera, if it is not beside the images'
     #[arg(long, value_name = "TOPIC")]
     pub camera_info_topic: Option<String>,
 }

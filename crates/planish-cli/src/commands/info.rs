@@ -50,8 +50,11 @@ struct SensorInfo {
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     let options = args.memory.read_options();
     #[cfg(feature = "mcap")]
-    if planish::bag::is_bag(&args.file) {
-        return bag::show(args);
+    {
+        let file = planish::bag::file_of(&args.file)?;
+        if planish::bag::is_bag(&file) {
+            return bag::show(args, &file);
+        }
     }
     if !args.camera.is_given()
         && args.file != Path::new("-")

@@ -5,8 +5,9 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
+use planish::Error;
 use planish::source::{SourceFrame, TumRecorder};
-use planish_bench::outln;
+use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::stream::open_source;
@@ -18,8 +19,13 @@ struct Report {
     frames: u64,
     /// Frames of a camera that came while others were written.
     dropped: u64,
+    /// Frames that could not be read.
+    unreadable: u64,
     seconds: f64,
 }
+
+/// A source that fails so often without a frame in between has ended.
+const MOST_FAILURES: u32 = 100;
 
 /// What is recorded into.
 enum Recorder {
@@ -75,19 +81,40 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
             || args.limits.frames.is_some_and(|most| frames >= most)
             || longest.is_some_and(|longest| start.elapsed() >= longest)
     };
+    let (mut unreadable, mut failures_in_a_row) = (0, 0);
+    let mut result = Ok(());
     while !is_over(frames) {
-        match source.next_frame()? {
-            None => break,
-            Some(frame) => recorder.add(&args.source, &frame)?,
+        match source.next_frame() {
+            Ok(None) => break,
+            Ok(Some(frame)) => {
+                failures_in_a_row = 0;
+                if let Err(error) = recorder.add(&args.source, &frame) {
+                    result = Err(error);
+                    break;
+                }
+                frames += 1;
+            }
+            // One frame that cannot be read is left out; a camera that is gone ends the recording, which keeps what it has.
+            Err(error) => {
+                failures_in_a_row += 1;
+                if matches!(error, Error::Device(_)) || failures_in_a_row == MOST_FAILURES {
+                    result = Err(error.into());
+                    break;
+                }
+                unreadable += 1;
+                errln!("warning: {error}");
+            }
         }
-        frames += 1;
     }
-    recorder.finish()?;
-    let report = Report { frames, dropped: source.dropped(), seconds: start.elapsed().as_secs_f64() };
+    if frames > 0 || result.is_ok() {
+        recorder.finish()?;
+    }
+    result?;
+    let report = Report { frames, dropped: source.dropped(), unreadable, seconds: start.elapsed().as_secs_f64() };
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
     } else {
         outln!("{frames} frames in {:.1} s, {} dropped -> {}", report.seconds, report.dropped, args.folder.display());
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(if unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }

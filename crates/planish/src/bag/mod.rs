@@ -11,7 +11,7 @@ mod source;
 mod survey;
 mod writer;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::error::{FormatError, IoError};
 use crate::io::brief;
@@ -31,6 +31,32 @@ pub fn is_bag(path: &Path) -> bool {
     path.is_file()
         && std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut first)).is_ok()
         && first == MAGIC
+}
+
+/// The recording that a name stands for: itself, or the only .mcap in a folder as rosbag2 makes one.
+///
+/// # Errors
+/// If a folder of rosbag2 has several.
+pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
+    if !path.join("metadata.yaml").is_file() {
+        return Ok(path.to_path_buf());
+    }
+    let at = |error: std::io::Error| IoError { path: path.to_path_buf(), problem: error.into() };
+    let files = std::fs::read_dir(path).map_err(at)?.flatten().map(|entry| entry.path());
+    let mut bags: Vec<PathBuf> = files.filter(|file| is_bag(file)).collect();
+    bags.sort();
+    match &bags[..] {
+        [] => Ok(path.to_path_buf()),
+        [only] => Ok(only.clone()),
+        [first, ..] => Err(IoError {
+            path: path.to_path_buf(),
+            problem: FormatError::Unsupported(format!(
+                "a recording in {} files: name one of them, as {}",
+                bags.len(),
+                first.display()
+            )),
+        }),
+    }
 }
 
 /// Refuses recordings of other kinds by name: those of ROS 1 and of ROS 2 in SQLite, with the line that converts them.

@@ -1,13 +1,13 @@
 //! The records of a recording, one after another.
 
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, ErrorKind, Read, Seek};
+use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
-use mcap::{McapError, Summary};
 
 use super::of_mcap;
 use crate::error::{FormatError, IoError};
@@ -18,29 +18,46 @@ const READ_BYTES: usize = 1 << 20;
 
 /// What comes next in a recording.
 pub(super) enum Next {
-    /// A record of its data section.
+    /// A record.
     Record(Record<'static>),
-    /// The end of the data.
+    /// The end of the section.
     End,
     /// The file ends in the middle of it.
     CutOff,
 }
 
-/// Reads the data section of a recording, chunks decompressed.
+/// Reads the data section of a recording, chunks decompressed, or its summary.
 pub(super) struct Records {
     file: BufReader<File>,
     reader: LinearReader,
 }
 
 impl Records {
+    /// From the beginning.
     pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self, IoError> {
         let file = File::open(path).map_err(|error| IoError { path: path.to_path_buf(), problem: error.into() })?;
-        let limit = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
-        let options = LinearReaderOptions::default().with_validate_chunk_crcs(true).with_record_length_limit(limit);
+        let options = reader_options(options).with_validate_chunk_crcs(true);
         Ok(Self { file: BufReader::new(file), reader: LinearReader::new_with_options(options) })
     }
 
-    /// The next record; those that index others are left out.
+    /// From the summary on, if there is one.
+    fn open_summary(path: &Path, options: &ReadOptions) -> Option<Self> {
+        /// The footer's opcode and length, its two offsets and its checksum, and the magic bytes.
+        const FOOTER_BYTES: i64 = 1 + 8 + 20 + 8;
+        let mut file = File::open(path).ok()?;
+        file.seek(SeekFrom::End(-FOOTER_BYTES)).ok()?;
+        let mut footer = [0; FOOTER_BYTES as usize];
+        file.read_exact(&mut footer).ok()?;
+        let start = u64::from_le_bytes(*footer[9..].first_chunk()?);
+        if footer[0] != op::FOOTER || !footer.ends_with(&super::MAGIC) || start == 0 {
+            return None;
+        }
+        file.seek(SeekFrom::Start(start)).ok()?;
+        let options = reader_options(options).with_skip_start_magic(true);
+        Some(Self { file: BufReader::new(file), reader: LinearReader::new_with_options(options) })
+    }
+
+    /// The next record; the indices of chunks are left out.
     pub(super) fn next(&mut self) -> Result<Next, FormatError> {
         loop {
             let Some(event) = self.reader.next_event() else { return Ok(Next::End) };
@@ -53,6 +70,9 @@ impl Records {
                 Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Next::End),
                 Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => {}
                 Ok(LinearReadEvent::Record { opcode, data }) => {
+                    if !lengths_fit(opcode, data) {
+                        return Err(FormatError::Malformed("damaged: a text is longer than its record".into()));
+                    }
                     return Ok(Next::Record(mcap::parse_record(opcode, data).map_err(of_mcap)?.into_owned()));
                 }
                 Err(McapError::UnexpectedEof) => return Ok(Next::CutOff),
@@ -60,6 +80,11 @@ impl Records {
             }
         }
     }
+}
+
+fn reader_options(options: &ReadOptions) -> LinearReaderOptions {
+    let limit = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
+    LinearReaderOptions::default().with_record_length_limit(limit)
 }
 
 fn read_some(file: &mut impl Read, to: &mut [u8]) -> std::io::Result<usize> {
@@ -71,24 +96,74 @@ fn read_some(file: &mut impl Read, to: &mut [u8]) -> std::io::Result<usize> {
     }
 }
 
-/// What a recording says about itself at its end; `None` if it has no such part, or a damaged one.
-pub(super) fn summary(path: &Path, options: &ReadOptions) -> Option<Summary> {
-    let mut file = File::open(path).ok()?;
-    let limit = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
-    let options =
-        SummaryReaderOptions::default().with_file_size(file.metadata().ok()?.len()).with_record_length_limit(limit);
-    let mut reader = SummaryReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event.ok()? {
-            SummaryReadEvent::ReadRequest(wanted) => {
-                let read = read_some(&mut file, reader.insert(wanted)).ok()?;
-                reader.notify_read(read);
-            }
-            SummaryReadEvent::SeekRequest(to) => {
-                let at = file.seek(to).ok()?;
-                reader.notify_seeked(at);
+/// Whether the texts and tables of a record lie in it: the parser would allocate whatever they are said to take.
+fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
+    /// Skips what has its length in four bytes before it.
+    fn skip(data: &[u8]) -> Option<&[u8]> {
+        let (length, rest) = data.split_first_chunk::<4>()?;
+        rest.get(u32::from_le_bytes(*length) as usize..)
+    }
+    /// A table of texts, two for each entry.
+    fn skip_texts(data: &[u8]) -> Option<&[u8]> {
+        let after = skip(data)?;
+        let mut table = &data[4..data.len() - after.len()];
+        while !table.is_empty() {
+            table = skip(table)?;
+        }
+        Some(after)
+    }
+    let fits = || match opcode {
+        op::HEADER => skip(skip(data)?),
+        op::SCHEMA => skip(skip(skip(data.get(2..)?)?)?),
+        op::CHANNEL => skip_texts(skip(skip(data.get(4..)?)?)?),
+        op::ATTACHMENT => skip(skip(data.get(16..)?)?),
+        op::METADATA => skip_texts(skip(data)?),
+        op::STATISTICS => skip(data.get(42..)?),
+        op::CHUNK_INDEX => skip(skip(data.get(32..)?)?.get(8..)?),
+        op::ATTACHMENT_INDEX => skip(skip(data.get(40..)?)?),
+        op::METADATA_INDEX => skip(data.get(16..)?),
+        _ => Some(data),
+    };
+    fits().is_some()
+}
+
+/// What a recording says about itself at its end.
+#[derive(Default)]
+pub(super) struct Summary {
+    /// Topic and type of each channel.
+    pub(super) channels: BTreeMap<u16, (String, String)>,
+    /// The numbers of its schemas.
+    pub(super) schemas: BTreeMap<u16, String>,
+    /// Messages of each channel, and of all.
+    pub(super) messages: Option<(BTreeMap<u16, u64>, u64)>,
+    /// Of its first chunk.
+    pub(super) compression: Option<String>,
+}
+
+impl Summary {
+    /// Reads it; `None` if the recording has none, or a damaged one.
+    pub(super) fn of(path: &Path, options: &ReadOptions) -> Option<Self> {
+        let mut records = Records::open_summary(path, options)?;
+        let mut summary = Self::default();
+        loop {
+            match records.next().ok()? {
+                Next::Record(Record::Schema { header, .. }) => {
+                    summary.schemas.insert(header.id, header.name);
+                }
+                Next::Record(Record::Channel(channel)) => {
+                    let kind = summary.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+                    summary.channels.insert(channel.id, (channel.topic, kind));
+                }
+                Next::Record(Record::Statistics(statistics)) => {
+                    summary.messages = Some((statistics.channel_message_counts, statistics.message_count));
+                }
+                Next::Record(Record::ChunkIndex(index)) => {
+                    summary.compression.get_or_insert(index.compression);
+                }
+                Next::Record(_) => {}
+                Next::End => return Some(summary),
+                Next::CutOff => return None,
             }
         }
     }
-    reader.finish()
 }

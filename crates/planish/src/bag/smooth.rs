@@ -1,24 +1,25 @@
 //! A recording into one that is the same but for the depth in it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use mcap::records::{Header as FileHeader, MessageHeader, Record};
-use mcap::{Attachment, Compression, WriteOptions, Writer};
+use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use super::of_mcap;
 use super::records::{Next, Records};
 use super::schemas::{CLOUD, CLOUD_TYPE, MESSAGE_ENCODING, SCHEMA_ENCODING};
 use super::survey::{Channels, Chosen, MessageKind, Survey};
+use super::writer::channel_metadata;
 use crate::camera::Camera;
-use crate::error::{EngineError, Error, FormatError, IoError};
+use crate::error::{EngineError, Error, FormatError, IoError, ParamError};
 use crate::io::{ReadOptions, WholeFile};
 use crate::ros::{DepthMessage, MessageError, MessageSmoother, PointCloud2, from_cdr, to_cdr};
 
-/// What of a recording is smoothed, and how its cameras are known.
+/// Which topics of a recording are smoothed, and with which cameras.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SmoothBagOptions {
@@ -83,6 +84,8 @@ pub struct TopicReport {
 pub struct SmoothBagReport {
     /// The topics smoothed.
     pub topics: Vec<TopicReport>,
+    /// What was noticed: that the first of some messages lost many of its points.
+    pub warning: Option<String>,
     /// Messages of other topics, copied bit for bit.
     pub copied: u64,
     /// Why the recording ends before it should; everything before that was written.
@@ -109,6 +112,10 @@ pub fn smooth_bag(
     let survey = Survey::of(input, &options.read)?;
     let camera_topic = options.camera_info_topic.as_deref();
     let chosen = survey.choose(input, &options.topics, camera_topic, options.camera.as_ref())?;
+    if let Some(name) = options.points_topic.as_ref().filter(|name| !is_topic(name)) {
+        let allowed = "a name that begins with a slash, of letters, digits, _ and /";
+        return Err(ParamError { field: "points_topic", value: format!("{name:?}"), allowed }.into());
+    }
     if let Some(taken) = options.points_topic.as_ref().filter(|topic| survey.topics.iter().any(|t| t.name == **topic)) {
         let problem = FormatError::Unsupported(format!("has a topic {taken} already; name another for the clouds"));
         return Err(IoError { path: input.to_path_buf(), problem }.into());
@@ -118,6 +125,7 @@ pub fn smooth_bag(
     let at_output = |problem: FormatError| -> Error { IoError { path: output.to_path_buf(), problem }.into() };
     let whole = WholeFile::new(output).map_err(at_output)?;
     let mut records = Records::open(input, &options.read)?;
+    let taken = survey.taken.clone();
     let mut copy = Copy {
         chosen,
         options,
@@ -125,6 +133,7 @@ pub fn smooth_bag(
         channels: Channels::default(),
         reports: BTreeMap::new(),
         points_channel: None,
+        taken,
         copied: 0,
         done: 0,
     };
@@ -145,10 +154,19 @@ pub fn smooth_bag(
                     return Err(IoError { path: input.to_path_buf(), problem }.into());
                 };
                 let before = copy.done;
-                copy.record(writer, record).map_err(|error| match error {
-                    CopyError::Write(error) => at_output(of_mcap(error)),
-                    CopyError::Engine(error) => error,
-                })?;
+                match copy.record(writer, record) {
+                    Ok(()) => {}
+                    Err(CopyError::Engine(error)) => return Err(error),
+                    Err(CopyError::Write(McapError::Io(error))) => return Err(at_output(error.into())),
+                    // The rest is the input's fault: numbers that contradict each other.
+                    Err(CopyError::Write(error)) if copy.done + copy.copied > 0 => {
+                        cut_off = Some(of_mcap(error).to_string());
+                        break;
+                    }
+                    Err(CopyError::Write(error)) => {
+                        return Err(IoError { path: input.to_path_buf(), problem: of_mcap(error) }.into());
+                    }
+                }
                 if copy.done > before {
                     tell(copy.done, total);
                 }
@@ -176,12 +194,19 @@ pub fn smooth_bag(
     };
     writer.finish().map_err(|error| at_output(of_mcap(error)))?;
     writer.into_inner().flush().map_err(|error| at_output(error.into()))?;
-    let Copy { chosen, reports, copied, .. } = copy;
+    let Copy { chosen, reports, copied, smoother, .. } = copy;
+    let warning = smoother.take_warning();
     whole.finish().map_err(at_output)?;
     let empty = |chosen: &Chosen| empty_report(chosen);
     let topics =
         chosen.iter().map(|chosen| reports.get(&chosen.topic).cloned().unwrap_or_else(|| empty(chosen))).collect();
-    Ok(SmoothBagReport { topics, copied, cut_off })
+    Ok(SmoothBagReport { topics, warning, copied, cut_off })
+}
+
+/// Whether a topic may have this name.
+fn is_topic(name: &str) -> bool {
+    let is_word = |word: &str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_word))
 }
 
 fn empty_report(chosen: &Chosen) -> TopicReport {
@@ -205,12 +230,12 @@ fn open_writer(
 
 /// Why a record could not be copied.
 enum CopyError {
-    Write(mcap::McapError),
+    Write(McapError),
     Engine(Error),
 }
 
-impl From<mcap::McapError> for CopyError {
-    fn from(error: mcap::McapError) -> Self {
+impl From<McapError> for CopyError {
+    fn from(error: McapError) -> Self {
         Self::Write(error)
     }
 }
@@ -223,6 +248,8 @@ struct Copy<'a> {
     channels: Channels,
     reports: BTreeMap<String, TopicReport>,
     points_channel: Option<u16>,
+    /// Numbers of channels and schemas that the input has.
+    taken: BTreeSet<u16>,
     copied: u64,
     done: u64,
 }
@@ -275,7 +302,7 @@ impl Copy<'_> {
         if kind == MessageKind::CameraInfo {
             self.note_camera(&topic, data);
         }
-        let Some(chosen) = self.chosen.iter().find(|chosen| chosen.topic == topic).cloned() else {
+        let Some(chosen) = self.chosen.iter().find(|chosen| chosen.is(&topic, kind)).cloned() else {
             self.copied += 1;
             return Ok(writer.write_to_known_channel(&header, data)?);
         };
@@ -332,20 +359,16 @@ impl Copy<'_> {
         Ok((bytes, points.as_ref().map(to_cdr).transpose()?))
     }
 
-    /// The channel for clouds, whose numbers are the highest, so that no later one of the input has them.
+    /// The channel for clouds, whose number, and that of its schema, the input does not have.
     fn points_channel<W: Write + Seek>(&mut self, writer: &mut Writer<W>) -> Result<u16, CopyError> {
         if let Some(channel) = self.points_channel {
             return Ok(channel);
         }
         let topic = self.options.points_topic.as_deref().unwrap_or_default();
-        let schema = writer.add_schema_with_id(u16::MAX, CLOUD_TYPE, SCHEMA_ENCODING, CLOUD.as_bytes())?;
-        let channel = writer.add_channel_with_id(
-            u16::MAX,
-            schema,
-            topic,
-            MESSAGE_ENCODING,
-            &super::writer::channel_metadata(),
-        )?;
+        let free = (1..=u16::MAX).rev().find(|number| !self.taken.contains(number) && !self.channels.has(*number));
+        let number = free.ok_or(McapError::TooManyChannels)?;
+        let schema = writer.add_schema_with_id(number, CLOUD_TYPE, SCHEMA_ENCODING, CLOUD.as_bytes())?;
+        let channel = writer.add_channel_with_id(number, schema, topic, MESSAGE_ENCODING, &channel_metadata())?;
         self.points_channel = Some(channel);
         Ok(channel)
     }

@@ -84,7 +84,7 @@ impl BagSource {
                     *info = newer;
                 }
             }
-            if *topic == self.chosen.topic {
+            if self.chosen.is(topic, *kind) {
                 return self.frame(header.log_time, data).map(Some);
             }
         }

@@ -1,11 +1,11 @@
 //! Which topics a recording has, and which of them to smooth.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use mcap::records::Record;
 
-use super::records::{Next, Records, summary};
+use super::records::{Next, Records, Summary};
 use super::refuse_other_bags;
 use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE, MESSAGE_ENCODING};
 use crate::camera::Camera;
@@ -81,6 +81,8 @@ pub struct Survey {
     pub messages: Option<u64>,
     /// How its chunks are compressed: `zstd`, `lz4` or nothing; `None` where that is not known.
     pub compression: Option<String>,
+    /// Numbers of channels and schemas, as far as the summary has them.
+    pub(super) taken: BTreeSet<u16>,
 }
 
 /// A topic to smooth, with its camera.
@@ -123,7 +125,8 @@ impl Survey {
                     self.topics.iter().find(|topic| topic.name == *name && topic.kind != MessageKind::CameraInfo);
                 topic.ok_or_else(|| refuse(format!("has no images or clouds on {name}; {}", self.told())))
             };
-            topics.iter().map(named).collect::<Result<_, _>>()?
+            let mut known = BTreeSet::new();
+            topics.iter().filter(|topic| known.insert(topic.as_str())).map(named).collect::<Result<_, _>>()?
         };
         let with_camera = |topic: &Topic| {
             let of_topic = self.camera_of(topic, camera_info_topic).map_err(refuse)?;
@@ -185,6 +188,11 @@ impl Survey {
 }
 
 impl Chosen {
+    /// Whether messages of a channel are meant: a topic may have messages of several types.
+    pub(super) fn is(&self, topic: &str, kind: MessageKind) -> bool {
+        self.topic == topic && self.kind == kind
+    }
+
     /// The camera of an image of that shape, the caller's if there is one.
     pub(super) fn camera(&self, given: Option<&Camera>, shape: (usize, usize)) -> Result<Camera, FormatError> {
         match (given, &self.camera) {
@@ -202,6 +210,8 @@ pub(super) struct Channels {
     types: BTreeMap<u16, String>,
     /// Topic and kind.
     known: BTreeMap<u16, (String, MessageKind)>,
+    /// The numbers of all.
+    numbers: BTreeSet<u16>,
 }
 
 impl Channels {
@@ -211,14 +221,20 @@ impl Channels {
             Record::Schema { header, .. } => {
                 self.types.insert(header.id, header.name.clone());
             }
-            Record::Channel(channel) if channel.message_encoding == MESSAGE_ENCODING => {
+            Record::Channel(channel) => {
+                self.numbers.insert(channel.id);
                 let kind = self.types.get(&channel.schema_id).and_then(|name| MessageKind::of_type(name));
-                if let Some(kind) = kind {
+                if let Some(kind) = kind.filter(|_| channel.message_encoding == MESSAGE_ENCODING) {
                     self.known.insert(channel.id, (channel.topic.clone(), kind));
                 }
             }
             _ => {}
         }
+    }
+
+    /// Whether a schema or a channel has this number.
+    pub(super) fn has(&self, id: u16) -> bool {
+        self.types.contains_key(&id) || self.numbers.contains(&id)
     }
 
     pub(super) fn get(&self, id: u16) -> Option<&(String, MessageKind)> {
@@ -227,46 +243,53 @@ impl Channels {
 }
 
 fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
-    let summary = summary(path, options);
+    let summary = Summary::of(path, options);
+    let mut counts = BTreeMap::<String, u64>::new();
     // Topics with messages that are still to be found; not known without a summary.
-    let mut awaited = summary.as_ref().and_then(|summary| {
-        let counts = &summary.stats.as_ref()?.channel_message_counts;
-        let with_messages = summary.channels.values().filter(|channel| {
-            let kind = channel.schema.as_ref().and_then(|schema| MessageKind::of_type(&schema.name));
-            kind.is_some() && counts.get(&channel.id).is_some_and(|count| *count > 0)
-        });
-        Some(with_messages.map(|channel| channel.topic.clone()).collect::<std::collections::BTreeSet<_>>())
-    });
-    let mut counts = BTreeMap::new();
-    if let Some(summary) = &summary
-        && let Some(statistics) = &summary.stats
-    {
-        for channel in summary.channels.values() {
-            *counts.entry(channel.topic.clone()).or_insert(0) +=
-                statistics.channel_message_counts.get(&channel.id).copied().unwrap_or(0);
+    let mut awaited = None;
+    if let Some(Summary { channels, messages: Some((of_channels, _)), .. }) = &summary {
+        let mut topics = BTreeSet::new();
+        for (id, (topic, kind)) in channels {
+            let count = of_channels.get(id).copied().unwrap_or(0);
+            *counts.entry(topic.clone()).or_default() += count;
+            if count > 0 && MessageKind::of_type(kind).is_some() {
+                topics.insert(topic.clone());
+            }
         }
+        awaited = Some(topics);
     }
     let mut records = Records::open(path, options).map_err(|error| error.problem)?;
     let (mut channels, mut topics) = (Channels::default(), BTreeMap::<String, Topic>::new());
+    let mut is_cut_off = false;
     while awaited.as_ref().is_none_or(|awaited| !awaited.is_empty()) {
-        let record = match records.next()? {
-            Next::Record(record) => record,
-            Next::End | Next::CutOff => break,
+        let record = match records.next() {
+            Ok(Next::Record(record)) => record,
+            Ok(Next::End) => break,
+            Ok(Next::CutOff) => {
+                is_cut_off = true;
+                break;
+            }
+            // What was found until here can be read.
+            Err(_) if !topics.is_empty() => break,
+            Err(error) => return Err(error),
         };
         channels.add(&record);
         let Record::Message { header, data } = &record else { continue };
         let Some((name, kind)) = channels.get(header.channel_id) else { continue };
         if !topics.contains_key(name) {
-            let topic = Topic { messages: counts.get(name).copied(), ..first_message(name, *kind, data) };
-            topics.insert(name.clone(), topic);
+            let messages = counts.get(name).copied();
+            topics.insert(name.clone(), Topic { messages, ..first_message(name, *kind, data) });
             awaited.iter_mut().for_each(|awaited| {
                 awaited.remove(name);
             });
         }
     }
-    let messages = summary.as_ref().and_then(|summary| Some(summary.stats.as_ref()?.message_count));
-    let compression = summary.and_then(|summary| Some(summary.chunk_indexes.first()?.compression.clone()));
-    Ok(Survey { topics: topics.into_values().collect(), messages, compression })
+    if is_cut_off && topics.is_empty() {
+        return Err(FormatError::Malformed("ends before its first messages of images, clouds or cameras".into()));
+    }
+    let Summary { channels, schemas, messages, compression } = summary.unwrap_or_default();
+    let taken = channels.into_keys().chain(schemas.into_keys()).collect();
+    Ok(Survey { topics: topics.into_values().collect(), messages: messages.map(|(_, all)| all), compression, taken })
 }
 
 /// What the first message of a topic says; one that cannot be read is no depth.

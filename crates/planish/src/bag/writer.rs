@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
@@ -39,7 +41,8 @@ pub(super) fn channel_metadata() -> BTreeMap<String, String> {
 /// Writes frames to a recording, which is there whole after [`finish`](Self::finish) or not at all.
 ///
 /// Depth goes to `/camera/depth/image_rect` (`image_raw` with distortion) as 16UC1 in millimetres with `camera_info` beside it, clouds to
-/// `/camera/depth/points`, colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames, else 30 a second.
+/// `/camera/depth/points`, colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames in
+/// microseconds (those before 0 are 0), else 30 a second.
 pub struct BagWriter {
     path: PathBuf,
     whole: WholeFile,
@@ -144,7 +147,8 @@ impl BagWriter {
 
     fn header(&self, timestamp_s: Option<f64>) -> Header {
         let seconds = timestamp_s.unwrap_or(f64::from(self.frames) / FRAMES_PER_SECOND);
-        Header { stamp: Time::from_nanoseconds((1e9 * seconds).round() as u64), frame_id: FRAME_ID.into() }
+        // In seconds as f64, a recent date keeps no nanoseconds.
+        Header { stamp: Time::from_nanoseconds(1000 * (1e6 * seconds).round() as u64), frame_id: FRAME_ID.into() }
     }
 
     fn write(
@@ -179,12 +183,18 @@ pub struct BagSink {
     writer: Option<BagWriter>,
     name: String,
     outputs: Outputs,
+    discard: Option<Arc<AtomicBool>>,
 }
 
 impl BagSink {
     /// Creates the recording. `outputs` are the stream's: depth, or points with the fields to add to them.
     pub fn create(path: &Path, outputs: Outputs) -> Result<Self, Error> {
-        Ok(Self { writer: Some(BagWriter::create(path)?), name: path.display().to_string(), outputs })
+        Ok(Self { writer: Some(BagWriter::create(path)?), name: path.display().to_string(), outputs, discard: None })
+    }
+
+    /// The same, but that nothing is left if this flag is set at the end: a part is not what was wanted.
+    pub fn discarding_if(self, discard: Arc<AtomicBool>) -> Self {
+        Self { discard: Some(discard), ..self }
     }
 }
 
@@ -217,6 +227,7 @@ impl Sink for BagSink {
     }
 
     fn close(&mut self) -> Result<(), Error> {
-        self.writer.take().map_or(Ok(()), BagWriter::finish)
+        let is_unwanted = self.discard.as_ref().is_some_and(|discard| discard.load(Ordering::Relaxed));
+        self.writer.take().filter(|_| !is_unwanted).map_or(Ok(()), BagWriter::finish)
     }
 }

@@ -19,12 +19,13 @@ impl CameraInfo {
         let [columns, rows] = if whole { [self.width, self.height] } else { [roi.width, roi.height] };
         let offset = if whole { [0, 0] } else { [roi.x_offset, roi.y_offset] };
         let sent = ((columns / binning[0]) as usize, (rows / binning[1]) as usize);
-        if sent != (width, height) {
-            return Err(unusable(format!("is of images of {}x{}, and this one has {width}x{height}", sent.0, sent.1)));
+        // A size of 0 is one that was not given.
+        if sent != (width, height) && (columns, rows) != (0, 0) {
+            return Err(unusable(format!("is for {}x{} images, but this one is {width}x{height}", sent.0, sent.1)));
         }
         let has_projection = self.p[0] != 0.0 && self.p[5] != 0.0;
-        let is_distorted = self.d.iter().any(|coefficient| *coefficient != 0.0);
-        let [fx, fy, cx, cy] = if has_projection && (is_rectified || !is_distorted) {
+        let has_intrinsics = self.k[0] != 0.0 && self.k[4] != 0.0;
+        let [fx, fy, cx, cy] = if has_projection && (is_rectified || !has_intrinsics) {
             [self.p[0], self.p[5], self.p[2], self.p[6]]
         } else {
             [self.k[0], self.k[4], self.k[2], self.k[5]]
@@ -81,17 +82,21 @@ impl CameraInfo {
     }
 }
 
-/// Whether the name of a topic says that its images are rectified, as in `image_rect` and `image_rect_raw`.
+/// Whether the name of a topic says that its images are rectified, as in `image_rect` and `image_rect_raw`; a transport's name behind the
+/// image's is left out.
 pub fn is_rectified(topic: &str) -> bool {
-    let names = topic.split('/').rev();
-    names.take(2).any(|name| name.contains("rect"))
+    let name = without_transport(topic).rsplit('/').next().unwrap_or_default();
+    name.split('_').any(|word| matches!(word, "rect" | "rectified"))
+}
+
+fn without_transport(topic: &str) -> &str {
+    let transports = ["/compressedDepth", "/compressed", "/zstd"];
+    transports.iter().find_map(|suffix| topic.strip_suffix(suffix)).unwrap_or(topic)
 }
 
 /// The topic of an image's camera by convention: `camera_info` beside it; a transport's name behind the image's is left out.
 pub fn camera_info_topic(image_topic: &str) -> String {
-    let image = ["/compressedDepth", "/compressed", "/zstd"].iter().find_map(|suffix| image_topic.strip_suffix(suffix));
-    let image = image.unwrap_or(image_topic);
-    match image.rsplit_once('/') {
+    match without_transport(image_topic).rsplit_once('/') {
         Some((namespace, _)) => format!("{namespace}/camera_info"),
         None => "camera_info".to_owned(),
     }
@@ -118,7 +123,7 @@ mod tests {
         assert_eq!((rectified.fx, rectified.cx), (500.0, 310.0));
         assert!(rectified.distortion.is_none());
         assert!(is_rectified("/camera/depth/image_rect_raw") && is_rectified("/a/image_rect/compressedDepth"));
-        assert!(!is_rectified("/rect/depth/image_raw"));
+        assert!(!is_rectified("/rect/depth/image_raw") && !is_rectified("/cam/direct/image_corrected"));
     }
 
     #[test]
@@ -138,6 +143,8 @@ mod tests {
         let fisheye = CameraInfo { distortion_model: "equidistant".into(), ..info() };
         assert!(fisheye.camera((640, 480), false).unwrap_err().to_string().contains("image_rect"));
         assert!(fisheye.camera((640, 480), true).is_ok());
+        let unsized_info = CameraInfo { height: 0, width: 0, ..info() };
+        assert_eq!(unsized_info.camera((64, 48), true).unwrap().fx, 500.0);
         let uncalibrated = CameraInfo { height: 480, width: 640, ..CameraInfo::default() };
         assert!(uncalibrated.camera((640, 480), false).unwrap_err().to_string().contains("not calibrated"));
     }

@@ -1,5 +1,7 @@
 //! Clouds: `PointCloud2`, of which everything but the positions is kept as it is.
 
+use std::collections::BTreeSet;
+
 use super::{Header, PointCloud2, PointField};
 use crate::cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud};
 use crate::error::{FormatError, FrameError};
@@ -15,6 +17,9 @@ const F64: u8 = 8;
 
 /// Coordinates in f64 beyond this are smoothed relative to one of them.
 const FAR_M: f64 = 1000.0;
+
+/// A point may be said to have so many bytes, though there are fewer.
+const MOST_PADDING: u64 = 4096;
 
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 
@@ -71,6 +76,17 @@ impl PointCloud2 {
                 )));
             }
         }
+        let (step, row) = (u64::from(self.point_step), u64::from(self.point_step) * u64::from(self.width));
+        let is_short = self.height > 1 && row > u64::from(self.row_step);
+        // The padding behind the last point may be missing, but not more than that.
+        if is_short || step > (self.data.len() as u64).max(MOST_PADDING) {
+            return Err(FormatError::Malformed(format!(
+                "points of {step} bytes, {} in a row of {} bytes, and {} bytes of data",
+                self.width,
+                self.row_step,
+                self.data.len()
+            )));
+        }
         let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(|name| self.field(name)) else {
             let names: Vec<_> = self.fields.iter().map(|field| field.name.as_str()).collect();
             return Err(FormatError::Malformed(format!(
@@ -122,12 +138,18 @@ impl PointCloud2 {
         // Checks that all fields lie in their points, and all points in the data.
         self.is_bigendian = cfg!(target_endian = "big");
         self.view()?;
+        // Fields may share their bytes, as rgb and rgba do: each value once.
+        let values = |field: &PointField| {
+            let bytes = scalar_bytes(field.datatype).unwrap_or(1);
+            let offset = field.offset as usize;
+            (0..field.count.max(1) as usize).map(move |k| (offset + k * bytes, bytes))
+        };
+        let swapped: BTreeSet<(usize, usize)> = self.fields.iter().flat_map(values).collect();
         for at in self.point_offsets() {
-            for field in &self.fields {
-                let bytes = scalar_bytes(field.datatype).unwrap_or(1);
-                let start = at + field.offset as usize;
-                let values = self.data.get_mut(start..start + bytes * field.count.max(1) as usize);
-                values.into_iter().flat_map(|values| values.chunks_exact_mut(bytes)).for_each(<[u8]>::reverse);
+            for &(offset, bytes) in &swapped {
+                if let Some(value) = self.data.get_mut(at + offset..at + offset + bytes) {
+                    value.reverse();
+                }
             }
         }
         Ok(self)
@@ -165,36 +187,54 @@ impl PointCloud2 {
             .chain(smoothed.curvature.as_deref().map(|values| ("curvature", values)))
             .collect();
         for (name, values) in columns {
-            cloud.set_f32_field(name, values);
+            cloud.set_field(name, values)?;
         }
         cloud.is_dense = (0..points).all(|i| smoothed.points.is_finite(i));
         Ok(cloud)
     }
 
-    /// Writes a scalar field, behind all others if there is none of that name and type.
-    fn set_f32_field(&mut self, name: &str, values: &[f32]) {
-        let existing =
-            self.field(name).filter(|field| field.datatype == F32 && field.count <= 1).map(|field| field.offset);
-        let offset = existing.unwrap_or_else(|| {
-            let offset = self.point_step.next_multiple_of(4);
-            self.widen(offset + 4);
-            self.fields.push(PointField { name: name.to_owned(), offset, datatype: F32, count: 1 });
-            offset
-        });
+    /// Writes a scalar field in the type that it has, behind all others as float32 if there is none of that name.
+    fn set_field(&mut self, name: &str, values: &[f32]) -> Result<(), FormatError> {
+        let (offset, datatype) = match self.field(name) {
+            Some(field) if field.count <= 1 && matches!(field.datatype, F32 | F64) => (field.offset, field.datatype),
+            Some(_) => {
+                let text = format!("a field {name} that is no single float; it would be written twice");
+                return Err(FormatError::Unsupported(text));
+            }
+            None => {
+                let offset = self.point_step.next_multiple_of(4);
+                self.widen(offset + 4)?;
+                self.fields.push(PointField { name: name.to_owned(), offset, datatype: F32, count: 1 });
+                (offset, F32)
+            }
+        };
         for (at, value) in self.point_offsets().zip(values) {
-            write(&mut self.data, at + offset as usize, value.to_ne_bytes());
+            let at = at + offset as usize;
+            match datatype {
+                F64 => write(&mut self.data, at, f64::from(*value).to_ne_bytes()),
+                _ => write(&mut self.data, at, value.to_ne_bytes()),
+            }
         }
+        Ok(())
     }
 
     /// Makes points longer, and leaves nothing behind the rows.
-    fn widen(&mut self, point_step: u32) {
+    fn widen(&mut self, point_step: u32) -> Result<(), FormatError> {
+        let Some(row_step) = self.width.checked_mul(point_step) else {
+            let text = format!("{} points of {point_step} bytes do not fit into a row", self.width);
+            return Err(FormatError::Unsupported(text));
+        };
         let old = self.point_step as usize;
-        let mut data = Vec::with_capacity(self.width as usize * self.height as usize * point_step as usize);
+        let mut data = Vec::with_capacity(row_step as usize * self.height as usize);
         for at in self.point_offsets() {
-            data.extend_from_slice(self.data.get(at..at + old).unwrap_or_default());
-            data.resize(data.len() + point_step as usize - old, 0);
+            // Of the last point the padding may be missing.
+            let end = (at + old).min(self.data.len());
+            let next = data.len() + point_step as usize;
+            data.extend_from_slice(self.data.get(at..end).unwrap_or_default());
+            data.resize(next, 0);
         }
-        (self.data, self.point_step, self.row_step) = (data, point_step, self.width * point_step);
+        (self.data, self.point_step, self.row_step) = (data, point_step, row_step);
+        Ok(())
     }
 
     /// The cloud of a smoothed frame: x, y, z in 16 bytes a point, with normals and curvature in 32; the fields are float32, as in PCL's
@@ -429,6 +469,19 @@ mod tests {
     }
 
     #[test]
+    fn a_last_point_without_its_padding_is_kept() {
+        let mut cloud = cloud();
+        // The last row ends with its last point's last field.
+        cloud.data.truncate(74 + 3 * 24 - 4);
+        let with_normals = Smoothed { normals: Some(Xyz::filled(6, 0.5)), ..smoothed(0) };
+        let wider = cloud.with_smoothed(&with_normals).unwrap();
+        assert_eq!(wider.data.len(), 6 * 36);
+        let back = wider.to_cloud().unwrap();
+        assert_eq!(back.positions.get(5), [5.5, -1.0, 3.0]);
+        assert_eq!(back.attribute("ring").unwrap().values, (0..6).collect::<Vec<u16>>().into());
+    }
+
+    #[test]
     fn a_cloud_of_the_other_byte_order_becomes_native() {
         let native = cloud();
         let mut other = native.clone();
@@ -470,6 +523,8 @@ mod tests {
         assert!(with(&|cloud| cloud.fields[4].datatype = 9).contains("type 9"));
         assert!(with(&|cloud| cloud.fields[1].datatype = 6).contains("float32"));
         assert!(with(&|cloud| cloud.data.truncate(137)).contains("137"));
+        assert!(with(&|cloud| cloud.row_step = 71).contains("71 bytes"));
+        assert!(with(&|cloud| (cloud.width, cloud.height, cloud.point_step) = (1, 1, u32::MAX)).contains("4294967295"));
         assert!(with(&|cloud| cloud.height = u32::MAX).contains("pixels"));
     }
 

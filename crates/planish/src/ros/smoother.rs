@@ -38,6 +38,9 @@ impl From<FrameError> for MessageError {
     }
 }
 
+/// A message that loses a larger share of its points than this is reported.
+const LOST_SHARE_TOLD: f64 = 0.01;
+
 /// What an engine is open for.
 type OpenFor = (Option<(usize, usize)>, Outputs, SmoothParams);
 
@@ -50,6 +53,9 @@ pub struct MessageSmoother {
     read: ReadOptions,
     open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
+    /// What was noticed, once.
+    warning: Option<String>,
+    warned: bool,
 }
 
 impl MessageSmoother {
@@ -64,6 +70,8 @@ impl MessageSmoother {
             read: ReadOptions::default(),
             open: None,
             smoothed: Smoothed::default(),
+            warning: None,
+            warned: false,
         }
     }
 
@@ -95,6 +103,11 @@ impl MessageSmoother {
     /// The engine that smoothed the last message.
     pub fn engine(&self) -> Option<Engine> {
         self.open.as_ref().map(|(smoother, _)| smoother.engine())
+    }
+
+    /// Takes a warning, the first time that a message has lost more than a hundredth of its points.
+    pub fn take_warning(&mut self) -> Option<String> {
+        self.warning.take()
     }
 
     /// The result of the last message.
@@ -204,6 +217,22 @@ impl MessageSmoother {
             // An engine that failed is opened again for the next message.
             self.open = None;
         }
-        result
+        result?;
+        self.note_lost_points(frame);
+        Ok(())
+    }
+
+    fn note_lost_points(&mut self, frame: Frame<'_>) {
+        if self.warned {
+            return;
+        }
+        let (lost, valid) = (self.smoothed.lost_points(frame), frame.valid_points());
+        if lost as f64 > LOST_SHARE_TOLD * valid as f64 {
+            self.warned = true;
+            self.warning = Some(format!(
+                "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the radius; a larger \
+                 radius keeps them"
+            ));
+        }
     }
 }

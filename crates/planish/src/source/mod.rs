@@ -144,6 +144,9 @@ impl SourceOptions {
 /// feature `mcap`), a folder of frames, or one file, which is repeated without end.
 pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
     let (kind, number) = name.split_once(':').unwrap_or((name, ""));
+    if matches!(kind, "kinect" | "synthetic") {
+        refuse_topics(options)?;
+    }
     let source: Box<dyn Source> = match kind {
         "kinect" if options.fps.is_some() => {
             let allowed = "none for a Kinect, which has its own pace";
@@ -167,15 +170,13 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
     #[cfg(feature = "mcap")]
     {
         crate::bag::refuse_other_bags(path)?;
-        if crate::bag::is_bag(path) {
+        let file = crate::bag::file_of(path)?;
+        if crate::bag::is_bag(&file) {
             let (topic, camera_info) = (options.topic.as_deref(), options.camera_info_topic.as_deref());
-            return Ok(Box::new(crate::bag::BagSource::open(path, topic, camera_info, options.camera)?));
+            return Ok(Box::new(crate::bag::BagSource::open(&file, topic, camera_info, options.camera)?));
         }
     }
-    if let (Some(topic), _) | (None, Some(topic)) = (&options.topic, &options.camera_info_topic) {
-        let allowed = "topics of recordings in MCAP, which this source is not";
-        return Err(ParamError { field: "topic", value: topic.clone(), allowed }.into());
-    }
+    refuse_topics(options)?;
     if path.is_file() {
         return Ok(Box::new(FileSource::repeat(path, options.camera)));
     }
@@ -190,6 +191,17 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
         return Ok(Box::new(TumSource::open(path, options.camera, options.tum_units_per_metre)?));
     }
     Ok(Box::new(FileSource::folder(path, options.camera)?))
+}
+
+/// Refuses topics where there are none.
+fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
+    match options.topic.as_ref().or(options.camera_info_topic.as_ref()) {
+        None => Ok(()),
+        Some(topic) => {
+            let allowed = "topics of recordings in MCAP, which this source is not";
+            Err(ParamError { field: "topic", value: topic.clone(), allowed })
+        }
+    }
 }
 
 fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> Result<T, Error> {

@@ -1,5 +1,7 @@
 //! The topics of a recording of ROS 2.
 
+use std::path::Path;
+
 use anyhow::Result;
 use planish::bag::Survey;
 use planish_bench::outln;
@@ -29,8 +31,8 @@ struct TopicInfo<'a> {
     is_depth: bool,
 }
 
-pub fn show(args: &InfoArgs) -> Result<ExitCode> {
-    let survey = Survey::of(&args.file, &args.memory.read_options())?;
+pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
+    let survey = Survey::of(file, &args.memory.read_options())?;
     let topics = survey.topics.iter().map(|topic| TopicInfo {
         topic: &topic.name,
         type_name: topic.kind.type_name(),
@@ -55,7 +57,7 @@ pub fn show(args: &InfoArgs) -> Result<ExitCode> {
         Some("") => ", not compressed",
         Some(name) => &format!(", compressed by {name}"),
     };
-    outln!("{}: MCAP, {}{compression}", args.file.display(), count(info.messages));
+    outln!("{}: MCAP, {}{compression}", file.display(), count(info.messages));
     for topic in &info.topics {
         let TopicInfo { topic, type_name, messages, encoding, frame_id, .. } = topic;
         outln!("  {topic}: {} of {type_name}, {encoding}, frame {frame_id:?}", count(*messages));

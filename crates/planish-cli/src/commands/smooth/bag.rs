@@ -2,20 +2,20 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use planish::bag::{SmoothBagOptions, SmoothBagReport, is_bag, refuse_other_bags, smooth_bag};
+use planish::bag::{BagSink, SmoothBagOptions, SmoothBagReport, file_of, is_bag, refuse_other_bags, smooth_bag};
 use planish::ros::MessageSmoother;
 use planish::source::{self, SourceFrame, SourceOptions};
-use planish::stream::{self, SinkFormat, StreamEvent, StreamOptions};
+use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamOptions};
 use planish::{EngineError, Error, Outputs};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::super::checks::{check_not_input, is_mcap};
-use super::super::stream::saving_sink;
 use crate::args::{FieldArg, SmoothArgs};
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
@@ -44,36 +44,48 @@ struct TopicReport<'a> {
     first_failure: Option<&'a str>,
 }
 
+/// How many frames are looked at for one that can be read.
+const FRAMES_TRIED: usize = 1000;
+
 /// Smooths a recording, or a folder into one; `None` where input and output are neither.
 pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
     refuse_other_bags(&args.input)?;
-    refuse_other_bags(&args.output)?;
-    let (reads, writes) = (is_bag(&args.input), is_mcap(&args.output));
-    if !(reads || writes && args.input.is_dir()) {
-        if writes && !is_mcap(&args.input) {
-            bail!("{}: a recording is written from a folder of frames, or from a recording", args.output.display());
+    let input = file_of(&args.input)?;
+    let (reads, writes) = (is_bag(&input), is_mcap(&args.output));
+    if !(reads || writes && input.is_dir()) {
+        if !(writes || is_mcap(&input)) {
+            return Ok(None);
         }
-        if is_mcap(&args.input) && args.input.is_file() {
-            bail!("{}: no recording in MCAP: it does not begin as one", args.input.display());
+        if !input.exists() {
+            bail!("{}: no such file or folder", input.display());
         }
-        return Ok(None);
+        if is_mcap(&input) {
+            bail!("{}: no recording in MCAP: it does not begin as one", input.display());
+        }
+        bail!("{}: a recording is written from a folder of frames, or from a recording", args.output.display());
     }
-    check_not_input(&args.input, &args.output, Some(args.overwrite))?;
+    check_not_input(&input, &args.output, Some(args.overwrite))?;
+    if !writes && !args.output.is_dir() && args.output.extension().is_some() {
+        bail!("{}: a recording has many frames: give a folder, or a name that ends in .mcap", args.output.display());
+    }
     for (option, is_given) in [
         ("--encoding", args.encoding.is_some()),
         ("--repeat", args.repeat > 1),
         ("--sensor-pose", args.pose.sensor_pose.is_some()),
         ("--remove-floating", args.smoothing.remove_floating),
         ("--fields status", args.fields.contains(&FieldArg::Status)),
+        ("--format", writes && args.format.is_some()),
+        ("--max-memory", !(reads && writes) && args.memory.max_memory.is_some()),
+        ("--depth-scale", reads && args.camera.depth_scale.is_some()),
     ] {
         if is_given {
-            bail!("{}: {option} is not for recordings", args.input.display());
+            bail!("{}: {option} cannot be used with recordings", input.display());
         }
     }
-    if reads && writes { between_recordings(args).map(Some) } else { frames(args).map(Some) }
+    if reads && writes { between_recordings(args, &input).map(Some) } else { frames(args, &input).map(Some) }
 }
 
-fn between_recordings(args: &SmoothArgs) -> Result<ExitCode> {
+fn between_recordings(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let mut smoother = MessageSmoother::new(args.smoothing.params()?, args.smoothing.options(args.outputs())?)
         .with_general(args.smoothing.general_params()?)
         .with_adapt_stride(args.smoothing.adapts_window())
@@ -92,7 +104,7 @@ fn between_recordings(args: &SmoothArgs) -> Result<ExitCode> {
     };
     let start = Instant::now();
     let stop = stop_flag();
-    let result = smooth_bag(&args.input, &args.output, &mut smoother, &options, &stop, &mut tell);
+    let result = smooth_bag(input, &args.output, &mut smoother, &options, &stop, &mut tell);
     bar.finish_and_clear();
     let report = match result {
         Err(Error::Engine(EngineError::Stopped)) => {
@@ -130,7 +142,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
             let rate = topic.smoothed as f64 / seconds.max(1e-9);
             let engine = engine.unwrap_or("none");
             outln!(
-                "{}: {} messages smoothed in {seconds:.1} s, {rate:.1} a second, engine {engine}",
+                "{}: {} smoothed in {seconds:.1} s, {rate:.1} a second, engine {engine}",
                 topic.topic,
                 topic.smoothed
             );
@@ -139,7 +151,10 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     }
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
         let first = topic.first_failure.as_deref().unwrap_or_default();
-        errln!("{}: {} messages copied as they were; the first: {first}", topic.topic, topic.failed);
+        errln!("{}: copied as they were: {}; the first: {first}", topic.topic, count(topic.failed, "message"));
+    }
+    if let Some(warning) = &report.warning {
+        errln!("warning: {warning}");
     }
     if let Some(why) = &report.cut_off {
         errln!("{}: {why}; everything before that was written", args.input.display());
@@ -148,44 +163,58 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     Ok(if is_clean { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
+/// A number of things.
+fn count(number: u64, what: &str) -> String {
+    if number == 1 { format!("1 {what}") } else { format!("{number} {what}s") }
+}
+
 /// A recording into a folder, or a folder into a recording.
-fn frames(args: &SmoothArgs) -> Result<ExitCode> {
+fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     if args.points_topic.is_some() || args.topics.topic.len() > 1 {
         bail!(
-            "{}: --points-topic, and more than one --topic, are for a recording out of a recording",
+            "{}: --points-topic, and more than one --topic, are for a recording made from a recording",
             args.output.display()
         );
+    }
+    let wants = |extension: &str| args.format.as_deref().is_some_and(|format| format.eq_ignore_ascii_case(extension));
+    if args.format.is_some() && !["png", "pcd", "ply"].into_iter().any(wants) {
+        bail!("--format: the frames of a recording are written as png, pcd or ply");
     }
     let stop = stop_flag();
     let options = SourceOptions::default()
         .with_camera(args.camera.camera_of_any_shape()?)
         .with_tum_units_per_metre(args.camera.depth_scale)
         .with_topics(args.topics.topic.first().cloned(), args.topics.camera_info_topic.clone());
-    let name = args.input.to_string_lossy().into_owned();
-    // Whether it has depth shows in the first frame.
-    let is_depth = match source::open(&name, &options)?.next_frame()? {
-        None => bail!("{}: has no frames", args.input.display()),
-        Some(SourceFrame::Depth(_)) => true,
-        Some(_) => false,
-    };
-    let wants = |extension: &str| args.format.as_deref().is_some_and(|format| format.eq_ignore_ascii_case(extension));
-    let wants_points = wants("pcd") || wants("ply") || args.fields.iter().any(|field| *field != FieldArg::None);
-    let format = match (is_depth && !wants_points, wants("ply")) {
+    let name = input.to_string_lossy().into_owned();
+    let has_points = args.fields.iter().any(|field| *field != FieldArg::None) || wants("pcd") || wants("ply");
+    let format = match (holds_depth(&name, &options, wants("png"))? && !has_points, wants("ply")) {
         (true, _) => SinkFormat::DepthPng,
         (false, true) => SinkFormat::Ply,
         (false, false) => SinkFormat::Pcd,
     };
+    if wants("png") && format != SinkFormat::DepthPng {
+        bail!("{}: has clouds without a camera, or --fields was given: --format pcd or ply", input.display());
+    }
     let outputs = if format == SinkFormat::DepthPng { Outputs::DEPTH } else { args.outputs() };
     let options_of_stream = StreamOptions::new(args.smoothing.params()?, args.smoothing.options(outputs)?)
         .with_adapt_stride(args.smoothing.adapts_window());
-    let sink = saving_sink(Path::new(&args.output), format, outputs)?;
+    let sink: Box<dyn Sink> = if is_mcap(&args.output) {
+        Box::new(BagSink::create(&args.output, outputs)?.discarding_if(Arc::clone(&stop)))
+    } else {
+        Box::new(FolderSink::create(&args.output, format, outputs)?)
+    };
     let source = source::open(&name, &options)?;
     let tell = |event: StreamEvent<'_>| {
         if let StreamEvent::Warning(warning) = event {
             errln!("warning: {warning}");
         }
     };
-    let statistics = stream::run(source, &options_of_stream, vec![sink], &Arc::clone(&stop), tell)?;
+    let statistics = stream::run(source, &options_of_stream, vec![sink], &stop, tell)?;
+    if stop.load(Ordering::Relaxed) {
+        let left = if is_mcap(&args.output) { "nothing was written" } else { "the frames so far are there" };
+        errln!("{}: stopped; {left}", args.output.display());
+        return Ok(ExitCode::from(INTERRUPTED));
+    }
     let (frames, seconds) = (statistics.frames_out, statistics.duration().as_secs_f64());
     let (engine, unreadable) = (statistics.engine.name(), statistics.unreadable);
     if args.json {
@@ -197,9 +226,30 @@ fn frames(args: &SmoothArgs) -> Result<ExitCode> {
     } else {
         let rate = statistics.fps();
         outln!(
-            "{frames} frames smoothed in {seconds:.1} s, {rate:.1} a second, engine {engine} -> {}",
+            "{} smoothed in {seconds:.1} s, {rate:.1} a second, engine {engine} -> {}",
+            count(frames, "frame"),
             args.output.display()
         );
     }
     Ok(if statistics.failed_sinks + unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
+}
+
+/// Whether the first frame that can be read is depth; clouds with a camera count where depth is wanted.
+fn holds_depth(name: &str, options: &SourceOptions, wants_depth: bool) -> Result<bool> {
+    let mut source = source::open(name, options)?;
+    let mut failure = None;
+    // A source that fails for good gives no more frames after that.
+    for _ in 0..FRAMES_TRIED {
+        match source.next_frame() {
+            Ok(None) => break,
+            Ok(Some(SourceFrame::Depth(_))) => return Ok(true),
+            Ok(Some(SourceFrame::Cloud { cloud, .. })) => return Ok(wants_depth && cloud.camera.is_some()),
+            Ok(Some(_)) => return Ok(false),
+            Err(error) => failure = failure.or(Some(error)),
+        }
+    }
+    match failure {
+        Some(error) => Err(error.into()),
+        None => bail!("{name}: has no frames"),
+    }
 }
