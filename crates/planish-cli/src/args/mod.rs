@@ -41,7 +41,7 @@ pub enum Command {
     Render(RenderArgs),
     /// Smooth frames live: from a Kinect, a data set, a folder, the simulator
     Stream(StreamArgs),
-    /// Record a source as a data set in TUM layout
+    /// Record a source as a data set in TUM layout, or as a recording of ROS 2 (.mcap)
     Record(RecordArgs),
     /// List instruction sets and GPUs of this machine, and what `auto` chooses
     Devices(DevicesArgs),
