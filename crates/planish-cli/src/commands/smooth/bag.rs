@@ -144,10 +144,10 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
             outln!(
                 "{}: {} smoothed in {seconds:.1} s, {rate:.1} a second, engine {engine}",
                 topic.topic,
-                topic.smoothed
+                count(topic.smoothed, "message")
             );
         }
-        outln!("  {} messages of other topics copied -> {}", report.copied, args.output.display());
+        outln!("  {} of other topics copied -> {}", count(report.copied, "message"), args.output.display());
     }
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
         let first = topic.first_failure.as_deref().unwrap_or_default();
