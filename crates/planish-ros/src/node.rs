@@ -249,28 +249,31 @@ fn receive<M: serde::de::DeserializeOwned + Send + 'static>(
     })
 }
 
-fn subscription<M: 'static>(node: &mut Node, topic: &str, kind: &str, qos: &QosProfile) -> Result<Subscription<M>> {
-    let topic = node
-        .create_topic(
-            &Name::parse(topic).with_context(|| topic.to_owned())?,
-            MessageTypeName::new("sensor_msgs", kind),
-            qos,
-        )
-        .map_err(|error| anyhow!("{topic}: {error}"))?;
-    node.create_subscription(&topic, Some(qos.clone())).map_err(|error| anyhow!("no subscription: {error}"))
+/// A topic by its full name, with the package and name of its messages' type.
+fn topic(
+    node: &Node,
+    name: &str,
+    (package, kind): (&str, &str),
+    qos: &QosProfile,
+) -> Result<ros2_client::dds::rustdds::Topic> {
+    let parsed = Name::parse(name).with_context(|| name.to_owned())?;
+    let topic = node.create_topic(&parsed, MessageTypeName::new(package, kind), qos);
+    topic.map_err(|error| anyhow!("{name}: {error}"))
+}
+
+fn subscription<M: 'static>(node: &mut Node, name: &str, kind: &str, qos: &QosProfile) -> Result<Subscription<M>> {
+    let topic = topic(node, name, ("sensor_msgs", kind), qos)?;
+    node.create_subscription(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: no subscription: {error}"))
 }
 
 fn publisher<M: serde::Serialize>(
     node: &mut Node,
-    topic: &str,
-    package: &str,
-    kind: &str,
+    name: &str,
+    message: (&str, &str),
     qos: &QosProfile,
 ) -> Result<Publisher<M>> {
-    let topic = node
-        .create_topic(&Name::parse(topic).with_context(|| topic.to_owned())?, MessageTypeName::new(package, kind), qos)
-        .map_err(|error| anyhow!("{topic}: {error}"))?;
-    node.create_publisher(&topic, Some(qos.clone())).map_err(|error| anyhow!("no publisher: {error}"))
+    let topic = topic(node, name, message, qos)?;
+    node.create_publisher(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: no publisher: {error}"))
 }
 
 fn publish(node: &mut Node, settings: &Settings, arguments: &Arguments) -> Result<Publishers> {
@@ -279,19 +282,18 @@ fn publish(node: &mut Node, settings: &Settings, arguments: &Arguments) -> Resul
     let compressed = match settings.input {
         Input::CompressedDepth => {
             let topic = format!("{depth}/compressedDepth");
-            Some(publisher(node, &topic, "sensor_msgs", "CompressedImage", &qos)?)
+            Some(publisher(node, &topic, ("sensor_msgs", "CompressedImage"), &qos)?)
         }
         _ => None,
     };
     Ok(Publishers {
-        points: publisher(node, &arguments.topic("points"), "sensor_msgs", "PointCloud2", &qos)?,
-        depth: publisher(node, &depth, "sensor_msgs", "Image", &qos)?,
+        points: publisher(node, &arguments.topic("points"), ("sensor_msgs", "PointCloud2"), &qos)?,
+        depth: publisher(node, &depth, ("sensor_msgs", "Image"), &qos)?,
         compressed,
         diagnostics: publisher(
             node,
             &arguments.topic("/diagnostics"),
-            "diagnostic_msgs",
-            "DiagnosticArray",
+            ("diagnostic_msgs", "DiagnosticArray"),
             &QosProfile::publisher_default(),
         )?,
     })

@@ -33,7 +33,23 @@ pub struct Smoothed {
     pub neighbours: Option<Vec<u32>>,
 }
 
+/// A frame that loses a larger share of its points than this is reported.
+#[cfg(any(feature = "ros", feature = "stream"))]
+const LOST_SHARE_TOLD: f64 = 0.01;
+
 impl Smoothed {
+    /// Returns what to say of a frame that lost more than a hundredth of its points.
+    #[cfg(any(feature = "ros", feature = "stream"))]
+    pub(crate) fn lost_points_warning(&self, frame: Frame<'_>) -> Option<String> {
+        let (lost, valid) = (self.lost_points(frame), frame.valid_points());
+        (lost as f64 > LOST_SHARE_TOLD * valid as f64).then(|| {
+            format!(
+                "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the radius; \
+                 a larger radius keeps them, or the sensor's pose where it is missing"
+            )
+        })
+    }
+
     /// Gives every buffer its length, allocating only if the shape or the outputs changed.
     pub(crate) fn prepare(&mut self, width: usize, height: usize, outputs: Outputs) {
         let len = width * height;

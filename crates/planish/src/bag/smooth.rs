@@ -299,9 +299,7 @@ impl Copy<'_> {
             self.copied += 1;
             return Ok(writer.write_to_known_channel(&header, data)?);
         };
-        if kind == MessageKind::CameraInfo {
-            self.note_camera(&topic, data);
-        }
+        self.chosen.iter_mut().for_each(|chosen| chosen.note_camera(&topic, kind, data));
         let Some(chosen) = self.chosen.iter().find(|chosen| chosen.is(&topic, kind)).cloned() else {
             self.copied += 1;
             return Ok(writer.write_to_known_channel(&header, data)?);
@@ -324,16 +322,6 @@ impl Copy<'_> {
                 report.failed += 1;
                 report.first_failure.get_or_insert_with(|| error.to_string());
                 Ok(writer.write_to_known_channel(&header, data)?)
-            }
-        }
-    }
-
-    /// Takes a newer camera; one that is damaged changes nothing.
-    fn note_camera(&mut self, topic: &str, data: &[u8]) {
-        let cameras = self.chosen.iter_mut().filter_map(|chosen| chosen.camera.as_mut());
-        for (_, info) in cameras.filter(|(camera_topic, _)| camera_topic == topic) {
-            if let Ok(newer) = from_cdr(data) {
-                *info = newer;
             }
         }
     }

@@ -75,15 +75,7 @@ impl BagSource {
             self.channels.add(&record);
             let Record::Message { header, data } = &record else { continue };
             let Some((topic, kind)) = self.channels.get(header.channel_id) else { continue };
-            if *kind == MessageKind::CameraInfo
-                && let Some((camera_topic, info)) = &mut self.chosen.camera
-                && camera_topic == topic
-            {
-                // One that is damaged changes nothing.
-                if let Ok(newer) = from_cdr(data) {
-                    *info = newer;
-                }
-            }
+            self.chosen.note_camera(topic, *kind, data);
             if self.chosen.is(topic, *kind) {
                 return self.frame(header.log_time, data).map(Some);
             }

@@ -188,6 +188,16 @@ impl Survey {
 }
 
 impl Chosen {
+    /// Takes the newer camera of a message, if it is from the topic of this camera; one that is damaged changes nothing.
+    pub(super) fn note_camera(&mut self, topic: &str, kind: MessageKind, data: &[u8]) {
+        if let (MessageKind::CameraInfo, Some((camera_topic, info))) = (kind, &mut self.camera)
+            && camera_topic == topic
+            && let Ok(newer) = from_cdr(data)
+        {
+            *info = newer;
+        }
+    }
+
     /// Whether messages of a channel are meant: a topic may have messages of several types.
     pub(super) fn is(&self, topic: &str, kind: MessageKind) -> bool {
         self.topic == topic && self.kind == kind

@@ -6,6 +6,7 @@
 mod camera;
 mod cdr;
 mod cloud;
+mod cloud_fields;
 mod depth;
 mod messages;
 mod smoother;

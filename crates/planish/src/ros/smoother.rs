@@ -38,9 +38,6 @@ impl From<FrameError> for MessageError {
     }
 }
 
-/// A message that loses a larger share of its points than this is reported.
-const LOST_SHARE_TOLD: f64 = 0.01;
-
 /// What an engine is open for.
 type OpenFor = (Option<(usize, usize)>, Outputs, SmoothParams);
 
@@ -226,13 +223,7 @@ impl MessageSmoother {
         if self.warned {
             return;
         }
-        let (lost, valid) = (self.smoothed.lost_points(frame), frame.valid_points());
-        if lost as f64 > LOST_SHARE_TOLD * valid as f64 {
-            self.warned = true;
-            self.warning = Some(format!(
-                "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the radius; a larger \
-                 radius keeps them"
-            ));
-        }
+        self.warning = self.smoothed.lost_points_warning(frame);
+        self.warned = self.warning.is_some();
     }
 }

@@ -35,9 +35,6 @@ pub use statistics::{Latency, StreamStatistics};
 /// How many frames are read ahead from a source that is not live.
 const READ_AHEAD: usize = 4;
 
-/// A frame that loses a larger share of its points than this is reported.
-const LOST_SHARE_TOLD: f64 = 0.01;
-
 /// A frame with its result, as sinks get it.
 #[non_exhaustive]
 pub struct StreamFrame {
@@ -356,13 +353,9 @@ impl Stream<'_> {
     /// Warns once if a frame lost more than a hundredth of its points.
     fn tell_lost_points(&mut self, frame: &SourceFrame, smoothed: &Smoothed, tell: &mut impl FnMut(StreamEvent<'_>)) {
         let Some(frame) = frame.into_frame().ok().filter(|_| !self.told_lost_points) else { return };
-        let (lost, valid) = (smoothed.lost_points(frame), frame.valid_points());
-        if lost as f64 > LOST_SHARE_TOLD * valid as f64 {
+        if let Some(warning) = smoothed.lost_points_warning(frame) {
             self.told_lost_points = true;
-            tell(StreamEvent::Warning(format!(
-                "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the radius; \
-                 a larger radius keeps them, or the sensor's pose where it is missing"
-            )));
+            tell(StreamEvent::Warning(warning));
         }
     }
 
