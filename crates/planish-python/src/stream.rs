@@ -7,9 +7,9 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use numpy::{PyArray1, PyArrayMethods};
-use planish::source::{self, SourceFrame, SourceOptions};
+use planish::source::{self, Alignment, SourceFrame, SourceOptions};
 use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
-use planish::{Error, Outputs, Xyz};
+use planish::{Error, Outputs, ParamError, Xyz};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -194,6 +194,15 @@ impl Sink for Handover {
     }
 }
 
+fn alignment_of(name: &str) -> PyResult<Alignment> {
+    match name {
+        "depth" => Ok(Alignment::Depth),
+        "color" => Ok(Alignment::Color),
+        "none" => Ok(Alignment::None),
+        name => Err(PyValueError::new_err(format!("align: {name:?} is not allowed: depth, color or none"))),
+    }
+}
+
 #[pyclass(frozen, name = "Stream", module = "planish._planish")]
 pub struct PyStream {
     shared: Arc<Shared>,
@@ -207,7 +216,7 @@ pub struct PyStream {
 impl PyStream {
     /// Opens a source and begins.
     #[new]
-    #[pyo3(signature = (source, outputs, settings, camera, fps, frames, depth_units_per_metre))]
+    #[pyo3(signature = (source, outputs, settings, camera, fps, frames, depth_units_per_metre, align, mode))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -218,6 +227,8 @@ impl PyStream {
         fps: Option<f64>,
         frames: Option<u64>,
         depth_units_per_metre: Option<f64>,
+        align: Option<&str>,
+        mode: Option<&str>,
     ) -> PyResult<Self> {
         let settings = Settings::from_dict(settings)?;
         if settings.needs_estimate() {
@@ -239,6 +250,8 @@ impl PyStream {
         let source_options = SourceOptions::default()
             .with_camera(camera.map(|camera| camera.0))
             .with_tum_units_per_metre(depth_units_per_metre)
+            .with_alignment(align.map(alignment_of).transpose()?)
+            .with_mode(mode.map(str::parse).transpose().map_err(|error: ParamError| to_py(error.into()))?)
             .with_fps(fps);
         let source = py.detach(|| source::open(source, &source_options)).map_err(to_py)?;
         let is_live = source.is_live();

@@ -136,3 +136,51 @@ def test_what_is_wrong_is_said(folder: Path, tmp_path: Path) -> None:
     with pytest.warns(RuntimeWarning, match="frame3"):
         names = [frame.name for frame in planish.stream(folder, CAMERA)]
     assert names == ["frame0", "frame1", "frame2", "frame4", "frame5"]
+
+
+def test_a_recording_of_a_realsense_streams_by_the_library_in_pyrealsense2(tmp_path: Path) -> None:
+    rs = pytest.importorskip("pyrealsense2")
+    device = rs.software_device()
+    device.register_info(rs.camera_info.name, "Software D435")
+    device.register_info(rs.camera_info.serial_number, "000123")
+    stream = rs.video_stream()
+    stream.type, stream.fmt = rs.stream.depth, rs.format.z16
+    stream.width, stream.height, stream.fps, stream.bpp = 160, 120, 30, 2
+    intrinsics = rs.intrinsics()
+    intrinsics.width, intrinsics.height, intrinsics.fx, intrinsics.fy = 160, 120, CAMERA.fx, CAMERA.fy
+    intrinsics.ppx, intrinsics.ppy = CAMERA.cx, CAMERA.cy
+    intrinsics.model, intrinsics.coeffs = rs.distortion.brown_conrady, [0] * 5
+    stream.intrinsics = intrinsics
+    sensor = device.add_sensor("Stereo Module")
+    profile = sensor.add_video_stream(stream)
+    sensor.add_read_only_option(rs.option.depth_units, 0.001)
+    file = tmp_path / "walk.db3"
+    recorder = rs.recorder(str(file), device)
+    recorded = recorder.query_sensors()[0]
+    recorded.open(recorded.get_stream_profiles()[0])
+    recorded.start(rs.frame_queue(1))
+    depths = [planish.simulate("table", camera=CAMERA, seed=seed).depth for seed in range(4)]
+    for number, depth in enumerate(depths, 1):
+        frame = rs.software_video_frame()
+        frame.pixels, frame.stride, frame.bpp = depth, 2 * 160, 2
+        frame.timestamp, frame.domain = 1000.0 * number, rs.timestamp_domain.hardware_clock
+        frame.frame_number, frame.profile, frame.depth_units = number, profile.as_video_stream_profile(), 0.001
+        sensor.on_video_frame(frame)
+        time.sleep(0.02)
+    time.sleep(0.2)
+    recorded.stop()
+    recorded.close()
+    del recorded, recorder
+    gc.collect()
+
+    with planish.stream(f"realsense:{file}", outputs=["depth"], engine="cpu") as frames:
+        found = list(frames)
+    assert [frame.timestamp_s for frame in found] == [1.0, 2.0, 3.0, 4.0]
+    for frame, depth in zip(found, depths, strict=True):
+        assert frame.depth is not None
+        np.testing.assert_array_equal(frame.depth, depth)
+        assert frame.camera == CAMERA
+    with pytest.raises(ValueError, match="align"):
+        planish.stream(f"realsense:{file}", align="colour")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="848x480@30"):
+        planish.stream(f"realsense:{file}", mode="large")

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use clap::{Parser, Subcommand, ValueEnum};
 use planish::Outputs;
 use planish::io::{Encoding, ReadOptions};
+use planish::source::{Alignment, StreamMode};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, ExperimentArgs};
 pub use camera::{CameraArgs, Direction, PoseArgs};
@@ -194,17 +195,10 @@ pub struct RenderArgs {
 
 #[derive(clap::Args)]
 pub struct StreamArgs {
-    /// kinect[:INDEX], synthetic[:SEED], a data set in TUM layout, a recording of libfreenect or of ROS 2 (.mcap), a folder of frames, or
-    /// one file, repeated
-    pub source: String,
     #[command(flatten)]
-    pub topics: TopicArgs,
+    pub source: SourceArgs,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
-    #[command(flatten)]
-    pub camera: CameraArgs,
-    #[command(flatten)]
-    pub limits: LimitArgs,
     /// Write every result into this folder, or into this recording of ROS 2 (.mcap)
     #[arg(long, value_name = "DIR|FILE.mcap")]
     pub save: Option<PathBuf>,
@@ -233,6 +227,45 @@ pub struct StreamArgs {
     pub json: bool,
 }
 
+/// Where frames come from, and until when.
+#[derive(clap::Args)]
+pub struct SourceArgs {
+    /// kinect[:INDEX], realsense[:SERIAL|:FILE.bag], openni2[:URI|:FILE.oni], synthetic[:SEED], a data set in TUM layout, a recording of
+    /// libfreenect or of ROS 2 (.mcap), a folder of frames, or one file, repeated
+    #[arg(value_name = "SOURCE")]
+    pub name: String,
+    #[command(flatten)]
+    pub topics: TopicArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    /// RealSense and OpenNI2: map depth and colour to one image. Colour to depth (the RealSense's default), depth to colour (the
+    /// default of OpenNI2 cameras that can), or depth alone
+    #[arg(long, value_enum)]
+    pub align: Option<AlignArg>,
+    /// RealSense and OpenNI2: size and rate of depth, as 848x480@30; else the camera's own
+    #[arg(long, value_name = "WxH[@FPS]")]
+    pub mode: Option<StreamMode>,
+    #[command(flatten)]
+    pub limits: LimitArgs,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum AlignArg {
+    Depth,
+    Color,
+    None,
+}
+
+impl From<AlignArg> for Alignment {
+    fn from(arg: AlignArg) -> Self {
+        match arg {
+            AlignArg::Depth => Self::Depth,
+            AlignArg::Color => Self::Color,
+            AlignArg::None => Self::None,
+        }
+    }
+}
+
 #[derive(clap::Args)]
 pub struct LimitArgs {
     /// Pace the source to N frames a second, as a live camera; else as fast as possible
@@ -251,16 +284,10 @@ pub struct LimitArgs {
 
 #[derive(clap::Args)]
 pub struct RecordArgs {
-    /// kinect[:INDEX], synthetic[:SEED], or any other source of depth
-    pub source: String,
     #[command(flatten)]
-    pub topics: TopicArgs,
+    pub source: SourceArgs,
     /// The folder to make, or a recording of ROS 2 (.mcap)
     pub folder: PathBuf,
-    #[command(flatten)]
-    pub camera: CameraArgs,
-    #[command(flatten)]
-    pub limits: LimitArgs,
     /// Print one JSON object to standard output at the end
     #[arg(long)]
     pub json: bool,

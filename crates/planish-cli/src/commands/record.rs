@@ -69,16 +69,16 @@ impl Recorder {
 }
 
 pub fn run(args: &RecordArgs) -> Result<ExitCode> {
-    let longest = args.limits.max_duration()?;
+    let longest = args.source.limits.max_duration()?;
     let stop = stop_flag();
-    let mut source = open_source(&args.source, &args.topics, &args.camera, &args.limits, &stop)?;
-    super::checks::check_not_input(std::path::Path::new(&args.source), &args.folder, None)?;
+    let mut source = open_source(&args.source, &stop)?;
+    super::checks::check_not_input(std::path::Path::new(&args.source.name), &args.folder, None)?;
     let mut recorder = Recorder::create(&args.folder)?;
     let start = Instant::now();
     let mut frames = 0;
     let is_over = |frames| {
         stop.load(Ordering::Relaxed)
-            || args.limits.frames.is_some_and(|most| frames >= most)
+            || args.source.limits.frames.is_some_and(|most| frames >= most)
             || longest.is_some_and(|longest| start.elapsed() >= longest)
     };
     let (mut unreadable, mut failures_in_a_row) = (0, 0);
@@ -88,7 +88,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
             Ok(None) => break,
             Ok(Some(frame)) => {
                 failures_in_a_row = 0;
-                if let Err(error) = recorder.add(&args.source, &frame) {
+                if let Err(error) = recorder.add(&args.source.name, &frame) {
                     result = Err(error);
                     break;
                 }

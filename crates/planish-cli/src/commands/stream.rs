@@ -15,7 +15,7 @@ use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::checks::{check_not_input, is_mcap};
-use crate::args::{CameraArgs, LimitArgs, StreamArgs, StreamFormatArg, TopicArgs, outputs_of};
+use crate::args::{LimitArgs, SourceArgs, StreamArgs, StreamFormatArg, outputs_of};
 use crate::signals::stop_flag;
 
 /// What is said at the end.
@@ -74,16 +74,16 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     }
     let options = StreamOptions::new(params, args.smoothing.options(outputs)?)
         .with_adapt_stride(args.smoothing.adapts_window())
-        .with_max_frames(args.limits.frames)
-        .with_max_duration(args.limits.max_duration()?);
+        .with_max_frames(args.source.limits.frames)
+        .with_max_duration(args.source.limits.max_duration()?);
     let stop = stop_flag();
-    let mut source = open_source(&args.source, &args.topics, &args.camera, &args.limits, &stop)?;
+    let mut source = open_source(&args.source, &stop)?;
     if let Some(sensor) = args.smoothing.floating_sensor(None)? {
         source = Box::new(WithoutFloating { source, sensor });
     }
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
-        check_not_input(Path::new(&args.source), folder, None)?;
+        check_not_input(Path::new(&args.source.name), folder, None)?;
         sinks.push(saving_sink(folder, format, outputs)?);
     }
     #[cfg(feature = "rerun")]
@@ -116,14 +116,9 @@ pub fn saving_sink(output: &Path, format: SinkFormat, outputs: Outputs) -> Resul
     Ok(Box::new(FolderSink::create(output, format, outputs)?))
 }
 
-/// Opens a source by its name; one that is to come back is waited for until `stop` is set.
-pub fn open_source(
-    name: &str,
-    topics: &TopicArgs,
-    camera: &CameraArgs,
-    limits: &LimitArgs,
-    stop: &Arc<AtomicBool>,
-) -> Result<Box<dyn Source>> {
+/// Opens a source; one that is to come back is waited for until `stop` is set.
+pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn Source>> {
+    let SourceArgs { name, topics, camera, align, mode, limits } = args;
     if topics.topic.len() > 1 {
         bail!("--topic: a stream has one topic; `planish smooth` takes several");
     }
@@ -131,14 +126,19 @@ pub fn open_source(
         .with_topics(topics.topic.first().cloned(), topics.camera_info_topic.clone())
         .with_camera(camera.camera_of_any_shape()?)
         .with_tum_units_per_metre(camera.depth_scale)
+        .with_alignment(align.map(Into::into))
+        .with_mode(*mode)
         .with_fps(limits.fps);
     let source = source::open(name, &options)?;
+    if let Some(description) = source.description() {
+        errln!("{description}");
+    }
     // Beyond what the clock can count there is no limit.
     let until = limits.max_duration()?.and_then(|longest| Instant::now().checked_add(longest));
     if !limits.reconnect {
         return Ok(source);
     }
-    if name.split(':').next() != Some("kinect") {
+    if !source::is_camera(name) {
         bail!("--reconnect waits for a camera; {name} is none");
     }
     let name = name.to_owned();

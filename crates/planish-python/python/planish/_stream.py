@@ -8,11 +8,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from os import PathLike
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ._drivers import find_realsense
 from ._planish import Camera
 from ._planish import Stream as _Stream
 from ._result import Smoothed
@@ -112,6 +113,8 @@ def stream(
     fps: float | None = None,
     frames: int | None = None,
     depth_units_per_metre: float | None = None,
+    align: Literal["depth", "color", "none"] | None = None,
+    mode: str | None = None,
     **settings: Any,
 ) -> Stream:
     """Smooth frames as they come; the library captures and smooths in threads of its own while Python works on the last one.
@@ -119,7 +122,9 @@ def stream(
     Parameters
     ----------
     source : str or path
-        ``"kinect"``, ``"synthetic"``, or a path: a folder of frames, a data set of TUM, a recording of fakenect, a file.
+        A camera (``"realsense"``, ``"openni2"``, ``"kinect"``), ``"synthetic"``, a recording of a camera (``"realsense:walk.bag"``,
+        ``"openni2:walk.oni"``), or a path: a folder of frames, a data set of TUM, a recording of fakenect, a file. A RealSense needs
+        librealsense2, which the package pyrealsense2 has.
     camera : Camera, optional
         Of depth images that come without one.
     outputs : iterable of str
@@ -130,6 +135,11 @@ def stream(
         End after so many.
     depth_units_per_metre : float, optional
         Of a data set that does not say it.
+    align : {"depth", "color", "none"}, optional
+        Of a RealSense or an OpenNI2 camera: the image that depth and colour are both mapped to. Colour is mapped to depth
+        (the RealSense's default), depth to colour (the default of OpenNI2 cameras that can), or depth comes alone.
+    mode : str, optional
+        Of a RealSense or an OpenNI2 camera: size and rate of depth, as ``"848x480@30"``.
     **settings
         As `Smoother` takes them: ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...
 
@@ -155,7 +165,8 @@ def stream(
         raise ValueError(f"frames: {frames} is not allowed: 0 to 2**63 - 1")
     if not isinstance(source, str) and not os.path.exists(source):
         raise FileNotFoundError(f"{os.fspath(source)}: no such file or folder")
+    find_realsense(os.fspath(source))
     # The same checks, names and defaults as any smoother's.
     checked = Smoother(camera, outputs=outputs, **settings)
     names = list(checked.__getstate__()["outputs"])
-    return Stream(_Stream(os.fspath(source), names, settings, camera, fps, frames, depth_units_per_metre))
+    return Stream(_Stream(os.fspath(source), names, settings, camera, fps, frames, depth_units_per_metre, align, mode))

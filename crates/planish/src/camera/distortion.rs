@@ -78,7 +78,7 @@ impl Distortion {
 
     /// The direction (x, y, 1) that is seen at a position, in units of the focal length from the principal point; `None` where
     /// the model is not invertible, beyond what the lens shows.
-    pub(super) fn undistort(&self, seen: [f64; 2]) -> Option<[f64; 2]> {
+    pub(crate) fn undistort(&self, seen: [f64; 2]) -> Option<[f64; 2]> {
         let [mut x, mut y] = seen;
         for _ in 0..MAX_STEPS {
             let ([at_x, at_y], [xx, xy, yy]) = self.distort(x, y);
@@ -97,6 +97,59 @@ impl Distortion {
         }
         None
     }
+}
+
+#[cfg(feature = "stream")]
+impl Distortion {
+    /// Returns the model with five coefficients that maps directions (x, y, 1) to the positions at which they are seen, by least
+    /// squares, and the largest distance that remains: both in units of the focal length. `None` if they determine none.
+    pub(crate) fn fit(pairs: &[([f64; 2], [f64; 2])]) -> Option<(Self, f64)> {
+        // The model is linear in k1, k2, k3, p1, p2.
+        let (mut a, mut t) = ([[0.0; 5]; 5], [0.0; 5]);
+        for &([x, y], seen) in pairs {
+            let r2 = x * x + y * y;
+            let (r4, r6) = (r2 * r2, r2 * r2 * r2);
+            let rows = [
+                ([x * r2, x * r4, x * r6, 2.0 * x * y, r2 + 2.0 * x * x], seen[0] - x),
+                ([y * r2, y * r4, y * r6, r2 + 2.0 * y * y, 2.0 * x * y], seen[1] - y),
+            ];
+            for (row, distance) in rows {
+                for i in 0..5 {
+                    t[i] += row[i] * distance;
+                    (0..5).for_each(|j| a[i][j] += row[i] * row[j]);
+                }
+            }
+        }
+        let [k1, k2, k3, p1, p2] = solve(a, t)?;
+        let fitted = Self { radial: [k1, k2, k3, 0.0, 0.0, 0.0], tangential: [p1, p2] };
+        let distance = |&([x, y], seen): &([f64; 2], [f64; 2])| {
+            let ([at_x, at_y], _) = fitted.distort(x, y);
+            (at_x - seen[0]).hypot(at_y - seen[1])
+        };
+        Some((fitted, pairs.iter().map(distance).fold(0.0, f64::max)))
+    }
+}
+
+/// Solves A c = t for a symmetric positive A by elimination; `None` where it is not.
+#[cfg(feature = "stream")]
+fn solve<const N: usize>(mut a: [[f64; N]; N], mut t: [f64; N]) -> Option<[f64; N]> {
+    for i in 0..N {
+        // False for a NaN.
+        let is_positive = a[i][i] > 0.0;
+        if !is_positive {
+            return None;
+        }
+        for j in i + 1..N {
+            let share = a[j][i] / a[i][i];
+            (i..N).for_each(|k| a[j][k] -= share * a[i][k]);
+            t[j] -= share * t[i];
+        }
+    }
+    for i in (0..N).rev() {
+        let above: f64 = (i + 1..N).map(|k| a[i][k] * t[k]).sum();
+        t[i] = (t[i] - above) / a[i][i];
+    }
+    Some(t)
 }
 
 impl Distortion {

@@ -16,8 +16,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use libloading::Library;
-
+use super::driver::{self, c_functions};
 use super::freenect::frame_of_disparities;
 use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::Camera;
@@ -69,74 +68,56 @@ type Context = *mut c_void;
 type Device = *mut c_void;
 type FrameCallback = unsafe extern "C" fn(Device, *mut c_void, u32);
 
-/// The functions used. They are valid as long as `_library` is.
+c_functions! {
+    /// libfreenect.
+    struct Functions("freenect_") {
+        init(*mut Context, *mut c_void) -> c_int;
+        shutdown(Context) -> c_int;
+        set_log_level(Context, c_int);
+        select_subdevices(Context, c_int);
+        num_devices(Context) -> c_int;
+        open_device(Context, *mut Device, c_int) -> c_int;
+        close_device(Device) -> c_int;
+        set_user(Device, *mut c_void);
+        get_user(Device) -> *mut c_void;
+        find_video_mode(c_int, c_int) -> FrameMode;
+        find_depth_mode(c_int, c_int) -> FrameMode;
+        set_video_mode(Device, FrameMode) -> c_int;
+        set_depth_mode(Device, FrameMode) -> c_int;
+        set_video_callback(Device, FrameCallback);
+        set_depth_callback(Device, FrameCallback);
+        start_video(Device) -> c_int;
+        start_depth(Device) -> c_int;
+        stop_video(Device) -> c_int;
+        stop_depth(Device) -> c_int;
+        process_events_timeout(Context, *mut TimeVal) -> c_int;
+    }
+}
+
 struct Freenect {
-    init: unsafe extern "C" fn(*mut Context, *mut c_void) -> c_int,
-    shutdown: unsafe extern "C" fn(Context) -> c_int,
-    set_log_level: unsafe extern "C" fn(Context, c_int),
-    select_subdevices: unsafe extern "C" fn(Context, c_int),
-    num_devices: unsafe extern "C" fn(Context) -> c_int,
-    open_device: unsafe extern "C" fn(Context, *mut Device, c_int) -> c_int,
-    close_device: unsafe extern "C" fn(Device) -> c_int,
-    set_user: unsafe extern "C" fn(Device, *mut c_void),
-    get_user: unsafe extern "C" fn(Device) -> *mut c_void,
-    find_video_mode: unsafe extern "C" fn(c_int, c_int) -> FrameMode,
-    find_depth_mode: unsafe extern "C" fn(c_int, c_int) -> FrameMode,
-    set_video_mode: unsafe extern "C" fn(Device, FrameMode) -> c_int,
-    set_depth_mode: unsafe extern "C" fn(Device, FrameMode) -> c_int,
-    set_video_callback: unsafe extern "C" fn(Device, FrameCallback),
-    set_depth_callback: unsafe extern "C" fn(Device, FrameCallback),
-    start_video: unsafe extern "C" fn(Device) -> c_int,
-    start_depth: unsafe extern "C" fn(Device) -> c_int,
-    stop_video: unsafe extern "C" fn(Device) -> c_int,
-    stop_depth: unsafe extern "C" fn(Device) -> c_int,
-    process_events_timeout: unsafe extern "C" fn(Context, *mut TimeVal) -> c_int,
+    functions: Functions,
     /// Whether this is the playback library.
     is_playback: bool,
-    _library: Library,
+}
+
+impl std::ops::Deref for Freenect {
+    type Target = Functions;
+
+    fn deref(&self) -> &Functions {
+        &self.functions
+    }
 }
 
 impl Freenect {
     fn load() -> Result<Self, DeviceError> {
-        let named = std::env::var_os("PLANISH_LIBFREENECT");
-        let name = named.unwrap_or_else(|| "libfreenect.so.0.5".into());
-        let missing = |error: libloading::Error| DeviceError::Driver {
-            what: format!("{} cannot be loaded: {error}", Path::new(&name).display()),
-            help: "install libfreenect (Debian: libfreenect0.5), or name its file in PLANISH_LIBFREENECT",
-        };
-        // SAFETY: libfreenect runs nothing of note when it is loaded, and the signatures are those of libfreenect.h 0.5.
+        let help = "install libfreenect (Debian: libfreenect0.5), or name its file in PLANISH_LIBFREENECT";
+        let library = driver::load("PLANISH_LIBFREENECT", ["libfreenect.so.0.5".to_owned()], help)?;
+        // SAFETY: the symbol is only looked for, and the signatures are those of libfreenect.h 0.5.
         unsafe {
-            let library = Library::new(&name).map_err(missing)?;
-            macro_rules! call {
-                ($name:literal) => {
-                    *library.get($name).map_err(missing)?
-                };
-            }
             let is_playback = library.get::<*const c_void>(b"freenect_copy_registration\0").is_err();
-            Ok(Self {
-                init: call!(b"freenect_init\0"),
-                shutdown: call!(b"freenect_shutdown\0"),
-                set_log_level: call!(b"freenect_set_log_level\0"),
-                select_subdevices: call!(b"freenect_select_subdevices\0"),
-                num_devices: call!(b"freenect_num_devices\0"),
-                open_device: call!(b"freenect_open_device\0"),
-                close_device: call!(b"freenect_close_device\0"),
-                set_user: call!(b"freenect_set_user\0"),
-                get_user: call!(b"freenect_get_user\0"),
-                find_video_mode: call!(b"freenect_find_video_mode\0"),
-                find_depth_mode: call!(b"freenect_find_depth_mode\0"),
-                set_video_mode: call!(b"freenect_set_video_mode\0"),
-                set_depth_mode: call!(b"freenect_set_depth_mode\0"),
-                set_video_callback: call!(b"freenect_set_video_callback\0"),
-                set_depth_callback: call!(b"freenect_set_depth_callback\0"),
-                start_video: call!(b"freenect_start_video\0"),
-                start_depth: call!(b"freenect_start_depth\0"),
-                stop_video: call!(b"freenect_stop_video\0"),
-                stop_depth: call!(b"freenect_stop_depth\0"),
-                process_events_timeout: call!(b"freenect_process_events_timeout\0"),
-                is_playback,
-                _library: library,
-            })
+            let functions = Functions::find(library)
+                .map_err(|error| DeviceError::Driver { what: format!("no libfreenect 0.5: {error}"), help })?;
+            Ok(Self { functions, is_playback })
         }
     }
 }

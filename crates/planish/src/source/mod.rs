@@ -3,14 +3,19 @@
 //! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To use a camera of your
 //! own, implement [`Source`]; [`stream`](crate::stream) takes any.
 
+mod driver;
 mod files;
 mod freenect;
 mod kinect;
+mod openni2;
 mod paced;
+mod realsense;
 mod synthetic;
 mod tum;
 
+use std::fmt;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -26,9 +31,12 @@ pub use freenect::FreenectRecording;
 #[cfg(feature = "internal")]
 pub(crate) mod internal {
     pub use super::freenect::{disparity_depth_m, write_freenect_recording};
+    pub use super::realsense::start_realsense;
 }
 pub use kinect::KinectSource;
+pub use openni2::OpenNi2Source;
 pub use paced::Paced;
+pub use realsense::{RealSenseInput, RealSenseSource};
 pub use synthetic::SyntheticSource;
 pub use tum::{TumRecorder, TumSource};
 
@@ -87,6 +95,11 @@ pub trait Source: Send {
         None
     }
 
+    /// Returns what the device calls itself, of a camera that does.
+    fn description(&self) -> Option<String> {
+        None
+    }
+
     /// Takes a flag that a stream sets when it ends, before the first frame. A source that may wait for long looks at it.
     fn end_with(&mut self, _ended: Arc<AtomicBool>) {}
 
@@ -99,6 +112,57 @@ pub trait Source: Send {
     /// other source it wants every frame.
     fn is_live(&self) -> bool {
         false
+    }
+}
+
+/// Which image of a camera depth and colour are both mapped to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Alignment {
+    /// The depth image: depth is as it was measured, and each pixel has the colour of its point.
+    Depth,
+    /// The colour image: depth is mapped onto its pixels, by the driver or by the camera.
+    Color,
+    /// Depth is as it was measured, without colour.
+    None,
+}
+
+/// A size of a camera's depth images, and their rate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StreamMode {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Frames a second; any without.
+    pub fps: Option<u32>,
+}
+
+impl FromStr for StreamMode {
+    type Err = ParamError;
+
+    /// Reads `WIDTHxHEIGHT` or `WIDTHxHEIGHT@FPS`.
+    fn from_str(text: &str) -> Result<Self, ParamError> {
+        let (size, fps) = text.split_once('@').map_or((text, None), |(size, fps)| (size, Some(fps)));
+        let sides = size.split_once(['x', 'X']).map(|(width, height)| (width.parse(), height.parse()));
+        match (sides, fps.map(str::parse)) {
+            (Some((Ok(width @ 1..), Ok(height @ 1..))), None) => Ok(Self { width, height, fps: None }),
+            (Some((Ok(width @ 1..), Ok(height @ 1..))), Some(Ok(fps @ 1..))) => {
+                Ok(Self { width, height, fps: Some(fps) })
+            }
+            _ => Err(ParamError {
+                field: "mode",
+                value: text.to_owned(),
+                allowed: "WIDTHxHEIGHT or WIDTHxHEIGHT@FPS, as 848x480@30",
+            }),
+        }
+    }
+}
+
+impl fmt::Display for StreamMode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)?;
+        self.fps.map_or(Ok(()), |fps| write!(f, "@{fps}"))
     }
 }
 
@@ -116,6 +180,10 @@ pub struct SourceOptions {
     pub topic: Option<String>,
     /// The topic with the camera of a recording in MCAP, if it is not beside the images'.
     pub camera_info_topic: Option<String>,
+    /// Which image of a RealSense or an OpenNI2 camera depth and colour are mapped to; without it what its source says.
+    pub alignment: Option<Alignment>,
+    /// The mode of a RealSense or an OpenNI2 camera; without it its default.
+    pub mode: Option<StreamMode>,
 }
 
 impl SourceOptions {
@@ -134,35 +202,63 @@ impl SourceOptions {
         Self { topic, camera_info_topic, ..self }
     }
 
+    /// The same with depth and colour mapped to an image of the camera's.
+    pub fn with_alignment(self, alignment: Option<Alignment>) -> Self {
+        Self { alignment, ..self }
+    }
+
+    /// The same with a mode of the camera's.
+    pub fn with_mode(self, mode: Option<StreamMode>) -> Self {
+        Self { mode, ..self }
+    }
+
     /// The same paced as live, or not.
     pub fn with_fps(self, fps: Option<f64>) -> Self {
         Self { fps, ..self }
     }
 }
 
-/// Opens `kinect[:INDEX]`, `synthetic[:SEED]`, a data set in TUM RGB-D layout, a recording of libfreenect, one of ROS 2 in MCAP (with the
-/// feature `mcap`), a folder of frames, or one file, which is repeated without end.
+/// Opens `kinect[:INDEX]`, `realsense[:SERIAL]`, `realsense:RECORDING`, `openni2[:URI]`, `synthetic[:SEED]`, a data set in TUM RGB-D
+/// layout, a recording of libfreenect, one of ROS 2 in MCAP (with the feature `mcap`), a folder of frames, or one file, which is
+/// repeated without end.
 pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
-    let (kind, number) = name.split_once(':').unwrap_or((name, ""));
-    if matches!(kind, "kinect" | "synthetic") {
+    let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
+    let &SourceOptions { camera, alignment, mode, fps, .. } = options;
+    if matches!(kind, "kinect" | "synthetic" | "realsense" | "openni2") {
         refuse_topics(options)?;
     }
+    if !matches!(kind, "realsense" | "openni2") {
+        refuse_modes(options)?;
+    }
     let source: Box<dyn Source> = match kind {
-        "kinect" if options.fps.is_some() => {
-            let allowed = "none for a Kinect, which has its own pace";
-            return Err(ParamError { field: "fps", value: format!("{:?}", options.fps), allowed }.into());
-        }
-        "kinect" => return Ok(Box::new(KinectSource::open(parse_number(name, number, 0)?, options.camera)?)),
-        "synthetic" if options.camera.is_some() => {
+        "kinect" => Box::new(KinectSource::open(parse_number(name, rest, 0)?, camera)?),
+        "realsense" => Box::new(RealSenseSource::open(&RealSenseInput::parse(rest), camera, alignment, mode)?),
+        "openni2" => Box::new(OpenNi2Source::open(rest, camera, alignment, mode)?),
+        "synthetic" if camera.is_some() => {
             let allowed = "none for the simulator, which has its own";
             return Err(ParamError { field: "camera", value: "given".into(), allowed }.into());
         }
-        "synthetic" => Box::new(SyntheticSource::new(parse_number(name, number, 1)?, Camera::kinect_v1())?),
+        "synthetic" => Box::new(SyntheticSource::new(parse_number(name, rest, 1)?, Camera::kinect_v1())?),
         _ => open_path(Path::new(name), options)?,
     };
-    match options.fps {
-        Some(fps) => Ok(Box::new(Paced::new(source, fps)?)),
+    match fps {
         None => Ok(source),
+        Some(fps) if source.is_live() => {
+            let allowed = "none for a camera, which has its own pace";
+            Err(ParamError { field: "fps", value: fps.to_string(), allowed }.into())
+        }
+        Some(fps) => Ok(Box::new(Paced::new(source, fps)?)),
+    }
+}
+
+/// Whether a source named on the command line is a camera, which may be unplugged and come back.
+pub fn is_camera(name: &str) -> bool {
+    let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
+    match kind {
+        "kinect" => true,
+        "realsense" => !matches!(RealSenseInput::parse(rest), RealSenseInput::Recording(_)),
+        "openni2" => !OpenNi2Source::is_recording(rest),
+        _ => false,
     }
 }
 
@@ -181,7 +277,8 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
         return Ok(Box::new(FileSource::repeat(path, options.camera)));
     }
     if !path.is_dir() {
-        let problem = "no such file or folder; a source is kinect, synthetic, a data set, a folder or a file";
+        let problem =
+            "no such file or folder; a source is kinect, realsense, openni2, synthetic, a data set, a folder or a file";
         return Err(malformed(path, problem).into());
     }
     if path.join("INDEX.txt").is_file() {
@@ -201,6 +298,18 @@ fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
             let allowed = "topics of recordings in MCAP, which this source is not";
             Err(ParamError { field: "topic", value: topic.clone(), allowed })
         }
+    }
+}
+
+/// Refuses what only cameras with modes have.
+fn refuse_modes(options: &SourceOptions) -> Result<(), ParamError> {
+    let allowed = "only for a RealSense or an OpenNI2 camera";
+    if let Some(alignment) = options.alignment {
+        return Err(ParamError { field: "align", value: format!("{alignment:?}").to_lowercase(), allowed });
+    }
+    match options.mode {
+        None => Ok(()),
+        Some(mode) => Err(ParamError { field: "mode", value: mode.to_string(), allowed }),
     }
 }
 

@@ -1,0 +1,17 @@
+"""Drivers of cameras that come as Python packages."""
+
+import importlib.util
+import os
+from pathlib import Path
+
+
+def find_realsense(source: str) -> None:
+    """Has the source ``realsense`` use the library in the package pyrealsense2, if that is installed and no other is named."""
+    if source.split(":")[0] != "realsense" or os.environ.get("PLANISH_LIBREALSENSE"):
+        return
+    package = importlib.util.find_spec("pyrealsense2")
+    for folder in package.submodule_search_locations or [] if package else []:
+        # The whole of librealsense is in the extension module.
+        for library in sorted(Path(folder).glob("pyrealsense2.*")):
+            if library.suffix in {".so", ".pyd"}:
+                os.environ["PLANISH_LIBREALSENSE"] = str(library)

@@ -1,0 +1,301 @@
+//! The source `realsense`: a camera in software, by librealsense's own means, and recordings of it.
+//!
+//! PLANISH_LIBREALSENSE names the library; the gate has it (PLANISH_REQUIRE_REALSENSE).
+
+mod software_realsense;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
+use planish::source::{Alignment, RealSenseInput, RealSenseSource, Source, SourceFrame, SourceOptions, StreamMode};
+use planish::stream::{self, StreamOptions};
+use planish::{Camera, DepthFrame, DeviceError, Engine, Error, SmoothParams, SmootherOptions};
+
+use software_realsense::{Intrinsics, RealSense, SoftwareCamera, intrinsics};
+
+const SHAPE: (usize, usize) = (848, 480);
+const COLOR_SHAPE: (usize, usize) = (640, 480);
+
+fn library() -> Option<&'static RealSense> {
+    let library = RealSense::load();
+    if let Err(reason) = &library {
+        assert!(std::env::var_os("PLANISH_REQUIRE_REALSENSE").is_none(), "{reason}");
+        eprintln!("SKIP the RealSense: {reason}");
+    }
+    library.ok()
+}
+
+fn next(source: &mut RealSenseSource) -> Result<Option<DepthFrame>, Error> {
+    Ok(source.next_frame()?.map(|frame| match frame {
+        SourceFrame::Depth(frame) => frame,
+        _ => panic!("a frame of depth"),
+    }))
+}
+
+fn depth_intrinsics() -> Intrinsics {
+    intrinsics((848, 480), 425.0)
+}
+
+fn color_intrinsics() -> Intrinsics {
+    intrinsics((640, 480), 600.0)
+}
+
+fn camera() -> Camera {
+    Camera::new(SHAPE, [425.0, 426.0], [427.5, 237.75])
+}
+
+/// Frames of a camera that moves in front of a table.
+fn frames(count: usize) -> Vec<DepthFrame> {
+    let (scene, pose) = Scene::tabletop(1);
+    let simulator = DepthSimulator::new(DepthNoise::default(), camera(), 1);
+    let truth = scene.render(&camera(), &pose);
+    (0..count).map(|i| simulator.frame(&truth, i as u64).unwrap()).collect()
+}
+
+fn timestamp_ms(i: usize) -> f64 {
+    1.6e12 + 1000.0 / 30.0 * i as f64
+}
+
+/// An image whose pixels state where they are, and the number of its frame.
+fn color_image(number: usize) -> Vec<u8> {
+    let (width, height) = COLOR_SHAPE;
+    (0..width * height).flat_map(|i| [(i % width / 4) as u8, (i / width / 4) as u8, number as u8]).collect()
+}
+
+fn software_camera(color: bool) -> Option<SoftwareCamera> {
+    let color = color.then(color_intrinsics);
+    library().map(|library| SoftwareCamera::new(library, "000123", depth_intrinsics(), color, 0.001))
+}
+
+/// Records frames; versions of librealsense since 2.58 ask for another name.
+fn record(folder: &Path, frames: &[DepthFrame], color: bool) -> Option<PathBuf> {
+    let camera = software_camera(color)?;
+    let file = folder.join("recording.db3");
+    camera.record(&file, || {
+        for (i, frame) in frames.iter().enumerate() {
+            camera.deliver(i + 1, timestamp_ms(i), &frame.raw, color.then(|| color_image(i + 1)).as_deref());
+            thread::sleep(Duration::from_millis(10));
+        }
+        thread::sleep(Duration::from_millis(200));
+    });
+    Some(file)
+}
+
+fn open(file: &Path, alignment: Option<Alignment>) -> Result<RealSenseSource, Error> {
+    RealSenseSource::open(&RealSenseInput::Recording(file.to_path_buf()), None, alignment, None)
+}
+
+#[test]
+fn depth_of_a_recording_comes_back_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorded = frames(20);
+    for color in [false, true] {
+        let folder = folder.path().join(color.to_string());
+        fs::create_dir(&folder).unwrap();
+        let Some(file) = record(&folder, &recorded, color) else { return };
+        for alignment in [None, Some(Alignment::None)] {
+            let mut source = open(&file, alignment).unwrap();
+            assert!(!source.is_live() && source.description().unwrap().contains("000123"));
+            for (i, expected) in recorded.iter().enumerate() {
+                let found = next(&mut source).unwrap().unwrap_or_else(|| panic!("frame {i} of 20"));
+                assert!(found.raw == expected.raw, "depth of frame {i}");
+                assert_eq!(found.camera, camera());
+                assert!((found.timestamp_s.unwrap() - 1e-3 * timestamp_ms(i)).abs() < 1e-4);
+                assert_eq!(found.rgb.is_some(), color && alignment.is_none());
+                // The colour image of the same time, not the one before.
+                let number = found.rgb.map(|rgb| rgb.chunks_exact(3).map(|pixel| pixel[2]).max());
+                assert!(number.is_none_or(|number| number == Some(i as u8 + 1)), "frame {i}: {number:?}");
+            }
+            assert!(next(&mut source).unwrap().is_none());
+            assert_eq!(source.dropped(), 0);
+        }
+    }
+}
+
+/// A wall at 1 m.
+fn wall() -> DepthFrame {
+    DepthFrame::new(camera(), vec![1000; 848 * 480]).unwrap()
+}
+
+#[test]
+fn colour_and_depth_are_mapped_to_one_image() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(file) = record(folder.path(), &[wall(), wall()], true) else { return };
+    let found = next(&mut open(&file, Some(Alignment::Depth)).unwrap()).unwrap().unwrap();
+    let rgb = found.rgb.unwrap();
+    for (u, v) in [(424, 240), (300, 100), (600, 400)] {
+        // The colour camera is 15 mm to the left of what the point is at in its frame.
+        let x = (f64::from(u) - 427.5) / 425.0 + 0.015;
+        let y = (f64::from(v) - 237.75) / 426.0;
+        let expected = [(600.0 * x + 323.5) / 4.0, (601.0 * y + 237.75) / 4.0];
+        let at = 3 * (848 * v + u) as usize;
+        // To a pixel, a quarter here, and what is cut off.
+        let seen = [rgb[at], rgb[at + 1]].map(f64::from);
+        assert!(
+            (seen[0] - expected[0]).abs() <= 1.25 && (seen[1] - expected[1]).abs() <= 1.25,
+            "{seen:?} {expected:?}"
+        );
+    }
+    let found = next(&mut open(&file, Some(Alignment::Color)).unwrap()).unwrap().unwrap();
+    assert_eq!(found.camera, Camera::new(COLOR_SHAPE, [600.0, 601.0], [323.5, 237.75]));
+    assert_eq!(found.raw[640 * 240 + 320], 1000);
+    let rgb = found.rgb.unwrap();
+    assert!(rgb == color_image(1), "{:?}", &rgb[..12]);
+}
+
+#[test]
+fn units_of_depth_are_the_devices() {
+    let Some(library) = library() else { return };
+    let camera = SoftwareCamera::new(library, "7", depth_intrinsics(), None, 0.000_25);
+    let mut source = live(&camera, None, None).unwrap();
+    let delivers = Deliver::start(camera, vec![wall()], |number| number + 1);
+    let frame = next(&mut source).unwrap().unwrap();
+    assert_eq!(frame.camera.depth_units_per_metre, 4000.0);
+    assert_eq!(frame.camera.depth_m(frame.raw[0]), 0.25);
+    drop(delivers);
+}
+
+fn live(
+    camera: &SoftwareCamera,
+    alignment: Option<Alignment>,
+    mode: Option<StreamMode>,
+) -> Result<RealSenseSource, Error> {
+    // SAFETY: context and pipeline are of the same library, and given away.
+    unsafe { planish::internal::start_realsense(camera.pipeline(), alignment, mode) }
+}
+
+/// A camera that delivers frames, 30 a second, until it is dropped.
+struct Deliver {
+    stop: Arc<AtomicBool>,
+    thread: Option<thread::JoinHandle<usize>>,
+}
+
+impl Deliver {
+    fn start(camera: SoftwareCamera, frames: Vec<DepthFrame>, after: impl Fn(usize) -> usize + Send + 'static) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let ended = Arc::clone(&stop);
+        let thread = thread::spawn(move || {
+            let (start, mut number) = (Instant::now(), 1);
+            let mut delivered = 0;
+            while !ended.load(Ordering::Relaxed) {
+                let frame = &frames[delivered % frames.len()];
+                camera.deliver(number, timestamp_ms(delivered), &frame.raw, None);
+                number = after(number);
+                delivered += 1;
+                let due = start + Duration::from_secs(delivered as u64) / 30;
+                thread::sleep(due.saturating_duration_since(Instant::now()));
+            }
+            delivered
+        });
+        Self { stop, thread: Some(thread) }
+    }
+}
+
+impl Drop for Deliver {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(thread::JoinHandle::join);
+    }
+}
+
+#[test]
+fn a_live_camera_gives_the_newest_frame_and_counts_those_that_are_missing() {
+    let Some(camera) = software_camera(false) else { return };
+    let mut source = live(&camera, None, None).unwrap();
+    assert!(source.is_live());
+    // Two of three numbers are missing.
+    let delivers = Deliver::start(camera, frames(3), |number| number + 3);
+    for i in 0..5 {
+        assert!(next(&mut source).unwrap().is_some());
+        assert!(source.dropped() >= 2 * i, "{i}: {}", source.dropped());
+    }
+    let before = source.dropped();
+    thread::sleep(Duration::from_millis(500));
+    next(&mut source).unwrap();
+    assert!(source.dropped() >= before + 10, "15 frames came meanwhile, numbered by threes");
+    drop(delivers);
+    // Nothing comes any more: the stream that ends does not wait for it, and a camera that is silent counts as gone.
+    while source.dropped() == before {}
+    let ended = Arc::new(AtomicBool::new(true));
+    source.end_with(ended);
+    assert!(next(&mut source).unwrap().is_none());
+    source.end_with(Arc::default());
+    let gone = (0..100).find_map(|_| next(&mut source).err()).unwrap();
+    assert!(matches!(&gone, Error::Device(DeviceError::Gone { .. })), "{gone}");
+}
+
+#[test]
+fn modes_that_a_camera_lacks_are_refused() {
+    let Some(camera) = software_camera(false) else { return };
+    let refused = |result: Result<RealSenseSource, Error>| result.map(|_| ()).unwrap_err().to_string();
+    let mode = |width, fps| Some(StreamMode { width, height: 480, fps });
+    assert!(live(&camera, None, mode(848, Some(30))).is_ok());
+    let missing = refused(live(&camera, None, mode(1280, None)));
+    assert!(missing.contains("1280x480"), "{missing}");
+    // It has no colour.
+    let color = refused(live(&camera, Some(Alignment::Color), None));
+    assert!(color.contains("colour"), "{color}");
+}
+
+#[test]
+fn files_that_are_no_recordings_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(file) = record(folder.path(), &frames(10), false) else { return };
+    let bytes = fs::read(&file).unwrap();
+    let refused = |file: &Path| {
+        let options = SourceOptions::default();
+        let mut source = match planish::source::open(&format!("realsense:{}", file.display()), &options) {
+            Ok(source) => source,
+            Err(error) => return error.to_string(),
+        };
+        (0..100).find_map(|_| source.next_frame().err()).map(|error| error.to_string()).unwrap_or_default()
+    };
+    let missing = folder.path().join("missing.bag");
+    assert!(refused(&missing).contains("missing.bag"));
+    for (name, contents) in [("text.db3", &b"no recording"[..]), ("empty.bag", b""), ("text.bag", b"#ROSBAG V2.0\nno")]
+    {
+        let file = folder.path().join(name);
+        fs::write(&file, contents).unwrap();
+        assert!(refused(&file).contains(name), "{name}: {}", refused(&file));
+    }
+    // Cut off: the frames that are whole, or an error, but an end.
+    let cut = folder.path().join("cut.db3");
+    for share in [9, 5, 1] {
+        fs::write(&cut, &bytes[..bytes.len() * share / 10]).unwrap();
+        let said = refused(&cut);
+        assert!(said.is_empty() || said.contains("cut.db3"), "{said}");
+    }
+    let options = SourceOptions::default().with_fps(Some(30.0));
+    assert!(planish::source::open(&format!("realsense:{}", file.display()), &options).unwrap().is_live());
+    let topic = SourceOptions::default().with_topics(Some("/depth".into()), None);
+    assert!(planish::source::open("realsense", &topic).is_err());
+}
+
+/// The figure of the README: run alone, on a machine with nothing else to do.
+#[test]
+#[ignore = "a minute of measurement"]
+fn rates() {
+    let Some(camera) = software_camera(false) else { return };
+    let source = live(&camera, None, None).unwrap();
+    let delivers = Deliver::start(camera, frames(10), |number| number + 1);
+    let smoother = SmootherOptions::default().with_engine(Engine::Cpu);
+    let options =
+        StreamOptions::new(SmoothParams::default(), smoother).with_max_duration(Some(Duration::from_secs(60)));
+    let stop = AtomicBool::new(false);
+    let statistics = stream::run(Box::new(source), &options, Vec::new(), &stop, |_| ()).unwrap();
+    drop(delivers);
+    let latency = statistics.latency();
+    println!(
+        "{} frames smoothed, {} dropped, {:.1} a second, p50 {:?}, p99 {:?}",
+        statistics.frames_out,
+        statistics.dropped,
+        statistics.fps(),
+        latency.p50,
+        latency.p99
+    );
+}

@@ -1,0 +1,457 @@
+//! Intel RealSense cameras, and recordings of them, through librealsense2, loaded at run time and never linked.
+//!
+//! The library is `librealsense2.so`, or the path in the environment variable PLANISH_LIBREALSENSE. Its pipeline chooses the
+//! device's default modes, or one that was asked for, and puts depth and colour of one time together; its `align` maps one onto the
+//! other. Of a live camera the newest frames win and frames that are missing by their numbers are counted; of a recording every
+//! frame of depth comes once, with the colour that was recorded closest to it.
+
+mod api;
+mod camera;
+
+use std::ffi::{CString, c_int};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use super::{Alignment, Source, SourceFrame, StreamMode, malformed, with_shape};
+use crate::camera::Camera;
+use crate::error::{DeviceError, Error, IoError, ParamError};
+use crate::frame::DepthFrame;
+use api::{DeviceName, FORMAT_RGB8, FORMAT_Z16, Functions, Intrinsics, Owned, STREAM_COLOR, STREAM_DEPTH};
+use camera::camera_of;
+
+/// A device that delivers nothing for this long counts as gone.
+const SILENCE: Duration = Duration::from_secs(5);
+
+/// Between two looks at whether a frame is still wanted.
+const PATIENCE_MS: u32 = 100;
+
+/// Numbers of frames that jump further than this are not of frames that were lost.
+const MOST_LOST: u64 = 10_000;
+
+/// Which RealSense.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum RealSenseInput {
+    /// The first that is found.
+    Any,
+    /// The one with this serial number.
+    Serial(String),
+    /// A recording that librealsense wrote: .bag, or .db3 since version 2.58.
+    Recording(PathBuf),
+}
+
+impl RealSenseInput {
+    /// What is behind the colon of a source's name: nothing, a file, or a serial number.
+    pub(super) fn parse(name: &str) -> Self {
+        let path = Path::new(name);
+        let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
+        let is_recording = matches!(extension.as_deref(), Some("bag" | "db3")) || path.is_file();
+        match name {
+            "" => Self::Any,
+            _ if is_recording => Self::Recording(path.to_path_buf()),
+            serial => Self::Serial(serial.to_owned()),
+        }
+    }
+}
+
+/// A RealSense camera that is running, or a recording of one.
+pub struct RealSenseSource {
+    library: &'static Functions,
+    /// The caller's camera instead of the device's own.
+    camera: Option<Camera>,
+    description: String,
+    recording: Option<PathBuf>,
+    aligner: Option<Aligner>,
+    /// Frames of a recording that wait for a better colour image, and the number of their depth.
+    held: Option<(u64, Owned)>,
+    last_number: Option<u64>,
+    last_camera: Option<(Intrinsics, f32, Camera)>,
+    dropped: u64,
+    ended: Arc<AtomicBool>,
+    device: Owned,
+    _profile: Owned,
+    pipeline: Owned,
+    _context: Owned,
+}
+
+/// Maps colour onto depth, or depth onto colour.
+struct Aligner {
+    /// The stream that the other is mapped onto.
+    to: c_int,
+    block: Owned,
+    queue: Owned,
+}
+
+impl RealSenseSource {
+    /// Starts a camera or a recording; with the camera's own intrinsics unless others are given. Its own mode, and colour mapped onto
+    /// depth if it has any, unless others are asked for.
+    pub fn open(
+        input: &RealSenseInput,
+        camera: Option<Camera>,
+        alignment: Option<Alignment>,
+        mode: Option<StreamMode>,
+    ) -> Result<Self, Error> {
+        let library = Functions::load()?;
+        let context = library.create_context()?;
+        match input {
+            // The library's error does not say whether the file is there.
+            RealSenseInput::Recording(file) => {
+                std::fs::File::open(file).map_err(|error| IoError { path: file.clone(), problem: error.into() })?;
+            }
+            RealSenseInput::Any => check_device(&library.devices(&context)?, None)?,
+            RealSenseInput::Serial(serial) => check_device(&library.devices(&context)?, Some(serial))?,
+        }
+        let pipeline = library.create_pipeline(&context)?;
+        Self::start(library, context, pipeline, input, camera, alignment, mode)
+    }
+
+    fn start(
+        library: &'static Functions,
+        context: Owned,
+        pipeline: Owned,
+        input: &RealSenseInput,
+        camera: Option<Camera>,
+        alignment: Option<Alignment>,
+        mode: Option<StreamMode>,
+    ) -> Result<Self, Error> {
+        let recording = match input {
+            RealSenseInput::Recording(file) => Some(file.clone()),
+            _ => None,
+        };
+        if let (Some(mode), Some(_)) = (mode, &recording) {
+            let allowed = "none for a recording, which has its own";
+            return Err(ParamError { field: "mode", value: mode.to_string(), allowed }.into());
+        }
+        let named = |error: DeviceError| named(recording.as_deref(), error.into());
+        let wants_colour = alignment != Some(Alignment::None);
+        let config = configure(library, input, mode, wants_colour).map_err(named)?;
+        let (config, has_colour) = match can_resolve(library, &config, &pipeline).map_err(named)? {
+            true => (config, wants_colour),
+            // Without colour unless it was asked for.
+            false if alignment.is_none() => (configure(library, input, mode, false).map_err(named)?, false),
+            false => (config, wants_colour),
+        };
+        // SAFETY: the objects outlive the calls.
+        let (profile, device) = unsafe {
+            let what = &asked_for(mode, has_colour);
+            let delete = library.delete_pipeline_profile;
+            let start = |f: &Functions, e| (f.pipeline_start_with_config)(pipeline.get(), config.get(), e);
+            let profile = library.create(what, delete, start).map_err(named)?;
+            let device = |f: &Functions, e| (f.pipeline_profile_get_device)(profile.get(), e);
+            let device = library.create(what, library.delete_device, device).map_err(named)?;
+            if recording.is_some() && library.is_playback(&device) {
+                // As fast as frames are taken, without loss.
+                let call = |f: &Functions, e| (f.playback_device_set_real_time)(device.get(), 0, e);
+                library.call(what, call).map_err(named)?;
+            }
+            (profile, device)
+        };
+        let to = if alignment == Some(Alignment::Color) { STREAM_COLOR } else { STREAM_DEPTH };
+        let aligner = has_colour.then(|| Aligner::new(library, to)).transpose()?;
+        let name = library.name_of(&device);
+        let description = match name.serial.as_str() {
+            "" => name.name,
+            serial => format!("{}, serial number {serial}", name.name),
+        };
+        Ok(Self {
+            library,
+            camera,
+            description,
+            recording,
+            aligner,
+            held: None,
+            last_number: None,
+            last_camera: None,
+            dropped: 0,
+            ended: Arc::default(),
+            device,
+            _profile: profile,
+            pipeline,
+            _context: context,
+        })
+    }
+
+    /// Returns frames whose depth was not delivered yet, with its number, unless these are to be looked at again later.
+    fn take(&mut self, frames: Owned) -> Result<Option<Owned>, DeviceError> {
+        let Some(depth) = self.library.frame_of(&frames, STREAM_DEPTH)? else { return Ok(None) };
+        // SAFETY: the frame outlives the call.
+        let number = |f: &Functions, e| unsafe { (f.get_frame_number)(depth.get(), e) };
+        let number = self.library.call("a frame has no number", number)?;
+        if self.recording.is_some() && self.aligner.is_some() {
+            // Depth comes again with the colour image after it, which is closer in time; a number lower than the last is a new start.
+            return Ok(match self.held.replace((number, frames)) {
+                Some((before, frames)) if before != number => Some(frames),
+                _ => None,
+            });
+        }
+        let last = self.last_number.replace(number);
+        if last == Some(number) {
+            return Ok(None);
+        }
+        let lost = last.and_then(|last| number.checked_sub(last + 1)).filter(|&lost| lost <= MOST_LOST);
+        self.dropped += if self.recording.is_none() { lost.unwrap_or(0) } else { 0 };
+        Ok(Some(frames))
+    }
+
+    /// Returns depth and colour as one frame; `None` if depth cannot be aligned, since there is no colour yet.
+    fn frame_from(&mut self, frames: Owned) -> Result<Option<SourceFrame>, Error> {
+        let library = self.library;
+        let what = "a frame of depth cannot be read";
+        let Some(depth) = library.frame_of(&frames, STREAM_DEPTH)? else { return Ok(None) };
+        // SAFETY: the frame outlives the calls.
+        let (metres_per_unit, timestamp_s) = unsafe {
+            let units = library.call(what, |f, e| (f.depth_frame_get_units)(depth.get(), e))?;
+            (units, 1e-3 * library.call(what, |f, e| (f.get_frame_timestamp)(depth.get(), e))?)
+        };
+        let colour = library.frame_of(&frames, STREAM_COLOR)?;
+        let (depth, colour) = match (&self.aligner, colour) {
+            (Some(aligner), Some(_)) => {
+                drop(depth);
+                let frames = library.process(&aligner.block, &aligner.queue, frames)?;
+                (library.frame_of(&frames, STREAM_DEPTH)?, library.frame_of(&frames, STREAM_COLOR)?)
+            }
+            (Some(aligner), None) if aligner.to == STREAM_COLOR => return Ok(None),
+            (_, _) => (Some(depth), None),
+        };
+        let Some(depth) = depth else { return Ok(None) };
+        let camera = self.camera_of(&depth, metres_per_unit)?;
+        let (width, height, raw) = library.image_of(&depth, 2)?;
+        camera.check_shape((width, height))?;
+        let raw = raw.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
+        let mut frame = DepthFrame::new(camera, raw)?.with_timestamp_s(timestamp_s);
+        if let Some(colour) = colour {
+            let (colour_width, colour_height, rgb) = library.image_of(&colour, 3)?;
+            if (colour_width, colour_height) == (width, height) {
+                frame = frame.with_rgb(rgb);
+            }
+        }
+        Ok(Some(SourceFrame::Depth(frame)))
+    }
+
+    /// Returns the camera of a frame of depth, the caller's with the device's depth units.
+    fn camera_of(&mut self, depth: &Owned, metres_per_unit: f32) -> Result<Camera, DeviceError> {
+        let intrinsics = self.library.intrinsics_of(depth)?;
+        if let Some((of, units, camera)) = &self.last_camera
+            && (of, *units) == (&intrinsics, metres_per_unit)
+        {
+            return Ok(*camera);
+        }
+        let of_device = camera_of(&intrinsics, metres_per_unit)?;
+        let given = self.camera.map(|camera| with_shape(camera, (of_device.width, of_device.height)));
+        let units = of_device.depth_units_per_metre;
+        let camera = given.map_or(of_device, |camera| camera.with_depth_units_per_metre(units));
+        self.last_camera = Some((intrinsics, metres_per_unit, camera));
+        Ok(camera)
+    }
+}
+
+impl RealSenseSource {
+    /// The error of a source from which nothing came for long.
+    fn silent(&self) -> Error {
+        let what = format!("{} gave no depth for {} s", self.description, SILENCE.as_secs());
+        match &self.recording {
+            Some(file) => malformed(file, format!("{what}: is it cut off?")).into(),
+            None => DeviceError::Gone { what }.into(),
+        }
+    }
+}
+
+impl Source for RealSenseSource {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let deadline = Instant::now() + SILENCE;
+        while !self.ended.load(Ordering::Relaxed) {
+            // Asked before the wait: what comes after the end of the recording is its last.
+            let is_over = self.recording.is_some() && self.library.has_stopped(&self.device);
+            let frames = match self
+                .library
+                .try_wait(&self.pipeline, PATIENCE_MS)
+                .map_err(|e| named(self.recording.as_deref(), e.into()))?
+            {
+                Some(frames) => self.take(frames).map_err(|e| named(self.recording.as_deref(), e.into()))?,
+                None if is_over => match self.held.take() {
+                    Some((_, frames)) => Some(frames),
+                    None => return Ok(None),
+                },
+                None if Instant::now() >= deadline => {
+                    return Err(self.silent());
+                }
+                None => None,
+            };
+            let Some(frames) = frames else { continue };
+            if let Some(frame) = self.frame_from(frames).map_err(|e| named(self.recording.as_deref(), e))? {
+                return Ok(Some(frame));
+            }
+        }
+        Ok(None)
+    }
+
+    fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    fn is_live(&self) -> bool {
+        self.recording.is_none()
+    }
+
+    fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        self.ended = ended;
+    }
+
+    fn description(&self) -> Option<String> {
+        Some(self.description.clone())
+    }
+}
+
+impl Drop for RealSenseSource {
+    fn drop(&mut self) {
+        // Frames go before the pipeline that they came from. One that was unplugged cannot be stopped, and need not be.
+        self.held = None;
+        // SAFETY: the pipeline is deleted after this.
+        let _ = self.library.call("", |f, e| unsafe { (f.pipeline_stop)(self.pipeline.get(), e) });
+    }
+}
+
+impl Aligner {
+    fn new(library: &Functions, to: c_int) -> Result<Self, DeviceError> {
+        let what = "depth and colour cannot be aligned";
+        // SAFETY: the queue outlives the block's use of it, since both go together.
+        unsafe {
+            let block = library.create(what, library.delete_processing_block, |f, e| (f.create_align)(to, e))?;
+            let queue = library.create(what, library.delete_frame_queue, |f, e| (f.create_frame_queue)(1, e))?;
+            library.call(what, |f, e| (f.start_processing_queue)(block.get(), queue.get(), e))?;
+            Ok(Self { to, block, queue })
+        }
+    }
+}
+
+/// Starts a pipeline of the caller's, which may have a device in software.
+///
+/// # Safety
+/// The context and its pipeline are objects of the library that PLANISH_LIBREALSENSE names, and are given away.
+#[cfg(feature = "internal")]
+pub unsafe fn start_realsense(
+    [context, pipeline]: [*mut std::ffi::c_void; 2],
+    alignment: Option<Alignment>,
+    mode: Option<StreamMode>,
+) -> Result<RealSenseSource, Error> {
+    let library = Functions::load()?;
+    let [context, pipeline] = library.own(context, pipeline);
+    RealSenseSource::start(library, context, pipeline, &RealSenseInput::Any, None, alignment, mode)
+}
+
+/// Names the recording that an error is about.
+fn named(recording: Option<&Path>, error: Error) -> Error {
+    match (recording, error) {
+        (Some(file), Error::Device(error)) => malformed(file, format!("cannot be played: {error}")).into(),
+        (_, error) => error,
+    }
+}
+
+/// Refuses a device that is not there, with the names of those that are.
+fn check_device(devices: &[DeviceName], serial: Option<&str>) -> Result<(), DeviceError> {
+    let help = "is it plugged in, at USB 3, and may you use it? (librealsense's udev rules); a recording is named realsense:FILE.bag";
+    let is_there = match serial {
+        None => !devices.is_empty(),
+        Some(serial) => devices.iter().any(|device| device.serial == serial),
+    };
+    if is_there {
+        return Ok(());
+    }
+    let found: Vec<String> = devices.iter().map(|device| format!("{} ({})", device.serial, device.name)).collect();
+    let what = match (serial, found.is_empty()) {
+        (None, _) => "no RealSense camera found".to_owned(),
+        (Some(serial), true) => format!("no RealSense camera with serial number {serial}: none found"),
+        (Some(serial), false) => format!("no RealSense camera with serial number {serial}: found {}", found.join(", ")),
+    };
+    Err(DeviceError::Driver { what, help })
+}
+
+fn configure(
+    library: &Functions,
+    input: &RealSenseInput,
+    mode: Option<StreamMode>,
+    wants_colour: bool,
+) -> Result<Owned, DeviceError> {
+    let what = "the camera cannot be set up";
+    let c_text = |text: &str| {
+        CString::new(text).map_err(|_| DeviceError::Failed { what: format!("{text:?}: a zero byte in a name") })
+    };
+    // 0 leaves the choice to the library.
+    let number = |value: usize| c_int::try_from(value).unwrap_or(c_int::MAX);
+    let (width, height) = mode.map_or((0, 0), |mode| (number(mode.width), number(mode.height)));
+    let fps = mode.and_then(|mode| mode.fps).map_or(0, |fps| c_int::try_from(fps).unwrap_or(c_int::MAX));
+    // SAFETY: the objects and texts outlive the calls; the library copies the texts.
+    unsafe {
+        let config = library.create(what, library.delete_config, |f, e| (f.create_config)(e))?;
+        match input {
+            RealSenseInput::Any => {}
+            RealSenseInput::Serial(serial) => {
+                let serial = c_text(serial)?;
+                library.call(what, |f, e| (f.config_enable_device)(config.get(), serial.as_ptr(), e))?;
+            }
+            RealSenseInput::Recording(file) => {
+                let file = c_text(&file.to_string_lossy())?;
+                let repeats = 0;
+                library.call(what, |f, e| {
+                    (f.config_enable_device_from_file_repeat_option)(config.get(), file.as_ptr(), repeats, e);
+                })?;
+            }
+        }
+        let enable = |stream, width, height, format, fps| {
+            library.call(what, |f, e| {
+                (f.config_enable_stream)(config.get(), stream, -1, width, height, format, fps, e);
+            })
+        };
+        enable(STREAM_DEPTH, width, height, FORMAT_Z16, fps)?;
+        if wants_colour {
+            enable(STREAM_COLOR, 0, 0, FORMAT_RGB8, fps)?;
+        }
+        Ok(config)
+    }
+}
+
+/// Says in an error what a camera was asked for.
+fn asked_for(mode: Option<StreamMode>, colour: bool) -> String {
+    let colour = if colour { " with colour" } else { "" };
+    match mode {
+        Some(mode) => {
+            format!("the camera does not start with depth of {mode}{colour}; rs-enumerate-devices lists its modes")
+        }
+        None => format!("the camera does not start with depth{colour}"),
+    }
+}
+
+fn can_resolve(library: &Functions, config: &Owned, pipeline: &Owned) -> Result<bool, DeviceError> {
+    // SAFETY: both outlive the call.
+    let call = |f: &Functions, e| unsafe { (f.config_can_resolve)(config.get(), pipeline.get(), e) };
+    Ok(library.call("the camera cannot be set up", call)? != 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_that_is_not_there_is_refused_with_those_that_are() {
+        let devices = [("Intel RealSense D435", "827112070000"), ("Intel RealSense D455", "123622270000")]
+            .map(|(name, serial)| DeviceName { name: name.into(), serial: serial.into() });
+        assert!(check_device(&devices, None).is_ok() && check_device(&devices, Some("123622270000")).is_ok());
+        let text = |result: Result<(), DeviceError>| result.unwrap_err().to_string();
+        let other = text(check_device(&devices, Some("1")));
+        assert!(other.contains("number 1: found 827112070000 (Intel RealSense D435), 123622270000"), "{other}");
+        assert!(text(check_device(&[], None)).contains("no RealSense camera found"));
+        assert!(text(check_device(&[], Some("1"))).contains("none found"));
+    }
+
+    #[test]
+    fn what_is_behind_the_colon_is_a_file_or_a_serial_number() {
+        assert_eq!(RealSenseInput::parse(""), RealSenseInput::Any);
+        assert_eq!(RealSenseInput::parse("827112070000"), RealSenseInput::Serial("827112070000".into()));
+        // Cargo runs tests in the folder of their crate.
+        for file in ["a.bag", "folder/A.BAG", "walk.db3", "Cargo.toml"] {
+            assert_eq!(RealSenseInput::parse(file), RealSenseInput::Recording(file.into()));
+        }
+    }
+}
