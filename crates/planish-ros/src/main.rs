@@ -5,6 +5,7 @@ mod diagnostics;
 mod node;
 mod settings;
 
+use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,7 +15,8 @@ use arguments::{Arguments, NODE_NAME};
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     if arguments.iter().any(|argument| argument == "--help" || argument == "-h") {
-        print_help();
+        // A reader that has seen enough may close the pipe.
+        let _ = print_help();
         return ExitCode::SUCCESS;
     }
     if arguments.iter().any(|argument| argument == "--version") {
@@ -52,8 +54,10 @@ fn return_large_buffers() {
     }
 }
 
-fn print_help() {
-    println!(
+fn print_help() -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    writeln!(
+        out,
         "A node of ROS 2 that smooths depth images and clouds.
 
 Usage: planish-ros [--ros-args [-r FROM:=TO]... [-p NAME:=VALUE]... [--params-file FILE]...]
@@ -67,11 +71,12 @@ Topics, all of which can be remapped (-r); the node is /{NODE_NAME} (-r __node:=
   /diagnostics     out: rates, drops and latencies
 
 Parameters (-p, * can be changed while the node runs):"
-    );
+    )?;
     for (name, default, changes, what) in settings::declared() {
         let mark = if changes { "*" } else { " " };
-        println!("  {mark} {name:16} {what} [{}]", shown(&default));
+        writeln!(out, "  {mark} {name:16} {what} [{}]", shown(&default))?;
     }
+    Ok(())
 }
 
 fn shown(value: &ros2_client::ParameterValue) -> String {

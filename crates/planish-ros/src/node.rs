@@ -9,11 +9,11 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::{Context as _, Result, anyhow};
 use futures::executor::block_on;
 use futures::{StreamExt, future, stream};
-use planish::FormatError;
 use planish::ros::{
     CameraInfo, CompressedImage, DepthMessage, Header, Image, MessageError, MessageSmoother, PointCloud2, Time,
     is_rectified,
 };
+use planish::{FormatError, Smoother};
 use ros2_client::{
     Context, ContextOptions, MessageTypeName, Name, Node, NodeName, NodeOptions, ParameterValue, Publisher, QosProfile,
     Subscription, WriteError, log::LogLevel, rosout,
@@ -85,6 +85,8 @@ struct Publishers {
 /// Runs the node until `stop` is set.
 pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     let settings = Settings::of(&arguments.parameters)?;
+    // An engine that is not there is reported now, not with the first frame.
+    Smoother::open_with(settings.params, &settings.options(), (640, 480)).context("the engine cannot be opened")?;
     let changed = Arc::new(Mutex::new(None));
     let options = ContextOptions::new().domain_id(domain_id()?);
     let context = Context::with_options(options).map_err(|error| anyhow!("no DDS participant: {error}"))?;
