@@ -7,9 +7,9 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use numpy::{PyArray1, PyArrayMethods};
-use planish::source::{self, Alignment, SourceFrame, SourceOptions};
+use planish::source::{self, Alignment, SourceFrame, SourceOptions, StreamMode};
 use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
-use planish::{Error, Outputs, ParamError, Xyz};
+use planish::{Error, Outputs, Xyz};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -251,7 +251,7 @@ impl PyStream {
             .with_camera(camera.map(|camera| camera.0))
             .with_tum_units_per_metre(depth_units_per_metre)
             .with_alignment(align.map(alignment_of).transpose()?)
-            .with_mode(mode.map(str::parse).transpose().map_err(|error: ParamError| to_py(error.into()))?)
+            .with_mode(mode.map(str::parse::<StreamMode>).transpose().map_err(to_py)?)
             .with_fps(fps);
         let source = py.detach(|| source::open(source, &source_options)).map_err(to_py)?;
         let is_live = source.is_live();
