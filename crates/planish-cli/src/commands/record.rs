@@ -1,6 +1,7 @@
 //! `planish record`: frames as they come, into a data set.
 
 use crate::exit::ExitCode;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -72,6 +73,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.source.limits.max_duration()?;
     let stop = stop_flag();
     let mut source = open_source(&args.source, &stop)?;
+    source.end_with(Arc::clone(&stop));
     super::checks::check_not_input(std::path::Path::new(&args.source.name), &args.folder, None)?;
     let mut recorder = Recorder::create(&args.folder)?;
     let start = Instant::now();

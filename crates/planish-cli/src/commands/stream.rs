@@ -204,6 +204,9 @@ struct Reconnecting<Open> {
 
 impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnecting<Open> {
     fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        if let Some(source) = &mut self.source {
+            source.end_with(Arc::clone(&ended));
+        }
         self.ended = ended;
     }
 
@@ -221,7 +224,10 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
                 }
             }
             match (self.open)() {
-                Ok(source) => self.source = Some(source),
+                Ok(mut source) => {
+                    source.end_with(Arc::clone(&self.ended));
+                    self.source = Some(source);
+                }
                 Err(_) => std::thread::sleep(self.retry),
             }
         }

@@ -11,7 +11,6 @@ def find_realsense(source: str) -> None:
         return
     package = importlib.util.find_spec("pyrealsense2")
     for folder in package.submodule_search_locations or [] if package else []:
-        # The whole of librealsense is in the extension module.
-        for library in sorted(Path(folder).glob("pyrealsense2.*")):
-            if library.suffix in {".so", ".pyd"}:
-                os.environ["PLANISH_LIBREALSENSE"] = str(library)
+        # The whole of librealsense is in the extension module, and on Linux its C functions can be called.
+        for library in sorted(Path(folder).glob("pyrealsense2.*.so")):
+            os.environ["PLANISH_LIBREALSENSE"] = str(library)

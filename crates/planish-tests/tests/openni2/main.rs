@@ -178,6 +178,11 @@ fn recordings_play(library: &Path, folder: &Path) {
     assert_eq!(source.dropped(), 0);
     drop(source);
     assert!(refused(open(uri, None, mode(320, 240, None))).contains("recording"));
+    // It does not say that depth was mapped to colour, but its user may.
+    let mut source = open(uri, Some(Alignment::Color), None).unwrap();
+    let frame = std::iter::from_fn(|| next(&mut source).unwrap()).find(|frame| frame.rgb.is_some()).unwrap();
+    assert_eq!(frame.camera.fx, focal_length(320, 1.1));
+    drop(source);
 
     assert!(refused(open(folder.join("missing.oni").to_str().unwrap(), None, None)).contains("missing.oni"));
     for (name, contents) in [("empty.oni", &b""[..]), ("text.oni", b"no recording at all")] {
@@ -207,7 +212,11 @@ fn played(file: &Path) -> (String, usize) {
         match source.next_frame() {
             Ok(Some(_)) => frames += 1,
             Ok(None) => return (String::new(), frames),
-            Err(error) => return (error.to_string(), frames),
+            Err(error) => {
+                // Told once: a stream ends.
+                assert!(source.next_frame().unwrap().is_none());
+                return (error.to_string(), frames);
+            }
         }
     }
 }

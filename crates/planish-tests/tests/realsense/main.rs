@@ -149,6 +149,82 @@ fn colour_and_depth_are_mapped_to_one_image() {
 }
 
 #[test]
+fn depth_that_is_mapped_to_a_distorted_colour_image_stays_on_its_surface() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(library) = library() else { return };
+    // z = 1 + 0.3 x, in millimetres.
+    let plane = |i: usize| (1000.0 / (1.0 - 0.3 * (((i % 848) as f64) - 427.5) / 425.0)).round() as u16;
+    let plane: Vec<u16> = (0..848 * 480).map(plane).collect();
+    // The distortion of a D455's colour camera, by the name that its library gives it.
+    let coefficients = [-0.0559, 0.0668, -0.000_77, 0.000_44, -0.0213];
+    let color = Intrinsics { model: 2, coefficients, ..intrinsics((640, 480), 320.0) };
+    let camera = SoftwareCamera::new(library, "455", depth_intrinsics(), Some(color), 0.001);
+    let file = folder.path().join("plane.db3");
+    camera.record(&file, || {
+        for number in 1..=3 {
+            camera.deliver(number, timestamp_ms(number), &plane, Some(&color_image(number)));
+            thread::sleep(Duration::from_millis(30));
+        }
+        thread::sleep(Duration::from_millis(200));
+    });
+    let found = next(&mut open(&file, Some(Alignment::Color)).unwrap()).unwrap().unwrap();
+    let cloud = found.deproject().unwrap();
+    let (mut seen, mut worst) = (0, 0.0f32);
+    for [x, _, z] in cloud.points.positions.iter().filter(|point| point[2].is_finite()) {
+        // The colour camera is 15 mm to the left of the depth camera.
+        worst = worst.max((z - (1.0 + 0.3 * (x - 0.015))).abs());
+        seen += 1;
+    }
+    assert!(seen > 100_000, "{seen}");
+    // A pixel there is 3 mm wide, of which the slope makes 1.
+    assert!(worst < 0.002, "{worst}");
+}
+
+#[test]
+fn a_recording_that_begins_and_ends_without_colour_plays_whole_without_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(camera) = software_camera(true) else { return };
+    let (recorded, file) = (frames(20), folder.path().join("late.db3"));
+    camera.record(&file, || {
+        for (i, frame) in recorded.iter().enumerate() {
+            let rgb = (5..15).contains(&i).then(|| color_image(i + 1));
+            camera.deliver(i + 1, timestamp_ms(i), &frame.raw, rgb.as_deref());
+            thread::sleep(Duration::from_millis(10));
+        }
+        thread::sleep(Duration::from_millis(200));
+    });
+    let numbers = |alignment| {
+        let mut source = open(&file, alignment).unwrap();
+        let found = std::iter::from_fn(|| next(&mut source).unwrap()).map(|frame| frame.raw);
+        found.map(|raw| recorded.iter().position(|frame| frame.raw == raw).unwrap()).collect::<Vec<_>>()
+    };
+    assert_eq!(numbers(Some(Alignment::None)), (0..20).collect::<Vec<_>>());
+    // With colour, those from the first to the last image are there, each once.
+    let with_color = numbers(None);
+    assert!(with_color.windows(2).all(|pair| pair[1] == pair[0] + 1), "{with_color:?}");
+    assert!(with_color[0] <= 5 && with_color.last() >= Some(&13), "{with_color:?}");
+}
+
+#[test]
+fn a_live_camera_gives_each_frame_once_with_its_colour() {
+    let Some(camera) = software_camera(true) else { return };
+    let mut source = live(&camera, None, None).unwrap();
+    let delivers = Deliver::start(camera, vec![wall()], |number| number + 1);
+    let mut last = None;
+    for _ in 0..20 {
+        let frame = next(&mut source).unwrap().unwrap();
+        assert!(frame.timestamp_s > last, "{:?} {last:?}", frame.timestamp_s);
+        last = frame.timestamp_s;
+        assert!(frame.raw.iter().all(|&depth| depth == 1000));
+        let rgb = frame.rgb.unwrap();
+        let number = rgb.chunks_exact(3).map(|pixel| pixel[2]).max().unwrap();
+        let expected = 1 + ((1e3 * last.unwrap() - timestamp_ms(0)) * 30.0 / 1000.0).round() as u8;
+        assert!(number.abs_diff(expected) <= 1, "{number} {expected}");
+    }
+    drop(delivers);
+}
+
+#[test]
 fn units_of_depth_are_the_devices() {
     let Some(library) = library() else { return };
     let camera = SoftwareCamera::new(library, "7", depth_intrinsics(), None, 0.000_25);
@@ -184,7 +260,8 @@ impl Deliver {
             let mut delivered = 0;
             while !ended.load(Ordering::Relaxed) {
                 let frame = &frames[delivered % frames.len()];
-                camera.deliver(number, timestamp_ms(delivered), &frame.raw, None);
+                let rgb = camera.has_color().then(|| color_image(number));
+                camera.deliver(number, timestamp_ms(delivered), &frame.raw, rgb.as_deref());
                 number = after(number);
                 delivered += 1;
                 let due = start + Duration::from_secs(delivered as u64) / 30;
@@ -220,9 +297,7 @@ fn a_live_camera_gives_the_newest_frame_and_counts_those_that_are_missing() {
     assert!(source.dropped() >= before + 10, "15 frames came meanwhile, numbered by threes");
     drop(delivers);
     // Nothing comes any more: the stream that ends does not wait for it, and a camera that is silent counts as gone.
-    while source.dropped() == before {}
-    let ended = Arc::new(AtomicBool::new(true));
-    source.end_with(ended);
+    source.end_with(Arc::new(AtomicBool::new(true)));
     assert!(next(&mut source).unwrap().is_none());
     source.end_with(Arc::default());
     let gone = (0..100).find_map(|_| next(&mut source).err()).unwrap();
@@ -253,7 +328,10 @@ fn files_that_are_no_recordings_are_named() {
             Ok(source) => source,
             Err(error) => return error.to_string(),
         };
-        (0..100).find_map(|_| source.next_frame().err()).map(|error| error.to_string()).unwrap_or_default()
+        let said = (0..100).find_map(|_| source.next_frame().err()).map(|error| error.to_string());
+        // Told once: a stream ends.
+        assert!(source.next_frame().unwrap().is_none());
+        said.unwrap_or_default()
     };
     let missing = folder.path().join("missing.bag");
     assert!(refused(&missing).contains("missing.bag"));
@@ -263,7 +341,7 @@ fn files_that_are_no_recordings_are_named() {
         fs::write(&file, contents).unwrap();
         assert!(refused(&file).contains(name), "{name}: {}", refused(&file));
     }
-    // Cut off: the frames that are whole, or an error, but an end.
+    // Cut off: the frames that are whole, or an error; in any case it ends.
     let cut = folder.path().join("cut.db3");
     for share in [9, 5, 1] {
         fs::write(&cut, &bytes[..bytes.len() * share / 10]).unwrap();

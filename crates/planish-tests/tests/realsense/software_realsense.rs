@@ -177,6 +177,10 @@ impl SoftwareCamera {
         [context, pipeline]
     }
 
+    pub fn has_color(&self) -> bool {
+        self.color.is_some()
+    }
+
     /// Delivers an image of depth, and one of colour of the same time.
     pub fn deliver(&self, number: usize, timestamp_ms: f64, depth: &[u16], rgb: Option<&[u8]>) {
         let bytes: Vec<u8> = depth.iter().flat_map(|depth| depth.to_le_bytes()).collect();

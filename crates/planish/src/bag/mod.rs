@@ -71,7 +71,8 @@ pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
     Err(IoError {
         path: path.to_path_buf(),
         problem: FormatError::Unsupported(format!(
-            "{kind}: convert it to MCAP with `pip install rosbags`, then `rosbags-convert --src {name} --dst converted --dst-storage mcap`"
+            "{kind}: convert it to MCAP with `pip install rosbags`, then `rosbags-convert --src {name} --dst converted --dst-storage mcap`; one \
+             of a RealSense is the source realsense:{name}"
         )),
     })
 }

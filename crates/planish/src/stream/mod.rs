@@ -182,17 +182,21 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
     let _end = EndOf(mailbox);
     // A live source that fails repeatedly counts as gone; any other ends by itself.
     let mut failures = 0;
-    let (mut is_ready, mut missed_before) = (false, 0);
+    // Frames that came while an engine was opened, which takes longer than many frames, do not count as dropped. A source may
+    // know of them only with the frame after them.
+    let (mut is_ready, mut missed_before) = (false, Some(0));
     while !mailbox.is_closed() {
-        mailbox.set_dropped_by_source(source.dropped().saturating_sub(missed_before));
+        if let Some(missed) = missed_before {
+            mailbox.set_dropped_by_source(source.dropped().saturating_sub(missed));
+        }
         match mailbox.capture_time.on(|| source.next_frame()) {
             Ok(Some(frame)) => {
                 failures = 0;
+                missed_before = missed_before.or_else(|| Some(source.dropped()));
                 mailbox.put(Ok(Arrived { frame, name: source.frame_name(), since: Instant::now() }));
                 if source.is_live() && !is_ready {
-                    // Opening an engine takes longer than many frames, which must not count as dropped.
                     mailbox.wait_ready();
-                    missed_before = source.dropped();
+                    missed_before = None;
                     is_ready = true;
                 }
             }

@@ -164,8 +164,8 @@ impl Functions {
         Err(if status == STATUS_NO_DEVICE { DeviceError::Gone { what } } else { DeviceError::Failed { what } })
     }
 
-    /// Returns the URIs of the devices that are there, with their names.
-    pub(super) fn devices(&self) -> Vec<String> {
+    /// Returns the URIs and names of the devices that are there.
+    pub(super) fn devices(&self) -> Vec<(String, String)> {
         let (mut list, mut count) = (std::ptr::null_mut(), 0);
         // SAFETY: the list is the library's until it is released, and is read before.
         unsafe {
@@ -173,8 +173,7 @@ impl Functions {
                 return Vec::new();
             }
             let devices = std::slice::from_raw_parts(list, usize::try_from(count).unwrap_or(0));
-            let names =
-                devices.iter().map(|device| format!("{} ({})", text(&device.uri), device.description())).collect();
+            let names = devices.iter().map(|device| (device.uri(), device.description())).collect();
             (self.ReleaseDeviceList)(list);
             names
         }
@@ -188,7 +187,7 @@ impl Functions {
         (status == STATUS_OK).then(|| (info.description(), text(&info.uri)))
     }
 
-    /// Returns the modes of a device's sensor; none if it has not that sensor.
+    /// Returns the modes of a device's sensor; none if it lacks that sensor.
     pub(super) fn modes_of(&self, device: Handle, sensor: c_int) -> Vec<VideoMode> {
         // SAFETY: the device is open; what it says of a sensor lives as long.
         unsafe {

@@ -39,8 +39,13 @@ impl Device {
         if OpenNi2Source::is_recording(uri) {
             return Err(error);
         }
-        let help = "is it plugged in, and may you use it? (the udev rules of OpenNI2's package); Orbbec's cameras need the drivers of Orbbec's OpenNI2";
         let there = library.devices();
+        if there.iter().any(|(known, _)| uri.is_empty() || known == uri) {
+            let help = "may you use it (the udev rules of OpenNI2's package), and does another program?";
+            return Err(DeviceError::Driver { what: error.to_string(), help });
+        }
+        let help = "is it plugged in? Orbbec cameras need Orbbec's build of OpenNI2";
+        let there: Vec<String> = there.iter().map(|(uri, name)| format!("{uri} ({name})")).collect();
         let found = if there.is_empty() { "none found".to_owned() } else { format!("found {}", there.join(", ")) };
         let which = if uri.is_empty() { String::new() } else { format!(" {uri}") };
         Err(DeviceError::Driver { what: format!("no OpenNI2 camera{which}: {found}"), help })
@@ -142,8 +147,8 @@ impl Drop for OwnedFrame {
 pub(super) struct Watch {
     library: &'static Functions,
     registration: Handle,
-    /// What the library's callbacks see: its address stays the same.
-    watched: Box<Watched>,
+    /// What the library's callbacks see: a box's, owned here.
+    watched: *mut Watched,
 }
 
 struct Watched {
@@ -153,26 +158,35 @@ struct Watched {
 
 impl Watch {
     pub(super) fn start(library: &'static Functions, uri: String) -> Result<Self, DeviceError> {
-        let watched = Box::new(Watched { uri, is_over: AtomicBool::new(false) });
+        let watched = Box::into_raw(Box::new(Watched { uri, is_over: AtomicBool::new(false) }));
         let mut callbacks =
             DeviceCallbacks { connected: None, disconnected: Some(on_disconnected), state_changed: Some(on_state) };
         let mut registration = std::ptr::null_mut();
-        let cookie = (&raw const *watched).cast_mut().cast();
+        // Takes the box back if the registration fails, and with it at its end.
+        let mut watch = Self { library, registration: std::ptr::null_mut(), watched };
         // SAFETY: what is watched lives until the registration is taken back.
-        let status = unsafe { (library.RegisterDeviceCallbacks)(&raw mut callbacks, cookie, &raw mut registration) };
+        let status =
+            unsafe { (library.RegisterDeviceCallbacks)(&raw mut callbacks, watched.cast(), &raw mut registration) };
         library.check("the device cannot be watched", status)?;
-        Ok(Self { library, registration, watched })
+        watch.registration = registration;
+        Ok(watch)
     }
 
     pub(super) fn is_over(&self) -> bool {
-        self.watched.is_over.load(Ordering::Relaxed)
+        // SAFETY: it lives as long as this.
+        unsafe { &*self.watched }.is_over.load(Ordering::Relaxed)
     }
 }
 
 impl Drop for Watch {
     fn drop(&mut self) {
-        // SAFETY: registered at the start.
-        unsafe { (self.library.UnregisterDeviceCallbacks)(self.registration) }
+        // SAFETY: registered at the start; no callback runs once that is taken back, and this is the box's only owner.
+        unsafe {
+            if !self.registration.is_null() {
+                (self.library.UnregisterDeviceCallbacks)(self.registration);
+            }
+            drop(Box::from_raw(self.watched));
+        }
     }
 }
 

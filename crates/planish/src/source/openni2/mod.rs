@@ -2,9 +2,10 @@
 //! linked.
 //!
 //! The library is `libOpenNI2.so.0`, or the path in the environment variable PLANISH_LIBOPENNI2. Depth is mapped to the colour camera
-//! where the device can. The library states fields of view and no intrinsics: the focal length follows from them, and the principal
+//! where the device can and has colour images of the same size. The library states fields of view and no intrinsics: the focal length follows from them, and the principal
 //! point is taken to be the centre. Images are turned back if the device mirrors them. Of a live camera the newest frame wins, and frames that
-//! are missing by their numbers are counted; of a recording (.oni) every frame of depth comes once, in order.
+//! are missing by their numbers are counted; of a recording (.oni) every frame of depth
+//! comes, in order; should the library lose one, it is counted too.
 
 mod api;
 mod device;
@@ -25,7 +26,7 @@ use device::{Device, Stream, Watch};
 /// A device that delivers nothing for this long counts as gone.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// Between two looks at whether a frame is still wanted.
+/// How often a wait looks at whether a frame is still wanted.
 const PATIENCE_MS: c_int = 100;
 
 /// Numbers of frames that jump further than this are not of frames that were lost.
@@ -41,13 +42,13 @@ pub struct OpenNi2Source {
     camera: Option<Camera>,
     description: String,
     recording: Option<PathBuf>,
-    /// Whether depth is mapped to the colour camera, so that the colour of its pixels is known.
-    is_registered: bool,
     rgb: Option<Image>,
     last_index: Option<u64>,
+    /// Whether a recording is over: by its end, or by an error, which is told once.
+    has_ended: bool,
     dropped: u64,
     ended: Arc<AtomicBool>,
-    /// Closed before the device, in this order.
+    /// Colour images, if depth is mapped to them. Closed before the device, in this order.
     color: Option<Stream>,
     depth: Stream,
     watch: Watch,
@@ -122,17 +123,20 @@ impl OpenNi2Source {
                 depth.set_mode(mode)?;
             }
         }
-        let is_registered =
-            recording.is_none() && alignment != Some(Alignment::None) && register(library, device.handle);
-        let is_registered = is_registered
-            || (recording.is_some() && library.get(of_device, api::IMAGE_REGISTRATION) == Some(api::DEPTH_TO_COLOR));
+        // Depth is mapped to colour only where colour comes with it: what else would say what it is seen by? A recording does not
+        // say whether it was, but its user may.
+        let wants_color = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Color);
+        let color = if wants_color { color_stream(library, device.handle, &depth, recording.is_some()) } else { None };
+        let is_registered = color.is_some() && (recording.is_some() || register(library, device.handle));
+        let color = color.filter(|_| is_registered);
+        if !is_registered && recording.is_none() {
+            // The device may still be as another program left it.
+            let _ = library.set(of_device, api::IMAGE_REGISTRATION, 0);
+        }
         if alignment == Some(Alignment::Color) && !is_registered {
-            let what = format!("{description} does not map depth to colour: align none");
+            let what = format!("{description} does not map depth to colour images of its size: align none");
             return Err(DeviceError::Failed { what }.into());
         }
-        // Colour of another size than depth is of no use.
-        let wants_color = is_registered && alignment != Some(Alignment::None);
-        let color = if wants_color { color_stream(library, device.handle, &depth, recording.is_some()) } else { None };
         for stream in std::iter::once(&depth).chain(&color) {
             // Not every device mirrors; what one still does is turned back.
             let _ = library.set(Holder::Stream(stream.handle), api::MIRRORING, 0);
@@ -143,9 +147,9 @@ impl OpenNi2Source {
             camera,
             description,
             recording,
-            is_registered,
             rgb: None,
             last_index: None,
+            has_ended: false,
             dropped: 0,
             ended: Arc::default(),
             color,
@@ -199,9 +203,7 @@ impl OpenNi2Source {
         let depth = DepthFrame::new(camera.with_depth_units_per_metre(units_per_metre), raw)?;
         let index = u64::try_from(frame.index).unwrap_or(0);
         let lost = self.last_index.replace(index).and_then(|last| index.checked_sub(last + 1));
-        if self.recording.is_none() {
-            self.dropped += lost.filter(|&lost| lost <= MOST_LOST).unwrap_or(0);
-        }
+        self.dropped += lost.filter(|&lost| lost <= MOST_LOST).unwrap_or(0);
         let rgb = self.rgb.as_ref().filter(|image| (image.width, image.height) == (width, height));
         let depth = DepthFrame { rgb: rgb.map(|image| image.bytes.clone()), ..depth };
         Ok(depth.with_timestamp_s(1e-6 * frame.timestamp_us as f64))
@@ -209,7 +211,7 @@ impl OpenNi2Source {
 
     /// Returns the camera with the field of view that the library states, of the colour camera if depth is mapped to it.
     fn camera_of(&self, frame: &Frame) -> Result<Camera, DeviceError> {
-        let stream = self.color.as_ref().filter(|_| self.is_registered).unwrap_or(&self.depth);
+        let stream = self.color.as_ref().unwrap_or(&self.depth);
         let angle = |property| {
             let angle = self.library.get::<f32>(Holder::Stream(stream.handle), property).map(f64::from);
             angle.filter(|angle| (0.01..3.0).contains(angle))
@@ -231,7 +233,26 @@ impl OpenNi2Source {
 }
 
 impl OpenNi2Source {
-    /// The error of a source from which nothing came for long.
+    fn wait_for_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let deadline = Instant::now() + SILENCE;
+        while !self.ended.load(Ordering::Relaxed) {
+            // Asked before the wait: what comes after the end of the recording is its last.
+            let is_over = self.watch.is_over();
+            match self.poll()? {
+                Polled::Depth(frame) => return Ok(Some(SourceFrame::Depth(frame))),
+                Polled::Nothing if is_over && self.recording.is_some() => return Ok(None),
+                Polled::Nothing if is_over => {
+                    return Err(DeviceError::Gone { what: format!("{} is gone", self.description) }.into());
+                }
+                // Colour may go on without depth.
+                Polled::Color | Polled::Nothing if Instant::now() >= deadline => return Err(self.silent()),
+                Polled::Color | Polled::Nothing => {}
+            }
+        }
+        Ok(None)
+    }
+
+    /// The error of a source that has been silent for long.
     fn silent(&self) -> Error {
         let what = format!("{} gave no depth for {} s", self.description, SILENCE.as_secs());
         match &self.recording {
@@ -243,20 +264,13 @@ impl OpenNi2Source {
 
 impl Source for OpenNi2Source {
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        let deadline = Instant::now() + SILENCE;
-        while !self.ended.load(Ordering::Relaxed) {
-            // Asked before the wait: what comes after the end of the recording is its last.
-            let is_over = self.watch.is_over();
-            match self.poll().map_err(|error| named(self.recording.as_deref(), error))? {
-                Polled::Depth(frame) => return Ok(Some(SourceFrame::Depth(frame))),
-                Polled::Nothing if is_over && self.recording.is_some() => return Ok(None),
-                Polled::Nothing if is_over || Instant::now() >= deadline => {
-                    return Err(self.silent());
-                }
-                Polled::Color | Polled::Nothing => {}
-            }
+        if self.has_ended {
+            return Ok(None);
         }
-        Ok(None)
+        let result = self.wait_for_frame();
+        // What is wrong with a recording stays wrong.
+        self.has_ended = self.recording.is_some() && !matches!(result, Ok(Some(_)));
+        result.map_err(|error| named(self.recording.as_deref(), error))
     }
 
     fn dropped(&self) -> u64 {

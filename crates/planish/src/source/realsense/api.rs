@@ -2,6 +2,8 @@
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use crate::error::DeviceError;
 use crate::source::driver::{self, c_functions};
@@ -17,7 +19,6 @@ pub(super) const FORMAT_Z16: c_int = 1;
 pub(super) const FORMAT_RGB8: c_int = 5;
 // rs2_extension
 const EXTENSION_COMPOSITE_FRAME: c_int = 10;
-const EXTENSION_PLAYBACK: c_int = 16;
 // rs2_camera_info
 const INFO_NAME: c_int = 0;
 const INFO_SERIAL_NUMBER: c_int = 1;
@@ -25,6 +26,9 @@ const INFO_SERIAL_NUMBER: c_int = 1;
 const PLAYBACK_STOPPED: c_int = 3;
 // rs2_exception_type
 const EXCEPTION_CAMERA_DISCONNECTED: c_int = 1;
+
+/// How often frames are asked for.
+const POLL_EVERY: Duration = Duration::from_millis(1);
 
 /// `rs2_intrinsics`.
 #[repr(C)]
@@ -61,7 +65,6 @@ c_functions! {
         delete_device(Object);
         supports_device_info(Object, c_int, Error) -> c_int;
         get_device_info(Object, c_int, Error) -> *const c_char;
-        is_device_extendable_to(Object, c_int, Error) -> c_int;
         playback_device_set_real_time(Object, c_int, Error);
         playback_device_get_current_status(Object, Error) -> c_int;
         create_config(Error) -> Object;
@@ -69,12 +72,12 @@ c_functions! {
         config_enable_device(Object, *const c_char, Error);
         config_enable_device_from_file_repeat_option(Object, *const c_char, c_int, Error);
         config_enable_stream(Object, c_int, c_int, c_int, c_int, c_int, c_int, Error);
-        config_can_resolve(Object, Object, Error) -> c_int;
+        config_resolve(Object, Object, Error) -> Object;
         create_pipeline(Object, Error) -> Object;
         delete_pipeline(Object);
         pipeline_start_with_config(Object, Object, Error) -> Object;
         pipeline_stop(Object, Error);
-        pipeline_try_wait_for_frames(Object, *mut Object, c_uint, Error) -> c_int;
+        pipeline_poll_for_frames(Object, *mut Object, Error) -> c_int;
         delete_pipeline_profile(Object);
         pipeline_profile_get_device(Object, Error) -> Object;
         create_align(c_int, Error) -> Object;
@@ -236,27 +239,29 @@ impl Functions {
         DeviceName { name: info(INFO_NAME), serial: info(INFO_SERIAL_NUMBER) }
     }
 
-    pub(super) fn is_playback(&self, device: &Owned) -> bool {
-        // SAFETY: the device outlives the call.
-        let call = |f: &Self, e| unsafe { (f.is_device_extendable_to)(device.get(), EXTENSION_PLAYBACK, e) };
-        self.call("", call).is_ok_and(|is| is != 0)
-    }
-
-    /// Whether a recording is over.
-    pub(super) fn has_stopped(&self, device: &Owned) -> bool {
+    /// Whether a recording is being played: not before it starts, and not after its end.
+    pub(super) fn is_playing(&self, device: &Owned) -> bool {
         // SAFETY: the device outlives the call.
         let call = |f: &Self, e| unsafe { (f.playback_device_get_current_status)(device.get(), e) };
-        self.call("", call).is_ok_and(|status| status == PLAYBACK_STOPPED)
+        self.call("", call).is_ok_and(|status| status != PLAYBACK_STOPPED)
     }
 
-    /// Returns the next frames that belong together, if they come in time.
-    pub(super) fn try_wait(&self, pipeline: &Owned, timeout_ms: c_uint) -> Result<Option<Owned>, DeviceError> {
-        let mut frames: Object = std::ptr::null_mut();
-        // SAFETY: the pipeline outlives the call.
-        let call =
-            |f: &Self, e| unsafe { (f.pipeline_try_wait_for_frames)(pipeline.get(), &raw mut frames, timeout_ms, e) };
-        let there = self.call("the camera fails", call)? != 0 && !frames.is_null();
-        Ok(there.then_some(Owned { object: frames, delete: self.release_frame }))
+    /// Returns the next frames that belong together, if they come in time. (The library's own wait starts a pipeline anew if its device
+    /// is gone, on any other device, and takes 15 s to find none.)
+    pub(super) fn wait(&self, pipeline: &Owned, timeout: Duration) -> Result<Option<Owned>, DeviceError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            let mut frames: Object = std::ptr::null_mut();
+            // SAFETY: the pipeline outlives the call.
+            let call = |f: &Self, e| unsafe { (f.pipeline_poll_for_frames)(pipeline.get(), &raw mut frames, e) };
+            if self.call("the camera fails", call)? != 0 && !frames.is_null() {
+                return Ok(Some(Owned { object: frames, delete: self.release_frame }));
+            }
+            if Instant::now() >= deadline {
+                return Ok(None);
+            }
+            thread::sleep(POLL_EVERY);
+        }
     }
 
     /// Has a processing block work on frames, and returns what it puts into its queue.
@@ -316,7 +321,12 @@ impl Functions {
     }
 
     /// Returns width, height and the rows of a frame's image without what is behind their ends.
-    pub(super) fn image_of(&self, frame: &Owned, bytes_a_pixel: usize) -> Result<(usize, usize, Vec<u8>), DeviceError> {
+    pub(super) fn image_of(
+        &self,
+        frame: &Owned,
+        bytes_a_pixel: usize,
+        is_recorded: bool,
+    ) -> Result<(usize, usize, Vec<u8>), DeviceError> {
         let what = "a frame has no image";
         let size = |value: c_int| usize::try_from(value).unwrap_or(0);
         // SAFETY: the frame outlives the calls and the copy of its data, whose size it states.
@@ -326,7 +336,7 @@ impl Functions {
             let stride = size(self.call(what, |f, e| (f.get_frame_stride_in_bytes)(frame.get(), e))?);
             // 0 for a frame of a device in software, whose data is its maker's.
             let bytes = match size(self.call(what, |f, e| (f.get_frame_data_size)(frame.get(), e))?) {
-                0 => stride * height,
+                0 if !is_recorded => stride * height,
                 bytes => bytes,
             };
             let data = self.call(what, |f, e| (f.get_frame_data)(frame.get(), e))?.cast::<u8>();

@@ -2,8 +2,9 @@
 //!
 //! The library is `librealsense2.so`, or the path in the environment variable PLANISH_LIBREALSENSE. Its pipeline chooses the
 //! device's default modes, or one that was asked for, and puts depth and colour of one time together; its `align` maps one onto the
-//! other. Of a live camera the newest frames win and frames that are missing by their numbers are counted; of a recording every
-//! frame of depth comes once, with the colour that was recorded closest to it.
+//! other. Of a live camera the newest frames win and frames that are missing by their numbers are counted. Of a recording every
+//! frame of depth comes once; with colour, every one from the first to the last that the library finds colour for, with the image
+//! closest in time.
 
 mod api;
 mod camera;
@@ -24,8 +25,8 @@ use camera::camera_of;
 /// A device that delivers nothing for this long counts as gone.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// Between two looks at whether a frame is still wanted.
-const PATIENCE_MS: u32 = 100;
+/// How often a wait looks at whether a frame is still wanted.
+const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Numbers of frames that jump further than this are not of frames that were lost.
 const MOST_LOST: u64 = 10_000;
@@ -64,8 +65,10 @@ pub struct RealSenseSource {
     description: String,
     recording: Option<PathBuf>,
     aligner: Option<Aligner>,
-    /// Frames of a recording that wait for a better colour image, and the number of their depth.
-    held: Option<(u64, Owned)>,
+    held: Option<Held>,
+    /// Whether a recording has begun, and whether it is over: by its end, or by an error, which is told once.
+    has_begun: bool,
+    is_over: bool,
     last_number: Option<u64>,
     last_camera: Option<(Intrinsics, f32, Camera)>,
     dropped: u64,
@@ -74,6 +77,15 @@ pub struct RealSenseSource {
     _profile: Owned,
     pipeline: Owned,
     _context: Owned,
+}
+
+/// Frames of a recording that wait for a colour image that is closer in time.
+struct Held {
+    /// The number of their depth.
+    number: u64,
+    /// Between depth and colour.
+    apart_ms: f64,
+    frames: Owned,
 }
 
 /// Maps colour onto depth, or depth onto colour.
@@ -126,35 +138,51 @@ impl RealSenseSource {
         }
         let named = |error: DeviceError| named(recording.as_deref(), error.into());
         let wants_colour = alignment != Some(Alignment::None);
-        let config = configure(library, input, mode, wants_colour).map_err(named)?;
-        let (config, has_colour) = match can_resolve(library, &config, &pipeline).map_err(named)? {
-            true => (config, wants_colour),
-            // Without colour unless it was asked for.
-            false if alignment.is_none() => (configure(library, input, mode, false).map_err(named)?, false),
-            false => (config, wants_colour),
+        // Colour at the rate of depth, else at any; and without colour unless it was asked for.
+        let attempts: &[Colour] = match (wants_colour, alignment) {
+            (false, _) => &[Colour::None],
+            (true, None) => &[Colour::AtRateOfDepth, Colour::AtAnyRate, Colour::None],
+            (true, Some(_)) => &[Colour::AtRateOfDepth, Colour::AtAnyRate],
         };
+        let resolve = |colour: Colour| -> Result<(Owned, Owned, Colour), DeviceError> {
+            let config = configure(library, input, mode, colour)?;
+            let what = &asked_for(mode, colour != Colour::None);
+            // SAFETY: the objects outlive the call.
+            let call = |f: &Functions, e| unsafe { (f.config_resolve)(config.get(), pipeline.get(), e) };
+            let profile = library.create(what, library.delete_pipeline_profile, call)?;
+            Ok((config, profile, colour))
+        };
+        let mut resolved = resolve(attempts[0]);
+        for &colour in &attempts[1..] {
+            if resolved.is_err() {
+                // The first reason is that of what was asked for.
+                resolved = resolve(colour).or(resolved);
+            }
+        }
+        let (config, profile, colour) = resolved.map_err(named)?;
         // SAFETY: the objects outlive the calls.
-        let (profile, device) = unsafe {
-            let what = &asked_for(mode, has_colour);
-            let delete = library.delete_pipeline_profile;
-            let start = |f: &Functions, e| (f.pipeline_start_with_config)(pipeline.get(), config.get(), e);
-            let profile = library.create(what, delete, start).map_err(named)?;
+        let (device, profile) = unsafe {
+            let what = &asked_for(mode, colour != Colour::None);
             let device = |f: &Functions, e| (f.pipeline_profile_get_device)(profile.get(), e);
             let device = library.create(what, library.delete_device, device).map_err(named)?;
-            if recording.is_some() && library.is_playback(&device) {
+            if recording.is_some() {
                 // As fast as frames are taken, without loss.
                 let call = |f: &Functions, e| (f.playback_device_set_real_time)(device.get(), 0, e);
                 library.call(what, call).map_err(named)?;
             }
-            (profile, device)
+            let start = |f: &Functions, e| (f.pipeline_start_with_config)(pipeline.get(), config.get(), e);
+            (device, library.create(what, library.delete_pipeline_profile, start).map_err(named)?)
         };
         let to = if alignment == Some(Alignment::Color) { STREAM_COLOR } else { STREAM_DEPTH };
-        let aligner = has_colour.then(|| Aligner::new(library, to)).transpose()?;
+        let aligner = (colour != Colour::None).then(|| Aligner::new(library, to)).transpose()?;
         let name = library.name_of(&device);
-        let description = match name.serial.as_str() {
+        let mut description = match name.serial.as_str() {
             "" => name.name,
             serial => format!("{}, serial number {serial}", name.name),
         };
+        if wants_colour && colour == Colour::None {
+            description += ", without colour";
+        }
         Ok(Self {
             library,
             camera,
@@ -162,6 +190,8 @@ impl RealSenseSource {
             recording,
             aligner,
             held: None,
+            has_begun: false,
+            is_over: false,
             last_number: None,
             last_camera: None,
             dropped: 0,
@@ -180,10 +210,20 @@ impl RealSenseSource {
         let number = |f: &Functions, e| unsafe { (f.get_frame_number)(depth.get(), e) };
         let number = self.library.call("a frame has no number", number)?;
         if self.recording.is_some() && self.aligner.is_some() {
-            // Depth comes again with the colour image after it, which is closer in time; a number lower than the last is a new start.
-            return Ok(match self.held.replace((number, frames)) {
-                Some((before, frames)) if before != number => Some(frames),
-                _ => None,
+            // Depth may come again with the colour image after it.
+            let apart_ms = match self.library.frame_of(&frames, STREAM_COLOR)? {
+                Some(colour) => (self.timestamp_ms(&depth)? - self.timestamp_ms(&colour)?).abs(),
+                None => f64::INFINITY,
+            };
+            return Ok(match self.held.take() {
+                Some(held) if held.number == number && held.apart_ms <= apart_ms => {
+                    self.held = Some(held);
+                    None
+                }
+                held => {
+                    self.held = Some(Held { number, apart_ms, frames });
+                    held.filter(|held| held.number != number).map(|held| held.frames)
+                }
             });
         }
         let last = self.last_number.replace(number);
@@ -195,16 +235,21 @@ impl RealSenseSource {
         Ok(Some(frames))
     }
 
+    fn timestamp_ms(&self, frame: &Owned) -> Result<f64, DeviceError> {
+        // SAFETY: the frame outlives the call.
+        let call = |f: &Functions, e| unsafe { (f.get_frame_timestamp)(frame.get(), e) };
+        self.library.call("a frame has no time stamp", call)
+    }
+
     /// Returns depth and colour as one frame; `None` if depth cannot be aligned, since there is no colour yet.
     fn frame_from(&mut self, frames: Owned) -> Result<Option<SourceFrame>, Error> {
         let library = self.library;
         let what = "a frame of depth cannot be read";
         let Some(depth) = library.frame_of(&frames, STREAM_DEPTH)? else { return Ok(None) };
-        // SAFETY: the frame outlives the calls.
-        let (metres_per_unit, timestamp_s) = unsafe {
-            let units = library.call(what, |f, e| (f.depth_frame_get_units)(depth.get(), e))?;
-            (units, 1e-3 * library.call(what, |f, e| (f.get_frame_timestamp)(depth.get(), e))?)
-        };
+        // SAFETY: the frame outlives the call.
+        let units = |f: &Functions, e| unsafe { (f.depth_frame_get_units)(depth.get(), e) };
+        let metres_per_unit = library.call(what, units)?;
+        let timestamp_s = 1e-3 * self.timestamp_ms(&depth)?;
         let colour = library.frame_of(&frames, STREAM_COLOR)?;
         let (depth, colour) = match (&self.aligner, colour) {
             (Some(aligner), Some(_)) => {
@@ -217,12 +262,12 @@ impl RealSenseSource {
         };
         let Some(depth) = depth else { return Ok(None) };
         let camera = self.camera_of(&depth, metres_per_unit)?;
-        let (width, height, raw) = library.image_of(&depth, 2)?;
+        let (width, height, raw) = library.image_of(&depth, 2, self.recording.is_some())?;
         camera.check_shape((width, height))?;
         let raw = raw.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
         let mut frame = DepthFrame::new(camera, raw)?.with_timestamp_s(timestamp_s);
         if let Some(colour) = colour {
-            let (colour_width, colour_height, rgb) = library.image_of(&colour, 3)?;
+            let (colour_width, colour_height, rgb) = library.image_of(&colour, 3, self.recording.is_some())?;
             if (colour_width, colour_height) == (width, height) {
                 frame = frame.with_rgb(rgb);
             }
@@ -238,7 +283,8 @@ impl RealSenseSource {
         {
             return Ok(*camera);
         }
-        let of_device = camera_of(&intrinsics, metres_per_unit)?;
+        let is_aligned = self.aligner.as_ref().is_some_and(|aligner| aligner.to == STREAM_COLOR);
+        let of_device = camera_of(&intrinsics, metres_per_unit, is_aligned)?;
         let given = self.camera.map(|camera| with_shape(camera, (of_device.width, of_device.height)));
         let units = of_device.depth_units_per_metre;
         let camera = given.map_or(of_device, |camera| camera.with_depth_units_per_metre(units));
@@ -248,7 +294,37 @@ impl RealSenseSource {
 }
 
 impl RealSenseSource {
-    /// The error of a source from which nothing came for long.
+    fn wait_for_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let deadline = Instant::now() + SILENCE;
+        while !self.ended.load(Ordering::Relaxed) {
+            // Asked before the wait: what comes after the end of the recording is its last.
+            let is_playing = self.recording.is_none() || self.library.is_playing(&self.device);
+            let frames = match self.library.wait(&self.pipeline, PATIENCE)? {
+                Some(frames) => {
+                    self.has_begun = true;
+                    self.take(frames)?
+                }
+                None if self.has_begun && !is_playing => match self.held.take() {
+                    Some(held) => Some(held.frames),
+                    None => return Ok(None),
+                },
+                None => None,
+            };
+            self.has_begun |= self.recording.is_some() && is_playing;
+            if let Some(frames) = frames
+                && let Some(frame) = self.frame_from(frames)?
+            {
+                return Ok(Some(frame));
+            }
+            // Other streams may go on without depth.
+            if Instant::now() >= deadline {
+                return Err(self.silent());
+            }
+        }
+        Ok(None)
+    }
+
+    /// The error of a source that has been silent for long.
     fn silent(&self) -> Error {
         let what = format!("{} gave no depth for {} s", self.description, SILENCE.as_secs());
         match &self.recording {
@@ -260,31 +336,13 @@ impl RealSenseSource {
 
 impl Source for RealSenseSource {
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        let deadline = Instant::now() + SILENCE;
-        while !self.ended.load(Ordering::Relaxed) {
-            // Asked before the wait: what comes after the end of the recording is its last.
-            let is_over = self.recording.is_some() && self.library.has_stopped(&self.device);
-            let frames = match self
-                .library
-                .try_wait(&self.pipeline, PATIENCE_MS)
-                .map_err(|e| named(self.recording.as_deref(), e.into()))?
-            {
-                Some(frames) => self.take(frames).map_err(|e| named(self.recording.as_deref(), e.into()))?,
-                None if is_over => match self.held.take() {
-                    Some((_, frames)) => Some(frames),
-                    None => return Ok(None),
-                },
-                None if Instant::now() >= deadline => {
-                    return Err(self.silent());
-                }
-                None => None,
-            };
-            let Some(frames) = frames else { continue };
-            if let Some(frame) = self.frame_from(frames).map_err(|e| named(self.recording.as_deref(), e))? {
-                return Ok(Some(frame));
-            }
+        if self.is_over {
+            return Ok(None);
         }
-        Ok(None)
+        let result = self.wait_for_frame();
+        // What is wrong with a recording stays wrong.
+        self.is_over = self.recording.is_some() && !matches!(result, Ok(Some(_)));
+        result.map_err(|error| named(self.recording.as_deref(), error))
     }
 
     fn dropped(&self) -> u64 {
@@ -368,11 +426,19 @@ fn check_device(devices: &[DeviceName], serial: Option<&str>) -> Result<(), Devi
     Err(DeviceError::Driver { what, help })
 }
 
+/// Which colour images are asked for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Colour {
+    AtRateOfDepth,
+    AtAnyRate,
+    None,
+}
+
 fn configure(
     library: &Functions,
     input: &RealSenseInput,
     mode: Option<StreamMode>,
-    wants_colour: bool,
+    colour: Colour,
 ) -> Result<Owned, DeviceError> {
     let what = "the camera cannot be set up";
     let c_text = |text: &str| {
@@ -405,14 +471,16 @@ fn configure(
             })
         };
         enable(STREAM_DEPTH, width, height, FORMAT_Z16, fps)?;
-        if wants_colour {
-            enable(STREAM_COLOR, 0, 0, FORMAT_RGB8, fps)?;
+        match colour {
+            Colour::AtRateOfDepth => enable(STREAM_COLOR, 0, 0, FORMAT_RGB8, fps)?,
+            Colour::AtAnyRate => enable(STREAM_COLOR, 0, 0, FORMAT_RGB8, 0)?,
+            Colour::None => {}
         }
         Ok(config)
     }
 }
 
-/// Says in an error what a camera was asked for.
+/// Describes what a camera was asked for, for errors.
 fn asked_for(mode: Option<StreamMode>, colour: bool) -> String {
     let colour = if colour { " with colour" } else { "" };
     match mode {
@@ -421,12 +489,6 @@ fn asked_for(mode: Option<StreamMode>, colour: bool) -> String {
         }
         None => format!("the camera does not start with depth{colour}"),
     }
-}
-
-fn can_resolve(library: &Functions, config: &Owned, pipeline: &Owned) -> Result<bool, DeviceError> {
-    // SAFETY: both outlive the call.
-    let call = |f: &Functions, e| unsafe { (f.config_can_resolve)(config.get(), pipeline.get(), e) };
-    Ok(library.call("the camera cannot be set up", call)? != 0)
 }
 
 #[cfg(test)]
