@@ -58,7 +58,7 @@ pub(super) fn camera_of(
 fn units_per_metre(metres_per_unit: f32) -> f64 {
     let units = 1.0 / f64::from(metres_per_unit);
     let whole = units.round();
-    if (units - whole).abs() <= 1e-6 * whole { whole } else { units }
+    if (units - whole).abs() <= f64::from(f32::EPSILON) * whole { whole } else { units }
 }
 
 fn fitted(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Result<Distortion, DeviceError> {
