@@ -230,7 +230,7 @@ pub struct StreamArgs {
 /// Where frames come from, and until when.
 #[derive(clap::Args)]
 pub struct SourceArgs {
-    /// kinect[:INDEX], realsense[:SERIAL|:FILE.bag], openni2[:URI|:FILE.oni], synthetic[:SEED], a data set in TUM layout, a recording of
+    /// kinect[:INDEX], realsense[:SERIAL|:FILE.bag|:FILE.db3], openni2[:URI|:FILE.oni], synthetic[:SEED], a data set in TUM layout, a recording of
     /// libfreenect or of ROS 2 (.mcap), a folder of frames, or one file, repeated
     #[arg(value_name = "SOURCE")]
     pub name: String,

@@ -32,6 +32,14 @@ pub fn is_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
+/// Refuses to write over a recording: what was measured may be in it alone.
+pub fn check_is_new(output: &Path) -> Result<()> {
+    if output.exists() {
+        bail!("{}: is there already, and is not replaced: give another name, or remove it", output.display());
+    }
+    Ok(())
+}
+
 /// Refuses to write over the input, unless that was asked for; `None` where it cannot be.
 pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> Result<()> {
     let can_overwrite = overwrite.is_some();

@@ -39,6 +39,7 @@ enum Recorder {
 impl Recorder {
     fn create(output: &std::path::Path) -> Result<Self> {
         if super::checks::is_mcap(output) {
+            super::checks::check_is_new(output)?;
             #[cfg(feature = "mcap")]
             return Ok(Self::Bag(Box::new(planish::bag::BagWriter::create(output)?)));
             #[cfg(not(feature = "mcap"))]

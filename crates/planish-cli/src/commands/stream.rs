@@ -14,7 +14,7 @@ use planish::{DeviceError, Error, Outputs, SensorModel};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::checks::{check_not_input, is_mcap};
+use super::checks::{check_is_new, check_not_input, is_mcap};
 use crate::args::{LimitArgs, SourceArgs, StreamArgs, StreamFormatArg, outputs_of};
 use crate::signals::stop_flag;
 
@@ -108,6 +108,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
 /// A sink that writes a folder, or a recording where the name ends in .mcap.
 pub fn saving_sink(output: &Path, format: SinkFormat, outputs: Outputs) -> Result<Box<dyn Sink>> {
     if is_mcap(output) {
+        check_is_new(output)?;
         #[cfg(feature = "mcap")]
         return Ok(Box::new(planish::bag::BagSink::create(output, outputs)?));
         #[cfg(not(feature = "mcap"))]

@@ -66,6 +66,15 @@ fn a_recording_streams_back() {
     assert!(refused(&["stream", str(&recording), "--save", str(&saved), "--format", "png"]).contains("another folder"));
     assert_eq!(fs::read(saved.join("depth.txt")).unwrap(), list);
     assert!(refused(&["record", "synthetic", str(&recording), "--frames", "1"]).contains("another folder"));
+    #[cfg(feature = "mcap")]
+    {
+        let bag = folder.path().join("walk.mcap");
+        ok(&["record", "synthetic", str(&bag), "--frames", "2"]);
+        let bytes = fs::read(&bag).unwrap();
+        assert!(refused(&["record", "synthetic", str(&bag), "--frames", "1"]).contains("not replaced"));
+        assert!(refused(&["stream", str(&recording), "--save", str(&bag)]).contains("not replaced"));
+        assert!(fs::read(&bag).unwrap() == bytes);
+    }
 }
 
 #[test]

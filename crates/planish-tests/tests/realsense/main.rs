@@ -206,6 +206,38 @@ fn a_recording_that_begins_and_ends_without_colour_plays_whole_without_it() {
 }
 
 #[test]
+fn a_recording_whose_colour_stops_ends_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(camera) = software_camera(true) else { return };
+    let (recorded, file) = (frames(40), folder.path().join("stops.db3"));
+    let without = folder.path().join("without.db3");
+    for (file, images) in [(&file, 10), (&without, 0)] {
+        camera.record(file, || {
+            for (i, frame) in recorded.iter().enumerate() {
+                let rgb = (i < images).then(|| color_image(i + 1));
+                camera.deliver(i + 1, timestamp_ms(i), &frame.raw, rgb.as_deref());
+                thread::sleep(Duration::from_millis(10));
+            }
+            thread::sleep(Duration::from_millis(200));
+        });
+        let mut source = open(file, None).unwrap();
+        let mut found = 0;
+        let said = loop {
+            match next(&mut source) {
+                Ok(Some(frame)) => {
+                    assert!(frame.raw == recorded[found].raw, "frame {found}");
+                    found += 1;
+                }
+                Ok(None) => break String::new(),
+                Err(error) => break error.to_string(),
+            }
+        };
+        assert!(found >= images && (said.contains("--align none") || found == 40), "{images}: {found}, {said}");
+        assert!(next(&mut source).unwrap().is_none());
+    }
+}
+
+#[test]
 fn a_live_camera_gives_each_frame_once_with_its_colour() {
     let Some(camera) = software_camera(true) else { return };
     let mut source = live(&camera, None, None).unwrap();

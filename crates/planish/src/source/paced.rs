@@ -54,6 +54,10 @@ impl Source for Paced {
         self.source.frame_name()
     }
 
+    fn description(&self) -> Option<String> {
+        self.source.description()
+    }
+
     fn is_live(&self) -> bool {
         true
     }

@@ -240,7 +240,12 @@ impl OpenNi2Source {
             let is_over = self.watch.is_over();
             match self.poll()? {
                 Polled::Depth(frame) => return Ok(Some(SourceFrame::Depth(frame))),
-                Polled::Nothing if is_over && self.recording.is_some() => return Ok(None),
+                Polled::Nothing if is_over && let Some(file) = &self.recording => {
+                    return match self.last_index {
+                        Some(_) => Ok(None),
+                        None => Err(malformed(file, "no depth in it that OpenNI2 can play").into()),
+                    };
+                }
                 Polled::Nothing if is_over => {
                     return Err(DeviceError::Gone { what: format!("{} is gone", self.description) }.into());
                 }
@@ -256,7 +261,7 @@ impl OpenNi2Source {
     fn silent(&self) -> Error {
         let what = format!("{} gave no depth for {} s", self.description, SILENCE.as_secs());
         match &self.recording {
-            Some(file) => malformed(file, format!("{what}: is it cut off?")).into(),
+            Some(file) => malformed(file, format!("{what}: it is cut off")).into(),
             None => DeviceError::Gone { what }.into(),
         }
     }

@@ -28,6 +28,9 @@ const SILENCE: Duration = Duration::from_secs(5);
 /// How often a wait looks at whether a frame is still wanted.
 const PATIENCE: Duration = Duration::from_millis(100);
 
+/// How many times nothing came, one [`PATIENCE`] each, after which a recording whose player has stopped is over.
+const WAITS_AT_END: u32 = 5;
+
 /// Numbers of frames that jump further than this are not of frames that were lost.
 const MOST_LOST: u64 = 10_000;
 
@@ -68,6 +71,7 @@ pub struct RealSenseSource {
     held: Option<Held>,
     /// Whether a recording has begun, and whether it is over: by its end, or by an error, which is told once.
     has_begun: bool,
+    delivered: u64,
     is_over: bool,
     last_number: Option<u64>,
     last_camera: Option<(Intrinsics, f32, Camera)>,
@@ -191,6 +195,7 @@ impl RealSenseSource {
             aligner,
             held: None,
             has_begun: false,
+            delivered: 0,
             is_over: false,
             last_number: None,
             last_camera: None,
@@ -296,39 +301,63 @@ impl RealSenseSource {
 impl RealSenseSource {
     fn wait_for_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
         let deadline = Instant::now() + SILENCE;
+        let mut quiet = 0;
         while !self.ended.load(Ordering::Relaxed) {
             // Asked before the wait: what comes after the end of the recording is its last.
             let is_playing = self.recording.is_none() || self.library.is_playing(&self.device);
             let frames = match self.library.wait(&self.pipeline, PATIENCE)? {
                 Some(frames) => {
-                    self.has_begun = true;
+                    (self.has_begun, quiet) = (true, 0);
                     self.take(frames)?
                 }
-                None if self.has_begun && !is_playing => match self.held.take() {
-                    Some(held) => Some(held.frames),
-                    None => return Ok(None),
-                },
+                // Frames may still be on their way within the library when its player has stopped.
+                None if self.has_begun && !is_playing => {
+                    quiet += 1;
+                    match self.held.take_if(|_| quiet >= WAITS_AT_END) {
+                        Some(held) => Some(held.frames),
+                        None if quiet < WAITS_AT_END => None,
+                        None if self.delivered == 0 => return Err(self.empty()),
+                        None => return Ok(None),
+                    }
+                }
                 None => None,
             };
             self.has_begun |= self.recording.is_some() && is_playing;
             if let Some(frames) = frames
                 && let Some(frame) = self.frame_from(frames)?
             {
+                self.delivered += 1;
                 return Ok(Some(frame));
             }
             // Other streams may go on without depth.
             if Instant::now() >= deadline {
-                return Err(self.silent());
+                // The last frame before the silence is whole.
+                let last = self.held.take().map(|held| self.frame_from(held.frames)).transpose()?.flatten();
+                return last.map_or_else(|| Err(self.silent()), |frame| Ok(Some(frame)));
             }
         }
         Ok(None)
+    }
+
+    /// What helps where the library waits for colour.
+    fn advice(&self) -> &'static str {
+        if self.aligner.is_some() { "; depth without colour, --align none, plays on" } else { "" }
+    }
+
+    /// The error of a recording from which no frame came.
+    fn empty(&self) -> Error {
+        let file = self.recording.as_deref().unwrap_or(Path::new(""));
+        let what = if self.aligner.is_some() { "no depth that colour belongs to" } else { "no depth" };
+        malformed(file, format!("{what} in it, or it is damaged{}", self.advice())).into()
     }
 
     /// The error of a source that has been silent for long.
     fn silent(&self) -> Error {
         let what = format!("{} gave no depth for {} s", self.description, SILENCE.as_secs());
         match &self.recording {
-            Some(file) => malformed(file, format!("{what}: is it cut off?")).into(),
+            Some(file) => {
+                malformed(file, format!("{what}: it is cut off, or one of its streams is{}", self.advice())).into()
+            }
             None => DeviceError::Gone { what }.into(),
         }
     }
@@ -409,7 +438,7 @@ fn named(recording: Option<&Path>, error: Error) -> Error {
 
 /// Refuses a device that is not there, with the names of those that are.
 fn check_device(devices: &[DeviceName], serial: Option<&str>) -> Result<(), DeviceError> {
-    let help = "is it plugged in, at USB 3, and may you use it? (librealsense's udev rules); a recording is named realsense:FILE.bag";
+    let help = "is it plugged in, at USB 3, and may you use it? (librealsense's udev rules); a recording is named realsense:FILE.bag or FILE.db3";
     let is_there = match serial {
         None => !devices.is_empty(),
         Some(serial) => devices.iter().any(|device| device.serial == serial),
