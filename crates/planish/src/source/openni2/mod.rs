@@ -240,21 +240,22 @@ impl OpenNi2Source {
             let is_over = self.watch.is_over();
             match self.poll()? {
                 Polled::Depth(frame) => return Ok(Some(SourceFrame::Depth(frame))),
-                Polled::Nothing if is_over && let Some(file) = &self.recording => {
-                    return match self.last_index {
-                        Some(_) => Ok(None),
-                        None => Err(malformed(file, "no depth in it that OpenNI2 can play").into()),
-                    };
-                }
-                Polled::Nothing if is_over => {
-                    return Err(DeviceError::Gone { what: format!("{} is gone", self.description) }.into());
-                }
+                Polled::Nothing if is_over => return self.over(),
                 // Colour may go on without depth.
                 Polled::Color | Polled::Nothing if Instant::now() >= deadline => return Err(self.silent()),
                 Polled::Color | Polled::Nothing => {}
             }
         }
         Ok(None)
+    }
+
+    /// What the end of the recording, or of the device, means.
+    fn over(&self) -> Result<Option<SourceFrame>, Error> {
+        match &self.recording {
+            Some(_) if self.last_index.is_some() => Ok(None),
+            Some(file) => Err(malformed(file, "no depth in it that OpenNI2 can play").into()),
+            None => Err(DeviceError::Gone { what: format!("{} is gone", self.description) }.into()),
+        }
     }
 
     /// The error of a source that has been silent for long.

@@ -8,8 +8,9 @@
 
 mod api;
 mod camera;
+mod start;
 
-use std::ffi::{CString, c_int};
+use std::ffi::c_int;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,8 +20,9 @@ use super::{Alignment, Source, SourceFrame, StreamMode, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{DeviceError, Error, IoError, ParamError};
 use crate::frame::DepthFrame;
-use api::{DeviceName, FORMAT_RGB8, FORMAT_Z16, Functions, Intrinsics, Owned, STREAM_COLOR, STREAM_DEPTH};
+use api::{Functions, Intrinsics, Owned, STREAM_COLOR, STREAM_DEPTH};
 use camera::camera_of;
+use start::{Colour, Started, check_device, start};
 
 /// A device that delivers nothing for this long counts as gone.
 const SILENCE: Duration = Duration::from_secs(5);
@@ -141,42 +143,7 @@ impl RealSenseSource {
             return Err(ParamError { field: "mode", value: mode.to_string(), allowed }.into());
         }
         let named = |error: DeviceError| named(recording.as_deref(), error.into());
-        let wants_colour = alignment != Some(Alignment::None);
-        // Colour at the rate of depth, else at any; and without colour unless it was asked for.
-        let attempts: &[Colour] = match (wants_colour, alignment) {
-            (false, _) => &[Colour::None],
-            (true, None) => &[Colour::AtRateOfDepth, Colour::AtAnyRate, Colour::None],
-            (true, Some(_)) => &[Colour::AtRateOfDepth, Colour::AtAnyRate],
-        };
-        let resolve = |colour: Colour| -> Result<(Owned, Owned, Colour), DeviceError> {
-            let config = configure(library, input, mode, colour)?;
-            let what = &asked_for(mode, colour != Colour::None);
-            // SAFETY: the objects outlive the call.
-            let call = |f: &Functions, e| unsafe { (f.config_resolve)(config.get(), pipeline.get(), e) };
-            let profile = library.create(what, library.delete_pipeline_profile, call)?;
-            Ok((config, profile, colour))
-        };
-        let mut resolved = resolve(attempts[0]);
-        for &colour in &attempts[1..] {
-            if resolved.is_err() {
-                // The first reason is that of what was asked for.
-                resolved = resolve(colour).or(resolved);
-            }
-        }
-        let (config, profile, colour) = resolved.map_err(named)?;
-        // SAFETY: the objects outlive the calls.
-        let (device, profile) = unsafe {
-            let what = &asked_for(mode, colour != Colour::None);
-            let device = |f: &Functions, e| (f.pipeline_profile_get_device)(profile.get(), e);
-            let device = library.create(what, library.delete_device, device).map_err(named)?;
-            if recording.is_some() {
-                // As fast as frames are taken, without loss.
-                let call = |f: &Functions, e| (f.playback_device_set_real_time)(device.get(), 0, e);
-                library.call(what, call).map_err(named)?;
-            }
-            let start = |f: &Functions, e| (f.pipeline_start_with_config)(pipeline.get(), config.get(), e);
-            (device, library.create(what, library.delete_pipeline_profile, start).map_err(named)?)
-        };
+        let Started { device, profile, colour } = start(library, &pipeline, input, alignment, mode).map_err(named)?;
         let to = if alignment == Some(Alignment::Color) { STREAM_COLOR } else { STREAM_DEPTH };
         let aligner = (colour != Colour::None).then(|| Aligner::new(library, to)).transpose()?;
         let name = library.name_of(&device);
@@ -184,7 +151,7 @@ impl RealSenseSource {
             "" => name.name,
             serial => format!("{}, serial number {serial}", name.name),
         };
-        if wants_colour && colour == Colour::None {
+        if alignment != Some(Alignment::None) && colour == Colour::None {
             description += ", without colour";
         }
         Ok(Self {
@@ -208,7 +175,7 @@ impl RealSenseSource {
         })
     }
 
-    /// Returns frames whose depth was not delivered yet, with its number, unless these are to be looked at again later.
+    /// Returns frames whose depth was not delivered yet, unless better ones may follow.
     fn take(&mut self, frames: Owned) -> Result<Option<Owned>, DeviceError> {
         let Some(depth) = self.library.frame_of(&frames, STREAM_DEPTH)? else { return Ok(None) };
         // SAFETY: the frame outlives the call.
@@ -436,105 +403,9 @@ fn named(recording: Option<&Path>, error: Error) -> Error {
     }
 }
 
-/// Refuses a device that is not there, with the names of those that are.
-fn check_device(devices: &[DeviceName], serial: Option<&str>) -> Result<(), DeviceError> {
-    let help = "is it plugged in, at USB 3, and may you use it? (librealsense's udev rules); a recording is named realsense:FILE.bag or FILE.db3";
-    let is_there = match serial {
-        None => !devices.is_empty(),
-        Some(serial) => devices.iter().any(|device| device.serial == serial),
-    };
-    if is_there {
-        return Ok(());
-    }
-    let found: Vec<String> = devices.iter().map(|device| format!("{} ({})", device.serial, device.name)).collect();
-    let what = match (serial, found.is_empty()) {
-        (None, _) => "no RealSense camera found".to_owned(),
-        (Some(serial), true) => format!("no RealSense camera with serial number {serial}: none found"),
-        (Some(serial), false) => format!("no RealSense camera with serial number {serial}: found {}", found.join(", ")),
-    };
-    Err(DeviceError::Driver { what, help })
-}
-
-/// Which colour images are asked for.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Colour {
-    AtRateOfDepth,
-    AtAnyRate,
-    None,
-}
-
-fn configure(
-    library: &Functions,
-    input: &RealSenseInput,
-    mode: Option<StreamMode>,
-    colour: Colour,
-) -> Result<Owned, DeviceError> {
-    let what = "the camera cannot be set up";
-    let c_text = |text: &str| {
-        CString::new(text).map_err(|_| DeviceError::Failed { what: format!("{text:?}: a zero byte in a name") })
-    };
-    // 0 leaves the choice to the library.
-    let number = |value: usize| c_int::try_from(value).unwrap_or(c_int::MAX);
-    let (width, height) = mode.map_or((0, 0), |mode| (number(mode.width), number(mode.height)));
-    let fps = mode.and_then(|mode| mode.fps).map_or(0, |fps| c_int::try_from(fps).unwrap_or(c_int::MAX));
-    // SAFETY: the objects and texts outlive the calls; the library copies the texts.
-    unsafe {
-        let config = library.create(what, library.delete_config, |f, e| (f.create_config)(e))?;
-        match input {
-            RealSenseInput::Any => {}
-            RealSenseInput::Serial(serial) => {
-                let serial = c_text(serial)?;
-                library.call(what, |f, e| (f.config_enable_device)(config.get(), serial.as_ptr(), e))?;
-            }
-            RealSenseInput::Recording(file) => {
-                let file = c_text(&file.to_string_lossy())?;
-                let repeats = 0;
-                library.call(what, |f, e| {
-                    (f.config_enable_device_from_file_repeat_option)(config.get(), file.as_ptr(), repeats, e);
-                })?;
-            }
-        }
-        let enable = |stream, width, height, format, fps| {
-            library.call(what, |f, e| {
-                (f.config_enable_stream)(config.get(), stream, -1, width, height, format, fps, e);
-            })
-        };
-        enable(STREAM_DEPTH, width, height, FORMAT_Z16, fps)?;
-        match colour {
-            Colour::AtRateOfDepth => enable(STREAM_COLOR, 0, 0, FORMAT_RGB8, fps)?,
-            Colour::AtAnyRate => enable(STREAM_COLOR, 0, 0, FORMAT_RGB8, 0)?,
-            Colour::None => {}
-        }
-        Ok(config)
-    }
-}
-
-/// Describes what a camera was asked for, for errors.
-fn asked_for(mode: Option<StreamMode>, colour: bool) -> String {
-    let colour = if colour { " with colour" } else { "" };
-    match mode {
-        Some(mode) => {
-            format!("the camera does not start with depth of {mode}{colour}; rs-enumerate-devices lists its modes")
-        }
-        None => format!("the camera does not start with depth{colour}"),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_camera_that_is_not_there_is_refused_with_those_that_are() {
-        let devices = [("Intel RealSense D435", "827112070000"), ("Intel RealSense D455", "123622270000")]
-            .map(|(name, serial)| DeviceName { name: name.into(), serial: serial.into() });
-        assert!(check_device(&devices, None).is_ok() && check_device(&devices, Some("123622270000")).is_ok());
-        let text = |result: Result<(), DeviceError>| result.unwrap_err().to_string();
-        let other = text(check_device(&devices, Some("1")));
-        assert!(other.contains("number 1: found 827112070000 (Intel RealSense D435), 123622270000"), "{other}");
-        assert!(text(check_device(&[], None)).contains("no RealSense camera found"));
-        assert!(text(check_device(&[], Some("1"))).contains("none found"));
-    }
 
     #[test]
     fn what_is_behind_the_colon_is_a_file_or_a_serial_number() {
