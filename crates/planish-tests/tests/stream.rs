@@ -325,8 +325,29 @@ fn a_recording_in_tum_layout_comes_back_identical() {
     let mut source = TumSource::open(folder.path(), Some(other), None).unwrap();
     let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
     assert_eq!((found.camera.fx, found.camera.depth_units_per_metre), (500.0, 5000.0));
-    let far = DepthFrame::new(frames[0].camera, vec![14_000; 160 * 120]).unwrap();
-    assert!(TumRecorder::create(tempfile::tempdir().unwrap().path()).unwrap().add(&far).is_err());
+}
+
+#[test]
+fn a_recording_in_tum_layout_keeps_finer_units_and_counts_what_is_too_far() {
+    let record = |units, raw: u16| {
+        let folder = tempfile::tempdir().unwrap();
+        let camera = small_camera().with_depth_units_per_metre(units);
+        let mut recorder = TumRecorder::create(folder.path()).unwrap();
+        assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "nothing before the first frame");
+        recorder.add(&DepthFrame::new(camera, vec![raw; 160 * 120]).unwrap()).unwrap();
+        let other = DepthFrame::new(camera.with_depth_units_per_metre(2.0 * units), vec![raw; 160 * 120]).unwrap();
+        assert!(recorder.add(&other).unwrap_err().to_string().contains("units a metre, and had"));
+        let mut source = TumSource::open(folder.path(), None, None).unwrap();
+        let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
+        assert_eq!(recorder.depth_units_per_metre(), Some(found.camera.depth_units_per_metre));
+        (found.camera.depth_units_per_metre, found.raw[0], recorder.too_far())
+    };
+    // A D405 has tenths of millimetres, an L515 quarters.
+    assert_eq!(record(10_000.0, 65_534), (10_000.0, 65_534, 0));
+    assert_eq!(record(4000.0, 14_001), (4000.0, 14_001, 0));
+    assert_eq!(record(1000.0, 13_106), (5000.0, 65_530, 0));
+    assert_eq!(record(1000.0, 13_107), (5000.0, 0, 160 * 120));
+    assert_eq!(record(1000.0, 14_000), (5000.0, 0, 160 * 120));
 }
 
 #[test]

@@ -186,7 +186,15 @@ pub enum EngineError {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeviceError {
-    /// Its driver, or the camera itself, is not there.
+    /// The camera is not there; it may come.
+    #[error("{what}; {help}")]
+    NotFound {
+        /// Which camera.
+        what: String,
+        /// What would help.
+        help: &'static str,
+    },
+    /// Its driver is not there, or cannot use it.
     #[error("{what}; {help}")]
     Driver {
         /// What is missing.

@@ -277,7 +277,7 @@ pub struct LimitArgs {
     /// Stop after S seconds
     #[arg(long, value_name = "S")]
     pub duration: Option<f64>,
-    /// Wait for an unplugged camera to come back
+    /// Wait for a camera that is not there yet, or was unplugged
     #[arg(long)]
     pub reconnect: bool,
 }

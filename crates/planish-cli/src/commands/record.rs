@@ -61,6 +61,22 @@ impl Recorder {
         }
     }
 
+    /// What a reader of the data set should know.
+    fn note(&self) -> Option<String> {
+        let Self::Tum(recorder) = self else { return None };
+        let units = recorder.depth_units_per_metre().filter(|&units| units != 5000.0);
+        match (units, recorder.too_far()) {
+            (Some(units), _) => {
+                Some(format!("depth is in {units} units a metre, as camera.json says; TUM's own tools expect 5000"))
+            }
+            (None, 1..) => Some(format!(
+                "warning: {} pixels beyond 13.1 m, the layout's limit, became holes; a recording (.mcap) keeps them",
+                recorder.too_far()
+            )),
+            (None, 0) => None,
+        }
+    }
+
     fn finish(self) -> Result<()> {
         match self {
             Self::Tum(_) => Ok(()),
@@ -109,8 +125,12 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
             }
         }
     }
+    let note = recorder.note();
     if frames > 0 || result.is_ok() {
         recorder.finish()?;
+    }
+    if let Some(note) = note {
+        errln!("{note}");
     }
     result?;
     let report = Report { frames, dropped: source.dropped(), unreadable, seconds: start.elapsed().as_secs_f64() };

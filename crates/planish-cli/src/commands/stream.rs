@@ -130,23 +130,30 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
         .with_alignment(align.map(Into::into))
         .with_mode(*mode)
         .with_fps(limits.fps);
-    let source = source::open(name, &options)?;
-    if let Some(description) = source.description() {
+    if limits.reconnect && !source::is_camera(name) {
+        bail!("--reconnect waits for a camera; {name} is none");
+    }
+    let source = match source::open(name, &options) {
+        Err(Error::Device(error @ DeviceError::NotFound { .. })) if limits.reconnect => {
+            errln!("{error}; waiting for it");
+            None
+        }
+        opened => Some(opened?),
+    };
+    if let Some(description) = source.as_ref().and_then(|source| source.description()) {
         errln!("{description}");
     }
     // Beyond what the clock can count there is no limit.
     let until = limits.max_duration()?.and_then(|longest| Instant::now().checked_add(longest));
-    if !limits.reconnect {
-        return Ok(source);
-    }
-    if !source::is_camera(name) {
-        bail!("--reconnect waits for a camera; {name} is none");
-    }
+    let source = match source {
+        Some(source) if !limits.reconnect => return Ok(source),
+        source => source,
+    };
     let name = name.to_owned();
     let open = move || source::open(&name, &options);
     let retry = Duration::from_secs(1);
     let (stop, ended) = (Arc::clone(stop), Arc::default());
-    Ok(Box::new(Reconnecting { open, source: Some(source), stop, ended, until, retry, dropped_before: 0 }))
+    Ok(Box::new(Reconnecting { open, source, stop, ended, until, retry, dropped_before: 0 }))
 }
 
 /// A source whose floating pixels are holes.
@@ -226,6 +233,7 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
             }
             match (self.open)() {
                 Ok(mut source) => {
+                    errln!("{}", source.description().unwrap_or_else(|| "the camera is there".to_owned()));
                     source.end_with(Arc::clone(&self.ended));
                     self.source = Some(source);
                 }

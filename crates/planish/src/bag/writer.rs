@@ -40,7 +40,8 @@ pub(super) fn channel_metadata() -> BTreeMap<String, String> {
 
 /// Writes frames to a recording, which is there whole after [`finish`](Self::finish) or not at all.
 ///
-/// Depth goes to `/camera/depth/image_rect` (`image_raw` with distortion) as 16UC1 in millimetres with `camera_info` beside it, clouds to
+/// Depth goes to `/camera/depth/image_rect` (`image_raw` with distortion) with `camera_info` beside it: as 16UC1 if the camera's unit is the
+/// millimetre, else as 32FC1 in metres. Clouds go to
 /// `/camera/depth/points`, colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames in
 /// microseconds (those before 0 are 0), else 30 a second.
 pub struct BagWriter {
@@ -70,13 +71,7 @@ impl BagWriter {
         camera.check_shape((image.width, image.height))?;
         let header = self.header(timestamp_s);
         let topic = if camera.distortion.is_none() { RECTIFIED_TOPIC } else { RAW_TOPIC };
-        let to_millimetres = camera.with_depth_units_per_metre(1000.0);
-        let raw = if camera.depth_units_per_metre == 1000.0 {
-            image.raw.clone()
-        } else {
-            image.raw.iter().map(|&raw| to_millimetres.raw_depth(camera.depth_m(raw))).collect()
-        };
-        let pixels = DepthPixels::Millimetres(DepthImage { raw, ..*image });
+        let pixels = depth_pixels(image, camera);
         let info = CameraInfo::of_camera(header.clone(), camera);
         self.write(&camera_info_topic(topic), CAMERA_INFO_TYPE, CAMERA_INFO, &header, to_cdr(&info))?;
         self.write(topic, IMAGE_TYPE, IMAGE, &header, to_cdr(&Image::of_depth(header.clone(), &pixels)))?;
@@ -176,6 +171,15 @@ impl BagWriter {
         });
         result.map_err(IoError::at(&self.path))
     }
+}
+
+/// Depth in whole millimetres if that is the camera's unit, else in metres, so that a topic has one encoding and nothing is rounded.
+fn depth_pixels(image: &DepthImage, camera: &Camera) -> DepthPixels {
+    if camera.depth_units_per_metre == 1000.0 {
+        return DepthPixels::Millimetres(image.clone());
+    }
+    let depth_m = image.raw.iter().map(|&raw| camera.depth_m(raw)).collect();
+    DepthPixels::Metres { width: image.width, height: image.height, depth_m }
 }
 
 /// A sink of a stream that writes results as a recording: depth if the stream's outputs have it, else clouds.

@@ -277,7 +277,7 @@ fn run(
         let count = (freenect.num_devices)(context);
         let number = c_int::try_from(index).unwrap_or(c_int::MAX);
         let result = if count <= number {
-            Err(DeviceError::Driver {
+            Err(DeviceError::NotFound {
                 what: format!("no Kinect number {index}: {} found", count.max(0)),
                 help: "is it plugged in, with its power supply, and may you use it? (Debian: the group plugdev)",
             })

@@ -226,6 +226,7 @@ pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Erro
     let &SourceOptions { camera, alignment, mode, fps, .. } = options;
     if matches!(kind, "kinect" | "synthetic" | "realsense" | "openni2") {
         refuse_topics(options)?;
+        refuse_units(options)?;
     }
     if !matches!(kind, "realsense" | "openni2") {
         refuse_modes(options)?;
@@ -299,6 +300,14 @@ fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
             Err(ParamError { field: "topic", value: topic.clone(), allowed })
         }
     }
+}
+
+/// Refuses units of depth where the camera states them.
+fn refuse_units(options: &SourceOptions) -> Result<(), ParamError> {
+    let allowed = "none for this source, which states its own";
+    options
+        .tum_units_per_metre
+        .map_or(Ok(()), |units| Err(ParamError { field: "depth_units_per_metre", value: units.to_string(), allowed }))
 }
 
 /// Refuses what only cameras with modes have.

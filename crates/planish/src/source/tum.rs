@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use super::files::{file_stem, read_frame};
 use super::{Source, SourceFrame, malformed};
-use crate::camera::Camera;
+use crate::camera::{Camera, SATURATED_DEPTH};
 use crate::error::{Error, FormatError, IoError};
 use crate::frame::{DepthFrame, DepthImage};
 use crate::io::{self, RgbImage};
@@ -136,48 +136,99 @@ fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
     Ok(depths.into_iter().map(entry).collect())
 }
 
-/// Writes a data set in TUM layout, without loss.
+/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units a metre, as the layout has it, if the camera's unit is a whole
+/// multiple of that, as a millimetre is. Finer units are kept, and `camera.json` states them.
+///
+/// Files are named by time stamps in microseconds; one that repeats or goes back becomes 1 us later than the one before.
 pub struct TumRecorder {
     folder: PathBuf,
+    units: Option<Units>,
     frames: u64,
     last_s: f64,
+    too_far: u64,
+}
+
+/// What becomes of depth; that of the first frame holds for all.
+#[derive(Clone, Copy)]
+struct Units {
+    of_camera: f64,
+    of_files: f64,
+    /// Units of the files in one of the camera's.
+    factor: u32,
+}
+
+impl Units {
+    fn of(camera: &Camera) -> Self {
+        let of_camera = camera.depth_units_per_metre;
+        let factor = UNITS_PER_METRE / of_camera;
+        if factor.fract() == 0.0 && (1.0..=UNITS_PER_METRE).contains(&factor) {
+            Self { of_camera, of_files: UNITS_PER_METRE, factor: factor as u32 }
+        } else {
+            Self { of_camera, of_files: of_camera, factor: 1 }
+        }
+    }
+
+    /// Returns the file's value, 0 for both kinds of holes; `None` if it is too large.
+    fn convert(self, raw: u16) -> Option<u16> {
+        match raw {
+            SATURATED_DEPTH => Some(0),
+            raw => u16::try_from(u32::from(raw) * self.factor).ok().filter(|&raw| raw != SATURATED_DEPTH),
+        }
+    }
 }
 
 impl TumRecorder {
-    /// Creates the folders; refuses one that already has a data set.
+    /// Starts a recording; refuses a folder that already has a data set. The folder is made with the first frame.
     pub fn create(folder: &Path) -> Result<Self, Error> {
         if folder.join("depth.txt").exists() {
             return Err(malformed(folder, "has a data set already; record into another folder").into());
         }
-        for name in ["depth", "rgb"] {
-            let path = folder.join(name);
-            fs::create_dir_all(&path).map_err(|error| IoError { path, problem: error.into() })?;
-        }
-        let recorder = Self { folder: folder.to_path_buf(), frames: 0, last_s: f64::NEG_INFINITY };
-        for (name, what) in [("depth.txt", "depth"), ("rgb.txt", "color")] {
-            recorder.write(name, &format!("# {what} images\n# timestamp filename\n"))?;
-        }
-        Ok(recorder)
+        Ok(Self { folder: folder.to_path_buf(), units: None, frames: 0, last_s: f64::NEG_INFINITY, too_far: 0 })
     }
 
-    /// Adds a frame. Its unit must be a whole multiple of 1/5000 m, as a millimetre is, and its depth at most 13.1 m.
+    /// How many pixels were too far for 5000 units a metre, more than 13.1 m, and became holes.
+    pub fn too_far(&self) -> u64 {
+        self.too_far
+    }
+
+    /// Depth units per metre of the files, once there is one.
+    pub fn depth_units_per_metre(&self) -> Option<f64> {
+        self.units.map(|units| units.of_files)
+    }
+
+    fn create_folders(&self) -> Result<(), IoError> {
+        for name in ["depth", "rgb"] {
+            let path = self.folder.join(name);
+            fs::create_dir_all(&path).map_err(|error| IoError { path, problem: error.into() })?;
+        }
+        for (name, what) in [("depth.txt", "depth"), ("rgb.txt", "color")] {
+            self.write(name, &format!("# {what} images\n# timestamp filename\n"))?;
+        }
+        Ok(())
+    }
+
+    /// Adds a frame, whose unit must be that of the first.
     pub fn add(&mut self, frame: &DepthFrame) -> Result<(), Error> {
         let camera = frame.camera;
-        let factor = UNITS_PER_METRE / camera.depth_units_per_metre;
-        let loss = |problem: String| malformed(&self.folder, problem);
-        if factor.fract() != 0.0 || factor < 1.0 {
-            let units = camera.depth_units_per_metre;
-            return Err(loss(format!("{units} depth units a metre are not kept in 5000 without loss")).into());
-        }
-        // Both kinds of holes become 0, the layout's own.
-        let scaled = |&raw: &u16| match raw {
-            crate::camera::SATURATED_DEPTH => Some(0),
-            raw => {
-                u16::try_from(u64::from(raw) * factor as u64).ok().filter(|&raw| raw != crate::camera::SATURATED_DEPTH)
+        let units = match self.units {
+            Some(units) => units,
+            None => {
+                self.create_folders()?;
+                *self.units.insert(Units::of(&camera))
             }
         };
-        let raw: Option<Vec<u16>> = frame.raw.iter().map(scaled).collect();
-        let raw = raw.ok_or_else(|| loss("a depth over 13.1 m does not fit the layout".to_owned()))?;
+        if camera.depth_units_per_metre != units.of_camera {
+            let [found, before] = [camera.depth_units_per_metre, units.of_camera];
+            let problem = format!("depth has {found} units a metre, and had {before}: a data set has one");
+            return Err(malformed(&self.folder, problem).into());
+        }
+        let converted = |&raw: &u16| {
+            units.convert(raw).unwrap_or_else(|| {
+                self.too_far += 1;
+                0
+            })
+        };
+        let raw: Vec<u16> = frame.raw.iter().map(converted).collect();
         let seconds = frame.timestamp_s.unwrap_or(self.frames as f64 / 30.0);
         // Names are time stamps: a clock that stands still or jumps back must not overwrite earlier files.
         let seconds = if seconds <= self.last_s { self.last_s + 1e-6 } else { seconds };
@@ -194,7 +245,7 @@ impl TumRecorder {
         // Written after its images, so that an interrupted recording is whole up to there.
         self.append("depth.txt", &format!("{name} {depth}\n"))?;
         if self.frames == 0 {
-            let camera = Camera { depth_units_per_metre: UNITS_PER_METRE, ..camera };
+            let camera = Camera { depth_units_per_metre: units.of_files, ..camera };
             self.write("camera.json", &io::camera_to_json(&camera))?;
         }
         self.frames += 1;

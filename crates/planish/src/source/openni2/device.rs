@@ -48,7 +48,7 @@ impl Device {
         let there: Vec<String> = there.iter().map(|(uri, name)| format!("{uri} ({name})")).collect();
         let found = if there.is_empty() { "none found".to_owned() } else { format!("found {}", there.join(", ")) };
         let which = if uri.is_empty() { String::new() } else { format!(" {uri}") };
-        Err(DeviceError::Driver { what: format!("no OpenNI2 camera{which}: {found}"), help })
+        Err(DeviceError::NotFound { what: format!("no OpenNI2 camera{which}: {found}"), help })
     }
 }
 

@@ -23,7 +23,7 @@ pub(super) fn check_device(devices: &[DeviceName], serial: Option<&str>) -> Resu
         (Some(serial), true) => format!("no RealSense camera with serial number {serial}: none found"),
         (Some(serial), false) => format!("no RealSense camera with serial number {serial}: found {}", found.join(", ")),
     };
-    Err(DeviceError::Driver { what, help })
+    Err(DeviceError::NotFound { what, help })
 }
 
 /// Which colour images are asked for.
