@@ -63,7 +63,11 @@ impl Recorder {
 
     /// What a reader of the data set should know.
     fn note(&self) -> Option<String> {
-        let Self::Tum(recorder) = self else { return None };
+        let recorder = match self {
+            Self::Tum(recorder) => recorder,
+            #[cfg(feature = "mcap")]
+            Self::Bag(_) => return None,
+        };
         let units = recorder.depth_units_per_metre().filter(|&units| units != 5000.0);
         match (units, recorder.too_far()) {
             (Some(units), _) => {

@@ -196,3 +196,27 @@ fn a_kinect_without_driver_or_device_says_so() {
     let said = stream(&real);
     assert!(said.contains("no Kinect number 0") || said.contains("libfreenect does not start"), "{said}");
 }
+
+#[test]
+fn a_camera_that_is_not_there_yet_is_waited_for_and_a_missing_driver_is_not() {
+    let stream = |variables: &[(&str, &str)]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_planish"))
+            .args(["stream", "openni2", "--reconnect", "--duration", "1"])
+            .envs(variables.iter().copied())
+            .output()
+            .unwrap();
+        (output.status.code(), text(&output.stderr))
+    };
+    let (code, said) = stream(&[("PLANISH_LIBOPENNI2", "/nonexistent/libOpenNI2.so")]);
+    assert!(code == Some(2) && said.contains("install OpenNI2") && !said.contains("waiting"), "{code:?} {said}");
+    let (code, said) = stream(&[]);
+    if said.contains("install OpenNI2") {
+        assert!(std::env::var_os("PLANISH_REQUIRE_OPENNI2").is_none(), "{said}");
+        eprintln!("SKIP: there is no OpenNI2");
+        return;
+    }
+    assert!(
+        code == Some(0) && said.contains("no OpenNI2 camera: none found") && said.contains("waiting"),
+        "{code:?} {said}"
+    );
+}
