@@ -1,6 +1,6 @@
 """Publishes depth at 30 Hz from rclpy, lets the node smooth it, and measures what comes back.
 
-    rates.py NODE [--seconds 60] [--depth] [--parameters ...]
+    rates.py NODE [--seconds 60] [--depth] [--best-effort] [--parameter NAME:=VALUE ...]
 
 Publisher and subscriber are processes of their own, as on a robot. Prints frames a second and latencies, from stamp to arrival.
 """
@@ -21,7 +21,7 @@ def publish(seconds, ready):
     import rclpy
     from sensor_msgs.msg import CameraInfo, Image
 
-    rclpy.init()
+    rclpy.init(args=[])
     node = rclpy.create_node("camera")
     images = node.create_publisher(Image, "image_rect", 5)
     infos = node.create_publisher(CameraInfo, "camera_info", 5)
@@ -57,7 +57,7 @@ def receive(depth, reliable, ready, stop, results):
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from sensor_msgs.msg import Image, PointCloud2
 
-    rclpy.init()
+    rclpy.init(args=[])
     node = rclpy.create_node("listener")
     latencies, last = [], []
 
@@ -81,6 +81,7 @@ def main():
     parser.add_argument("--seconds", type=int, default=60)
     parser.add_argument("--depth", action="store_true")
     parser.add_argument("--best-effort", action="store_true")
+    parser.add_argument("--parameter", action="append", default=[], metavar="NAME:=VALUE")
     args = parser.parse_args()
     context = mp.get_context("spawn")
     ready, stop, results = context.Event(), context.Event(), context.Queue()
@@ -89,6 +90,8 @@ def main():
         command += ["-p", "publish_depth:=true", "-p", "publish_points:=false"]
     if args.best_effort:
         command += ["-p", "publish_qos:=sensor_data"]
+    for parameter in args.parameter:
+        command += ["-p", parameter]
     node = subprocess.Popen(command)
     processes = [
         context.Process(target=receive, args=(args.depth, not args.best_effort, ready, stop, results)),

@@ -153,3 +153,25 @@ fn a_stopped_run_leaves_nothing_behind() {
     assert!(matches!(result, Err(Error::Engine(EngineError::Stopped))));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
 }
+
+/// A record of MCAP.
+fn record(opcode: u8, content: &[u8]) -> Vec<u8> {
+    [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat()
+}
+
+#[test]
+fn a_record_that_reaches_beyond_its_chunk_is_damage() {
+    const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+    let folder = TempDir::new().unwrap();
+    let (whole, _) = recording(&folder, small_camera());
+    // A schema that says it is longer than the chunk around it, which is not compressed.
+    let (header, schema) = (record(1, &[0; 8]), record(3, &[1; 40]));
+    let within = &schema[..20];
+    let times_size_and_checksum = [[0; 16].as_slice(), &20u64.to_le_bytes(), &[0; 8], &20u64.to_le_bytes()].concat();
+    let chunk = record(6, &[&times_size_and_checksum, within].concat());
+    let path = folder.path().join("beyond.mcap");
+    let rest = &std::fs::read(whole).unwrap()[MAGIC.len()..];
+    std::fs::write(&path, [MAGIC, &header, &chunk, rest].concat()).unwrap();
+    let said = BagSource::open(&path, None, None, None).map(drop).unwrap_err().to_string();
+    assert!(said.contains("beyond.mcap") && said.contains("damaged"), "{said}");
+}

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use mcap::McapError;
@@ -60,7 +61,13 @@ impl Records {
     /// The next record; the indices of chunks are left out.
     pub(super) fn next(&mut self) -> Result<Next, FormatError> {
         loop {
-            let Some(event) = self.reader.next_event() else { return Ok(Next::End) };
+            // With overflow checks the reader panics on a record that reaches beyond its chunk.
+            let reader = &mut self.reader;
+            let next = move || std::convert::identity(reader).next_event();
+            let Ok(event) = catch_unwind(AssertUnwindSafe(next)) else {
+                return Err(beyond_its_chunk());
+            };
+            let Some(event) = event else { return Ok(Next::End) };
             match event {
                 Ok(LinearReadEvent::ReadRequest(wanted)) => {
                     let to = self.reader.insert(wanted.min(READ_BYTES));
@@ -69,6 +76,8 @@ impl Records {
                 }
                 Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Next::End),
                 Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => {}
+                // Without them it goes on as if the chunk did not end. Chunks are not given out otherwise.
+                Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. }) => return Err(beyond_its_chunk()),
                 Ok(LinearReadEvent::Record { opcode, data }) => {
                     if !lengths_fit(opcode, data) {
                         return Err(FormatError::Malformed("damaged: a text is longer than its record".into()));
@@ -80,6 +89,10 @@ impl Records {
             }
         }
     }
+}
+
+fn beyond_its_chunk() -> FormatError {
+    FormatError::Malformed("damaged: a record reaches beyond its chunk".into())
 }
 
 fn reader_options(options: &ReadOptions) -> LinearReaderOptions {
