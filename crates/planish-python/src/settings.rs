@@ -46,20 +46,9 @@ fn named<T: Copy>(what: &str, name: &str, known: &[(&str, T)]) -> PyResult<T> {
     })
 }
 
-const SENSORS: [(&str, SensorModel); 8] = [
-    ("kinect1", SensorModel::KINECT_V1),
-    ("d415", SensorModel::REALSENSE_D415),
-    ("d435", SensorModel::REALSENSE_D435),
-    ("d455", SensorModel::REALSENSE_D455),
-    ("azure-kinect", SensorModel::AZURE_KINECT),
-    ("l515", SensorModel::REALSENSE_L515),
-    ("iphone", SensorModel::APPLE_LIDAR),
-    ("exact", SensorModel::EXACT),
-];
-
 /// The sensor of a name.
 pub fn sensor_named(name: &str) -> PyResult<SensorModel> {
-    named("sensor", name, &SENSORS)
+    named("sensor", name, &SensorModel::NAMED)
 }
 
 impl Settings {
@@ -90,7 +79,7 @@ impl Settings {
             "strength" => self.strength = Some(value.extract()?),
             "sensor" => {
                 let name = text()?;
-                let known = SENSORS.map(|(name, model)| (name, Sensor::Known(model)));
+                let known = SensorModel::NAMED.map(|(name, model)| (name, Sensor::Known(model)));
                 self.sensor = Some(named("sensor", &name, &[&known[..], &[("auto", Sensor::Auto)]].concat())?);
             }
             "window" => self.window = Some(value.extract()?),

@@ -99,7 +99,7 @@ impl Settings {
             _ => bail!("strength: a number from 0 to 1 is expected"),
         };
         let strength = Strength::new(strength).context("strength")?;
-        let mut params = SmoothParams::for_sensor(sensor(&text("sensor")?)?, strength);
+        let mut params = SmoothParams::for_sensor(text("sensor")?.parse()?, strength);
         if !truth("keep_edges")? {
             params.edges = Edges::Off;
         }
@@ -172,22 +172,6 @@ fn qos(is_reliable: bool) -> QosProfile {
     } else {
         profile.reliability_best_effort()
     }
-}
-
-fn sensor(name: &str) -> Result<SensorModel> {
-    Ok(match name {
-        "kinect1" => SensorModel::KINECT_V1,
-        "d415" => SensorModel::REALSENSE_D415,
-        "d435" => SensorModel::REALSENSE_D435,
-        "d455" => SensorModel::REALSENSE_D455,
-        "azure-kinect" => SensorModel::AZURE_KINECT,
-        "l515" => SensorModel::REALSENSE_L515,
-        "iphone" => SensorModel::APPLE_LIDAR,
-        "exact" => SensorModel::EXACT,
-        other => {
-            bail!("sensor: {other:?} is none of kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact")
-        }
-    })
 }
 
 #[cfg(test)]

@@ -43,9 +43,33 @@ macro_rules! attribute_values {
             }
 
             /// Adds so many zeros.
-            #[cfg(feature = "evaluate")]
-            fn push_zeros(&mut self, count: usize) {
+            #[cfg(any(feature = "evaluate", feature = "stream"))]
+            pub(crate) fn push_zeros(&mut self, count: usize) {
                 match self { $(Self::$variant(values) => values.resize(values.len() + count, 0 as $scalar),)* }
+            }
+
+            /// No values, of the same type.
+            #[cfg(feature = "stream")]
+            pub(crate) fn emptied(&self) -> Self {
+                match self { $(Self::$variant(_) => Self::$variant(Vec::new()),)* }
+            }
+
+            /// Adds the values of some points of another cloud, `count` each; of another type they are converted.
+            #[cfg(feature = "stream")]
+            pub(crate) fn extend_from(&mut self, other: &Self, points: &[usize], count: usize) {
+                match (self, other) {
+                    $((Self::$variant(values), Self::$variant(other)) => {
+                        let of_point = |&i: &usize| other[count * i..count * (i + 1)].iter().copied();
+                        values.extend(points.iter().flat_map(of_point));
+                    })*
+                    (this, other) => {
+                        let value = |i: usize| other.get_f64(i);
+                        let wanted = points.iter().flat_map(|&i| count * i..count * (i + 1)).map(value).collect();
+                        let all: Vec<usize> = (0..points.len()).collect();
+                        let converted = this.of_f64(wanted);
+                        this.extend_from(&converted, &all, count);
+                    }
+                }
             }
 
             /// The values of some points, `count` each.

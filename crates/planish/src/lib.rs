@@ -84,6 +84,8 @@ mod range;
 mod reference;
 #[cfg(feature = "evaluate")]
 pub mod render;
+#[cfg(feature = "stream")]
+pub mod rig;
 #[cfg(feature = "ros")]
 pub mod ros;
 mod sensor;

@@ -72,6 +72,13 @@ impl SensorPose {
         self.transform().map(drop)
     }
 
+    /// The pose of a transform from the sensor's frame to the cloud's.
+    #[cfg(feature = "stream")]
+    pub(crate) fn from_transform(transform: &RigidTransform) -> Self {
+        let quaternion = DQuat::from_mat3(&transform.rotation).normalize();
+        Self::from_xyzw(transform.translation.to_array(), quaternion.to_array())
+    }
+
     /// The transform from the sensor's frame to the cloud's.
     pub(crate) fn transform(&self) -> Result<RigidTransform, FrameError> {
         let bad = |field, value: String, allowed| Err(FrameError::BadPose(ParamError { field, value, allowed }));
@@ -115,6 +122,32 @@ impl RigidTransform {
 
     pub(crate) fn is_identity(&self) -> bool {
         *self == Self::IDENTITY
+    }
+
+    /// A point of the sensor's frame in the cloud's.
+    #[cfg(feature = "stream")]
+    pub(crate) fn from_sensor(self, point_in_sensor: DVec3) -> DVec3 {
+        self.rotation * point_in_sensor + self.translation
+    }
+
+    /// The transform that adds an origin.
+    #[cfg(feature = "stream")]
+    pub(crate) fn shift(origin_m: [f64; 3]) -> Self {
+        Self { rotation: DMat3::IDENTITY, translation: DVec3::from_array(origin_m) }
+    }
+
+    /// The transform that does first `other`, then this one.
+    #[cfg(feature = "stream")]
+    pub(crate) fn after(self, other: Self) -> Self {
+        let translation = self.rotation * other.translation + self.translation;
+        Self { rotation: self.rotation * other.rotation, translation }
+    }
+
+    /// The transform the other way.
+    #[cfg(feature = "stream")]
+    pub(crate) fn inverse(self) -> Self {
+        let rotation = self.rotation.transpose();
+        Self { rotation, translation: -(rotation * self.translation) }
     }
 
     /// A point of the cloud in the sensor's frame.

@@ -5,6 +5,8 @@
 
 mod estimate;
 
+use std::str::FromStr;
+
 use crate::error::ParamError;
 
 /// Noise of a Kinect v1 in units of its depth step. The radius must reach over the noise, so the models of sensors without
@@ -95,6 +97,36 @@ impl SensorModel {
     }
 }
 
+impl SensorModel {
+    /// The sensors by the names that files, options and parameters have for them.
+    pub const NAMED: [(&'static str, Self); 8] = [
+        ("kinect1", Self::KINECT_V1),
+        ("d415", Self::REALSENSE_D415),
+        ("d435", Self::REALSENSE_D435),
+        ("d455", Self::REALSENSE_D455),
+        ("azure-kinect", Self::AZURE_KINECT),
+        ("l515", Self::REALSENSE_L515),
+        ("iphone", Self::APPLE_LIDAR),
+        ("exact", Self::EXACT),
+    ];
+
+    /// The name of this sensor, if it is one of [`SensorModel::NAMED`].
+    pub fn name(&self) -> Option<&'static str> {
+        Self::NAMED.iter().find(|(_, sensor)| sensor == self).map(|(name, _)| *name)
+    }
+}
+
+impl FromStr for SensorModel {
+    type Err = ParamError;
+
+    /// The sensor of a name of [`SensorModel::NAMED`].
+    fn from_str(name: &str) -> Result<Self, ParamError> {
+        let named = Self::NAMED.iter().find(|(known, _)| *known == name).map(|(_, sensor)| *sensor);
+        let allowed = "kinect1, d415, d435, d455, azure-kinect, l515, iphone or exact";
+        named.ok_or_else(|| ParamError { field: "sensor", value: format!("{name:?}"), allowed })
+    }
+}
+
 impl Default for SensorModel {
     /// [`SensorModel::KINECT_V1`].
     fn default() -> Self {
@@ -121,6 +153,16 @@ mod tests {
         close(SensorModel::REALSENSE_L515.sigma_m(1.0), 2.5e-3);
         close(SensorModel::REALSENSE_L515.sigma_m(9.0), 15.5e-3);
         close(SensorModel::REALSENSE_D435.sigma_m(2.0), 4.0 * 0.08 / (0.05 * 424.0));
+    }
+
+    #[test]
+    fn every_sensor_has_a_name() {
+        for (name, sensor) in SensorModel::NAMED {
+            assert_eq!(name.parse(), Ok(sensor));
+            assert_eq!(sensor.name(), Some(name));
+        }
+        let error = "d999".parse::<SensorModel>().unwrap_err().to_string();
+        assert!(SensorModel::NAMED.iter().all(|(name, _)| error.contains(name)), "{error}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The result of smoothing: one entry for each pixel or point of the input, in its order.
 
 use crate::camera::{Camera, Rays};
-use crate::cloud::PointCloud;
+use crate::cloud::{AttributeValues, PointCloud};
 use crate::error::FrameError;
 use crate::frame::{DepthImage, Frame};
 use crate::method::GRAZING_COSINE;
@@ -142,6 +142,27 @@ impl Smoothed {
     }
 }
 
+impl Smoothed {
+    /// Those of `fields` that it has, by the names that clouds have for them.
+    pub(crate) fn fields(&self, fields: Outputs) -> Vec<(&'static str, AttributeValues)> {
+        let mut found: Vec<(&'static str, AttributeValues)> = Vec::new();
+        if let (true, Some(normals)) = (fields.normals, &self.normals) {
+            let axes = [("normal_x", &normals.x), ("normal_y", &normals.y), ("normal_z", &normals.z)];
+            found.extend(axes.map(|(name, values)| (name, values.clone().into())));
+        }
+        if let (true, Some(curvature)) = (fields.curvature, &self.curvature) {
+            found.push(("curvature", curvature.clone().into()));
+        }
+        if let (true, Some(status)) = (fields.status, &self.status) {
+            found.push(("status", status.iter().map(|&s| s as u8).collect::<Vec<u8>>().into()));
+        }
+        if let (true, Some(neighbours)) = (fields.neighbours, &self.neighbours) {
+            found.push(("neighbours", neighbours.clone().into()));
+        }
+        found
+    }
+}
+
 /// Where a ray meets the tangent plane of a point; the point's own depth where the ray grazes that, or it has no normal.
 #[inline(always)]
 pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [nx, ny, nz]: [f32; 3]) -> f32 {
@@ -157,19 +178,8 @@ impl PointCloud {
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         self.positions.clone_from(&smoothed.points);
-        if let (true, Some(normals)) = (fields.normals, &smoothed.normals) {
-            self.set_attribute("normal_x", normals.x.clone());
-            self.set_attribute("normal_y", normals.y.clone());
-            self.set_attribute("normal_z", normals.z.clone());
-        }
-        if let (true, Some(curvature)) = (fields.curvature, &smoothed.curvature) {
-            self.set_attribute("curvature", curvature.clone());
-        }
-        if let (true, Some(status)) = (fields.status, &smoothed.status) {
-            self.set_attribute("status", status.iter().map(|&s| s as u8).collect::<Vec<u8>>());
-        }
-        if let (true, Some(neighbours)) = (fields.neighbours, &smoothed.neighbours) {
-            self.set_attribute("neighbours", neighbours.clone());
+        for (name, values) in smoothed.fields(fields) {
+            self.set_attribute(name, values);
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ mod points_view;
 mod sample;
 
 use crate::camera::Camera;
-use crate::cloud::{OrganizedCloud, PointCloud};
+use crate::cloud::{Attribute, OrganizedCloud, PointCloud};
 use crate::error::FrameError;
 use crate::xyz::validate_shape;
 
@@ -82,11 +82,15 @@ impl DepthFrame {
     pub fn deproject(&self) -> Result<OrganizedCloud, FrameError> {
         self.validate()?;
         let mut cloud = DepthView::new(&self.raw, &self.camera)?.deproject()?;
-        if let Some(rgb) = &self.rgb {
-            let packed = rgb.chunks_exact(3).map(|c| u32::from_be_bytes([0, c[0], c[1], c[2]]));
-            cloud.points.set_attribute("rgb", packed.map(f32::from_bits).collect::<Vec<_>>());
-        }
+        cloud.points.attributes.extend(self.packed_rgb());
         Ok(cloud)
+    }
+
+    /// Its colour as PCL packs it.
+    pub(crate) fn packed_rgb(&self) -> Option<Attribute> {
+        let packed = self.rgb.as_ref()?.chunks_exact(3).map(|c| u32::from_be_bytes([0, c[0], c[1], c[2]]));
+        let values = packed.map(f32::from_bits).collect::<Vec<_>>().into();
+        Some(Attribute { name: "rgb".into(), count: 1, values })
     }
 }
 

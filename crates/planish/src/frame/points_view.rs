@@ -239,6 +239,12 @@ impl<'a> PointsView<'a> {
         self.pose
     }
 
+    /// What positions are relative to.
+    #[cfg(feature = "stream")]
+    pub(crate) fn origin_m(&self) -> [f64; 3] {
+        self.origin_m.to_array()
+    }
+
     /// The camera, where it is known.
     pub fn camera(&self) -> Option<&'a Camera> {
         self.camera

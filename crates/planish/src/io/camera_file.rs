@@ -175,7 +175,8 @@ fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<FormatResult
     }))
 }
 
-fn colmap_camera(line: &str) -> FormatResult<Camera> {
+/// The camera of a line of COLMAP's `cameras.txt`.
+pub(crate) fn colmap_camera(line: &str) -> FormatResult<Camera> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let parsed = |range: std::ops::RangeFrom<usize>| {
         words.get(range)?.iter().map(|word| word.parse::<f64>().ok()).collect::<Option<Vec<f64>>>()

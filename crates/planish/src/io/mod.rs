@@ -38,6 +38,8 @@ pub(crate) use self::columns::{cloud_from_columns, columns_from_cloud, with_valu
 pub(crate) use self::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
 pub(crate) use self::e57::Scans;
 pub use self::format::{Format, WRITTEN};
+#[cfg(feature = "stream")]
+pub(crate) use camera_file::colmap_camera;
 pub use camera_file::{camera_to_json, parse_camera, read_camera};
 pub(crate) use las::LasReader;
 pub use pcd::Encoding;

@@ -21,18 +21,18 @@ pub(super) type Item = Result<Arrived, (Error, bool)>;
 
 /// Accumulated time, added to by one thread and read by another.
 #[derive(Default)]
-pub(super) struct TimeSpent(AtomicU64);
+pub(crate) struct TimeSpent(AtomicU64);
 
 impl TimeSpent {
     /// Adds the time that `work` takes.
-    pub(super) fn on<T>(&self, work: impl FnOnce() -> T) -> T {
+    pub(crate) fn on<T>(&self, work: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = work();
         self.0.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
         result
     }
 
-    pub(super) fn total(&self) -> Duration {
+    pub(crate) fn total(&self) -> Duration {
         Duration::from_nanos(self.0.load(Ordering::Relaxed))
     }
 }

@@ -24,11 +24,12 @@ use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::source::{Source, SourceFrame};
 use crate::view::SmoothedView;
-use mailbox::{Arrived, Mailbox, Policy, TimeSpent};
-use sinks::SinkThread;
+use mailbox::{Arrived, Mailbox, Policy};
 
 #[cfg(feature = "rerun")]
 pub use self::rerun::RerunSink;
+pub(crate) use mailbox::TimeSpent;
+pub(crate) use sinks::{Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
 pub use statistics::{Latency, StreamStatistics};
 
@@ -226,7 +227,7 @@ struct Stream<'a> {
     told_lost_points: bool,
     /// Frames in flight, kept to be smoothed again if their device is lost.
     pending: VecDeque<Arrived>,
-    sinks: Vec<SinkThread>,
+    sinks: Vec<SinkThread<StreamFrame>>,
     statistics: StreamStatistics,
     smooth_time: TimeSpent,
 }

@@ -43,7 +43,7 @@ pub enum SinkFormat {
 }
 
 impl SinkFormat {
-    fn extension(self) -> &'static str {
+    pub(crate) fn extension(self) -> &'static str {
         match self {
             Self::Pcd => "pcd",
             Self::Ply => "ply",
@@ -163,20 +163,41 @@ const FRAMES_PER_SECOND: f64 = 30.0;
 /// Length of a sink's queue. When it is full a live stream drops results; any other waits.
 const QUEUE: usize = 4;
 
+/// Consumes results of a kind: what a thread of its own does with them.
+pub(crate) trait Consumer<T>: Send + 'static {
+    fn name(&self) -> String;
+    fn write(&mut self, result: &T) -> Result<(), Error>;
+    fn close(&mut self) -> Result<(), Error>;
+}
+
+impl Consumer<StreamFrame> for Box<dyn Sink> {
+    fn name(&self) -> String {
+        Sink::name(&**self)
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        Sink::write(&mut **self, frame)
+    }
+
+    fn close(&mut self) -> Result<(), Error> {
+        Sink::close(&mut **self)
+    }
+}
+
 /// A sink on its thread.
-pub(super) struct SinkThread {
+pub(crate) struct SinkThread<T> {
     name: String,
-    frames: Option<SyncSender<Arc<StreamFrame>>>,
+    frames: Option<SyncSender<Arc<T>>>,
     thread: Option<JoinHandle<Result<(), Error>>>,
     dropped: u64,
     warned: bool,
     time: Arc<TimeSpent>,
 }
 
-impl SinkThread {
-    pub(super) fn start(mut sink: Box<dyn Sink>) -> Result<Self, Error> {
+impl<T: Send + Sync + 'static> SinkThread<T> {
+    pub(crate) fn start(mut sink: impl Consumer<T>) -> Result<Self, Error> {
         let name = sink.name();
-        let (frames, queue) = sync_channel::<Arc<StreamFrame>>(QUEUE);
+        let (frames, queue) = sync_channel::<Arc<T>>(QUEUE);
         let time = Arc::new(TimeSpent::default());
         let spent = Arc::clone(&time);
         let work = move || {
@@ -191,7 +212,7 @@ impl SinkThread {
     }
 
     /// Queues a result; returns a warning, once, if the sink failed.
-    pub(super) fn give(&mut self, frame: &Arc<StreamFrame>, live: bool) -> Option<String> {
+    pub(crate) fn give(&mut self, frame: &Arc<T>, live: bool) -> Option<String> {
         let frames = self.frames.as_ref()?;
         let given = if live {
             frames.try_send(Arc::clone(frame))
@@ -223,7 +244,7 @@ impl SinkThread {
     }
 
     /// Waits until it has written everything, and updates the counts; returns a warning if it failed.
-    pub(super) fn finish(mut self, statistics: &mut StreamStatistics) -> Option<String> {
+    pub(crate) fn finish(mut self, statistics: &mut StreamStatistics) -> Option<String> {
         let had_failed = self.frames.take().is_none();
         statistics.dropped_by_sinks += self.dropped;
         let reason = self.reason();

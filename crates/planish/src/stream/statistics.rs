@@ -53,7 +53,7 @@ pub struct Latency {
 }
 
 impl StreamStatistics {
-    pub(super) fn start() -> Self {
+    pub(crate) fn start() -> Self {
         Self {
             frames_in: 0,
             frames_out: 0,
@@ -73,7 +73,7 @@ impl StreamStatistics {
         }
     }
 
-    pub(super) fn add(&mut self, latency: Duration) {
+    pub(crate) fn add(&mut self, latency: Duration) {
         let now = Instant::now();
         self.frames_out += 1;
         self.first.get_or_insert(now);
@@ -84,7 +84,7 @@ impl StreamStatistics {
         }
     }
 
-    pub(super) fn end(&mut self) {
+    pub(crate) fn end(&mut self) {
         self.duration = Some(self.started.elapsed());
     }
 

@@ -1,0 +1,237 @@
+//! The threads that read a rig's cameras, and the inbox that they put frames into.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::{Clock, Matcher, MatcherCounts, Moment};
+use crate::error::Error;
+use crate::source::{Source, SourceFrame};
+
+/// A live source that failed so many times in a row counts as gone.
+const MOST_FAILURES: u32 = 100;
+
+/// Frames a second of a recording without time stamps.
+const FRAMES_PER_SECOND: f64 = 30.0;
+
+/// So many moments with one camera each say that the cameras' clocks have nothing in common.
+const UNMATCHED_ARE_TOLD: u32 = 30;
+
+/// A frame that has arrived from a camera.
+pub(super) struct Arrived {
+    pub(super) frame: SourceFrame,
+    pub(super) name: Option<String>,
+    pub(super) since: Instant,
+}
+
+/// What the inbox has to say.
+pub(super) enum Taken {
+    Moment(Moment<Arrived>),
+    /// Nothing yet.
+    Nothing,
+    /// Nothing more will come.
+    End,
+}
+
+/// Where the cameras' threads put their frames, and the stream takes moments.
+pub(super) struct Inbox {
+    names: Vec<String>,
+    is_live: bool,
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+struct State {
+    matcher: Matcher<Arrived>,
+    cameras: Vec<Received>,
+    /// Not told yet.
+    warnings: VecDeque<String>,
+    first_error: Option<Error>,
+    /// Moments that newer ones replaced.
+    skipped: u64,
+    /// Moments of one camera each, one after another, while several gave frames.
+    alone_in_a_row: u32,
+    has_told_unmatched: bool,
+    is_closed: bool,
+    started: Instant,
+}
+
+/// What a camera's thread reports.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Received {
+    pub(super) unreadable: u64,
+    pub(super) dropped_by_source: u64,
+    pub(super) has_ended: bool,
+}
+
+impl Inbox {
+    pub(super) fn new(names: Vec<String>, is_live: bool, tolerance_s: f64, patience: Duration) -> Self {
+        let state = State {
+            matcher: Matcher::new(names.len(), tolerance_s, is_live.then_some(patience)),
+            cameras: vec![Received::default(); names.len()],
+            warnings: VecDeque::new(),
+            first_error: None,
+            skipped: 0,
+            alone_in_a_row: 0,
+            has_told_unmatched: false,
+            is_closed: false,
+            started: Instant::now(),
+        };
+        Self { names, is_live, state: Mutex::new(state), changed: Condvar::new() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // The state is consistent at any time.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads a camera until it ends or the inbox is closed.
+    pub(super) fn capture(&self, camera: usize, mut source: Box<dyn Source>, clock: Clock, time_offset_s: f64) {
+        let _end = EndOf { inbox: self, camera };
+        let (mut failures, mut number) = (0, 0u64);
+        while !self.lock().is_closed {
+            match source.next_frame() {
+                Ok(Some(frame)) => {
+                    failures = 0;
+                    let arrived = Arrived { frame, name: source.frame_name(), since: Instant::now() };
+                    self.put(camera, arrived, (clock, time_offset_s, number, source.is_live()), source.dropped());
+                    number += 1;
+                }
+                Ok(None) => break,
+                Err(error) => {
+                    failures += 1;
+                    let is_over = matches!(error, Error::Device(_)) || (source.is_live() && failures >= MOST_FAILURES);
+                    self.failed(camera, error, is_over);
+                    if is_over {
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Puts a frame in, waiting for room if none may be left out.
+    fn put(
+        &self,
+        camera: usize,
+        arrived: Arrived,
+        (clock, time_offset_s, number, is_live): (Clock, f64, u64, bool),
+        dropped: u64,
+    ) {
+        let mut state = self.lock();
+        while !state.is_closed && !state.matcher.has_room(camera) {
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        let after_start_s = arrived.since.saturating_duration_since(state.started).as_secs_f64();
+        let stamp_s = match (clock, arrived.frame.timestamp_s()) {
+            (Clock::Source, Some(stamp_s)) => stamp_s,
+            (Clock::Source, None) if !is_live => number as f64 / FRAMES_PER_SECOND,
+            (Clock::Source, None) | (Clock::Arrival, _) => after_start_s,
+        };
+        state.cameras[camera].dropped_by_source = dropped;
+        let since = arrived.since;
+        state.matcher.put(camera, stamp_s + time_offset_s, since, arrived);
+        self.changed.notify_all();
+    }
+
+    fn failed(&self, camera: usize, error: Error, is_over: bool) {
+        let mut state = self.lock();
+        state.cameras[camera].unreadable += 1;
+        let goes_on = if is_over { "; the other cameras go on" } else { "" };
+        state.warnings.push_back(format!("camera {}: {error}{goes_on}", self.names[camera]));
+        if is_over {
+            state.first_error.get_or_insert(error);
+        }
+        self.changed.notify_all();
+    }
+
+    /// Takes the next moment, of live cameras the newest, waiting no longer than `patience`.
+    pub(super) fn take(&self, patience: Duration) -> Taken {
+        let deadline = Instant::now() + patience;
+        let mut state = self.lock();
+        loop {
+            let now = Instant::now();
+            if let Some(moment) = state.next(now, self.is_live) {
+                self.changed.notify_all();
+                return Taken::Moment(moment);
+            }
+            if state.matcher.is_over() {
+                return Taken::End;
+            }
+            if now >= deadline {
+                return Taken::Nothing;
+            }
+            let until = state.matcher.due().map_or(deadline, |due| due.min(deadline));
+            let left = until.saturating_duration_since(now).max(Duration::from_micros(100));
+            state = self.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// The next warning that was not told.
+    pub(super) fn warning(&self) -> Option<String> {
+        self.lock().warnings.pop_front()
+    }
+
+    /// Wakes the cameras' threads, which end.
+    pub(super) fn close(&self) {
+        self.lock().is_closed = true;
+        self.changed.notify_all();
+    }
+
+    /// The error that a camera ended with.
+    pub(super) fn first_error(&self) -> Option<Error> {
+        self.lock().first_error.take()
+    }
+
+    /// What became of each camera's frames, and how many moments newer ones replaced.
+    pub(super) fn counts(&self) -> (Vec<(MatcherCounts, Received)>, u64) {
+        let state = self.lock();
+        (state.matcher.counts().into_iter().zip(state.cameras.iter().copied()).collect(), state.skipped)
+    }
+}
+
+impl State {
+    fn next(&mut self, now: Instant, is_live: bool) -> Option<Moment<Arrived>> {
+        let mut moment = self.matcher.take(now)?;
+        self.look_for_unmatched(&moment);
+        while is_live && let Some(newer) = self.matcher.take(now) {
+            self.look_for_unmatched(&newer);
+            self.skipped += 1;
+            moment = newer;
+        }
+        Some(moment)
+    }
+
+    /// Warns once if several cameras give frames and none of them belong together.
+    fn look_for_unmatched(&mut self, moment: &Moment<Arrived>) {
+        let together = moment.frames.iter().flatten().count();
+        self.alone_in_a_row = if together > 1 { 0 } else { self.alone_in_a_row + 1 };
+        let giving = self.matcher.counts().iter().filter(|counts| counts.received > counts.late + 1).count();
+        if self.alone_in_a_row >= UNMATCHED_ARE_TOLD && giving > 1 && !self.has_told_unmatched {
+            self.has_told_unmatched = true;
+            self.warnings.push_back(
+                "no frames of different cameras have time stamps within the tolerance: give time offsets (time_offset_s), a larger \
+                 tolerance (tolerance_ms), or for live cameras whose clocks differ \"clock\": \"arrival\""
+                    .to_owned(),
+            );
+        }
+    }
+}
+
+/// Ends a camera's part of the inbox when it is dropped, also by a panic.
+struct EndOf<'a> {
+    inbox: &'a Inbox,
+    camera: usize,
+}
+
+impl Drop for EndOf<'_> {
+    fn drop(&mut self) {
+        let mut state = self.inbox.lock();
+        state.matcher.end(self.camera);
+        state.cameras[self.camera].has_ended = true;
+        if std::thread::panicking() {
+            state.warnings.push_back(format!("camera {}: its source panicked", self.inbox.names[self.camera]));
+        }
+        self.inbox.changed.notify_all();
+    }
+}

@@ -1,0 +1,270 @@
+//! `rig.json`: which cameras a rig has and where they stand.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Clock, DEFAULT_TOLERANCE_S, Rig, RigCamera, folder_of, resolve_source};
+use crate::camera::Camera;
+use crate::error::{FormatError, IoError, ParamError};
+use crate::io::{self, ReadOptions};
+use crate::pose::SensorPose;
+use crate::sensor::SensorModel;
+use crate::source::Alignment;
+
+/// The largest file of a rig that is read, in bytes.
+pub(super) const MAX_BYTES: u64 = 1 << 24;
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RigFile {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    frame: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tolerance_ms: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    clock: Option<String>,
+    cameras: Vec<CameraEntry>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CameraEntry {
+    name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    source: Option<String>,
+    /// Intrinsics as a camera file has them, or the name of one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    camera: Option<serde_json::Value>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pose: Option<PoseEntry>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sensor: Option<SensorEntry>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    time_offset_s: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    align: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    mode: Option<String>,
+}
+
+/// A sensor by its name, or by its coefficients of 1, z and z² in metres.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum SensorEntry {
+    Named(String),
+    Model { step: [f32; 3], sigma: [f32; 3] },
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseEntry {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    position_m: Option<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    orientation_xyzw: Option<[f64; 4]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    matrix: Option<Vec<[f64; 4]>>,
+}
+
+impl Rig {
+    /// Reads a `rig.json`. Its sources and camera files are relative to its folder.
+    ///
+    /// ```json
+    /// {
+    ///   "frame": "base_link",
+    ///   "tolerance_ms": 16,
+    ///   "cameras": [
+    ///     {
+    ///       "name": "left",
+    ///       "source": "realsense:038122250123",
+    ///       "sensor": "d435",
+    ///       "pose": { "position_m": [0.1, 0.2, 0.5], "orientation_xyzw": [-0.5, 0.5, -0.5, 0.5] }
+    ///     },
+    ///     {
+    ///       "name": "right",
+    ///       "source": "recordings/right",
+    ///       "camera": { "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5 },
+    ///       "pose": { "matrix": [[1, 0, 0, 0.1], [0, 1, 0, -0.2], [0, 0, 1, 0.5], [0, 0, 0, 1]] },
+    ///       "time_offset_s": 0.004
+    ///     }
+    ///   ]
+    /// }
+    /// ```
+    pub fn read(path: &Path) -> Result<Self, IoError> {
+        let read = || {
+            let bytes = io::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
+            let text = String::from_utf8(bytes).map_err(|_| malformed("not text"))?;
+            parse(&text, &folder_of(path))
+        };
+        read().map_err(IoError::at(path))
+    }
+}
+
+fn malformed(problem: impl Into<String>) -> FormatError {
+    FormatError::Malformed(problem.into())
+}
+
+fn parse(text: &str, folder: &Path) -> Result<Rig, FormatError> {
+    let file: RigFile = serde_json::from_str(text).map_err(|error| malformed(format!("not a rig.json: {error}")))?;
+    let clock = match file.clock.as_deref() {
+        None | Some("source") => Clock::Source,
+        Some("arrival") => Clock::Arrival,
+        Some(other) => return Err(malformed(format!("clock is {other:?}: it may be \"source\" or \"arrival\""))),
+    };
+    let cameras = file.cameras.into_iter().map(|entry| camera_of(entry, folder)).collect::<Result<_, _>>()?;
+    let tolerance_s = file.tolerance_ms.map_or(DEFAULT_TOLERANCE_S, |tolerance_ms| 1e-3 * tolerance_ms);
+    let rig = Rig { cameras, frame: file.frame, tolerance_s, clock };
+    rig.validate().map_err(|error| malformed(error.to_string()))?;
+    Ok(rig)
+}
+
+fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError> {
+    let CameraEntry { name, source, camera, pose, sensor, time_offset_s, align, mode } = entry;
+    let of = |problem: String| malformed(format!("camera {name:?}: {problem}"));
+    let pose = pose.ok_or_else(|| of("no pose; \"pose\" says where it stands in the rig's frame".into()))?;
+    let camera = camera.map(|camera| intrinsics_of(&camera, folder).map_err(of)).transpose()?;
+    let sensor = match sensor {
+        None => None,
+        Some(SensorEntry::Named(name)) => Some(name.parse().map_err(|error: ParamError| of(error.to_string()))?),
+        Some(SensorEntry::Model { step, sigma }) => Some(SensorModel::new(step, sigma)),
+    };
+    let alignment = match align.as_deref() {
+        None => None,
+        Some("depth") => Some(Alignment::Depth),
+        Some("color") => Some(Alignment::Color),
+        Some("none") => Some(Alignment::None),
+        Some(other) => return Err(of(format!("align is {other:?}: it may be \"depth\", \"color\" or \"none\""))),
+    };
+    let mode = mode.map(|mode| mode.parse().map_err(|error: ParamError| of(error.to_string()))).transpose()?;
+    Ok(RigCamera {
+        source: source.map(|source| resolve_source(folder, &source)),
+        camera,
+        pose: pose_of(&pose).map_err(of)?,
+        sensor,
+        time_offset_s: time_offset_s.unwrap_or(0.0),
+        alignment,
+        mode,
+        name,
+    })
+}
+
+/// The camera of an object, or of the camera file that a text names.
+fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<Camera, String> {
+    match value {
+        serde_json::Value::String(file) => io::read_camera(&folder.join(file), None).map_err(|error| error.to_string()),
+        value => io::parse_camera(&value.to_string(), None).map_err(|error| error.to_string()),
+    }
+}
+
+fn pose_of(entry: &PoseEntry) -> Result<SensorPose, String> {
+    match (entry.position_m, entry.orientation_xyzw, &entry.matrix) {
+        (Some(position_m), Some(orientation), None) => Ok(SensorPose::from_xyzw(position_m, orientation)),
+        (None, None, Some(rows)) => pose_of_matrix(rows),
+        _ => Err("a pose is position_m with orientation_xyzw, or a matrix of four rows".into()),
+    }
+}
+
+/// The pose of a homogeneous matrix, row by row; the last row may be left out.
+pub(super) fn pose_of_matrix(rows: &[[f64; 4]]) -> Result<SensorPose, String> {
+    let &[a, b, c, ref last @ ..] = rows else { return Err(format!("a matrix of {} rows: 4 are needed", rows.len())) };
+    if !matches!(last, [] | [[0.0, 0.0, 0.0, 1.0]]) {
+        return Err("the last row of the matrix is not 0, 0, 0, 1".into());
+    }
+    let rotation = [a, b, c].map(|[x, y, z, _]| [x, y, z]);
+    let pose = SensorPose::from_rotation([a[3], b[3], c[3]], rotation);
+    pose.ok_or_else(|| {
+        "the matrix is no rotation and translation: its columns must be of length 1, at right angles".into()
+    })
+}
+
+/// A rig as `rig.json`, as [`Rig::read`] reads it.
+pub fn rig_to_json(rig: &Rig) -> String {
+    let entry = |camera: &RigCamera| CameraEntry {
+        name: camera.name.clone(),
+        source: camera.source.clone(),
+        camera: camera.camera.as_ref().and_then(|camera| serde_json::from_str(&io::camera_to_json(camera)).ok()),
+        pose: Some(PoseEntry {
+            position_m: Some(camera.pose.position_m),
+            orientation_xyzw: Some(xyzw(camera.pose.orientation)),
+            matrix: None,
+        }),
+        sensor: camera.sensor.map(|sensor| match sensor.name() {
+            Some(name) => SensorEntry::Named(name.to_owned()),
+            None => SensorEntry::Model { step: sensor.step, sigma: sensor.sigma },
+        }),
+        time_offset_s: (camera.time_offset_s != 0.0).then_some(camera.time_offset_s),
+        align: camera.alignment.map(|alignment| format!("{alignment:?}").to_lowercase()),
+        mode: camera.mode.map(|mode| mode.to_string()),
+    };
+    let file = RigFile {
+        frame: rig.frame.clone(),
+        tolerance_ms: (rig.tolerance_s != DEFAULT_TOLERANCE_S).then_some(1e3 * rig.tolerance_s),
+        clock: (rig.clock == Clock::Arrival).then(|| "arrival".to_owned()),
+        cameras: rig.cameras.iter().map(entry).collect(),
+    };
+    // Numbers and texts have always a form in JSON.
+    serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
+}
+
+fn xyzw([w, x, y, z]: [f64; 4]) -> [f64; 4] {
+    [x, y, z, w]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const POSE: &str = r#""pose":{"position_m":[1,2,3],"orientation_xyzw":[-0.5,0.5,-0.5,0.5]}"#;
+
+    fn parse_cameras(cameras: &str) -> Result<Rig, FormatError> {
+        parse(&format!(r#"{{"cameras":[{cameras}]}}"#), Path::new("/rigs"))
+    }
+
+    #[test]
+    fn a_rig_comes_back_from_its_file() {
+        let text = format!(
+            r#"{{"frame":"base_link","tolerance_ms":5,"clock":"arrival","cameras":[
+            {{"name":"left","source":"realsense:0123","sensor":"d435","align":"none","mode":"848x480@30",{POSE}}},
+            {{"name":"right","source":"right","camera":{{"fx":525,"fy":525,"cx":319.5,"cy":239.5}},"time_offset_s":0.004,
+              "pose":{{"matrix":[[0,0,1,1],[-1,0,0,2],[0,-1,0,3],[0,0,0,1]]}}}}]}}"#
+        );
+        let rig = parse(&text, Path::new("/rigs")).unwrap();
+        let [left, right] = &rig.cameras[..] else { panic!("two cameras") };
+        assert_eq!(left.source.as_deref(), Some("realsense:0123"));
+        assert_eq!(right.source.as_deref(), Some("/rigs/right"));
+        assert_eq!(left.sensor, Some(SensorModel::REALSENSE_D435));
+        assert_eq!((right.time_offset_s, rig.tolerance_s, rig.clock), (0.004, 0.005, Clock::Arrival));
+        assert_eq!(right.camera.map(|camera| camera.fx), Some(525.0));
+        // The same place, stated in two ways.
+        let off = |i: usize, k: usize| (left.pose.rotation()[i][k] - right.pose.rotation()[i][k]).abs();
+        assert_eq!(left.pose.position_m, right.pose.position_m);
+        assert!((0..9).all(|i| off(i / 3, i % 3) < 1e-12), "{:?} {:?}", left.pose, right.pose);
+        assert_eq!(parse(&rig_to_json(&rig), Path::new("/elsewhere")).unwrap(), rig);
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_camera_names_it() {
+        let said = |camera: &str| parse_cameras(camera).unwrap_err().to_string();
+        for (camera, expected) in [
+            (r#"{"name":"left"}"#.to_owned(), "no pose"),
+            (format!(r#"{{"name":"left","sensor":"d999",{POSE}}}"#), "kinect1"),
+            (format!(r#"{{"name":"left","camera":"missing.json",{POSE}}}"#), "missing.json"),
+            (format!(r#"{{"name":"left","camera":{{"fx":1}},{POSE}}}"#), "fx, fy, cx and cy"),
+            (format!(r#"{{"name":"left","mode":"big",{POSE}}}"#), "WIDTHxHEIGHT"),
+            (format!(r#"{{"name":"left","align":"up",{POSE}}}"#), "\"depth\""),
+            (r#"{"name":"left","pose":{"position_m":[0,0,0]}}"#.to_owned(), "orientation_xyzw"),
+            (r#"{"name":"left","pose":{"matrix":[[2,0,0,0],[0,1,0,0],[0,0,1,0]]}}"#.to_owned(), "right angles"),
+            (r#"{"name":"left","pose":{"matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,0,0,1]]}}"#.to_owned(), "last row"),
+            (r#"{"name":"left","pose":{"position_m":[0,0,0],"orientation_xyzw":[0,0,0,2]}}"#.to_owned(), "length 1"),
+        ] {
+            let said = said(&camera);
+            assert!(said.contains("\"left\"") && said.contains(expected), "{said}");
+        }
+        assert!(said(&format!(r#"{{"name":"left","poze":1,{POSE}}}"#)).contains("poze"));
+        let twice = said(&format!(r#"{{"name":"left",{POSE}}},{{"name":"left",{POSE}}}"#));
+        assert!(twice.contains("no other camera"), "{twice}");
+        assert!(parse_cameras("").unwrap_err().to_string().contains("1 to 256"));
+        assert!(parse("[]", Path::new("")).unwrap_err().to_string().contains("rig.json"));
+    }
+}

@@ -1,0 +1,243 @@
+//! One cloud of several cameras', in the rig's frame.
+
+use std::borrow::Cow;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{Rig, RigCamera};
+use crate::cloud::{Attribute, AttributeValues, PointCloud};
+use crate::error::FrameError;
+use crate::frame::{Frame, IntoFrame};
+use crate::outputs::Outputs;
+use crate::pose::{RigidTransform, SensorPose};
+use crate::smoothed::Smoothed;
+use crate::source::SourceFrame;
+use crate::xyz::Xyz;
+
+/// Farther from the rig's origin than this, f32 would lose tenths of a millimetre: positions are relative to the first camera then.
+const MOST_WITHOUT_ORIGIN_M: f64 = 1000.0;
+
+/// Fields that are directions, one component each.
+const DIRECTIONS: [[&str; 3]; 2] = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]];
+
+/// The field with the index of the camera that took a point.
+pub(super) const CAMERA_FIELD: &str = "camera";
+
+/// A camera's part of a fused cloud.
+pub(super) struct Part<'a> {
+    /// Its index in the rig.
+    pub(super) camera: usize,
+    pub(super) rig_from_points: RigidTransform,
+    pub(super) positions: Cow<'a, Xyz>,
+    pub(super) attributes: Vec<Cow<'a, Attribute>>,
+}
+
+/// Puts clouds together in the rig's frame: for each its camera's index, its pose (rig_from_camera) and its points in the camera's frame.
+///
+/// Holes are left out. Fields of one name become one field, zero for points of cameras without it; normals are turned; the field `camera`
+/// has each point's camera. Positions are relative to [`PointCloud::origin_m`], which is zero unless the rig is more than 1 km from its
+/// origin.
+///
+/// # Errors
+/// If a pose is none.
+pub fn fuse(clouds: &[(usize, SensorPose, &PointCloud)]) -> Result<PointCloud, FrameError> {
+    let part = |&(camera, pose, cloud): &(usize, SensorPose, &PointCloud)| {
+        Ok(Part {
+            camera,
+            rig_from_points: pose.transform()?.after(RigidTransform::shift(cloud.origin_m)),
+            positions: Cow::Owned(cloud.positions.clone()),
+            attributes: cloud.attributes.iter().map(|attribute| Cow::Owned(attribute.clone())).collect(),
+        })
+    };
+    Ok(fuse_parts(&clouds.iter().map(part).collect::<Result<Vec<_>, FrameError>>()?))
+}
+
+pub(super) fn fuse_parts(parts: &[Part<'_>]) -> PointCloud {
+    let farthest = parts.iter().map(|part| part.rig_from_points.translation.abs().max_element()).fold(0.0, f64::max);
+    let first = parts.first().map_or(DVec3::ZERO, |part| part.rig_from_points.translation.round());
+    let origin = if farthest > MOST_WITHOUT_ORIGIN_M { first } else { DVec3::ZERO };
+    let points: Vec<(Vec<usize>, Xyz)> = parts.par_iter().map(|part| part.points(origin)).collect();
+    let positions = points.iter().map(|(_, positions)| positions);
+    let mut cloud = PointCloud::new(Xyz {
+        x: concatenated(positions.clone().map(|xyz| &xyz.x)),
+        y: concatenated(positions.clone().map(|xyz| &xyz.y)),
+        z: concatenated(positions.map(|xyz| &xyz.z)),
+    });
+    cloud.origin_m = origin.to_array();
+    let mut fields: Vec<&Attribute> = Vec::new();
+    for attribute in parts.iter().flat_map(|part| &part.attributes) {
+        let is_new = fields.iter().all(|field| (&field.name, field.count) != (&attribute.name, attribute.count));
+        if is_new && attribute.name != CAMERA_FIELD && attribute.name != "_" {
+            fields.push(attribute);
+        }
+    }
+    let of_all = |field: &&Attribute| of_all_parts(field, parts, &points);
+    cloud.attributes = fields.par_iter().map(of_all).collect();
+    for names in DIRECTIONS {
+        turn_directions(&mut cloud, names, parts, &points);
+    }
+    let cameras = parts.iter().zip(&points);
+    let cameras = cameras.flat_map(|(part, (indices, _))| std::iter::repeat_n(part.camera as u8, indices.len()));
+    cloud.set_attribute(CAMERA_FIELD, cameras.collect::<Vec<u8>>());
+    cloud
+}
+
+fn concatenated<'a>(parts: impl Iterator<Item = &'a Vec<f32>> + Clone) -> Vec<f32> {
+    let mut all = Vec::with_capacity(parts.clone().map(Vec::len).sum());
+    parts.for_each(|part| all.extend_from_slice(part));
+    all
+}
+
+impl Part<'_> {
+    /// Its points that are no holes: their indices, and their positions in the rig's frame.
+    fn points(&self, origin: DVec3) -> (Vec<usize>, Xyz) {
+        let Xyz { x, y, z } = &*self.positions;
+        let indices: Vec<usize> = (0..x.len()).filter(|&i| self.positions.is_finite(i)).collect();
+        let RigidTransform { rotation, translation } = self.rig_from_points;
+        let shift = translation - origin;
+        let mut rows = [(); 3].map(|()| vec![0f32; indices.len()]);
+        for (axis, out) in rows.iter_mut().enumerate() {
+            let [a, b, c] = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|column| column[axis]);
+            for (out, &i) in out.iter_mut().zip(&indices) {
+                *out = (a * f64::from(x[i]) + b * f64::from(y[i]) + c * f64::from(z[i]) + shift[axis]) as f32;
+            }
+        }
+        let [x, y, z] = rows;
+        (indices, Xyz { x, y, z })
+    }
+}
+
+/// A field of all points; zero for those of cameras without it.
+fn of_all_parts(field: &Attribute, parts: &[Part<'_>], points: &[(Vec<usize>, Xyz)]) -> Attribute {
+    let mut values = field.values.emptied();
+    for (part, (indices, _)) in parts.iter().zip(points) {
+        let is_it = |a: &&Cow<'_, Attribute>| (&a.name, a.count) == (&field.name, field.count);
+        match part.attributes.iter().find(is_it) {
+            Some(attribute) => values.extend_from(&attribute.values, indices, field.count),
+            None => values.push_zeros(indices.len() * field.count),
+        }
+    }
+    Attribute { name: field.name.clone(), count: field.count, values }
+}
+
+/// Turns directions, where the cloud has them, from the cameras' frames into the rig's.
+fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>], points: &[(Vec<usize>, Xyz)]) {
+    let index = |name: &str| {
+        let is_it = |a: &Attribute| a.name == name && a.count == 1 && matches!(a.values, AttributeValues::F32(_));
+        cloud.attributes.iter().position(is_it)
+    };
+    let [Some(x), Some(y), Some(z)] = names.map(index) else { return };
+    let Ok([x, y, z]) = cloud.attributes.get_disjoint_mut([x, y, z]) else { return };
+    let (AttributeValues::F32(x), AttributeValues::F32(y), AttributeValues::F32(z)) =
+        (&mut x.values, &mut y.values, &mut z.values)
+    else {
+        return;
+    };
+    let mut first = 0;
+    for (part, (indices, _)) in parts.iter().zip(points) {
+        for i in first..first + indices.len() {
+            let direction = DVec3::new(x[i].into(), y[i].into(), z[i].into());
+            [x[i], y[i], z[i]] = (part.rig_from_points.rotation * direction).as_vec3().to_array();
+        }
+        first += indices.len();
+    }
+}
+
+/// What takes a frame's points into the rig's frame. Clouds may be in another frame than their camera's.
+pub(super) fn rig_from_points(rig_from_camera: RigidTransform, frame: Frame<'_>) -> Result<RigidTransform, FrameError> {
+    match frame {
+        Frame::Depth(_) => Ok(rig_from_camera),
+        Frame::Points(points) => {
+            let camera_from_points =
+                points.pose().transform()?.inverse().after(RigidTransform::shift(points.origin_m()));
+            Ok(rig_from_camera.after(camera_from_points))
+        }
+    }
+}
+
+impl Rig {
+    /// Puts the results of a moment together in the rig's frame: the smoothed points of each camera with all fields of its frame, those of
+    /// `fields` that were computed, and the index of its camera. Holes are left out.
+    pub fn fuse(
+        &self,
+        frames: &[Option<(&SourceFrame, &Smoothed)>],
+        fields: Outputs,
+    ) -> Result<PointCloud, FrameError> {
+        let placed = self.cameras.iter().zip(frames).enumerate();
+        let parts = placed.filter_map(|(i, (camera, frame))| frame.map(|frame| part(i, camera, frame, fields)));
+        Ok(fuse_parts(&parts.collect::<Result<Vec<_>, FrameError>>()?))
+    }
+}
+
+fn part<'a>(
+    index: usize,
+    camera: &RigCamera,
+    (source, smoothed): (&'a SourceFrame, &'a Smoothed),
+    fields: Outputs,
+) -> Result<Part<'a>, FrameError> {
+    let (width, height) = source.shape();
+    smoothed.points.check_len("the smoothed points", width * height)?;
+    let mut attributes = source.attributes();
+    for (name, values) in smoothed.fields(fields) {
+        attributes.retain(|attribute| attribute.name != name);
+        attributes.push(Cow::Owned(Attribute { name: name.to_owned(), count: 1, values }));
+    }
+    let rig_from_points = rig_from_points(camera.pose.transform()?, source.into_frame()?)?;
+    Ok(Part { camera: index, rig_from_points, positions: Cow::Borrowed(&smoothed.points), attributes })
+}
+
+impl SourceFrame {
+    /// Its fields beside positions: those of a cloud, or the colour of a depth image.
+    fn attributes(&self) -> Vec<Cow<'_, Attribute>> {
+        match self {
+            Self::Cloud { cloud, .. } => cloud.points.attributes.iter().map(Cow::Borrowed).collect(),
+            Self::Depth(depth) => depth.packed_rgb().into_iter().map(Cow::Owned).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Looks along the rig's x, as a camera in front of a robot.
+    fn ahead(position_m: [f64; 3]) -> SensorPose {
+        SensorPose { position_m, orientation: [0.5, -0.5, 0.5, -0.5] }
+    }
+
+    fn cloud(points: &[[f32; 3]]) -> PointCloud {
+        PointCloud::new(points.iter().copied().collect())
+    }
+
+    #[test]
+    fn points_and_normals_are_in_the_rig_s_frame_and_holes_are_left_out() {
+        let mut left = cloud(&[[0.0, 0.0, 2.0], [f32::NAN; 3], [1.0, 0.0, 2.0]]);
+        for (name, value) in [("normal_x", 0.0f32), ("normal_y", 0.0), ("normal_z", -1.0)] {
+            left.set_attribute(name, vec![value; 3]);
+        }
+        left.set_attribute("label", vec![1u16, 2, 3]);
+        let mut right = cloud(&[[0.0, 0.0, 1.0]]);
+        right.set_attribute("label", vec![70_000i32]);
+        right.set_attribute("intensity", vec![0.5f32]);
+        let poses = [ahead([0.0, 0.5, 0.0]), SensorPose::IDENTITY];
+        let fused = fuse(&[(0, poses[0], &left), (3, poses[1], &right)]).unwrap();
+        assert_eq!(fused.positions.iter().collect::<Vec<_>>(), [[2.0, 0.5, 0.0], [2.0, -0.5, 0.0], [0.0, 0.0, 1.0]]);
+        let field = |name| &fused.attribute(name).unwrap().values;
+        assert_eq!(field("camera"), &AttributeValues::U8(vec![0, 0, 3]));
+        assert_eq!(field("normal_x"), &AttributeValues::F32(vec![-1.0, -1.0, 0.0]));
+        // Converted to the first camera's type, as far as that goes.
+        assert_eq!(field("label"), &AttributeValues::U16(vec![1, 3, u16::MAX]));
+        assert_eq!(field("intensity"), &AttributeValues::F32(vec![0.0, 0.0, 0.5]));
+        fused.validate().unwrap();
+    }
+
+    #[test]
+    fn far_from_the_origin_positions_are_relative() {
+        let far = [500_000.0, 4_000_000.0, 300.0];
+        let fused = fuse(&[(0, ahead(far), &cloud(&[[0.0, 0.0, 1.25]]))]).unwrap();
+        assert_eq!(fused.origin_m, far);
+        assert_eq!(fused.positions.get(0), [1.25, 0.0, 0.0]);
+        assert_eq!(fuse(&[]).unwrap().len(), 0);
+    }
+}

@@ -1,0 +1,225 @@
+//! Smooths the frames of a moment.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::fused::rig_from_points;
+use super::{Rig, RigCamera, merged};
+use crate::engines::{Engine, SmootherOptions};
+use crate::error::{EngineError, Error, FrameError, ParamError};
+use crate::frame::Frame;
+use crate::params::SmoothParams;
+use crate::pose::RigidTransform;
+use crate::smoothed::Smoothed;
+use crate::smoother::Smoother;
+use crate::threads::Threads;
+
+/// How the frames of a moment are smoothed. The results are of the same kind: for each camera its points, on its grid and in its frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum RigWay {
+    /// Each camera's frame on its own, with the noise of its sensor.
+    #[default]
+    Each,
+    /// All points as one general cloud, so that what several cameras see is supported by all of them.
+    Merged,
+}
+
+impl RigWay {
+    /// All there are.
+    pub const ALL: [Self; 2] = [Self::Each, Self::Merged];
+
+    /// The name used on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Each => "each",
+            Self::Merged => "merged",
+        }
+    }
+}
+
+/// What smooths the frames of a rig's cameras, moment after moment.
+pub struct RigSmoother {
+    way: RigWay,
+    options: SmootherOptions,
+    adapt_stride: bool,
+    threads: Threads,
+    cameras: Vec<CameraSmoother>,
+    /// For all points together.
+    general: Option<Smoother>,
+    general_params: SmoothParams,
+    engine: Engine,
+}
+
+/// The smoother of one camera, open for the frames that it gives.
+struct CameraSmoother {
+    rig_from_camera: RigidTransform,
+    params: SmoothParams,
+    smoother: Option<Smoother>,
+    shape: (usize, usize),
+}
+
+/// Of each camera its result, if it has a frame; a frame that cannot be smoothed is its own error.
+pub type RigResults = Vec<Option<Result<Smoothed, FrameError>>>;
+
+impl RigSmoother {
+    /// Creates a smoother for a rig; engines open with the first frames. `params` are those of each camera's frames,
+    /// for the sensor that it has ([`SmoothParams::for_sensor`]), `general_params` those of all points as one cloud
+    /// ([`SmoothParams::general`]).
+    pub fn new(
+        rig: &Rig,
+        way: RigWay,
+        params: &[SmoothParams],
+        general_params: SmoothParams,
+        options: &SmootherOptions,
+    ) -> Result<Self, Error> {
+        rig.validate()?;
+        if params.len() != rig.cameras.len() {
+            let value = params.len().to_string();
+            return Err(ParamError { field: "params", value, allowed: "as many as the rig has cameras" }.into());
+        }
+        if way == RigWay::Merged && options.outputs.needs_camera() {
+            let value = "depth".to_owned();
+            return Err(ParamError { field: "outputs", value, allowed: "no depth of clouds that are merged" }.into());
+        }
+        if options.threads == Some(0) {
+            return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" }.into());
+        }
+        let camera = |(camera, &params): (&RigCamera, &SmoothParams)| {
+            params.validate()?;
+            let rig_from_camera = camera.pose.transform()?;
+            Ok(CameraSmoother { rig_from_camera, params, smoother: None, shape: (0, 0) })
+        };
+        general_params.validate()?;
+        Ok(Self {
+            way,
+            options: options.clone(),
+            adapt_stride: false,
+            threads: Threads::open(options.threads)?,
+            cameras: rig.cameras.iter().zip(params).map(camera).collect::<Result<_, Error>>()?,
+            general: None,
+            general_params,
+            engine: options.engine,
+        })
+    }
+
+    /// The same with windows and strides for coarse pixels ([`SmoothParams::at_resolution_of`]), or as given.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The engine that is open.
+    pub fn engine(&self) -> Engine {
+        self.engine
+    }
+
+    /// Closes the engines; the next frames open them again, `Some` engine by that name.
+    pub(super) fn close(&mut self, engine: Option<Engine>) {
+        self.general = None;
+        self.cameras.iter_mut().for_each(|camera| camera.smoother = None);
+        self.options.engine = engine.unwrap_or(self.options.engine);
+    }
+
+    /// Smooths one frame of each camera that has one. Results are in the frames of their cameras' points.
+    ///
+    /// # Errors
+    /// If the engine fails. A frame that cannot be smoothed is an error in its own place.
+    pub fn smooth(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+        if frames.len() != self.cameras.len() {
+            let (len, expected) = (frames.len(), self.cameras.len());
+            return Err(FrameError::LengthMismatch { what: "the frames of a rig".into(), len, expected }.into());
+        }
+        match self.way {
+            RigWay::Each => self.smooth_each(frames),
+            RigWay::Merged => self.smooth_merged(frames),
+        }
+    }
+
+    fn smooth_each(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+        let Self { options, adapt_stride, threads, cameras, engine, .. } = self;
+        // All share one pool.
+        let options = options.clone().with_threads(None);
+        for (camera, frame) in cameras.iter_mut().zip(frames) {
+            if let Some(frame) = frame {
+                *engine = camera.open(*frame, *adapt_stride, &options)?;
+            }
+        }
+        let is_pipelined = engine.capabilities().pipelined;
+        let results: Vec<Option<Result<Smoothed, Error>>> = if is_pipelined {
+            let submitted: Vec<_> =
+                cameras.iter_mut().zip(frames).map(|(camera, frame)| frame.map(|frame| camera.submit(frame))).collect();
+            let receive = |(camera, submitted): (&mut CameraSmoother, Option<Result<(), Error>>)| {
+                submitted.map(|submitted| submitted.and_then(|()| camera.receive()))
+            };
+            cameras.iter_mut().zip(submitted).map(receive).collect()
+        } else {
+            let smooth =
+                |(camera, frame): (&mut CameraSmoother, &Option<Frame<'_>>)| frame.map(|frame| camera.smooth(frame));
+            threads.install(|| cameras.par_iter_mut().zip(frames).map(smooth).collect())
+        };
+        results.into_iter().map(|result| result.map(by_fault).transpose()).collect()
+    }
+
+    fn smooth_merged(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+        let Self { options, threads, cameras, general, general_params, engine, .. } = self;
+        let smoother = match general {
+            Some(smoother) => smoother,
+            None => general.insert(Smoother::open_with(*general_params, options, None)?),
+        };
+        *engine = smoother.engine();
+        let placed = cameras.iter().zip(frames).map(|(camera, frame)| {
+            frame.map(|frame| Ok::<_, FrameError>((frame, rig_from_points(camera.rig_from_camera, frame)?))).transpose()
+        });
+        let frames = placed.collect::<Result<Vec<_>, _>>()?;
+        let lenses: Vec<DVec3> = cameras.iter().map(|camera| camera.rig_from_camera.translation).collect();
+        let results = threads.install(|| merged::smooth(smoother, &frames, &lenses))?;
+        Ok(results.into_iter().map(|result| result.map(Ok)).collect())
+    }
+}
+
+/// An error of the engine, or the result with a frame's own.
+fn by_fault(result: Result<Smoothed, Error>) -> Result<Result<Smoothed, FrameError>, Error> {
+    match result {
+        Ok(smoothed) => Ok(Ok(smoothed)),
+        Err(Error::Frame(error)) => Ok(Err(error)),
+        Err(error) => Err(error),
+    }
+}
+
+impl CameraSmoother {
+    /// Opens the engine for this frame, if it is not; returns which one it is.
+    fn open(&mut self, frame: Frame<'_>, adapt_stride: bool, options: &SmootherOptions) -> Result<Engine, Error> {
+        let shape = frame.shape();
+        if let Some(smoother) = self.smoother.as_ref().filter(|_| shape == self.shape) {
+            return Ok(smoother.engine());
+        }
+        let adapted = adapt_stride.then(|| self.params.at_resolution_of(frame));
+        let smoother = Smoother::open_with(adapted.unwrap_or(self.params), options, shape)?;
+        self.shape = shape;
+        Ok(self.smoother.insert(smoother).engine())
+    }
+
+    fn smooth(&mut self, frame: Frame<'_>) -> Result<Smoothed, Error> {
+        let mut smoothed = Smoothed::default();
+        self.opened()?.smooth(frame, &mut smoothed)?;
+        Ok(smoothed)
+    }
+
+    fn submit(&mut self, frame: Frame<'_>) -> Result<(), Error> {
+        self.opened()?.submit(frame, Smoothed::default())
+    }
+
+    fn receive(&mut self) -> Result<Smoothed, Error> {
+        let received = self.opened()?.receive()?;
+        received.map(|view| view.into_smoothed()).ok_or_else(|| Self::not_open().into())
+    }
+
+    fn opened(&mut self) -> Result<&mut Smoother, Error> {
+        self.smoother.as_mut().ok_or_else(|| Self::not_open().into())
+    }
+
+    /// For what cannot happen: every frame's smoother is opened before it is used.
+    fn not_open() -> EngineError {
+        EngineError::Unavailable { engine: "auto", reason: "the camera's smoother is not open".into() }
+    }
+}

@@ -1,0 +1,397 @@
+//! The loop of a rig: cameras, matching, smoothing, sinks.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::capture::{Arrived, Inbox, Taken};
+use super::{MatcherCounts, Moment, Rig, RigSink, RigSmoother, RigWay};
+use crate::cloud::PointCloud;
+use crate::engines::{Engine, SmootherOptions};
+use crate::error::{EngineError, Error, FrameError, ParamError};
+use crate::frame::IntoFrame;
+use crate::outputs::Outputs;
+use crate::params::SmoothParams;
+use crate::source::Source;
+use crate::stream::{SinkThread, StreamFrame, StreamStatistics};
+
+/// Frames of one moment wait for each other no longer than this, nor than the time between two frames.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
+
+/// Between two looks at whether the stream is to stop.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// How a rig is streamed.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct RigOptions {
+    /// How the frames of a moment are smoothed.
+    pub way: RigWay,
+    /// The parameters of each camera's frames.
+    pub params: Vec<SmoothParams>,
+    /// Those of all points as one cloud.
+    pub general_params: SmoothParams,
+    /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]).
+    pub adapt_stride: bool,
+    /// The engine and the outputs.
+    pub smoother: SmootherOptions,
+    /// Stop after N moments.
+    pub max_moments: Option<u64>,
+    /// Stop after this time.
+    pub max_duration: Option<Duration>,
+}
+
+impl RigOptions {
+    /// Default settings for the sensor of each camera, and for general clouds.
+    pub fn new(rig: &Rig, way: RigWay, smoother: SmootherOptions) -> Self {
+        let params = |camera: &super::RigCamera| {
+            SmoothParams::for_sensor(camera.sensor.unwrap_or_default(), crate::Strength::default())
+        };
+        Self {
+            way,
+            params: rig.cameras.iter().map(params).collect(),
+            general_params: SmoothParams::general(),
+            adapt_stride: true,
+            smoother,
+            max_moments: None,
+            max_duration: None,
+        }
+    }
+
+    /// The same with other parameters: one set for each camera, and those of all points as one cloud.
+    pub fn with_params(self, params: Vec<SmoothParams>, general_params: SmoothParams) -> Self {
+        Self { params, general_params, ..self }
+    }
+
+    /// The same with windows and strides for coarse pixels, or as given.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The same with an end after so many moments, or without.
+    pub fn with_max_moments(self, max_moments: Option<u64>) -> Self {
+        Self { max_moments, ..self }
+    }
+
+    /// The same with an end after so long, or without.
+    pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
+        Self { max_duration, ..self }
+    }
+}
+
+/// The frames of a moment with their results, as sinks get them.
+#[non_exhaustive]
+pub struct RigFrame {
+    /// Its index among the moments smoothed, from 0.
+    pub index: u64,
+    /// The earliest time stamp of its frames, in seconds, time offsets added.
+    pub time_s: f64,
+    /// Each camera's frame and result, in the order of the rig's cameras; `None` for one without a frame.
+    pub cameras: Vec<Option<StreamFrame>>,
+    /// The rig.
+    pub rig: Arc<Rig>,
+    /// The fields that were computed.
+    pub outputs: Outputs,
+    /// From the arrival of its first frame until its result was available.
+    pub latency: Duration,
+    fused: OnceLock<Result<PointCloud, FrameError>>,
+}
+
+impl RigFrame {
+    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index of the camera. Put
+    /// together when it is first asked for.
+    pub fn fused(&self) -> Result<&PointCloud, FrameError> {
+        let fused = self.fused.get_or_init(|| {
+            let frames = self.cameras.iter().map(|frame| frame.as_ref().map(|frame| (&frame.source, &frame.smoothed)));
+            self.rig.fuse(&frames.collect::<Vec<_>>(), self.outputs)
+        });
+        fused.as_ref().map_err(Clone::clone)
+    }
+}
+
+/// Counts of a camera.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CameraStatistics {
+    /// Its name.
+    pub name: String,
+    /// Frames that came.
+    pub frames_in: u64,
+    /// Frames smoothed.
+    pub frames_out: u64,
+    /// Moments without a frame of this camera.
+    pub missing: u64,
+    /// Frames that came when their moment had passed.
+    pub late: u64,
+    /// Frames whose time stamp was that of the frame before, or earlier.
+    pub out_of_order: u64,
+    /// How often its clock jumped.
+    pub jumps: u64,
+    /// Frames of a live camera that newer ones replaced, since the engine was open.
+    pub dropped: u64,
+    /// Frames that could not be read, or that the engine refused.
+    pub unreadable: u64,
+    /// Whether it ended before the stream did.
+    pub has_ended: bool,
+}
+
+/// Counts and timings of a rig's stream.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct RigStatistics {
+    /// Of the moments: how many came out, their latency, sinks, engine. A moment that a newer one replaced is dropped.
+    pub moments: StreamStatistics,
+    /// Moments with a frame of every camera.
+    pub complete: u64,
+    /// Of each camera.
+    pub cameras: Vec<CameraStatistics>,
+}
+
+/// What a running rig reports to the caller.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum RigEvent<'a> {
+    /// A moment was smoothed.
+    Moment(&'a RigStatistics),
+    /// Something failed that the stream survives: a camera, an unreadable frame, a sink, a lost GPU.
+    Warning(String),
+}
+
+/// Streams a rig until all its cameras end, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
+///
+/// `sources` are those of its cameras, in their order: all live, of which the newest moment wins, or none, of which every frame is smoothed. A
+/// camera that fails or ends is reported and counted, and the others go on. A lost GPU is reopened once, after which the CPU engine takes over.
+///
+/// # Errors
+/// If the options are not allowed, an engine fails for good, or every camera failed before it gave a frame.
+pub fn run(
+    rig: &Rig,
+    sources: Vec<Box<dyn Source>>,
+    options: &RigOptions,
+    sinks: Vec<Box<dyn RigSink>>,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(RigEvent<'_>),
+) -> Result<RigStatistics, Error> {
+    let is_live = check_sources(rig, &sources)?;
+    let smoother = RigSmoother::new(rig, options.way, &options.params, options.general_params, &options.smoother)?;
+    let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
+    let inbox = Arc::new(Inbox::new(names, is_live, rig.tolerance_s, LONGEST_WAIT));
+    let ended = Arc::new(AtomicBool::new(false));
+    let capture = |(i, mut source): (usize, Box<dyn Source>)| {
+        source.end_with(Arc::clone(&ended));
+        let (inbox, clock, offset_s) = (Arc::clone(&inbox), rig.clock, rig.cameras[i].time_offset_s);
+        let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
+        let thread = thread::Builder::new().name(format!("planish-camera-{i}"));
+        thread.spawn(move || inbox.capture(i, source, clock, offset_s)).map_err(failed)
+    };
+    let threads: Result<Vec<_>, EngineError> = sources.into_iter().enumerate().map(capture).collect();
+    let sinks: Result<Vec<_>, Error> = sinks.into_iter().map(SinkThread::start).collect();
+    let result = sinks.and_then(|sinks| {
+        let mut stream = RigStream {
+            rig: Arc::new(rig.clone()),
+            options,
+            smoother: smoother.with_adapt_stride(options.adapt_stride),
+            is_live,
+            has_reopened: false,
+            sinks,
+            statistics: RigStatistics { moments: StreamStatistics::start(), complete: 0, cameras: Vec::new() },
+            smoothed: vec![0; rig.cameras.len()],
+            refused: vec![0; rig.cameras.len()],
+            at_start: None,
+        };
+        let result = threads
+            .as_ref()
+            .map_err(|error| Error::from(error.clone()))
+            .and_then(|_| stream.run(&inbox, stop, &mut tell));
+        inbox.close();
+        stream.finish(&inbox, &mut tell);
+        result.map(|()| stream.statistics)
+    });
+    inbox.close();
+    // The wait for a live camera is bounded, so that this is seen.
+    ended.store(true, Ordering::Relaxed);
+    for thread in threads.into_iter().flatten() {
+        // One that panicked has told so.
+        let _ = thread.join();
+    }
+    while let Some(warning) = inbox.warning() {
+        tell(RigEvent::Warning(warning));
+    }
+    match inbox.first_error() {
+        Some(error) if result.as_ref().is_ok_and(|statistics| statistics.moments.frames_out == 0) => Err(error),
+        _ => result,
+    }
+}
+
+/// Whether the sources are live; they must all be, or none.
+fn check_sources(rig: &Rig, sources: &[Box<dyn Source>]) -> Result<bool, ParamError> {
+    if sources.len() != rig.cameras.len() {
+        let value = sources.len().to_string();
+        return Err(ParamError { field: "sources", value, allowed: "as many as the rig has cameras" });
+    }
+    let live = sources.iter().filter(|source| source.is_live()).count();
+    if live != 0 && live != sources.len() {
+        let value = format!("{live} live of {}", sources.len());
+        let allowed = "live cameras, or recordings; recordings beside live cameras are played at a pace (fps)";
+        return Err(ParamError { field: "sources", value, allowed });
+    }
+    Ok(live != 0)
+}
+
+struct RigStream<'a> {
+    rig: Arc<Rig>,
+    options: &'a RigOptions,
+    smoother: RigSmoother,
+    is_live: bool,
+    has_reopened: bool,
+    sinks: Vec<SinkThread<RigFrame>>,
+    statistics: RigStatistics,
+    /// Frames of each camera that were smoothed, and that the engine refused.
+    smoothed: Vec<u64>,
+    refused: Vec<u64>,
+    /// What had been dropped when the engine was open: of each camera, and of moments.
+    at_start: Option<(Vec<u64>, u64)>,
+}
+
+impl RigStream<'_> {
+    fn run(&mut self, inbox: &Inbox, stop: &AtomicBool, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
+        let start = Instant::now();
+        loop {
+            let is_over = stop.load(Ordering::Relaxed)
+                || self.options.max_moments.is_some_and(|most| self.statistics.moments.frames_out >= most)
+                || self.options.max_duration.is_some_and(|longest| start.elapsed() >= longest);
+            if is_over {
+                return Ok(());
+            }
+            let taken = inbox.take(PATIENCE);
+            while let Some(warning) = inbox.warning() {
+                tell(RigEvent::Warning(warning));
+            }
+            match taken {
+                Taken::Moment(moment) => self.smooth(moment, inbox, tell)?,
+                Taken::Nothing => {}
+                Taken::End => return Ok(()),
+            }
+        }
+    }
+
+    fn smooth(
+        &mut self,
+        mut moment: Moment<Arrived>,
+        inbox: &Inbox,
+        tell: &mut impl FnMut(RigEvent<'_>),
+    ) -> Result<(), Error> {
+        let started = Instant::now();
+        for (i, arrived) in moment.frames.iter_mut().enumerate() {
+            let error = arrived.as_ref().and_then(|arrived| arrived.frame.into_frame().err());
+            if let Some(error) = error {
+                *arrived = None;
+                self.refuse(i, &error, tell);
+            }
+        }
+        let mut results = loop {
+            let frames = moment.frames.iter().map(|arrived| arrived.as_ref()?.frame.into_frame().ok());
+            match self.smoother.smooth(&frames.collect::<Vec<_>>()) {
+                Ok(results) => break results,
+                Err(error) => self.recover(error, tell)?,
+            }
+        };
+        self.statistics.moments.engine = self.smoother.engine();
+        self.statistics.moments.time_smoothing += started.elapsed();
+        let received = Instant::now();
+        let index = self.statistics.moments.frames_out;
+        let first = moment.frames.iter().flatten().map(|arrived| arrived.since).min().unwrap_or(received);
+        let latency = received.saturating_duration_since(first);
+        let mut cameras = Vec::with_capacity(results.len());
+        for (i, (arrived, result)) in moment.frames.into_iter().zip(results.iter_mut()).enumerate() {
+            let smoothed = match result.take() {
+                Some(Ok(smoothed)) => Some(smoothed),
+                Some(Err(error)) => {
+                    self.refuse(i, &error, tell);
+                    None
+                }
+                None => None,
+            };
+            cameras.push(arrived.zip(smoothed).map(|(Arrived { frame, name, since }, smoothed)| {
+                self.smoothed[i] += 1;
+                let latency = received.saturating_duration_since(since);
+                StreamFrame { index, name, source: frame, smoothed, latency, received }
+            }));
+        }
+        if cameras.iter().all(Option::is_none) {
+            return Ok(());
+        }
+        self.statistics.complete += u64::from(cameras.iter().all(Option::is_some));
+        self.statistics.moments.add(latency);
+        if self.at_start.is_none() {
+            let (counts, skipped) = inbox.counts();
+            self.at_start = Some((
+                counts.iter().map(|(counts, received)| counts.dropped + received.dropped_by_source).collect(),
+                skipped,
+            ));
+        }
+        let (rig, outputs) = (Arc::clone(&self.rig), self.options.smoother.outputs);
+        let frame = RigFrame { index, time_s: moment.time_s, cameras, rig, outputs, latency, fused: OnceLock::new() };
+        let frame = Arc::new(frame);
+        for sink in &mut self.sinks {
+            if let Some(warning) = sink.give(&frame, self.is_live) {
+                tell(RigEvent::Warning(warning));
+            }
+        }
+        tell(RigEvent::Moment(&self.statistics));
+        Ok(())
+    }
+
+    fn refuse(&mut self, camera: usize, error: &FrameError, tell: &mut impl FnMut(RigEvent<'_>)) {
+        self.refused[camera] += 1;
+        tell(RigEvent::Warning(format!("camera {}: {error}", self.rig.cameras[camera].name)));
+    }
+
+    /// After an error of a GPU: the engines are opened once more, then the CPU takes over.
+    fn recover(&mut self, error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
+        let was_gpu = self.smoother.engine() == Engine::Gpu;
+        if !matches!(error, Error::Engine(_)) || !was_gpu {
+            return Err(error);
+        }
+        if std::mem::replace(&mut self.has_reopened, true) {
+            self.smoother.close(Some(Engine::Cpu));
+            tell(RigEvent::Warning(format!("{error}; going on with the CPU engine")));
+        } else {
+            self.smoother.close(None);
+            tell(RigEvent::Warning(format!("{error}; opening it once more")));
+        }
+        Ok(())
+    }
+
+    /// Waits for the sinks and puts the counts together.
+    fn finish(&mut self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
+        for sink in self.sinks.drain(..) {
+            if let Some(warning) = sink.finish(&mut self.statistics.moments) {
+                tell(RigEvent::Warning(warning));
+            }
+        }
+        let (counts, skipped) = inbox.counts();
+        let (dropped_before, skipped_before) = self.at_start.clone().unwrap_or_default();
+        self.statistics.moments.dropped = skipped - skipped_before;
+        self.statistics.moments.frames_in = self.statistics.moments.frames_out + self.statistics.moments.dropped;
+        let of_camera = |(i, (counts, received)): (usize, (MatcherCounts, super::capture::Received))| {
+            let dropped = counts.dropped + received.dropped_by_source;
+            CameraStatistics {
+                name: self.rig.cameras[i].name.clone(),
+                frames_in: counts.received,
+                frames_out: self.smoothed[i],
+                missing: counts.missing,
+                late: counts.late,
+                out_of_order: counts.out_of_order,
+                jumps: counts.jumps,
+                dropped: dropped.saturating_sub(dropped_before.get(i).copied().unwrap_or(0)),
+                unreadable: received.unreadable + self.refused[i],
+                has_ended: received.has_ended,
+            }
+        };
+        self.statistics.cameras = counts.into_iter().enumerate().map(of_camera).collect();
+        self.statistics.moments.unreadable = self.statistics.cameras.iter().map(|camera| camera.unreadable).sum();
+        self.statistics.moments.end();
+    }
+}
