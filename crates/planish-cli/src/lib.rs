@@ -29,6 +29,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Info(args) => commands::info::run(&args),
         Command::Render(args) => commands::render::run(&args),
         Command::Stream(args) => commands::stream::run(&args),
+        Command::Rig(args) => commands::rig::run(&args),
         Command::Record(args) => commands::record::run(&args),
         Command::Devices(args) => commands::devices::run(&args),
         Command::Evaluate(args) => commands::evaluate::run(&args),

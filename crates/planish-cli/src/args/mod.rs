@@ -10,6 +10,8 @@ use std::path::PathBuf;
 use clap::{Parser, Subcommand, ValueEnum};
 use planish::Outputs;
 use planish::io::{Encoding, ReadOptions};
+use planish::rig::RigWay;
+use planish::simulate::PoseErrors;
 use planish::source::{Alignment, StreamMode};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, ExperimentArgs};
@@ -42,6 +44,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Smooth frames live: from a Kinect, a data set, a folder, the simulator
     Stream(StreamArgs),
+    /// Describe a rig of several cameras, make one from a calibration, or simulate one; `planish stream --rig` streams it
+    Rig(RigArgs),
     /// Record a source as a data set in TUM layout, or as a recording of ROS 2 (.mcap)
     Record(RecordArgs),
     /// List instruction sets and GPUs of this machine, and what `auto` chooses
@@ -194,16 +198,26 @@ pub struct RenderArgs {
 }
 
 #[derive(clap::Args)]
+#[command(mut_arg("name", |name| name.required(false).required_unless_present("rig")))]
 pub struct StreamArgs {
     #[command(flatten)]
     pub source: SourceArgs,
+    /// Stream several cameras as one sensor: a rig.json that says where each stands (`planish rig` makes one), instead of SOURCE
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "topic", "camera_info_topic", "camera", "camera_file", "depth_scale", "align", "mode"])]
+    pub rig: Option<PathBuf>,
+    /// Of a rig: how the frames of a moment are smoothed
+    #[arg(long, value_enum, requires = "rig")]
+    pub fuse: Option<RigWayArg>,
+    /// Of a rig: write each camera's results into a folder of its own in this one; --save writes the fused clouds
+    #[arg(long, value_name = "DIR", requires = "rig")]
+    pub save_cameras: Option<PathBuf>,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
     /// Write every result into this folder, or into this recording of ROS 2 (.mcap)
     #[arg(long, value_name = "DIR|FILE.mcap")]
     pub save: Option<PathBuf>,
     /// What to write there
-    #[arg(long, value_enum, requires = "save")]
+    #[arg(long, value_enum)]
     pub format: Option<StreamFormatArg>,
     /// Show raw and smoothed clouds, depth, latency and rate in the viewer of Rerun
     #[cfg(feature = "rerun")]
@@ -227,13 +241,90 @@ pub struct StreamArgs {
     pub json: bool,
 }
 
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RigWayArg {
+    /// Each camera's frame on its own, then merged (the default)
+    Each,
+    /// All points as one general cloud: surfaces that several cameras see become one; slow without a GPU
+    Merged,
+    /// As range images of what all cameras see from where each stands: the same, at the pace of frames
+    Views,
+}
+
+impl From<RigWayArg> for RigWay {
+    fn from(arg: RigWayArg) -> Self {
+        match arg {
+            RigWayArg::Each => Self::Each,
+            RigWayArg::Merged => Self::Merged,
+            RigWayArg::Views => Self::Views,
+        }
+    }
+}
+
+#[derive(clap::Args)]
+pub struct RigArgs {
+    /// A rig.json, to check and describe; or a calibration to make one of: the static transforms of ROS (`ros2 topic echo /tf_static` in a
+    /// file), a URDF, Kalibr's camchain.yaml, COLMAP's rig_config.json, or a folder with COLMAP's cameras.txt and images.txt
+    #[arg(required_unless_present = "simulate")]
+    pub file: Option<PathBuf>,
+    /// The rig.json to write
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Where a camera's frames come from, as `planish stream` takes it: left=realsense:0123, right=recordings/right
+    #[arg(long, value_name = "NAME=SOURCE")]
+    pub source: Vec<String>,
+    /// Of transforms of ROS: the frame that becomes the rig's, if not the one that all others hang on
+    #[arg(long, value_name = "FRAME")]
+    pub base: Option<String>,
+    /// Of transforms of ROS: a frame that is a camera; else those whose names end in depth_optical_frame, or in optical_frame
+    #[arg(long, value_name = "FRAME")]
+    pub frame: Vec<String>,
+    /// Of COLMAP, whose units are any: metres in one
+    #[arg(long, value_name = "METRES")]
+    pub scale: Option<f64>,
+    /// Simulate a rig of so many cameras (2 to 8) round a table instead, and write its recordings and rig.json into the folder of --out
+    #[arg(long, value_name = "CAMERAS", conflicts_with_all = ["file", "source", "base", "frame", "scale"], requires = "out",
+          value_parser = clap::value_parser!(u8).range(2..=8))]
+    pub simulate: Option<u8>,
+    /// Of a simulated rig: frames of each camera
+    #[arg(long, value_name = "N", default_value_t = 30, requires = "simulate")]
+    pub frames: u64,
+    /// Of a simulated rig: the seed of scene and noise
+    #[arg(long, default_value_t = 1, requires = "simulate")]
+    pub seed: u64,
+    /// Of a simulated rig: how far the written poses are off, in degrees and millimetres
+    #[arg(long, value_name = "DEG,MM", requires = "simulate")]
+    pub pose_errors: Option<PoseErrorsArg>,
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Errors of poses: an angle in degrees and a length in millimetres.
+#[derive(Clone, Copy)]
+pub struct PoseErrorsArg(pub PoseErrors);
+
+impl std::str::FromStr for PoseErrorsArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed =
+            text.split_once(',').and_then(|(deg, mm)| Some((deg.trim().parse().ok()?, mm.trim().parse().ok()?)));
+        let within = |value: f64, most: f64| (0.0..=most).contains(&value);
+        match parsed {
+            Some((deg, mm)) if within(deg, 10.0) && within(mm, 100.0) => Ok(Self(PoseErrors::new(deg, 1e-3 * mm))),
+            _ => Err("two numbers, at most 10 degrees and 100 millimetres, as 0.2,2".to_owned()),
+        }
+    }
+}
+
 /// Where frames come from, and until when.
 #[derive(clap::Args)]
 pub struct SourceArgs {
     /// kinect[:INDEX], realsense[:SERIAL|:FILE.bag|:FILE.db3], openni2[:URI|:FILE.oni], synthetic[:SEED], a data set in TUM layout, a recording of
     /// libfreenect or of ROS 2 (.mcap), a folder of frames, or one file, repeated
-    #[arg(value_name = "SOURCE")]
-    pub name: String,
+    #[arg(value_name = "SOURCE", required = true)]
+    pub name: Option<String>,
     #[command(flatten)]
     pub topics: TopicArgs,
     #[command(flatten)]
@@ -323,6 +414,14 @@ pub struct EvaluateArgs {
     /// Smooth the simulated frames as general clouds, without their grid; the default setting on the grid stands beside
     #[arg(long, conflicts_with_all = ["input", "export", "results"])]
     pub general: bool,
+    /// Smooth simulated rigs of so many cameras (2 to 8) round a table instead, in each of the ways: where several cameras see a surface and
+    /// where one does, and whether it is doubled
+    #[arg(long, value_name = "CAMERAS", conflicts_with_all = ["input", "general", "export", "results", "out"],
+          value_parser = clap::value_parser!(u8).range(2..=8))]
+    pub rig: Option<u8>,
+    /// Of rigs: how far the stated poses of all cameras but the first are off, in degrees and millimetres
+    #[arg(long, value_name = "DEG,MM", requires = "rig")]
+    pub pose_errors: Option<PoseErrorsArg>,
     /// Only write the simulated frames into this folder as organized clouds, for other programs to smooth
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
     pub export: Option<PathBuf>,

@@ -181,7 +181,11 @@ impl SmoothingArgs {
 
     /// The parameters for a frame. General clouds are smoothed without a sensor.
     pub fn params_for(&self, cloud: Option<&OrganizedCloud>) -> Result<SmoothParams> {
-        let sensor = self.sensor_of(cloud)?;
+        self.params_of(self.sensor_of(cloud)?)
+    }
+
+    /// The parameters for frames of a sensor.
+    pub fn params_of(&self, sensor: SensorModel) -> Result<SmoothParams> {
         let mut params = match (self.strength, self.preset) {
             (Some(strength), _) => SmoothParams::for_sensor(sensor, Strength::new(strength)?),
             (None, Some(PresetArg::Light)) => SmoothParams::for_sensor(sensor, Strength::LIGHT),
@@ -213,6 +217,15 @@ impl SmoothingArgs {
         self.override_fit(&mut params);
         params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
         params.remove_isolated = self.remove_isolated;
+        params.validate()?;
+        Ok(params)
+    }
+
+    /// The parameters for the points of a rig's cameras as one cloud.
+    pub fn merged_params(&self) -> Result<SmoothParams> {
+        let mut params = planish::rig::merged_params();
+        self.override_fit(&mut params);
+        params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
         params.validate()?;
         Ok(params)
     }

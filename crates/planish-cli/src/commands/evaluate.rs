@@ -61,9 +61,10 @@ struct Patches {
 }
 
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
-    match &args.input {
-        Some(file) => on_file(args, file),
-        None => on_suite(args),
+    match (&args.input, args.rig) {
+        (Some(file), _) => on_file(args, file),
+        (None, Some(cameras)) => super::rig::evaluate(args, cameras.into()),
+        (None, None) => on_suite(args),
     }
 }
 

@@ -10,6 +10,7 @@ pub mod info;
 pub mod manual;
 pub mod record;
 pub mod render;
+pub mod rig;
 pub mod smooth;
 pub mod stream;
 

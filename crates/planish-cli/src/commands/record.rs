@@ -95,7 +95,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let stop = stop_flag();
     let mut source = open_source(&args.source, &stop)?;
     source.end_with(Arc::clone(&stop));
-    super::checks::check_not_input(std::path::Path::new(&args.source.name), &args.folder, None)?;
+    super::checks::check_not_input(std::path::Path::new(args.source.name()), &args.folder, None)?;
     let mut recorder = Recorder::create(&args.folder)?;
     let start = Instant::now();
     let mut frames = 0;
@@ -111,7 +111,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
             Ok(None) => break,
             Ok(Some(frame)) => {
                 failures_in_a_row = 0;
-                if let Err(error) = recorder.add(&args.source.name, &frame) {
+                if let Err(error) = recorder.add(args.source.name(), &frame) {
                     result = Err(error);
                     break;
                 }

@@ -51,14 +51,16 @@ struct StageMs {
 }
 
 pub fn run(args: &StreamArgs) -> Result<ExitCode> {
+    if args.format.is_some() && args.save.is_none() && args.save_cameras.is_none() {
+        bail!("--format says what --save writes: give a folder to save into");
+    }
+    if let Some(rig) = &args.rig {
+        return super::rig::stream(args, rig);
+    }
     let params = args.smoothing.params()?;
     let mut outputs = outputs_of(&args.fields);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
-    let format = match args.format {
-        None | Some(StreamFormatArg::Pcd) => SinkFormat::Pcd,
-        Some(StreamFormatArg::Ply) => SinkFormat::Ply,
-        Some(StreamFormatArg::Png) => SinkFormat::DepthPng,
-    };
+    let format = args.sink_format();
     if args.save.is_some() && format == SinkFormat::DepthPng {
         outputs = Outputs::DEPTH;
     }
@@ -83,7 +85,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     }
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
-        check_not_input(Path::new(&args.source.name), folder, None)?;
+        check_not_input(Path::new(args.source.name()), folder, None)?;
         sinks.push(saving_sink(folder, format, outputs)?);
     }
     #[cfg(feature = "rerun")]
@@ -105,6 +107,17 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     Ok(if statistics.failed_sinks + statistics.unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
+impl StreamArgs {
+    /// What is written into folders.
+    pub fn sink_format(&self) -> SinkFormat {
+        match self.format {
+            None | Some(StreamFormatArg::Pcd) => SinkFormat::Pcd,
+            Some(StreamFormatArg::Ply) => SinkFormat::Ply,
+            Some(StreamFormatArg::Png) => SinkFormat::DepthPng,
+        }
+    }
+}
+
 /// A sink that writes a folder, or a recording where the name ends in .mcap.
 pub fn saving_sink(output: &Path, format: SinkFormat, outputs: Outputs) -> Result<Box<dyn Sink>> {
     if is_mcap(output) {
@@ -119,7 +132,7 @@ pub fn saving_sink(output: &Path, format: SinkFormat, outputs: Outputs) -> Resul
 
 /// Opens a source; one that is to come back is waited for until `stop` is set.
 pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn Source>> {
-    let SourceArgs { name, topics, camera, align, mode, limits } = args;
+    let SourceArgs { topics, camera, align, mode, limits, .. } = args;
     if topics.topic.len() > 1 {
         bail!("--topic: a stream has one topic; `planish smooth` takes several");
     }
@@ -130,9 +143,26 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
         .with_alignment(align.map(Into::into))
         .with_mode(*mode)
         .with_fps(limits.fps);
-    if limits.reconnect && !source::is_camera(name) {
-        bail!("--reconnect waits for a camera; {name} is none");
+    if limits.reconnect && !source::is_camera(args.name()) {
+        bail!("--reconnect waits for a camera; {} is none", args.name());
     }
+    open_named(args.name(), options, limits, stop)
+}
+
+impl SourceArgs {
+    /// The source; empty where a rig stands instead.
+    pub fn name(&self) -> &str {
+        self.name.as_deref().unwrap_or_default()
+    }
+}
+
+/// Opens a source by its name; one that is to come back is waited for until `stop` is set.
+pub fn open_named(
+    name: &str,
+    options: SourceOptions,
+    limits: &LimitArgs,
+    stop: &Arc<AtomicBool>,
+) -> Result<Box<dyn Source>> {
     let source = match source::open(name, &options) {
         Err(Error::Device(error @ DeviceError::NotFound { .. })) if limits.reconnect => {
             errln!("{error}; waiting for it");
@@ -157,9 +187,9 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
 }
 
 /// A source whose floating pixels are holes.
-struct WithoutFloating {
-    source: Box<dyn Source>,
-    sensor: SensorModel,
+pub struct WithoutFloating {
+    pub source: Box<dyn Source>,
+    pub sensor: SensorModel,
 }
 
 impl Source for WithoutFloating {
@@ -266,7 +296,7 @@ impl LimitArgs {
 }
 
 /// One line on a terminal, or a plain line every 5 s.
-struct StatusLine {
+pub struct StatusLine {
     bar: ProgressBar,
     last: std::cell::Cell<Instant>,
 }
@@ -274,46 +304,53 @@ struct StatusLine {
 impl StatusLine {
     const PLAIN_EVERY: Duration = Duration::from_secs(5);
 
-    fn new() -> Self {
+    pub fn new() -> Self {
         let bar = ProgressBar::new_spinner().with_style(ProgressStyle::default_spinner());
         Self { bar, last: std::cell::Cell::new(Instant::now()) }
     }
 
     fn tell(&self, event: StreamEvent<'_>) {
         match event {
-            StreamEvent::Warning(warning) => self.bar.suspend(|| errln!("warning: {warning}")),
-            StreamEvent::Frame(statistics) => {
-                let every = if self.bar.is_hidden() { Self::PLAIN_EVERY } else { Duration::from_millis(200) };
-                if self.last.get().elapsed() < every {
-                    return;
-                }
-                self.last.set(Instant::now());
-                let Latency { p50, p99, .. } = statistics.latency();
-                let text = format!(
-                    "{} frames, {:.1} a second, {:.1} ms (p99 {:.1}), {}",
-                    statistics.frames_out,
-                    statistics.fps(),
-                    ms(p50),
-                    ms(p99),
-                    statistics.engine.name()
-                );
-                if self.bar.is_hidden() {
-                    errln!("{text}");
-                } else {
-                    self.bar.set_message(text);
-                    self.bar.tick();
-                }
-            }
+            StreamEvent::Warning(warning) => self.warn(&warning),
+            StreamEvent::Frame(statistics) => self.show("frames", statistics),
             _ => {}
         }
     }
 
-    fn end(&self) {
+    pub fn warn(&self, warning: &str) {
+        self.bar.suspend(|| errln!("warning: {warning}"));
+    }
+
+    /// Shows how the stream goes, if it is time.
+    pub fn show(&self, what: &str, statistics: &StreamStatistics) {
+        let every = if self.bar.is_hidden() { Self::PLAIN_EVERY } else { Duration::from_millis(200) };
+        if self.last.get().elapsed() < every {
+            return;
+        }
+        self.last.set(Instant::now());
+        let Latency { p50, p99, .. } = statistics.latency();
+        let text = format!(
+            "{} {what}, {:.1} a second, {:.1} ms (p99 {:.1}), {}",
+            statistics.frames_out,
+            statistics.fps(),
+            ms(p50),
+            ms(p99),
+            statistics.engine.name()
+        );
+        if self.bar.is_hidden() {
+            errln!("{text}");
+        } else {
+            self.bar.set_message(text);
+            self.bar.tick();
+        }
+    }
+
+    pub fn end(&self) {
         self.bar.finish_and_clear();
     }
 }
 
-fn ms(duration: Duration) -> f64 {
+pub fn ms(duration: Duration) -> f64 {
     1e3 * duration.as_secs_f64()
 }
 

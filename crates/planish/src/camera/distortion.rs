@@ -60,7 +60,7 @@ impl Distortion {
     }
 
     /// Where the direction (x, y, 1) is seen, and the derivatives of that by x and y: [xx, xy, yy].
-    fn distort(&self, x: f64, y: f64) -> ([f64; 2], [f64; 3]) {
+    pub(super) fn distort(&self, x: f64, y: f64) -> ([f64; 2], [f64; 3]) {
         let ([k1, k2, k3, k4, k5, k6], [p1, p2]) = (self.radial, self.tangential);
         let r2 = x * x + y * y;
         let (above, below) = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));

@@ -119,6 +119,24 @@ impl Camera {
         if raw >= 1.0 && raw < f64::from(SATURATED_DEPTH) { raw as u16 } else { 0 }
     }
 
+    /// The image coordinates (u, v) at which a point of the camera's frame is seen; `None` behind the camera.
+    pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
+        // False for a NaN.
+        if !(z > 0.0) {
+            return None;
+        }
+        let [x, y] = if self.distortion.is_none() { [x / z, y / z] } else { self.distortion.distort(x / z, y / z).0 };
+        Some([self.fx * x + self.cx, self.fy * y + self.cy])
+    }
+
+    /// The index of the pixel at which a point of the camera's frame is seen; `None` outside of the image.
+    #[cfg(any(feature = "stream", feature = "evaluate"))]
+    pub(crate) fn pixel_of(&self, point: [f64; 3]) -> Option<usize> {
+        let [u, v] = self.project(point)?.map(f64::round);
+        let is_inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
+        is_inside.then(|| v as usize * self.width + u as usize)
+    }
+
     /// Deprojects depth in metres, row by row, into x, y and z; what is not finite or not positive becomes NaN in all three.
     pub(crate) fn deproject_m(&self, depth_m: impl Iterator<Item = f32>) -> crate::xyz::Xyz {
         let mut rays = Rays::default();
@@ -151,6 +169,21 @@ mod tests {
         assert!(camera.depth_m(0).is_nan() && camera.depth_m(SATURATED_DEPTH).is_nan());
         assert_eq!(camera.raw_depth(f32::NAN), 0);
         assert_eq!(camera.raw_depth(20.0), 0);
+    }
+
+    #[test]
+    fn points_are_seen_at_the_pixels_that_they_came_from() {
+        let plain = Camera::kinect_v1();
+        let distorted = plain.with_distortion(Distortion::from_opencv(&[0.1, -0.2, 0.001, 0.002, 0.03]).unwrap());
+        for camera in [plain, distorted] {
+            let points = camera.deproject_m((0..640 * 480).map(|i| 0.5 + 1e-6 * i as f32));
+            for i in [0, 639, 640 * 240 + 320, 640 * 479 + 17] {
+                let [u, v] = camera.project(points.get(i).map(f64::from)).unwrap();
+                assert!((u - (i % 640) as f64).abs() < 1e-3 && (v - (i / 640) as f64).abs() < 1e-3, "{u} {v}");
+            }
+            assert_eq!(camera.project([0.0, 0.0, -1.0]), None);
+            assert_eq!(camera.project([f64::NAN; 3]), None);
+        }
     }
 
     #[test]

@@ -11,9 +11,9 @@ use crate::simulate::{Gauge, NO_OBJECT, Truth};
 use crate::xyz::Xyz;
 
 /// Only pixels further than this from every discontinuity count as flat, in pixels.
-const FLAT_MARGIN_PX: usize = 6;
+pub(super) const FLAT_MARGIN_PX: usize = 6;
 /// Pixels up to this far from a step form its band.
-const EDGE_MARGIN_PX: usize = 3;
+pub(super) const EDGE_MARGIN_PX: usize = 3;
 /// The true surface is searched this many pixels around a pixel.
 const NEAREST_PX: usize = 4;
 /// A point of the band further than this and three depth steps from every surface floats between two.
@@ -114,24 +114,24 @@ const BINS: usize = 22;
 
 /// A mean, a mean of squares, a count.
 #[derive(Debug, Clone, Copy, Default)]
-struct Sum {
-    count: usize,
+pub(super) struct Sum {
+    pub(super) count: usize,
     sum: f64,
     squares: f64,
 }
 
 impl Sum {
-    fn add(&mut self, value: f64) {
+    pub(super) fn add(&mut self, value: f64) {
         self.count += 1;
         self.sum += value;
         self.squares += value * value;
     }
 
-    fn mean(&self) -> f64 {
+    pub(super) fn mean(&self) -> f64 {
         self.sum / self.count as f64
     }
 
-    fn rms(&self) -> f64 {
+    pub(super) fn rms(&self) -> f64 {
         (self.squares / self.count as f64).sqrt()
     }
 }
@@ -391,7 +391,7 @@ fn second_difference(points: &Xyz, flat: &[bool], i: usize, width: usize) -> Opt
     Some((z(i - 1) - 2.0 * z(i) + z(i + 1)).abs() / (z(i) * z(i)))
 }
 
-fn vector(of: &Xyz, i: usize) -> DVec3 {
+pub(super) fn vector(of: &Xyz, i: usize) -> DVec3 {
     DVec3::from_array(of.get(i).map(f64::from))
 }
 
@@ -418,7 +418,7 @@ fn measured_point(frame: &DepthFrame, i: usize, raw: u16) -> DVec3 {
 
 /// Returns the distance of a point to the true surface around pixel i; each pixel's surface is a disc in its tangent plane, as
 /// wide as a pixel.
-fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
+pub(super) fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
     let (width, height) = (truth.camera.width, truth.camera.height);
     let (u, v) = (i % width, i / width);
     let mut nearest = f64::INFINITY;

@@ -4,6 +4,7 @@
 
 mod evaluation;
 mod patches;
+mod rig;
 mod suite;
 mod tiles;
 
@@ -13,6 +14,7 @@ use crate::xyz::Xyz;
 
 pub use evaluation::{AngleReport, Evaluation, RangeReport, Report, jitter_mm};
 pub use patches::{PatchReport, patch_planes};
+pub use rig::{RigCase, RigCaseCamera, RigEvaluation, RigReport, RigSuite};
 pub use suite::{Case, Gauges, Suite};
 pub use tiles::{LargestPlane, TileReport, largest_plane, tile_planes};
 

@@ -14,11 +14,13 @@ mod merged;
 mod sinks;
 mod smoother;
 mod stream;
+mod views;
 
 use std::path::{Path, PathBuf};
 
 use crate::camera::Camera;
 use crate::error::ParamError;
+use crate::params::{Edges, SmoothParams};
 use crate::pose::SensorPose;
 use crate::sensor::SensorModel;
 use crate::source::{Alignment, SourceOptions, StreamMode};
@@ -35,6 +37,9 @@ const DEFAULT_TOLERANCE_S: f64 = 0.016;
 
 /// As many cameras as the field `camera` of a fused cloud can tell apart.
 const MOST_CAMERAS: usize = 256;
+
+/// As far as the windows of single frames reach at some 1.2 m.
+const MERGED_RADIUS_M: f32 = 0.03;
 
 /// Camera names become names of files and folders.
 const LONGEST_NAME: usize = 64;
@@ -209,6 +214,11 @@ impl RigCamera {
         }
         Ok(())
     }
+}
+
+/// A setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points without neighbours left out.
+pub fn merged_params() -> SmoothParams {
+    SmoothParams::general().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
 }
 
 /// What a source named in a file is called from elsewhere: paths are relative to the file's folder.

@@ -4,10 +4,13 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::fused::rig_from_points;
+use super::views::{Measured, View};
 use super::{Rig, RigCamera, merged};
+use crate::camera::Camera;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError, ParamError};
 use crate::frame::Frame;
+use crate::outputs::Outputs;
 use crate::params::SmoothParams;
 use crate::pose::RigidTransform;
 use crate::smoothed::Smoothed;
@@ -23,26 +26,34 @@ pub enum RigWay {
     Each,
     /// All points as one general cloud, so that what several cameras see is supported by all of them.
     Merged,
+    /// As range images from where each camera stands, of what all cameras see from there: each is smoothed as a frame of its
+    /// camera, and every point is the mean of what the views say of it. The cameras' intrinsics must be known.
+    Views,
 }
 
 impl RigWay {
     /// All there are.
-    pub const ALL: [Self; 2] = [Self::Each, Self::Merged];
+    pub const ALL: [Self; 3] = [Self::Each, Self::Merged, Self::Views];
 
     /// The name used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Each => "each",
             Self::Merged => "merged",
+            Self::Views => "views",
         }
     }
 }
+
+/// How far surfaces of two cameras may be apart for their poses' sake: 0.2° and 2 mm at 1.5 m, and some.
+const DEFAULT_REGISTRATION_M: f64 = 0.01;
 
 /// What smooths the frames of a rig's cameras, moment after moment.
 pub struct RigSmoother {
     way: RigWay,
     options: SmootherOptions,
     adapt_stride: bool,
+    registration_m: f64,
     threads: Threads,
     cameras: Vec<CameraSmoother>,
     /// For all points together.
@@ -54,6 +65,8 @@ pub struct RigSmoother {
 /// The smoother of one camera, open for the frames that it gives.
 struct CameraSmoother {
     rig_from_camera: RigidTransform,
+    /// Where its frames do not know it.
+    camera: Option<Camera>,
     params: SmoothParams,
     smoother: Option<Smoother>,
     shape: (usize, usize),
@@ -88,13 +101,14 @@ impl RigSmoother {
         let camera = |(camera, &params): (&RigCamera, &SmoothParams)| {
             params.validate()?;
             let rig_from_camera = camera.pose.transform()?;
-            Ok(CameraSmoother { rig_from_camera, params, smoother: None, shape: (0, 0) })
+            Ok(CameraSmoother { rig_from_camera, camera: camera.camera, params, smoother: None, shape: (0, 0) })
         };
         general_params.validate()?;
         Ok(Self {
             way,
             options: options.clone(),
             adapt_stride: false,
+            registration_m: DEFAULT_REGISTRATION_M,
             threads: Threads::open(options.threads)?,
             cameras: rig.cameras.iter().zip(params).map(camera).collect::<Result<_, Error>>()?,
             general: None,
@@ -106,6 +120,11 @@ impl RigSmoother {
     /// The same with windows and strides for coarse pixels ([`SmoothParams::at_resolution_of`]), or as given.
     pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
         Self { adapt_stride, ..self }
+    }
+
+    /// The same with another bound of how far surfaces of two cameras are apart for their poses' sake, in metres: of views.
+    pub fn with_registration_m(self, registration_m: f64) -> Self {
+        Self { registration_m, ..self }
     }
 
     /// The engine that is open.
@@ -130,15 +149,16 @@ impl RigSmoother {
             return Err(FrameError::LengthMismatch { what: "the frames of a rig".into(), len, expected }.into());
         }
         match self.way {
-            RigWay::Each => self.smooth_each(frames),
+            RigWay::Each => self.smooth_each(frames, self.options.outputs),
             RigWay::Merged => self.smooth_merged(frames),
+            RigWay::Views => self.smooth_views(frames),
         }
     }
 
-    fn smooth_each(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+    fn smooth_each(&mut self, frames: &[Option<Frame<'_>>], outputs: Outputs) -> Result<RigResults, Error> {
         let Self { options, adapt_stride, threads, cameras, engine, .. } = self;
         // All share one pool.
-        let options = options.clone().with_threads(None);
+        let options = options.clone().with_threads(None).with_outputs(outputs);
         for (camera, frame) in cameras.iter_mut().zip(frames) {
             if let Some(frame) = frame {
                 *engine = camera.open(*frame, *adapt_stride, &options)?;
@@ -158,6 +178,49 @@ impl RigSmoother {
             threads.install(|| cameras.par_iter_mut().zip(frames).map(smooth).collect())
         };
         results.into_iter().map(|result| result.map(by_fault).transpose()).collect()
+    }
+
+    fn smooth_views(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+        let outputs = self.options.outputs;
+        let measured = self.cameras.par_iter_mut().zip(frames).map(|(camera, frame)| {
+            let of =
+                |frame: Frame<'_>| Measured::of(frame, camera.camera, camera.params.sensor, camera.rig_from_camera);
+            frame.map(of)
+        });
+        let measured: Vec<Option<Result<Measured, FrameError>>> = self.threads.install(|| measured.collect());
+        let (measured, mut refused): (Vec<Option<Measured>>, Vec<Option<FrameError>>) = measured
+            .into_iter()
+            .map(|result| match result {
+                Some(Ok(measured)) => (Some(measured), None),
+                Some(Err(error)) => (None, Some(error)),
+                None => (None, None),
+            })
+            .unzip();
+        let view = |(i, of): (usize, &Option<Measured>)| Some(of.as_ref()?.view(i, &measured, self.registration_m));
+        let views: Vec<Option<View>> = self.threads.install(|| measured.par_iter().enumerate().map(view).collect());
+        let frames: Vec<Option<Frame<'_>>> = views
+            .iter()
+            .zip(&measured)
+            .map(|(view, of)| view.as_ref().zip(of.as_ref()).map(|(view, of)| view.frame(of)).transpose())
+            .collect::<Result<_, _>>()?;
+        // Points move to tangent planes.
+        let of_views = outputs.with_depth(false).with_depth_m(false).with_points(true).with_normals(true);
+        let results = self.smooth_each(&frames, of_views)?;
+        drop(frames);
+        let mut smoothed = Vec::with_capacity(views.len());
+        for ((view, result), refused) in views.into_iter().zip(results).zip(&mut refused) {
+            smoothed.push(match (view, result) {
+                (Some(view), Some(Ok(result))) => Some((view, result)),
+                (_, Some(Err(error))) => {
+                    *refused = Some(error);
+                    None
+                }
+                _ => None,
+            });
+        }
+        let back = |(i, of): (usize, &Option<Measured>)| of.as_ref()?.carried_back(i, &measured, &smoothed, outputs);
+        let back: Vec<Option<Smoothed>> = self.threads.install(|| measured.par_iter().enumerate().map(back).collect());
+        Ok(back.into_iter().zip(refused).map(|(back, refused)| back.map(Ok).or(refused.map(Err))).collect())
     }
 
     fn smooth_merged(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {

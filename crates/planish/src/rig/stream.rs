@@ -51,7 +51,7 @@ impl RigOptions {
         Self {
             way,
             params: rig.cameras.iter().map(params).collect(),
-            general_params: SmoothParams::general(),
+            general_params: super::merged_params(),
             adapt_stride: true,
             smoother,
             max_moments: None,

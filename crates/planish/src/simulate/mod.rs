@@ -16,6 +16,7 @@
 //! ```
 
 mod random;
+mod rig;
 mod scene;
 mod scenes;
 mod sensor;
@@ -24,6 +25,7 @@ mod sensor;
 pub use glam::{DMat3, DVec3};
 #[cfg(any(test, feature = "evaluate"))]
 pub(crate) use random::Random;
+pub use rig::{PoseErrors, RigScene};
 pub use scene::{NO_OBJECT, Pose, Scene, Shape, Truth};
 pub use scenes::Gauge;
 pub use sensor::{DepthNoise, DepthSimulator, ErrorUnit};

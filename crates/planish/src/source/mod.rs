@@ -330,7 +330,7 @@ fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> R
 }
 
 /// Returns the camera for frames of a shape; one without a shape takes it.
-fn with_shape(camera: Camera, (width, height): (usize, usize)) -> Camera {
+pub(crate) fn with_shape(camera: Camera, (width, height): (usize, usize)) -> Camera {
     if (camera.width, camera.height) == (0, 0) { camera.with_shape((width, height)) } else { camera }
 }
 

@@ -1,0 +1,402 @@
+//! `planish rig`: describes rigs, makes them of calibrations, simulates them; and `planish stream --rig`.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use planish::evaluate::{RigCaseCamera, RigEvaluation, RigReport, RigSuite};
+use planish::rig::{
+    self, CameraStatistics, CamerasSink, FusedSink, Rig, RigCamera, RigEvent, RigOptions, RigSink, RigSmoother,
+    RigStatistics, RigWay, calibration, rig_to_json,
+};
+use planish::simulate::{DepthNoise, DepthSimulator, Pose, RigScene};
+use planish::source::{Source, TumRecorder};
+use planish::stream::SinkFormat;
+use planish::{Camera, IntoFrame, Outputs, SensorModel, SensorPose, io, source};
+use planish_bench::{errln, out, outln};
+use serde::Serialize;
+
+use super::checks::is_mcap;
+use super::stream::{StatusLine, WithoutFloating, ms, open_named};
+use crate::args::{EvaluateArgs, LimitArgs, RigArgs, StreamArgs, outputs_of};
+use crate::exit::ExitCode;
+use crate::signals::stop_flag;
+
+pub fn run(args: &RigArgs) -> Result<ExitCode> {
+    if let (Some(cameras), Some(folder)) = (args.simulate, &args.out) {
+        return simulate(args, cameras.into(), folder);
+    }
+    let Some(file) = &args.file else { bail!("a rig.json or a calibration is needed") };
+    let mut rig = if is_rig_file(file) { Rig::read(file)? } else { read_calibration(args, file)? };
+    for named in &args.source {
+        let (name, source) =
+            named.split_once('=').with_context(|| format!("--source {named}: NAME=SOURCE is expected"))?;
+        let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
+        let camera =
+            rig.index_of(name).with_context(|| format!("--source {named}: the cameras are {}", names.join(", ")))?;
+        rig.cameras[camera].source = Some(source.to_owned());
+    }
+    rig.validate().map_err(planish::Error::from)?;
+    if let Some(out) = &args.out {
+        if out.exists() {
+            bail!("{}: is there already, and is not replaced: give another name, or remove it", out.display());
+        }
+        io::write_whole(out, rig_to_json(&rig).as_bytes()).with_context(|| out.display().to_string())?;
+    }
+    if args.json {
+        outln!("{}", rig_to_json(&rig).trim_end());
+    } else {
+        describe(&rig);
+        if let Some(out) = &args.out {
+            let without = rig.cameras.iter().filter(|camera| camera.source.is_none()).count();
+            let sources = if without > 0 { "; add the source of each camera, then" } else { ";" };
+            outln!("\nwritten to {}{sources} planish stream --rig {}", out.display(), out.display());
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Whether a file is planish's own: JSON with cameras, where COLMAP's has a list.
+fn is_rig_file(file: &Path) -> bool {
+    file.is_file()
+        && fs::read_to_string(file).is_ok_and(|text| text.trim_start().starts_with('{') && text.contains("\"cameras\""))
+}
+
+fn read_calibration(args: &RigArgs, file: &Path) -> Result<Rig> {
+    let mut options =
+        calibration::CalibrationOptions::default().with_base(args.base.clone()).with_frames(args.frame.clone());
+    if let Some(metres) = args.scale {
+        if !(metres > 0.0 && metres.is_finite()) {
+            bail!("--scale {metres}: metres in a unit, above 0");
+        }
+        options = options.with_metres_per_unit(metres);
+    }
+    Ok(calibration::read(file, &options)?)
+}
+
+fn describe(rig: &Rig) {
+    let frame = rig.frame.as_ref().map_or(String::new(), |frame| format!(", in the frame {frame}"));
+    outln!(
+        "{} cameras{frame}; time stamps of one moment are at most {:.0} ms apart",
+        rig.cameras.len(),
+        1e3 * rig.tolerance_s
+    );
+    for camera in &rig.cameras {
+        let [x, y, z] = camera.pose.position_m;
+        let rows = camera.pose.rotation();
+        let [ahead_x, ahead_y, ahead_z] = [rows[0][2], rows[1][2], rows[2][2]];
+        outln!(
+            "  {:<16} at {x:.3}, {y:.3}, {z:.3} m, looking along {ahead_x:.3}, {ahead_y:.3}, {ahead_z:.3}",
+            camera.name
+        );
+        let intrinsics = camera.camera.map(|camera| format!("fx {:.1}, fy {:.1}", camera.fx, camera.fy));
+        let sensor = camera.sensor.and_then(|sensor| sensor.name());
+        outln!(
+            "  {:<16} source {}, intrinsics {}, sensor {}",
+            "",
+            camera.source.as_deref().unwrap_or("none yet"),
+            intrinsics.as_deref().unwrap_or("its source's"),
+            sensor.unwrap_or("of the options")
+        );
+    }
+}
+
+/// Simulates a rig: a data set of each camera, and the rig.json.
+fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
+    let scene = RigScene::tabletop(args.seed, cameras);
+    let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
+    let stated = scene.poses_with_errors(errors, args.seed);
+    if folder.join("rig.json").exists() {
+        bail!("{}: has a rig already; write into another folder", folder.display());
+    }
+    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let camera = Camera::kinect_v1();
+    let mut rig_cameras = Vec::new();
+    for (i, (pose, stated)) in scene.poses.iter().zip(&stated).enumerate() {
+        let name = format!("camera{i}");
+        let simulator = DepthSimulator::new(DepthNoise::default(), camera, args.seed * 100 + i as u64);
+        let truth = scene.scene.render(&camera, pose);
+        let mut recorder = TumRecorder::create(&folder.join(&name))?;
+        for number in 0..args.frames {
+            let frame = simulator.frame(&truth, number).map_err(planish::Error::from)?;
+            recorder.add(&frame.with_timestamp_s(number as f64 / 30.0))?;
+        }
+        let placed = RigCamera::new(&name, pose_of(stated)?).with_source(Some(name.clone()));
+        rig_cameras.push(placed.with_sensor(Some(SensorModel::KINECT_V1)));
+    }
+    let rig = Rig::new(rig_cameras).map_err(planish::Error::from)?;
+    let file = folder.join("rig.json");
+    io::write_whole(&file, rig_to_json(&rig).as_bytes()).with_context(|| file.display().to_string())?;
+    outln!(
+        "{cameras} cameras, {} frames each, in {}; planish stream --rig {}",
+        args.frames,
+        folder.display(),
+        file.display()
+    );
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Where a simulated camera stands, in the world as the rig's frame.
+fn pose_of(pose: &Pose) -> Result<SensorPose> {
+    let columns = pose.world_from_camera.to_cols_array_2d();
+    let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|k: usize| columns[k][i]));
+    SensorPose::from_rotation(pose.position.to_array(), rows).context("the pose of a simulated camera")
+}
+
+/// What is said at the end of a rig's stream.
+#[derive(Serialize)]
+struct Report {
+    moments: u64,
+    complete: u64,
+    dropped: u64,
+    dropped_by_sinks: u64,
+    failed_sinks: u64,
+    seconds: f64,
+    fps: f64,
+    latency_ms: [f64; 3],
+    engine: &'static str,
+    way: &'static str,
+    cameras: Vec<CameraReport>,
+}
+
+#[derive(Serialize)]
+struct CameraReport {
+    name: String,
+    frames_in: u64,
+    frames_out: u64,
+    missing: u64,
+    late: u64,
+    out_of_order: u64,
+    clock_jumps: u64,
+    dropped: u64,
+    unreadable: u64,
+}
+
+/// Streams a rig.
+pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
+    if args.rerun || args.rrd.is_some() {
+        bail!("--rerun and --rrd show one camera; save a rig's clouds with --save");
+    }
+    let rig = Rig::read(file)?;
+    let way: RigWay = args.fuse.map(Into::into).unwrap_or_default();
+    let (outputs, format) = (rig_outputs(args), args.sink_format());
+    let sensors = |camera: &RigCamera| match (&args.smoothing.sensor, camera.sensor) {
+        (None, Some(sensor)) => Ok(sensor),
+        _ => args.smoothing.params().map(|params| params.sensor),
+    };
+    let sensors = rig.cameras.iter().map(sensors).collect::<Result<Vec<_>>>()?;
+    let params = sensors.iter().map(|&sensor| args.smoothing.params_of(sensor)).collect::<Result<Vec<_>>>()?;
+    let options = RigOptions::new(&rig, way, args.smoothing.options(outputs)?)
+        .with_params(params, args.smoothing.merged_params()?)
+        .with_adapt_stride(args.smoothing.adapts_window())
+        .with_max_moments(args.source.limits.frames)
+        .with_max_duration(args.source.limits.max_duration()?);
+    let stop = stop_flag();
+    let mut sources = open_sources(&rig, &args.source.limits, &stop)?;
+    if args.smoothing.remove_floating {
+        let without = |(source, sensor)| Box::new(WithoutFloating { source, sensor }) as Box<dyn Source>;
+        sources = sources.into_iter().zip(sensors).map(without).collect();
+    }
+    let mut sinks: Vec<Box<dyn RigSink>> = Vec::new();
+    if let Some(folder) = &args.save {
+        if is_mcap(folder) {
+            bail!("{}: a rig's clouds are saved into a folder", folder.display());
+        }
+        sinks.push(Box::new(FusedSink::create(folder, format_of_fused(args, format), &rig)?));
+    }
+    if let Some(folder) = &args.save_cameras {
+        sinks.push(Box::new(CamerasSink::create(folder, format, outputs, &rig)?));
+    }
+    let line = StatusLine::new();
+    let tell = |event: RigEvent<'_>| match event {
+        RigEvent::Warning(warning) => line.warn(&warning),
+        RigEvent::Moment(statistics) => line.show("moments", &statistics.moments),
+        _ => {}
+    };
+    let statistics = rig::run(&rig, sources, &options, sinks, &stop, tell)?;
+    line.end();
+    let report = report(&statistics, way);
+    if args.json {
+        outln!("{}", serde_json::to_string(&report)?);
+    } else {
+        print(&report);
+    }
+    let unreadable = report.cameras.iter().any(|camera| camera.unreadable > 0);
+    Ok(if report.failed_sinks > 0 || unreadable { ExitCode::from(1) } else { ExitCode::SUCCESS })
+}
+
+/// What is computed: depth too if each camera's depth images are to be saved.
+fn rig_outputs(args: &StreamArgs) -> Outputs {
+    let outputs = outputs_of(&args.fields);
+    if args.save_cameras.is_some() && args.sink_format() == SinkFormat::DepthPng {
+        outputs.with_depth(true)
+    } else {
+        outputs
+    }
+}
+
+/// The format of fused clouds, which are no depth images.
+fn format_of_fused(args: &StreamArgs, format: SinkFormat) -> SinkFormat {
+    if format == SinkFormat::DepthPng && args.save_cameras.is_some() { SinkFormat::Pcd } else { format }
+}
+
+fn open_sources(rig: &Rig, limits: &LimitArgs, stop: &Arc<AtomicBool>) -> Result<Vec<Box<dyn Source>>> {
+    let names = || rig.cameras.iter().filter_map(|camera| camera.source.as_deref());
+    let has_camera = names().any(source::is_camera);
+    if limits.reconnect && !has_camera {
+        bail!("--reconnect waits for cameras; the rig has recordings");
+    }
+    let open = |camera: &RigCamera| {
+        let name = camera.source.as_deref();
+        let name = name.with_context(|| {
+            format!("camera {}: no source; \"source\" says where its frames come from", camera.name)
+        })?;
+        let is_camera = source::is_camera(name);
+        let options = camera.source_options().with_fps(limits.fps.filter(|_| !is_camera));
+        let limits = LimitArgs { reconnect: limits.reconnect && is_camera, ..*limits };
+        if has_camera && !is_camera && limits.fps.is_none() {
+            bail!("camera {}: a recording beside live cameras: --fps says at what pace it plays", camera.name);
+        }
+        open_named(name, options, &limits, stop).with_context(|| format!("camera {}", camera.name))
+    };
+    rig.cameras.iter().map(open).collect()
+}
+
+fn report(statistics: &RigStatistics, way: RigWay) -> Report {
+    let moments = &statistics.moments;
+    let latency = moments.latency();
+    let camera = |camera: &CameraStatistics| CameraReport {
+        name: camera.name.clone(),
+        frames_in: camera.frames_in,
+        frames_out: camera.frames_out,
+        missing: camera.missing,
+        late: camera.late,
+        out_of_order: camera.out_of_order,
+        clock_jumps: camera.jumps,
+        dropped: camera.dropped,
+        unreadable: camera.unreadable,
+    };
+    Report {
+        moments: moments.frames_out,
+        complete: statistics.complete,
+        dropped: moments.dropped,
+        dropped_by_sinks: moments.dropped_by_sinks,
+        failed_sinks: moments.failed_sinks,
+        seconds: moments.duration().as_secs_f64(),
+        fps: moments.fps(),
+        latency_ms: [latency.p50, latency.p95, latency.p99].map(ms),
+        engine: moments.engine.name(),
+        way: way.name(),
+        cameras: statistics.cameras.iter().map(camera).collect(),
+    }
+}
+
+fn print(report: &Report) {
+    let Report { moments, complete, dropped, seconds, fps, latency_ms: [p50, p95, p99], engine, way, cameras, .. } =
+        report;
+    outln!("{moments} moments in {seconds:.1} s, {fps:.1} a second, {way}, engine {engine}");
+    outln!("  {complete} of them with every camera; {dropped} dropped for newer ones");
+    outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}");
+    for camera in cameras {
+        let CameraReport { name, frames_in, frames_out, missing, late, out_of_order, clock_jumps, dropped, unreadable } =
+            camera;
+        outln!(
+            "  {name:<16} {frames_out} of {frames_in} frames smoothed; missing from {missing} moments, {late} late, {out_of_order} out of \
+             order, {clock_jumps} jumps of its clock, {dropped} dropped, {unreadable} unreadable"
+        );
+    }
+    if *moments == 0 {
+        errln!("warning: no frames came");
+    }
+}
+
+/// What a way made of the simulated rigs.
+#[derive(Serialize)]
+struct Row {
+    name: &'static str,
+    #[serde(flatten)]
+    report: RigReport,
+    /// Mean time of a moment, in milliseconds.
+    moment_ms: Option<f64>,
+}
+
+/// Measures the ways on simulated rigs.
+pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
+    let params = args.smoothing.params()?;
+    let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
+    let suite = RigSuite { errors, noise: DepthNoise::of_sensor(&params.sensor), ..RigSuite::new(cameras) };
+    let seeds = args.seed.map_or(1..=args.seeds, |seed| seed..=seed);
+    let bar = ProgressBar::new(seeds.end() - seeds.start() + 1)
+        .with_style(ProgressStyle::with_template("{bar:30} seed {pos} of {len}, {eta} left")?);
+    let mut raw = RigEvaluation::default();
+    let mut ways = RigWay::ALL.map(|way| (way, RigEvaluation::default(), Duration::ZERO));
+    let options = args.smoothing.options(Outputs::POINTS)?;
+    let mut moments = 0;
+    for seed in seeds {
+        let case = suite.case(seed).map_err(planish::Error::from)?;
+        let deproject =
+            |camera: &RigCaseCamera| Ok(camera.frame.deproject().map_err(planish::Error::from)?.points.positions);
+        raw.add(&case, &case.cameras.iter().map(deproject).collect::<Result<Vec<_>>>()?);
+        let camera =
+            |(i, camera): (usize, &RigCaseCamera)| Ok(RigCamera::new(&format!("camera{i}"), pose_of(&camera.stated)?));
+        let rig = Rig::new(case.cameras.iter().enumerate().map(camera).collect::<Result<_>>()?)
+            .map_err(planish::Error::from)?;
+        let frames = case.cameras.iter().map(|camera| camera.frame.into_frame().map(Some));
+        let frames = frames.collect::<Result<Vec<_>, _>>().map_err(planish::Error::from)?;
+        moments += 1;
+        for (way, evaluation, time) in &mut ways {
+            let mut smoother =
+                RigSmoother::new(&rig, *way, &vec![params; cameras], args.smoothing.merged_params()?, &options)?
+                    .with_adapt_stride(args.smoothing.adapts_window());
+            // Engines open with the first moment.
+            if *way != RigWay::Merged {
+                smoother.smooth(&frames)?;
+            }
+            let start = Instant::now();
+            let results = smoother.smooth(&frames)?;
+            *time += start.elapsed();
+            let points = results.into_iter().map(|result| match result {
+                Some(result) => Ok(result.map_err(planish::Error::from)?.points),
+                None => bail!("a camera without a result"),
+            });
+            evaluation.add(&case, &points.collect::<Result<Vec<_>>>()?);
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let row = |(way, evaluation, time): &(RigWay, RigEvaluation, Duration)| Row {
+        name: way.name(),
+        report: evaluation.report(),
+        moment_ms: Some(ms(*time) / f64::from(moments)),
+    };
+    let raw = Row { name: "raw", report: raw.report(), moment_ms: None };
+    let rows: Vec<Row> = std::iter::once(raw).chain(ways.iter().map(row)).collect();
+    if args.json {
+        outln!("{}", serde_json::to_string(&rows)?);
+    } else {
+        print_rows(&rows);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn print_rows(rows: &[Row]) {
+    let line = |name: &str, value: &dyn Fn(&Row) -> String| {
+        out!("  {name:<52}");
+        rows.iter().for_each(|row| out!("{:>10}", value(row)));
+        outln!();
+    };
+    line("", &|row| row.name.to_owned());
+    outln!("surfaces at 0.5 to 1.5 m");
+    line("seen by several: distance to the truth, RMS, mm", &|row| format!("{:.2}", row.report.overlap_rmse_mm));
+    line("  facets of adjacent pixels, mean error", &|row| format!("{:.1}°", row.report.overlap_facet_deg));
+    line("seen by one: distance to the truth, RMS, mm", &|row| format!("{:.2}", row.report.single_rmse_mm));
+    line("  facets of adjacent pixels, mean error", &|row| format!("{:.1}°", row.report.single_facet_deg));
+    line("two cameras' surfaces are apart, RMS, mm", &|row| format!("{:.2}", row.report.ghosting_mm));
+    line("within 3 px of a step: distance, mean, mm", &|row| format!("{:.2}", row.report.edge_mean_mm));
+    line("measured, but lost", &|row| format!("{:.2} %", 100.0 * row.report.lost_share));
+    line("a moment takes, ms", &|row| row.moment_ms.map_or("-".to_owned(), |ms| format!("{ms:.1}")));
+}

@@ -1,0 +1,408 @@
+//! The way of views: what all cameras see, as range images from where each of them stands.
+//!
+//! Each camera's grid is a view. A pixel's own sample, or the nearest point that falls into it if it has none, is its front; samples of other
+//! cameras that fall into the pixel no farther from its front than the cameras' registration and noise allow, on surfaces that face
+//! the view, are of the same surface. The view is the mean of them, weighted by the inverse of their noise squared, and is smoothed as a frame of its
+//! camera. Then every point moves along its own ray to the tangent planes of the pixels that it was counted in, and is the mean of
+//! those by the squared cosine of their incidence. So a surface that several cameras see, and that errors of their poses have
+//! doubled, becomes one.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::camera::Camera;
+use crate::error::FrameError;
+use crate::frame::{Frame, PointsView};
+use crate::method::GRAZING_COSINE;
+use crate::outputs::Outputs;
+use crate::pose::RigidTransform;
+use crate::sensor::SensorModel;
+use crate::smoothed::Smoothed;
+use crate::status::Status;
+use crate::xyz::Xyz;
+
+/// Two cameras' samples of one surface are apart by so many standard deviations of both.
+const DEVIATIONS: f64 = 3.0;
+
+/// Half the distance in pixels over which the side that a surface faces is told.
+const NORMAL_PX: usize = 6;
+
+/// Surfaces seen at more than 80° are not taken for facing a view.
+const FACING_COSINE: f64 = 0.17;
+
+/// A pixel that a sample does not fall into, or where it is not of the front.
+const NOWHERE: u32 = u32::MAX;
+
+/// What a camera has measured, in its own frame.
+pub(super) struct Measured {
+    pub(super) camera: Camera,
+    pub(super) points: Xyz,
+    /// Towards the camera, where the side that the surface faces can be told.
+    normals: Xyz,
+    sensor: SensorModel,
+    rig_from_camera: RigidTransform,
+    /// What takes its points back into the frame that they came in.
+    points_from_camera: RigidTransform,
+}
+
+/// What is seen of all cameras' points from where one of them stands.
+pub(super) struct View {
+    points: Xyz,
+    shape: (usize, usize),
+    /// For each camera the pixel that each of its samples was counted in; none for the view's own.
+    counted: Vec<Option<Vec<u32>>>,
+}
+
+impl Measured {
+    pub(super) fn of(
+        frame: Frame<'_>,
+        camera: Option<Camera>,
+        sensor: SensorModel,
+        rig_from_camera: RigidTransform,
+    ) -> Result<Self, FrameError> {
+        let shape = frame.shape();
+        let camera = frame.camera().copied().or_else(|| camera.map(|camera| crate::source::with_shape(camera, shape)));
+        let camera = camera.filter(|camera| camera.check_shape(shape).is_ok());
+        let camera = camera.ok_or(FrameError::MissingCamera { what: "a rig smoothed by views" })?;
+        let (points, points_from_camera) = match frame {
+            Frame::Depth(depth) => (depth.deproject()?.points.positions, RigidTransform::IDENTITY),
+            Frame::Points(points) => {
+                let points_from_camera =
+                    RigidTransform::shift(points.origin_m()).inverse().after(points.pose().transform()?);
+                let camera_from_points = points_from_camera.inverse();
+                let in_camera =
+                    |i| camera_from_points.from_sensor(DVec3::from_array(points.get(i))).as_vec3().to_array();
+                ((0..points.len()).map(in_camera).collect(), points_from_camera)
+            }
+        };
+        let normals = normals(&points, shape, &sensor);
+        Ok(Self { camera, points, normals, sensor, rig_from_camera, points_from_camera })
+    }
+
+    fn shape(&self) -> (usize, usize) {
+        (self.camera.width, self.camera.height)
+    }
+
+    /// What is seen from here, of this camera and of others. Surfaces of two cameras are at most `registration_m` apart for their poses' sake.
+    pub(super) fn view(&self, index: usize, all: &[Option<Self>], registration_m: f64) -> View {
+        let (width, height) = self.shape();
+        let landings: Vec<Option<Landings>> = all
+            .iter()
+            .enumerate()
+            .map(|(i, other)| other.as_ref().filter(|_| i != index).map(|other| self.landings(other)))
+            .collect();
+        // What a pixel's own sample does not say is said by the nearest of the others.
+        let mut front_m = self.points.z.clone();
+        for (pixel, point) in landings.iter().flatten().flat_map(Landings::iter) {
+            if !self.points.z[pixel].is_finite() {
+                front_m[pixel] = front_m[pixel].min(point[2]);
+            }
+        }
+        let own_weight = |i: usize| weight(self.sensor.sigma_m(self.points.z[i].into()));
+        let mut sums: Vec<[f64; 4]> = (0..width * height)
+            .map(|i| match self.points.is_finite(i) {
+                true => with_weight(self.points.get(i), own_weight(i)),
+                false => [0.0; 4],
+            })
+            .collect();
+        let mut counted = Vec::with_capacity(all.len());
+        for (landings, other) in landings.into_iter().zip(all) {
+            let (Some(mut landings), Some(other)) = (landings, other) else {
+                counted.push(None);
+                continue;
+            };
+            for (i, (pixel, point)) in landings.pixels.iter_mut().zip(&landings.points).enumerate() {
+                if *pixel == NOWHERE {
+                    continue;
+                }
+                let at = *pixel as usize;
+                let sigma_m = other.sensor.sigma_m(other.points.z[i].into());
+                let noise_m = DEVIATIONS * sigma_m.hypot(self.sensor.sigma_m(front_m[at].into()));
+                if f64::from((point[2] - front_m[at]).abs()) > registration_m + noise_m {
+                    *pixel = NOWHERE;
+                    continue;
+                }
+                let added = with_weight(*point, weight(sigma_m));
+                sums[at].iter_mut().zip(added).for_each(|(sum, added)| *sum += added);
+            }
+            counted.push(Some(landings.pixels));
+        }
+        let mean = |&[x, y, z, weight]: &[f64; 4]| [x, y, z].map(|sum| (sum / weight) as f32);
+        View { points: sums.iter().map(mean).collect(), shape: (width, height), counted }
+    }
+
+    /// Where the samples of another camera fall in this one's grid.
+    fn landings(&self, other: &Self) -> Landings {
+        let here_from_other = self.rig_from_camera.inverse().after(other.rig_from_camera);
+        let landing = |i: usize| {
+            let none = (NOWHERE, [f32::NAN; 3]);
+            if !other.normals.is_finite(i) {
+                return none;
+            }
+            let point = here_from_other.from_sensor(DVec3::from_array(other.points.get(i).map(f64::from)));
+            let normal = here_from_other.rotation * DVec3::from_array(other.normals.get(i).map(f64::from));
+            if normal.dot(point) > -FACING_COSINE * point.length() {
+                return none;
+            }
+            let pixel = self.camera.pixel_of(point.to_array());
+            pixel.map_or(none, |pixel| (pixel as u32, point.as_vec3().to_array()))
+        };
+        let (pixels, points) = (0..other.points.len()).map(landing).unzip();
+        Landings { pixels, points }
+    }
+
+    /// Moves the points to where the smoothed views have them.
+    pub(super) fn carried_back(
+        &self,
+        index: usize,
+        all: &[Option<Self>],
+        views: &[Option<(View, Smoothed)>],
+        outputs: Outputs,
+    ) -> Option<Smoothed> {
+        let (_, own) = views[index].as_ref()?;
+        let own_normals = own.normals.as_ref()?;
+        let (width, height) = self.shape();
+        let others: Vec<Seen<'_>> =
+            views.iter().zip(all).filter_map(|(view, of)| self.seen_in(index, view.as_ref()?, of.as_ref()?)).collect();
+        let mut back = Smoothed { width, height, points: Xyz::filled(width * height, f32::NAN), ..Smoothed::default() };
+        let mut normals = Xyz::filled(width * height, f32::NAN);
+        for i in 0..width * height {
+            if !self.points.is_finite(i) || !own.points.is_finite(i) {
+                continue;
+            }
+            let ray = DVec3::from_array(self.points.get(i).map(f64::from)).normalize();
+            let own_point = DVec3::from_array(own.points.get(i).map(f64::from));
+            let own_normal = DVec3::from_array(own_normals.get(i).map(f64::from));
+            let mut sum = Blend::default();
+            sum.add(ray, own_point, own_normal, ray);
+            others.iter().for_each(|other| other.add_to(&mut sum, i, ray));
+            let (point, normal) = sum.mean(own_point, own_normal);
+            back.points.set(i, point.as_vec3().to_array());
+            normals.set(i, normal.as_vec3().to_array());
+        }
+        self.finish(back, own, normals, outputs)
+    }
+
+    /// This camera's samples in another one's view.
+    fn seen_in<'a>(&self, index: usize, (view, smoothed): &'a (View, Smoothed), of: &Self) -> Option<Seen<'a>> {
+        let pixels = view.counted[index].as_ref()?;
+        let normals = smoothed.normals.as_ref()?;
+        let here_from_view = self.rig_from_camera.inverse().after(of.rig_from_camera);
+        Some(Seen { pixels, points: &smoothed.points, normals, here_from_view })
+    }
+
+    /// Adds the outputs that were asked for, and takes points into the frame that they came in.
+    fn finish(&self, mut back: Smoothed, own: &Smoothed, normals: Xyz, outputs: Outputs) -> Option<Smoothed> {
+        let is_hole = |i: usize| !back.points.is_finite(i);
+        back.status = own.status.as_ref().map(|status| {
+            let of_pixel = |(i, &status): (usize, &Status)| match status {
+                // A hole that other cameras filled in the view is none of this camera's points.
+                _ if !self.points.is_finite(i) => Status::Hole,
+                status => status,
+            };
+            status.iter().enumerate().map(of_pixel).collect()
+        });
+        let where_there = |values: &Vec<f32>| {
+            values.iter().enumerate().map(|(i, &value)| if is_hole(i) { f32::NAN } else { value }).collect()
+        };
+        back.curvature = own.curvature.as_ref().map(where_there);
+        back.neighbours = own.neighbours.clone();
+        let depth_m: Vec<f32> = back.points.z.clone();
+        back.depth = outputs.depth.then(|| depth_m.iter().map(|&depth_m| self.camera.raw_depth(depth_m)).collect());
+        back.depth_m = outputs.depth_m.then_some(depth_m);
+        back.normals = outputs.normals.then_some(normals);
+        let RigidTransform { rotation, .. } = self.points_from_camera;
+        if !self.points_from_camera.is_identity() {
+            let move_point = |p: [f32; 3]| self.points_from_camera.from_sensor(as_dvec(p)).as_vec3().to_array();
+            back.points = back.points.iter().map(move_point).collect();
+            let turn = |normals: Xyz| normals.iter().map(|n| (rotation * as_dvec(n)).as_vec3().to_array()).collect();
+            back.normals = back.normals.map(turn);
+        }
+        Some(back)
+    }
+}
+
+fn as_dvec(vector: [f32; 3]) -> DVec3 {
+    DVec3::from_array(vector.map(f64::from))
+}
+
+impl View {
+    /// It as a frame of its camera.
+    pub(super) fn frame<'a>(&'a self, of: &'a Measured) -> Result<Frame<'a>, FrameError> {
+        let Xyz { x, y, z } = &self.points;
+        let (width, height) = self.shape;
+        Ok(Frame::Points(PointsView::from_planes(x, y, z)?.with_grid(width, height)?.with_camera(&of.camera)?))
+    }
+}
+
+/// Where the samples of a camera fall in another's grid, and where they are in its frame.
+struct Landings {
+    pixels: Vec<u32>,
+    points: Vec<[f32; 3]>,
+}
+
+impl Landings {
+    fn iter(&self) -> impl Iterator<Item = (usize, [f32; 3])> + '_ {
+        let all = self.pixels.iter().zip(&self.points);
+        all.filter(|(pixel, _)| **pixel != NOWHERE).map(|(pixel, point)| (*pixel as usize, *point))
+    }
+}
+
+/// A camera's samples in another camera's view.
+struct Seen<'a> {
+    /// Where each was counted.
+    pixels: &'a [u32],
+    points: &'a Xyz,
+    normals: &'a Xyz,
+    here_from_view: RigidTransform,
+}
+
+impl Seen<'_> {
+    fn add_to(&self, sum: &mut Blend, i: usize, ray: DVec3) {
+        let pixel = self.pixels[i];
+        if pixel == NOWHERE || !self.normals.is_finite(pixel as usize) {
+            return;
+        }
+        let point_in_view = as_dvec(self.points.get(pixel as usize));
+        let normal = self.here_from_view.rotation * as_dvec(self.normals.get(pixel as usize));
+        let ray_of_view = self.here_from_view.rotation * point_in_view.normalize();
+        sum.add(ray, self.here_from_view.from_sensor(point_in_view), normal, ray_of_view);
+    }
+}
+
+/// The mean of what several views say of a point: how far along its ray, and the normal.
+#[derive(Default)]
+struct Blend {
+    distance: f64,
+    ray: DVec3,
+    normal: DVec3,
+    weight: f64,
+}
+
+impl Blend {
+    /// Adds a tangent plane of a view; one that the ray grazes says nothing of where the point is.
+    fn add(&mut self, ray: DVec3, point: DVec3, normal: DVec3, ray_of_view: DVec3) {
+        let along = ray.dot(normal);
+        // Also false for a NaN.
+        if along.abs() > f64::from(GRAZING_COSINE) {
+            let cosine = ray_of_view.dot(normal);
+            let weight = cosine * cosine;
+            self.ray = ray;
+            self.distance += weight * point.dot(normal) / along;
+            self.normal += weight * normal;
+            self.weight += weight;
+        }
+    }
+
+    fn mean(&self, point: DVec3, normal: DVec3) -> (DVec3, DVec3) {
+        if self.weight > 0.0 {
+            (self.distance / self.weight * self.ray, self.normal.normalize())
+        } else {
+            (point, normal)
+        }
+    }
+}
+
+/// The inverse of the noise squared; sensors without noise count alike.
+fn weight(sigma_m: f64) -> f64 {
+    const LEAST_SIGMA_M: f64 = 1e-4;
+    1.0 / sigma_m.max(LEAST_SIGMA_M).powi(2)
+}
+
+fn with_weight(point: [f32; 3], weight: f64) -> [f64; 4] {
+    let [x, y, z] = point.map(|coordinate| weight * f64::from(coordinate));
+    [x, y, z, weight]
+}
+
+/// Normals by the differences of pixels some way apart, towards the camera; NaN beside holes and steps.
+fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &SensorModel) -> Xyz {
+    let at = |u: usize, v: usize| as_dvec(points.get(v * width + u));
+    let normal = |i: usize| {
+        let (u, v) = (i % width, i / width);
+        let (left, right) = (u.saturating_sub(NORMAL_PX), (u + NORMAL_PX).min(width - 1));
+        let (above, below) = (v.saturating_sub(NORMAL_PX), (v + NORMAL_PX).min(height - 1));
+        let p = at(u, v);
+        let ends = [at(left, v), at(right, v), at(u, above), at(u, below)];
+        // A surface that is not steeper than it may be seen: what goes farther is a step.
+        let noise_m = 2.0 * DEVIATIONS * sensor.sigma_m(p.z);
+        let is_near = |end: &DVec3| {
+            let across = DVec3::new(end.x - p.x, end.y - p.y, 0.0).length();
+            (end.z - p.z).abs() <= across / FACING_COSINE + noise_m
+        };
+        if !ends.iter().all(is_near) {
+            return [f32::NAN; 3];
+        }
+        let normal = (ends[1] - ends[0]).cross(ends[3] - ends[2]).normalize();
+        let facing = if normal.dot(p) > 0.0 { -normal } else { normal };
+        facing.as_vec3().to_array()
+    };
+    let all: Vec<[f32; 3]> = (0..width * height).into_par_iter().with_min_len(width).map(normal).collect();
+    all.into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+
+    const SHAPE: (usize, usize) = (80, 60);
+
+    fn camera() -> Camera {
+        Camera::new(SHAPE, [66.0, 66.0], [39.5, 29.5])
+    }
+
+    /// A camera `shift_m` to the right that sees a wall at z = 1, and has it `off_m` too far.
+    fn wall(shift_m: f64, off_m: f32) -> Measured {
+        let rig_from_camera = RigidTransform { rotation: DMat3::IDENTITY, translation: DVec3::new(shift_m, 0.0, 0.0) };
+        let points = camera().deproject_m(std::iter::repeat_n(1.0 + off_m, SHAPE.0 * SHAPE.1));
+        let sensor = SensorModel::KINECT_V1;
+        let normals = normals(&points, SHAPE, &sensor);
+        Measured {
+            camera: camera(),
+            points,
+            normals,
+            sensor,
+            rig_from_camera,
+            points_from_camera: RigidTransform::IDENTITY,
+        }
+    }
+
+    #[test]
+    fn what_two_cameras_see_of_a_wall_is_their_mean_and_what_is_beyond_stays() {
+        let all = [Some(wall(0.0, 0.0)), Some(wall(0.2, 0.004))];
+        let view = all[0].as_ref().unwrap().view(0, &all, 0.01);
+        // The right half is seen by both, the left edge by the first alone.
+        let at = |u: usize| view.points.get(30 * SHAPE.0 + u);
+        assert_eq!(at(2)[2], 1.0);
+        assert!((at(60)[2] - 1.002).abs() < 1e-4, "{:?}", at(60));
+        // Farther apart than the registration and the noise allow: two surfaces.
+        let apart = [Some(wall(0.0, 0.0)), Some(wall(0.2, 0.05))];
+        let view = apart[0].as_ref().unwrap().view(0, &apart, 0.01);
+        assert!(view.points.z.iter().all(|&z| z == 1.0));
+        assert!(view.counted[1].as_ref().unwrap().iter().all(|&pixel| pixel == NOWHERE));
+    }
+
+    #[test]
+    fn a_surface_seen_from_behind_is_another_surface() {
+        let mut behind = wall(0.0, 0.0);
+        // It looks back from z = 2.005: the other side of a board of 5 mm.
+        behind.rig_from_camera = RigidTransform {
+            rotation: DMat3::from_rotation_y(std::f64::consts::PI),
+            translation: DVec3::new(0.0, 0.0, 2.005),
+        };
+        let all = [Some(wall(0.0, 0.0)), Some(behind)];
+        let view = all[0].as_ref().unwrap().view(0, &all, 0.01);
+        assert!(view.points.z.iter().all(|&z| z == 1.0));
+    }
+
+    #[test]
+    fn the_side_beside_a_step_is_not_told() {
+        let step = |i: usize| if i % SHAPE.0 < 40 { 1.0 } else { 1.5 };
+        let points = camera().deproject_m((0..SHAPE.0 * SHAPE.1).map(step));
+        let found = normals(&points, SHAPE, &SensorModel::KINECT_V1);
+        let at = |u: usize| found.get(30 * SHAPE.0 + u);
+        assert!(at(38)[2].is_nan() && at(42)[2].is_nan());
+        assert!((at(10)[2] + 1.0).abs() < 1e-6 && (at(70)[2] + 1.0).abs() < 1e-6);
+    }
+}
