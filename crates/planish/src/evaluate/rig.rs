@@ -123,17 +123,18 @@ fn to_camera(pose: &Pose, point: DVec3) -> DVec3 {
 impl RigEvaluation {
     /// Adds a result: of each camera the points in its own frame, one for each pixel.
     pub fn add(&mut self, case: &RigCase, results: &[Xyz]) {
+        let flat: Vec<Vec<bool>> =
+            case.cameras.iter().map(|camera| flat_pixels(&camera.truth, FLAT_MARGIN_PX)).collect();
         for (i, (camera, points)) in case.cameras.iter().zip(results).enumerate() {
-            let truth = &camera.truth;
+            let (truth, is_flat) = (&camera.truth, &flat[i]);
             // Where the true camera would have the points that were placed by the stated pose.
             let placed = |p: DVec3| to_camera(&camera.pose, to_world(&camera.stated, p));
-            let is_flat = flat_pixels(truth, FLAT_MARGIN_PX);
             let in_range = |p: usize| RANGE_M.contains(&truth.points.z[p]);
             let seen_by = seen_by(case, i);
             for p in (0..is_flat.len()).filter(|&p| is_flat[p] && in_range(p) && points.is_finite(p)) {
                 let n = vector(&truth.normals, p);
                 let off_m = (placed(vector(points, p)) - vector(&truth.points, p)).dot(n);
-                let facet = facet(points, &is_flat, p, truth.camera.width).map(|facet| angle_deg(n, facet));
+                let facet = facet(points, is_flat, p, truth.camera.width).map(|facet| angle_deg(n, facet));
                 let is_overlap = seen_by[p].iter().any(|seen| seen.is_some());
                 let (off, facets) = match is_overlap {
                     true => (&mut self.overlap_m, &mut self.overlap_facet_deg),
@@ -152,7 +153,7 @@ impl RigEvaluation {
                 self.lost += usize::from(is_measured && !points.is_finite(p));
             }
             for j in i + 1..case.cameras.len() {
-                self.add_apart(case, results, (i, j), &is_flat, &seen_by);
+                self.add_apart(case, results, (i, j), &flat, &seen_by);
             }
         }
     }
@@ -163,14 +164,14 @@ impl RigEvaluation {
         case: &RigCase,
         results: &[Xyz],
         (i, j): (usize, usize),
-        is_flat: &[bool],
+        flat: &[Vec<bool>],
         seen_by: &[Vec<Option<usize>>],
     ) {
         let (camera, other) = (&case.cameras[i], &case.cameras[j]);
         let (width, height) = (camera.truth.camera.width, camera.truth.camera.height);
         let apart_m = |p: usize| -> Option<f64> {
-            let q = seen_by[p][j].filter(|&q| results[j].is_finite(q))?;
-            let usable = is_flat[p] && results[i].is_finite(p) && RANGE_M.contains(&camera.truth.points.z[p]);
+            let q = seen_by[p][j].filter(|&q| flat[j][q] && results[j].is_finite(q))?;
+            let usable = flat[i][p] && results[i].is_finite(p) && RANGE_M.contains(&camera.truth.points.z[p]);
             let n = camera.pose.world_from_camera * vector(&camera.truth.normals, p);
             let mine = to_world(&camera.stated, vector(&results[i], p));
             let others = to_world(&other.stated, vector(&results[j], q));

@@ -103,8 +103,9 @@ impl<T> Matcher<T> {
             queue.counts.out_of_order += 1;
             return;
         };
-        // The last moment did without it.
-        let is_late = time_s <= last_s + tolerance_s && queue.missing_in_a_row > 0 || time_s < last_s - tolerance_s;
+        // The last moment did without it. One that is far from that is of another clock.
+        let would_have_been = time_s <= last_s + tolerance_s && queue.missing_in_a_row > 0;
+        let is_late = (would_have_been || time_s < last_s - tolerance_s) && time_s > last_s - CLOCK_JUMP_S;
         if is_late && is_live {
             queue.counts.late += 1;
             return;
@@ -141,7 +142,7 @@ impl<T> Matcher<T> {
             apart_s <= self.tolerance_s && next_s.is_none_or(|next_s| apart_s <= (next_s - head_s).abs())
         };
         let belongs: Vec<bool> = heads.map(|head| head.is_some_and(belongs)).collect();
-        self.last_s = self.last_s.max(time_s);
+        self.last_s = time_s;
         let frames = self.cameras.iter_mut().zip(belongs).map(|(queue, belongs)| queue.give(belongs)).collect();
         Some(Moment { time_s, frames })
     }
@@ -375,6 +376,22 @@ mod tests {
             assert_eq!((times.len(), matcher.counts()[0].jumps), (4, jumps));
             assert_eq!(times[3] > 3600.0, jumps == 0, "{times:?}");
         }
+    }
+
+    #[test]
+    fn live_cameras_whose_clocks_are_far_apart_keep_each_other_from_nothing() {
+        let start = Instant::now();
+        let at = |i: u32| start + Duration::from_secs(i.into()) / 30;
+        let mut matcher = Matcher::new(2, TOLERANCE_S, Some(Duration::from_millis(33)));
+        let mut found = [0, 0];
+        for i in 0..60 {
+            matcher.put(0, time_s(i, 3600.0), at(i), i);
+            matcher.put(1, time_s(i, 0.0), at(i), i);
+            while let Some(moment) = matcher.take(at(i)) {
+                (0..2).for_each(|camera| found[camera] += u32::from(moment.frames[camera].is_some()));
+            }
+        }
+        assert!(found[1] >= 55 && matcher.counts()[1].late == 0, "{found:?} {:?}", matcher.counts());
     }
 
     #[test]

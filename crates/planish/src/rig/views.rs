@@ -27,8 +27,15 @@ const DEVIATIONS: f64 = 3.0;
 /// Half the distance in pixels over which the side that a surface faces is told.
 const NORMAL_PX: usize = 6;
 
+/// The middle of two pixels is off the surface between them by so many standard deviations, and by how a curved surface bulges.
+const MIDDLE_DEVIATIONS: f64 = 4.0;
+
 /// Surfaces seen at more than 80° are not taken for facing a view.
 const FACING_COSINE: f64 = 0.17;
+
+/// Pixels of one smooth surface have normals less than 30° apart, and it passes no farther than this from where a tangent plane has it.
+const SAME_SURFACE_COSINE: f64 = 0.866;
+const SAME_SURFACE_M: f64 = 0.003;
 
 /// A pixel that a sample does not fall into, or where it is not of the front.
 const NOWHERE: u32 = u32::MAX;
@@ -175,7 +182,7 @@ impl Measured {
             let own_normal = DVec3::from_array(own_normals.get(i).map(f64::from));
             let mut sum = Blend::default();
             sum.add(ray, own_point, own_normal, ray);
-            others.iter().for_each(|other| other.add_to(&mut sum, i, ray));
+            others.iter().for_each(|other| other.add_to(&mut sum, i, ray, own_normal));
             let (point, normal) = sum.mean(own_point, own_normal);
             back.points.set(i, point.as_vec3().to_array());
             normals.set(i, normal.as_vec3().to_array());
@@ -184,11 +191,12 @@ impl Measured {
     }
 
     /// This camera's samples in another one's view.
-    fn seen_in<'a>(&self, index: usize, (view, smoothed): &'a (View, Smoothed), of: &Self) -> Option<Seen<'a>> {
+    fn seen_in<'a>(&self, index: usize, (view, smoothed): &'a (View, Smoothed), of: &'a Self) -> Option<Seen<'a>> {
         let pixels = view.counted[index].as_ref()?;
         let normals = smoothed.normals.as_ref()?;
         let here_from_view = self.rig_from_camera.inverse().after(of.rig_from_camera);
-        Some(Seen { pixels, points: &smoothed.points, normals, here_from_view })
+        let view_from_here = here_from_view.inverse();
+        Some(Seen { pixels, points: &smoothed.points, normals, camera: &of.camera, here_from_view, view_from_here })
     }
 
     /// Adds the outputs that were asked for, and takes points into the frame that they came in.
@@ -254,20 +262,74 @@ struct Seen<'a> {
     pixels: &'a [u32],
     points: &'a Xyz,
     normals: &'a Xyz,
+    /// The view's.
+    camera: &'a Camera,
     here_from_view: RigidTransform,
+    view_from_here: RigidTransform,
 }
 
 impl Seen<'_> {
-    fn add_to(&self, sum: &mut Blend, i: usize, ray: DVec3) {
+    fn add_to(&self, sum: &mut Blend, i: usize, ray: DVec3, own_normal: DVec3) {
         let pixel = self.pixels[i];
         if pixel == NOWHERE || !self.normals.is_finite(pixel as usize) {
             return;
         }
-        let point_in_view = as_dvec(self.points.get(pixel as usize));
-        let normal = self.here_from_view.rotation * as_dvec(self.normals.get(pixel as usize));
-        let ray_of_view = self.here_from_view.rotation * point_in_view.normalize();
-        sum.add(ray, self.here_from_view.from_sensor(point_in_view), normal, ray_of_view);
+        let Tangent { point, normal } = self.tangent(pixel as usize);
+        // In the view's frame the lens of the sample's camera stands beside, and its ray goes elsewhere.
+        let (lens, ray_in_view) = (self.view_from_here.translation, self.view_from_here.rotation * ray);
+        let along = ray_in_view.dot(normal);
+        if along.abs() <= f64::from(GRAZING_COSINE) {
+            return;
+        }
+        // Noise has moved the sample along its ray, and so to another pixel than that where the ray meets the surface.
+        let met = lens + (point - lens).dot(normal) / along * ray_in_view;
+        let Tangent { point, normal } = self.surface_at(met, normal).unwrap_or(Tangent { point, normal });
+        let turn = self.here_from_view.rotation;
+        if (turn * normal).dot(own_normal) < SAME_SURFACE_COSINE {
+            return;
+        }
+        sum.add(ray, self.here_from_view.from_sensor(point), turn * normal, turn * point.normalize());
     }
+
+    fn tangent(&self, pixel: usize) -> Tangent {
+        Tangent { point: as_dvec(self.points.get(pixel)), normal: as_dvec(self.normals.get(pixel)) }
+    }
+
+    /// The surface between the four pixels around a point close to it; `None` beside edges.
+    fn surface_at(&self, point: DVec3, normal: DVec3) -> Option<Tangent> {
+        let [u, v] = self.camera.project(point.to_array())?;
+        let (left, top) = (u.floor(), v.floor());
+        let is_inside =
+            left >= 0.0 && top >= 0.0 && left + 1.0 < self.camera.width as f64 && top + 1.0 < self.camera.height as f64;
+        if !is_inside {
+            return None;
+        }
+        let (across, down) = (u - left, v - top);
+        let first = top as usize * self.camera.width + left as usize;
+        let corners = [(0, 0), (1, 0), (0, 1), (1, 1)];
+        let mut mean = Tangent { point: DVec3::ZERO, normal: DVec3::ZERO };
+        for (du, dv) in corners {
+            let pixel = first + du + dv * self.camera.width;
+            let weight = if du == 1 { across } else { 1.0 - across } * if dv == 1 { down } else { 1.0 - down };
+            let corner = self.tangent(pixel);
+            // False for holes.
+            let is_same = corner.normal.dot(normal) > SAME_SURFACE_COSINE;
+            if !is_same {
+                return None;
+            }
+            mean.point += weight * corner.point;
+            mean.normal += weight * corner.normal;
+        }
+        let off_m = (mean.point - point).dot(normal).abs();
+        (off_m < SAME_SURFACE_M).then(|| Tangent { normal: mean.normal.normalize(), ..mean })
+    }
+}
+
+/// A point of a surface with its normal.
+#[derive(Clone, Copy)]
+struct Tangent {
+    point: DVec3,
+    normal: DVec3,
 }
 
 /// The mean of what several views say of a point: how far along its ray, and the normal.
@@ -323,13 +385,10 @@ fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &SensorModel) 
         let (above, below) = (v.saturating_sub(NORMAL_PX), (v + NORMAL_PX).min(height - 1));
         let p = at(u, v);
         let ends = [at(left, v), at(right, v), at(u, above), at(u, below)];
-        // A surface that is not steeper than it may be seen: what goes farther is a step.
-        let noise_m = 2.0 * DEVIATIONS * sensor.sigma_m(p.z);
-        let is_near = |end: &DVec3| {
-            let across = DVec3::new(end.x - p.x, end.y - p.y, 0.0).length();
-            (end.z - p.z).abs() <= across / FACING_COSINE + noise_m
-        };
-        if !ends.iter().all(is_near) {
+        // The middle of two ends lies on a surface, whatever its slope, and beside a step it does not.
+        let noise_m = MIDDLE_DEVIATIONS * sensor.sigma_m(p.z);
+        let is_middle = |[a, b]: [DVec3; 2]| ((a.z + b.z) / 2.0 - p.z).abs() <= noise_m;
+        if !is_middle([ends[0], ends[1]]) || !is_middle([ends[2], ends[3]]) {
             return [f32::NAN; 3];
         }
         let normal = (ends[1] - ends[0]).cross(ends[3] - ends[2]).normalize();

@@ -1,0 +1,394 @@
+//! Rigs: the ways to smooth them agree with the engines they are made of, and a stream of several cameras survives what cameras do.
+
+use std::collections::VecDeque;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
+use planish::rig::{
+    CamerasSink, FusedSink, Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigSmoother, RigStatistics,
+    RigWay, merged_params, run,
+};
+use planish::simulate::{Pose, PoseErrors};
+use planish::source::{Source, SourceFrame};
+use planish::stream::SinkFormat;
+use planish::{
+    AttributeValues, Camera, DepthFrame, DeviceError, Engine, Error, Frame, IntoFrame, Outputs, PointCloud, SensorPose,
+    SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
+};
+
+fn camera() -> Camera {
+    Camera::new((160, 120), [131.25; 2], [79.5, 59.5])
+}
+
+fn suite(cameras: usize, errors: PoseErrors) -> RigSuite {
+    RigSuite { camera: camera(), errors, ..RigSuite::new(cameras) }
+}
+
+fn pose_of(pose: &Pose) -> SensorPose {
+    let columns = pose.world_from_camera.to_cols_array_2d();
+    let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|k: usize| columns[k][i]));
+    SensorPose::from_rotation(pose.position.to_array(), rows).unwrap()
+}
+
+fn rig_of(case: &RigCase) -> Rig {
+    let camera = |(i, camera): (usize, &planish::evaluate::RigCaseCamera)| {
+        RigCamera::new(&format!("camera{i}"), pose_of(&camera.stated))
+    };
+    Rig::new(case.cameras.iter().enumerate().map(camera).collect()).unwrap()
+}
+
+fn frames(case: &RigCase) -> Vec<Option<Frame<'_>>> {
+    case.cameras.iter().map(|camera| Some(camera.frame.into_frame().unwrap())).collect()
+}
+
+fn smooth(case: &RigCase, way: RigWay, options: &SmootherOptions) -> Vec<Smoothed> {
+    let rig = rig_of(case);
+    let params = vec![SmoothParams::default().at_resolution_of(&case.cameras[0].frame); rig.cameras.len()];
+    let mut smoother = RigSmoother::new(&rig, way, &params, merged_params(), options).unwrap();
+    let results = smoother.smooth(&frames(case)).unwrap();
+    results.into_iter().map(|result| result.unwrap().unwrap()).collect()
+}
+
+fn cpu() -> SmootherOptions {
+    SmootherOptions::new(Engine::Cpu, Outputs::POINTS.with_normals(true).with_status(true))
+}
+
+/// Bit by bit, NaN being NaN.
+fn same(a: &Xyz, b: &Xyz) -> bool {
+    let same =
+        |a: &[f32], b: &[f32]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a == b || a.is_nan() && b.is_nan());
+    same(&a.x, &b.x) && same(&a.y, &b.y) && same(&a.z, &b.z)
+}
+
+#[test]
+fn each_is_what_every_camera_s_own_smoother_gives_on_any_number_of_threads() {
+    let case = suite(3, PoseErrors::default()).case(1).unwrap();
+    let params = SmoothParams::default().at_resolution_of(&case.cameras[0].frame);
+    for threads in [None, Some(1), Some(3)] {
+        let options = cpu().with_threads(threads);
+        let results = smooth(&case, RigWay::Each, &options);
+        for (camera, found) in case.cameras.iter().zip(&results) {
+            let mut alone = Smoothed::default();
+            let mut smoother = Smoother::open_with(params, &options, (160, 120)).unwrap();
+            smoother.smooth(&camera.frame, &mut alone).unwrap();
+            assert!(same(&found.points, &alone.points) && found.status == alone.status);
+        }
+    }
+}
+
+#[test]
+fn merged_is_what_the_general_engine_gives_for_all_points_in_the_rig_s_frame() {
+    let case = suite(2, PoseErrors::default()).case(2).unwrap();
+    let rig = rig_of(&case);
+    let results = smooth(&case, RigWay::Merged, &cpu());
+    // All points by hand.
+    let mut all = Xyz::default();
+    let mut pixels = Vec::new();
+    for (i, camera) in case.cameras.iter().enumerate() {
+        let cloud = camera.frame.deproject().unwrap();
+        let fused = planish::rig::fuse(&[(i, rig.cameras[i].pose, &cloud.points)]).unwrap();
+        let there = (0..cloud.points.len()).filter(|&p| cloud.points.positions.is_finite(p));
+        pixels.extend(there.map(|p| (i, p)));
+        all.x.extend(&fused.positions.x);
+        all.y.extend(&fused.positions.y);
+        all.z.extend(&fused.positions.z);
+    }
+    let mut smoothed = Smoothed::default();
+    let mut smoother = Smoother::open_with(merged_params(), &cpu(), None).unwrap();
+    smoother.smooth(&PointCloud::new(all), &mut smoothed).unwrap();
+    let mut worst = 0.0f64;
+    for (k, &(i, p)) in pixels.iter().enumerate() {
+        assert_eq!(smoothed.points.is_finite(k), results[i].points.is_finite(p));
+        assert_eq!(smoothed.status.as_ref().unwrap()[k], results[i].status.as_ref().unwrap()[p]);
+        if !smoothed.points.is_finite(k) {
+            continue;
+        }
+        let pose = &case.cameras[i].stated;
+        let vector = |xyz: &Xyz, at: usize| planish::simulate::DVec3::from_array(xyz.get(at).map(f64::from));
+        let back = pose.world_from_camera * vector(&results[i].points, p) + pose.position;
+        worst = worst.max((back - vector(&smoothed.points, k)).length());
+        // Towards the camera.
+        let normals = results[i].normals.as_ref().unwrap();
+        assert!(!normals.is_finite(p) || vector(normals, p).dot(vector(&results[i].points, p)) <= 1e-6);
+    }
+    assert!(worst < 1e-6, "{worst}");
+    assert!(results.iter().all(|result| (result.width, result.height) == (160, 120)));
+}
+
+fn reports(errors: PoseErrors) -> Vec<RigReport> {
+    let ways = RigWay::ALL.map(|way| {
+        let mut evaluation = RigEvaluation::default();
+        for seed in 1..=2 {
+            let camera = Camera::new((320, 240), [262.5; 2], [159.5, 119.5]);
+            let case = RigSuite { camera, errors, ..RigSuite::new(3) }.case(seed).unwrap();
+            let points: Vec<Xyz> = smooth(&case, way, &cpu()).into_iter().map(|smoothed| smoothed.points).collect();
+            evaluation.add(&case, &points);
+        }
+        evaluation.report()
+    });
+    ways.to_vec()
+}
+
+#[test]
+fn surfaces_that_several_cameras_see_are_better_for_it() {
+    let [each, merged, views] = reports(PoseErrors::default())[..] else { panic!("three ways") };
+    assert!(merged.overlap_rmse_mm < 0.8 * each.overlap_rmse_mm, "{each:?} {merged:?}");
+    assert!(views.overlap_rmse_mm < 0.9 * each.overlap_rmse_mm, "{each:?} {views:?}");
+    assert!(views.edge_mean_mm < 1.1 * each.edge_mean_mm, "{each:?} {views:?}");
+}
+
+#[test]
+fn cameras_without_a_frame_are_left_out_and_all_outputs_are_there() {
+    let case = suite(2, PoseErrors::default()).case(1).unwrap();
+    let rig = rig_of(&case);
+    for way in RigWay::ALL {
+        let outputs = Outputs::ALL.with_depth(way != RigWay::Merged);
+        let options = SmootherOptions::new(Engine::Cpu, outputs);
+        let params = vec![SmoothParams::default(); 2];
+        let mut smoother = RigSmoother::new(&rig, way, &params, merged_params(), &options).unwrap();
+        let mut given = frames(&case);
+        given[0] = None;
+        let results = smoother.smooth(&given).unwrap();
+        let [None, Some(Ok(found))] = &results[..] else { panic!("{}: one result", way.name()) };
+        assert!(found.normals.is_some() && found.curvature.is_some() && found.neighbours.is_some());
+        assert_eq!(found.depth.is_some(), outputs.depth);
+        assert!(found.points.iter().filter(|p| p[2].is_finite()).count() > 5000);
+        let raw = &case.cameras[1].frame.raw;
+        let holes: Vec<[f32; 3]> =
+            raw.iter().zip(found.points.iter()).filter(|(raw, _)| **raw == 0).map(|(_, p)| p).collect();
+        assert!(!holes.is_empty() && holes.iter().all(|p| p[0].is_nan()), "{}", way.name());
+        // Nothing at all is nothing, not an error.
+        assert!(smoother.smooth(&[None, None]).unwrap().iter().all(Option::is_none));
+        assert!(smoother.smooth(&[None]).is_err());
+    }
+}
+
+#[test]
+fn organized_clouds_in_another_frame_than_their_camera_s_fuse_to_the_same() {
+    let case = suite(2, PoseErrors::default()).case(1).unwrap();
+    let rig = rig_of(&case);
+    let params = vec![SmoothParams::default().at_resolution_of(&case.cameras[0].frame); 2];
+    for way in [RigWay::Each, RigWay::Views] {
+        let depth: Vec<SourceFrame> =
+            case.cameras.iter().map(|camera| SourceFrame::Depth(camera.frame.clone())).collect();
+        // The same points in the rig's frame, with the pose of their sensor.
+        let clouds: Vec<SourceFrame> = case
+            .cameras
+            .iter()
+            .zip(&rig.cameras)
+            .map(|(camera, placed)| {
+                let mut cloud = camera.frame.deproject().unwrap();
+                let pose = &camera.stated;
+                let place = |p: [f32; 3]| {
+                    let p = planish::simulate::DVec3::from_array(p.map(f64::from));
+                    (pose.world_from_camera * p + pose.position).as_vec3().to_array()
+                };
+                cloud.points.positions = cloud.points.positions.iter().map(place).collect();
+                cloud.points.pose = placed.pose;
+                SourceFrame::Cloud { cloud, timestamp_s: None }
+            })
+            .collect();
+        let fused = [depth, clouds].map(|sources| {
+            let mut smoother = RigSmoother::new(&rig, way, &params, merged_params(), &cpu()).unwrap();
+            let frames: Vec<_> = sources.iter().map(|source| Some(source.into_frame().unwrap())).collect();
+            let results = smoother.smooth(&frames).unwrap();
+            let results: Vec<Smoothed> = results.into_iter().map(|result| result.unwrap().unwrap()).collect();
+            let pairs: Vec<_> = sources.iter().zip(&results).map(Some).collect();
+            rig.fuse(&pairs, Outputs::POINTS.with_normals(true)).unwrap()
+        });
+        assert_eq!(fused[0].len(), fused[1].len());
+        let apart = |i: usize| {
+            let [a, b] = [fused[0].positions.get(i), fused[1].positions.get(i)];
+            (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max)
+        };
+        let far = (0..fused[0].len()).filter(|&i| apart(i) > 1e-5).count();
+        // Rounding moves single points over a limit.
+        assert!(far * 1000 <= fused[0].len(), "{}: {far} of {}", way.name(), fused[0].len());
+        assert!(fused.iter().all(|cloud| cloud.attribute("camera").is_some() && cloud.attribute("rgb").is_some()));
+    }
+}
+
+/// A camera that plays what it is told.
+struct Script {
+    steps: VecDeque<Step>,
+    start: Option<Instant>,
+    is_live: bool,
+    ended: Arc<AtomicBool>,
+}
+
+#[derive(Clone)]
+enum Step {
+    /// A frame with this time stamp, this long after the start.
+    Frame(f64, Duration),
+    Unreadable,
+    Gone,
+}
+
+fn small() -> Camera {
+    Camera::new((32, 24), [26.0; 2], [15.5, 11.5])
+}
+
+impl Source for Script {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        let start = *self.start.get_or_insert_with(Instant::now);
+        match self.steps.pop_front() {
+            Some(Step::Frame(time_s, after)) => {
+                if self.is_live {
+                    thread::sleep((start + after).saturating_duration_since(Instant::now()));
+                }
+                let frame = DepthFrame::new(small(), vec![1000; 32 * 24]).unwrap();
+                Ok(Some(SourceFrame::Depth(frame.with_timestamp_s(time_s))))
+            }
+            Some(Step::Unreadable) => Err(planish::FrameError::NoPoints.into()),
+            Some(Step::Gone) => Err(DeviceError::Gone { what: "the test's camera".into() }.into()),
+            None => Ok(None),
+        }
+    }
+
+    fn is_live(&self) -> bool {
+        self.is_live
+    }
+
+    fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        self.ended = ended;
+    }
+}
+
+/// Frame `i` of 50 a second, live ones at that pace.
+fn frame(i: u32) -> Step {
+    Step::Frame(f64::from(i) / 50.0, Duration::from_millis(20 * u64::from(i)))
+}
+
+fn script(steps: Vec<Step>, is_live: bool) -> Box<dyn Source> {
+    Box::new(Script { steps: steps.into(), start: None, is_live, ended: Arc::default() })
+}
+
+/// Keeps which cameras each moment has, and its time.
+#[derive(Clone, Default)]
+struct Kept(Arc<Mutex<Vec<(f64, Vec<bool>)>>>);
+
+impl RigSink for Kept {
+    fn name(&self) -> String {
+        "kept".into()
+    }
+
+    fn write(&mut self, frame: &RigFrame) -> Result<(), Error> {
+        let has = frame.cameras.iter().map(Option::is_some).collect();
+        self.0.lock().unwrap().push((frame.time_s, has));
+        Ok(())
+    }
+}
+
+fn rig_of_two() -> Rig {
+    let apart = SensorPose { position_m: [1.0, 0.0, 0.0], ..SensorPose::IDENTITY };
+    Rig::new(vec![RigCamera::new("left", SensorPose::IDENTITY), RigCamera::new("right", apart)])
+        .unwrap()
+        .with_tolerance_s(0.008)
+}
+
+fn stream(sources: Vec<Box<dyn Source>>) -> (Result<RigStatistics, Error>, Vec<(f64, Vec<bool>)>, Vec<String>) {
+    let (rig, kept, mut warnings) = (rig_of_two(), Kept::default(), Vec::new());
+    let options = RigOptions::new(&rig, RigWay::Each, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
+    let result = run(&rig, sources, &options, vec![Box::new(kept.clone())], &AtomicBool::new(false), |event| {
+        if let RigEvent::Warning(warning) = event {
+            warnings.push(warning);
+        }
+    });
+    let moments = kept.0.lock().unwrap().clone();
+    (result, moments, warnings)
+}
+
+#[test]
+fn every_moment_of_recordings_comes_once_in_order_and_one_that_ends_early_holds_nobody_up() {
+    let left = (0..30).map(frame).collect();
+    let right = (0..10).filter(|&i| i != 4).map(frame).collect();
+    let (result, moments, warnings) = stream(vec![script(left, false), script(right, false)]);
+    let statistics = result.unwrap();
+    let expected: Vec<(f64, Vec<bool>)> =
+        (0..30).map(|i| (f64::from(i) / 50.0, vec![true, i < 10 && i != 4])).collect();
+    assert_eq!(moments, expected);
+    assert_eq!((statistics.moments.frames_out, statistics.complete, statistics.moments.dropped), (30, 9, 0));
+    let right = &statistics.cameras[1];
+    assert_eq!((right.frames_in, right.frames_out, right.missing, right.has_ended), (9, 9, 21, true));
+    assert!(warnings.is_empty(), "{warnings:?}");
+}
+
+#[test]
+fn frames_that_cannot_be_read_and_a_camera_that_goes_are_reported_and_the_others_go_on() {
+    let left = (0..12).map(frame).collect();
+    let mut right: Vec<Step> = (0..4).map(frame).collect();
+    right.insert(2, Step::Unreadable);
+    right.push(Step::Gone);
+    let (result, moments, warnings) = stream(vec![script(left, false), script(right, false)]);
+    let statistics = result.unwrap();
+    assert_eq!((moments.len(), statistics.complete, statistics.cameras[1].unreadable), (12, 4, 2));
+    assert!(warnings.len() == 2 && warnings.iter().all(|warning| warning.contains("right")), "{warnings:?}");
+    assert!(warnings[1].contains("go on"), "{warnings:?}");
+    // All of them: an error.
+    let (result, ..) = stream(vec![script(vec![Step::Gone], false), script(vec![Step::Gone], false)]);
+    assert!(matches!(result, Err(Error::Device(DeviceError::Gone { .. }))));
+    // Live cameras beside recordings.
+    let (result, ..) = stream(vec![script(vec![frame(0)], true), script(vec![frame(0)], false)]);
+    assert!(matches!(result, Err(Error::Param(_))));
+}
+
+#[test]
+fn live_cameras_are_matched_and_clocks_with_nothing_in_common_are_told() {
+    let left = (0..40).map(frame).collect();
+    // Unplugged from frame 10 to 20.
+    let right = (0..40).filter(|i| !(10..20).contains(i)).map(frame).collect();
+    let (result, moments, warnings) = stream(vec![script(left, true), script(right, true)]);
+    let statistics = result.unwrap();
+    let both = moments.iter().filter(|(_, has)| has.iter().all(|&has| has)).count();
+    assert!(both >= 20 && statistics.cameras[1].missing >= 5, "{both} {statistics:?}");
+    assert!(moments.windows(2).all(|pair| pair[0].0 < pair[1].0), "{moments:?}");
+    assert!(warnings.is_empty(), "{warnings:?}");
+    // An hour apart.
+    let late = |i: u32| match frame(i) {
+        Step::Frame(time_s, after) => Step::Frame(time_s + 3600.0, after),
+        other => other,
+    };
+    let (result, _, warnings) =
+        stream(vec![script((0..60).map(frame).collect(), true), script((0..60).map(late).collect(), true)]);
+    assert!(result.unwrap().complete < 5);
+    assert!(warnings.iter().any(|warning| warning.contains("time_offset_s")), "{warnings:?}");
+}
+
+#[test]
+fn fused_clouds_and_each_camera_s_own_are_saved() {
+    let (folder, rig) = (tempfile::tempdir().unwrap(), rig_of_two());
+    let (fused, own) = (folder.path().join("fused"), folder.path().join("own"));
+    let options = RigOptions::new(&rig, RigWay::Each, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
+    let sinks: Vec<Box<dyn RigSink>> = vec![
+        Box::new(FusedSink::create(&fused, SinkFormat::Pcd, &rig).unwrap()),
+        Box::new(CamerasSink::create(&own, SinkFormat::Pcd, Outputs::POINTS, &rig).unwrap()),
+    ];
+    let sources = (0..2).map(|_| script((0..3).map(frame).collect(), false)).collect();
+    let statistics = run(&rig, sources, &options, sinks, &AtomicBool::new(false), |_| ()).unwrap();
+    assert_eq!((statistics.moments.frames_out, statistics.moments.failed_sinks), (3, 0));
+    let (_, contents) = planish::io::read(&fused.join("000002.pcd")).unwrap();
+    let planish::io::Contents::General(cloud) = contents else { panic!("a general cloud") };
+    assert_eq!(cloud.len(), 2 * 32 * 24);
+    let Some(AttributeValues::U8(cameras)) = cloud.attribute("camera").map(|field| &field.values) else {
+        panic!("the field camera")
+    };
+    assert!(cameras[..768].iter().all(|&camera| camera == 0) && cameras[768..].iter().all(|&camera| camera == 1));
+    // The right one is a metre to the right.
+    assert!((cloud.positions.x[768] - cloud.positions.x[0] - 1.0).abs() < 1e-6);
+    let list = std::fs::read_to_string(fused.join("points.txt")).unwrap();
+    assert!(list.lines().count() == 3 && list.contains("0.040000 000002.pcd"), "{list}");
+    assert_eq!(
+        std::fs::read_dir(own.join("right"))
+            .unwrap()
+            .filter(|entry| { entry.as_ref().unwrap().path().extension().is_some_and(|extension| extension == "pcd") })
+            .count(),
+        3
+    );
+    let saved = Rig::read(&own.join("rig.json")).unwrap();
+    assert_eq!(saved.cameras[1].pose, rig.cameras[1].pose);
+    // Not over what is there.
+    assert!(FusedSink::create(&fused, SinkFormat::Pcd, &rig).is_err());
+}
