@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail};
-use planish::{Edges, Engine, Outputs, SensorModel, SmoothParams, SmootherOptions, Strength};
+use planish::{Edges, Engine, Outputs, SmoothParams, SmootherOptions, Strength};
 use ros2_client::ParameterValue;
 use ros2_client::qos::{History, QosProfile, WhenFull};
 use std::time::Duration;

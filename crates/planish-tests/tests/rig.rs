@@ -266,9 +266,12 @@ fn script(steps: Vec<Step>, is_live: bool) -> Box<dyn Source> {
     Box::new(Script { steps: steps.into(), start: None, is_live, ended: Arc::default() })
 }
 
-/// Keeps which cameras each moment has, and its time.
+/// Keeps the moments.
 #[derive(Clone, Default)]
-struct Kept(Arc<Mutex<Vec<(f64, Vec<bool>)>>>);
+struct Kept(Arc<Mutex<Vec<Moment>>>);
+
+/// Its time, and which cameras it has.
+type Moment = (f64, Vec<bool>);
 
 impl RigSink for Kept {
     fn name(&self) -> String {
@@ -289,7 +292,7 @@ fn rig_of_two() -> Rig {
         .with_tolerance_s(0.008)
 }
 
-fn stream(sources: Vec<Box<dyn Source>>) -> (Result<RigStatistics, Error>, Vec<(f64, Vec<bool>)>, Vec<String>) {
+fn stream(sources: Vec<Box<dyn Source>>) -> (Result<RigStatistics, Error>, Vec<Moment>, Vec<String>) {
     let (rig, kept, mut warnings) = (rig_of_two(), Kept::default(), Vec::new());
     let options = RigOptions::new(&rig, RigWay::Each, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
     let result = run(&rig, sources, &options, vec![Box::new(kept.clone())], &AtomicBool::new(false), |event| {
@@ -307,8 +310,7 @@ fn every_moment_of_recordings_comes_once_in_order_and_one_that_ends_early_holds_
     let right = (0..10).filter(|&i| i != 4).map(frame).collect();
     let (result, moments, warnings) = stream(vec![script(left, false), script(right, false)]);
     let statistics = result.unwrap();
-    let expected: Vec<(f64, Vec<bool>)> =
-        (0..30).map(|i| (f64::from(i) / 50.0, vec![true, i < 10 && i != 4])).collect();
+    let expected: Vec<Moment> = (0..30).map(|i| (f64::from(i) / 50.0, vec![true, i < 10 && i != 4])).collect();
     assert_eq!(moments, expected);
     assert_eq!((statistics.moments.frames_out, statistics.complete, statistics.moments.dropped), (30, 9, 0));
     let right = &statistics.cameras[1];

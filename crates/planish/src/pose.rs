@@ -126,7 +126,7 @@ impl RigidTransform {
 
     /// A point of the sensor's frame in the cloud's.
     #[cfg(feature = "stream")]
-    pub(crate) fn from_sensor(self, point_in_sensor: DVec3) -> DVec3 {
+    pub(crate) fn to_cloud(self, point_in_sensor: DVec3) -> DVec3 {
         self.rotation * point_in_sensor + self.translation
     }
 

@@ -219,6 +219,9 @@ pub struct StreamArgs {
     /// What to write there
     #[arg(long, value_enum)]
     pub format: Option<StreamFormatArg>,
+    /// Of a rig: keep a picture of its points and cameras from above in this file, drawn anew once a second
+    #[arg(long, value_name = "FILE.png", requires = "rig")]
+    pub picture: Option<PathBuf>,
     /// Show raw and smoothed clouds, depth, latency and rate in the viewer of Rerun
     #[cfg(feature = "rerun")]
     #[arg(long, conflicts_with = "rrd")]

@@ -10,8 +10,8 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{RigCaseCamera, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{
-    self, CameraStatistics, CamerasSink, FusedSink, Rig, RigCamera, RigEvent, RigOptions, RigSink, RigSmoother,
-    RigStatistics, RigWay, calibration, rig_to_json,
+    self, CameraStatistics, CamerasSink, FusedSink, PictureSink, Rig, RigCamera, RigEvent, RigOptions, RigSink,
+    RigSmoother, RigStatistics, RigWay, calibration, rig_to_json,
 };
 use planish::simulate::{DepthNoise, DepthSimulator, Pose, RigScene};
 use planish::source::{Source, TumRecorder};
@@ -210,6 +210,9 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     if let Some(folder) = &args.save_cameras {
         sinks.push(Box::new(CamerasSink::create(folder, format, outputs, &rig)?));
+    }
+    if let Some(file) = &args.picture {
+        sinks.push(Box::new(PictureSink::create(file)));
     }
     let line = StatusLine::new();
     let tell = |event: RigEvent<'_>| match event {

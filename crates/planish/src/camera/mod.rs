@@ -122,11 +122,11 @@ impl Camera {
     /// The image coordinates (u, v) at which a point of the camera's frame is seen; `None` behind the camera.
     pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
         // False for a NaN.
-        if !(z > 0.0) {
-            return None;
-        }
-        let [x, y] = if self.distortion.is_none() { [x / z, y / z] } else { self.distortion.distort(x / z, y / z).0 };
-        Some([self.fx * x + self.cx, self.fy * y + self.cy])
+        (z > 0.0).then(|| {
+            let [x, y] =
+                if self.distortion.is_none() { [x / z, y / z] } else { self.distortion.distort(x / z, y / z).0 };
+            [self.fx * x + self.cx, self.fy * y + self.cy]
+        })
     }
 
     /// The index of the pixel at which a point of the camera's frame is seen; `None` outside of the image.

@@ -55,7 +55,7 @@ fn in_rig(frame: Frame<'_>, rig_from_points: RigidTransform, lens: DVec3) -> Res
     let shape = frame.shape();
     let point = |i: usize, point: [f64; 3]| {
         let point = DVec3::from_array(point);
-        point.is_finite().then(|| (i, rig_from_points.from_sensor(point).as_vec3().to_array()))
+        point.is_finite().then(|| (i, rig_from_points.to_cloud(point).as_vec3().to_array()))
     };
     let (pixels, positions) = match frame {
         Frame::Points(points) => (0..points.len()).filter_map(|i| point(i, points.get(i))).unzip(),
@@ -81,7 +81,7 @@ impl InRig {
         back.neighbours = all.neighbours.as_ref().map(|_| vec![0; pixels]);
         for (i, &pixel) in (first..).zip(&self.pixels) {
             let in_rig = DVec3::from_array(all.points.get(i).map(f64::from));
-            back.points.set(pixel, points_from_rig.from_sensor(in_rig).as_vec3().to_array());
+            back.points.set(pixel, points_from_rig.to_cloud(in_rig).as_vec3().to_array());
             if let (Some(normals), Some(of_all)) = (&mut back.normals, &all.normals) {
                 let normal = DVec3::from_array(of_all.get(i).map(f64::from));
                 let facing = if normal.dot(in_rig - self.lens) > 0.0 { -normal } else { normal };

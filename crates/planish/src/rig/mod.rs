@@ -11,6 +11,7 @@ mod file;
 mod fused;
 mod matching;
 mod merged;
+mod picture;
 mod sinks;
 mod smoother;
 mod stream;
@@ -19,7 +20,7 @@ mod views;
 use std::path::{Path, PathBuf};
 
 use crate::camera::Camera;
-use crate::error::ParamError;
+use crate::error::{FrameError, ParamError};
 use crate::params::{Edges, SmoothParams};
 use crate::pose::SensorPose;
 use crate::sensor::SensorModel;
@@ -28,6 +29,7 @@ use crate::source::{Alignment, SourceOptions, StreamMode};
 pub use file::rig_to_json;
 pub use fused::fuse;
 pub use matching::{Matcher, MatcherCounts, Moment};
+pub use picture::{PictureSink, top_down};
 pub use sinks::{CamerasSink, FusedSink, RigSink};
 pub use smoother::{RigResults, RigSmoother, RigWay};
 pub use stream::{CameraStatistics, RigEvent, RigFrame, RigOptions, RigStatistics, run};
@@ -201,9 +203,8 @@ impl RigCamera {
             let allowed = "letters, digits, - _ and ., 1 to 64 of them, the first no dot";
             return Err(ParamError { field: "camera.name", value: format!("{:?}", self.name), allowed });
         }
-        match self.pose.validate() {
-            Err(crate::error::FrameError::BadPose(problem)) => return Err(of(problem)),
-            Err(_) | Ok(()) => {}
+        if let Err(FrameError::BadPose(problem)) = self.pose.validate() {
+            return Err(of(problem));
         }
         if let Some(sensor) = self.sensor {
             sensor.validate().map_err(of)?;

@@ -77,8 +77,7 @@ impl Measured {
                 let points_from_camera =
                     RigidTransform::shift(points.origin_m()).inverse().after(points.pose().transform()?);
                 let camera_from_points = points_from_camera.inverse();
-                let in_camera =
-                    |i| camera_from_points.from_sensor(DVec3::from_array(points.get(i))).as_vec3().to_array();
+                let in_camera = |i| camera_from_points.to_cloud(DVec3::from_array(points.get(i))).as_vec3().to_array();
                 ((0..points.len()).map(in_camera).collect(), points_from_camera)
             }
         };
@@ -146,7 +145,7 @@ impl Measured {
             if !other.normals.is_finite(i) {
                 return none;
             }
-            let point = here_from_other.from_sensor(DVec3::from_array(other.points.get(i).map(f64::from)));
+            let point = here_from_other.to_cloud(DVec3::from_array(other.points.get(i).map(f64::from)));
             let normal = here_from_other.rotation * DVec3::from_array(other.normals.get(i).map(f64::from));
             if normal.dot(point) > -FACING_COSINE * point.length() {
                 return none;
@@ -221,7 +220,7 @@ impl Measured {
         back.normals = outputs.normals.then_some(normals);
         let RigidTransform { rotation, .. } = self.points_from_camera;
         if !self.points_from_camera.is_identity() {
-            let move_point = |p: [f32; 3]| self.points_from_camera.from_sensor(as_dvec(p)).as_vec3().to_array();
+            let move_point = |p: [f32; 3]| self.points_from_camera.to_cloud(as_dvec(p)).as_vec3().to_array();
             back.points = back.points.iter().map(move_point).collect();
             let turn = |normals: Xyz| normals.iter().map(|n| (rotation * as_dvec(n)).as_vec3().to_array()).collect();
             back.normals = back.normals.map(turn);
@@ -288,7 +287,7 @@ impl Seen<'_> {
         if (turn * normal).dot(own_normal) < SAME_SURFACE_COSINE {
             return;
         }
-        sum.add(ray, self.here_from_view.from_sensor(point), turn * normal, turn * point.normalize());
+        sum.add(ray, self.here_from_view.to_cloud(point), turn * normal, turn * point.normalize());
     }
 
     fn tangent(&self, pixel: usize) -> Tangent {

@@ -46,7 +46,7 @@ impl Tree {
     }
 
     /// base_from_frame.
-    fn from_base(&self, base: &str, frame: &str) -> Result<RigidTransform, FormatError> {
+    fn base_from(&self, base: &str, frame: &str) -> Result<RigidTransform, FormatError> {
         let to_root = |frame: &str| {
             let (mut chain, mut here) = (vec![(frame.to_owned(), RigidTransform::IDENTITY)], frame);
             while let Some((parent, parent_from_child)) = self.0.get(here).filter(|_| chain.len() < DEEPEST) {
@@ -89,7 +89,7 @@ impl Tree {
         }
         let camera = |frame: &String| {
             let stem = OPTICAL.iter().find_map(|optical| frame.strip_suffix(optical)).unwrap_or(frame);
-            Ok(camera_at(&as_name(stem.trim_end_matches('_')), &self.from_base(&base, frame)?))
+            Ok(camera_at(&as_name(stem.trim_end_matches('_')), &self.base_from(&base, frame)?))
         };
         Ok((base.clone(), frames.iter().map(camera).collect::<Result<_, FormatError>>()?))
     }
