@@ -2,7 +2,7 @@
 //!
 //! A [`Rig`] says which cameras there are and where each stands; [`Rig::read`] reads it from a `rig.json`, [`calibration`] makes one
 //! from what ROS, Kalibr and COLMAP calibrated. [`run`] streams it: a thread for each camera, frames of one moment
-//! [matched](matching) by their time stamps, smoothed in one of the ways of [`RigWay`], and given to [`RigSink`]s as each camera's own
+//! matched by their time stamps ([`Matcher`]), smoothed in one of the ways of [`RigWay`], and given to [`RigSink`]s as each camera's own
 //! frame and as one [fused](RigFrame::fused) cloud in the rig's frame.
 
 pub mod calibration;
