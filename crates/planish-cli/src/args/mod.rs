@@ -219,6 +219,9 @@ pub struct StreamArgs {
     /// What to write there
     #[arg(long, value_enum)]
     pub format: Option<StreamFormatArg>,
+    /// Of a rig smoothed by views: how far surfaces of two cameras may be apart for their poses' sake, in millimetres; else 10
+    #[arg(long, value_name = "MM", requires = "rig")]
+    pub registration: Option<f64>,
     /// Of a rig: keep a picture of its points and cameras from above in this file, drawn anew once a second
     #[arg(long, value_name = "FILE.png", requires = "rig")]
     pub picture: Option<PathBuf>,

@@ -190,7 +190,13 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     };
     let sensors = rig.cameras.iter().map(sensors).collect::<Result<Vec<_>>>()?;
     let params = sensors.iter().map(|&sensor| args.smoothing.params_of(sensor)).collect::<Result<Vec<_>>>()?;
-    let options = RigOptions::new(&rig, way, args.smoothing.options(outputs)?)
+    let options = RigOptions::new(&rig, way, args.smoothing.options(outputs)?);
+    let registration_m = args.registration.map_or(options.registration_m, |mm| 1e-3 * mm);
+    if args.registration.is_some() && way != RigWay::Views {
+        bail!("--registration is of rigs smoothed by views: it needs --fuse views");
+    }
+    let options = options
+        .with_registration_m(registration_m)
         .with_params(params, args.smoothing.merged_params()?)
         .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_moments(args.source.limits.frames)

@@ -43,6 +43,9 @@ const MOST_CAMERAS: usize = 256;
 /// As far as the windows of single frames reach at some 1.2 m.
 const MERGED_RADIUS_M: f32 = 0.03;
 
+/// How far surfaces of two cameras may be apart for their poses' sake: 0.2° and 2 mm at 1.5 m, and some.
+const DEFAULT_REGISTRATION_M: f64 = 0.01;
+
 /// Camera names become names of files and folders.
 const LONGEST_NAME: usize = 64;
 

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::fused::rig_from_points;
 use super::views::{Measured, View};
-use super::{Rig, RigCamera, merged};
+use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera, merged};
 use crate::camera::Camera;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError, ParamError};
@@ -44,9 +44,6 @@ impl RigWay {
         }
     }
 }
-
-/// How far surfaces of two cameras may be apart for their poses' sake: 0.2° and 2 mm at 1.5 m, and some.
-const DEFAULT_REGISTRATION_M: f64 = 0.01;
 
 /// What smooths the frames of a rig's cameras, moment after moment.
 pub struct RigSmoother {

@@ -34,6 +34,8 @@ pub struct RigOptions {
     pub general_params: SmoothParams,
     /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]).
     pub adapt_stride: bool,
+    /// Of views: how far surfaces of two cameras may be apart for their poses' sake, in metres, 0 to 0.1.
+    pub registration_m: f64,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
     /// Stop after N moments.
@@ -53,6 +55,7 @@ impl RigOptions {
             params: rig.cameras.iter().map(params).collect(),
             general_params: super::merged_params(),
             adapt_stride: true,
+            registration_m: super::DEFAULT_REGISTRATION_M,
             smoother,
             max_moments: None,
             max_duration: None,
@@ -67,6 +70,11 @@ impl RigOptions {
     /// The same with windows and strides for coarse pixels, or as given.
     pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
         Self { adapt_stride, ..self }
+    }
+
+    /// The same with another bound of how far surfaces of two cameras may be apart for their poses' sake, in metres.
+    pub fn with_registration_m(self, registration_m: f64) -> Self {
+        Self { registration_m, ..self }
     }
 
     /// The same with an end after so many moments, or without.
@@ -174,6 +182,10 @@ pub fn run(
     mut tell: impl FnMut(RigEvent<'_>),
 ) -> Result<RigStatistics, Error> {
     let is_live = check_sources(rig, &sources)?;
+    if !(0.0..=0.1).contains(&options.registration_m) {
+        let value = options.registration_m.to_string();
+        return Err(ParamError { field: "registration_m", value, allowed: "0 to 0.1 m" }.into());
+    }
     let smoother = RigSmoother::new(rig, options.way, &options.params, options.general_params, &options.smoother)?;
     let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
     let inbox = Arc::new(Inbox::new(names, is_live, rig.tolerance_s, LONGEST_WAIT));
@@ -191,7 +203,7 @@ pub fn run(
         let mut stream = RigStream {
             rig: Arc::new(rig.clone()),
             options,
-            smoother: smoother.with_adapt_stride(options.adapt_stride),
+            smoother: smoother.with_adapt_stride(options.adapt_stride).with_registration_m(options.registration_m),
             is_live,
             has_reopened: false,
             sinks,

@@ -37,6 +37,9 @@ const FACING_COSINE: f64 = 0.17;
 const SAME_SURFACE_COSINE: f64 = 0.866;
 const SAME_SURFACE_M: f64 = 0.003;
 
+/// Threads take so many pixels at a time.
+const PIXELS_OF_A_TASK: usize = 4096;
+
 /// A pixel that a sample does not fall into, or where it is not of the front.
 const NOWHERE: u32 = u32::MAX;
 
@@ -153,7 +156,8 @@ impl Measured {
             let pixel = self.camera.pixel_of(point.to_array());
             pixel.map_or(none, |pixel| (pixel as u32, point.as_vec3().to_array()))
         };
-        let (pixels, points) = (0..other.points.len()).map(landing).unzip();
+        let all = (0..other.points.len()).into_par_iter().with_min_len(PIXELS_OF_A_TASK);
+        let (pixels, points) = all.map(landing).unzip();
         Landings { pixels, points }
     }
 
@@ -170,22 +174,23 @@ impl Measured {
         let (width, height) = self.shape();
         let others: Vec<Seen<'_>> =
             views.iter().zip(all).filter_map(|(view, of)| self.seen_in(index, view.as_ref()?, of.as_ref()?)).collect();
-        let mut back = Smoothed { width, height, points: Xyz::filled(width * height, f32::NAN), ..Smoothed::default() };
-        let mut normals = Xyz::filled(width * height, f32::NAN);
-        for i in 0..width * height {
+        let moved = |i: usize| {
             if !self.points.is_finite(i) || !own.points.is_finite(i) {
-                continue;
+                return ([f32::NAN; 3], [f32::NAN; 3]);
             }
-            let ray = DVec3::from_array(self.points.get(i).map(f64::from)).normalize();
-            let own_point = DVec3::from_array(own.points.get(i).map(f64::from));
-            let own_normal = DVec3::from_array(own_normals.get(i).map(f64::from));
+            let ray = as_dvec(self.points.get(i)).normalize();
+            let (own_point, own_normal) = (as_dvec(own.points.get(i)), as_dvec(own_normals.get(i)));
             let mut sum = Blend::default();
             sum.add(ray, own_point, own_normal, ray);
             others.iter().for_each(|other| other.add_to(&mut sum, i, ray, own_normal));
             let (point, normal) = sum.mean(own_point, own_normal);
-            back.points.set(i, point.as_vec3().to_array());
-            normals.set(i, normal.as_vec3().to_array());
-        }
+            (point.as_vec3().to_array(), normal.as_vec3().to_array())
+        };
+        let all = (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK);
+        let moved: Vec<([f32; 3], [f32; 3])> = all.map(moved).collect();
+        let points = moved.iter().map(|(point, _)| *point).collect();
+        let normals = moved.iter().map(|(_, normal)| *normal).collect();
+        let back = Smoothed { width, height, points, ..Smoothed::default() };
         self.finish(back, own, normals, outputs)
     }
 
@@ -394,7 +399,7 @@ fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &SensorModel) 
         let facing = if normal.dot(p) > 0.0 { -normal } else { normal };
         facing.as_vec3().to_array()
     };
-    let all: Vec<[f32; 3]> = (0..width * height).into_par_iter().with_min_len(width).map(normal).collect();
+    let all: Vec<[f32; 3]> = (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK).map(normal).collect();
     all.into_iter().collect()
 }
 

@@ -1,0 +1,108 @@
+//! A rig on a GPU, and one whose GPU is lost. Alone in its process: every device of it is destroyed.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+
+use planish::internal::lose_gpu_devices;
+use planish::rig::{Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigWay, run};
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
+use planish::source::{Source, SourceFrame};
+use planish::{DepthFrame, Engine, Error, GpuOptions, Outputs, SensorPose, Smoothed, Smoother, SmootherOptions, Xyz};
+use planish_tests::data::skip;
+use planish_tests::engines::test_adapter;
+use planish_tests::scenes::small_camera;
+
+const MOMENTS: u64 = 9;
+
+/// Gives one frame for each result, so that the device is lost between moments.
+struct OneByOne {
+    frame: DepthFrame,
+    next: u64,
+    results: Arc<AtomicU64>,
+    loses: bool,
+}
+
+impl Source for OneByOne {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        while self.results.load(Ordering::Relaxed) < self.next {
+            std::thread::yield_now();
+        }
+        if self.next == MOMENTS {
+            return Ok(None);
+        }
+        if self.loses && (self.next == 3 || self.next == 6) {
+            lose_gpu_devices();
+        }
+        let frame = self.frame.clone().with_timestamp_s(self.next as f64);
+        self.next += 1;
+        Ok(Some(SourceFrame::Depth(frame)))
+    }
+}
+
+/// Counts moments and keeps their points.
+struct Kept(Arc<AtomicU64>, Arc<Mutex<Vec<[Xyz; 2]>>>);
+
+impl RigSink for Kept {
+    fn name(&self) -> String {
+        "kept".to_owned()
+    }
+
+    fn write(&mut self, frame: &RigFrame) -> Result<(), Error> {
+        let points = |i: usize| frame.cameras[i].as_ref().unwrap().smoothed.points.clone();
+        self.1.lock().unwrap().push([points(0), points(1)]);
+        self.0.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+}
+
+#[test]
+fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_frame() {
+    let Some(adapter) = test_adapter() else {
+        skip("a rig whose GPU is lost: no adapter");
+        return;
+    };
+    let camera = small_camera();
+    let frames = [1, 2].map(|seed| {
+        let (scene, pose) = Scene::tabletop(seed);
+        let truth = scene.render(&camera, &pose);
+        DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).unwrap()
+    });
+    let rig = Rig::new(["a", "b"].map(|name| RigCamera::new(name, SensorPose::IDENTITY)).to_vec()).unwrap();
+    let (count, kept) = (Arc::new(AtomicU64::new(0)), Arc::new(Mutex::new(Vec::new())));
+    let source = |(i, frame): (usize, &DepthFrame)| {
+        let results = Arc::clone(&count);
+        Box::new(OneByOne { frame: frame.clone(), next: 0, results, loses: i == 0 }) as Box<dyn Source>
+    };
+    let sources = frames.iter().enumerate().map(source).collect();
+    let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());
+    let options = SmootherOptions::new(Engine::Gpu, Outputs::POINTS).with_gpu(gpu);
+    let options = RigOptions::new(&rig, RigWay::Each, options);
+    let (mut warnings, mut gpu_moments) = (Vec::new(), 0);
+    let sinks: Vec<Box<dyn RigSink>> = vec![Box::new(Kept(Arc::clone(&count), Arc::clone(&kept)))];
+    let statistics = run(&rig, sources, &options, sinks, &AtomicBool::new(false), |event| match event {
+        RigEvent::Warning(warning) => warnings.push(warning),
+        RigEvent::Moment(statistics) => gpu_moments += u64::from(statistics.moments.engine == Engine::Gpu),
+        _ => {}
+    })
+    .unwrap();
+    assert_eq!(
+        (statistics.moments.frames_out, statistics.complete, gpu_moments),
+        (MOMENTS, MOMENTS, 6),
+        "{warnings:?}"
+    );
+    assert_eq!(warnings.len(), 2, "{warnings:?}");
+    assert!(warnings[0].contains("once more") && warnings[1].contains("CPU"), "{warnings:?}");
+    // Of each camera its own, by both engines.
+    for (i, frame) in frames.iter().enumerate() {
+        let mut alone = Smoothed::default();
+        Smoother::open(options.params[i].at_resolution_of(frame), Engine::Cpu, (160, 120))
+            .unwrap()
+            .smooth(frame, &mut alone)
+            .unwrap();
+        for moment in kept.lock().unwrap().iter() {
+            let apart =
+                alone.points.z.iter().zip(&moment[i].z).filter(|(a, b)| a.is_finite() && (**a - **b).abs() > 1e-5);
+            assert!(apart.count() * 1000 < alone.points.len());
+        }
+    }
+}
