@@ -194,16 +194,23 @@ mod tests {
         let wall = PointCloud::new((0..100).map(|i| [0.01 * i as f32 - 0.5, 0.0, 3.0]).collect());
         let fused = fuse(&[(0, ahead(0.0), &wall), (1, ahead(2.0), &wall)]).unwrap();
         let image = draw(&rig, &fused);
-        let seen = |colour: [u8; 3]| {
+        // The mean pixel of a colour, of the cameras in the left half of the picture and of their walls in the right one.
+        let seen = |colour: [u8; 3], right: bool| {
+            let at = |i: usize| DVec2::new((i % SIZE_PX) as f64, (i / SIZE_PX) as f64);
             let pixels = image.rgb.chunks_exact(3).enumerate().filter(|(_, pixel)| *pixel == colour);
-            let (mut count, mut x, mut y) = (0.0, 0.0, 0.0);
-            pixels.for_each(|(i, _)| (count, x, y) = (count + 1.0, x + (i % SIZE_PX) as f64, y + (i / SIZE_PX) as f64));
-            assert!(count > 50.0, "{count}");
-            (x / count, y / count)
+            let pixels: Vec<DVec2> =
+                pixels.map(|(i, _)| at(i)).filter(|p| (p.x > SIZE_PX as f64 / 2.0) == right).collect();
+            assert!(pixels.len() > 50, "{}", pixels.len());
+            pixels.iter().sum::<DVec2>() / pixels.len() as f64
         };
-        let (a, b) = (seen(COLOURS[0]), seen(COLOURS[1]));
         // 3 m ahead is the width of the picture; 2 m to the left is above.
-        let expected = 2.0 / 3.0 * (SIZE_PX as f64 - 2.0 * MARGIN_PX);
-        assert!((a.0 - b.0).abs() < 2.0 && (a.1 - b.1 - expected).abs() < 20.0, "{a:?} {b:?}");
+        let width = SIZE_PX as f64 - 2.0 * MARGIN_PX;
+        for right in [false, true] {
+            let (a, b) = (seen(COLOURS[0], right), seen(COLOURS[1], right));
+            let apart = DVec2::new(0.0, 2.0 / 3.0 * width);
+            assert!((a - b - apart).length() < 3.0, "{a} {b}");
+        }
+        let ends = [false, true].map(|right| seen(COLOURS[0], right).x);
+        assert!(ends[0] < 0.1 * SIZE_PX as f64 && (ends[1] - MARGIN_PX - width).abs() < 2.0, "{ends:?}");
     }
 }
