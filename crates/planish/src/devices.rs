@@ -114,7 +114,6 @@ pub(crate) fn real_gpu(adapters: &[GpuAdapter]) -> Option<&GpuAdapter> {
 }
 
 /// The adapter that is asked for by index or name, or the first real GPU.
-#[cfg_attr(not(feature = "gpu"), allow(dead_code))]
 pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Result<&'a GpuAdapter, EngineError> {
     let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
     if adapters.is_empty() {

@@ -68,6 +68,7 @@ mod engines;
 mod error;
 #[cfg(feature = "evaluate")]
 pub mod evaluate;
+mod fleet;
 mod floating;
 mod frame;
 #[cfg(feature = "gpu")]
@@ -111,6 +112,7 @@ pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, Position
 pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
 pub use engines::{Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters};
 pub use error::{DeviceError, EngineError, Error, FormatError, FrameError, IoError, ParamError};
+pub use fleet::{Fleet, FleetDevice, FleetMember, SharedFrame};
 pub use frame::{DepthFrame, DepthImage, DepthView, Frame, IntoFrame, PointLayout, PointsView, RangeRule, Scalar};
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};
 pub use params::{Edges, Project, Radius, SmoothParams, Strength};

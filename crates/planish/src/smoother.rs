@@ -227,29 +227,34 @@ impl Smoother {
 
     /// Refuses a frame of another grid, and finds out how its ranges are measured.
     fn admit<'a>(&mut self, frame: Frame<'a>) -> Result<AdmittedFrame<'a>, FrameError> {
-        match (frame.grid(), self.grid) {
-            (found, expected) if found == expected => {}
-            (Some((frame_width, frame_height)), Some((width, height))) => {
-                return Err(FrameError::ShapeMismatch { frame_width, frame_height, width, height });
-            }
-            (found, expected) => {
-                let describe = |grid: Option<(usize, usize)>| match grid {
-                    Some((width, height)) => format!("a grid of {width}x{height}"),
-                    None => "general clouds (no grid)".to_owned(),
-                };
-                let found = match found {
-                    Some(_) => format!("has {}", describe(found)),
-                    None => "is a general cloud".to_owned(),
-                };
-                return Err(FrameError::GridMismatch { found, expected: describe(expected) });
-            }
-        }
+        check_grid(frame.grid(), self.grid)?;
         if self.outputs.needs_camera() && frame.camera().is_none() {
             return Err(FrameError::MissingCamera { what: "depth as an output" });
         }
         let Self { params, .. } = self;
         let needs_range = params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks();
         Ok(AdmittedFrame { frame, geometry: FrameGeometry::of(frame, needs_range, &mut self.scratch) })
+    }
+}
+
+/// Refuses a frame of another grid than that which was opened for.
+pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize, usize)>) -> Result<(), FrameError> {
+    match (found, expected) {
+        (found, expected) if found == expected => Ok(()),
+        (Some((frame_width, frame_height)), Some((width, height))) => {
+            Err(FrameError::ShapeMismatch { frame_width, frame_height, width, height })
+        }
+        (found, expected) => {
+            let describe = |grid: Option<(usize, usize)>| match grid {
+                Some((width, height)) => format!("a grid of {width}x{height}"),
+                None => "general clouds (no grid)".to_owned(),
+            };
+            let found = match found {
+                Some(_) => format!("has {}", describe(found)),
+                None => "is a general cloud".to_owned(),
+            };
+            Err(FrameError::GridMismatch { found, expected: describe(expected) })
+        }
     }
 }
 

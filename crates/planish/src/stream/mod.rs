@@ -8,6 +8,7 @@ mod mailbox;
 #[cfg(feature = "rerun")]
 mod rerun;
 mod sinks;
+mod smoothing;
 mod statistics;
 
 use std::collections::VecDeque;
@@ -17,14 +18,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::engines::{Engine, SmootherOptions};
-use crate::error::{EngineError, Error};
+use crate::error::{EngineError, Error, FrameError};
+use crate::fleet::FleetDevice;
 use crate::frame::IntoFrame;
 use crate::params::SmoothParams;
 use crate::smoothed::Smoothed;
-use crate::smoother::Smoother;
 use crate::source::{Source, SourceFrame};
 use crate::view::SmoothedView;
 use mailbox::{Arrived, Mailbox, Policy};
+use smoothing::Smoothing;
 
 #[cfg(feature = "rerun")]
 pub use self::rerun::RerunSink;
@@ -64,6 +66,8 @@ pub struct StreamOptions {
     pub adapt_stride: bool,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
+    /// The devices that frames are dealt to, instead of the one of the options; none for that one.
+    pub devices: Vec<FleetDevice>,
     /// Stop after N frames.
     pub max_frames: Option<u64>,
     /// Stop after this time.
@@ -79,6 +83,11 @@ impl StreamOptions {
     /// The same with windows and strides for coarse pixels, or as given.
     pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
         Self { adapt_stride, ..self }
+    }
+
+    /// The same with frames dealt to these devices; none for the one of the options.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, ..self }
     }
 
     /// The same with an end after so many frames, or without.
@@ -104,8 +113,8 @@ pub enum StreamEvent<'a> {
 
 /// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
 ///
-/// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over; frames keep
-/// their order. A frame or sink that fails is reported and counted, and the stream continues.
+/// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over; of several devices
+/// the others go on. Frames keep their order. A frame or sink that fails is reported and counted, and the stream continues.
 pub fn run(
     mut source: Box<dyn Source>,
     options: &StreamOptions,
@@ -132,6 +141,7 @@ pub fn run(
             live,
             smoother: None,
             smoother_options: options.smoother.clone(),
+            devices: options.devices.clone(),
             shape: (0, 0),
             params: None,
             reopened: false,
@@ -217,19 +227,27 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
 struct Stream<'a> {
     options: &'a StreamOptions,
     live: bool,
-    smoother: Option<Smoother>,
+    smoother: Option<Smoothing>,
     /// The options' own until a GPU was lost twice.
     smoother_options: SmootherOptions,
+    devices: Vec<FleetDevice>,
     shape: (usize, usize),
     /// Those for frames of this shape, once a frame has said how coarse its pixels are.
     params: Option<SmoothParams>,
     reopened: bool,
     told_lost_points: bool,
     /// Frames in flight, kept to be smoothed again if their device is lost.
-    pending: VecDeque<Arrived>,
+    pending: VecDeque<InFlight>,
     sinks: Vec<SinkThread<StreamFrame>>,
     statistics: StreamStatistics,
     smooth_time: TimeSpent,
+}
+
+/// A frame that was submitted.
+struct InFlight {
+    frame: Arc<SourceFrame>,
+    name: Option<String>,
+    since: Instant,
 }
 
 impl Stream<'_> {
@@ -249,9 +267,7 @@ impl Stream<'_> {
                 break;
             }
             let in_flight = self.pending.len();
-            // Other engines return the result at once.
-            let flies = |smoother: &&Smoother| smoother.capabilities().pipelined;
-            let most = self.smoother.as_ref().filter(flies).map_or(1, Smoother::max_in_flight);
+            let most = self.smoother.as_ref().map_or(1, Smoothing::max_in_flight);
             // With frames in flight, only their results are waited for.
             let next = match in_flight {
                 0 => mailbox.take(Some(Duration::from_millis(100))),
@@ -260,8 +276,8 @@ impl Stream<'_> {
             };
             match next {
                 mailbox::Taken::Item(item) => match *item {
-                    Ok(arrived) => {
-                        self.submit(arrived, tell)?;
+                    Ok(Arrived { frame, name, since }) => {
+                        self.submit(InFlight { frame: Arc::new(frame), name, since }, tell)?;
                         submitted += 1;
                         // The engine is open: from now on the stream keeps up with a live source.
                         mailbox.set_ready();
@@ -287,7 +303,7 @@ impl Stream<'_> {
         Ok(())
     }
 
-    fn submit(&mut self, pending: Arrived, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+    fn submit(&mut self, pending: InFlight, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         let shape = pending.frame.shape();
         let of_shape = self.params.filter(|_| shape == self.shape);
         let found = || self.options.params.at_known_resolution_of(pending.frame.into_frame().ok()?);
@@ -306,21 +322,26 @@ impl Stream<'_> {
             // The frame's fault: the stream continues.
             Err(Error::Frame(error)) => {
                 self.pending.pop_back();
-                self.statistics.unreadable += 1;
-                tell(StreamEvent::Warning(error.to_string()));
+                self.refuse(&error, tell);
                 Ok(())
             }
             Err(error) => self.recover(error, tell),
         }
     }
 
+    /// Leaves a frame out that the engine does not take.
+    fn refuse(&mut self, error: &FrameError, tell: &mut impl FnMut(StreamEvent<'_>)) {
+        self.statistics.unreadable += 1;
+        tell(StreamEvent::Warning(error.to_string()));
+    }
+
     /// Submits the newest frame.
     fn submit_last(&mut self) -> Result<(), Error> {
-        let Some(Arrived { frame, .. }) = self.pending.back() else { return Ok(()) };
+        let Some(InFlight { frame, .. }) = self.pending.back() else { return Ok(()) };
         let params = self.params.unwrap_or(self.options.params);
-        let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
+        let smoother = opened(&mut self.smoother, params, &self.smoother_options, &self.devices, self.shape)?;
         self.statistics.engine = smoother.engine();
-        self.smooth_time.on(|| smoother.submit(frame, Smoothed::default()))
+        self.smooth_time.on(|| smoother.submit(frame))
     }
 
     /// Receives the oldest result and passes it to the sinks.
@@ -332,14 +353,24 @@ impl Stream<'_> {
         match received {
             Ok(Some(view)) => self.deliver(view, tell),
             Ok(None) => {}
+            Err(Error::Frame(error)) => {
+                self.pending.pop_front();
+                self.refuse(&error, tell);
+            }
             Err(error) => self.recover(error, tell)?,
+        }
+        if let Some(smoother) = &mut self.smoother {
+            smoother.losses().into_iter().for_each(|lost| tell(StreamEvent::Warning(lost)));
+            self.statistics.engine = smoother.engine();
         }
         Ok(())
     }
 
     /// Passes the result of the oldest frame to the sinks.
     fn deliver(&mut self, view: SmoothedView, tell: &mut impl FnMut(StreamEvent<'_>)) {
-        let Some(Arrived { frame, name, since }) = self.pending.pop_front() else { return };
+        let Some(InFlight { frame, name, since }) = self.pending.pop_front() else { return };
+        // The engines are done with it.
+        let frame = Arc::try_unwrap(frame).unwrap_or_else(|frame| SourceFrame::clone(&frame));
         let received = Instant::now();
         let latency = received.duration_since(since);
         self.statistics.add(latency);
@@ -378,6 +409,7 @@ impl Stream<'_> {
             }
             if self.reopened {
                 self.smoother_options.engine = Engine::Cpu;
+                self.devices.clear();
                 tell(StreamEvent::Warning(format!("{error}; going on with the CPU engine")));
             } else {
                 self.reopened = true;
@@ -392,11 +424,11 @@ impl Stream<'_> {
 
     /// Smooths the frames in flight one by one.
     fn smooth_pending(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
-        while let Some(Arrived { frame, .. }) = self.pending.front() {
+        while let Some(InFlight { frame, .. }) = self.pending.front() {
             let params = self.params.unwrap_or(self.options.params);
-            let smoother = open(&mut self.smoother, params, &self.smoother_options, self.shape)?;
+            let smoother = opened(&mut self.smoother, params, &self.smoother_options, &self.devices, self.shape)?;
             self.statistics.engine = smoother.engine();
-            smoother.submit(frame, Smoothed::default())?;
+            smoother.submit(frame)?;
             // Received without a further attempt to recover.
             let Some(view) = smoother.receive()? else { return Ok(()) };
             self.deliver(view, tell);
@@ -405,15 +437,16 @@ impl Stream<'_> {
     }
 }
 
-/// The open smoother, or a new one.
-fn open<'a>(
-    smoother: &'a mut Option<Smoother>,
+/// What is open, or opened now.
+fn opened<'a>(
+    smoothing: &'a mut Option<Smoothing>,
     params: SmoothParams,
     options: &SmootherOptions,
+    devices: &[FleetDevice],
     shape: (usize, usize),
-) -> Result<&'a mut Smoother, Error> {
-    match smoother {
-        Some(smoother) => Ok(smoother),
-        none => Ok(none.insert(Smoother::open_with(params, options, shape)?)),
+) -> Result<&'a mut Smoothing, Error> {
+    match smoothing {
+        Some(smoothing) => Ok(smoothing),
+        none => Ok(none.insert(Smoothing::open(params, options, devices, shape)?)),
     }
 }

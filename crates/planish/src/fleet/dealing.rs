@@ -1,0 +1,94 @@
+//! Which device a frame goes to: the one that is expected to have its result first.
+
+use std::time::{Duration, Instant};
+
+/// How much the time of the last frame counts for what the next is expected to take.
+const NEWEST_SHARE: f64 = 0.2;
+
+/// A device that had no frame for this long is tried again: what slowed it down may be over.
+const FORGOTTEN_AFTER: Duration = Duration::from_secs(1);
+
+/// How fast a device is, as far as its last frames say.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Pace {
+    /// Seconds between results while it is busy.
+    seconds_a_frame: Option<f64>,
+    last_result: Option<Instant>,
+}
+
+impl Pace {
+    /// Takes in a result of now, of a frame that the device was given at `since`.
+    pub(super) fn add(&mut self, since: Instant, now: Instant) {
+        // Frames overlap: busy with this one alone it was since the one before.
+        let began = self.last_result.map_or(since, |last| last.max(since));
+        let seconds = now.saturating_duration_since(began).as_secs_f64();
+        let before = self.seconds_a_frame.unwrap_or(seconds);
+        self.seconds_a_frame = Some(before + NEWEST_SHARE * (seconds - before));
+        self.last_result = Some(now);
+    }
+
+    /// What is known of it now.
+    fn known(&self, now: Instant) -> Option<f64> {
+        let is_recent = |last: Instant| now.saturating_duration_since(last) < FORGOTTEN_AFTER;
+        self.seconds_a_frame.filter(|_| self.last_result.is_some_and(is_recent))
+    }
+}
+
+/// The device for the next frame, of those that work, each with its pace and how many frames it has.
+pub(super) fn choose(devices: impl Iterator<Item = (usize, Pace, usize)>, now: Instant) -> Option<usize> {
+    // One that nothing is known of is given a frame, and no more until that is back while others are known.
+    let expected = |(device, pace, frames): (usize, Pace, usize)| {
+        let seconds = match (pace.known(now), frames) {
+            (Some(seconds), frames) => seconds * (frames + 1) as f64,
+            (None, 0) => 0.0,
+            (None, _) => f64::INFINITY,
+        };
+        (seconds, frames, device)
+    };
+    let first = devices.map(expected).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    first.map(|(.., device)| device)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pace(milliseconds: u64, now: Instant) -> Pace {
+        let mut pace = Pace::default();
+        pace.add(now - Duration::from_millis(milliseconds), now);
+        pace
+    }
+
+    #[test]
+    fn frames_go_where_they_are_done_first() {
+        let now = Instant::now();
+        let (fast, slow) = (pace(1, now), pace(10, now));
+        let choose = |devices: &[(Pace, usize)]| {
+            super::choose(devices.iter().enumerate().map(|(i, &(pace, frames))| (i, pace, frames)), now)
+        };
+        assert_eq!(choose(&[(slow, 0), (fast, 0)]), Some(1));
+        assert_eq!(choose(&[(slow, 0), (fast, 8)]), Some(1));
+        assert_eq!(choose(&[(slow, 0), (fast, 10)]), Some(0));
+        assert_eq!(choose(&[(fast, 2), (fast, 1)]), Some(1));
+        // Unknown ones are tried with one frame each, in turn.
+        let unknown = Pace::default();
+        assert_eq!(choose(&[(fast, 0), (unknown, 0)]), Some(1));
+        assert_eq!(choose(&[(fast, 5), (unknown, 1)]), Some(0));
+        assert_eq!(choose(&[(unknown, 2), (unknown, 1)]), Some(1));
+        assert_eq!(choose(&[]), None);
+    }
+
+    #[test]
+    fn a_pace_is_of_overlapping_frames_and_is_forgotten() {
+        let start = Instant::now();
+        let at = |milliseconds| start + Duration::from_millis(milliseconds);
+        let mut pace = Pace::default();
+        // Given at 0, back at 10, 12 and 14: 2 ms a frame.
+        for back in 0..40 {
+            pace.add(start, at(10 + 2 * back));
+        }
+        let known = pace.known(at(90)).unwrap();
+        assert!((known - 0.002).abs() < 1e-4, "{known}");
+        assert!(pace.known(at(10_000)).is_none());
+    }
+}

@@ -1,0 +1,280 @@
+//! The thread of each device, and what the threads of a fleet share.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::Instant;
+
+use super::dealing::{self, Pace};
+use super::{FleetMember, SharedFrame};
+use crate::engines::Engine;
+use crate::error::{EngineError, Error};
+use crate::smoothed::Smoothed;
+use crate::smoother::Smoother;
+use crate::view::SmoothedView;
+
+/// A frame that was submitted.
+pub(super) struct Job {
+    number: u64,
+    frame: Arc<dyn SharedFrame>,
+    /// Whether the result is copied out; a device that was lost has taken the buffer with it.
+    is_copied: bool,
+    buffer: Option<Smoothed>,
+    since: Instant,
+}
+
+impl Job {
+    pub(super) fn new(number: u64, frame: Arc<dyn SharedFrame>, buffer: Option<Smoothed>) -> Self {
+        Self { number, frame, is_copied: buffer.is_some(), buffer, since: Instant::now() }
+    }
+}
+
+pub(super) struct Shared {
+    state: Mutex<State>,
+    /// For each device: that it has a frame to take.
+    given: Vec<Condvar>,
+    /// That there is a result, or a device less.
+    done: Condvar,
+}
+
+struct State {
+    devices: Vec<Device>,
+    results: BTreeMap<u64, Result<SmoothedView, Error>>,
+    is_closed: bool,
+}
+
+struct Device {
+    name: String,
+    engine: Engine,
+    /// Frames that it was given, oldest first, and those that its thread has taken.
+    waiting: VecDeque<Job>,
+    taken: VecDeque<Job>,
+    pace: Pace,
+    frames: u64,
+    lost: Option<EngineError>,
+}
+
+impl Shared {
+    pub(super) fn new(smoothers: &[Smoother]) -> Self {
+        let device = |smoother: &Smoother| Device {
+            name: smoother.gpu_name().unwrap_or(smoother.engine().name()).to_owned(),
+            engine: smoother.engine(),
+            waiting: VecDeque::new(),
+            taken: VecDeque::new(),
+            pace: Pace::default(),
+            frames: 0,
+            lost: None,
+        };
+        let devices = smoothers.iter().map(device).collect();
+        let state = State { devices, results: BTreeMap::new(), is_closed: false };
+        Self {
+            state: Mutex::new(state),
+            given: smoothers.iter().map(|_| Condvar::new()).collect(),
+            done: Condvar::new(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // The state is consistent at any time.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Gives a frame to a device.
+    pub(super) fn deal(&self, job: Job) -> Result<(), EngineError> {
+        self.give(&mut self.lock(), job).map_err(|(_, error)| error)
+    }
+
+    /// The same; gives the frame back where no device is left.
+    fn give(&self, state: &mut State, job: Job) -> Result<(), (Job, EngineError)> {
+        let working = state.devices.iter().enumerate().filter(|(_, device)| device.lost.is_none());
+        let loads = working.map(|(i, device)| (i, device.pace, device.waiting.len() + device.taken.len()));
+        let Some(chosen) = dealing::choose(loads, Instant::now()) else {
+            let unknown = || EngineError::Unavailable { engine: "fleet", reason: "no device is left".to_owned() };
+            return Err((job, state.last_loss().unwrap_or_else(unknown)));
+        };
+        let waiting = &mut state.devices[chosen].waiting;
+        // One that another device had is older than what waits here.
+        let at = waiting.partition_point(|other| other.number < job.number);
+        waiting.insert(at, job);
+        self.given[chosen].notify_one();
+        Ok(())
+    }
+
+    /// Waits for the result of a frame that was given to a device.
+    pub(super) fn wait_for(&self, number: u64) -> Result<SmoothedView, Error> {
+        let mut state = self.lock();
+        loop {
+            if let Some(result) = state.results.remove(&number) {
+                return result;
+            }
+            state = self.done.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Takes a device out, and gives its frames to the others; where there are none, each has this error as its result.
+    pub(super) fn lose(&self, device: usize, error: &EngineError) {
+        let mut state = self.lock();
+        let lost = &mut state.devices[device];
+        if lost.lost.is_some() {
+            return;
+        }
+        lost.lost = Some(error.clone());
+        let jobs: Vec<Job> = lost.taken.drain(..).chain(lost.waiting.drain(..)).collect();
+        for job in jobs {
+            if let Err((job, error)) = self.give(&mut state, job) {
+                state.results.insert(job.number, Err(error.into()));
+            }
+        }
+        self.done.notify_all();
+        // Its thread may be waiting for frames.
+        self.given[device].notify_one();
+    }
+
+    /// How many devices work.
+    pub(super) fn working(&self) -> usize {
+        self.lock().devices.iter().filter(|device| device.lost.is_none()).count()
+    }
+
+    pub(super) fn last_loss(&self) -> Option<EngineError> {
+        self.lock().last_loss()
+    }
+
+    pub(super) fn members(&self) -> Vec<FleetMember> {
+        let member = |device: &Device| {
+            let Device { name, engine, frames, lost, .. } = device;
+            FleetMember { name: name.clone(), engine: *engine, frames: *frames, lost: lost.clone() }
+        };
+        self.lock().devices.iter().map(member).collect()
+    }
+
+    /// Ends all threads; frames in flight are not received any more.
+    pub(super) fn close(&self) {
+        self.lock().is_closed = true;
+        self.given.iter().for_each(Condvar::notify_all);
+    }
+
+    /// The next frame of a device, to be submitted to it.
+    fn take(&self, device: usize, may_wait: bool) -> Next {
+        let mut state = self.lock();
+        loop {
+            if state.is_closed || state.devices[device].lost.is_some() {
+                return Next::End;
+            }
+            let Device { waiting, taken, .. } = &mut state.devices[device];
+            if let Some(mut job) = waiting.pop_front() {
+                let frame = Arc::clone(&job.frame);
+                let buffer = job.is_copied.then(|| job.buffer.take().unwrap_or_default());
+                taken.push_back(job);
+                return Next::Frame(frame, buffer);
+            }
+            if !may_wait {
+                return Next::Nothing;
+            }
+            state = self.given[device].wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Puts the result of a frame that a device has taken: the newest, which it refused, or the oldest.
+    fn put(&self, device: usize, result: Result<SmoothedView, Error>, is_newest: bool) {
+        let mut state = self.lock();
+        let Device { taken, pace, frames, .. } = &mut state.devices[device];
+        let job = if is_newest { taken.pop_back() } else { taken.pop_front() };
+        // None where the device was taken out in the meantime: another one has the frame.
+        let Some(job) = job else { return };
+        if result.is_ok() {
+            *frames += 1;
+            pace.add(job.since, Instant::now());
+        }
+        let number = job.number;
+        // The one who receives the result may be the only owner of the frame.
+        drop(job);
+        state.results.insert(number, result);
+        self.done.notify_all();
+    }
+}
+
+impl State {
+    fn last_loss(&self) -> Option<EngineError> {
+        self.devices.iter().rev().find_map(|device| device.lost.clone())
+    }
+}
+
+enum Next {
+    Frame(Arc<dyn SharedFrame>, Option<Smoothed>),
+    Nothing,
+    End,
+}
+
+/// The thread of a device.
+pub(super) struct Worker(Option<JoinHandle<()>>);
+
+impl Worker {
+    pub(super) fn start(shared: Arc<Shared>, device: usize, smoother: Smoother) -> Result<Self, EngineError> {
+        let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
+        let thread = thread::Builder::new().name(format!("planish-fleet-{device}"));
+        let work = move || {
+            let mut end = EndOf { shared: &shared, device, error: None };
+            end.error = work(&shared, device, smoother).err();
+        };
+        Ok(Self(Some(thread.spawn(work).map_err(failed)?)))
+    }
+
+    /// Waits until it has ended, once the fleet is closed.
+    pub(super) fn join(&mut self) {
+        // One that panicked has said so.
+        let _ = self.0.take().map(JoinHandle::join);
+    }
+}
+
+/// Takes a device out when its thread ends, also by a panic.
+struct EndOf<'a> {
+    shared: &'a Shared,
+    device: usize,
+    error: Option<Error>,
+}
+
+impl Drop for EndOf<'_> {
+    fn drop(&mut self) {
+        let error = match self.error.take() {
+            Some(Error::Engine(error)) => error,
+            Some(error) => EngineError::Unavailable { engine: "fleet", reason: error.to_string() },
+            None if thread::panicking() => {
+                EngineError::Unavailable { engine: "fleet", reason: "its thread panicked".to_owned() }
+            }
+            // The fleet was closed.
+            None => return,
+        };
+        self.shared.lose(self.device, &error);
+    }
+}
+
+/// Smooths the frames of a device until the fleet is closed or the device fails.
+fn work(shared: &Shared, device: usize, mut smoother: Smoother) -> Result<(), Error> {
+    // Other engines compute where a frame is submitted: its result is there.
+    let most = if smoother.capabilities().pipelined { smoother.max_in_flight() } else { 1 };
+    loop {
+        while smoother.in_flight() < most {
+            let (frame, buffer) = match shared.take(device, smoother.in_flight() == 0) {
+                Next::Frame(frame, buffer) => (frame, buffer),
+                Next::Nothing => break,
+                Next::End => return Ok(()),
+            };
+            let submitted = frame.frame().map_err(Error::from).and_then(|frame| match buffer {
+                Some(buffer) => smoother.submit(frame, buffer),
+                None => smoother.submit_in_place(frame),
+            });
+            drop(frame);
+            match submitted {
+                Ok(()) => {}
+                Err(error @ Error::Frame(_)) => shared.put(device, Err(error), true),
+                Err(error) => return Err(error),
+            }
+        }
+        match smoother.receive() {
+            Ok(Some(view)) => shared.put(device, Ok(view), false),
+            Ok(None) => {}
+            Err(error @ Error::Frame(_)) => shared.put(device, Err(error), false),
+            Err(error) => return Err(error),
+        }
+    }
+}
