@@ -1,14 +1,15 @@
 //! `planish bench gpu`: kernels by time stamps of the device, frames by the host's clock.
 
 use std::hint::black_box;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use planish::agreement::{Agreement, radii_m};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    Camera, DepthFrame, Edges, Engine, Error, IntoFrame, OrganizedCloud, Outputs, Radius, SmoothParams, Smoothed,
-    SmoothedView, Smoother, SmootherOptions, Transfer,
+    Camera, DepthFrame, Edges, Engine, Error, Fleet, FleetDevice, IntoFrame, OrganizedCloud, Outputs, Radius,
+    SmoothParams, Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer,
 };
 use serde::Serialize;
 
@@ -27,6 +28,7 @@ struct Report {
     one_at_a_time: Vec<LatencyRow>,
     in_flight: Vec<ThroughputRow>,
     batches: Vec<BatchRow>,
+    fleets: Vec<FleetRow>,
     /// From a device that is open to a smoother: kernel compiled, memory had.
     open_ms: f64,
     first_frame_ms: f64,
@@ -58,6 +60,18 @@ struct ThroughputRow {
     transfer: String,
     slots: usize,
     frames_per_second: f64,
+}
+
+#[derive(Serialize)]
+struct FleetRow {
+    setting: &'static str,
+    what: &'static str,
+    devices: usize,
+    frames_per_second: f64,
+    /// Over the first of them alone.
+    times: f64,
+    /// Frames that each device computed.
+    shares: Vec<u64>,
 }
 
 #[derive(Serialize)]
@@ -110,6 +124,10 @@ pub struct GpuOptions {
     pub input: Option<(String, OrganizedCloud)>,
     /// Which GPU, by its index or part of its name; else the first real one.
     pub adapter: Option<String>,
+    /// Devices that frames are dealt to, one alone and all of them; none for no such figures.
+    pub devices: Vec<FleetDevice>,
+    /// Measure nothing but what several devices do.
+    pub only_devices: bool,
     /// Frames for each figure.
     pub runs: u32,
     /// Print one JSON object.
@@ -142,10 +160,11 @@ pub fn run(args: &GpuOptions) -> Result<()> {
         adapter: smoother.gpu_name().unwrap_or_default().to_owned(),
         input,
         frames: args.runs,
-        kernels: bench.kernels()?,
-        one_at_a_time: bench.one_at_a_time()?,
-        in_flight: bench.in_flight()?,
-        batches: bench.batches()?,
+        kernels: if args.only_devices { Vec::new() } else { bench.kernels()? },
+        one_at_a_time: if args.only_devices { Vec::new() } else { bench.one_at_a_time()? },
+        in_flight: if args.only_devices { Vec::new() } else { bench.in_flight()? },
+        batches: if args.only_devices { Vec::new() } else { bench.batches()? },
+        fleets: bench.fleets()?,
         open_ms,
         first_frame_ms,
     };
@@ -348,6 +367,63 @@ impl Bench<'_> {
         Ok(rows)
     }
 
+    /// Frames a second of the first device alone, and of all, each as a fleet.
+    fn fleets(&self) -> Result<Vec<FleetRow>> {
+        let mut rows = Vec::new();
+        let frame = Arc::new(self.depth.clone());
+        let counts = [1, self.args.devices.len()];
+        let counts = &counts[..self.args.devices.len().min(2)];
+        for (setting, params) in [("paper", SmoothParams::paper()), ("default", SmoothParams::default())] {
+            for take in [Take::PointsInPlace, Take::PointsCopied] {
+                let mut first = f64::NAN;
+                for &count in counts {
+                    let gpu = planish::GpuOptions::default().with_bounds_checks(false);
+                    let options = SmootherOptions::default().with_outputs(take.outputs()).with_gpu(gpu);
+                    let mut fleet = Fleet::open(params, &options, &self.args.devices[..count], KINECT_SHAPE)?;
+                    let mut spare = Vec::new();
+                    let mut one = |fleet: &mut Fleet| -> Result<()> {
+                        if fleet.in_flight() == fleet.max_in_flight()
+                            && let Some(view) = fleet.receive()?
+                        {
+                            Take::touch(&view);
+                            if take == Take::PointsCopied {
+                                spare.push(view.into_smoothed());
+                            }
+                        }
+                        match take {
+                            Take::PointsCopied => fleet.submit(Arc::clone(&frame), spare.pop().unwrap_or_default())?,
+                            _ => fleet.submit_in_place(Arc::clone(&frame))?,
+                        }
+                        Ok(())
+                    };
+                    let start = Instant::now();
+                    while start.elapsed() < WARM_UP {
+                        one(&mut fleet)?;
+                    }
+                    let before: Vec<u64> = fleet.members().iter().map(|member| member.frames).collect();
+                    let timed = 20 * self.args.runs;
+                    let start = Instant::now();
+                    (0..timed).try_for_each(|_| one(&mut fleet))?;
+                    let frames_per_second = f64::from(timed) / start.elapsed().as_secs_f64();
+                    let members = fleet.members();
+                    let shares = members.iter().zip(before).map(|(member, before)| member.frames - before);
+                    if count == 1 {
+                        first = frames_per_second;
+                    }
+                    rows.push(FleetRow {
+                        setting,
+                        what: take.name(),
+                        devices: count,
+                        frames_per_second,
+                        times: frames_per_second / first,
+                        shares: shares.collect(),
+                    });
+                }
+            }
+        }
+        Ok(rows)
+    }
+
     fn batches(&self) -> Result<Vec<BatchRow>> {
         let mut smoother = self.open(SmoothParams::paper(), |options| {
             options.gpu.transfer = Transfer::Staged;
@@ -374,6 +450,9 @@ fn print_text(report: &Report) {
         report.open_ms,
         report.first_frame_ms
     );
+    if report.kernels.is_empty() {
+        return print_fleets(&report.fleets);
+    }
     crate::outln!(
         "\n| window, stride, degree | edges | kernel, µs (p5 to p95) | with bounds checks, µs |\n|---|---|---|---|"
     );
@@ -396,8 +475,20 @@ fn print_text(report: &Report) {
     for ThroughputRow { setting, what, transfer, slots, frames_per_second } in &report.in_flight {
         crate::outln!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
     }
+    print_fleets(&report.fleets);
     crate::outln!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
     for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {
         crate::outln!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
+    }
+}
+
+fn print_fleets(rows: &[FleetRow]) {
+    if !rows.is_empty() {
+        crate::outln!(
+            "\n| dealt to devices | setting | devices | frames a second | times one | each |\n|---|---|---|---|---|---|"
+        );
+    }
+    for FleetRow { setting, what, devices, frames_per_second, times, shares } in rows {
+        crate::outln!("| {what} | {setting} | {devices} | {frames_per_second:.0} | {times:.2} | {shares:?} |");
     }
 }

@@ -12,6 +12,7 @@ mod plot;
 mod profile;
 mod quality;
 mod record;
+mod rig;
 mod scaleup;
 mod section;
 mod speedup;
@@ -28,6 +29,7 @@ pub use frames::{Input, simulated_inputs};
 pub use general::{GeneralOptions, run as run_general};
 pub use gpu::{GpuOptions as GpuBenchOptions, run as run_gpu};
 use record::{Document, Origin};
+pub use rig::{RigBenchOptions, run as run_rig};
 use section::Section;
 
 /// An experiment of the 2011 report.

@@ -145,22 +145,33 @@ impl Smoothed {
 impl Smoothed {
     /// Those of `fields` that it has, by the names that clouds have for them.
     pub(crate) fn fields(&self, fields: Outputs) -> Vec<(&'static str, AttributeValues)> {
-        let mut found: Vec<(&'static str, AttributeValues)> = Vec::new();
-        if let (true, Some(normals)) = (fields.normals, &self.normals) {
-            let axes = [("normal_x", &normals.x), ("normal_y", &normals.y), ("normal_z", &normals.z)];
-            found.extend(axes.map(|(name, values)| (name, values.clone().into())));
-        }
-        if let (true, Some(curvature)) = (fields.curvature, &self.curvature) {
-            found.push(("curvature", curvature.clone().into()));
-        }
-        if let (true, Some(status)) = (fields.status, &self.status) {
-            found.push(("status", status.iter().map(|&s| s as u8).collect::<Vec<u8>>().into()));
-        }
-        if let (true, Some(neighbours)) = (fields.neighbours, &self.neighbours) {
-            found.push(("neighbours", neighbours.clone().into()));
-        }
-        found
+        let normals = self.normals.as_ref().map(Xyz::as_slices);
+        named_fields(fields, normals, self.curvature.as_deref(), self.status.as_deref(), self.neighbours.as_deref())
     }
+}
+
+/// Those of `fields` that there are, by the names that clouds have for them.
+pub(crate) fn named_fields(
+    fields: Outputs,
+    normals: Option<[&[f32]; 3]>,
+    curvature: Option<&[f32]>,
+    status: Option<&[Status]>,
+    neighbours: Option<&[u32]>,
+) -> Vec<(&'static str, AttributeValues)> {
+    let mut found: Vec<(&'static str, AttributeValues)> = Vec::new();
+    if let Some(normals) = normals.filter(|_| fields.normals) {
+        found.extend(["normal_x", "normal_y", "normal_z"].into_iter().zip(normals.map(|axis| axis.to_vec().into())));
+    }
+    if let Some(curvature) = curvature.filter(|_| fields.curvature) {
+        found.push(("curvature", curvature.to_vec().into()));
+    }
+    if let Some(status) = status.filter(|_| fields.status) {
+        found.push(("status", status.iter().map(|&s| s as u8).collect::<Vec<u8>>().into()));
+    }
+    if let Some(neighbours) = neighbours.filter(|_| fields.neighbours) {
+        found.push(("neighbours", neighbours.to_vec().into()));
+    }
+    found
 }
 
 /// Where a ray meets the tangent plane of a point; the point's own depth where the ray grazes that, or it has no normal.

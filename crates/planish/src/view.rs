@@ -25,6 +25,7 @@ pub(crate) trait ResultInPlace: Send + Sync {
     fn depth_rows(&self) -> Option<Vec<&[u16]>>;
     fn depth_m(&self) -> Option<&[f32]>;
     fn status(&self) -> Option<Vec<Status>>;
+    fn neighbours(&self) -> Option<Vec<u32>>;
     fn copy_to(&self, out: &mut Smoothed);
 }
 
@@ -50,7 +51,7 @@ impl SmoothedView {
     pub fn points(&self) -> Option<[&[f32]; 3]> {
         match &self.result {
             Storage::Owned(smoothed) if smoothed.points.is_empty() => None,
-            Storage::Owned(smoothed) => Some([&smoothed.points.x, &smoothed.points.y, &smoothed.points.z]),
+            Storage::Owned(smoothed) => Some(smoothed.points.as_slices()),
             Storage::InPlace(result) => result.points(),
         }
     }
@@ -92,6 +93,14 @@ impl SmoothedView {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.status.clone(),
             Storage::InPlace(result) => result.status(),
+        }
+    }
+
+    /// How many points each fit used; `None` if it was not asked for.
+    pub fn neighbours(&self) -> Option<Vec<u32>> {
+        match &self.result {
+            Storage::Owned(smoothed) => smoothed.neighbours.clone(),
+            Storage::InPlace(result) => result.neighbours(),
         }
     }
 

@@ -30,6 +30,11 @@ impl Xyz {
         Self { x: vec![value; len], y: vec![value; len], z: vec![value; len] }
     }
 
+    /// x, y and z.
+    pub(crate) fn as_slices(&self) -> [&[f32]; 3] {
+        [&self.x, &self.y, &self.z]
+    }
+
     /// How many vectors there are.
     pub fn len(&self) -> usize {
         self.x.len()

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Subcommand;
 
-use super::{CameraArgs, EdgesArg, EngineArg};
+use super::{CameraArgs, EdgesArg, EngineArg, GpusArgs, RigWayArg};
 
 #[derive(clap::Args)]
 pub struct BenchArgs {
@@ -18,6 +18,8 @@ pub enum BenchCommand {
     Gpu(BenchGpuArgs),
     /// General clouds: from points in memory to points and normals
     General(BenchGeneralArgs),
+    /// Rigs: from the depth of a simulated rig's cameras in memory to the fused cloud in memory
+    Rig(BenchRigArgs),
     /// Experiment 1 of the 2011 report: times of a frame, and how many times the serial method's
     Speedup(ExperimentArgs),
     /// Experiment 2: time over the candidates of a window
@@ -62,10 +64,39 @@ pub struct BenchGpuArgs {
     /// Which GPU, by its index or part of its name (see `planish devices`); else the first real one
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
+    #[command(flatten)]
+    pub gpus: GpusArgs,
+    /// With --gpus: measure nothing but what several devices do
+    #[arg(long, requires = "gpus")]
+    pub only_devices: bool,
     /// Frames for each figure
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(2..))]
     pub runs: u32,
     /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+pub struct BenchRigArgs {
+    /// How many cameras, 1 to 8
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=8))]
+    pub cameras: u8,
+    /// Which ways, separated by commas; else each
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "WAYS", default_value = "each")]
+    pub fuse: Vec<RigWayArg>,
+    /// Which engine
+    #[arg(long, value_enum, default_value = "auto")]
+    pub engine: EngineArg,
+    /// Which GPU with --engine gpu, by its index or part of its name (see `planish devices`); else the first real one
+    #[arg(long, value_name = "NAME|INDEX")]
+    pub adapter: Option<String>,
+    #[command(flatten)]
+    pub gpus: GpusArgs,
+    /// Moments for each figure, as far as 20 s go
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
+    pub runs: u32,
+    /// Print one JSON array to standard output
     #[arg(long)]
     pub json: bool,
 }

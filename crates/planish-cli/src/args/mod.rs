@@ -14,10 +14,10 @@ use planish::rig::RigWay;
 use planish::simulate::PoseErrors;
 use planish::source::{Alignment, StreamMode};
 
-pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, ExperimentArgs};
+pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, ExperimentArgs};
 pub use camera::{CameraArgs, Direction, PoseArgs};
 pub use clean::CleanArgs;
-pub use smoothing::{EdgesArg, EngineArg, SmoothingArgs};
+pub use smoothing::{EdgesArg, EngineArg, GpusArgs, SmoothingArgs};
 
 const AFTER_HELP: &str = "Exit codes: 0 done; 1 some frames failed, the others are done; 2 bad arguments or input; 130 ended by a \
                           signal (a stream or recording ends with 0).\nStart with `planish demo`, then `planish smooth your.pcd smooth.pcd`.";
@@ -100,6 +100,8 @@ pub struct SmoothArgs {
     pub points_topic: Option<String>,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub gpus: GpusArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
     #[command(flatten)]
@@ -213,6 +215,8 @@ pub struct StreamArgs {
     pub save_cameras: Option<PathBuf>,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub gpus: GpusArgs,
     /// Write every result into this folder, or into this recording of ROS 2 (.mcap)
     #[arg(long, value_name = "DIR|FILE.mcap")]
     pub save: Option<PathBuf>,
@@ -276,7 +280,7 @@ pub struct RigArgs {
     /// The rig.json to write
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Where a camera's frames come from, as `planish stream` takes it: left=realsense:0123, right=recordings/right
+    /// Where a camera's frames come from, as `planish stream` takes it, files and folders as from here: left=realsense:0123, right=recordings/right
     #[arg(long, value_name = "NAME=SOURCE")]
     pub source: Vec<String>,
     /// Of transforms of ROS: the frame that becomes the rig's, if not the one that all others hang on
@@ -293,7 +297,7 @@ pub struct RigArgs {
           value_parser = clap::value_parser!(u8).range(2..=8))]
     pub simulate: Option<u8>,
     /// Of a simulated rig: frames of each camera
-    #[arg(long, value_name = "N", default_value_t = 30, requires = "simulate")]
+    #[arg(long, value_name = "N", default_value_t = 30, requires = "simulate", value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: u64,
     /// Of a simulated rig: the seed of scene and noise
     #[arg(long, default_value_t = 1, requires = "simulate")]

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use planish::{
-    Edges, Engine, Frame, GpuOptions, OrganizedCloud, Outputs, Project, Radius, SensorModel, SmoothParams,
+    Edges, Engine, FleetDevice, Frame, GpuOptions, OrganizedCloud, Outputs, Project, Radius, SensorModel, SmoothParams,
     SmootherOptions, Strength,
 };
 
@@ -147,6 +147,26 @@ pub struct SmoothingArgs {
     /// Threads of the CPU engines; by default one per core
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
+}
+
+/// Several devices at once.
+#[derive(clap::Args)]
+pub struct GpusArgs {
+    /// Deal frames to several devices: all for every GPU, or their indices or parts of their names, separated by commas; cpu is the CPU as
+    /// one more
+    #[arg(long, value_name = "all|LIST", conflicts_with = "adapter")]
+    pub gpus: Option<String>,
+}
+
+impl GpusArgs {
+    /// The devices named; none if none are.
+    pub fn devices(&self, engine: Engine) -> Result<Vec<FleetDevice>> {
+        let Some(list) = &self.gpus else { return Ok(Vec::new()) };
+        if !matches!(engine, Engine::Auto | Engine::Gpu) {
+            bail!("--gpus names the devices: leave --engine {} out", engine.name());
+        }
+        FleetDevice::parse_list(list).with_context(|| format!("--gpus {list}"))
+    }
 }
 
 impl SmoothingArgs {

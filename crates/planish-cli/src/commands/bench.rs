@@ -5,17 +5,18 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use planish::io::{self, Contents};
-use planish::{DepthFrame, Error, OrganizedCloud, Radius};
-use planish_bench::{Ended, Experiment, GeneralOptions, GpuBenchOptions, Input, Options};
+use planish::{DepthFrame, Engine, Error, FleetDevice, GpuOptions, OrganizedCloud, Outputs, Radius, SmootherOptions};
+use planish_bench::{Ended, Experiment, GeneralOptions, GpuBenchOptions, Input, Options, RigBenchOptions};
 
 use super::organized;
-use crate::args::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, EngineArg, ExperimentArgs};
+use crate::args::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, EngineArg, ExperimentArgs};
 use crate::signals::stop_flag;
 
 pub fn run(args: &BenchArgs) -> Result<ExitCode> {
     let (args, experiments) = match &args.what {
         BenchCommand::Gpu(args) => return run_gpu(args),
         BenchCommand::General(args) => return run_general(args),
+        BenchCommand::Rig(args) => return run_rig(args),
         BenchCommand::Speedup(args) => (args, &[Experiment::Speedup][..]),
         BenchCommand::Connectivity(args) => (args, &[Experiment::Connectivity][..]),
         BenchCommand::Scaleup(args) => (args, &[Experiment::Scaleup][..]),
@@ -42,8 +43,37 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
 fn run_gpu(args: &BenchGpuArgs) -> Result<ExitCode> {
     let cloud = args.input.as_ref().map(|path| OrganizedCloud::read(path)).transpose().map_err(Error::from)?;
     let input = cloud.zip(args.input.as_ref()).map(|(cloud, path)| (path.display().to_string(), cloud));
-    let options = GpuBenchOptions { input, adapter: args.adapter.clone(), runs: args.runs, json: args.json };
+    let devices = args.gpus.devices(Engine::Gpu)?;
+    let first = devices.iter().find_map(|device| match device {
+        FleetDevice::Gpu(adapter) => Some(adapter.clone()),
+        _ => None,
+    });
+    let options = GpuBenchOptions {
+        input,
+        adapter: args.adapter.clone().or(first),
+        devices,
+        only_devices: args.only_devices,
+        runs: args.runs,
+        json: args.json,
+    };
     planish_bench::run_gpu(&options)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_rig(args: &BenchRigArgs) -> Result<ExitCode> {
+    let engine = args.engine.engine();
+    if args.adapter.is_some() && engine != Engine::Gpu {
+        bail!("--adapter chooses among GPUs: it needs --engine gpu");
+    }
+    let gpu = GpuOptions::default().with_adapter(args.adapter.clone()).with_bounds_checks(false);
+    planish_bench::run_rig(&RigBenchOptions {
+        cameras: args.cameras.into(),
+        ways: args.fuse.iter().map(|&way| way.into()).collect(),
+        smoother: SmootherOptions::new(engine, Outputs::POINTS).with_gpu(gpu),
+        devices: args.gpus.devices(engine)?,
+        runs: args.runs as usize,
+        json: args.json,
+    })?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -27,6 +27,9 @@ use crate::exit::ExitCode;
 use crate::signals::stop_flag;
 
 pub fn run(args: &RigArgs) -> Result<ExitCode> {
+    if args.json && args.simulate.is_some() {
+        bail!("--json prints a rig that there is; of a simulated one see its rig.json");
+    }
     if let (Some(cameras), Some(folder)) = (args.simulate, &args.out) {
         return simulate(args, cameras.into(), folder);
     }
@@ -45,7 +48,9 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
         if out.exists() {
             bail!("{}: is there already, and is not replaced: give another name, or remove it", out.display());
         }
-        io::write_whole(out, rig_to_json(&rig).as_bytes()).with_context(|| out.display().to_string())?;
+        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let seen = rig.seen_from(folder);
+        io::write_whole(out, rig_to_json(&seen).as_bytes()).with_context(|| out.display().to_string())?;
     }
     if args.json {
         outln!("{}", rig_to_json(&rig).trim_end());
@@ -197,10 +202,12 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     let options = options
         .with_registration_m(registration_m)
+        .with_devices(args.gpus.devices(args.smoothing.engine())?)
         .with_params(params, args.smoothing.merged_params()?)
         .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_moments(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
+    check_outputs(args, &rig)?;
     let stop = stop_flag();
     let mut sources = open_sources(&rig, &args.source.limits, &stop)?;
     if args.smoothing.remove_floating {
@@ -209,9 +216,6 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     let mut sinks: Vec<Box<dyn RigSink>> = Vec::new();
     if let Some(folder) = &args.save {
-        if is_mcap(folder) {
-            bail!("{}: a rig's clouds are saved into a folder", folder.display());
-        }
         sinks.push(Box::new(FusedSink::create(folder, format_of_fused(args, format), &rig)?));
     }
     if let Some(folder) = &args.save_cameras {
@@ -236,6 +240,38 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     let unreadable = report.cameras.iter().any(|camera| camera.unreadable > 0);
     Ok(if report.failed_sinks > 0 || unreadable { ExitCode::from(1) } else { ExitCode::SUCCESS })
+}
+
+/// Refuses outputs that cannot be, or that would take the place of what is there, before anything is written.
+fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
+    for folder in [&args.save, &args.save_cameras].into_iter().flatten() {
+        if is_mcap(folder) {
+            bail!("{}: a rig's clouds are saved into a folder", folder.display());
+        }
+        if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
+            bail!("{}: has files already: results of a rig go into a folder of their own", folder.display());
+        }
+    }
+    if args.save.is_some() && args.save == args.save_cameras {
+        bail!("--save and --save-cameras write into a folder each: give them two");
+    }
+    let Some(picture) = &args.picture else { return Ok(()) };
+    if !picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
+        bail!("{}: a picture is written as .png", picture.display());
+    }
+    let folder = picture.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if picture.is_dir() || !folder.is_dir() {
+        bail!("{}: is a folder, or in none that is there", picture.display());
+    }
+    let sources = rig.cameras.iter().filter_map(|camera| Path::new(camera.source.as_ref()?).canonicalize().ok());
+    let folder = folder.canonicalize().with_context(|| folder.display().to_string())?;
+    if sources
+        .into_iter()
+        .any(|source| folder.starts_with(&source) || picture.canonicalize().is_ok_and(|picture| picture == source))
+    {
+        bail!("{}: is among what was measured: give another name", picture.display());
+    }
+    Ok(())
 }
 
 /// What is computed: depth too if each camera's depth images are to be saved.

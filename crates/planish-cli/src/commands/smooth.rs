@@ -14,8 +14,9 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, ReadOptions};
 use planish::{
-    DepthFrame, DepthImage, Engine, EngineError, Error, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud,
-    PointsView, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother, SmootherOptions,
+    DepthFrame, DepthImage, Engine, EngineError, Error, FleetDevice, Frame, IntoFrame, OrganizedCloud, Outputs,
+    PointCloud, PointsView, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
+    SmootherOptions,
 };
 use planish_bench::{errln, outln};
 
@@ -38,11 +39,19 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         floating_sensor: None,
         pose: args.pose.pose()?,
         beside: 1,
+        devices: args.gpus.devices(args.smoothing.engine())?,
+        device: 0,
         open: None,
         smoothed: Smoothed::default(),
     };
     if args.format.as_ref().is_some_and(|extension| extension.contains(['/', '\\'])) {
         bail!("--format takes a file's extension, as ply, not a path");
+    }
+    if args.gpus.gpus.is_some() && !args.input.is_dir() {
+        bail!(
+            "{}: --gpus deals the frames of a folder; one file goes to one device (--engine gpu --adapter)",
+            args.input.display()
+        );
     }
     #[cfg(feature = "mcap")]
     if let Some(code) = bag::run(args)? {
@@ -83,6 +92,9 @@ struct Worker<'a> {
     pose: Option<SensorPose>,
     /// How many workers there are, of which each has its share of the threads and the memory.
     beside: u64,
+    /// The devices that frames are dealt to, and which of them is this worker's; none for the one of the arguments.
+    devices: Vec<FleetDevice>,
+    device: usize,
     open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
 }
@@ -164,7 +176,8 @@ impl Worker<'_> {
 
     fn options(&self, outputs: Outputs) -> Result<SmootherOptions> {
         let options = self.args.smoothing.options(outputs)?;
-        Ok(if self.beside > 1 { options.with_threads(Some(1)) } else { options })
+        let options = if self.beside > 1 { options.with_threads(Some(1)) } else { options };
+        Ok(self.devices.get(self.device).map_or(options.clone(), |device| device.options(&options)))
     }
 
     /// Puts the user's pose in place of the file's.
@@ -308,9 +321,16 @@ impl Worker<'_> {
             let start = Instant::now();
             let progress = smoother.progress().filter(|_| self.beside == 1);
             let result = with_progress(progress, || smoother.smooth(frame, &mut self.smoothed));
-            if matches!(result, Err(Error::Engine(_))) {
+            if let Err(Error::Engine(error)) = &result {
                 // An engine that failed is no use for the next frame.
                 self.open = None;
+                if self.devices.len() > 1 && !matches!(error, EngineError::Limit { .. }) {
+                    errln!("{}: {error}; another device goes on", output.display());
+                    self.devices.remove(self.device);
+                    self.device = 0;
+                    self.open(frame, outputs, params).with_context(|| output.display().to_string())?;
+                    continue;
+                }
             }
             if let (Err(Error::Engine(error)), Engine::Auto) = (&result, self.args.smoothing.engine())
                 && matches!(error, EngineError::Limit { .. } | EngineError::OutOfMemory { .. })

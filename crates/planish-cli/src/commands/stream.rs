@@ -57,6 +57,18 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if let Some(rig) = &args.rig {
         return super::rig::stream(args, rig);
     }
+    let of_rigs = [
+        ("--fuse", args.fuse.is_some()),
+        ("--save-cameras", args.save_cameras.is_some()),
+        ("--picture", args.picture.is_some()),
+        ("--registration", args.registration.is_some()),
+    ];
+    if let Some((name, _)) = of_rigs.iter().find(|(_, is_given)| *is_given) {
+        bail!("{name} is of several cameras: give --rig, and no source beside it");
+    }
+    if args.source.name().ends_with("rig.json") && Path::new(args.source.name()).is_file() {
+        bail!("{}: a rig is streamed by `planish stream --rig {0}`", args.source.name());
+    }
     let params = args.smoothing.params()?;
     let mut outputs = outputs_of(&args.fields);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
@@ -75,6 +87,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         }
     }
     let options = StreamOptions::new(params, args.smoothing.options(outputs)?)
+        .with_devices(args.gpus.devices(args.smoothing.engine())?)
         .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_frames(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);

@@ -64,8 +64,8 @@ impl FleetDevice {
         }
     }
 
-    /// The options with which its smoother opens.
-    pub(crate) fn options(&self, options: &SmootherOptions) -> SmootherOptions {
+    /// The options with which its smoother opens: these, of which it replaces engine and adapter.
+    pub fn options(&self, options: &SmootherOptions) -> SmootherOptions {
         match self {
             Self::Cpu => options.clone().with_engine(Engine::Cpu),
             Self::Gpu(adapter) => {

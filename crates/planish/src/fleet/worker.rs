@@ -81,16 +81,15 @@ impl Shared {
 
     /// Gives a frame to a device.
     pub(super) fn deal(&self, job: Job) -> Result<(), EngineError> {
-        self.give(&mut self.lock(), job).map_err(|(_, error)| error)
+        self.give(&mut self.lock(), job)
     }
 
-    /// The same; gives the frame back where no device is left.
-    fn give(&self, state: &mut State, job: Job) -> Result<(), (Job, EngineError)> {
+    fn give(&self, state: &mut State, job: Job) -> Result<(), EngineError> {
         let working = state.devices.iter().enumerate().filter(|(_, device)| device.lost.is_none());
         let loads = working.map(|(i, device)| (i, device.pace, device.waiting.len() + device.taken.len()));
         let Some(chosen) = dealing::choose(loads, Instant::now()) else {
             let unknown = || EngineError::Unavailable { engine: "fleet", reason: "no device is left".to_owned() };
-            return Err((job, state.last_loss().unwrap_or_else(unknown)));
+            return Err(state.last_loss().unwrap_or_else(unknown));
         };
         let waiting = &mut state.devices[chosen].waiting;
         // One that another device had is older than what waits here.
@@ -121,8 +120,9 @@ impl Shared {
         lost.lost = Some(error.clone());
         let jobs: Vec<Job> = lost.taken.drain(..).chain(lost.waiting.drain(..)).collect();
         for job in jobs {
-            if let Err((job, error)) = self.give(&mut state, job) {
-                state.results.insert(job.number, Err(error.into()));
+            let number = job.number;
+            if let Err(error) = self.give(&mut state, job) {
+                state.results.insert(number, Err(error.into()));
             }
         }
         self.done.notify_all();
@@ -199,6 +199,7 @@ impl State {
     }
 }
 
+#[expect(clippy::large_enum_variant, reason = "moved once a frame")]
 enum Next {
     Frame(Arc<dyn SharedFrame>, Option<Smoothed>),
     Nothing,

@@ -155,6 +155,10 @@ impl ResultInPlace for MappedView {
         Some(self.codes(0, self.layout.status()?).map(Status::of_code).collect())
     }
 
+    fn neighbours(&self) -> Option<Vec<u32>> {
+        Some(self.codes(0, self.layout.neighbours()?).map(u32::from).collect())
+    }
+
     fn copy_to(&self, out: &mut Smoothed) {
         self.copy_frame_to(0, out);
     }

@@ -19,16 +19,17 @@ const MAX_BYTES: u64 = 1 << 20;
 ///
 /// With `None` the camera has the shape that the file states, and width and height 0 where it states none.
 pub fn read_camera(path: &Path, shape: Option<(usize, usize)>) -> Result<Camera, IoError> {
-    let read = || {
-        let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
-        let bytes = bytes.map_err(|error| match error {
-            FormatError::TooLarge { .. } => malformed("larger than any camera file".into()),
-            error => error,
-        })?;
-        let text = String::from_utf8(bytes).map_err(|_| malformed("not text".into()))?;
-        parse_camera(&text, shape)
-    };
-    read().map_err(IoError::at(path))
+    read_text(path).and_then(|text| parse_camera(&text, shape)).map_err(IoError::at(path))
+}
+
+/// The text of a camera file.
+pub(crate) fn read_text(path: &Path) -> FormatResult<String> {
+    let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
+    let bytes = bytes.map_err(|error| match error {
+        FormatError::TooLarge { .. } => malformed("larger than any camera file".into()),
+        error => error,
+    })?;
+    String::from_utf8(bytes).map_err(|_| malformed("not text".into()))
 }
 
 /// [`read_camera`] of a file's text.
@@ -54,6 +55,13 @@ pub fn parse_camera(text: &str, shape: Option<(usize, usize)>) -> FormatResult<C
     let (width, height) = (camera.width.max(1), camera.height.max(1));
     camera.with_shape((width, height)).validate()?;
     Ok(camera)
+}
+
+/// Whether a camera file in JSON says what the units of depth are.
+#[cfg(feature = "stream")]
+pub(crate) fn states_depth_scale(text: &str) -> bool {
+    serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(text)
+        .is_ok_and(|file| ["depth_scale", "depth_units_per_metre"].iter().any(|key| file.contains_key(*key)))
 }
 
 /// The camera as JSON, as [`parse_camera`] reads it.

@@ -178,6 +178,11 @@ impl Inbox {
         self.changed.notify_all();
     }
 
+    /// Whether it was said that no frames come together.
+    pub(super) fn has_told_unmatched(&self) -> bool {
+        self.lock().has_told_unmatched
+    }
+
     /// The error that a camera ended with.
     pub(super) fn first_error(&self) -> Option<Error> {
         self.lock().first_error.take()

@@ -123,7 +123,10 @@ fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError
     let CameraEntry { name, source, camera, pose, sensor, time_offset_s, align, mode } = entry;
     let of = |problem: String| malformed(format!("camera {name:?}: {problem}"));
     let pose = pose.ok_or_else(|| of("no pose; \"pose\" says where it stands in the rig's frame".into()))?;
-    let camera = camera.map(|camera| intrinsics_of(&camera, folder).map_err(of)).transpose()?;
+    let (camera, depth_units_per_metre) = match camera {
+        Some(camera) => intrinsics_of(&camera, folder).map(|(camera, units)| (Some(camera), units)).map_err(of)?,
+        None => (None, None),
+    };
     let sensor = match sensor {
         None => None,
         Some(SensorEntry::Named(name)) => Some(name.parse().map_err(|error: ParamError| of(error.to_string()))?),
@@ -140,6 +143,7 @@ fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError
     Ok(RigCamera {
         source: source.map(|source| resolve_source(folder, &source)),
         camera,
+        depth_units_per_metre,
         pose: pose_of(&pose).map_err(of)?,
         sensor,
         time_offset_s: time_offset_s.unwrap_or(0.0),
@@ -149,11 +153,19 @@ fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError
     })
 }
 
-/// The camera of an object, or of the camera file that a text names.
-fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<Camera, String> {
+/// The camera of an object, or of the camera file that a text names, and how many units of depth are a metre, if it says so.
+fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Option<f64>), String> {
+    let parse = |text: &str| {
+        let camera = io::parse_camera(text, None)?;
+        Ok((camera, io::states_depth_scale(text).then_some(camera.depth_units_per_metre)))
+    };
     match value {
-        serde_json::Value::String(file) => io::read_camera(&folder.join(file), None).map_err(|error| error.to_string()),
-        value => io::parse_camera(&value.to_string(), None).map_err(|error| error.to_string()),
+        serde_json::Value::String(file) => {
+            let path = folder.join(file);
+            let camera = io::camera_text(&path).and_then(|text| parse(&text)).map_err(IoError::at(&path));
+            camera.map_err(|error| error.to_string())
+        }
+        value => parse(&value.to_string()).map_err(|error: FormatError| error.to_string()),
     }
 }
 
@@ -183,7 +195,7 @@ pub fn rig_to_json(rig: &Rig) -> String {
     let entry = |camera: &RigCamera| CameraEntry {
         name: camera.name.clone(),
         source: camera.source.clone(),
-        camera: camera.camera.as_ref().and_then(|camera| serde_json::from_str(&io::camera_to_json(camera)).ok()),
+        camera: camera.camera.as_ref().and_then(|of| intrinsics_entry(of, camera.depth_units_per_metre)),
         pose: Some(PoseEntry {
             position_m: Some(camera.pose.position_m),
             orientation_xyzw: Some(xyzw(camera.pose.orientation)),
@@ -205,6 +217,17 @@ pub fn rig_to_json(rig: &Rig) -> String {
     };
     // Numbers and texts have always a form in JSON.
     serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
+}
+
+/// Intrinsics as they stand in the file; without what depth's units are unless that is known.
+fn intrinsics_entry(camera: &Camera, depth_units_per_metre: Option<f64>) -> Option<serde_json::Value> {
+    let mut entry: serde_json::Value = serde_json::from_str(&io::camera_to_json(camera)).ok()?;
+    let fields = entry.as_object_mut()?;
+    match depth_units_per_metre {
+        Some(units) => fields.insert("depth_scale".to_owned(), units.into()),
+        None => fields.remove("depth_scale"),
+    };
+    Some(entry)
 }
 
 fn xyzw([w, x, y, z]: [f64; 4]) -> [f64; 4] {
@@ -244,6 +267,35 @@ mod tests {
     }
 
     #[test]
+    fn the_units_of_depth_are_stated_or_the_source_s() {
+        let of = |scale: &str| {
+            let camera = format!(r#"{{"name":"a","camera":{{"fx":5,"fy":5,"cx":2,"cy":2{scale}}},{POSE}}}"#);
+            let rig = parse_cameras(&camera).unwrap();
+            assert_eq!(parse(&rig_to_json(&rig), Path::new("/elsewhere")).unwrap(), rig);
+            rig.cameras[0].source_options().tum_units_per_metre
+        };
+        assert_eq!(of(""), None);
+        assert_eq!(of(r#","depth_scale":1000"#), Some(1000.0));
+        assert_eq!(of(r#","depth_units_per_metre":4000"#), Some(4000.0));
+    }
+
+    #[test]
+    fn sources_are_named_as_from_the_folder_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir_all(folder.path().join("rigs/left")).unwrap();
+        std::fs::create_dir_all(folder.path().join("right")).unwrap();
+        let mut rig =
+            parse_cameras(&format!(r#"{{"name":"a",{POSE}}},{{"name":"b",{POSE}}},{{"name":"c",{POSE}}}"#)).unwrap();
+        let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+        let sources = [path("rigs/left"), path("right"), "realsense:0123".to_owned()];
+        rig.cameras.iter_mut().zip(sources).for_each(|(camera, source)| camera.source = Some(source));
+        let seen = rig.seen_from(&folder.path().join("rigs"));
+        let sources: Vec<&str> = seen.cameras.iter().filter_map(|camera| camera.source.as_deref()).collect();
+        let right = folder.path().canonicalize().unwrap().join("right").to_string_lossy().into_owned();
+        assert_eq!(sources, ["left", right.as_str(), "realsense:0123"]);
+    }
+
+    #[test]
     fn what_is_wrong_with_a_camera_names_it() {
         let said = |camera: &str| parse_cameras(camera).unwrap_err().to_string();
         for (camera, expected) in [
@@ -257,6 +309,8 @@ mod tests {
             (r#"{"name":"left","pose":{"matrix":[[2,0,0,0],[0,1,0,0],[0,0,1,0]]}}"#.to_owned(), "right angles"),
             (r#"{"name":"left","pose":{"matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,0,0,1]]}}"#.to_owned(), "last row"),
             (r#"{"name":"left","pose":{"position_m":[0,0,0],"orientation_xyzw":[0,0,0,2]}}"#.to_owned(), "length 1"),
+            (r#"{"name":"left","pose":{"position_m":[0,0,0],"orientation_xyzw":[0,0,0,0]}}"#.to_owned(), "length 1"),
+            (format!(r#"{{"name":"left","time_offset_s":1e300,{POSE}}}"#), "1e10"),
         ] {
             let said = said(&camera);
             assert!(said.contains("\"left\"") && said.contains(expected), "{said}");

@@ -1,6 +1,7 @@
 //! One cloud of several cameras', in the rig's frame.
 
 use std::borrow::Cow;
+use std::ops::Range;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -29,9 +30,13 @@ pub(super) struct Part<'a> {
     /// Its index in the rig.
     pub(super) camera: usize,
     pub(super) rig_from_points: RigidTransform,
-    pub(super) positions: Cow<'a, Xyz>,
+    /// x, y and z of its points, of which some are holes.
+    pub(super) positions: [&'a [f32]; 3],
     pub(super) attributes: Vec<Cow<'a, Attribute>>,
 }
+
+/// Points that one task looks at.
+const POINTS_OF_A_TASK: usize = 1 << 14;
 
 /// Puts clouds together in the rig's frame: for each its camera's index, its pose (rig_from_camera) and its points in the camera's frame.
 ///
@@ -42,29 +47,35 @@ pub(super) struct Part<'a> {
 /// # Errors
 /// If a pose is none.
 pub fn fuse(clouds: &[(usize, SensorPose, &PointCloud)]) -> Result<PointCloud, FrameError> {
-    let part = |&(camera, pose, cloud): &(usize, SensorPose, &PointCloud)| {
-        Ok(Part {
+    let mut parts = Vec::with_capacity(clouds.len());
+    for &(camera, pose, cloud) in clouds {
+        parts.push(Part {
             camera,
             rig_from_points: pose.transform()?.after(RigidTransform::shift(cloud.origin_m)),
-            positions: Cow::Owned(cloud.positions.clone()),
-            attributes: cloud.attributes.iter().map(|attribute| Cow::Owned(attribute.clone())).collect(),
-        })
-    };
-    Ok(fuse_parts(&clouds.iter().map(part).collect::<Result<Vec<_>, FrameError>>()?))
+            positions: cloud.positions.as_slices(),
+            attributes: cloud.attributes.iter().map(Cow::Borrowed).collect(),
+        });
+    }
+    let mut fused = PointCloud::new(Xyz::default());
+    fuse_parts(&parts, &mut fused);
+    Ok(fused)
 }
 
-pub(super) fn fuse_parts(parts: &[Part<'_>]) -> PointCloud {
+/// Puts parts together in a cloud whose memory is used again.
+pub(super) fn fuse_parts(parts: &[Part<'_>], cloud: &mut PointCloud) {
     let farthest = parts.iter().map(|part| part.rig_from_points.translation.abs().max_element()).fold(0.0, f64::max);
     let first = parts.first().map_or(DVec3::ZERO, |part| part.rig_from_points.translation.round());
     let origin = if farthest > MOST_WITHOUT_ORIGIN_M { first } else { DVec3::ZERO };
-    let points: Vec<(Vec<usize>, Xyz)> = parts.par_iter().map(|part| part.points(origin)).collect();
-    let positions = points.iter().map(|(_, positions)| positions);
-    let mut cloud = PointCloud::new(Xyz {
-        x: concatenated(positions.clone().map(|xyz| &xyz.x)),
-        y: concatenated(positions.clone().map(|xyz| &xyz.y)),
-        z: concatenated(positions.map(|xyz| &xyz.z)),
-    });
+    let mut cameras =
+        match cloud.attributes.drain(..).find(|field| field.name == CAMERA_FIELD).map(|field| field.values) {
+            Some(AttributeValues::U8(cameras)) => cameras,
+            _ => Vec::new(),
+        };
+    let Xyz { x, y, z } = std::mem::take(&mut cloud.positions);
+    *cloud = PointCloud::new(Xyz { x, y, z });
     cloud.origin_m = origin.to_array();
+    place(parts, origin, &mut cloud.positions, &mut cameras);
+
     let mut fields: Vec<&Attribute> = Vec::new();
     for attribute in parts.iter().flat_map(|part| &part.attributes) {
         let is_new = fields.iter().all(|field| (&field.name, field.count) != (&attribute.name, attribute.count));
@@ -72,46 +83,77 @@ pub(super) fn fuse_parts(parts: &[Part<'_>]) -> PointCloud {
             fields.push(attribute);
         }
     }
-    let of_all = |field: &&Attribute| of_all_parts(field, parts, &points);
-    cloud.attributes = fields.par_iter().map(of_all).collect();
-    for names in DIRECTIONS {
-        turn_directions(&mut cloud, names, parts, &points);
+    if !fields.is_empty() {
+        let points: Vec<Vec<usize>> = parts.par_iter().map(Part::points).collect();
+        cloud.attributes = fields.par_iter().map(|field| of_all_parts(field, parts, &points)).collect();
+        for names in DIRECTIONS {
+            turn_directions(cloud, names, parts, &points);
+        }
     }
-    let cameras = parts.iter().zip(&points);
-    let cameras = cameras.flat_map(|(part, (indices, _))| std::iter::repeat_n(part.camera as u8, indices.len()));
-    cloud.set_attribute(CAMERA_FIELD, cameras.collect::<Vec<u8>>());
-    cloud
+    cloud.set_attribute(CAMERA_FIELD, cameras);
 }
 
-fn concatenated<'a>(parts: impl Iterator<Item = &'a Vec<f32>> + Clone) -> Vec<f32> {
-    let mut all = Vec::with_capacity(parts.clone().map(Vec::len).sum());
-    parts.for_each(|part| all.extend_from_slice(part));
-    all
+/// Writes the points of all parts that are no holes, in the rig's frame, and the camera of each.
+fn place(parts: &[Part<'_>], origin: DVec3, positions: &mut Xyz, cameras: &mut Vec<u8>) {
+    let ranges = |part| {
+        let of_part: &Part<'_> = part;
+        let len = of_part.positions[0].len();
+        (0..len).step_by(POINTS_OF_A_TASK).map(move |start| (of_part, start..(start + POINTS_OF_A_TASK).min(len)))
+    };
+    let ranges: Vec<(&Part<'_>, Range<usize>)> = parts.iter().flat_map(ranges).collect();
+    let counts: Vec<usize> = ranges.par_iter().map(|(part, range)| part.count(range.clone())).collect();
+    let total = counts.iter().sum();
+    let Xyz { x, y, z } = positions;
+    for axis in [&mut *x, y, z] {
+        axis.resize(total, 0.0);
+    }
+    cameras.resize(total, 0);
+    let (mut rest, mut rest_of_cameras) = ([&mut x[..], y, z], &mut cameras[..]);
+    let mut tasks = Vec::with_capacity(ranges.len());
+    for ((part, range), &count) in ranges.into_iter().zip(&counts) {
+        let [x, y, z] = rest.map(|axis| axis.split_at_mut(count));
+        let (of_range, after) = rest_of_cameras.split_at_mut(count);
+        (rest, rest_of_cameras) = ([x.1, y.1, z.1], after);
+        tasks.push((part, range, [x.0, y.0, z.0], of_range));
+    }
+    tasks.into_par_iter().for_each(|(part, range, out, cameras)| {
+        cameras.fill(part.camera as u8);
+        part.place(range, origin, out);
+    });
 }
 
 impl Part<'_> {
-    /// Its points that are no holes: their indices, and their positions in the rig's frame.
-    fn points(&self, origin: DVec3) -> (Vec<usize>, Xyz) {
-        let Xyz { x, y, z } = &*self.positions;
-        let indices: Vec<usize> = (0..x.len()).filter(|&i| self.positions.is_finite(i)).collect();
+    fn is_point(&self, i: usize) -> bool {
+        self.positions.iter().all(|axis| axis[i].is_finite())
+    }
+
+    /// The indices of its points.
+    fn points(&self) -> Vec<usize> {
+        (0..self.positions[0].len()).filter(|&i| self.is_point(i)).collect()
+    }
+
+    fn count(&self, range: Range<usize>) -> usize {
+        let [x, y, z] = self.positions.map(|axis| &axis[range.clone()]);
+        x.iter().zip(y).zip(z).filter(|((x, y), z)| x.is_finite() & y.is_finite() & z.is_finite()).count()
+    }
+
+    /// Writes its points of a range into slices of their number.
+    fn place(&self, range: Range<usize>, origin: DVec3, [out_x, out_y, out_z]: [&mut [f32]; 3]) {
+        let [x, y, z] = self.positions.map(|axis| &axis[range.clone()]);
         let RigidTransform { rotation, translation } = self.rig_from_points;
         let shift = translation - origin;
-        let mut rows = [(); 3].map(|()| vec![0f32; indices.len()]);
-        for (axis, out) in rows.iter_mut().enumerate() {
-            let [a, b, c] = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|column| column[axis]);
-            for (out, &i) in out.iter_mut().zip(&indices) {
-                *out = (a * f64::from(x[i]) + b * f64::from(y[i]) + c * f64::from(z[i]) + shift[axis]) as f32;
-            }
+        let points = x.iter().zip(y).zip(z).map(|((&x, &y), &z)| DVec3::new(x.into(), y.into(), z.into()));
+        let out = out_x.iter_mut().zip(out_y).zip(out_z);
+        for (p, ((x, y), z)) in points.filter(|p| p.is_finite()).zip(out) {
+            [*x, *y, *z] = (rotation * p + shift).as_vec3().to_array();
         }
-        let [x, y, z] = rows;
-        (indices, Xyz { x, y, z })
     }
 }
 
 /// A field of all points; zero for those of cameras without it.
-fn of_all_parts(field: &Attribute, parts: &[Part<'_>], points: &[(Vec<usize>, Xyz)]) -> Attribute {
+fn of_all_parts(field: &Attribute, parts: &[Part<'_>], points: &[Vec<usize>]) -> Attribute {
     let mut values = field.values.emptied();
-    for (part, (indices, _)) in parts.iter().zip(points) {
+    for (part, indices) in parts.iter().zip(points) {
         let is_it = |a: &&Cow<'_, Attribute>| (&a.name, a.count) == (&field.name, field.count);
         match part.attributes.iter().find(is_it) {
             Some(attribute) => values.extend_from(&attribute.values, indices, field.count),
@@ -122,7 +164,7 @@ fn of_all_parts(field: &Attribute, parts: &[Part<'_>], points: &[(Vec<usize>, Xy
 }
 
 /// Turns directions, where the cloud has them, from the cameras' frames into the rig's.
-fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>], points: &[(Vec<usize>, Xyz)]) {
+fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>], points: &[Vec<usize>]) {
     let index = |name: &str| {
         let is_it = |a: &Attribute| a.name == name && a.count == 1 && matches!(a.values, AttributeValues::F32(_));
         cloud.attributes.iter().position(is_it)
@@ -135,7 +177,7 @@ fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>],
         return;
     };
     let mut first = 0;
-    for (part, (indices, _)) in parts.iter().zip(points) {
+    for (part, indices) in parts.iter().zip(points) {
         for i in first..first + indices.len() {
             let direction = DVec3::new(x[i].into(), y[i].into(), z[i].into());
             [x[i], y[i], z[i]] = (part.rig_from_points.rotation * direction).as_vec3().to_array();
@@ -166,7 +208,9 @@ impl Rig {
     ) -> Result<PointCloud, FrameError> {
         let placed = self.cameras.iter().zip(frames).enumerate();
         let parts = placed.filter_map(|(i, (camera, frame))| frame.map(|frame| part(i, camera, frame, fields)));
-        Ok(fuse_parts(&parts.collect::<Result<Vec<_>, FrameError>>()?))
+        let mut fused = PointCloud::new(Xyz::default());
+        fuse_parts(&parts.collect::<Result<Vec<_>, FrameError>>()?, &mut fused);
+        Ok(fused)
     }
 }
 
@@ -184,7 +228,7 @@ fn part<'a>(
         attributes.push(Cow::Owned(Attribute { name: name.to_owned(), count: 1, values }));
     }
     let rig_from_points = rig_from_points(camera.pose.transform()?, source.into_frame()?)?;
-    Ok(Part { camera: index, rig_from_points, positions: Cow::Borrowed(&smoothed.points), attributes })
+    Ok(Part { camera: index, rig_from_points, positions: smoothed.points.as_slices(), attributes })
 }
 
 impl SourceFrame {

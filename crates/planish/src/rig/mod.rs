@@ -8,6 +8,7 @@
 pub mod calibration;
 mod capture;
 mod file;
+mod flights;
 mod fused;
 mod matching;
 mod merged;
@@ -45,6 +46,9 @@ const MERGED_RADIUS_M: f32 = 0.03;
 
 /// How far surfaces of two cameras may be apart for their poses' sake: 0.2° and 2 mm at 1.5 m, and some.
 const DEFAULT_REGISTRATION_M: f64 = 0.01;
+
+/// More than any clock's seconds since any epoch.
+const MOST_OFFSET_S: f64 = 1e10;
 
 /// Camera names become names of files and folders.
 const LONGEST_NAME: usize = 64;
@@ -85,6 +89,9 @@ pub struct RigCamera {
     pub source: Option<String>,
     /// Its intrinsics and distortion, where its source does not know them. Width and height 0 stand for the frames' shape.
     pub camera: Option<Camera>,
+    /// How many units of its depth images are a metre, where the rig says so; else what the source says, which of a data set in TUM layout is
+    /// 5000.
+    pub depth_units_per_metre: Option<f64>,
     /// rig_from_camera: where it stands in the rig's frame. It looks along its own +z, with x to the right and y down, as optical
     /// frames of ROS do.
     pub pose: SensorPose,
@@ -114,6 +121,16 @@ impl Rig {
     /// The same with frames matched by another clock.
     pub fn with_clock(self, clock: Clock) -> Self {
         Self { clock, ..self }
+    }
+
+    /// The same rig for a `rig.json` in this folder: sources that are files or folders, and that are named as from the working directory, are
+    /// named as from there.
+    pub fn seen_from(&self, folder: &Path) -> Self {
+        let mut rig = self.clone();
+        for camera in &mut rig.cameras {
+            camera.source = camera.source.as_ref().map(|source| source_seen_from(folder, source));
+        }
+        rig
     }
 
     /// The index of the camera of that name.
@@ -162,6 +179,7 @@ impl RigCamera {
             name: name.to_owned(),
             source: None,
             camera: None,
+            depth_units_per_metre: None,
             pose,
             sensor: None,
             time_offset_s: 0.0,
@@ -180,6 +198,11 @@ impl RigCamera {
         Self { camera, ..self }
     }
 
+    /// The same with so many units of depth a metre, or as many as its source says.
+    pub fn with_depth_units_per_metre(self, depth_units_per_metre: Option<f64>) -> Self {
+        Self { depth_units_per_metre, ..self }
+    }
+
     /// The same with another sensor, or with that of the parameters.
     pub fn with_sensor(self, sensor: Option<SensorModel>) -> Self {
         Self { sensor, ..self }
@@ -192,7 +215,11 @@ impl RigCamera {
 
     /// What its source is opened with.
     pub fn source_options(&self) -> SourceOptions {
-        SourceOptions::default().with_camera(self.camera).with_alignment(self.alignment).with_mode(self.mode)
+        SourceOptions::default()
+            .with_camera(self.camera)
+            .with_tum_units_per_metre(self.depth_units_per_metre)
+            .with_alignment(self.alignment)
+            .with_mode(self.mode)
     }
 
     fn validate(&self) -> Result<(), ParamError> {
@@ -209,12 +236,19 @@ impl RigCamera {
         if let Err(FrameError::BadPose(problem)) = self.pose.validate() {
             return Err(of(problem));
         }
+        // PCD's sign of an orientation that is not known, which a rig's camera must have.
+        if self.pose.orientation == [0.0; 4] {
+            let value = "0, 0, 0, 0".to_owned();
+            return Err(of(ParamError { field: "orientation", value, allowed: "a quaternion of length 1" }));
+        }
         if let Some(sensor) = self.sensor {
             sensor.validate().map_err(of)?;
         }
-        if !self.time_offset_s.is_finite() {
+        // False for a NaN.
+        let is_offset = self.time_offset_s.abs() <= MOST_OFFSET_S;
+        if !is_offset {
             let value = self.time_offset_s.to_string();
-            return Err(of(ParamError { field: "time_offset_s", value, allowed: "a number of seconds" }));
+            return Err(of(ParamError { field: "time_offset_s", value, allowed: "a number of seconds, at most 1e10" }));
         }
         Ok(())
     }
@@ -236,6 +270,24 @@ fn resolve_source(folder: &Path, source: &str) -> String {
         }
         Some(("realsense" | "openni2", _)) => source.to_owned(),
         _ => path_of(source),
+    }
+}
+
+/// The same of a rig whose file is to lie in another folder: paths become relative to that where they are within, and whole otherwise.
+fn source_seen_from(folder: &Path, source: &str) -> String {
+    let seen = |path: &str| {
+        let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
+        match (whole(Path::new(path)), whole(folder)) {
+            (Ok(path), Ok(folder)) => path.strip_prefix(&folder).unwrap_or(&path).to_string_lossy().into_owned(),
+            _ => path.to_owned(),
+        }
+    };
+    match source.split_once(':') {
+        _ if matches!(source, "kinect" | "realsense" | "openni2" | "synthetic") => source.to_owned(),
+        Some(("kinect" | "synthetic", _)) => source.to_owned(),
+        Some((kind @ ("realsense" | "openni2"), name)) if Path::new(name).is_file() => format!("{kind}:{}", seen(name)),
+        Some(("realsense" | "openni2", _)) => source.to_owned(),
+        _ => seen(source),
     }
 }
 

@@ -5,7 +5,7 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use super::{Rig, RigFrame, rig_to_json};
+use super::{Rig, RigCamera, RigFrame, rig_to_json};
 use crate::error::{Error, FormatError, IoError};
 use crate::io::{self, CloudRef, Encoding};
 use crate::outputs::Outputs;
@@ -50,28 +50,34 @@ const POINTS_LIST: &str = "points.txt";
 const RIG_FILE: &str = "rig.json";
 
 impl FusedSink {
-    /// Creates the folder. Refuses one that has results already, and depth images, which a fused cloud has none of.
+    /// Creates the folder. Refuses one that has files already, and depth images, which a fused cloud has none of.
     pub fn create(folder: &Path, format: SinkFormat, rig: &Rig) -> Result<Self, Error> {
         if format == SinkFormat::DepthPng {
             let problem = FormatError::Unsupported("a fused cloud is no depth image: save each camera's frames".into());
             return Err(IoError { path: folder.to_path_buf(), problem }.into());
         }
-        create_folder(folder, rig)?;
+        create_folder(folder, rig, |_| None)?;
         Ok(Self { folder: folder.to_path_buf(), format })
     }
 }
 
-/// Creates a folder for the results of a rig, with its `rig.json`.
-fn create_folder(folder: &Path, rig: &Rig) -> Result<(), IoError> {
+/// Creates a folder for the results of a rig, with its `rig.json`, in which cameras have other sources.
+fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option<String>) -> Result<(), IoError> {
     let at = |error: std::io::Error| IoError { path: folder.to_path_buf(), problem: error.into() };
     std::fs::create_dir_all(folder).map_err(at)?;
-    if [POINTS_LIST, RIG_FILE].iter().any(|name| folder.join(name).exists()) {
-        let problem = FormatError::Unsupported("has the results of a rig already; save into another folder".into());
+    if std::fs::read_dir(folder).map_err(at)?.next().is_some() {
+        let problem =
+            FormatError::Unsupported("has files already: results of a rig go into a folder of their own".into());
         return Err(IoError { path: folder.to_path_buf(), problem });
     }
-    // What sources are called depends on where the file lies.
     let mut saved = rig.clone();
-    saved.cameras.iter_mut().for_each(|camera| camera.source = None);
+    saved.cameras.iter_mut().for_each(|camera| {
+        camera.source = source(camera);
+        // What is written has the intrinsics and the times beside it.
+        if camera.source.is_some() {
+            (camera.camera, camera.depth_units_per_metre, camera.time_offset_s) = (None, None, 0.0);
+        }
+    });
     let path = folder.join(RIG_FILE);
     io::write_whole(&path, rig_to_json(&saved).as_bytes()).map_err(IoError::at(&path))
 }
@@ -100,7 +106,7 @@ impl RigSink for FusedSink {
     }
 }
 
-/// Writes every camera's frames into a folder of its own, as [`FolderSink`] does, and the `rig.json` beside.
+/// Writes every camera's frames into a folder of its own, as [`FolderSink`] does, and beside them a `rig.json` of those folders.
 pub struct CamerasSink {
     folder: PathBuf,
     format: SinkFormat,
@@ -109,9 +115,9 @@ pub struct CamerasSink {
 }
 
 impl CamerasSink {
-    /// Creates the folder. Refuses one that has results already.
+    /// Creates the folder. Refuses one that has files already.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs, rig: &Rig) -> Result<Self, Error> {
-        create_folder(folder, rig)?;
+        create_folder(folder, rig, |camera| Some(camera.name.clone()))?;
         Ok(Self { folder: folder.to_path_buf(), format, outputs, cameras: HashMap::new() })
     }
 }

@@ -1,14 +1,18 @@
 //! Smooths the frames of a moment.
 
+use std::collections::VecDeque;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::flights::Flight;
 use super::fused::rig_from_points;
 use super::views::{Measured, View};
 use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera, merged};
 use crate::camera::Camera;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError, ParamError};
+use crate::fleet::FleetDevice;
 use crate::frame::Frame;
 use crate::outputs::Outputs;
 use crate::params::SmoothParams;
@@ -16,6 +20,7 @@ use crate::pose::RigidTransform;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::threads::Threads;
+use crate::view::SmoothedView;
 
 /// How the frames of a moment are smoothed. The results are of the same kind: for each camera its points, on its grid and in its frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -45,23 +50,32 @@ impl RigWay {
     }
 }
 
-/// What smooths the frames of a rig's cameras, moment after moment.
+/// What smooths the frames of a rig's cameras, moment after moment: one at a time, or with several in flight, as a
+/// [`Smoother`] does with frames.
 pub struct RigSmoother {
-    way: RigWay,
-    options: SmootherOptions,
+    pub(super) way: RigWay,
+    pub(super) options: SmootherOptions,
+    /// What the cameras are spread over; none for what the options say.
+    devices: Vec<FleetDevice>,
+    /// Of those the one that failed last.
+    pub(super) failed: Option<FleetDevice>,
     adapt_stride: bool,
     registration_m: f64,
-    threads: Threads,
-    cameras: Vec<CameraSmoother>,
+    pub(super) threads: Threads,
+    pub(super) cameras: Vec<CameraSmoother>,
     /// For all points together.
     general: Option<Smoother>,
     general_params: SmoothParams,
-    engine: Engine,
+    pub(super) engine: Engine,
+    /// Moments that were submitted and not received.
+    pub(super) flights: VecDeque<Flight>,
 }
 
 /// The smoother of one camera, open for the frames that it gives.
-struct CameraSmoother {
-    rig_from_camera: RigidTransform,
+pub(super) struct CameraSmoother {
+    pub(super) rig_from_camera: RigidTransform,
+    /// Of several that it is spread over.
+    pub(super) device: Option<FleetDevice>,
     /// Where its frames do not know it.
     camera: Option<Camera>,
     params: SmoothParams,
@@ -98,12 +112,15 @@ impl RigSmoother {
         let camera = |(camera, &params): (&RigCamera, &SmoothParams)| {
             params.validate()?;
             let rig_from_camera = camera.pose.transform()?;
-            Ok(CameraSmoother { rig_from_camera, camera: camera.camera, params, smoother: None, shape: (0, 0) })
+            let camera = camera.camera;
+            Ok(CameraSmoother { rig_from_camera, device: None, camera, params, smoother: None, shape: (0, 0) })
         };
         general_params.validate()?;
         Ok(Self {
             way,
             options: options.clone(),
+            devices: Vec::new(),
+            failed: None,
             adapt_stride: false,
             registration_m: DEFAULT_REGISTRATION_M,
             threads: Threads::open(options.threads)?,
@@ -111,7 +128,14 @@ impl RigSmoother {
             general: None,
             general_params,
             engine: options.engine,
+            flights: VecDeque::new(),
         })
+    }
+
+    /// The same with its cameras spread over these devices, each to the one that has the fewest pixels; with none for the one of the
+    /// options. All points as one cloud are smoothed by the first.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, ..self }
     }
 
     /// The same with windows and strides for coarse pixels ([`SmoothParams::at_resolution_of`]), or as given.
@@ -129,22 +153,36 @@ impl RigSmoother {
         self.engine
     }
 
-    /// Closes the engines; the next frames open them again, `Some` engine by that name.
+    /// Closes the engines; the next frames open them again, `Some` engine by that name. Moments in flight are lost.
     pub(super) fn close(&mut self, engine: Option<Engine>) {
+        self.flights.clear();
         self.general = None;
-        self.cameras.iter_mut().for_each(|camera| camera.smoother = None);
-        self.options.engine = engine.unwrap_or(self.options.engine);
+        self.cameras.iter_mut().for_each(|camera| (camera.smoother, camera.device) = (None, None));
+        if let Some(engine) = engine {
+            self.options.engine = engine;
+            self.devices.clear();
+        }
+    }
+
+    /// Whether there are devices beside the one that failed; its cameras go to those.
+    pub(super) fn leave_failed_device(&mut self) -> bool {
+        let Some(failed) = self.failed.take().filter(|_| self.devices.len() > 1) else { return false };
+        self.devices.retain(|device| *device != failed);
+        true
     }
 
     /// Smooths one frame of each camera that has one. Results are in the frames of their cameras' points.
     ///
     /// # Errors
-    /// If the engine fails. A frame that cannot be smoothed is an error in its own place.
+    /// If the engine fails; moments in flight are lost then, and the next frames open the engines again. A frame that cannot be smoothed is
+    /// an error in its own place.
     pub fn smooth(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
-        if frames.len() != self.cameras.len() {
-            let (len, expected) = (frames.len(), self.cameras.len());
-            return Err(FrameError::LengthMismatch { what: "the frames of a rig".into(), len, expected }.into());
-        }
+        self.check_count(frames)?;
+        let result = self.land_all().and_then(|()| self.smooth_now(frames));
+        self.closed_by_error(result)
+    }
+
+    pub(super) fn smooth_now(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
         match self.way {
             RigWay::Each => self.smooth_each(frames, self.options.outputs),
             RigWay::Merged => self.smooth_merged(frames),
@@ -152,21 +190,71 @@ impl RigSmoother {
         }
     }
 
-    fn smooth_each(&mut self, frames: &[Option<Frame<'_>>], outputs: Outputs) -> Result<RigResults, Error> {
-        let Self { options, adapt_stride, threads, cameras, engine, .. } = self;
+    pub(super) fn check_count(&self, frames: &[Option<Frame<'_>>]) -> Result<(), FrameError> {
+        let (len, expected) = (frames.len(), self.cameras.len());
+        if len == expected {
+            return Ok(());
+        }
+        Err(FrameError::LengthMismatch { what: "the frames of a rig".into(), len, expected })
+    }
+
+    /// Closes the engines after an error: some cameras' frames would be in flight, and others' not.
+    pub(super) fn closed_by_error<T>(&mut self, result: Result<T, Error>) -> Result<T, Error> {
+        if result.is_err() {
+            self.close(None);
+        }
+        result
+    }
+
+    /// Opens an engine for each camera's frame that has none.
+    pub(super) fn open_each(&mut self, frames: &[Option<Frame<'_>>], outputs: Outputs) -> Result<(), Error> {
+        let is_open = |(camera, frame): (&CameraSmoother, &Option<Frame<'_>>)| {
+            frame.is_none_or(|frame| camera.smoother.is_some() && camera.shape == frame.shape())
+        };
+        if self.cameras.iter().zip(frames).all(is_open) {
+            return Ok(());
+        }
+        // A camera's frames in flight are in the engine that is closed.
+        self.land_all()?;
         // All share one pool.
-        let options = options.clone().with_threads(None).with_outputs(outputs);
-        for (camera, frame) in cameras.iter_mut().zip(frames) {
-            if let Some(frame) = frame {
-                *engine = camera.open(*frame, *adapt_stride, &options)?;
+        let options = self.options.clone().with_threads(None).with_outputs(outputs);
+        for (i, frame) in frames.iter().enumerate() {
+            let Some(frame) = *frame else { continue };
+            if self.cameras[i].device.is_none() {
+                self.cameras[i].device = self.least_loaded_device();
+            }
+            let opened = self.cameras[i].open(frame, self.adapt_stride, &options);
+            if opened.is_err() {
+                self.failed = self.cameras[i].device.clone();
+            }
+            let engine = opened?;
+            // Those of one rig differ only where the CPU is one of its devices.
+            if self.engine != Engine::Gpu || self.devices.is_empty() {
+                self.engine = engine;
             }
         }
-        let is_pipelined = engine.capabilities().pipelined;
-        let results: Vec<Option<Result<Smoothed, Error>>> = if is_pipelined {
-            let submitted: Vec<_> =
-                cameras.iter_mut().zip(frames).map(|(camera, frame)| frame.map(|frame| camera.submit(frame))).collect();
+        Ok(())
+    }
+
+    /// Of several devices the one whose cameras have the fewest pixels.
+    fn least_loaded_device(&self) -> Option<FleetDevice> {
+        let pixels = |device: &FleetDevice| -> usize {
+            let its = self.cameras.iter().filter(|camera| camera.device.as_ref() == Some(device));
+            its.map(|camera| (camera.shape.0 * camera.shape.1).max(1)).sum()
+        };
+        self.devices.iter().min_by_key(|device| pixels(device)).cloned()
+    }
+
+    fn smooth_each(&mut self, frames: &[Option<Frame<'_>>], outputs: Outputs) -> Result<RigResults, Error> {
+        self.open_each(frames, outputs)?;
+        let Self { threads, cameras, engine, .. } = self;
+        let results: Vec<Option<Result<Smoothed, Error>>> = if engine.capabilities().pipelined {
+            let submit = |(camera, frame): (&mut CameraSmoother, &Option<Frame<'_>>)| {
+                frame.map(|frame| camera.submit(frame, true))
+            };
+            let submitted: Vec<_> = cameras.iter_mut().zip(frames).map(submit).collect();
             let receive = |(camera, submitted): (&mut CameraSmoother, Option<Result<(), Error>>)| {
-                submitted.map(|submitted| submitted.and_then(|()| camera.receive()))
+                submitted.map(|submitted| submitted.and_then(|()| camera.receive()).map(SmoothedView::into_smoothed))
             };
             cameras.iter_mut().zip(submitted).map(receive).collect()
         } else {
@@ -174,6 +262,11 @@ impl RigSmoother {
                 |(camera, frame): (&mut CameraSmoother, &Option<Frame<'_>>)| frame.map(|frame| camera.smooth(frame));
             threads.install(|| cameras.par_iter_mut().zip(frames).map(smooth).collect())
         };
+        let failed = cameras
+            .iter()
+            .zip(&results)
+            .find(|(_, result)| matches!(result, Some(Err(error)) if !matches!(error, Error::Frame(_))));
+        self.failed = failed.and_then(|(camera, _)| camera.device.clone());
         results.into_iter().map(|result| result.map(by_fault).transpose()).collect()
     }
 
@@ -221,10 +314,14 @@ impl RigSmoother {
     }
 
     fn smooth_merged(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
-        let Self { options, threads, cameras, general, general_params, engine, .. } = self;
+        let Self { options, devices, failed, threads, cameras, general, general_params, engine, .. } = self;
+        *failed = devices.first().cloned();
         let smoother = match general {
             Some(smoother) => smoother,
-            None => general.insert(Smoother::open_with(*general_params, options, None)?),
+            None => {
+                let options = devices.first().map_or_else(|| options.clone(), |device| device.options(options));
+                general.insert(Smoother::open_with(*general_params, &options, None)?)
+            }
         };
         *engine = smoother.engine();
         let placed = cameras.iter().zip(frames).map(|(camera, frame)| {
@@ -233,6 +330,7 @@ impl RigSmoother {
         let frames = placed.collect::<Result<Vec<_>, _>>()?;
         let lenses: Vec<DVec3> = cameras.iter().map(|camera| camera.rig_from_camera.translation).collect();
         let results = threads.install(|| merged::smooth(smoother, &frames, &lenses))?;
+        *failed = None;
         Ok(results.into_iter().map(|result| result.map(Ok)).collect())
     }
 }
@@ -254,7 +352,8 @@ impl CameraSmoother {
             return Ok(smoother.engine());
         }
         let adapted = adapt_stride.then(|| self.params.at_resolution_of(frame));
-        let smoother = Smoother::open_with(adapted.unwrap_or(self.params), options, shape)?;
+        let options = self.device.as_ref().map_or_else(|| options.clone(), |device| device.options(options));
+        let smoother = Smoother::open_with(adapted.unwrap_or(self.params), &options, shape)?;
         self.shape = shape;
         Ok(self.smoother.insert(smoother).engine())
     }
@@ -265,13 +364,13 @@ impl CameraSmoother {
         Ok(smoothed)
     }
 
-    fn submit(&mut self, frame: Frame<'_>) -> Result<(), Error> {
-        self.opened()?.submit(frame, Smoothed::default())
+    pub(super) fn submit(&mut self, frame: Frame<'_>, is_copied: bool) -> Result<(), Error> {
+        let smoother = self.opened()?;
+        if is_copied { smoother.submit(frame, Smoothed::default()) } else { smoother.submit_in_place(frame) }
     }
 
-    fn receive(&mut self) -> Result<Smoothed, Error> {
-        let received = self.opened()?.receive()?;
-        received.map(|view| view.into_smoothed()).ok_or_else(|| Self::not_open().into())
+    pub(super) fn receive(&mut self) -> Result<SmoothedView, Error> {
+        self.opened()?.receive()?.ok_or_else(|| Self::not_open().into())
     }
 
     fn opened(&mut self) -> Result<&mut Smoother, Error> {

@@ -1,19 +1,21 @@
 //! The loop of a rig: cameras, matching, smoothing, sinks.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use super::capture::{Arrived, Inbox, Taken};
-use super::{MatcherCounts, Moment, Rig, RigSink, RigSmoother, RigWay};
+use super::{MatcherCounts, Moment, Rig, RigCamera, RigResults, RigSink, RigSmoother, RigWay};
 use crate::cloud::PointCloud;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError, ParamError};
+use crate::fleet::FleetDevice;
 use crate::frame::IntoFrame;
 use crate::outputs::Outputs;
 use crate::params::SmoothParams;
-use crate::source::Source;
+use crate::source::{Source, SourceFrame};
 use crate::stream::{SinkThread, StreamFrame, StreamStatistics};
 
 /// Frames of one moment wait for each other no longer than this, nor than the time between two frames.
@@ -38,6 +40,8 @@ pub struct RigOptions {
     pub registration_m: f64,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
+    /// The devices that cameras are spread over, instead of the one of the options; none for that one.
+    pub devices: Vec<FleetDevice>,
     /// Stop after N moments.
     pub max_moments: Option<u64>,
     /// Stop after this time.
@@ -57,6 +61,7 @@ impl RigOptions {
             adapt_stride: true,
             registration_m: super::DEFAULT_REGISTRATION_M,
             smoother,
+            devices: Vec::new(),
             max_moments: None,
             max_duration: None,
         }
@@ -75,6 +80,11 @@ impl RigOptions {
     /// The same with another bound of how far surfaces of two cameras may be apart for their poses' sake, in metres.
     pub fn with_registration_m(self, registration_m: f64) -> Self {
         Self { registration_m, ..self }
+    }
+
+    /// The same with cameras spread over these devices; none for the one of the options.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, ..self }
     }
 
     /// The same with an end after so many moments, or without.
@@ -169,7 +179,8 @@ pub enum RigEvent<'a> {
 /// Streams a rig until all its cameras end, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
 ///
 /// `sources` are those of its cameras, in their order: all live, of which the newest moment wins, or none, of which every frame is smoothed. A
-/// camera that fails or ends is reported and counted, and the others go on. A lost GPU is reopened once, after which the CPU engine takes over.
+/// camera that fails or ends is reported and counted, and the others go on. A lost GPU is reopened once, after which the CPU engine takes over;
+/// of several devices the others take its cameras.
 ///
 /// # Errors
 /// If the options are not allowed, an engine fails for good, or every camera failed before it gave a frame.
@@ -203,13 +214,19 @@ pub fn run(
         let mut stream = RigStream {
             rig: Arc::new(rig.clone()),
             options,
-            smoother: smoother.with_adapt_stride(options.adapt_stride).with_registration_m(options.registration_m),
+            smoother: smoother
+                .with_adapt_stride(options.adapt_stride)
+                .with_registration_m(options.registration_m)
+                .with_devices(options.devices.clone()),
+            pending: VecDeque::new(),
             is_live,
             has_reopened: false,
             sinks,
             statistics: RigStatistics { moments: StreamStatistics::start(), complete: 0, cameras: Vec::new() },
             smoothed: vec![0; rig.cameras.len()],
             refused: vec![0; rig.cameras.len()],
+            last_refusals: vec![None; rig.cameras.len()],
+            together: vec![0; rig.cameras.len()],
             at_start: None,
         };
         let result = threads
@@ -255,6 +272,8 @@ struct RigStream<'a> {
     rig: Arc<Rig>,
     options: &'a RigOptions,
     smoother: RigSmoother,
+    /// Moments in flight, kept to be smoothed again if their device is lost.
+    pending: VecDeque<Moment<Arrived>>,
     is_live: bool,
     has_reopened: bool,
     sinks: Vec<SinkThread<RigFrame>>,
@@ -262,6 +281,10 @@ struct RigStream<'a> {
     /// Frames of each camera that were smoothed, and that the engine refused.
     smoothed: Vec<u64>,
     refused: Vec<u64>,
+    /// Why a camera's last frame was refused.
+    last_refusals: Vec<Option<String>>,
+    /// Frames of each camera that came with one of another.
+    together: Vec<u64>,
     /// What had been dropped when the engine was open: of each camera, and of moments.
     at_start: Option<(Vec<u64>, u64)>,
 }
@@ -269,32 +292,38 @@ struct RigStream<'a> {
 impl RigStream<'_> {
     fn run(&mut self, inbox: &Inbox, stop: &AtomicBool, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
         let start = Instant::now();
+        let mut submitted = 0;
         loop {
             let is_over = stop.load(Ordering::Relaxed)
-                || self.options.max_moments.is_some_and(|most| self.statistics.moments.frames_out >= most)
+                || self.options.max_moments.is_some_and(|most| submitted >= most)
                 || self.options.max_duration.is_some_and(|longest| start.elapsed() >= longest);
             if is_over {
-                return Ok(());
+                break;
             }
-            let taken = inbox.take(PATIENCE);
+            // With moments in flight, only their results are waited for.
+            let taken = match self.pending.len() {
+                0 => inbox.take(PATIENCE),
+                in_flight if in_flight < self.smoother.max_in_flight() => inbox.take(Duration::ZERO),
+                _ => Taken::Nothing,
+            };
             while let Some(warning) = inbox.warning() {
                 tell(RigEvent::Warning(warning));
             }
             match taken {
-                Taken::Moment(moment) => self.smooth(moment, inbox, tell)?,
+                Taken::Moment(moment) => submitted += u64::from(self.submit(moment, tell)?),
+                Taken::Nothing | Taken::End if !self.pending.is_empty() => self.receive(inbox, tell)?,
                 Taken::Nothing => {}
-                Taken::End => return Ok(()),
+                Taken::End => break,
             }
         }
+        while !self.pending.is_empty() {
+            self.receive(inbox, tell)?;
+        }
+        Ok(())
     }
 
-    fn smooth(
-        &mut self,
-        mut moment: Moment<Arrived>,
-        inbox: &Inbox,
-        tell: &mut impl FnMut(RigEvent<'_>),
-    ) -> Result<(), Error> {
-        let started = Instant::now();
+    /// Submits a moment; false if none of its frames can be smoothed.
+    fn submit(&mut self, mut moment: Moment<Arrived>, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<bool, Error> {
         for (i, arrived) in moment.frames.iter_mut().enumerate() {
             let error = arrived.as_ref().and_then(|arrived| arrived.frame.into_frame().err());
             if let Some(error) = error {
@@ -302,15 +331,64 @@ impl RigStream<'_> {
                 self.refuse(i, &error, tell);
             }
         }
-        let mut results = loop {
-            let frames = moment.frames.iter().map(|arrived| arrived.as_ref()?.frame.into_frame().ok());
-            match self.smoother.smooth(&frames.collect::<Vec<_>>()) {
-                Ok(results) => break results,
-                Err(error) => self.recover(error, tell)?,
-            }
+        if moment.frames.iter().all(Option::is_none) {
+            return Ok(false);
+        }
+        if self.options.way == RigWay::Views {
+            self.check_cameras(&moment)?;
+        }
+        self.pending.push_back(moment);
+        let last = self.pending.len() - 1;
+        if let Err(error) = self.submit_pending(last) {
+            self.recover(error, tell)?;
+        }
+        Ok(true)
+    }
+
+    /// Refuses a camera that cannot be a view.
+    fn check_cameras(&self, moment: &Moment<Arrived>) -> Result<(), FrameError> {
+        let is_known = |camera: &RigCamera, frame: &SourceFrame| {
+            camera.camera.is_some() || frame.into_frame().is_ok_and(|frame| frame.camera().is_some())
         };
-        self.statistics.moments.engine = self.smoother.engine();
+        let all = self.rig.cameras.iter().zip(&moment.frames);
+        let unknown = all.filter_map(|(camera, arrived)| Some((camera, arrived.as_ref()?)));
+        match unknown.into_iter().any(|(camera, arrived)| !is_known(camera, &arrived.frame)) {
+            true => Err(FrameError::MissingCamera { what: "smoothing a rig by views" }),
+            false => Ok(()),
+        }
+    }
+
+    fn submit_pending(&mut self, i: usize) -> Result<(), Error> {
+        let started = Instant::now();
+        let frames = self.pending[i].frames.iter().map(|arrived| arrived.as_ref()?.frame.into_frame().ok());
+        let submitted = self.smoother.submit(&frames.collect::<Vec<_>>());
         self.statistics.moments.time_smoothing += started.elapsed();
+        submitted
+    }
+
+    /// Receives the oldest moment and passes it to the sinks.
+    fn receive(&mut self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
+        let started = Instant::now();
+        let received = self.smoother.receive();
+        self.statistics.moments.time_smoothing += started.elapsed();
+        match received {
+            Ok(Some(results)) => match self.pending.pop_front() {
+                Some(moment) => self.deliver(moment, results, inbox, tell),
+                None => Ok(()),
+            },
+            Ok(None) => Ok(()),
+            Err(error) => self.recover(error, tell),
+        }
+    }
+
+    fn deliver(
+        &mut self,
+        moment: Moment<Arrived>,
+        mut results: RigResults,
+        inbox: &Inbox,
+        tell: &mut impl FnMut(RigEvent<'_>),
+    ) -> Result<(), Error> {
+        self.statistics.moments.engine = self.smoother.engine();
         let received = Instant::now();
         let index = self.statistics.moments.frames_out;
         let first = moment.frames.iter().flatten().map(|arrived| arrived.since).min().unwrap_or(received);
@@ -333,6 +411,9 @@ impl RigStream<'_> {
         }
         if cameras.iter().all(Option::is_none) {
             return Ok(());
+        }
+        if cameras.iter().flatten().count() > 1 {
+            cameras.iter().enumerate().for_each(|(i, camera)| self.together[i] += u64::from(camera.is_some()));
         }
         self.statistics.complete += u64::from(cameras.iter().all(Option::is_some));
         self.statistics.moments.add(latency);
@@ -357,23 +438,53 @@ impl RigStream<'_> {
 
     fn refuse(&mut self, camera: usize, error: &FrameError, tell: &mut impl FnMut(RigEvent<'_>)) {
         self.refused[camera] += 1;
-        tell(RigEvent::Warning(format!("camera {}: {error}", self.rig.cameras[camera].name)));
+        let why = error.to_string();
+        // Once where every frame has the same.
+        if self.last_refusals[camera].as_ref() != Some(&why) {
+            tell(RigEvent::Warning(format!("camera {}: {why}", self.rig.cameras[camera].name)));
+            self.last_refusals[camera] = Some(why);
+        }
     }
 
-    /// After an error of a GPU: the engines are opened once more, then the CPU takes over.
-    fn recover(&mut self, error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
-        let was_gpu = self.smoother.engine() == Engine::Gpu;
-        if !matches!(error, Error::Engine(_)) || !was_gpu {
-            return Err(error);
+    /// After an error of a GPU: its cameras go to the other devices; of one alone the engines are opened once more, then the CPU takes over.
+    /// Moments in flight are submitted again.
+    fn recover(&mut self, mut error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
+        loop {
+            let is_gpu = self.smoother.engine() == Engine::Gpu;
+            // One that never opened is no lost one.
+            let is_recoverable = matches!(error, Error::Engine(_)) && is_gpu && self.statistics.moments.frames_out > 0;
+            if !is_recoverable {
+                return Err(error);
+            }
+            if self.smoother.leave_failed_device() {
+                tell(RigEvent::Warning(format!("{error}; its cameras go to the other devices")));
+            } else if std::mem::replace(&mut self.has_reopened, true) {
+                self.smoother.close(Some(Engine::Cpu));
+                tell(RigEvent::Warning(format!("{error}; going on with the CPU engine")));
+            } else {
+                tell(RigEvent::Warning(format!("{error}; opening it once more")));
+            }
+            match (0..self.pending.len()).try_for_each(|i| self.submit_pending(i)) {
+                Ok(()) => return Ok(()),
+                Err(again) => error = again,
+            }
         }
-        if std::mem::replace(&mut self.has_reopened, true) {
-            self.smoother.close(Some(Engine::Cpu));
-            tell(RigEvent::Warning(format!("{error}; going on with the CPU engine")));
-        } else {
-            self.smoother.close(None);
-            tell(RigEvent::Warning(format!("{error}; opening it once more")));
+    }
+
+    /// Says which cameras gave frames that never came together with another's.
+    fn tell_alone(&self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
+        let gave = self.smoothed.iter().filter(|smoothed| **smoothed > 0).count();
+        if gave < 2 || inbox.has_told_unmatched() {
+            return;
         }
-        Ok(())
+        let all = self.rig.cameras.iter().zip(self.smoothed.iter().zip(&self.together));
+        for (camera, _) in all.filter(|(_, (smoothed, together))| **smoothed > 1 && **together == 0) {
+            tell(RigEvent::Warning(format!(
+                "camera {}: none of its frames came together with another camera's: its time stamps are not within the tolerance of theirs \
+                 (time_offset_s, tolerance_ms; of a live camera \"clock\": \"arrival\")",
+                camera.name
+            )));
+        }
     }
 
     /// Waits for the sinks and puts the counts together.
@@ -383,6 +494,7 @@ impl RigStream<'_> {
                 tell(RigEvent::Warning(warning));
             }
         }
+        self.tell_alone(inbox, tell);
         let (counts, skipped) = inbox.counts();
         let (dropped_before, skipped_before) = self.at_start.clone().unwrap_or_default();
         self.statistics.moments.dropped = skipped - skipped_before;

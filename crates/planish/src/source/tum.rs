@@ -17,6 +17,9 @@ use crate::io::{self, RgbImage};
 /// The benchmark's depth units per metre.
 const UNITS_PER_METRE: f64 = 5000.0;
 
+/// Of the frames that a Kinect's camera is assumed for: width and height.
+const KINECT_SHAPE: (usize, usize) = (640, 480);
+
 /// Colour and depth images further apart in time than this are not paired, as in the benchmark's own tools (0.02 s).
 const NEAR_IN_TIME_S: f64 = 0.02;
 
@@ -24,6 +27,8 @@ const NEAR_IN_TIME_S: f64 = 0.02;
 pub struct TumSource {
     folder: PathBuf,
     camera: Camera,
+    /// Whether nobody said what camera it is.
+    is_assumed: bool,
     entries: Vec<Entry>,
     next: usize,
 }
@@ -51,9 +56,10 @@ impl TumSource {
         let file = folder.join("camera.json");
         let own = if file.is_file() { Some(io::read_camera(&file, None)?) } else { None };
         let units = units_per_metre.or(own.map(|own| own.depth_units_per_metre)).unwrap_or(UNITS_PER_METRE);
+        let is_assumed = camera.is_none() && own.is_none();
         let camera = camera.or(own).unwrap_or(Camera::kinect_v1().with_shape((0, 0)));
         let camera = Camera { depth_units_per_metre: units, ..camera };
-        Ok(Self { folder: folder.to_path_buf(), camera, entries, next: 0 })
+        Ok(Self { folder: folder.to_path_buf(), camera, is_assumed, entries, next: 0 })
     }
 }
 
@@ -63,6 +69,14 @@ impl Source for TumSource {
         self.next += 1;
         let file = self.folder.join(&entry.depth);
         let mut frame = read_frame(&file, Some(self.camera))?;
+        let shape = frame.shape();
+        if self.is_assumed && shape != KINECT_SHAPE {
+            let problem = format!(
+                "{}x{}, which is not the Kinect's {}x{} whose camera data sets of TUM have: give the camera, or put a camera.json beside",
+                shape.0, shape.1, KINECT_SHAPE.0, KINECT_SHAPE.1
+            );
+            return Err(malformed(&file, problem).into());
+        }
         if let SourceFrame::Depth(depth) = &mut frame {
             depth.timestamp_s = Some(entry.timestamp_s);
             if let Some(rgb) = &entry.rgb {

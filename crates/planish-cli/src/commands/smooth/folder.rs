@@ -1,4 +1,5 @@
-//! Every frame of a folder: on the CPU several at once, each by a worker with one thread, so that reading and writing go on beside smoothing.
+//! Every frame of a folder: several at once, each by a worker with one thread, so that reading and writing go on beside smoothing. Of several
+//! devices each worker has one.
 
 use std::collections::{HashMap, HashSet};
 use std::fs;
@@ -140,13 +141,13 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
     }
 }
 
-/// How many workers to have for so many frames, the largest of which has so many bytes: as many as threads, if the open engine is the
-/// CPU's and there are frames and memory for all.
+/// How many workers to have for so many frames, the largest of which has so many bytes: as many as threads, if there are frames and memory
+/// for all. The reference has its threads for one frame.
 fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
-    let is_on_cpu = worker.open.as_ref().is_some_and(|(smoother, _)| smoother.engine() == Engine::Cpu);
+    let is_fast = worker.open.as_ref().is_some_and(|(smoother, _)| smoother.engine() != Engine::Reference);
     let smoothing = &worker.args.smoothing;
     let is_sensor_open = (smoothing.estimates_sensor() || smoothing.remove_floating) && !worker.sensor_known;
-    if !is_on_cpu || is_sensor_open || worker.args.repeat > 1 || largest > LARGEST_BESIDE_OTHERS {
+    if !is_fast || is_sensor_open || worker.args.repeat > 1 || largest > LARGEST_BESIDE_OTHERS {
         return Ok(1);
     }
     let threads = smoothing.options(Outputs::POINTS)?.threads;
@@ -176,10 +177,20 @@ fn beside_each_other(
 ) {
     let next = AtomicUsize::new(0);
     let results = Mutex::new(done);
-    let Worker { args, params, sensor_known, floating_sensor, pose, .. } = *like;
-    let work = || {
-        let (beside, smoothed) = (workers as u64, Smoothed::default());
-        let mut worker = Worker { args, params, sensor_known, floating_sensor, pose, beside, open: None, smoothed };
+    let Worker { args, params, sensor_known, floating_sensor, pose, ref devices, .. } = *like;
+    let work = |number: usize| {
+        let mut worker = Worker {
+            args,
+            params,
+            sensor_known,
+            floating_sensor,
+            pose,
+            beside: workers as u64,
+            devices: devices.clone(),
+            device: number % devices.len().max(1),
+            open: None,
+            smoothed: Smoothed::default(),
+        };
         while !stop.load(Ordering::Relaxed) {
             let at = next.fetch_add(1, Ordering::Relaxed);
             let Some((input, output)) = jobs.get(at) else { break };
@@ -195,8 +206,9 @@ fn beside_each_other(
         }
     };
     thread::scope(|scope| {
-        for _ in 0..workers {
-            scope.spawn(work);
+        for number in 0..workers {
+            let work = &work;
+            scope.spawn(move || work(number));
         }
     });
 }

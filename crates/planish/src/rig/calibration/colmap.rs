@@ -111,6 +111,9 @@ fn of_lists(cameras: &str, images: &str, options: &CalibrationOptions) -> Result
 
 /// A camera at the inverse of camera_from_rig, in metres.
 fn place(name: &str, camera_from_rig: &SensorPose, options: &CalibrationOptions) -> Result<RigCamera, FormatError> {
+    if camera_from_rig.orientation == [0.0; 4] {
+        return Err(malformed("its rotation is 0, 0, 0, 0, which is none"));
+    }
     let camera_from_rig = camera_from_rig.transform()?;
     let translation = camera_from_rig.translation * options.metres_per_unit;
     Ok(camera_at(&as_name(name), &RigidTransform { translation, ..camera_from_rig }.inverse()))

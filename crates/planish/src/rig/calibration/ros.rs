@@ -18,13 +18,20 @@ const OPTICAL: [&str; 2] = ["depth_optical_frame", "optical_frame"];
 
 /// Of each frame its parent, and where it stands in that: parent_from_child.
 #[derive(Default)]
-pub(super) struct Tree(BTreeMap<String, (String, RigidTransform)>);
+pub(super) struct Tree {
+    parents: BTreeMap<String, (String, RigidTransform)>,
+    /// Frames that move against their parents, with the joint.
+    moving: BTreeMap<String, String>,
+}
 
 impl Tree {
     fn add(&mut self, parent: &str, child: &str, pose: SensorPose) -> Result<(), FormatError> {
         let problem = |what: String| malformed(format!("the transform from {parent:?} to {child:?}: {what}"));
+        if pose.orientation == [0.0; 4] {
+            return Err(problem("its rotation is 0, 0, 0, 0, which is none".to_owned()));
+        }
         let transform = pose.transform().map_err(|error| problem(error.to_string()))?;
-        match self.0.insert(child.to_owned(), (parent.to_owned(), transform)) {
+        match self.parents.insert(child.to_owned(), (parent.to_owned(), transform)) {
             Some((other, _)) if other != parent => Err(problem(format!("{child:?} hangs on {other:?} too"))),
             _ => Ok(()),
         }
@@ -32,8 +39,12 @@ impl Tree {
 
     /// The frame that others hang on and that hangs on none.
     fn root(&self) -> Result<String, FormatError> {
-        let mut roots: Vec<&String> =
-            self.0.values().map(|(parent, _)| parent).filter(|parent| !self.0.contains_key(*parent)).collect();
+        let mut roots: Vec<&String> = self
+            .parents
+            .values()
+            .map(|(parent, _)| parent)
+            .filter(|parent| !self.parents.contains_key(*parent))
+            .collect();
         roots.sort();
         roots.dedup();
         match roots[..] {
@@ -49,7 +60,7 @@ impl Tree {
     fn base_from(&self, base: &str, frame: &str) -> Result<RigidTransform, FormatError> {
         let to_root = |frame: &str| {
             let (mut chain, mut here) = (vec![(frame.to_owned(), RigidTransform::IDENTITY)], frame);
-            while let Some((parent, parent_from_child)) = self.0.get(here).filter(|_| chain.len() < DEEPEST) {
+            while let Some((parent, parent_from_child)) = self.parents.get(here).filter(|_| chain.len() < DEEPEST) {
                 let so_far = chain.last().map_or(RigidTransform::IDENTITY, |(_, transform)| *transform);
                 chain.push((parent.clone(), parent_from_child.after(so_far)));
                 here = parent;
@@ -57,6 +68,19 @@ impl Tree {
             chain
         };
         let (of_base, of_frame) = (to_root(base), to_root(frame));
+        let is_beside = |a: &[(String, RigidTransform)], frame: &str| a.iter().all(|(other, _)| other != frame);
+        let on_one_side = |a: &'_ [(String, RigidTransform)], b: &'_ [(String, RigidTransform)]| {
+            a.iter()
+                .find(|(frame, _)| is_beside(b, frame) && self.moving.contains_key(frame))
+                .map(|(frame, _)| frame.clone())
+        };
+        if let Some(moving) = on_one_side(&of_base, &of_frame).or_else(|| on_one_side(&of_frame, &of_base)) {
+            let joint = self.moving.get(&moving).cloned().unwrap_or_default();
+            return Err(malformed(format!(
+                "between {base:?} and {frame:?} the joint {joint:?} moves, and a rig's cameras do not: name as the rig's a frame beyond \
+                 it (--base), and only the cameras there (--frame)"
+            )));
+        }
         // Where they meet: common_from_base and common_from_frame.
         let met = of_frame.iter().find_map(|(common, from_frame)| {
             of_base
@@ -69,9 +93,10 @@ impl Tree {
 
     /// The frame of the rig, and its cameras.
     pub(super) fn cameras(&self, options: &CalibrationOptions) -> Result<(String, Vec<RigCamera>), FormatError> {
-        let is_known =
-            |frame: &String| self.0.contains_key(frame) || self.0.values().any(|(parent, _)| parent == frame);
-        let all: Vec<&String> = self.0.keys().collect();
+        let is_known = |frame: &String| {
+            self.parents.contains_key(frame) || self.parents.values().any(|(parent, _)| parent == frame)
+        };
+        let all: Vec<&String> = self.parents.keys().collect();
         if let Some(missing) = options.frames.iter().chain(&options.base).find(|frame| !is_known(frame)) {
             return Err(malformed(format!("no frame {missing:?} in it; it has {all:?}")));
         }
@@ -143,7 +168,7 @@ pub(super) fn transforms(text: &str) -> Result<Tree, FormatError> {
     Ok(tree)
 }
 
-/// The fixed joints of a URDF; of others where they are at zero.
+/// The joints of a URDF; of those that move, where they are at zero.
 pub(super) fn urdf(text: &str) -> Result<Tree, FormatError> {
     let document = roxmltree::Document::parse(text).map_err(|error| malformed(format!("not a URDF: {error}")))?;
     let robot = document.root_element();
@@ -171,6 +196,9 @@ pub(super) fn urdf(text: &str) -> Result<Tree, FormatError> {
         };
         // About fixed axes: first roll about x, then pitch about y, then yaw about z.
         let rotation = DMat3::from_rotation_z(rpy.z) * DMat3::from_rotation_y(rpy.y) * DMat3::from_rotation_x(rpy.x);
+        if joint.attribute("type").is_some_and(|kind| kind != "fixed") {
+            tree.moving.insert(link.to_owned(), name.to_owned());
+        }
         tree.add(parent, link, SensorPose::from_xyzw(xyz.to_array(), DQuat::from_mat3(&rotation).to_array()))?;
     }
     Ok(tree)
@@ -230,6 +258,21 @@ transforms:
 
     /// The camera's z is the robot's x, its x the robot's -y.
     const AHEAD: [[f64; 3]; 3] = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]];
+
+    #[test]
+    fn cameras_on_both_sides_of_a_joint_that_moves_are_no_rig() {
+        let urdf = |kind: &str| {
+            super::urdf(&URDF.replacen("name=\"a\" type=\"fixed\"", &format!("name=\"a\" type=\"{kind}\""), 1)).unwrap()
+        };
+        assert!(urdf("fixed").cameras(&CalibrationOptions::default()).is_ok());
+        let error = urdf("revolute").cameras(&CalibrationOptions::default()).unwrap_err().to_string();
+        assert!(error.contains("\"a\" moves"), "{error}");
+        // Beyond the joint nothing moves.
+        let beyond = CalibrationOptions::default()
+            .with_base(Some("left_link".to_owned()))
+            .with_frames(vec!["left_depth_optical_frame".to_owned()]);
+        assert_eq!(urdf("revolute").cameras(&beyond).unwrap().1.len(), 1);
+    }
 
     #[test]
     fn depth_cameras_of_transforms_and_of_a_urdf_stand_where_the_robot_has_them() {

@@ -1,0 +1,140 @@
+//! `planish bench rig`: the moments of a simulated rig, from depth in memory to the fused cloud in memory.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use planish::rig::{Rig, RigCamera, RigSmoother, RigWay, merged_params};
+use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
+use planish::{
+    Camera, DepthFrame, Error, FleetDevice, Frame, IntoFrame, PointCloud, SensorModel, SensorPose, SmoothParams,
+    SmootherOptions, Xyz,
+};
+use serde::Serialize;
+
+use super::timing::Timing;
+
+/// How long moments run before the first that is timed.
+const WARM_UP: Duration = Duration::from_millis(500);
+/// No way is timed for longer than this.
+const LONGEST: Duration = Duration::from_secs(20);
+
+/// What to measure of rigs.
+#[derive(Debug, Clone)]
+pub struct RigBenchOptions {
+    /// How many simulated cameras of 640x480 stand round the table.
+    pub cameras: usize,
+    /// The ways.
+    pub ways: Vec<RigWay>,
+    /// The engine and the outputs.
+    pub smoother: SmootherOptions,
+    /// The devices that cameras are spread over; none for the one of the options.
+    pub devices: Vec<FleetDevice>,
+    /// Moments for each figure, as far as 20 s go.
+    pub runs: usize,
+    /// Print one JSON array.
+    pub json: bool,
+}
+
+#[derive(Serialize)]
+struct Row {
+    way: &'static str,
+    engine: &'static str,
+    points: usize,
+    /// From the frames of a moment to its fused cloud, before the next is given.
+    one_ms: Timing,
+    /// With as many moments in flight as the way takes.
+    moments_a_second: f64,
+    in_flight: usize,
+}
+
+/// Measures rigs and prints the figures.
+///
+/// # Errors
+/// If there is no such engine, or a fused cloud is wrong.
+pub fn run(options: &RigBenchOptions) -> Result<()> {
+    let (rig, frames) = simulated(options.cameras)?;
+    let views = frames.iter().map(|frame| frame.into_frame().map(Some)).collect::<Result<Vec<_>, _>>();
+    let views = views.map_err(Error::from)?;
+    let rows = options.ways.iter().map(|&way| measure(way, &rig, &views, options)).collect::<Result<Vec<_>>>()?;
+    if options.json {
+        crate::outln!("{}", serde_json::to_string(&rows)?);
+        return Ok(());
+    }
+    crate::outln!("{} cameras of 640x480 round a simulated table, default setting", options.cameras);
+    crate::outln!(
+        "| way | engine | points | one moment, ms | in flight | moments a second |\n|---|---|--:|--:|--:|--:|"
+    );
+    for Row { way, engine, points, one_ms, moments_a_second, in_flight } in &rows {
+        crate::outln!("| {way} | {engine} | {points} | {} | {in_flight} | {moments_a_second:.1} |", one_ms.cell());
+    }
+    Ok(())
+}
+
+/// A rig with a frame of each camera.
+fn simulated(cameras: usize) -> Result<(Rig, Vec<DepthFrame>)> {
+    let (scene, camera) = (RigScene::tabletop(1, cameras), Camera::kinect_v1());
+    let mut placed = Vec::new();
+    let mut frames = Vec::new();
+    for (i, pose) in scene.poses.iter().enumerate() {
+        let columns = pose.world_from_camera.to_cols_array_2d();
+        let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|column: usize| columns[column][row]));
+        let pose_in_rig = SensorPose::from_rotation(pose.position.to_array(), rows).context("a camera's pose")?;
+        placed.push(RigCamera::new(&format!("camera{i}"), pose_in_rig));
+        let truth = scene.scene.render(&camera, pose);
+        frames
+            .push(DepthSimulator::new(DepthNoise::default(), camera, i as u64).frame(&truth, 0).map_err(Error::from)?);
+    }
+    Ok((Rig::new(placed).map_err(Error::from)?, frames))
+}
+
+fn measure(way: RigWay, rig: &Rig, frames: &[Option<Frame<'_>>], options: &RigBenchOptions) -> Result<Row> {
+    let params = SmoothParams::for_sensor(SensorModel::KINECT_V1, planish::Strength::DEFAULT);
+    let params = vec![params; rig.cameras.len()];
+    let mut smoother =
+        RigSmoother::new(rig, way, &params, merged_params(), &options.smoother)?.with_devices(options.devices.clone());
+    let mut fused = PointCloud::new(Xyz::default());
+    let mut one = |smoother: &mut RigSmoother| -> Result<()> {
+        if smoother.in_flight() == smoother.max_in_flight() {
+            smoother.receive_fused(&mut fused)?;
+        }
+        Ok(smoother.submit_in_place(frames)?)
+    };
+    let start = Instant::now();
+    while start.elapsed() < WARM_UP {
+        one(&mut smoother)?;
+    }
+    let started = Instant::now();
+    let mut moments = 0;
+    while moments < options.runs && (moments == 0 || started.elapsed() < LONGEST) {
+        one(&mut smoother)?;
+        moments += 1;
+    }
+    let moments_a_second = moments as f64 / started.elapsed().as_secs_f64();
+    let in_flight = smoother.max_in_flight();
+    while smoother.receive_fused(&mut fused)? {}
+    let (started, mut times) = (Instant::now(), Vec::new());
+    while times.len() < options.runs && (times.is_empty() || started.elapsed() < LONGEST) {
+        let start = Instant::now();
+        smoother.submit_in_place(frames)?;
+        smoother.receive_fused(&mut fused)?;
+        times.push(1e3 * start.elapsed().as_secs_f64());
+    }
+    check(&fused, frames)?;
+    Ok(Row {
+        way: way.name(),
+        engine: smoother.engine().name(),
+        points: fused.len(),
+        one_ms: Timing::of(times),
+        moments_a_second,
+        in_flight,
+    })
+}
+
+/// A wrong result is not timed: the table is there, with most points of all cameras.
+fn check(fused: &PointCloud, frames: &[Option<Frame<'_>>]) -> Result<()> {
+    let measured: usize = frames.iter().flatten().map(Frame::valid_points).sum();
+    if 10 * fused.len() < 9 * measured || fused.valid_points() != fused.len() {
+        bail!("a wrong result is not timed: {} of {measured} points are in the fused cloud", fused.len());
+    }
+    Ok(())
+}

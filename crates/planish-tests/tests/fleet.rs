@@ -1,0 +1,130 @@
+//! Fleets over a GPU and the CPU, and what becomes of frames when the GPU is lost. Alone in its process: every device of it is destroyed.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
+
+use planish::internal::lose_gpu_devices;
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
+use planish::source::{Source, SourceFrame};
+use planish::stream::{Sink, StreamEvent, StreamFrame, StreamOptions, run};
+use planish::{
+    DepthFrame, Engine, Error, Fleet, FleetDevice, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
+};
+use planish_tests::data::skip;
+use planish_tests::engines::test_adapter;
+use planish_tests::scenes::small_camera;
+
+const FRAMES: usize = 40;
+
+/// Different frames of one scene, and what the CPU makes of each.
+fn frames() -> Vec<(Arc<DepthFrame>, Xyz)> {
+    let camera = small_camera();
+    let (scene, pose) = Scene::tabletop(3);
+    let truth = scene.render(&camera, &pose);
+    let simulator = DepthSimulator::new(DepthNoise::default(), camera, 3);
+    let options = SmootherOptions::new(Engine::Cpu, Outputs::POINTS);
+    let mut smoother = Smoother::open_with(params(), &options, (camera.width, camera.height)).unwrap();
+    let frame = |i: u64| {
+        let frame = simulator.frame(&truth, i).unwrap();
+        let mut smoothed = Smoothed::default();
+        smoother.smooth(&frame, &mut smoothed).unwrap();
+        (Arc::new(frame), smoothed.points)
+    };
+    (0..FRAMES as u64).map(frame).collect()
+}
+
+fn params() -> SmoothParams {
+    SmoothParams::default()
+}
+
+/// Whether it is the result of that frame, by whichever engine: noise of other frames is a thousand times as much.
+fn is_result_of(found: [&[f32]; 3], expected: &Xyz) -> bool {
+    let off = found[2].iter().zip(&expected.z).filter(|(a, b)| (*a - *b).abs() > 1e-5).count();
+    let holes = found[2].iter().zip(&expected.z).filter(|(a, b)| a.is_nan() != b.is_nan()).count();
+    100 * (off + holes) < expected.len()
+}
+
+struct Recorded(Vec<Arc<DepthFrame>>, usize);
+
+impl Source for Recorded {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        self.1 += 1;
+        Ok(self.0.get(self.1 - 1).map(|frame| SourceFrame::Depth(DepthFrame::clone(frame))))
+    }
+}
+
+struct Kept(Arc<Mutex<Vec<Xyz>>>);
+
+impl Sink for Kept {
+    fn name(&self) -> String {
+        "kept".to_owned()
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        let mut kept = self.0.lock().unwrap();
+        kept.push(frame.smoothed.points.clone());
+        if kept.len() == 5 {
+            lose_gpu_devices();
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn a_gpu_and_the_cpu_share_frames_and_a_lost_gpu_leaves_its_own_to_the_cpu() {
+    let Some(adapter) = test_adapter() else {
+        skip("a fleet with a GPU: no adapter");
+        return;
+    };
+    let frames = frames();
+    let devices = [FleetDevice::Gpu(adapter.index.to_string()), FleetDevice::Cpu];
+    let shape = (frames[0].0.camera.width, frames[0].0.camera.height);
+    let mut fleet = Fleet::open(params(), &SmootherOptions::default(), &devices, shape).unwrap();
+    assert_eq!(fleet.engine(), Engine::Gpu);
+    let (mut submitted, mut received) = (0, 0);
+    while received < FRAMES {
+        if submitted < FRAMES && fleet.in_flight() < fleet.max_in_flight() {
+            let frame = Arc::clone(&frames[submitted].0);
+            if submitted % 2 == 0 {
+                fleet.submit(frame, Smoothed::default()).unwrap();
+            } else {
+                fleet.submit_in_place(frame).unwrap();
+            }
+            submitted += 1;
+            continue;
+        }
+        let view = fleet.receive().unwrap().unwrap();
+        assert!(is_result_of(view.points().unwrap(), &frames[received].1), "frame {received}");
+        received += 1;
+        if received == FRAMES / 2 {
+            let members = fleet.members();
+            assert!(members.iter().all(|member| member.frames > 0), "{members:?}");
+            lose_gpu_devices();
+        }
+    }
+    let members = fleet.members();
+    assert!(members[0].lost.is_some() && members[1].lost.is_none(), "{members:?}");
+    assert_eq!(fleet.engine(), Engine::Cpu);
+    drop(fleet);
+
+    // The same of a stream, which says so and loses nothing.
+    let kept = Arc::new(Mutex::new(Vec::new()));
+    let source = Recorded(frames.iter().map(|(frame, _)| Arc::clone(frame)).collect(), 0);
+    let options = StreamOptions::new(params(), SmootherOptions::default()).with_devices(devices.to_vec());
+    let mut warnings = Vec::new();
+    let sinks: Vec<Box<dyn Sink>> = vec![Box::new(Kept(Arc::clone(&kept)))];
+    let statistics = run(Box::new(source), &options, sinks, &AtomicBool::new(false), |event| {
+        if let StreamEvent::Warning(warning) = event {
+            warnings.push(warning);
+        }
+    });
+    let statistics = statistics.unwrap();
+    assert_eq!((statistics.frames_out, statistics.dropped, statistics.unreadable), (FRAMES as u64, 0, 0));
+    let kept = kept.lock().unwrap();
+    for (i, (found, (_, expected))) in kept.iter().zip(&frames).enumerate() {
+        assert!(is_result_of([&found.x, &found.y, &found.z], expected), "frame {i}");
+    }
+    assert_eq!(kept.len(), FRAMES);
+    assert!(warnings.iter().any(|warning| warning.contains("one device goes on")), "{warnings:?}");
+    assert_eq!(statistics.engine, Engine::Cpu);
+}

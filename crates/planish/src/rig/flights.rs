@@ -1,0 +1,186 @@
+//! Moments in flight: while a GPU smooths the frames of one, the next goes up and the last is fused.
+
+use std::borrow::Cow;
+
+use super::fused::{Part, fuse_parts, rig_from_points};
+use super::smoother::CameraSmoother;
+use super::{RigResults, RigSmoother, RigWay};
+use crate::cloud::{Attribute, PointCloud};
+use crate::error::{EngineError, Error, FrameError};
+use crate::frame::Frame;
+use crate::outputs::Outputs;
+use crate::pose::RigidTransform;
+use crate::smoothed::named_fields;
+use crate::view::SmoothedView;
+
+/// A moment in flight.
+pub(super) struct Flight {
+    /// Of each camera that has a frame, what takes its points into the rig's frame.
+    rig_from_points: Vec<Option<RigidTransform>>,
+    results: FlightResults,
+}
+
+enum FlightResults {
+    /// Where each camera's frame is.
+    Submitted(Vec<Submitted>),
+    Landed(RigViews),
+}
+
+enum Submitted {
+    /// The camera has no frame.
+    Nothing,
+    /// In its smoother.
+    Flying,
+    Refused(FrameError),
+}
+
+/// Of each camera its result, wherever that is.
+type RigViews = Vec<Option<Result<SmoothedView, FrameError>>>;
+
+/// What takes each camera's points into the rig's frame, and its result.
+type Placed = (Vec<Option<RigidTransform>>, RigViews);
+
+impl RigSmoother {
+    /// Submits the frames of a moment; moments are received in the order of submission.
+    ///
+    /// Where a GPU smooths each camera's frames, they are computed while the caller goes on. Every other way computes them here.
+    ///
+    /// # Errors
+    /// As [`smooth`](Self::smooth), and if as many moments are in flight as can be.
+    pub fn submit(&mut self, frames: &[Option<Frame<'_>>]) -> Result<(), Error> {
+        self.submit_as(frames, true)
+    }
+
+    /// The same for [`receive_fused`](Self::receive_fused): results stay where the device puts them until they are fused.
+    pub fn submit_in_place(&mut self, frames: &[Option<Frame<'_>>]) -> Result<(), Error> {
+        self.submit_as(frames, false)
+    }
+
+    fn submit_as(&mut self, frames: &[Option<Frame<'_>>], is_copied: bool) -> Result<(), Error> {
+        self.check_count(frames)?;
+        let in_flight = self.flights.len();
+        if in_flight >= self.options.gpu.slots {
+            return Err(EngineError::Full { in_flight }.into());
+        }
+        let placed = self.cameras.iter().zip(frames);
+        let placed =
+            placed.map(|(camera, frame)| frame.map(|frame| rig_from_points(camera.rig_from_camera, frame)).transpose());
+        let rig_from_points = placed.collect::<Result<Vec<_>, _>>()?;
+        let results = self.launch(frames, is_copied);
+        let results = self.closed_by_error(results)?;
+        self.flights.push_back(Flight { rig_from_points, results });
+        Ok(())
+    }
+
+    fn launch(&mut self, frames: &[Option<Frame<'_>>], is_copied: bool) -> Result<FlightResults, Error> {
+        if self.way == RigWay::Each {
+            self.open_each(frames, self.options.outputs)?;
+            if self.engine.capabilities().pipelined {
+                let cameras = self.cameras.iter_mut().zip(frames);
+                let submitted = cameras.map(|(camera, frame)| match frame {
+                    None => Ok(Submitted::Nothing),
+                    Some(frame) => match camera.submit(*frame, is_copied) {
+                        Ok(()) => Ok(Submitted::Flying),
+                        Err(Error::Frame(error)) => Ok(Submitted::Refused(error)),
+                        Err(error) => {
+                            self.failed = camera.device.clone();
+                            Err(error)
+                        }
+                    },
+                });
+                return Ok(FlightResults::Submitted(submitted.collect::<Result<_, _>>()?));
+            }
+        }
+        let of_view = |smoothed| SmoothedView::owned(smoothed, None);
+        let results = self.smooth_now(frames)?.into_iter().map(|result| result.map(|result| result.map(of_view)));
+        Ok(FlightResults::Landed(results.collect()))
+    }
+
+    /// Waits for the oldest moment in flight; `None` if there is none.
+    ///
+    /// # Errors
+    /// As [`smooth`](Self::smooth).
+    pub fn receive(&mut self) -> Result<Option<RigResults>, Error> {
+        let Some((_, views)) = self.receive_views()? else { return Ok(None) };
+        let views = views.into_iter().map(|view| view.map(|view| view.map(SmoothedView::into_smoothed)));
+        Ok(Some(views.collect()))
+    }
+
+    /// Waits for the oldest moment in flight and puts its results together in the rig's frame: the points of all cameras, the fields that were
+    /// computed, and `camera`. Uses the memory of `out` again. Frames that could not be smoothed have no points; false if no moment is in
+    /// flight.
+    ///
+    /// # Errors
+    /// As [`smooth`](Self::smooth).
+    pub fn receive_fused(&mut self, out: &mut PointCloud) -> Result<bool, Error> {
+        let Some((rig_from_points, views)) = self.receive_views()? else { return Ok(false) };
+        let outputs = self.options.outputs;
+        let mut parts = Vec::with_capacity(views.len());
+        for (camera, (view, rig_from_points)) in views.iter().zip(rig_from_points).enumerate() {
+            if let (Some(Ok(view)), Some(rig_from_points)) = (view, rig_from_points)
+                && let Some(positions) = view.points()
+            {
+                let attributes = fields_of(view, outputs).into_iter().map(Cow::Owned).collect();
+                parts.push(Part { camera, rig_from_points, positions, attributes });
+            }
+        }
+        self.threads.install(|| fuse_parts(&parts, out));
+        Ok(true)
+    }
+
+    /// How many moments were submitted and not received.
+    pub fn in_flight(&self) -> usize {
+        self.flights.len()
+    }
+
+    /// How many moments in flight are worth their latency: those of one slot each where a GPU smooths each camera's frames, else 1.
+    pub fn max_in_flight(&self) -> usize {
+        let is_pipelined = self.way == RigWay::Each && self.engine.capabilities().pipelined;
+        if is_pipelined { self.options.gpu.slots } else { 1 }
+    }
+
+    fn receive_views(&mut self) -> Result<Option<Placed>, Error> {
+        let Some(mut flight) = self.flights.pop_front() else { return Ok(None) };
+        let landed = self.land(&mut flight);
+        self.closed_by_error(landed)?;
+        Ok(match flight.results {
+            FlightResults::Landed(views) => Some((flight.rig_from_points, views)),
+            FlightResults::Submitted(_) => None,
+        })
+    }
+
+    /// Waits for the results of a moment.
+    fn land(&mut self, flight: &mut Flight) -> Result<(), Error> {
+        let FlightResults::Submitted(submitted) = &mut flight.results else { return Ok(()) };
+        let land = |(camera, submitted): (&mut CameraSmoother, Submitted)| match submitted {
+            Submitted::Nothing => Ok(None),
+            Submitted::Refused(error) => Ok(Some(Err(error))),
+            Submitted::Flying => match camera.receive() {
+                Ok(view) => Ok(Some(Ok(view))),
+                Err(Error::Frame(error)) => Ok(Some(Err(error))),
+                Err(error) => {
+                    self.failed = camera.device.clone();
+                    Err(error)
+                }
+            },
+        };
+        let views = self.cameras.iter_mut().zip(std::mem::take(submitted)).map(land).collect::<Result<_, Error>>()?;
+        flight.results = FlightResults::Landed(views);
+        Ok(())
+    }
+
+    /// Waits for the results of all moments in flight, which stay to be received.
+    pub(super) fn land_all(&mut self) -> Result<(), Error> {
+        let mut flights = std::mem::take(&mut self.flights);
+        flights.iter_mut().try_for_each(|flight| self.land(flight))?;
+        self.flights = flights;
+        Ok(())
+    }
+}
+
+/// Those of `fields` that a result has, as fields of a cloud.
+fn fields_of(view: &SmoothedView, fields: Outputs) -> Vec<Attribute> {
+    let (status, neighbours) = (view.status(), view.neighbours());
+    let named = named_fields(fields, view.normals(), view.curvature(), status.as_deref(), neighbours.as_deref());
+    named.into_iter().map(|(name, values)| Attribute { name: name.to_owned(), count: 1, values }).collect()
+}
