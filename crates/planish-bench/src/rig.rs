@@ -93,12 +93,7 @@ fn measure(way: RigWay, rig: &Rig, frames: &[Option<Frame<'_>>], options: &RigBe
     let mut smoother =
         RigSmoother::new(rig, way, &params, merged_params(), &options.smoother)?.with_devices(options.devices.clone());
     let mut fused = PointCloud::new(Xyz::default());
-    let mut one = |smoother: &mut RigSmoother| -> Result<()> {
-        if smoother.in_flight() == smoother.max_in_flight() {
-            smoother.receive_fused(&mut fused)?;
-        }
-        Ok(smoother.submit_in_place(frames)?)
-    };
+    let mut one = |smoother: &mut RigSmoother| smoother.next_fused(frames, &mut fused);
     let start = Instant::now();
     while start.elapsed() < WARM_UP {
         one(&mut smoother)?;

@@ -15,9 +15,11 @@ use planish::simulate::{Pose, PoseErrors};
 use planish::source::{Source, SourceFrame};
 use planish::stream::SinkFormat;
 use planish::{
-    AttributeValues, Camera, DepthFrame, DeviceError, Engine, Error, Frame, IntoFrame, Outputs, PointCloud, SensorPose,
-    SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
+    AttributeValues, Camera, DepthFrame, DeviceError, Engine, Error, FleetDevice, Frame, GpuOptions, IntoFrame,
+    Outputs, PointCloud, SensorPose, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
 };
+use planish_tests::data::skip;
+use planish_tests::engines::test_adapter;
 
 fn camera() -> Camera {
     Camera::new((160, 120), [131.25; 2], [79.5, 59.5])
@@ -393,4 +395,115 @@ fn fused_clouds_and_each_camera_s_own_are_saved() {
     assert_eq!(saved.cameras[1].pose, rig.cameras[1].pose);
     // Not over what is there.
     assert!(FusedSink::create(&fused, SinkFormat::Pcd, &rig).is_err());
+}
+
+#[test]
+fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_same() {
+    let cases: Vec<RigCase> = (1..=4).map(|seed| suite(3, PoseErrors::default()).case(seed).unwrap()).collect();
+    // The second camera gives smaller frames from the third moment on, and the first one none in the second.
+    let small: Vec<DepthFrame> = cases.iter().map(|case| half(&case.cameras[1].frame)).collect();
+    let moments = || {
+        (0..8).map(|i| {
+            let mut frames = frames(&cases[i % 4]);
+            if i >= 3 {
+                frames[1] = Some((&small[i % 4]).into_frame().unwrap());
+            }
+            if i == 1 {
+                frames[0] = None;
+            }
+            frames
+        })
+    };
+    let rig = rig_of(&cases[0]);
+    let mut engines = vec![(cpu(), Vec::new())];
+    match test_adapter() {
+        Some(adapter) => {
+            let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());
+            engines.push((cpu().with_engine(Engine::Gpu).with_gpu(gpu), Vec::new()));
+            // Spread over both.
+            engines.push((cpu(), vec![FleetDevice::Gpu(adapter.index.to_string()), FleetDevice::Cpu]));
+        }
+        None => skip("moments in flight on a GPU: no adapter"),
+    }
+    for (options, devices) in engines {
+        let open = || {
+            let params = vec![SmoothParams::default().with_window(3); 3];
+            let smoother = RigSmoother::new(&rig, RigWay::Each, &params, merged_params(), &options).unwrap();
+            smoother.with_devices(devices.clone())
+        };
+        let mut one_by_one = open();
+        let expected: Vec<Vec<Option<Smoothed>>> = moments()
+            .map(|frames| one_by_one.smooth(&frames).unwrap().into_iter().map(|r| r.map(Result::unwrap)).collect())
+            .collect();
+        let mut in_flight = open();
+        let mut received = Vec::new();
+        for frames in moments() {
+            if in_flight.in_flight() == in_flight.max_in_flight() {
+                received.extend(in_flight.receive().unwrap());
+            }
+            in_flight.submit(&frames).unwrap();
+        }
+        while let Some(results) = in_flight.receive().unwrap() {
+            received.push(results);
+        }
+        assert_eq!(received.len(), expected.len());
+        let mut fuses = open();
+        let (mut fused, mut all_fused) = (PointCloud::new(Xyz::default()), Vec::new());
+        for ((frames, found), expected) in moments().zip(received).zip(&expected) {
+            for (found, expected) in found.into_iter().zip(expected) {
+                let (found, expected) = (found.map(Result::unwrap), expected.as_ref());
+                assert_eq!(found.is_some(), expected.is_some());
+                if let (Some(found), Some(expected)) = (found, expected) {
+                    assert!(same(&found.points, &expected.points));
+                }
+            }
+            fuses.submit_in_place(&frames).unwrap();
+            assert!(fuses.receive_fused(&mut fused).unwrap());
+            all_fused.push(fused.clone());
+            let clouds: Vec<Option<PointCloud>> = expected.iter().map(|of| of.as_ref().map(in_a_cloud)).collect();
+            let placed =
+                clouds.iter().enumerate().filter_map(|(i, cloud)| Some((i, rig.cameras[i].pose, cloud.as_ref()?)));
+            let expected = planish::rig::fuse(&placed.collect::<Vec<_>>()).unwrap();
+            assert_eq!(fused.positions, expected.positions);
+            for name in ["camera", "normal_x", "normal_y", "normal_z", "status"] {
+                assert_eq!(fused.attribute(name), expected.attribute(name), "{name}");
+            }
+        }
+        assert!(!fuses.receive_fused(&mut fused).unwrap());
+        // The same, one put together while the next goes up.
+        let mut next = open();
+        let mut received = 0;
+        let mut check = |fused: &PointCloud| {
+            assert_eq!(fused.positions, all_fused[received].positions);
+            received += 1;
+        };
+        for frames in moments() {
+            if next.next_fused(&frames, &mut fused).unwrap() {
+                check(&fused);
+            }
+        }
+        while next.receive_fused(&mut fused).unwrap() {
+            check(&fused);
+        }
+        assert_eq!(received, all_fused.len());
+    }
+}
+
+/// A result as a cloud with its fields.
+fn in_a_cloud(smoothed: &Smoothed) -> PointCloud {
+    let mut cloud = PointCloud::new(smoothed.points.clone());
+    cloud.apply(smoothed, Outputs::ALL).unwrap();
+    cloud
+}
+
+/// Every second pixel of every second row.
+fn half(frame: &DepthFrame) -> DepthFrame {
+    let Camera { width, height, .. } = frame.camera;
+    let pixels = (0..height).step_by(2).flat_map(|v| (0..width).step_by(2).map(move |u| v * width + u));
+    let camera = Camera::new(
+        (width / 2, height / 2),
+        [frame.camera.fx / 2.0; 2],
+        [frame.camera.cx / 2.0, frame.camera.cy / 2.0],
+    );
+    DepthFrame::new(camera, pixels.map(|i| frame.raw[i]).collect()).unwrap()
 }

@@ -28,6 +28,19 @@ impl Threads {
         Ok(Self(Some(Arc::new(pool))))
     }
 
+    /// Runs `work` on this pool while the calling thread runs `here`.
+    #[cfg(feature = "stream")]
+    pub(crate) fn beside<'w, T>(&self, work: impl FnOnce() + Send + 'w, here: impl FnOnce() -> T) -> T {
+        let both = |scope: &rayon::Scope<'w>| {
+            scope.spawn(|_| work());
+            here()
+        };
+        match &self.0 {
+            Some(pool) => pool.in_place_scope(both),
+            None => rayon::in_place_scope(both),
+        }
+    }
+
     /// Runs `work` with its parallel iterators on this pool.
     pub(crate) fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match &self.0 {

@@ -183,9 +183,6 @@ struct CameraReport {
 
 /// Streams a rig.
 pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
-    if args.rerun || args.rrd.is_some() {
-        bail!("--rerun and --rrd show one camera; save a rig's clouds with --save");
-    }
     let rig = Rig::read(file)?;
     let way: RigWay = args.fuse.map(Into::into).unwrap_or_default();
     let (outputs, format) = (rig_outputs(args), args.sink_format());
@@ -220,6 +217,12 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     if let Some(folder) = &args.save_cameras {
         sinks.push(Box::new(CamerasSink::create(folder, format, outputs, &rig)?));
+    }
+    #[cfg(feature = "rerun")]
+    if let Some(file) = &args.rrd {
+        sinks.push(Box::new(rig::RigRerunSink::save(file, &rig)?));
+    } else if args.rerun {
+        sinks.push(Box::new(rig::RigRerunSink::spawn(&rig)?));
     }
     if let Some(file) = &args.picture {
         sinks.push(Box::new(PictureSink::create(file)));

@@ -54,6 +54,12 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if args.format.is_some() && args.save.is_none() && args.save_cameras.is_none() {
         bail!("--format says what --save writes: give a folder to save into");
     }
+    #[cfg(not(feature = "rerun"))]
+    if args.rerun || args.rrd.is_some() {
+        bail!(
+            "this planish was built without the feature rerun: build it with `cargo install --path crates/planish-cli --features rerun`"
+        );
+    }
     if let Some(rig) = &args.rig {
         return super::rig::stream(args, rig);
     }
@@ -76,15 +82,9 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if args.save.is_some() && format == SinkFormat::DepthPng {
         outputs = Outputs::DEPTH;
     }
+    #[cfg(feature = "rerun")]
     if args.rerun || args.rrd.is_some() {
-        #[cfg(not(feature = "rerun"))]
-        bail!(
-            "this planish was built without the feature rerun: build it with `cargo install --path crates/planish-cli --features rerun`"
-        );
-        #[cfg(feature = "rerun")]
-        {
-            outputs.points = true;
-        }
+        outputs.points = true;
     }
     let options = StreamOptions::new(params, args.smoothing.options(outputs)?)
         .with_devices(args.gpus.devices(args.smoothing.engine())?)

@@ -8,6 +8,10 @@ const NEWEST_SHARE: f64 = 0.2;
 /// A device that had no frame for this long is tried again: what slowed it down may be over.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(1);
 
+/// Results are in order, so others wait for a slow device: one that needs more than this share of the time in which the fastest does all frames in
+/// flight is only tried now and then.
+const SLOWEST_SHARE: f64 = 0.5;
+
 /// How fast a device is, as far as its last frames say.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pace {
@@ -34,11 +38,18 @@ impl Pace {
     }
 }
 
-/// The device for the next frame, of those that work, each with its pace and how many frames it has.
-pub(super) fn choose(devices: impl Iterator<Item = (usize, Pace, usize)>, now: Instant) -> Option<usize> {
+/// The device for the next frame, of those that work, each with its pace and how many frames it has; `window` is how many can be in flight.
+pub(super) fn choose(
+    devices: impl Iterator<Item = (usize, Pace, usize)> + Clone,
+    window: usize,
+    now: Instant,
+) -> Option<usize> {
+    let fastest = devices.clone().filter_map(|(_, pace, _)| pace.known(now)).fold(f64::INFINITY, f64::min);
+    let slowest = SLOWEST_SHARE * window as f64 * fastest;
     // One that nothing is known of is given a frame, and no more until that is back while others are known.
     let expected = |(device, pace, frames): (usize, Pace, usize)| {
         let seconds = match (pace.known(now), frames) {
+            (Some(seconds), _) if seconds > fastest.max(slowest) => f64::INFINITY,
             (Some(seconds), frames) => seconds * (frames + 1) as f64,
             (None, 0) => 0.0,
             (None, _) => f64::INFINITY,
@@ -63,9 +74,10 @@ mod tests {
     fn frames_go_where_they_are_done_first() {
         let now = Instant::now();
         let (fast, slow) = (pace(1, now), pace(10, now));
-        let choose = |devices: &[(Pace, usize)]| {
-            super::choose(devices.iter().enumerate().map(|(i, &(pace, frames))| (i, pace, frames)), now)
+        let among = |devices: &[(Pace, usize)], window| {
+            super::choose(devices.iter().enumerate().map(|(i, &(pace, frames))| (i, pace, frames)), window, now)
         };
+        let choose = |devices: &[(Pace, usize)]| among(devices, 24);
         assert_eq!(choose(&[(slow, 0), (fast, 0)]), Some(1));
         assert_eq!(choose(&[(slow, 0), (fast, 8)]), Some(1));
         assert_eq!(choose(&[(slow, 0), (fast, 10)]), Some(0));
@@ -76,6 +88,9 @@ mod tests {
         assert_eq!(choose(&[(fast, 5), (unknown, 1)]), Some(0));
         assert_eq!(choose(&[(unknown, 2), (unknown, 1)]), Some(1));
         assert_eq!(choose(&[]), None);
+        // Of 12 frames in flight the fast one does all in 12 ms: 10 ms for one are too long.
+        assert_eq!(among(&[(slow, 0), (fast, 11)], 12), Some(1));
+        assert_eq!(among(&[(slow, 3)], 12), Some(0));
     }
 
     #[test]

@@ -23,6 +23,16 @@ use worker::{Job, Shared, Worker};
 /// Frames that wait at a device beside those in its slots, for each slot: its thread never waits for the caller's.
 const WAITING_PER_SLOT: usize = 1;
 
+/// Threads that a GPU keeps busy beside the CPU engine's: its own, and those that copy results.
+const THREADS_OF_A_GPU: usize = 4;
+
+/// How many threads the CPU engine has beside GPUs; `None` is one for each core, where there are no GPUs.
+fn threads_beside(devices: &[FleetDevice]) -> Option<usize> {
+    let gpus = devices.iter().filter(|device| matches!(device, FleetDevice::Gpu(_))).count();
+    let cores = thread::available_parallelism().map_or(1, usize::from);
+    (gpus > 0).then(|| cores.saturating_sub(gpus * THREADS_OF_A_GPU).max(1))
+}
+
 /// A frame that several threads own: what [`Fleet`] takes in an [`Arc`]. Every type that a reference converts to a [`Frame`] of is one.
 pub trait SharedFrame: Send + Sync + 'static {
     /// The frame.
@@ -111,14 +121,20 @@ impl Fleet {
             let reason = "a fleet needs one device or more".to_owned();
             return Err(EngineError::Unavailable { engine: "fleet", reason }.into());
         }
-        let open = |device: &FleetDevice| Smoother::open_with(params, &device.options(options), grid);
+        let cpu = options.clone().with_threads(options.threads.or_else(|| threads_beside(devices)));
+        let options_of = |device: &FleetDevice| match device {
+            FleetDevice::Cpu => device.options(&cpu),
+            FleetDevice::Gpu(_) => device.options(options),
+        };
+        let open = |device: &FleetDevice| Smoother::open_with(params, &options_of(device), grid);
         let smoothers: Result<Vec<Smoother>, Error> = thread::scope(|scope| {
             let opening: Vec<_> = devices.iter().map(|device| scope.spawn(move || open(device))).collect();
             let panicked = || EngineError::Unavailable { engine: "fleet", reason: "opening it panicked".to_owned() };
             opening.into_iter().map(|thread| thread.join().unwrap_or_else(|_| Err(panicked().into()))).collect()
         });
         let smoothers = smoothers?;
-        let shared = Arc::new(Shared::new(&smoothers));
+        let window = smoothers.len() * options.gpu.slots * (1 + WAITING_PER_SLOT);
+        let shared = Arc::new(Shared::new(&smoothers, window));
         let start = |(device, smoother)| Worker::start(Arc::clone(&shared), device, smoother);
         let workers = smoothers.into_iter().enumerate().map(start).collect::<Result<_, _>>()?;
         Ok(Self { shared, workers, grid, slots: options.gpu.slots, next_in: 0, next_out: 0 })

@@ -35,6 +35,8 @@ pub(super) struct Shared {
     given: Vec<Condvar>,
     /// That there is a result, or a device less.
     done: Condvar,
+    /// How many frames can be in flight while all devices work.
+    window: usize,
 }
 
 struct State {
@@ -55,7 +57,7 @@ struct Device {
 }
 
 impl Shared {
-    pub(super) fn new(smoothers: &[Smoother]) -> Self {
+    pub(super) fn new(smoothers: &[Smoother], window: usize) -> Self {
         let device = |smoother: &Smoother| Device {
             name: smoother.gpu_name().unwrap_or(smoother.engine().name()).to_owned(),
             engine: smoother.engine(),
@@ -71,6 +73,7 @@ impl Shared {
             state: Mutex::new(state),
             given: smoothers.iter().map(|_| Condvar::new()).collect(),
             done: Condvar::new(),
+            window,
         }
     }
 
@@ -87,7 +90,7 @@ impl Shared {
     fn give(&self, state: &mut State, job: Job) -> Result<(), EngineError> {
         let working = state.devices.iter().enumerate().filter(|(_, device)| device.lost.is_none());
         let loads = working.map(|(i, device)| (i, device.pace, device.waiting.len() + device.taken.len()));
-        let Some(chosen) = dealing::choose(loads, Instant::now()) else {
+        let Some(chosen) = dealing::choose(loads, self.window, Instant::now()) else {
             let unknown = || EngineError::Unavailable { engine: "fleet", reason: "no device is left".to_owned() };
             return Err(state.last_loss().unwrap_or_else(unknown));
         };

@@ -113,19 +113,28 @@ impl RigSmoother {
     /// # Errors
     /// As [`smooth`](Self::smooth).
     pub fn receive_fused(&mut self, out: &mut PointCloud) -> Result<bool, Error> {
-        let Some((rig_from_points, views)) = self.receive_views()? else { return Ok(false) };
+        let Some(placed) = self.receive_views()? else { return Ok(false) };
         let outputs = self.options.outputs;
-        let mut parts = Vec::with_capacity(views.len());
-        for (camera, (view, rig_from_points)) in views.iter().zip(rig_from_points).enumerate() {
-            if let (Some(Ok(view)), Some(rig_from_points)) = (view, rig_from_points)
-                && let Some(positions) = view.points()
-            {
-                let attributes = fields_of(view, outputs).into_iter().map(Cow::Owned).collect();
-                parts.push(Part { camera, rig_from_points, positions, attributes });
-            }
-        }
-        self.threads.install(|| fuse_parts(&parts, out));
+        self.threads.install(|| fuse_views(&placed, outputs, out));
         Ok(true)
+    }
+
+    /// Submits the frames of a moment and, once as many are in flight as are worth it, receives the oldest as
+    /// [`receive_fused`](Self::receive_fused) does: it is put together while the next goes up. False as long as none was received; at the end
+    /// `receive_fused` gives those that are left.
+    ///
+    /// # Errors
+    /// As [`smooth`](Self::smooth).
+    pub fn next_fused(&mut self, frames: &[Option<Frame<'_>>], out: &mut PointCloud) -> Result<bool, Error> {
+        self.check_count(frames)?;
+        if self.flights.len() < self.max_in_flight() {
+            return self.submit_in_place(frames).map(|()| false);
+        }
+        let placed = self.receive_views()?;
+        let (outputs, threads) = (self.options.outputs, self.threads.clone());
+        let fuse = || placed.iter().for_each(|placed| fuse_views(placed, outputs, out));
+        threads.beside(fuse, || self.submit_in_place(frames))?;
+        Ok(placed.is_some())
     }
 
     /// How many moments were submitted and not received.
@@ -176,6 +185,20 @@ impl RigSmoother {
         self.flights = flights;
         Ok(())
     }
+}
+
+/// Puts the results of a moment together in the rig's frame.
+fn fuse_views((rig_from_points, views): &Placed, outputs: Outputs, out: &mut PointCloud) {
+    let mut parts = Vec::with_capacity(views.len());
+    for (camera, (view, rig_from_points)) in views.iter().zip(rig_from_points).enumerate() {
+        if let (Some(Ok(view)), Some(rig_from_points)) = (view, *rig_from_points)
+            && let Some(positions) = view.points()
+        {
+            let attributes = fields_of(view, outputs).into_iter().map(Cow::Owned).collect();
+            parts.push(Part { camera, rig_from_points, positions, attributes });
+        }
+    }
+    fuse_parts(&parts, out);
 }
 
 /// Those of `fields` that a result has, as fields of a cloud.

@@ -13,6 +13,8 @@ mod fused;
 mod matching;
 mod merged;
 mod picture;
+#[cfg(feature = "rerun")]
+mod rerun;
 mod sinks;
 mod smoother;
 mod stream;
@@ -27,6 +29,8 @@ use crate::pose::SensorPose;
 use crate::sensor::SensorModel;
 use crate::source::{Alignment, SourceOptions, StreamMode};
 
+#[cfg(feature = "rerun")]
+pub use self::rerun::RigRerunSink;
 pub use file::rig_to_json;
 pub use fused::fuse;
 pub use matching::{Matcher, MatcherCounts, Moment};

@@ -26,6 +26,11 @@ const COLOURS: [[u8; 3]; 8] = [
     [90, 190, 190],
     [220, 130, 190],
 ];
+/// The colour of a camera.
+pub(super) fn colour_of(camera: usize) -> [u8; 3] {
+    COLOURS[camera % COLOURS.len()]
+}
+
 const BACKGROUND: [u8; 3] = [18, 18, 22];
 
 /// Stray points beyond this share of the others, on either side, do not make the picture smaller.
@@ -46,7 +51,7 @@ pub fn top_down(frame: &RigFrame) -> Result<RgbImage, FrameError> {
 }
 
 /// The axes of the picture: to the right, downwards, and up towards the one who looks.
-fn axes(rig: &Rig) -> [DVec3; 3] {
+pub(super) fn axes(rig: &Rig) -> [DVec3; 3] {
     // Down is a camera's y.
     let up: DVec3 = rig.cameras.iter().map(|camera| -axis_of(camera, 1)).sum();
     let signed = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().flat_map(|axis| [axis, -axis]);
@@ -84,7 +89,7 @@ fn draw(rig: &Rig, fused: &PointCloud) -> RgbImage {
         _ => &[],
     };
     for (i, (p, height)) in points.iter().enumerate() {
-        picture.point(to_px(*p), *height, COLOURS[usize::from(cameras.get(i).copied().unwrap_or(0)) % COLOURS.len()]);
+        picture.point(to_px(*p), *height, colour_of(cameras.get(i).copied().unwrap_or(0).into()));
     }
     for (i, (camera, lens)) in rig.cameras.iter().zip(&lenses).enumerate() {
         let half = camera.camera.map_or(HALF_VIEW, |of| of.width.max(1) as f64 / (2.0 * of.fx));
@@ -93,7 +98,7 @@ fn draw(rig: &Rig, fused: &PointCloud) -> RgbImage {
             let ray = axis_of(camera, 2) + side * axis_of(camera, 0);
             *lens + length * DVec2::new(ray.dot(right), ray.dot(down))
         });
-        let colour = COLOURS[i % COLOURS.len()];
+        let colour = colour_of(i);
         for (a, b) in [(*lens, ends[0]), (*lens, ends[1]), (ends[0], ends[1])] {
             picture.line(to_px(a), to_px(b), colour);
         }

@@ -29,6 +29,8 @@ use mailbox::{Arrived, Mailbox, Policy};
 use smoothing::Smoothing;
 
 #[cfg(feature = "rerun")]
+pub(crate) use self::rerun::Recording;
+#[cfg(feature = "rerun")]
 pub use self::rerun::RerunSink;
 pub(crate) use mailbox::TimeSpent;
 pub(crate) use sinks::{Consumer, SinkThread};

@@ -29,11 +29,7 @@ const SILENCE: Duration = Duration::from_secs(5);
 ///
 /// A frame of 640x480 is about 7 MB. Clouds without colours are shaded as relief.
 pub struct RerunSink {
-    name: String,
-    /// `None` once closed.
-    recording: Option<RecordingStream>,
-    /// The file to write, and its name until it is complete.
-    file: Option<(PathBuf, PathBuf)>,
+    recording: Recording,
     results: VecDeque<Instant>,
 }
 
@@ -43,35 +39,21 @@ impl RerunSink {
 
     /// Starts the viewer, the program `rerun` of version 0.36, and shows results there.
     pub fn spawn() -> Result<Self, Error> {
-        let options = SpawnOptions { hide_welcome_screen: true, ..SpawnOptions::default() };
-        let recording = RecordingStreamBuilder::new("planish").spawn_opts(&options);
-        let recording = recording.map_err(|error| DeviceError::Driver {
-            what: format!("Rerun's viewer does not start: {}", error.to_string().trim()),
-            help: "install it (pip install rerun-sdk==0.36.3), or write a file with --rrd",
-        })?;
-        Self::start("Rerun".to_owned(), recording, None)
+        Self::start(Recording::spawn()?)
     }
 
     /// Writes a file for Rerun's viewer. It is called `FILE.partial` until it is closed; if the process is killed before, the
     /// viewer opens the part that was written.
     pub fn save(file: &Path) -> Result<Self, Error> {
-        let mut partial = file.as_os_str().to_owned();
-        partial.push(".partial");
-        let partial = PathBuf::from(partial);
-        let recording = RecordingStreamBuilder::new("planish").save(&partial);
-        let recording = recording.map_err(|error| IoError {
-            path: file.to_path_buf(),
-            problem: FormatError::Unsupported(error.to_string()),
-        })?;
-        Self::start(file.display().to_string(), recording, Some((file.to_path_buf(), partial)))
+        Self::start(Recording::save(file)?)
     }
 
-    fn start(name: String, recording: RecordingStream, file: Option<(PathBuf, PathBuf)>) -> Result<Self, Error> {
+    fn start(recording: Recording) -> Result<Self, Error> {
         for cloud in ["raw", "smoothed"] {
-            logged(recording.log_static(cloud, &ViewCoordinates::RDF()))?;
+            recording.with(|recording| recording.log_static(cloud, &ViewCoordinates::RDF()))?;
         }
-        logged(layout().send(&recording, BlueprintActivation::default()))?;
-        Ok(Self { name, recording: Some(recording), file, results: VecDeque::new() })
+        recording.with(|recording| layout().send(recording, BlueprintActivation::default()))?;
+        Ok(Self { recording, results: VecDeque::new() })
     }
 
     /// Returns the current rate in results per second.
@@ -85,45 +67,69 @@ impl RerunSink {
     }
 }
 
-impl Sink for RerunSink {
-    fn name(&self) -> String {
-        self.name.clone()
+/// A recording that a viewer shows, or that becomes a file.
+pub(crate) struct Recording {
+    pub(crate) name: String,
+    /// `None` once closed.
+    stream: Option<RecordingStream>,
+    /// The file to write, and its name until it is complete.
+    file: Option<(PathBuf, PathBuf)>,
+}
+
+impl Recording {
+    pub(crate) fn spawn() -> Result<Self, Error> {
+        let options = SpawnOptions { hide_welcome_screen: true, ..SpawnOptions::default() };
+        let stream = RecordingStreamBuilder::new("planish").spawn_opts(&options);
+        let stream = stream.map_err(|error| DeviceError::Driver {
+            what: format!("Rerun's viewer does not start: {}", error.to_string().trim()),
+            help: "install it (pip install rerun-sdk==0.36.3), or write a file with --rrd",
+        })?;
+        Ok(Self { name: "Rerun".to_owned(), stream: Some(stream), file: None })
     }
 
-    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
-        let fps = self.fps(frame.received);
-        let Some(recording) = &self.recording else { return Ok(()) };
-        let cloud = match &frame.source {
-            SourceFrame::Depth(depth) => &depth.deproject()?,
-            SourceFrame::Cloud { cloud, .. } => cloud,
-        };
-        let expected = cloud.points.len();
-        if frame.smoothed.points.len() != expected {
-            let (what, len) = ("the smoothed points for Rerun".to_owned(), frame.smoothed.points.len());
-            return Err(FrameError::LengthMismatch { what, len, expected }.into());
+    pub(crate) fn save(file: &Path) -> Result<Self, Error> {
+        let mut partial = file.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
+        let stream = RecordingStreamBuilder::new("planish").save(&partial);
+        let stream = stream.map_err(|error| IoError {
+            path: file.to_path_buf(),
+            problem: FormatError::Unsupported(error.to_string()),
+        })?;
+        let name = file.display().to_string();
+        Ok(Self { name, stream: Some(stream), file: Some((file.to_path_buf(), partial)) })
+    }
+
+    /// Logs something, unless it is closed.
+    pub(crate) fn with<E: std::fmt::Display>(
+        &self,
+        log: impl FnOnce(&RecordingStream) -> Result<(), E>,
+    ) -> Result<(), DeviceError> {
+        let failed = |error| DeviceError::Failed { what: format!("Rerun: {error}") };
+        self.stream.as_ref().map_or(Ok(()), |stream| log(stream).map_err(failed))
+    }
+
+    /// Sets what the next entries are of.
+    pub(crate) fn set_time(&self, frame: u64, seconds: Option<f64>) {
+        let Some(stream) = &self.stream else { return };
+        stream.set_time_sequence("frame", i64::try_from(frame).unwrap_or(i64::MAX));
+        if let Some(seconds) = seconds {
+            stream.set_duration_secs("camera time", seconds);
         }
-        recording.set_time_sequence("frame", i64::try_from(frame.index).unwrap_or(i64::MAX));
-        if let Some(timestamp_s) = frame.source.timestamp_s() {
-            recording.set_duration_secs("camera time", timestamp_s);
-        }
-        logged(recording.log("raw", &points(cloud, cloud.positions())))?;
-        logged(recording.log("smoothed", &points(cloud, &frame.smoothed.points)))?;
-        logged(recording.log("depth", &depth_image(&frame.source)))?;
-        logged(recording.log("latency/ms", &Scalars::single(1e3 * frame.latency.as_secs_f64())))?;
-        if let Some(fps) = fps {
-            logged(recording.log("rate/frames a second", &Scalars::single(fps)))?;
-        }
-        // Flushed here, so that results which the viewer is too slow for are dropped, and counted, by the stream.
+    }
+
+    /// Waits until the viewer has all, so that results which it is too slow for are dropped, and counted, by the stream.
+    pub(crate) fn flush(&self) -> Result<(), DeviceError> {
         let gone = |error| DeviceError::Gone { what: format!("{} takes no more frames: {error}", self.name) };
-        Ok(recording.flush_with_timeout(SILENCE).map_err(gone)?)
+        self.stream.as_ref().map_or(Ok(()), |stream| stream.flush_with_timeout(SILENCE).map_err(gone))
     }
 
-    fn close(&mut self) -> Result<(), Error> {
-        let Some(recording) = self.recording.take() else { return Ok(()) };
-        let flushed = recording.flush_with_timeout(SILENCE);
+    pub(crate) fn close(&mut self) -> Result<(), Error> {
+        let Some(stream) = self.stream.take() else { return Ok(()) };
+        let flushed = stream.flush_with_timeout(SILENCE);
         // The end of the file is written once the last handle is dropped.
-        recording.finalize_deferred_sinks();
-        drop(recording);
+        stream.finalize_deferred_sinks();
+        drop(stream);
         match &self.file {
             None => Ok(()),
             Some((file, partial)) => {
@@ -135,8 +141,37 @@ impl Sink for RerunSink {
     }
 }
 
-fn logged<E: std::fmt::Display>(result: Result<(), E>) -> Result<(), DeviceError> {
-    result.map_err(|error| DeviceError::Failed { what: format!("Rerun: {error}") })
+impl Sink for RerunSink {
+    fn name(&self) -> String {
+        self.recording.name.clone()
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        let fps = self.fps(frame.received);
+        let cloud = match &frame.source {
+            SourceFrame::Depth(depth) => &depth.deproject()?,
+            SourceFrame::Cloud { cloud, .. } => cloud,
+        };
+        let expected = cloud.points.len();
+        if frame.smoothed.points.len() != expected {
+            let (what, len) = ("the smoothed points for Rerun".to_owned(), frame.smoothed.points.len());
+            return Err(FrameError::LengthMismatch { what, len, expected }.into());
+        }
+        let recording = &self.recording;
+        recording.set_time(frame.index, frame.source.timestamp_s());
+        recording.with(|to| to.log("raw", &points(cloud, cloud.positions())))?;
+        recording.with(|to| to.log("smoothed", &points(cloud, &frame.smoothed.points)))?;
+        recording.with(|to| to.log("depth", &depth_image(&frame.source)))?;
+        recording.with(|to| to.log("latency/ms", &Scalars::single(1e3 * frame.latency.as_secs_f64())))?;
+        if let Some(fps) = fps {
+            recording.with(|to| to.log("rate/frames a second", &Scalars::single(fps)))?;
+        }
+        Ok(recording.flush()?)
+    }
+
+    fn close(&mut self) -> Result<(), Error> {
+        self.recording.close()
+    }
 }
 
 /// The clouds above; depth, latency and rate below; nothing else.
