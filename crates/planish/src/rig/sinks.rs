@@ -73,9 +73,9 @@ fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option
     let mut saved = rig.clone();
     saved.cameras.iter_mut().for_each(|camera| {
         camera.source = source(camera);
-        // What is written has the intrinsics and the times beside it.
+        // What is written has its camera beside it.
         if camera.source.is_some() {
-            (camera.camera, camera.depth_units_per_metre, camera.time_offset_s) = (None, None, 0.0);
+            (camera.camera, camera.depth_units_per_metre) = (None, None);
         }
     });
     let path = folder.join(RIG_FILE);
@@ -106,7 +106,8 @@ impl RigSink for FusedSink {
     }
 }
 
-/// Writes every camera's frames into a folder of its own, as [`FolderSink`] does, and beside them a `rig.json` of those folders.
+/// Writes every camera's frames into a folder of its own, as [`FolderSink`] does, and beside them the `rig.json`, which streams them again if they
+/// are data sets of depth images.
 pub struct CamerasSink {
     folder: PathBuf,
     format: SinkFormat,
@@ -117,7 +118,9 @@ pub struct CamerasSink {
 impl CamerasSink {
     /// Creates the folder. Refuses one that has files already.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs, rig: &Rig) -> Result<Self, Error> {
-        create_folder(folder, rig, |camera| Some(camera.name.clone()))?;
+        // Other formats do not keep the frames' times.
+        let is_data_set = format == SinkFormat::DepthPng;
+        create_folder(folder, rig, |camera| is_data_set.then(|| camera.name.clone()))?;
         Ok(Self { folder: folder.to_path_buf(), format, outputs, cameras: HashMap::new() })
     }
 }

@@ -1,0 +1,117 @@
+//! Rigs, and several devices.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use planish::PointCloud;
+use planish::io::{self, Contents};
+
+use super::{json_line, ok, refused, str};
+
+/// Two simulated cameras with three frames each: the folder, and its rig.json.
+fn simulated() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let rig = folder.path().join("rig");
+    ok(&["rig", "--simulate", "2", "--frames", "3", "--out", str(&rig)]);
+    (folder, rig.join("rig.json"))
+}
+
+fn read(path: &Path) -> PointCloud {
+    match io::read(path).unwrap().1 {
+        Contents::General(cloud) => cloud,
+        Contents::Organized(cloud) => cloud.points,
+        _ => panic!("{}: no cloud", path.display()),
+    }
+}
+
+/// Every file below a folder, with its bytes.
+fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() { found.extend(files(&path)) } else { found.push((path.clone(), fs::read(&path).unwrap())) }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
+    let (folder, rig) = simulated();
+    let path = |name: &str| folder.path().join(name);
+    let (fused, cameras, picture) = (path("fused"), path("cameras"), path("above.png"));
+    let outputs = ["--save", str(&fused), "--save-cameras", str(&cameras), "--picture", str(&picture)];
+    let stream = ["stream", "--rig", str(&rig), "--engine", "cpu", "--format", "png", "--json"];
+    let report = json_line(&ok(&[&stream[..], &outputs].concat()));
+    assert_eq!((report["moments"].as_u64(), report["complete"].as_u64()), (Some(3), Some(3)));
+    let points = read(&fused.join("000002.pcd"));
+    assert!(points.len() > 200_000 && points.attribute("camera").is_some());
+    assert!(picture.is_file());
+
+    let again = path("again");
+    let saved = cameras.join("rig.json");
+    let report = json_line(&ok(&["stream", "--rig", str(&saved), "--save", str(&again), "--engine", "cpu", "--json"]));
+    assert_eq!(report["complete"], 3);
+    assert_eq!(read(&again.join("000000.pcd")).len().abs_diff(points.len()) * 50 / points.len(), 0);
+
+    // What is there is kept: results, frames that were measured, the rig.
+    let before = files(folder.path());
+    let source = rig.parent().unwrap().join("camera0");
+    for (outputs, said) in [
+        (["--save", str(&fused)], "has files already"),
+        (["--save-cameras", str(&cameras)], "has files already"),
+        (["--save", str(&source)], "has files already"),
+        (["--picture", str(&rig)], ".png"),
+        (["--picture", str(&source.join("depth/new.png"))], "was measured"),
+        (["--picture", str(&path("none/above.png"))], "in none that is there"),
+    ] {
+        let stderr = refused(&[&["stream", "--rig", str(&rig)], &outputs[..]].concat());
+        assert!(stderr.contains(said), "{outputs:?}: {stderr}");
+    }
+    let both = str(&path("both")).to_owned();
+    let stderr = refused(&["stream", "--rig", str(&rig), "--save", &both, "--save-cameras", &both]);
+    assert!(stderr.contains("give them two"), "{stderr}");
+    assert!(refused(&["stream", "synthetic", "--picture", "a.png"]).contains("--rig"));
+    assert!(refused(&["stream", str(&rig)]).contains("stream --rig"));
+    assert!(files(folder.path()) == before);
+}
+
+#[test]
+fn a_rig_that_is_written_elsewhere_finds_its_sources() {
+    let (folder, rig) = simulated();
+    let elsewhere = folder.path().join("elsewhere");
+    fs::create_dir(&elsewhere).unwrap();
+    let copy = elsewhere.join("copy.json");
+    ok(&["rig", str(&rig), "--out", str(&copy)]);
+    let report = json_line(&ok(&["stream", "--rig", str(&copy), "--engine", "cpu", "--frames", "1", "--json"]));
+    assert_eq!(report["complete"], 1);
+}
+
+#[test]
+fn frames_are_dealt_to_the_devices_that_are_named() {
+    let (_folder, rig) = simulated();
+    let source = rig.parent().unwrap().join("camera0");
+    let report = json_line(&ok(&["stream", str(&source), "--gpus", "cpu", "--json"]));
+    assert_eq!((report["frames_out"].as_u64(), report["engine"].as_str()), (Some(3), Some("cpu")));
+    let report = json_line(&ok(&["stream", "--rig", str(&rig), "--gpus", "cpu", "--json"]));
+    assert_eq!((report["complete"].as_u64(), report["engine"].as_str()), (Some(3), Some("cpu")));
+    let (frames, smoothed) = (source.join("depth"), source.join("smoothed"));
+    let camera = ["--camera", "525,525,319.5,239.5", "--depth-scale", "5000"];
+    let report =
+        json_line(&ok(&[&["smooth", str(&frames), str(&smoothed), "--gpus", "cpu", "--json"], &camera[..]].concat()));
+    assert!(report["frames"].as_array().unwrap().iter().all(|frame| frame["engine"] == "cpu"));
+
+    for (arguments, said) in [
+        (["--gpus", "cpu,cpu"], "the CPU twice"),
+        (["--gpus", "no such gpu"], "no such gpu"),
+        (["--gpus", ""], "--gpus"),
+    ] {
+        let stderr = refused(&[&["stream", str(&source)], &arguments[..]].concat());
+        assert!(stderr.contains(said), "{stderr}");
+    }
+    let stderr = refused(&["stream", str(&source), "--gpus", "cpu", "--engine", "reference"]);
+    assert!(stderr.contains("leave --engine reference out"), "{stderr}");
+    let one = fs::read_dir(&frames).unwrap().next().unwrap().unwrap().path();
+    let stderr = refused(&["smooth", str(&one), "out.png", "--gpus", "cpu"]);
+    assert!(stderr.contains("frames of a folder"), "{stderr}");
+}
