@@ -314,9 +314,14 @@ impl Worker<'_> {
         outputs: Outputs,
         params: SmoothParams,
     ) -> Result<(PointCounts, SmoothTimes)> {
-        self.open(frame, outputs, params).with_context(|| output.display().to_string())?;
         let mut times_ms = Vec::new();
         while times_ms.len() < self.args.repeat as usize {
+            if let Err(error) = self.open(frame, outputs, params) {
+                if matches!(error.downcast_ref(), Some(Error::Engine(engine)) if self.leaves_device(engine, output)) {
+                    continue;
+                }
+                return Err(error).with_context(|| output.display().to_string());
+            }
             let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
             let start = Instant::now();
             let progress = smoother.progress().filter(|_| self.beside == 1);
@@ -324,11 +329,7 @@ impl Worker<'_> {
             if let Err(Error::Engine(error)) = &result {
                 // An engine that failed is no use for the next frame.
                 self.open = None;
-                if self.devices.len() > 1 && !matches!(error, EngineError::Limit { .. }) {
-                    errln!("{}: {error}; another device goes on", output.display());
-                    self.devices.remove(self.device);
-                    self.device = 0;
-                    self.open(frame, outputs, params).with_context(|| output.display().to_string())?;
+                if self.leaves_device(error, output) {
                     continue;
                 }
             }
@@ -358,6 +359,17 @@ impl Worker<'_> {
             }
         }
         Ok((PointCounts { valid, lost }, summarize(times_ms)))
+    }
+
+    /// After an error of the engine: whether there is another device, which the worker goes on with.
+    fn leaves_device(&mut self, error: &EngineError, output: &Path) -> bool {
+        if self.devices.len() < 2 || matches!(error, EngineError::Limit { .. }) {
+            return false;
+        }
+        errln!("{}: {error}; another device goes on", output.display());
+        self.devices.remove(self.device);
+        (self.device, self.open) = (0, None);
+        true
     }
 
     /// Opens an engine for frames like this, if none is.

@@ -70,7 +70,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         ("--registration", args.registration.is_some()),
     ];
     if let Some((name, _)) = of_rigs.iter().find(|(_, is_given)| *is_given) {
-        bail!("{name} is of several cameras: give --rig, and no source beside it");
+        bail!("{name} is for several cameras: give --rig, and no source beside it");
     }
     if args.source.name().ends_with("rig.json") && Path::new(args.source.name()).is_file() {
         bail!("{}: a rig is streamed by `planish stream --rig {0}`", args.source.name());

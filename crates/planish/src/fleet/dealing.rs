@@ -26,7 +26,7 @@ impl Pace {
         // Frames overlap: busy with this one alone it was since the one before.
         let began = self.last_result.map_or(since, |last| last.max(since));
         let seconds = now.saturating_duration_since(began).as_secs_f64();
-        let before = self.seconds_a_frame.unwrap_or(seconds);
+        let before = self.known(now).unwrap_or(seconds);
         self.seconds_a_frame = Some(before + NEWEST_SHARE * (seconds - before));
         self.last_result = Some(now);
     }

@@ -35,14 +35,16 @@ impl FleetDevice {
                 "cpu" => vec![Self::Cpu],
                 "all" => {
                     // Says what there is, where there is none.
-                    choose(adapters, None)?;
-                    adapters.iter().filter(is_real).map(Self::of).collect()
+                    let first = choose(adapters, None)?;
+                    // Where there are several interfaces, each lists every GPU.
+                    let is_listed = |adapter: &&GpuAdapter| adapter.backend == first.backend;
+                    adapters.iter().filter(is_real).filter(is_listed).map(Self::of).collect()
                 }
                 _ => vec![Self::of(choose(adapters, Some(name))?)],
             };
             for device in named {
                 if devices.contains(&device) {
-                    return Err(unavailable(format!("'{list}' has {} twice", device.name(adapters))));
+                    return Err(unavailable(format!("'{list}' names {} twice", device.name(adapters))));
                 }
                 devices.push(device);
             }

@@ -85,7 +85,7 @@ pub struct Fleet {
     shared: Arc<Shared>,
     workers: Vec<Worker>,
     grid: Option<(usize, usize)>,
-    slots: usize,
+    window: usize,
     /// Numbers of the frame that is submitted next, and of the one that is received next.
     next_in: u64,
     next_out: u64,
@@ -136,8 +136,10 @@ impl Fleet {
         let window = smoothers.len() * options.gpu.slots * (1 + WAITING_PER_SLOT);
         let shared = Arc::new(Shared::new(&smoothers, window));
         let start = |(device, smoother)| Worker::start(Arc::clone(&shared), device, smoother);
-        let workers = smoothers.into_iter().enumerate().map(start).collect::<Result<_, _>>()?;
-        Ok(Self { shared, workers, grid, slots: options.gpu.slots, next_in: 0, next_out: 0 })
+        let workers = smoothers.into_iter().enumerate().map(start).collect::<Result<_, _>>();
+        // Those that have started would wait for ever.
+        let workers = workers.inspect_err(|_| shared.close())?;
+        Ok(Self { shared, workers, grid, window, next_in: 0, next_out: 0 })
     }
 
     /// Submits a frame, and a buffer for its result. Returns at once: other threads compute it.
@@ -186,9 +188,10 @@ impl Fleet {
         (self.next_in - self.next_out) as usize
     }
 
-    /// How many frames can be; one more is an [`EngineError::Full`]. It falls with every device that is lost.
+    /// How many frames can be; one more is an [`EngineError::Full`]. 0 once every device is lost.
     pub fn max_in_flight(&self) -> usize {
-        self.shared.working() * self.slots * (1 + WAITING_PER_SLOT)
+        // That of all devices while one works: it does not fall under the caller's hands.
+        if self.shared.works() { self.window } else { 0 }
     }
 
     /// Its devices, in the order given.
@@ -292,7 +295,7 @@ mod tests {
         let lost = || EngineError::Lost { device: "one".into(), reason: "by a test".into() };
         (0..8).for_each(|i| fleet.submit_in_place(wall(1.0 + 0.01 * i as f32)).unwrap());
         fleet.shared.lose(1, &lost());
-        assert_eq!(fleet.max_in_flight(), 6);
+        assert_eq!(fleet.max_in_flight(), 12);
         for i in 0..8 {
             let view = fleet.receive().unwrap().unwrap();
             assert!((middle(&view) - (1.0 + 0.01 * i as f32)).abs() < 1e-5, "{i}");

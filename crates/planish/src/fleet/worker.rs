@@ -133,9 +133,9 @@ impl Shared {
         self.given[device].notify_one();
     }
 
-    /// How many devices work.
-    pub(super) fn working(&self) -> usize {
-        self.lock().devices.iter().filter(|device| device.lost.is_none()).count()
+    /// Whether a device works.
+    pub(super) fn works(&self) -> bool {
+        self.lock().devices.iter().any(|device| device.lost.is_none())
     }
 
     pub(super) fn last_loss(&self) -> Option<EngineError> {
@@ -270,15 +270,20 @@ fn work(shared: &Shared, device: usize, mut smoother: Smoother) -> Result<(), Er
             drop(frame);
             match submitted {
                 Ok(()) => {}
-                Err(error @ Error::Frame(_)) => shared.put(device, Err(error), true),
+                Err(error) if is_of_frame(&error) => shared.put(device, Err(error), true),
                 Err(error) => return Err(error),
             }
         }
         match smoother.receive() {
             Ok(Some(view)) => shared.put(device, Ok(view), false),
             Ok(None) => {}
-            Err(error @ Error::Frame(_)) => shared.put(device, Err(error), false),
+            Err(error) if is_of_frame(&error) => shared.put(device, Err(error), false),
             Err(error) => return Err(error),
         }
     }
+}
+
+/// Whether another frame may be smoothed where this one was not: it is wrong, or too large.
+fn is_of_frame(error: &Error) -> bool {
+    matches!(error, Error::Frame(_) | Error::Engine(EngineError::Limit { .. } | EngineError::OutOfMemory { .. }))
 }

@@ -223,7 +223,8 @@ pub fn rig_to_json(rig: &Rig) -> String {
 fn intrinsics_entry(camera: &Camera, depth_units_per_metre: Option<f64>) -> Option<serde_json::Value> {
     let mut entry: serde_json::Value = serde_json::from_str(&io::camera_to_json(camera)).ok()?;
     let fields = entry.as_object_mut()?;
-    match depth_units_per_metre {
+    let other = (camera.depth_units_per_metre != 1000.0).then_some(camera.depth_units_per_metre);
+    match depth_units_per_metre.or(other) {
         Some(units) => fields.insert("depth_scale".to_owned(), units.into()),
         None => fields.remove("depth_scale"),
     };
@@ -292,7 +293,7 @@ mod tests {
         let seen = rig.seen_from(&folder.path().join("rigs"));
         let sources: Vec<&str> = seen.cameras.iter().filter_map(|camera| camera.source.as_deref()).collect();
         let right = folder.path().canonicalize().unwrap().join("right").to_string_lossy().into_owned();
-        assert_eq!(sources, ["left", right.as_str(), "realsense:0123"]);
+        assert_eq!(sources, ["./left", right.as_str(), "realsense:0123"]);
     }
 
     #[test]

@@ -124,7 +124,7 @@ impl RigSmoother {
     /// `receive_fused` gives those that are left.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth).
+    /// As [`smooth`](Self::smooth); the oldest moment is lost with the others then, and `out` may be either's.
     pub fn next_fused(&mut self, frames: &[Option<Frame<'_>>], out: &mut PointCloud) -> Result<bool, Error> {
         self.check_count(frames)?;
         if self.flights.len() < self.max_in_flight() {

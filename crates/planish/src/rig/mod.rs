@@ -282,7 +282,11 @@ fn source_seen_from(folder: &Path, source: &str) -> String {
     let seen = |path: &str| {
         let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
         match (whole(Path::new(path)), whole(folder)) {
-            (Ok(path), Ok(folder)) => path.strip_prefix(&folder).unwrap_or(&path).to_string_lossy().into_owned(),
+            // Not without the dot: a folder may be called as a camera is.
+            (Ok(path), Ok(folder)) => match path.strip_prefix(&folder) {
+                Ok(within) => Path::new(".").join(within).to_string_lossy().into_owned(),
+                Err(_) => path.to_string_lossy().into_owned(),
+            },
             _ => path.to_owned(),
         }
     };

@@ -76,6 +76,7 @@ fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option
         // What is written has its camera beside it.
         if camera.source.is_some() {
             (camera.camera, camera.depth_units_per_metre) = (None, None);
+            (camera.alignment, camera.mode) = (None, None);
         }
     });
     let path = folder.join(RIG_FILE);
@@ -120,7 +121,7 @@ impl CamerasSink {
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs, rig: &Rig) -> Result<Self, Error> {
         // Other formats do not keep the frames' times.
         let is_data_set = format == SinkFormat::DepthPng;
-        create_folder(folder, rig, |camera| is_data_set.then(|| camera.name.clone()))?;
+        create_folder(folder, rig, |camera| is_data_set.then(|| format!("./{}", camera.name)))?;
         Ok(Self { folder: folder.to_path_buf(), format, outputs, cameras: HashMap::new() })
     }
 }

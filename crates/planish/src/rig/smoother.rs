@@ -133,7 +133,7 @@ impl RigSmoother {
     }
 
     /// The same with its cameras spread over these devices, each to the one that has the fewest pixels; with none for the one of the
-    /// options. All points as one cloud are smoothed by the first.
+    /// options. All points as one cloud are smoothed by the first. A device that fails is an error as any engine's is; a smoother without it goes on.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }
@@ -227,12 +227,12 @@ impl RigSmoother {
             if opened.is_err() {
                 self.failed = self.cameras[i].device.clone();
             }
-            let engine = opened?;
-            // Those of one rig differ only where the CPU is one of its devices.
-            if self.engine != Engine::Gpu || self.devices.is_empty() {
-                self.engine = engine;
-            }
+            opened?;
         }
+        // They differ only where the CPU is one of several devices.
+        let mut engines = self.cameras.iter().filter_map(|camera| Some(camera.smoother.as_ref()?.engine()));
+        let first = engines.clone().next().unwrap_or(self.engine);
+        self.engine = engines.find(|&engine| engine == Engine::Gpu).unwrap_or(first);
         Ok(())
     }
 
@@ -345,17 +345,17 @@ fn by_fault(result: Result<Smoothed, Error>) -> Result<Result<Smoothed, FrameErr
 }
 
 impl CameraSmoother {
-    /// Opens the engine for this frame, if it is not; returns which one it is.
-    fn open(&mut self, frame: Frame<'_>, adapt_stride: bool, options: &SmootherOptions) -> Result<Engine, Error> {
+    /// Opens the engine for this frame, if it is not.
+    fn open(&mut self, frame: Frame<'_>, adapt_stride: bool, options: &SmootherOptions) -> Result<(), Error> {
         let shape = frame.shape();
-        if let Some(smoother) = self.smoother.as_ref().filter(|_| shape == self.shape) {
-            return Ok(smoother.engine());
+        if self.smoother.is_some() && shape == self.shape {
+            return Ok(());
         }
         let adapted = adapt_stride.then(|| self.params.at_resolution_of(frame));
         let options = self.device.as_ref().map_or_else(|| options.clone(), |device| device.options(options));
         let smoother = Smoother::open_with(adapted.unwrap_or(self.params), &options, shape)?;
-        self.shape = shape;
-        Ok(self.smoother.insert(smoother).engine())
+        (self.shape, self.smoother) = (shape, Some(smoother));
+        Ok(())
     }
 
     fn smooth(&mut self, frame: Frame<'_>) -> Result<Smoothed, Error> {

@@ -220,7 +220,9 @@ pub fn run(
                 .with_devices(options.devices.clone()),
             pending: VecDeque::new(),
             is_live,
+            was_open: false,
             has_reopened: false,
+            has_fallen_back: false,
             sinks,
             statistics: RigStatistics { moments: StreamStatistics::start(), complete: 0, cameras: Vec::new() },
             smoothed: vec![0; rig.cameras.len()],
@@ -275,7 +277,10 @@ struct RigStream<'a> {
     /// Moments in flight, kept to be smoothed again if their device is lost.
     pending: VecDeque<Moment<Arrived>>,
     is_live: bool,
+    /// Whether an engine has taken a moment; whether one was opened again; whether that was the CPU's.
+    was_open: bool,
     has_reopened: bool,
+    has_fallen_back: bool,
     sinks: Vec<SinkThread<RigFrame>>,
     statistics: RigStatistics,
     /// Frames of each camera that were smoothed, and that the engine refused.
@@ -363,6 +368,7 @@ impl RigStream<'_> {
         let frames = self.pending[i].frames.iter().map(|arrived| arrived.as_ref()?.frame.into_frame().ok());
         let submitted = self.smoother.submit(&frames.collect::<Vec<_>>());
         self.statistics.moments.time_smoothing += started.elapsed();
+        self.was_open |= submitted.is_ok();
         submitted
     }
 
@@ -452,13 +458,14 @@ impl RigStream<'_> {
         loop {
             let is_gpu = self.smoother.engine() == Engine::Gpu;
             // One that never opened is no lost one.
-            let is_recoverable = matches!(error, Error::Engine(_)) && is_gpu && self.statistics.moments.frames_out > 0;
-            if !is_recoverable {
+            let is_recoverable = matches!(error, Error::Engine(_)) && is_gpu && self.was_open;
+            if !is_recoverable || self.has_fallen_back {
                 return Err(error);
             }
             if self.smoother.leave_failed_device() {
                 tell(RigEvent::Warning(format!("{error}; its cameras go to the other devices")));
             } else if std::mem::replace(&mut self.has_reopened, true) {
+                self.has_fallen_back = true;
                 self.smoother.close(Some(Engine::Cpu));
                 tell(RigEvent::Warning(format!("{error}; going on with the CPU engine")));
             } else {

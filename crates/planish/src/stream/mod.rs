@@ -269,7 +269,7 @@ impl Stream<'_> {
                 break;
             }
             let in_flight = self.pending.len();
-            let most = self.smoother.as_ref().map_or(1, Smoothing::max_in_flight);
+            let most = self.smoother.as_ref().map_or(1, |smoother| smoother.max_in_flight(self.live));
             // With frames in flight, only their results are waited for.
             let next = match in_flight {
                 0 => mailbox.take(Some(Duration::from_millis(100))),
@@ -362,7 +362,10 @@ impl Stream<'_> {
             Err(error) => self.recover(error, tell)?,
         }
         if let Some(smoother) = &mut self.smoother {
-            smoother.losses().into_iter().for_each(|lost| tell(StreamEvent::Warning(lost)));
+            for (device, lost) in smoother.losses() {
+                self.devices.retain(|other| *other != device);
+                tell(StreamEvent::Warning(lost));
+            }
             self.statistics.engine = smoother.engine();
         }
         Ok(())
@@ -430,10 +433,16 @@ impl Stream<'_> {
             let params = self.params.unwrap_or(self.options.params);
             let smoother = opened(&mut self.smoother, params, &self.smoother_options, &self.devices, self.shape)?;
             self.statistics.engine = smoother.engine();
-            smoother.submit(frame)?;
             // Received without a further attempt to recover.
-            let Some(view) = smoother.receive()? else { return Ok(()) };
-            self.deliver(view, tell);
+            match smoother.submit(frame).and_then(|()| smoother.receive()) {
+                Ok(Some(view)) => self.deliver(view, tell),
+                Ok(None) => return Ok(()),
+                Err(Error::Frame(error)) => {
+                    self.pending.pop_front();
+                    self.refuse(&error, tell);
+                }
+                Err(error) => return Err(error),
+            }
         }
         Ok(())
     }

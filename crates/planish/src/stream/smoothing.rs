@@ -13,8 +13,13 @@ use crate::view::SmoothedView;
 
 pub(super) enum Smoothing {
     One(Box<Smoother>),
-    /// With the number of its devices whose loss was told.
-    Fleet(Fleet, usize),
+    Fleet {
+        fleet: Fleet,
+        /// Its devices, and those of them whose loss was told.
+        devices: Vec<FleetDevice>,
+        told: Vec<FleetDevice>,
+        slots: usize,
+    },
 }
 
 impl Smoothing {
@@ -27,55 +32,67 @@ impl Smoothing {
     ) -> Result<Self, Error> {
         Ok(match devices {
             [] => Self::One(Box::new(Smoother::open_with(params, options, shape)?)),
-            devices => Self::Fleet(Fleet::open(params, options, devices, shape)?, 0),
+            devices => Self::Fleet {
+                fleet: Fleet::open(params, options, devices, shape)?,
+                devices: devices.to_vec(),
+                told: Vec::new(),
+                slots: options.gpu.slots,
+            },
         })
     }
 
     pub(super) fn engine(&self) -> Engine {
         match self {
             Self::One(smoother) => smoother.engine(),
-            Self::Fleet(fleet, _) => fleet.engine(),
+            Self::Fleet { fleet, .. } => fleet.engine(),
         }
     }
 
-    /// How many frames in flight are worth their latency.
-    pub(super) fn max_in_flight(&self) -> usize {
+    /// How many frames in flight are worth their latency; of a live source no more than are computed at once.
+    pub(super) fn max_in_flight(&self, is_live: bool) -> usize {
         match self {
             Self::One(smoother) if smoother.capabilities().pipelined => smoother.max_in_flight(),
             // Other engines return the result at once.
             Self::One(_) => 1,
-            Self::Fleet(fleet, _) => fleet.max_in_flight(),
+            Self::Fleet { fleet, slots, .. } if is_live => {
+                let members = fleet.members();
+                let working = members.iter().filter(|member| member.lost.is_none());
+                let at_once = working.map(|member| if member.engine.capabilities().pipelined { *slots } else { 1 });
+                at_once.sum::<usize>().max(1)
+            }
+            Self::Fleet { fleet, .. } => fleet.max_in_flight(),
         }
     }
 
     pub(super) fn submit(&mut self, frame: &Arc<SourceFrame>) -> Result<(), Error> {
         match self {
             Self::One(smoother) => smoother.submit(&**frame, Smoothed::default()),
-            Self::Fleet(fleet, _) => fleet.submit(Arc::clone(frame), Smoothed::default()),
+            Self::Fleet { fleet, .. } => fleet.submit(Arc::clone(frame), Smoothed::default()),
         }
     }
 
     pub(super) fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         match self {
             Self::One(smoother) => smoother.receive(),
-            Self::Fleet(fleet, _) => fleet.receive(),
+            Self::Fleet { fleet, .. } => fleet.receive(),
         }
     }
 
-    /// What is to be said of devices that were lost since this was called last, while others go on.
-    pub(super) fn losses(&mut self) -> Vec<String> {
-        let Self::Fleet(fleet, told) = self else { return Vec::new() };
+    /// Devices that were lost since this was called last, while others go on, and what is to be said of each.
+    pub(super) fn losses(&mut self) -> Vec<(FleetDevice, String)> {
+        let Self::Fleet { fleet, devices, told, .. } = self else { return Vec::new() };
         let members = fleet.members();
-        let lost: Vec<String> = members.iter().filter_map(|member| Some(member.lost.as_ref()?.to_string())).collect();
-        if lost.len() == *told {
+        let left = members.iter().filter(|member| member.lost.is_none()).count();
+        if left == 0 {
             return Vec::new();
         }
-        *told = lost.len();
-        let left = members.len() - lost.len();
-        let go_on = |lost: String| match left {
-            1 => format!("{lost}; one device goes on"),
-            _ => format!("{lost}; {left} devices go on"),
-        };
-        if left == 0 { Vec::new() } else { lost.into_iter().next_back().map(go_on).into_iter().collect() }
+        let mut losses = Vec::new();
+        for (device, member) in devices.iter().zip(members) {
+            let Some(lost) = member.lost.filter(|_| !told.contains(device)) else { continue };
+            let go_on = if left == 1 { "one device goes on".to_owned() } else { format!("{left} devices go on") };
+            told.push(device.clone());
+            losses.push((device.clone(), format!("{lost}; {go_on}")));
+        }
+        losses
     }
 }

@@ -71,6 +71,7 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
     for (option, is_given) in [
         ("--encoding", args.encoding.is_some()),
         ("--repeat", args.repeat > 1),
+        ("--gpus", args.gpus.gpus.is_some()),
         ("--sensor-pose", args.pose.sensor_pose.is_some()),
         ("--remove-floating", args.smoothing.remove_floating),
         ("--fields status", args.fields.contains(&FieldArg::Status)),

@@ -24,6 +24,8 @@ use crate::signals::{INTERRUPTED, stop_flag};
 
 /// Larger files are smoothed one after the other, each with all threads.
 const LARGEST_BESIDE_OTHERS: u64 = 64 << 20;
+/// As many keep a GPU busy with files.
+const WORKERS_OF_A_GPU: usize = 4;
 /// What a compressed frame may take in memory, over its size.
 const MEMORY_OVER_SIZE: u64 = 40;
 
@@ -152,6 +154,9 @@ fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
     }
     let threads = smoothing.options(Outputs::POINTS)?.threads;
     let threads = threads.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));
+    let is_on_gpu = worker.open.as_ref().is_some_and(|(smoother, _)| smoother.engine() == Engine::Gpu);
+    // Each has buffers of its own on the device.
+    let threads = if is_on_gpu { threads.min(WORKERS_OF_A_GPU * worker.devices.len().max(1)) } else { threads };
     let in_memory = worker.args.memory.read_options().max_memory_bytes / (MEMORY_OVER_SIZE * largest.max(1));
     Ok(threads.min(frames / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
 }

@@ -77,8 +77,8 @@ impl Tree {
         if let Some(moving) = on_one_side(&of_base, &of_frame).or_else(|| on_one_side(&of_frame, &of_base)) {
             let joint = self.moving.get(&moving).cloned().unwrap_or_default();
             return Err(malformed(format!(
-                "between {base:?} and {frame:?} the joint {joint:?} moves, and a rig's cameras do not: name as the rig's a frame beyond \
-                 it (--base), and only the cameras there (--frame)"
+                "between {base:?} and {frame:?} the joint {joint:?} moves, and a rig's cameras do not: choose a frame beyond it as \
+                 the rig's (--base), and only the cameras there (--frame)"
             )));
         }
         // Where they meet: common_from_base and common_from_frame.
