@@ -2,12 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use planish::rig::{Rig, RigCamera, RigSmoother, RigWay, merged_params};
 use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
 use planish::{
-    Camera, DepthFrame, Error, FleetDevice, Frame, IntoFrame, PointCloud, SensorModel, SensorPose, SmoothParams,
-    SmootherOptions, Xyz,
+    Camera, DepthFrame, Error, FleetDevice, Frame, IntoFrame, PointCloud, SensorModel, SmoothParams, SmootherOptions,
+    Xyz,
 };
 use serde::Serialize;
 
@@ -76,10 +76,7 @@ fn simulated(cameras: usize) -> Result<(Rig, Vec<DepthFrame>)> {
     let mut placed = Vec::new();
     let mut frames = Vec::new();
     for (i, pose) in scene.poses.iter().enumerate() {
-        let columns = pose.world_from_camera.to_cols_array_2d();
-        let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|column: usize| columns[column][row]));
-        let pose_in_rig = SensorPose::from_rotation(pose.position.to_array(), rows).context("a camera's pose")?;
-        placed.push(RigCamera::new(&format!("camera{i}"), pose_in_rig));
+        placed.push(RigCamera::new(&format!("camera{i}"), pose.sensor_pose().map_err(Error::from)?));
         let truth = scene.scene.render(&camera, pose);
         frames
             .push(DepthSimulator::new(DepthNoise::default(), camera, i as u64).frame(&truth, 0).map_err(Error::from)?);

@@ -11,7 +11,7 @@ use planish::rig::{
     CamerasSink, FusedSink, Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigSmoother, RigStatistics,
     RigWay, merged_params, run,
 };
-use planish::simulate::{Pose, PoseErrors};
+use planish::simulate::PoseErrors;
 use planish::source::{Source, SourceFrame};
 use planish::stream::SinkFormat;
 use planish::{
@@ -29,15 +29,9 @@ fn suite(cameras: usize, errors: PoseErrors) -> RigSuite {
     RigSuite { camera: camera(), errors, ..RigSuite::new(cameras) }
 }
 
-fn pose_of(pose: &Pose) -> SensorPose {
-    let columns = pose.world_from_camera.to_cols_array_2d();
-    let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|k: usize| columns[k][i]));
-    SensorPose::from_rotation(pose.position.to_array(), rows).unwrap()
-}
-
 fn rig_of(case: &RigCase) -> Rig {
     let camera = |(i, camera): (usize, &planish::evaluate::RigCaseCamera)| {
-        RigCamera::new(&format!("camera{i}"), pose_of(&camera.stated))
+        RigCamera::new(&format!("camera{i}"), camera.stated.sensor_pose().unwrap())
     };
     Rig::new(case.cameras.iter().enumerate().map(camera).collect()).unwrap()
 }

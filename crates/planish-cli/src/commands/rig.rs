@@ -13,10 +13,10 @@ use planish::rig::{
     self, CameraStatistics, CamerasSink, FusedSink, PictureSink, Rig, RigCamera, RigEvent, RigOptions, RigSink,
     RigSmoother, RigStatistics, RigWay, calibration, rig_to_json,
 };
-use planish::simulate::{DepthNoise, DepthSimulator, Pose, RigScene};
+use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
 use planish::source::{Source, TumRecorder};
 use planish::stream::SinkFormat;
-use planish::{Camera, IntoFrame, Outputs, SensorModel, SensorPose, io, source};
+use planish::{Camera, FrameError, IntoFrame, Outputs, SensorModel, io, source};
 use planish_bench::{errln, out, outln};
 use serde::Serialize;
 
@@ -130,7 +130,8 @@ fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
             let frame = simulator.frame(&truth, number).map_err(planish::Error::from)?;
             recorder.add(&frame.with_timestamp_s(number as f64 / 30.0))?;
         }
-        let placed = RigCamera::new(&name, pose_of(stated)?).with_source(Some(name.clone()));
+        let placed =
+            RigCamera::new(&name, stated.sensor_pose().map_err(planish::Error::from)?).with_source(Some(name.clone()));
         rig_cameras.push(placed.with_sensor(Some(SensorModel::KINECT_V1)));
     }
     let rig = Rig::new(rig_cameras).map_err(planish::Error::from)?;
@@ -143,13 +144,6 @@ fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
         file.display()
     );
     Ok(ExitCode::SUCCESS)
-}
-
-/// Where a simulated camera stands, in the world as the rig's frame.
-fn pose_of(pose: &Pose) -> Result<SensorPose> {
-    let columns = pose.world_from_camera.to_cols_array_2d();
-    let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|k: usize| columns[k][i]));
-    SensorPose::from_rotation(pose.position.to_array(), rows).context("the pose of a simulated camera")
 }
 
 /// What is said at the end of a rig's stream.
@@ -389,10 +383,11 @@ pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
         let deproject =
             |camera: &RigCaseCamera| Ok(camera.frame.deproject().map_err(planish::Error::from)?.points.positions);
         raw.add(&case, &case.cameras.iter().map(deproject).collect::<Result<Vec<_>>>()?);
-        let camera =
-            |(i, camera): (usize, &RigCaseCamera)| Ok(RigCamera::new(&format!("camera{i}"), pose_of(&camera.stated)?));
-        let rig = Rig::new(case.cameras.iter().enumerate().map(camera).collect::<Result<_>>()?)
-            .map_err(planish::Error::from)?;
+        let camera = |(i, camera): (usize, &RigCaseCamera)| {
+            Ok(RigCamera::new(&format!("camera{i}"), camera.stated.sensor_pose()?))
+        };
+        let placed = case.cameras.iter().enumerate().map(camera).collect::<Result<_, FrameError>>();
+        let rig = Rig::new(placed.map_err(planish::Error::from)?).map_err(planish::Error::from)?;
         let frames = case.cameras.iter().map(|camera| camera.frame.into_frame().map(Some));
         let frames = frames.collect::<Result<Vec<_>, _>>().map_err(planish::Error::from)?;
         moments += 1;

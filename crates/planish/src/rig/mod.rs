@@ -12,11 +12,13 @@ mod flights;
 mod fused;
 mod matching;
 mod merged;
+mod options;
 mod picture;
 #[cfg(feature = "rerun")]
 mod rerun;
 mod sinks;
 mod smoother;
+mod statistics;
 mod stream;
 mod views;
 
@@ -34,10 +36,12 @@ pub use self::rerun::RigRerunSink;
 pub use file::rig_to_json;
 pub use fused::fuse;
 pub use matching::{Matcher, MatcherCounts, Moment};
+pub use options::RigOptions;
 pub use picture::{PictureSink, top_down};
 pub use sinks::{CamerasSink, FusedSink, RigSink};
 pub use smoother::{RigResults, RigSmoother, RigWay};
-pub use stream::{CameraStatistics, RigEvent, RigFrame, RigOptions, RigStatistics, run};
+pub use statistics::{CameraStatistics, RigStatistics};
+pub use stream::{RigEvent, RigFrame, run};
 
 /// How far time stamps of one moment may be apart if a rig does not say: half the time between frames at 30 Hz.
 const DEFAULT_TOLERANCE_S: f64 = 0.016;

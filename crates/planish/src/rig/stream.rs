@@ -7,15 +7,16 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::capture::{Arrived, Inbox, Taken};
-use super::{MatcherCounts, Moment, Rig, RigCamera, RigResults, RigSink, RigSmoother, RigWay};
+use super::{
+    CameraStatistics, MatcherCounts, Moment, Rig, RigCamera, RigOptions, RigResults, RigSink, RigSmoother,
+    RigStatistics, RigWay,
+};
 use crate::cloud::PointCloud;
-use crate::engines::{Engine, SmootherOptions};
+use crate::engines::Engine;
 use crate::error::{EngineError, Error, FrameError, ParamError};
-use crate::fleet::FleetDevice;
 use crate::frame::IntoFrame;
 use crate::outputs::Outputs;
-use crate::params::SmoothParams;
-use crate::source::{Source, SourceFrame};
+use crate::source::Source;
 use crate::stream::{SinkThread, StreamFrame, StreamStatistics};
 
 /// Frames of one moment wait for each other no longer than this, nor than the time between two frames.
@@ -23,80 +24,6 @@ const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 /// Between two looks at whether the stream is to stop.
 const PATIENCE: Duration = Duration::from_millis(100);
-
-/// How a rig is streamed.
-#[derive(Debug, Clone)]
-#[non_exhaustive]
-pub struct RigOptions {
-    /// How the frames of a moment are smoothed.
-    pub way: RigWay,
-    /// The parameters of each camera's frames.
-    pub params: Vec<SmoothParams>,
-    /// Those of all points as one cloud.
-    pub general_params: SmoothParams,
-    /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]).
-    pub adapt_stride: bool,
-    /// Of views: how far surfaces of two cameras may be apart for their poses' sake, in metres, 0 to 0.1.
-    pub registration_m: f64,
-    /// The engine and the outputs.
-    pub smoother: SmootherOptions,
-    /// The devices that cameras are spread over, instead of the one of the options; none for that one.
-    pub devices: Vec<FleetDevice>,
-    /// Stop after N moments.
-    pub max_moments: Option<u64>,
-    /// Stop after this time.
-    pub max_duration: Option<Duration>,
-}
-
-impl RigOptions {
-    /// Default settings for the sensor of each camera, and for general clouds.
-    pub fn new(rig: &Rig, way: RigWay, smoother: SmootherOptions) -> Self {
-        let params = |camera: &super::RigCamera| {
-            SmoothParams::for_sensor(camera.sensor.unwrap_or_default(), crate::Strength::default())
-        };
-        Self {
-            way,
-            params: rig.cameras.iter().map(params).collect(),
-            general_params: super::merged_params(),
-            adapt_stride: true,
-            registration_m: super::DEFAULT_REGISTRATION_M,
-            smoother,
-            devices: Vec::new(),
-            max_moments: None,
-            max_duration: None,
-        }
-    }
-
-    /// The same with other parameters: one set for each camera, and those of all points as one cloud.
-    pub fn with_params(self, params: Vec<SmoothParams>, general_params: SmoothParams) -> Self {
-        Self { params, general_params, ..self }
-    }
-
-    /// The same with windows and strides for coarse pixels, or as given.
-    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
-        Self { adapt_stride, ..self }
-    }
-
-    /// The same with another bound of how far surfaces of two cameras may be apart for their poses' sake, in metres.
-    pub fn with_registration_m(self, registration_m: f64) -> Self {
-        Self { registration_m, ..self }
-    }
-
-    /// The same with cameras spread over these devices; none for the one of the options.
-    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
-        Self { devices, ..self }
-    }
-
-    /// The same with an end after so many moments, or without.
-    pub fn with_max_moments(self, max_moments: Option<u64>) -> Self {
-        Self { max_moments, ..self }
-    }
-
-    /// The same with an end after so long, or without.
-    pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
-        Self { max_duration, ..self }
-    }
-}
 
 /// The frames of a moment with their results, as sinks get them.
 #[non_exhaustive]
@@ -126,44 +53,6 @@ impl RigFrame {
         });
         fused.as_ref().map_err(Clone::clone)
     }
-}
-
-/// Counts of a camera.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct CameraStatistics {
-    /// Its name.
-    pub name: String,
-    /// Frames that came.
-    pub frames_in: u64,
-    /// Frames smoothed.
-    pub frames_out: u64,
-    /// Moments without a frame of this camera.
-    pub missing: u64,
-    /// Frames that came when their moment had passed.
-    pub late: u64,
-    /// Frames whose time stamp was that of the frame before, or earlier.
-    pub out_of_order: u64,
-    /// How often its clock jumped.
-    pub jumps: u64,
-    /// Frames of a live camera that newer ones replaced, since the engine was open.
-    pub dropped: u64,
-    /// Frames that could not be read, or that the engine refused.
-    pub unreadable: u64,
-    /// Whether it ended before the stream did.
-    pub has_ended: bool,
-}
-
-/// Counts and timings of a rig's stream.
-#[derive(Debug, Clone)]
-#[non_exhaustive]
-pub struct RigStatistics {
-    /// Of the moments: how many came out, their latency, sinks, engine. A moment that a newer one replaced is dropped.
-    pub moments: StreamStatistics,
-    /// Moments with a frame of every camera.
-    pub complete: u64,
-    /// Of each camera.
-    pub cameras: Vec<CameraStatistics>,
 }
 
 /// What a running rig reports to the caller.
@@ -277,9 +166,11 @@ struct RigStream<'a> {
     /// Moments in flight, kept to be smoothed again if their device is lost.
     pending: VecDeque<Moment<Arrived>>,
     is_live: bool,
-    /// Whether an engine has taken a moment; whether one was opened again; whether that was the CPU's.
+    /// Whether an engine has taken a moment.
     was_open: bool,
+    /// Whether the GPU was lost and opened once more.
     has_reopened: bool,
+    /// Whether it was lost again, so that the CPU engine goes on.
     has_fallen_back: bool,
     sinks: Vec<SinkThread<RigFrame>>,
     statistics: RigStatistics,
@@ -351,15 +242,18 @@ impl RigStream<'_> {
     }
 
     /// Refuses a camera that cannot be a view.
-    fn check_cameras(&self, moment: &Moment<Arrived>) -> Result<(), FrameError> {
-        let is_known = |camera: &RigCamera, frame: &SourceFrame| {
-            camera.camera.is_some() || frame.into_frame().is_ok_and(|frame| frame.camera().is_some())
+    fn check_cameras(&self, moment: &Moment<Arrived>) -> Result<(), ParamError> {
+        let is_unknown = |(camera, arrived): &(&RigCamera, &Option<Arrived>)| {
+            let knows_it = |arrived: &Arrived| arrived.frame.into_frame().is_ok_and(|frame| frame.camera().is_some());
+            camera.camera.is_none() && arrived.as_ref().is_some_and(|arrived| !knows_it(arrived))
         };
-        let all = self.rig.cameras.iter().zip(&moment.frames);
-        let unknown = all.filter_map(|(camera, arrived)| Some((camera, arrived.as_ref()?)));
-        match unknown.into_iter().any(|(camera, arrived)| !is_known(camera, &arrived.frame)) {
-            true => Err(FrameError::MissingCamera { what: "smoothing a rig by views" }),
-            false => Ok(()),
+        match self.rig.cameras.iter().zip(&moment.frames).find(is_unknown) {
+            Some((camera, _)) => {
+                let value = format!("views, with camera {:?}", camera.name);
+                let allowed = "cameras whose intrinsics are known, from their source or as \"camera\" of the rig";
+                Err(ParamError { field: "way", value, allowed })
+            }
+            None => Ok(()),
         }
     }
 

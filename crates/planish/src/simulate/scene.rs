@@ -4,6 +4,8 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::camera::Camera;
+use crate::error::{FrameError, ParamError};
+use crate::pose::SensorPose;
 use crate::xyz::Xyz;
 
 /// The object id of a pixel whose ray hits nothing.
@@ -119,6 +121,18 @@ impl Pose {
     /// A camera at `position`, turned by `yaw_rad` to the right and then by `pitch_rad` downwards.
     pub fn looking(position: DVec3, yaw_rad: f64, pitch_rad: f64) -> Self {
         Self { position, world_from_camera: DMat3::from_rotation_y(yaw_rad) * DMat3::from_rotation_x(-pitch_rad) }
+    }
+
+    /// The same as clouds and rigs have it, with the world as their frame.
+    ///
+    /// # Errors
+    /// If its matrix is no rotation, or its position not finite.
+    pub fn sensor_pose(&self) -> Result<SensorPose, FrameError> {
+        let rows = self.world_from_camera.transpose().to_cols_array_2d();
+        SensorPose::from_rotation(self.position.to_array(), rows).ok_or_else(|| {
+            let value = format!("{self:?}");
+            FrameError::BadPose(ParamError { field: "pose", value, allowed: "a rotation and a finite position" })
+        })
     }
 }
 

@@ -1,0 +1,82 @@
+//! How a rig is streamed.
+
+use std::time::Duration;
+
+use super::{Rig, RigWay};
+use crate::engines::SmootherOptions;
+use crate::fleet::FleetDevice;
+use crate::params::SmoothParams;
+
+/// How a rig is streamed.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct RigOptions {
+    /// How the frames of a moment are smoothed.
+    pub way: RigWay,
+    /// The parameters of each camera's frames.
+    pub params: Vec<SmoothParams>,
+    /// Those of all points as one cloud.
+    pub general_params: SmoothParams,
+    /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]).
+    pub adapt_stride: bool,
+    /// Of views: how far surfaces of two cameras may be apart for their poses' sake, in metres, 0 to 0.1.
+    pub registration_m: f64,
+    /// The engine and the outputs.
+    pub smoother: SmootherOptions,
+    /// The devices that cameras are spread over, instead of the one of the options; none for that one.
+    pub devices: Vec<FleetDevice>,
+    /// Stop after N moments.
+    pub max_moments: Option<u64>,
+    /// Stop after this time.
+    pub max_duration: Option<Duration>,
+}
+
+impl RigOptions {
+    /// Default settings for the sensor of each camera, and for general clouds.
+    pub fn new(rig: &Rig, way: RigWay, smoother: SmootherOptions) -> Self {
+        let params = |camera: &super::RigCamera| {
+            SmoothParams::for_sensor(camera.sensor.unwrap_or_default(), crate::Strength::default())
+        };
+        Self {
+            way,
+            params: rig.cameras.iter().map(params).collect(),
+            general_params: super::merged_params(),
+            adapt_stride: true,
+            registration_m: super::DEFAULT_REGISTRATION_M,
+            smoother,
+            devices: Vec::new(),
+            max_moments: None,
+            max_duration: None,
+        }
+    }
+
+    /// The same with other parameters: one set for each camera, and those of all points as one cloud.
+    pub fn with_params(self, params: Vec<SmoothParams>, general_params: SmoothParams) -> Self {
+        Self { params, general_params, ..self }
+    }
+
+    /// The same with windows and strides for coarse pixels, or as given.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The same with another bound of how far surfaces of two cameras may be apart for their poses' sake, in metres.
+    pub fn with_registration_m(self, registration_m: f64) -> Self {
+        Self { registration_m, ..self }
+    }
+
+    /// The same with cameras spread over these devices; none for the one of the options.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, ..self }
+    }
+
+    /// The same with an end after so many moments, or without.
+    pub fn with_max_moments(self, max_moments: Option<u64>) -> Self {
+        Self { max_moments, ..self }
+    }
+
+    /// The same with an end after so long, or without.
+    pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
+        Self { max_duration, ..self }
+    }
+}

@@ -1,0 +1,41 @@
+//! What is counted of a rig's stream.
+
+use crate::stream::StreamStatistics;
+
+/// Counts of a camera.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CameraStatistics {
+    /// Its name.
+    pub name: String,
+    /// Frames that came.
+    pub frames_in: u64,
+    /// Frames smoothed.
+    pub frames_out: u64,
+    /// Moments without a frame of this camera.
+    pub missing: u64,
+    /// Frames that came when their moment had passed.
+    pub late: u64,
+    /// Frames whose time stamp was that of the frame before, or earlier.
+    pub out_of_order: u64,
+    /// How often its clock jumped.
+    pub jumps: u64,
+    /// Frames of a live camera that newer ones replaced, since the engine was open.
+    pub dropped: u64,
+    /// Frames that could not be read, or that the engine refused.
+    pub unreadable: u64,
+    /// Whether it ended before the stream did.
+    pub has_ended: bool,
+}
+
+/// Counts and timings of a rig's stream.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct RigStatistics {
+    /// Of the moments: how many came out, their latency, sinks, engine. A moment that a newer one replaced is dropped.
+    pub moments: StreamStatistics,
+    /// Moments with a frame of every camera.
+    pub complete: u64,
+    /// Of each camera.
+    pub cameras: Vec<CameraStatistics>,
+}
