@@ -90,6 +90,9 @@ pub enum FrameError {
     /// A sensor pose that is none.
     #[error("sensor pose: {0}")]
     BadPose(ParamError),
+    /// Voxels of a size that a cloud cannot have.
+    #[error(transparent)]
+    BadVoxel(ParamError),
     /// A buffer whose length does not follow from the shape.
     #[error("{what} has {len} values where {expected} are needed")]
     LengthMismatch {

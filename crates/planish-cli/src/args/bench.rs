@@ -85,6 +85,15 @@ pub struct BenchRigArgs {
     /// Which ways, separated by commas; else each
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WAYS", default_value = "each")]
     pub fuse: Vec<RigWayArg>,
+    /// Of merged points: one for each voxel of this size in metres; else all of them
+    #[arg(long, value_name = "METRES")]
+    pub voxel: Option<f64>,
+    /// Of merged points: how far they are smoothed over, in metres; else 0.03, or three voxels where that is more
+    #[arg(long, value_name = "METRES")]
+    pub radius: Option<f32>,
+    /// Of merged points: whether creases and steps are kept; else they are
+    #[arg(long, value_enum)]
+    pub edges: Option<EdgesArg>,
     /// Which engine
     #[arg(long, value_enum, default_value = "auto")]
     pub engine: EngineArg,

@@ -226,6 +226,10 @@ pub struct StreamArgs {
     /// Of a rig smoothed by views: how far surfaces of two cameras may be apart for their poses' sake, in millimetres; else 10
     #[arg(long, value_name = "MM", requires = "rig")]
     pub registration: Option<f64>,
+    /// Of a rig whose points are merged: first keep one point for each voxel of this size in metres, as 0.005; the fused cloud then has
+    /// one point a voxel
+    #[arg(long, value_name = "METRES", requires = "rig")]
+    pub voxel: Option<f64>,
     /// Of a rig: keep a picture of its points and cameras from above in this file, drawn anew once a second
     #[arg(long, value_name = "FILE.png", requires = "rig")]
     pub picture: Option<PathBuf>,
@@ -432,6 +436,9 @@ pub struct EvaluateArgs {
     /// Of rigs: how far the stated poses of all cameras but the first are off, in degrees and millimetres
     #[arg(long, value_name = "DEG,MM", requires = "rig")]
     pub pose_errors: Option<PoseErrorsArg>,
+    /// Of rigs whose points are merged: first keep one point for each voxel of this size in metres, as `planish stream` does
+    #[arg(long, value_name = "METRES", requires = "rig")]
+    pub voxel: Option<f64>,
     /// Only write the simulated frames into this folder as organized clouds, for other programs to smooth
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
     pub export: Option<PathBuf>,

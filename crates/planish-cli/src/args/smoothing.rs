@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
+use planish::rig::{merged_params, merged_params_in_voxels};
 use planish::{
     Edges, Engine, FleetDevice, Frame, GpuOptions, OrganizedCloud, Outputs, Project, Radius, SensorModel, SmoothParams,
     SmootherOptions, Strength,
@@ -242,8 +243,8 @@ impl SmoothingArgs {
     }
 
     /// The parameters for the points of a rig's cameras as one cloud.
-    pub fn merged_params(&self) -> Result<SmoothParams> {
-        let mut params = planish::rig::merged_params();
+    pub fn merged_params(&self, voxel_m: Option<f64>) -> Result<SmoothParams> {
+        let mut params = voxel_m.map_or_else(merged_params, merged_params_in_voxels);
         self.override_fit(&mut params);
         params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
         params.validate()?;

@@ -191,10 +191,14 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     if args.registration.is_some() && way != RigWay::Views {
         bail!("--registration is of rigs smoothed by views: it needs --fuse views");
     }
+    if args.voxel.is_some() && way != RigWay::Merged {
+        bail!("--voxel is of rigs whose points are merged: it needs --fuse merged");
+    }
     let options = options
         .with_registration_m(registration_m)
         .with_devices(args.gpus.devices(args.smoothing.engine())?)
-        .with_params(params, args.smoothing.merged_params()?)
+        .with_params(params, args.smoothing.merged_params(args.voxel)?)
+        .with_voxel_m(args.voxel)
         .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_moments(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
@@ -377,6 +381,7 @@ pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
     let mut raw = RigEvaluation::default();
     let mut ways = RigWay::ALL.map(|way| (way, RigEvaluation::default(), Duration::ZERO));
     let options = args.smoothing.options(Outputs::POINTS)?;
+    let general_params = args.smoothing.merged_params(args.voxel)?;
     let mut moments = 0;
     for seed in seeds {
         let case = suite.case(seed).map_err(planish::Error::from)?;
@@ -392,9 +397,9 @@ pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
         let frames = frames.collect::<Result<Vec<_>, _>>().map_err(planish::Error::from)?;
         moments += 1;
         for (way, evaluation, time) in &mut ways {
-            let mut smoother =
-                RigSmoother::new(&rig, *way, &vec![params; cameras], args.smoothing.merged_params()?, &options)?
-                    .with_adapt_stride(args.smoothing.adapts_window());
+            let mut smoother = RigSmoother::new(&rig, *way, &vec![params; cameras], general_params, &options)?
+                .with_voxel_m(args.voxel)
+                .with_adapt_stride(args.smoothing.adapts_window());
             // Engines open with the first moment.
             if *way != RigWay::Merged {
                 smoother.smooth(&frames)?;

@@ -3,7 +3,8 @@
 //! Nothing here needs a grid. Holes are never outliers: they stay what they are.
 
 mod outliers;
-mod voxels;
+pub(crate) mod voxel_grid;
+pub(crate) mod voxels;
 
 use rayon::prelude::*;
 

@@ -1,16 +1,11 @@
 //! One point for each voxel that has any.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
+use super::voxel_grid::Voxels;
 use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::ParamError;
-use crate::neighbours::Bounds;
 use crate::xyz::Xyz;
-
-/// Voxels along an axis, as 21 bits count them.
-const MOST_ALONG_AXIS: f64 = (1u32 << 21) as f64;
 
 /// What the points of a voxel make of a field.
 #[derive(Clone, Copy, PartialEq)]
@@ -32,14 +27,11 @@ enum Merge {
 /// # Errors
 /// If the size is no positive number, or so small that the cloud is over 2 million voxels wide.
 pub fn voxel_downsample(cloud: &PointCloud, size_m: f64) -> Result<PointCloud, ParamError> {
-    let refuse = |allowed| Err(ParamError { field: "voxel", value: size_m.to_string(), allowed });
-    if !(size_m > 0.0 && size_m.is_finite()) {
-        return refuse("a size in metres above 0");
-    }
-    let voxels = match Voxels::of(cloud, size_m) {
-        Some(voxels) => voxels,
-        None => return refuse("a size in metres of which the cloud is at most 2 million wide"),
-    };
+    Ok(downsample(cloud, &Voxels::of(cloud, size_m)?))
+}
+
+/// The same for voxels that are there.
+pub(crate) fn downsample(cloud: &PointCloud, voxels: &Voxels) -> PointCloud {
     let centroids: Vec<[f32; 3]> = voxels.iter().map(|voxel| centroid(&cloud.positions, voxel)).collect();
     let ways: Vec<Merge> = cloud.attributes.iter().map(how_to_merge).collect();
     let nearest: Vec<usize> = match ways.contains(&Merge::Nearest) {
@@ -54,80 +46,13 @@ pub fn voxel_downsample(cloud: &PointCloud, size_m: f64) -> Result<PointCloud, P
         .iter()
         .zip(ways)
         .map(|(attribute, way)| match way {
-            Merge::Mean => mean(attribute, &voxels),
-            Merge::Colour => mean_colour(attribute, &voxels),
+            Merge::Mean => mean(attribute, voxels),
+            Merge::Colour => mean_colour(attribute, voxels),
             Merge::Nearest => attribute.select(&nearest),
         })
         .collect();
     normalize(&mut merged);
-    Ok(PointCloud { positions: Xyz::from_iter(centroids), attributes: merged, ..cloud.without_points() })
-}
-
-/// The points of each voxel.
-struct Voxels {
-    /// The points' indices, voxel by voxel; in ascending order within one.
-    points: Vec<u32>,
-    /// Where in `points` each voxel is, by its first point.
-    places: Vec<Range<usize>>,
-}
-
-impl Voxels {
-    /// `None` if there are too many along an axis.
-    fn of(cloud: &PointCloud, size_m: f64) -> Option<Self> {
-        let points = &cloud.positions;
-        let valid: Vec<u32> = (0..cloud.len()).filter(|&i| points.is_finite(i)).map(|i| i as u32).collect();
-        let bounds = valid
-            .par_iter()
-            .fold(|| Bounds::EMPTY, |bounds, &i| bounds.union(Bounds::of_point(points.get(i as usize))))
-            .reduce(|| Bounds::EMPTY, Bounds::union);
-        let along = |axis: usize, value: f32| (cloud.origin_m[axis] + f64::from(value)) / size_m;
-        // The voxel of a coordinate grows with it.
-        let first: [f64; 3] = std::array::from_fn(|axis| along(axis, bounds.low[axis]).floor());
-        let last = |axis: usize| along(axis, bounds.high[axis]).floor() - first[axis];
-        if (0..3).any(|axis| last(axis) >= MOST_ALONG_AXIS) {
-            return None;
-        }
-        let bits = |most: u64| u64::BITS - most.leading_zeros();
-        let bits_along: [u32; 3] = std::array::from_fn(|axis| bits(last(axis) as u64));
-        let index_bits = bits(cloud.len() as u64);
-        let key = |i: u32| {
-            let p = points.get(i as usize);
-            // Not below the first voxel, where a cast rounds down.
-            (0..3).fold(0u64, |key, axis| (key << bits_along[axis]) | (along(axis, p[axis]) - first[axis]) as u64)
-        };
-        // One word, where it holds both the voxel and the point, sorts twice as fast as two.
-        let voxels = if bits_along.iter().sum::<u32>() + index_bits <= u64::BITS {
-            let mut keys: Vec<u64> = valid.par_iter().map(|&i| (key(i) << index_bits) | u64::from(i)).collect();
-            keys.par_sort_unstable();
-            let indices = (1u64 << index_bits) - 1;
-            Self::of_sorted(&keys, |key| key >> index_bits, |key| (key & indices) as u32)
-        } else {
-            let mut keys: Vec<(u64, u32)> = valid.par_iter().map(|&i| (key(i), i)).collect();
-            keys.par_sort_unstable();
-            Self::of_sorted(&keys, |key| key.0, |key| key.1)
-        };
-        Some(voxels)
-    }
-
-    fn of_sorted<T: Copy>(keys: &[T], voxel: impl Fn(T) -> u64, point: impl Fn(T) -> u32) -> Self {
-        let points: Vec<u32> = keys.iter().map(|&key| point(key)).collect();
-        let mut end = 0;
-        let mut places: Vec<Range<usize>> = keys
-            .chunk_by(|&a, &b| voxel(a) == voxel(b))
-            .map(|chunk| {
-                let start = end;
-                end += chunk.len();
-                start..end
-            })
-            .collect();
-        places.par_sort_unstable_by_key(|place| points[place.start]);
-        Self { points, places }
-    }
-
-    /// The points of each, in parallel.
-    fn iter(&self) -> impl IndexedParallelIterator<Item = &[u32]> {
-        self.places.par_iter().map(|place| &self.points[place.clone()])
-    }
+    PointCloud { positions: Xyz::from_iter(centroids), attributes: merged, ..cloud.without_points() }
 }
 
 fn nearest_to(centroid: [f32; 3], voxel: &[u32], points: &Xyz) -> usize {

@@ -3,7 +3,9 @@
 use std::borrow::Cow;
 
 use super::fused::{Part, fuse_parts, rig_from_points};
+use super::merged::{PlacedFrames, Together};
 use super::smoother::CameraSmoother;
+use super::voxels::InVoxels;
 use super::{RigResults, RigSmoother, RigWay};
 use crate::cloud::{Attribute, PointCloud};
 use crate::error::{EngineError, Error, FrameError};
@@ -24,6 +26,8 @@ enum FlightResults {
     /// Where each camera's frame is.
     Submitted(Vec<Submitted>),
     Landed(RigViews),
+    /// All points in voxels, which wait to be smoothed.
+    InVoxels(Box<InVoxels>),
 }
 
 enum Submitted {
@@ -39,6 +43,12 @@ type RigViews = Vec<Option<Result<SmoothedView, FrameError>>>;
 
 /// What takes each camera's points into the rig's frame, and its result.
 type Placed = (Vec<Option<RigidTransform>>, RigViews);
+
+/// A moment whose results are there.
+enum Landed {
+    Views(Placed),
+    InVoxels(Box<InVoxels>),
+}
 
 impl RigSmoother {
     /// Submits the frames of a moment; moments are received in the order of submission.
@@ -91,6 +101,11 @@ impl RigSmoother {
                 return Ok(FlightResults::Submitted(submitted.collect::<Result<_, _>>()?));
             }
         }
+        if let Some(size_m) = self.voxels_merged_m() {
+            let frames = self.placed(frames)?;
+            let voxels = self.threads.install(|| in_voxels(&frames, size_m))?;
+            return Ok(FlightResults::InVoxels(voxels));
+        }
         let of_view = |smoothed| SmoothedView::owned(smoothed, None);
         let results = self.smooth_now(frames)?.into_iter().map(|result| result.map(|result| result.map(of_view)));
         Ok(FlightResults::Landed(results.collect()))
@@ -101,9 +116,18 @@ impl RigSmoother {
     /// # Errors
     /// As [`smooth`](Self::smooth).
     pub fn receive(&mut self) -> Result<Option<RigResults>, Error> {
-        let Some((_, views)) = self.receive_views()? else { return Ok(None) };
-        let views = views.into_iter().map(|view| view.map(|view| view.map(SmoothedView::into_smoothed)));
-        Ok(Some(views.collect()))
+        let outputs = self.options.outputs;
+        let results = match self.receive_landed()? {
+            None => return Ok(None),
+            Some(Landed::Views((_, views))) => {
+                views.into_iter().map(|view| view.map(|view| view.map(SmoothedView::into_smoothed))).collect()
+            }
+            Some(Landed::InVoxels(voxels)) => {
+                let given_back = self.threads.install(|| voxels.given_back(outputs));
+                given_back.into_iter().map(|result| result.map(Ok)).collect()
+            }
+        };
+        Ok(Some(results))
     }
 
     /// Waits for the oldest moment in flight and puts its results together in the rig's frame: the points of all cameras, the fields that were
@@ -113,9 +137,12 @@ impl RigSmoother {
     /// # Errors
     /// As [`smooth`](Self::smooth).
     pub fn receive_fused(&mut self, out: &mut PointCloud) -> Result<bool, Error> {
-        let Some(placed) = self.receive_views()? else { return Ok(false) };
         let outputs = self.options.outputs;
-        self.threads.install(|| fuse_views(&placed, outputs, out));
+        match self.receive_landed()? {
+            None => return Ok(false),
+            Some(Landed::Views(placed)) => self.threads.install(|| fuse_views(&placed, outputs, out)),
+            Some(Landed::InVoxels(voxels)) => *out = voxels.fused(outputs),
+        }
         Ok(true)
     }
 
@@ -130,11 +157,29 @@ impl RigSmoother {
         if self.flights.len() < self.max_in_flight() {
             return self.submit_in_place(frames).map(|()| false);
         }
-        let placed = self.receive_views()?;
         let (outputs, threads) = (self.options.outputs, self.threads.clone());
-        let fuse = || placed.iter().for_each(|placed| fuse_views(placed, outputs, out));
+        if let Some(size_m) = self.voxels_merged_m() {
+            let next = self.placed(frames)?;
+            let mut in_next = None;
+            let find_voxels = || in_next = Some(in_voxels(&next, size_m));
+            let is_received = threads.beside(find_voxels, || self.receive_fused(out))?;
+            let results = in_next.unwrap_or_else(|| in_voxels(&next, size_m))?;
+            self.flights.push_back(Flight { rig_from_points: Vec::new(), results: FlightResults::InVoxels(results) });
+            return Ok(is_received);
+        }
+        let landed = self.receive_landed()?;
+        let fuse = || {
+            if let Some(Landed::Views(placed)) = &landed {
+                fuse_views(placed, outputs, out)
+            }
+        };
         threads.beside(fuse, || self.submit_in_place(frames))?;
-        Ok(placed.is_some())
+        Ok(landed.is_some())
+    }
+
+    /// The size of the voxels that points are thinned to, if they are.
+    fn voxels_merged_m(&self) -> Option<f64> {
+        self.general.voxel_m().filter(|_| self.way == RigWay::Merged)
     }
 
     /// How many moments were submitted and not received.
@@ -148,19 +193,24 @@ impl RigSmoother {
         if is_pipelined { self.options.gpu.slots } else { 1 }
     }
 
-    fn receive_views(&mut self) -> Result<Option<Placed>, Error> {
+    fn receive_landed(&mut self) -> Result<Option<Landed>, Error> {
         let Some(mut flight) = self.flights.pop_front() else { return Ok(None) };
         let landed = self.land(&mut flight);
         self.closed_by_error(landed)?;
         Ok(match flight.results {
-            FlightResults::Landed(views) => Some((flight.rig_from_points, views)),
+            FlightResults::Landed(views) => Some(Landed::Views((flight.rig_from_points, views))),
+            FlightResults::InVoxels(voxels) => Some(Landed::InVoxels(voxels)),
             FlightResults::Submitted(_) => None,
         })
     }
 
     /// Waits for the results of a moment.
     fn land(&mut self, flight: &mut Flight) -> Result<(), Error> {
-        let FlightResults::Submitted(submitted) = &mut flight.results else { return Ok(()) };
+        let submitted = match &mut flight.results {
+            FlightResults::Submitted(submitted) => submitted,
+            FlightResults::InVoxels(voxels) => return self.with_general(|smoother| voxels.smooth(smoother)),
+            FlightResults::Landed(_) => return Ok(()),
+        };
         let land = |(camera, submitted): (&mut CameraSmoother, Submitted)| match submitted {
             Submitted::Nothing => Ok(None),
             Submitted::Refused(error) => Ok(Some(Err(error))),
@@ -185,6 +235,10 @@ impl RigSmoother {
         self.flights = flights;
         Ok(())
     }
+}
+
+fn in_voxels(frames: &PlacedFrames<'_>, size_m: f64) -> Result<Box<InVoxels>, Error> {
+    Ok(Box::new(InVoxels::of(Together::of(frames)?, size_m)?))
 }
 
 /// Puts the results of a moment together in the rig's frame.

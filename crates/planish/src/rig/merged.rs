@@ -3,74 +3,196 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::fused::{Part, fuse_parts, rig_from_points};
+use super::voxels::InVoxels;
+use super::{RigResults, RigSmoother};
 use crate::cloud::PointCloud;
+use crate::engines::SmootherOptions;
 use crate::error::{Error, FrameError};
+use crate::fleet::FleetDevice;
 use crate::frame::Frame;
+use crate::params::SmoothParams;
 use crate::pose::RigidTransform;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::status::Status;
 use crate::xyz::Xyz;
 
-/// A camera's points in the rig's frame.
-struct InRig {
-    /// Their pixels, holes left out.
-    pixels: Vec<usize>,
-    positions: Vec<[f32; 3]>,
+/// The smoother of all points together.
+pub(super) struct General {
+    params: SmoothParams,
+    /// The size of the voxels that points are thinned to; `None` for all points.
+    voxel_m: Option<f64>,
+    smoother: Option<Smoother>,
+}
+
+impl General {
+    pub(super) fn new(params: SmoothParams) -> Self {
+        Self { params, voxel_m: None, smoother: None }
+    }
+
+    pub(super) fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
+        Self { voxel_m, ..self }
+    }
+
+    pub(super) fn voxel_m(&self) -> Option<f64> {
+        self.voxel_m
+    }
+
+    pub(super) fn close(&mut self) {
+        self.smoother = None;
+    }
+
+    /// Opens the engine, if it is not, on the device or on that of the options.
+    pub(super) fn open(
+        &mut self,
+        options: &SmootherOptions,
+        device: Option<&FleetDevice>,
+    ) -> Result<&mut Smoother, Error> {
+        Ok(match &mut self.smoother {
+            Some(smoother) => smoother,
+            empty => {
+                let options = device.map_or_else(|| options.clone(), |device| device.options(options));
+                // Points are carried onto the voxels' tangent planes.
+                let with_normals = options.outputs.with_points(true).with_normals(true);
+                let outputs = if self.voxel_m.is_some() { with_normals } else { options.outputs };
+                empty.insert(Smoother::open_with(self.params, &options.with_outputs(outputs), None)?)
+            }
+        })
+    }
+}
+
+/// The frames of a moment, and where they were taken from.
+pub(super) struct PlacedFrames<'a> {
+    /// Each with what takes its points into the rig's frame.
+    frames: Vec<Option<(Frame<'a>, RigidTransform)>>,
+    /// Where each camera stands in the rig's frame.
+    lenses: Vec<DVec3>,
+}
+
+impl RigSmoother {
+    pub(super) fn smooth_merged(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+        let (outputs, threads) = (self.options.outputs, self.threads.clone());
+        let frames = self.placed(frames)?;
+        let together = threads.install(|| Together::of(&frames))?;
+        let results = match self.general.voxel_m {
+            Some(size_m) => {
+                let mut voxels = threads.install(|| InVoxels::of(together, size_m))?;
+                self.with_general(|smoother| voxels.smooth(smoother))?;
+                threads.install(|| voxels.given_back(outputs))
+            }
+            None => self.with_general(|smoother| threads.install(|| smooth(smoother, &together)))?,
+        };
+        Ok(results.into_iter().map(|result| result.map(Ok)).collect())
+    }
+
+    pub(super) fn placed<'a>(&self, frames: &[Option<Frame<'a>>]) -> Result<PlacedFrames<'a>, FrameError> {
+        let placed = self.cameras.iter().zip(frames).map(|(camera, frame)| {
+            let place = |frame| Ok((frame, rig_from_points(camera.rig_from_camera, frame)?));
+            frame.map(place).transpose()
+        });
+        let frames = placed.collect::<Result<_, FrameError>>()?;
+        let lenses = self.cameras.iter().map(|camera| camera.rig_from_camera.translation).collect();
+        Ok(PlacedFrames { frames, lenses })
+    }
+
+    /// Does something with the engine for all points together, which is opened if it is not.
+    pub(super) fn with_general<T>(&mut self, work: impl FnOnce(&mut Smoother) -> Result<T, Error>) -> Result<T, Error> {
+        let Self { options, devices, failed, general, engine, .. } = self;
+        let device = devices.first();
+        let result = general.open(options, device).and_then(|smoother| {
+            *engine = smoother.engine();
+            work(smoother)
+        });
+        *failed = device.filter(|_| matches!(result, Err(Error::Engine(_)))).cloned();
+        result
+    }
+}
+
+/// The points of all cameras in the rig's frame.
+pub(super) struct Together {
+    /// Camera by camera, holes left out, with the field `camera`.
+    pub(super) cloud: PointCloud,
+    cameras: Vec<Option<Measured>>,
+}
+
+/// What a camera measured, in its own frame.
+struct Measured {
+    positions: Xyz,
     shape: (usize, usize),
     rig_from_points: RigidTransform,
-    /// Where the camera stands.
+    /// Where the camera stands in the rig's frame.
     lens: DVec3,
 }
 
 /// Smooths the points of all cameras as one cloud; each camera gets its own back, on its grid and in the frame of its points.
-pub(super) fn smooth(
-    smoother: &mut Smoother,
-    frames: &[Option<(Frame<'_>, RigidTransform)>],
-    lenses: &[DVec3],
-) -> Result<Vec<Option<Smoothed>>, Error> {
-    let in_rig = frames.par_iter().zip(lenses).map(|(frame, &lens)| {
-        frame.as_ref().map(|(frame, rig_from_points)| in_rig(*frame, *rig_from_points, lens)).transpose()
-    });
-    let cameras: Vec<Option<InRig>> = in_rig.collect::<Result<_, FrameError>>()?;
-    let positions: Xyz = cameras.iter().flatten().flat_map(|camera| &camera.positions).copied().collect();
+fn smooth(smoother: &mut Smoother, together: &Together) -> Result<Vec<Option<Smoothed>>, Error> {
     let mut smoothed = Smoothed::default();
-    if !positions.is_empty() {
-        smoother.smooth(&PointCloud::new(positions), &mut smoothed)?;
+    if !together.cloud.is_empty() {
+        smoother.smooth(&together.cloud, &mut smoothed)?;
     }
-    let mut first = 0;
-    let mut starts = Vec::new();
-    for camera in &cameras {
-        starts.push(first);
-        first += camera.as_ref().map_or(0, |camera| camera.pixels.len());
-    }
-    let given_back = cameras.par_iter().zip(starts).map(|(camera, first)| {
-        let camera = camera.as_ref()?;
-        Some(camera.given_back(&smoothed, first))
-    });
-    Ok(given_back.collect())
+    Ok(together.given_back(&smoothed))
 }
 
-fn in_rig(frame: Frame<'_>, rig_from_points: RigidTransform, lens: DVec3) -> Result<InRig, FrameError> {
-    let shape = frame.shape();
-    let point = |i: usize, point: [f64; 3]| {
-        let point = DVec3::from_array(point);
-        point.is_finite().then(|| (i, rig_from_points.to_cloud(point).as_vec3().to_array()))
-    };
-    let (pixels, positions) = match frame {
-        Frame::Points(points) => (0..points.len()).filter_map(|i| point(i, points.get(i))).unzip(),
-        Frame::Depth(depth) => {
-            let cloud = depth.deproject()?;
-            let points = cloud.points.positions.iter().enumerate();
-            points.filter_map(|(i, p)| point(i, p.map(f64::from))).unzip()
-        }
-    };
-    Ok(InRig { pixels, positions, shape, rig_from_points, lens })
+impl Together {
+    pub(super) fn of(PlacedFrames { frames, lenses }: &PlacedFrames<'_>) -> Result<Self, FrameError> {
+        let measured = frames.par_iter().zip(lenses).map(|(frame, &lens)| {
+            let of = |(frame, rig_from_points)| Measured::of(frame, rig_from_points, lens);
+            frame.map(of).transpose()
+        });
+        let cameras: Vec<Option<Measured>> = measured.collect::<Result<_, FrameError>>()?;
+        let measured = cameras.iter().enumerate().filter_map(|(i, measured)| Some((i, measured.as_ref()?)));
+        let parts: Vec<Part<'_>> = measured.map(|(i, measured)| measured.part(i)).collect();
+        let mut cloud = PointCloud::new(Xyz::default());
+        fuse_parts(&parts, &mut cloud);
+        Ok(Self { cloud, cameras })
+    }
+
+    /// From where a camera looks, in the frame of the points.
+    pub(super) fn lens(&self, camera: usize) -> DVec3 {
+        let lens = self.cameras.get(camera).and_then(|camera| Some(camera.as_ref()?.lens));
+        lens.unwrap_or_default() - DVec3::from_array(self.cloud.origin_m)
+    }
+
+    /// Of each camera what was found for its points, from results for all.
+    pub(super) fn given_back(&self, all: &Smoothed) -> Vec<Option<Smoothed>> {
+        let origin = DVec3::from_array(self.cloud.origin_m);
+        let mut first = 0;
+        let placed = self.cameras.iter().map(|camera| {
+            let pixels = camera.as_ref().map_or_else(Vec::new, |camera| camera.pixels());
+            first += pixels.len();
+            (camera, first - pixels.len(), pixels)
+        });
+        let placed: Vec<_> = placed.collect();
+        let back = placed.into_par_iter().map(|(camera, first, pixels)| {
+            let camera = camera.as_ref()?;
+            Some(camera.given_back(all, first, &pixels, origin))
+        });
+        back.collect()
+    }
 }
 
-impl InRig {
-    /// What was found for the points from `first` on, in the frame that they came from; normals face the camera.
-    fn given_back(&self, all: &Smoothed, first: usize) -> Smoothed {
+impl Measured {
+    fn of(frame: Frame<'_>, rig_from_points: RigidTransform, lens: DVec3) -> Result<Self, FrameError> {
+        let positions = match frame {
+            Frame::Points(points) => (0..points.len()).map(|i| points.get(i).map(|value| value as f32)).collect(),
+            Frame::Depth(depth) => depth.deproject()?.points.positions,
+        };
+        Ok(Self { positions, shape: frame.shape(), rig_from_points, lens })
+    }
+
+    fn part(&self, camera: usize) -> Part<'_> {
+        let (rig_from_points, positions) = (self.rig_from_points, self.positions.as_slices());
+        Part { camera, rig_from_points, positions, attributes: Vec::new() }
+    }
+
+    /// Those that are no holes.
+    fn pixels(&self) -> Vec<usize> {
+        (0..self.positions.len()).filter(|&i| self.positions.is_finite(i)).collect()
+    }
+
+    /// What was found for the points of these pixels, which begin at `first` of all, in the frame that they came from; normals face the camera.
+    fn given_back(&self, all: &Smoothed, first: usize, its_pixels: &[usize], origin: DVec3) -> Smoothed {
         let (width, height) = self.shape;
         let pixels = width * height;
         let points_from_rig = self.rig_from_points.inverse();
@@ -79,8 +201,8 @@ impl InRig {
         back.curvature = all.curvature.as_ref().map(|_| vec![f32::NAN; pixels]);
         back.status = all.status.as_ref().map(|_| vec![Status::Hole; pixels]);
         back.neighbours = all.neighbours.as_ref().map(|_| vec![0; pixels]);
-        for (i, &pixel) in (first..).zip(&self.pixels) {
-            let in_rig = DVec3::from_array(all.points.get(i).map(f64::from));
+        for (i, &pixel) in (first..).zip(its_pixels) {
+            let in_rig = origin + DVec3::from_array(all.points.get(i).map(f64::from));
             back.points.set(pixel, points_from_rig.to_cloud(in_rig).as_vec3().to_array());
             if let (Some(normals), Some(of_all)) = (&mut back.normals, &all.normals) {
                 let normal = DVec3::from_array(of_all.get(i).map(f64::from));

@@ -21,6 +21,7 @@ mod smoother;
 mod statistics;
 mod stream;
 mod views;
+mod voxels;
 
 use std::path::{Path, PathBuf};
 
@@ -51,6 +52,9 @@ const MOST_CAMERAS: usize = 256;
 
 /// As far as the windows of single frames reach at some 1.2 m.
 const MERGED_RADIUS_M: f32 = 0.03;
+
+/// A surface has some 30 voxels within this many: three times as many as a polynomial of degree 3 has coefficients.
+const VOXELS_IN_RADIUS: f32 = 3.0;
 
 /// How far surfaces of two cameras may be apart for their poses' sake: 0.2° and 2 mm at 1.5 m, and some.
 const DEFAULT_REGISTRATION_M: f64 = 0.01;
@@ -265,6 +269,11 @@ impl RigCamera {
 /// A setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points without neighbours left out.
 pub fn merged_params() -> SmoothParams {
     SmoothParams::general().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
+}
+
+/// The same for points thinned to one for each voxel of this size in metres: everything within 3 cm, or three voxels where that is more.
+pub fn merged_params_in_voxels(voxel_m: f64) -> SmoothParams {
+    merged_params().with_radius_m(MERGED_RADIUS_M.max(VOXELS_IN_RADIUS * voxel_m as f32))
 }
 
 /// What a source named in a file is called from elsewhere: paths are relative to the file's folder.

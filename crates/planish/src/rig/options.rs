@@ -21,6 +21,8 @@ pub struct RigOptions {
     pub adapt_stride: bool,
     /// Of views: how far surfaces of two cameras may be apart for their poses' sake, in metres, 0 to 0.1.
     pub registration_m: f64,
+    /// Of points that are merged: the size in metres of the voxels that they are thinned to; `None` for all points.
+    pub voxel_m: Option<f64>,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
     /// The devices that cameras are spread over, instead of the one of the options; none for that one.
@@ -43,6 +45,7 @@ impl RigOptions {
             general_params: super::merged_params(),
             adapt_stride: true,
             registration_m: super::DEFAULT_REGISTRATION_M,
+            voxel_m: None,
             smoother,
             devices: Vec::new(),
             max_moments: None,
@@ -63,6 +66,13 @@ impl RigOptions {
     /// The same with another bound of how far surfaces of two cameras may be apart for their poses' sake, in metres.
     pub fn with_registration_m(self, registration_m: f64) -> Self {
         Self { registration_m, ..self }
+    }
+
+    /// The same with points that are merged thinned to one for each voxel of this size in metres
+    /// ([`RigSmoother::with_voxel_m`](super::RigSmoother::with_voxel_m)), or with all of them. The parameters should be for it
+    /// ([`merged_params_in_voxels`](super::merged_params_in_voxels)).
+    pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
+        Self { voxel_m, ..self }
     }
 
     /// The same with cameras spread over these devices; none for the one of the options.

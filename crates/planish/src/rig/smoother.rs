@@ -2,13 +2,12 @@
 
 use std::collections::VecDeque;
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use super::flights::Flight;
-use super::fused::rig_from_points;
+use super::merged::General;
 use super::views::{Measured, View};
-use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera, merged};
+use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera};
 use crate::camera::Camera;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError, ParamError};
@@ -56,7 +55,7 @@ pub struct RigSmoother {
     pub(super) way: RigWay,
     pub(super) options: SmootherOptions,
     /// What the cameras are spread over; none for what the options say.
-    devices: Vec<FleetDevice>,
+    pub(super) devices: Vec<FleetDevice>,
     /// Of those the one that failed last.
     pub(super) failed: Option<FleetDevice>,
     adapt_stride: bool,
@@ -64,8 +63,7 @@ pub struct RigSmoother {
     pub(super) threads: Threads,
     pub(super) cameras: Vec<CameraSmoother>,
     /// For all points together.
-    general: Option<Smoother>,
-    general_params: SmoothParams,
+    pub(super) general: General,
     pub(super) engine: Engine,
     /// Moments that were submitted and not received.
     pub(super) flights: VecDeque<Flight>,
@@ -125,8 +123,7 @@ impl RigSmoother {
             registration_m: DEFAULT_REGISTRATION_M,
             threads: Threads::open(options.threads)?,
             cameras: rig.cameras.iter().zip(params).map(camera).collect::<Result<_, Error>>()?,
-            general: None,
-            general_params,
+            general: General::new(general_params),
             engine: options.engine,
             flights: VecDeque::new(),
         })
@@ -148,6 +145,14 @@ impl RigSmoother {
         Self { registration_m, ..self }
     }
 
+    /// The same with points that are merged thinned to one for each voxel of this size in metres, or with all of them.
+    ///
+    /// A fused cloud has then one point a voxel: the centroid of the points in it, smoothed among the other centroids, with the camera of the
+    /// point nearest to it. Each camera's own points are put onto the surface that those make (docs/method.md, section 13).
+    pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
+        Self { general: self.general.with_voxel_m(voxel_m), ..self }
+    }
+
     /// The engine that is open.
     pub fn engine(&self) -> Engine {
         self.engine
@@ -156,7 +161,7 @@ impl RigSmoother {
     /// Closes the engines; the next frames open them again, `Some` engine by that name. Moments in flight are lost.
     pub(super) fn close(&mut self, engine: Option<Engine>) {
         self.flights.clear();
-        self.general = None;
+        self.general.close();
         self.cameras.iter_mut().for_each(|camera| (camera.smoother, camera.device) = (None, None));
         if let Some(engine) = engine {
             self.options.engine = engine;
@@ -311,27 +316,6 @@ impl RigSmoother {
         let back = |(i, of): (usize, &Option<Measured>)| of.as_ref()?.carried_back(i, &measured, &smoothed, outputs);
         let back: Vec<Option<Smoothed>> = self.threads.install(|| measured.par_iter().enumerate().map(back).collect());
         Ok(back.into_iter().zip(refused).map(|(back, refused)| back.map(Ok).or(refused.map(Err))).collect())
-    }
-
-    fn smooth_merged(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
-        let Self { options, devices, failed, threads, cameras, general, general_params, engine, .. } = self;
-        *failed = devices.first().cloned();
-        let smoother = match general {
-            Some(smoother) => smoother,
-            None => {
-                let options = devices.first().map_or_else(|| options.clone(), |device| device.options(options));
-                general.insert(Smoother::open_with(*general_params, &options, None)?)
-            }
-        };
-        *engine = smoother.engine();
-        let placed = cameras.iter().zip(frames).map(|(camera, frame)| {
-            frame.map(|frame| Ok::<_, FrameError>((frame, rig_from_points(camera.rig_from_camera, frame)?))).transpose()
-        });
-        let frames = placed.collect::<Result<Vec<_>, _>>()?;
-        let lenses: Vec<DVec3> = cameras.iter().map(|camera| camera.rig_from_camera.translation).collect();
-        let results = threads.install(|| merged::smooth(smoother, &frames, &lenses))?;
-        *failed = None;
-        Ok(results.into_iter().map(|result| result.map(Ok)).collect())
     }
 }
 

@@ -11,6 +11,7 @@ use super::{
     CameraStatistics, MatcherCounts, Moment, Rig, RigCamera, RigOptions, RigResults, RigSink, RigSmoother,
     RigStatistics, RigWay,
 };
+use crate::clean::voxel_downsample;
 use crate::cloud::PointCloud;
 use crate::engines::Engine;
 use crate::error::{EngineError, Error, FrameError, ParamError};
@@ -40,16 +41,22 @@ pub struct RigFrame {
     pub outputs: Outputs,
     /// From the arrival of its first frame until its result was available.
     pub latency: Duration,
+    /// The size of the voxels that its points were thinned to, in metres, if they were.
+    pub voxel_m: Option<f64>,
     fused: OnceLock<Result<PointCloud, FrameError>>,
 }
 
 impl RigFrame {
-    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index of the camera. Put
-    /// together when it is first asked for.
+    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index of the camera; one for
+    /// each voxel if they were thinned. Put together when it is first asked for.
     pub fn fused(&self) -> Result<&PointCloud, FrameError> {
         let fused = self.fused.get_or_init(|| {
             let frames = self.cameras.iter().map(|frame| frame.as_ref().map(|frame| (&frame.source, &frame.smoothed)));
-            self.rig.fuse(&frames.collect::<Vec<_>>(), self.outputs)
+            let fused = self.rig.fuse(&frames.collect::<Vec<_>>(), self.outputs)?;
+            match self.voxel_m {
+                Some(size_m) => voxel_downsample(&fused, size_m).map_err(FrameError::BadVoxel),
+                None => Ok(fused),
+            }
         });
         fused.as_ref().map_err(Clone::clone)
     }
@@ -86,6 +93,10 @@ pub fn run(
         let value = options.registration_m.to_string();
         return Err(ParamError { field: "registration_m", value, allowed: "0 to 0.1 m" }.into());
     }
+    if options.voxel_m.is_some() && options.way != RigWay::Merged {
+        let (value, allowed) = (options.way.name().to_owned(), "merged, where points are thinned to voxels");
+        return Err(ParamError { field: "way", value, allowed }.into());
+    }
     let smoother = RigSmoother::new(rig, options.way, &options.params, options.general_params, &options.smoother)?;
     let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
     let inbox = Arc::new(Inbox::new(names, is_live, rig.tolerance_s, LONGEST_WAIT));
@@ -106,6 +117,7 @@ pub fn run(
             smoother: smoother
                 .with_adapt_stride(options.adapt_stride)
                 .with_registration_m(options.registration_m)
+                .with_voxel_m(options.voxel_m)
                 .with_devices(options.devices.clone()),
             pending: VecDeque::new(),
             is_live,
@@ -325,7 +337,8 @@ impl RigStream<'_> {
             ));
         }
         let (rig, outputs) = (Arc::clone(&self.rig), self.options.smoother.outputs);
-        let frame = RigFrame { index, time_s: moment.time_s, cameras, rig, outputs, latency, fused: OnceLock::new() };
+        let (time_s, voxel_m) = (moment.time_s, self.options.voxel_m);
+        let frame = RigFrame { index, time_s, cameras, rig, outputs, latency, voxel_m, fused: OnceLock::new() };
         let frame = Arc::new(frame);
         for sink in &mut self.sinks {
             if let Some(warning) = sink.give(&frame, self.is_live) {
