@@ -1,5 +1,7 @@
 //! Vectors as a structure of arrays, and how many of them a frame may have.
 
+use rayon::prelude::*;
+
 use crate::error::FrameError;
 
 /// Largest number of pixels of a frame; an index fits u32 with room for the window's halo.
@@ -33,6 +35,12 @@ impl Xyz {
     /// x, y and z.
     pub(crate) fn as_slices(&self) -> [&[f32]; 3] {
         [&self.x, &self.y, &self.z]
+    }
+
+    /// So many points after each other at a time, in parallel.
+    pub(crate) fn par_chunks(&self, len: usize) -> impl IndexedParallelIterator<Item = [&[f32]; 3]> {
+        let [x, y, z] = self.as_slices().map(|axis| axis.par_chunks(len));
+        x.zip(y).zip(z).map(|((x, y), z)| [x, y, z])
     }
 
     /// How many vectors there are.

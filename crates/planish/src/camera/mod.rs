@@ -138,6 +138,7 @@ impl Camera {
     }
 
     /// Deprojects depth in metres, row by row, into x, y and z; what is not finite or not positive becomes NaN in all three.
+    #[cfg(test)]
     pub(crate) fn deproject_m(&self, depth_m: impl Iterator<Item = f32>) -> crate::xyz::Xyz {
         let mut rays = Rays::default();
         rays.set(self);

@@ -3,7 +3,7 @@
 use super::Camera;
 
 /// The factors of deprojection, kept while the camera stays the same.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Rays {
     camera: Option<Camera>,
     /// X/Z of each column, or with lens distortion of each pixel.

@@ -2,19 +2,25 @@
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
+use std::ops::Range;
 
 use rayon::prelude::*;
 
 use crate::cloud::PointCloud;
 use crate::error::ParamError;
 use crate::neighbours::Bounds;
-use crate::xyz::Xyz;
 
 /// Voxels along an axis, as 21 bits count them.
 const MOST_ALONG_AXIS: f64 = (1u32 << 21) as f64;
 
-/// The key of holes: three times 21 bits never reach it.
-const NO_VOXEL: u64 = u64::MAX;
+/// Points that one task looks at.
+const POINTS_OF_A_TASK: usize = 1 << 14;
+
+/// The key of holes; those of voxels begin at 1.
+const NO_VOXEL: u64 = 0;
+
+/// As many as a voxel has in clouds that are worth thinning: tables begin with room for so many voxels, and grow where there are more.
+const POINTS_OF_A_VOXEL: usize = 8;
 
 /// More shards than this would each look at all keys for few points.
 const MOST_SHARDS: usize = 64;
@@ -56,18 +62,29 @@ impl Voxels {
     /// If the size is no positive number, or so small that the cloud is over 2 million voxels wide.
     pub(crate) fn of(cloud: &PointCloud, size_m: f64) -> Result<Self, ParamError> {
         let grid = Grid::of(cloud, size_m)?;
-        let Xyz { x, y, z } = &cloud.positions;
-        let keys = (x.par_iter(), y.par_iter(), z.par_iter()).into_par_iter();
-        let keys: Vec<u64> = keys.with_min_len(1 << 12).map(|(&x, &y, &z)| grid.key([x, y, z])).collect();
         let count = rayon::current_num_threads().next_power_of_two().min(MOST_SHARDS);
-        let shard = |shard: usize| Shard::of(&keys, |key| shard_of(key, count) == shard);
-        let shards: Vec<Shard> = (0..count).into_par_iter().map(shard).collect();
-        let all = shards.par_iter().enumerate().flat_map_iter(|(i, shard)| {
-            (0..shard.len() as u32).map(move |voxel| (shard.points_of(voxel)[0], i as u8, voxel))
+        let mut keys = vec![NO_VOXEL; cloud.len()];
+        let mut owners = vec![0u8; cloud.len()];
+        let chunks = cloud.positions.par_chunks(POINTS_OF_A_TASK);
+        let places = keys.par_chunks_mut(POINTS_OF_A_TASK).zip(owners.par_chunks_mut(POINTS_OF_A_TASK));
+        places.zip(chunks).for_each(|((keys, owners), [x, y, z])| {
+            let points = x.iter().zip(y).zip(z);
+            keys.iter_mut().zip(points).for_each(|(key, ((&x, &y), &z))| *key = grid.key([x, y, z]));
+            owners.iter_mut().zip(keys).for_each(|(owner, &mut key)| *owner = shard_of(key, count));
         });
-        let mut all: Vec<(u32, u8, u32)> = all.collect();
-        all.par_sort_unstable();
-        let order = all.into_par_iter().map(|(_, shard, voxel)| (shard, voxel)).collect();
+        let share = cloud.len() / count;
+        let shards: Vec<Shard> =
+            (0..count).into_par_iter().map(|shard| Shard::of(&keys, &owners, shard as u8, share)).collect();
+        let in_order = (0..cloud.len()).into_par_iter().step_by(POINTS_OF_A_TASK).map(|first| {
+            let mut found: Vec<(u32, u8, u32)> = Vec::new();
+            for (i, shard) in shards.iter().enumerate() {
+                let begun = shard.begun_within(first..first + POINTS_OF_A_TASK);
+                found.extend(begun.map(|voxel| (shard.points_of(voxel)[0], i as u8, voxel)));
+            }
+            found.sort_unstable();
+            found.into_iter().map(|(_, shard, voxel)| (shard, voxel)).collect::<Vec<_>>()
+        });
+        let order = in_order.collect::<Vec<_>>().concat();
         Ok(Self { grid, shards, order })
     }
 
@@ -117,15 +134,15 @@ impl<'a> VoxelMap<'a> {
         let Voxels { grid, shards, .. } = self.voxels;
         let is_within = at.iter().zip(grid.along).all(|(&at, along)| at >= 0.0 && at < along as f64);
         let key = is_within.then(|| grid.key_at(at))?;
-        let shard = shard_of(key, shards.len());
+        let shard = usize::from(shard_of(key, shards.len()));
         let voxel = *shards[shard].found.get(&key)?;
         Some(self.ranks[shard][voxel as usize] as usize)
     }
 }
 
 /// Which of the shards, a power of two, a key belongs to: by other bits of its hash than tables use.
-fn shard_of(key: u64, shards: usize) -> usize {
-    (hash(key) >> 40) as usize & (shards - 1)
+fn shard_of(key: u64, shards: usize) -> u8 {
+    ((hash(key) >> 40) as usize & (shards - 1)) as u8
 }
 
 /// The upper half of the product depends on all bits, the lower on the lower ones only.
@@ -134,17 +151,28 @@ fn hash(key: u64) -> u64 {
     product ^ (product >> 32)
 }
 
+/// The box around points; holes are left out.
+fn bounds_of([x, y, z]: [&[f32]; 3]) -> Bounds {
+    let Bounds { mut low, mut high } = Bounds::EMPTY;
+    for ((&x, &y), &z) in x.iter().zip(y).zip(z) {
+        // Written so that it is compiled to vectors: times 0 is 0 for what is finite.
+        let is_point = x * 0.0 + y * 0.0 + z * 0.0 == 0.0;
+        for (axis, value) in [x, y, z].into_iter().enumerate() {
+            low[axis] = if is_point && value < low[axis] { value } else { low[axis] };
+            high[axis] = if is_point && value > high[axis] { value } else { high[axis] };
+        }
+    }
+    Bounds { low, high }
+}
+
 impl Grid {
     fn of(cloud: &PointCloud, size_m: f64) -> Result<Self, ParamError> {
         let refuse = |allowed| Err(ParamError { field: "voxel", value: size_m.to_string(), allowed });
         if !(size_m > 0.0 && size_m.is_finite()) {
             return refuse("a size in metres above 0");
         }
-        let points = &cloud.positions;
-        let valid = (0..cloud.len()).into_par_iter().filter(|&i| points.is_finite(i));
-        let bounds = valid
-            .fold(|| Bounds::EMPTY, |bounds, i| bounds.union(Bounds::of_point(points.get(i))))
-            .reduce(|| Bounds::EMPTY, Bounds::union);
+        let chunks = cloud.positions.par_chunks(POINTS_OF_A_TASK);
+        let bounds = chunks.map(bounds_of).reduce(|| Bounds::EMPTY, Bounds::union);
         if bounds.low[0] > bounds.high[0] {
             return Ok(Self { size_m, origin_m: cloud.origin_m, first: [0.0; 3], along: [0; 3] });
         }
@@ -171,26 +199,21 @@ impl Grid {
 
     /// Of a place within the grid, where a cast rounds down.
     fn key_at(&self, place: [f64; 3]) -> u64 {
-        place.iter().zip(self.along).fold(0, |key, (&at, along)| key * along + at as u64)
+        1 + place.iter().zip(self.along).fold(0, |key, (&at, along)| key * along + at as u64)
     }
 }
 
 impl Shard {
-    /// The voxels of those keys that are its own.
-    fn of(keys: &[u64], is_own: impl Fn(u64) -> bool) -> Self {
-        let mut found = HashMap::default();
-        let mut counts: Vec<u32> = Vec::new();
-        let mut members: Vec<(u32, u32)> = Vec::new();
+    /// The voxels of those keys that it owns, of about as many points.
+    fn of(keys: &[u64], owners: &[u8], own: u8, points: usize) -> Self {
+        let mut found = HashMap::with_capacity_and_hasher(points / POINTS_OF_A_VOXEL, BuildHasherDefault::default());
+        let mut counts: Vec<u32> = Vec::with_capacity(points / POINTS_OF_A_VOXEL);
+        let mut members: Vec<(u32, u32)> = Vec::with_capacity(points + points / 4);
         let mut last = (NO_VOXEL, 0);
-        for (i, &key) in keys.iter().enumerate() {
-            if key == NO_VOXEL {
-                continue;
-            }
+        let own = keys.iter().zip(owners).enumerate().filter(|(_, (_, owner))| **owner == own);
+        for (i, (&key, _)) in own.filter(|(_, (key, _))| **key != NO_VOXEL) {
             // Points that follow each other are often in one voxel.
             if key != last.0 {
-                if !is_own(key) {
-                    continue;
-                }
                 let next = counts.len() as u32;
                 last = (key, *found.entry(key).or_insert(next));
                 if last.1 == next {
@@ -217,8 +240,19 @@ impl Shard {
         Self { found, points, starts }
     }
 
+    #[cfg(feature = "stream")]
     fn len(&self) -> usize {
         self.starts.len() - 1
+    }
+
+    /// Its voxels whose first points are within a range.
+    fn begun_within(&self, points: Range<usize>) -> Range<u32> {
+        // First points ascend.
+        let begun_before = |point: usize| {
+            let starts = &self.starts[..self.starts.len() - 1];
+            starts.partition_point(|&start| (self.points[start as usize] as usize) < point) as u32
+        };
+        begun_before(points.start)..begun_before(points.end)
     }
 
     fn points_of(&self, voxel: u32) -> &[u32] {

@@ -52,7 +52,9 @@ pub(crate) fn downsample(cloud: &PointCloud, voxels: &Voxels) -> PointCloud {
         })
         .collect();
     normalize(&mut merged);
-    PointCloud { positions: Xyz::from_iter(centroids), attributes: merged, ..cloud.without_points() }
+    let axis = |k: usize| centroids.par_iter().map(|centroid| centroid[k]).collect();
+    let positions = Xyz { x: axis(0), y: axis(1), z: axis(2) };
+    PointCloud { positions, attributes: merged, ..cloud.without_points() }
 }
 
 fn nearest_to(centroid: [f32; 3], voxel: &[u32], points: &Xyz) -> usize {

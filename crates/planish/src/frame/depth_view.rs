@@ -2,10 +2,16 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use super::check_rows;
-use crate::camera::{Camera, SATURATED_DEPTH};
+use crate::camera::{Camera, Rays, RowRaysY, SATURATED_DEPTH, depth_m};
 use crate::cloud::OrganizedCloud;
 use crate::error::FrameError;
+use crate::xyz::Xyz;
+
+/// Rows that one task deprojects.
+const ROWS_OF_A_TASK: usize = 16;
 
 /// Depth as sensors and middleware deliver it: raw 16-bit values or metres, row by row, perhaps with a stride.
 ///
@@ -111,9 +117,37 @@ impl<'a> DepthView<'a> {
     /// The organized cloud of this image (docs/method.md, section 1).
     pub fn deproject(&self) -> Result<OrganizedCloud, FrameError> {
         let (width, height) = self.shape();
-        let depth_m = (0..height).flat_map(|v| (0..width).map(move |u| self.depth_m(u, v)));
-        let cloud = OrganizedCloud::from_positions(width, height, self.camera.deproject_m(depth_m))?;
+        let mut rays = Rays::default();
+        rays.set(self.camera);
+        let cloud = OrganizedCloud::from_positions(width, height, self.deproject_with(&rays))?;
         Ok(cloud.with_camera(*self.camera))
+    }
+
+    /// The points of all pixels, with the rays of the image's camera; NaN for holes.
+    pub(crate) fn deproject_with(&self, rays: &Rays) -> Xyz {
+        let (width, height) = self.shape();
+        let mut points = Xyz::filled(width * height, 0.0);
+        let Xyz { x, y, z } = &mut points;
+        let rows = x.par_chunks_mut(width).zip(y.par_chunks_mut(width)).zip(z.par_chunks_mut(width)).enumerate();
+        rows.with_min_len(ROWS_OF_A_TASK).for_each(|(v, ((x, y), z))| {
+            let metres_per_unit = self.camera.metres_per_unit();
+            match self.row(v) {
+                DepthSamples::U16(raw) => {
+                    z.iter_mut().zip(raw).for_each(|(z, &raw)| *z = depth_m(raw, metres_per_unit));
+                }
+                DepthSamples::F32(depth_m) => {
+                    let metres = depth_m.iter().map(|&z| if z > 0.0 && z < f32::INFINITY { z } else { f32::NAN });
+                    z.iter_mut().zip(metres).for_each(|(z, metres)| *z = metres);
+                }
+            }
+            let row = rays.row(v);
+            x.iter_mut().zip(row.x).zip(&*z).for_each(|((x, ray), z)| *x = ray * z);
+            match row.y {
+                RowRaysY::Same(ray) => y.iter_mut().zip(&*z).for_each(|(y, z)| *y = ray * z),
+                RowRaysY::Each(rays) => y.iter_mut().zip(rays).zip(&*z).for_each(|((y, ray), z)| *y = ray * z),
+            }
+        });
+        points
     }
 
     /// The samples of a row.

@@ -238,7 +238,7 @@ impl RigSmoother {
 }
 
 fn in_voxels(frames: &PlacedFrames<'_>, size_m: f64) -> Result<Box<InVoxels>, Error> {
-    Ok(Box::new(InVoxels::of(Together::of(frames)?, size_m)?))
+    Ok(Box::new(InVoxels::of(Together::of(frames), size_m)?))
 }
 
 /// Puts the results of a moment together in the rig's frame.

@@ -105,6 +105,10 @@ fn place(parts: &[Part<'_>], origin: DVec3, positions: &mut Xyz, cameras: &mut V
     let total = counts.iter().sum();
     let Xyz { x, y, z } = positions;
     for axis in [&mut *x, y, z] {
+        // New memory is zero as it comes: the tasks are the first to touch it.
+        if axis.capacity() < total {
+            *axis = vec![0.0; total];
+        }
         axis.resize(total, 0.0);
     }
     cameras.resize(total, 0);

@@ -1,11 +1,14 @@
 //! All points of a moment as one general cloud, and its result given back to the cameras.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::fused::{Part, fuse_parts, rig_from_points};
 use super::voxels::InVoxels;
 use super::{RigResults, RigSmoother};
+use crate::camera::Rays;
 use crate::cloud::PointCloud;
 use crate::engines::SmootherOptions;
 use crate::error::{Error, FrameError};
@@ -66,6 +69,8 @@ impl General {
 pub(super) struct PlacedFrames<'a> {
     /// Each with what takes its points into the rig's frame.
     frames: Vec<Option<(Frame<'a>, RigidTransform)>>,
+    /// Of those that are depth images.
+    rays: Vec<Arc<Rays>>,
     /// Where each camera stands in the rig's frame.
     lenses: Vec<DVec3>,
 }
@@ -74,7 +79,7 @@ impl RigSmoother {
     pub(super) fn smooth_merged(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
         let (outputs, threads) = (self.options.outputs, self.threads.clone());
         let frames = self.placed(frames)?;
-        let together = threads.install(|| Together::of(&frames))?;
+        let together = threads.install(|| Together::of(&frames));
         let results = match self.general.voxel_m {
             Some(size_m) => {
                 let mut voxels = threads.install(|| InVoxels::of(together, size_m))?;
@@ -86,14 +91,20 @@ impl RigSmoother {
         Ok(results.into_iter().map(|result| result.map(Ok)).collect())
     }
 
-    pub(super) fn placed<'a>(&self, frames: &[Option<Frame<'a>>]) -> Result<PlacedFrames<'a>, FrameError> {
+    pub(super) fn placed<'a>(&mut self, frames: &[Option<Frame<'a>>]) -> Result<PlacedFrames<'a>, FrameError> {
         let placed = self.cameras.iter().zip(frames).map(|(camera, frame)| {
             let place = |frame| Ok((frame, rig_from_points(camera.rig_from_camera, frame)?));
             frame.map(place).transpose()
         });
-        let frames = placed.collect::<Result<_, FrameError>>()?;
+        let frames: Vec<Option<(Frame<'a>, RigidTransform)>> = placed.collect::<Result<_, FrameError>>()?;
+        for (camera, frame) in self.cameras.iter_mut().zip(&frames) {
+            if let Some((Frame::Depth(depth), _)) = frame {
+                Arc::make_mut(&mut camera.rays).set(depth.camera());
+            }
+        }
+        let rays = self.cameras.iter().map(|camera| Arc::clone(&camera.rays)).collect();
         let lenses = self.cameras.iter().map(|camera| camera.rig_from_camera.translation).collect();
-        Ok(PlacedFrames { frames, lenses })
+        Ok(PlacedFrames { frames, rays, lenses })
     }
 
     /// Does something with the engine for all points together, which is opened if it is not.
@@ -135,17 +146,17 @@ fn smooth(smoother: &mut Smoother, together: &Together) -> Result<Vec<Option<Smo
 }
 
 impl Together {
-    pub(super) fn of(PlacedFrames { frames, lenses }: &PlacedFrames<'_>) -> Result<Self, FrameError> {
-        let measured = frames.par_iter().zip(lenses).map(|(frame, &lens)| {
-            let of = |(frame, rig_from_points)| Measured::of(frame, rig_from_points, lens);
-            frame.map(of).transpose()
+    pub(super) fn of(PlacedFrames { frames, rays, lenses }: &PlacedFrames<'_>) -> Self {
+        let measured = frames.par_iter().zip(rays).zip(lenses).map(|((frame, rays), &lens)| {
+            let (frame, rig_from_points) = (*frame)?;
+            Some(Measured::of(frame, rays, rig_from_points, lens))
         });
-        let cameras: Vec<Option<Measured>> = measured.collect::<Result<_, FrameError>>()?;
+        let cameras: Vec<Option<Measured>> = measured.collect();
         let measured = cameras.iter().enumerate().filter_map(|(i, measured)| Some((i, measured.as_ref()?)));
         let parts: Vec<Part<'_>> = measured.map(|(i, measured)| measured.part(i)).collect();
         let mut cloud = PointCloud::new(Xyz::default());
         fuse_parts(&parts, &mut cloud);
-        Ok(Self { cloud, cameras })
+        Self { cloud, cameras }
     }
 
     /// From where a camera looks, in the frame of the points.
@@ -173,12 +184,12 @@ impl Together {
 }
 
 impl Measured {
-    fn of(frame: Frame<'_>, rig_from_points: RigidTransform, lens: DVec3) -> Result<Self, FrameError> {
+    fn of(frame: Frame<'_>, rays: &Rays, rig_from_points: RigidTransform, lens: DVec3) -> Self {
         let positions = match frame {
             Frame::Points(points) => (0..points.len()).map(|i| points.get(i).map(|value| value as f32)).collect(),
-            Frame::Depth(depth) => depth.deproject()?.points.positions,
+            Frame::Depth(depth) => depth.deproject_with(rays),
         };
-        Ok(Self { positions, shape: frame.shape(), rig_from_points, lens })
+        Self { positions, shape: frame.shape(), rig_from_points, lens }
     }
 
     fn part(&self, camera: usize) -> Part<'_> {

@@ -1,6 +1,7 @@
 //! Smooths the frames of a moment.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -8,7 +9,7 @@ use super::flights::Flight;
 use super::merged::General;
 use super::views::{Measured, View};
 use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera};
-use crate::camera::Camera;
+use crate::camera::{Camera, Rays};
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError, ParamError};
 use crate::fleet::FleetDevice;
@@ -76,6 +77,8 @@ pub(super) struct CameraSmoother {
     pub(super) device: Option<FleetDevice>,
     /// Where its frames do not know it.
     camera: Option<Camera>,
+    /// Of its depth images, where their points are needed.
+    pub(super) rays: Arc<Rays>,
     params: SmoothParams,
     smoother: Option<Smoother>,
     shape: (usize, usize),
@@ -111,7 +114,8 @@ impl RigSmoother {
             params.validate()?;
             let rig_from_camera = camera.pose.transform()?;
             let camera = camera.camera;
-            Ok(CameraSmoother { rig_from_camera, device: None, camera, params, smoother: None, shape: (0, 0) })
+            let (device, rays) = (None, Arc::default());
+            Ok(CameraSmoother { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0) })
         };
         general_params.validate()?;
         Ok(Self {

@@ -51,7 +51,8 @@ impl InVoxels {
     pub(super) fn fused(self, fields: Outputs) -> PointCloud {
         let Self { mut cloud, smoothed, together, .. } = self;
         let mut smoothed = smoothed.unwrap_or_default();
-        if let (Some(normals), Some(field)) = (&mut smoothed.normals, cloud.attribute(CAMERA_FIELD)) {
+        let normals = smoothed.normals.as_mut().filter(|_| fields.normals);
+        if let (Some(normals), Some(field)) = (normals, cloud.attribute(CAMERA_FIELD)) {
             for i in 0..normals.len() {
                 let normal = DVec3::from_array(normals.get(i).map(f64::from));
                 let point = DVec3::from_array(smoothed.points.get(i).map(f64::from));
