@@ -107,7 +107,7 @@ fn measure(way: RigWay, rig: &Rig, frames: &[Option<Frame<'_>>], options: &RigBe
         moments += 1;
     }
     let moments_a_second = moments as f64 / started.elapsed().as_secs_f64();
-    let in_flight = smoother.max_in_flight();
+    let in_flight = smoother.in_flight();
     while smoother.receive_fused(&mut fused)? {}
     let (started, mut times) = (Instant::now(), Vec::new());
     while times.len() < options.runs && (times.is_empty() || started.elapsed() < LONGEST) {

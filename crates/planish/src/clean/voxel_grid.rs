@@ -280,3 +280,76 @@ impl Hasher for KeyHasher {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use rayon::ThreadPoolBuilder;
+
+    use super::*;
+    use crate::xyz::Xyz;
+
+    /// Points on a wavy sheet, holes among them, of which some have numbers that would be far away.
+    fn sheet() -> PointCloud {
+        let point = |i: usize| {
+            let (u, v) = ((i % 97) as f32 / 97.0, (i / 97) as f32 / 150.0);
+            match i % 50 {
+                7 => [f32::NAN; 3],
+                8 => [1e30, f32::NAN, f32::INFINITY],
+                _ => [u - 0.5, 0.1 * (9.0 * u).sin(), v],
+            }
+        };
+        let positions: Xyz = (0..40_000).map(point).collect();
+        PointCloud { origin_m: [1000.25, -3.0, 0.0], ..PointCloud::new(positions) }
+    }
+
+    #[test]
+    fn voxels_are_those_of_the_definition_on_any_number_of_threads() {
+        let (cloud, size_m) = (sheet(), 0.013);
+        let mut expected: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
+        for i in (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)) {
+            let at = |axis: usize| (cloud.coordinate(axis, i) / size_m).floor() as i64;
+            expected.entry([at(0), at(1), at(2)]).or_default().push(i as u32);
+        }
+        let mut expected: Vec<Vec<u32>> = expected.into_values().collect();
+        expected.sort_by_key(|points| points[0]);
+        for threads in [1, 2, 7] {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let voxels = pool.install(|| Voxels::of(&cloud, size_m).unwrap());
+            let found: Vec<Vec<u32>> = voxels.iter().map(<[u32]>::to_vec).collect();
+            assert!(found == expected, "{threads} threads");
+        }
+    }
+
+    #[test]
+    fn clouds_of_holes_have_no_voxels() {
+        let cloud = PointCloud::new(Xyz::filled(5, f32::NAN));
+        assert_eq!(Voxels::of(&cloud, 0.01).unwrap().iter().count(), 0);
+    }
+
+    #[cfg(feature = "stream")]
+    #[test]
+    fn a_point_is_in_its_voxel_and_between_the_centres_of_eight() {
+        // All 27 voxels round the origin.
+        let centres = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9].map(|at| at as f32 - 0.5));
+        let cloud = PointCloud::new(centres.collect());
+        let voxels = Voxels::of(&cloud, 1.0).unwrap();
+        let map = VoxelMap::of(&voxels);
+        for i in 0..27 {
+            assert_eq!(map.at(cloud.positions.get(i)), Some(i));
+        }
+        // Linear interpolation of the centres is the point itself.
+        let p = [0.3, -0.2, 1.1f32];
+        let around: Vec<(usize, f64)> = map.around(p).collect();
+        assert_eq!(around.len(), 8);
+        for (axis, value) in p.into_iter().enumerate() {
+            let mean: f64 = around.iter().map(|&(i, weight)| weight * f64::from(cloud.positions.get(i)[axis])).sum();
+            assert!((mean - f64::from(value)).abs() < 1e-6, "{mean}");
+        }
+        // At a corner of the grid one of the eight is there, outside none.
+        assert_eq!(map.around([-0.9; 3]).count(), 1);
+        assert_eq!(map.at([-1.1, 0.0, 0.0]), None);
+        assert_eq!(map.around([5.0, 0.0, 0.0]).count(), 0);
+    }
+}

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use super::fused::{Part, fuse_parts, rig_from_points};
-use super::merged::{PlacedFrames, Together};
+use super::merged::Together;
 use super::smoother::CameraSmoother;
 use super::voxels::InVoxels;
 use super::{RigResults, RigSmoother, RigWay};
@@ -26,8 +26,20 @@ enum FlightResults {
     /// Where each camera's frame is.
     Submitted(Vec<Submitted>),
     Landed(RigViews),
-    /// All points in voxels, which wait to be smoothed.
+    /// All points together, which wait to be brought into voxels.
+    Together(Box<Together>),
+    /// In voxels, which wait to be smoothed.
     InVoxels(Box<InVoxels>),
+}
+
+impl FlightResults {
+    fn bring_into_voxels(&mut self, size_m: f64) -> Result<(), Error> {
+        match std::mem::replace(self, Self::Landed(Vec::new())) {
+            Self::Together(together) => *self = Self::InVoxels(Box::new(InVoxels::of(*together, size_m)?)),
+            other => *self = other,
+        }
+        Ok(())
+    }
 }
 
 enum Submitted {
@@ -102,9 +114,9 @@ impl RigSmoother {
             }
         }
         if let Some(size_m) = self.voxels_merged_m() {
-            let frames = self.placed(frames)?;
-            let voxels = self.threads.install(|| in_voxels(&frames, size_m))?;
-            return Ok(FlightResults::InVoxels(voxels));
+            let mut results = self.put_together(frames)?;
+            self.threads.install(|| results.bring_into_voxels(size_m))?;
+            return Ok(results);
         }
         let of_view = |smoothed| SmoothedView::owned(smoothed, None);
         let results = self.smooth_now(frames)?.into_iter().map(|result| result.map(|result| result.map(of_view)));
@@ -154,19 +166,14 @@ impl RigSmoother {
     /// As [`smooth`](Self::smooth); the oldest moment is lost with the others then, and `out` may be either's.
     pub fn next_fused(&mut self, frames: &[Option<Frame<'_>>], out: &mut PointCloud) -> Result<bool, Error> {
         self.check_count(frames)?;
+        if let Some(size_m) = self.voxels_merged_m() {
+            let next = self.next_in_voxels(frames, size_m, out);
+            return self.closed_by_error(next);
+        }
         if self.flights.len() < self.max_in_flight() {
             return self.submit_in_place(frames).map(|()| false);
         }
         let (outputs, threads) = (self.options.outputs, self.threads.clone());
-        if let Some(size_m) = self.voxels_merged_m() {
-            let next = self.placed(frames)?;
-            let mut in_next = None;
-            let find_voxels = || in_next = Some(in_voxels(&next, size_m));
-            let is_received = threads.beside(find_voxels, || self.receive_fused(out))?;
-            let results = in_next.unwrap_or_else(|| in_voxels(&next, size_m))?;
-            self.flights.push_back(Flight { rig_from_points: Vec::new(), results: FlightResults::InVoxels(results) });
-            return Ok(is_received);
-        }
         let landed = self.receive_landed()?;
         let fuse = || {
             if let Some(Landed::Views(placed)) = &landed {
@@ -175,6 +182,42 @@ impl RigSmoother {
         };
         threads.beside(fuse, || self.submit_in_place(frames))?;
         Ok(landed.is_some())
+    }
+
+    /// The same where points are thinned: while the oldest moment is smoothed, the one before the next is brought into voxels, and the points of
+    /// the next are put together.
+    fn next_in_voxels(
+        &mut self,
+        frames: &[Option<Frame<'_>>],
+        size_m: f64,
+        out: &mut PointCloud,
+    ) -> Result<bool, Error> {
+        if self.flights.len() < 2 {
+            let results = self.put_together(frames)?;
+            self.flights.push_back(Flight { rig_from_points: Vec::new(), results });
+            return Ok(false);
+        }
+        let (next, threads) = (self.placed(frames)?, self.threads.clone());
+        let mut younger = self.flights.split_off(1);
+        let (mut together, mut brought) = (None, Ok(()));
+        let bring_on = || {
+            rayon::join(
+                || together = Some(Together::of(&next)),
+                || brought = younger.iter_mut().try_for_each(|flight| flight.results.bring_into_voxels(size_m)),
+            );
+        };
+        let is_received = threads.beside(bring_on, || self.receive_fused(out))?;
+        brought?;
+        self.flights.append(&mut younger);
+        let together = together.unwrap_or_else(|| Together::of(&next));
+        let results = FlightResults::Together(Box::new(together));
+        self.flights.push_back(Flight { rig_from_points: Vec::new(), results });
+        Ok(is_received)
+    }
+
+    fn put_together(&mut self, frames: &[Option<Frame<'_>>]) -> Result<FlightResults, Error> {
+        let frames = self.placed(frames)?;
+        Ok(FlightResults::Together(Box::new(self.threads.install(|| Together::of(&frames)))))
     }
 
     /// The size of the voxels that points are thinned to, if they are.
@@ -200,16 +243,19 @@ impl RigSmoother {
         Ok(match flight.results {
             FlightResults::Landed(views) => Some(Landed::Views((flight.rig_from_points, views))),
             FlightResults::InVoxels(voxels) => Some(Landed::InVoxels(voxels)),
-            FlightResults::Submitted(_) => None,
+            FlightResults::Submitted(_) | FlightResults::Together(_) => None,
         })
     }
 
     /// Waits for the results of a moment.
     fn land(&mut self, flight: &mut Flight) -> Result<(), Error> {
+        if let Some(size_m) = self.voxels_merged_m() {
+            self.threads.install(|| flight.results.bring_into_voxels(size_m))?;
+        }
         let submitted = match &mut flight.results {
             FlightResults::Submitted(submitted) => submitted,
             FlightResults::InVoxels(voxels) => return self.with_general(|smoother| voxels.smooth(smoother)),
-            FlightResults::Landed(_) => return Ok(()),
+            FlightResults::Landed(_) | FlightResults::Together(_) => return Ok(()),
         };
         let land = |(camera, submitted): (&mut CameraSmoother, Submitted)| match submitted {
             Submitted::Nothing => Ok(None),
@@ -235,10 +281,6 @@ impl RigSmoother {
         self.flights = flights;
         Ok(())
     }
-}
-
-fn in_voxels(frames: &PlacedFrames<'_>, size_m: f64) -> Result<Box<InVoxels>, Error> {
-    Ok(Box::new(InVoxels::of(Together::of(frames), size_m)?))
 }
 
 /// Puts the results of a moment together in the rig's frame.
