@@ -132,7 +132,7 @@ fn each_camera_s_points_lie_on_the_surface_of_the_voxels() {
     assert!(thinned.overlap_rmse_mm < 0.8 * each.overlap_rmse_mm, "{each:?} {thinned:?}");
     assert!(thinned.ghosting_mm < 0.2 * each.ghosting_mm, "{each:?} {thinned:?}");
     assert!(thinned.overlap_facet_deg < each.overlap_facet_deg, "{each:?} {thinned:?}");
-    assert!(thinned.lost_share < 0.01, "{thinned:?}");
+    assert!(thinned.lost_share < 0.03, "{thinned:?}");
 }
 
 #[test]
