@@ -29,6 +29,7 @@ const MOST_SHARDS: usize = 64;
 ///
 /// A voxel's points ascend, and voxels are in the order of their first points, so that neither depends on the number of threads.
 pub(crate) struct Voxels {
+    #[cfg_attr(not(feature = "stream"), expect(dead_code, reason = "only rigs look up voxels"))]
     grid: Grid,
     shards: Vec<Shard>,
     /// Of each voxel its shard, and which of that shard's voxels it is.
@@ -48,6 +49,7 @@ struct Grid {
 /// The voxels of one share of the keys, found by one task.
 #[derive(Default)]
 struct Shard {
+    #[cfg_attr(not(feature = "stream"), expect(dead_code, reason = "only rigs look up voxels"))]
     found: HashMap<u64, u32, BuildHasherDefault<KeyHasher>>,
     /// The points' indices, voxel by voxel.
     points: Vec<u32>,
@@ -309,7 +311,8 @@ mod tests {
         let (cloud, size_m) = (sheet(), 0.013);
         let mut expected: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
         for i in (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)) {
-            let at = |axis: usize| (cloud.coordinate(axis, i) / size_m).floor() as i64;
+            let p = cloud.positions.get(i);
+            let at = |axis: usize| ((cloud.origin_m[axis] + f64::from(p[axis])) / size_m).floor() as i64;
             expected.entry([at(0), at(1), at(2)]).or_default().push(i as u32);
         }
         let mut expected: Vec<Vec<u32>> = expected.into_values().collect();

@@ -168,13 +168,15 @@ impl Together {
     /// Of each camera what was found for its points, from results for all.
     pub(super) fn given_back(&self, all: &Smoothed) -> Vec<Option<Smoothed>> {
         let origin = DVec3::from_array(self.cloud.origin_m);
+        let pixels = self.cameras.par_iter().map(|camera| camera.as_ref().map_or_else(Vec::new, Measured::pixels));
+        let pixels: Vec<Vec<usize>> = pixels.collect();
         let mut first = 0;
-        let placed = self.cameras.iter().map(|camera| {
-            let pixels = camera.as_ref().map_or_else(Vec::new, |camera| camera.pixels());
+        let mut placed = Vec::with_capacity(pixels.len());
+        for (camera, pixels) in self.cameras.iter().zip(pixels) {
+            let begin = first;
             first += pixels.len();
-            (camera, first - pixels.len(), pixels)
-        });
-        let placed: Vec<_> = placed.collect();
+            placed.push((camera, begin, pixels));
+        }
         let back = placed.into_par_iter().map(|(camera, first, pixels)| {
             let camera = camera.as_ref()?;
             Some(camera.given_back(all, first, &pixels, origin))

@@ -82,25 +82,27 @@ impl InVoxels {
         let positions = &self.together.cloud.positions;
         let on_surface = |i| surface.carry(positions.get(i));
         let carried: Vec<Carried> = (0..positions.len()).into_par_iter().map(on_surface).collect();
-        let of_own = |value: &dyn Fn(usize) -> u32| -> Vec<u32> {
-            carried.iter().map(|carried| carried.voxel.map_or(0, value)).collect()
+        let vectors = |vector: fn(&Carried) -> [f32; 3]| {
+            let axis = |axis: usize| carried.par_iter().map(|carried| vector(carried)[axis]).collect();
+            Xyz { x: axis(0), y: axis(1), z: axis(2) }
         };
         let Smoothed { curvature, status, neighbours, .. } = of_voxels;
         Smoothed {
             width: positions.len(),
             height: 1,
-            points: carried.iter().map(|carried| carried.point).collect(),
-            normals: fields.normals.then(|| carried.iter().map(|carried| carried.normal).collect()),
-            curvature: curvature.as_ref().map(|curvature| {
-                carried.iter().map(|carried| carried.voxel.map_or(f32::NAN, |voxel| curvature[voxel])).collect()
-            }),
-            status: status.as_ref().map(|status| {
-                carried.iter().map(|carried| carried.voxel.map_or(Status::Hole, |voxel| status[voxel])).collect()
-            }),
-            neighbours: neighbours.as_ref().map(|neighbours| of_own(&|voxel| neighbours[voxel])),
+            points: vectors(|carried| carried.point),
+            normals: fields.normals.then(|| vectors(|carried| carried.normal)),
+            curvature: curvature.as_ref().map(|curvature| of_own_voxel(&carried, curvature, f32::NAN)),
+            status: status.as_ref().map(|status| of_own_voxel(&carried, status, Status::Hole)),
+            neighbours: neighbours.as_ref().map(|neighbours| of_own_voxel(&carried, neighbours, 0)),
             ..Smoothed::default()
         }
     }
+}
+
+/// What was found for the voxel in which each point lies.
+fn of_own_voxel<T: Copy + Send + Sync>(carried: &[Carried], found: &[T], without: T) -> Vec<T> {
+    carried.par_iter().map(|carried| carried.voxel.map_or(without, |voxel| found[voxel])).collect()
 }
 
 /// The surface through the smoothed centroids.
