@@ -17,7 +17,7 @@ use planish::source::{Alignment, StreamMode};
 pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, ExperimentArgs};
 pub use camera::{CameraArgs, Direction, PoseArgs};
 pub use clean::CleanArgs;
-pub use smoothing::{EdgesArg, EngineArg, GpusArgs, SmoothingArgs};
+pub use smoothing::{EdgesArg, EngineArg, GpusArgs, SmoothingArgs, params_of_voxels};
 
 const AFTER_HELP: &str = "Exit codes: 0 done; 1 some frames failed, the others are done; 2 bad arguments or input; 130 ended by a \
                           signal (a stream or recording ends with 0).\nStart with `planish demo`, then `planish smooth your.pcd smooth.pcd`.";

@@ -244,7 +244,7 @@ impl SmoothingArgs {
 
     /// The parameters for the points of a rig's cameras as one cloud.
     pub fn merged_params(&self, voxel_m: Option<f64>) -> Result<SmoothParams> {
-        let mut params = voxel_m.map_or_else(merged_params, merged_params_in_voxels);
+        let mut params = params_of_voxels(voxel_m)?;
         self.override_fit(&mut params);
         params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
         params.validate()?;
@@ -332,4 +332,13 @@ impl std::str::FromStr for RadiusArg {
             number => number.parse().map(Self::Metres).map_err(|_| "metres, as 0.03, or the word sensor".to_owned()),
         }
     }
+}
+
+/// The parameters of a rig's merged points: all of them, or one for each voxel of this size in metres.
+pub fn params_of_voxels(voxel_m: Option<f64>) -> Result<SmoothParams> {
+    let Some(size_m) = voxel_m else { return Ok(merged_params()) };
+    if !(size_m > 0.0 && size_m.is_finite()) {
+        bail!("--voxel {size_m}: a size in metres above 0, as 0.005");
+    }
+    Ok(merged_params_in_voxels(size_m))
 }

@@ -115,3 +115,27 @@ fn frames_are_dealt_to_the_devices_that_are_named() {
     let stderr = refused(&["smooth", str(&one), "out.png", "--gpus", "cpu"]);
     assert!(stderr.contains("frames of a folder"), "{stderr}");
 }
+
+#[test]
+fn merged_points_in_voxels_are_one_a_voxel_and_each_camera_s_own_beside() {
+    let (folder, rig) = simulated();
+    let (fused, own) = (folder.path().join("fused"), folder.path().join("own"));
+    let stream = ["stream", "--rig", str(&rig), "--fuse", "merged", "--voxel", "0.02", "--engine", "cpu"];
+    let save = ["--save", str(&fused), "--save-cameras", str(&own), "--fields", "normals"];
+    ok(&[&stream[..], &save].concat());
+    let cloud = read(&fused.join("000002.pcd"));
+    assert!(cloud.len() > 5_000 && cloud.valid_points() == cloud.len(), "{}", cloud.len());
+    assert!(planish::clean::voxel_downsample(&cloud, 0.02).unwrap().len() == cloud.len());
+    assert!(cloud.attribute("camera").is_some() && cloud.attribute("normal_x").is_some());
+    for camera in ["camera0", "camera1"] {
+        let frames = files(&own.join(camera));
+        assert!(frames.len() >= 3, "{camera}");
+    }
+    // Sizes that are none, and ways that have no voxels.
+    for size in ["0", "nan", "-0.01", "inf"] {
+        let said = refused(&["stream", "--rig", str(&rig), "--fuse", "merged", &format!("--voxel={size}")]);
+        assert!(said.contains("voxel"), "{said}");
+    }
+    let said = refused(&["stream", "--rig", str(&rig), "--voxel", "0.01"]);
+    assert!(said.contains("--fuse merged"), "{said}");
+}

@@ -97,6 +97,10 @@ pub fn run(
         let (value, allowed) = (options.way.name().to_owned(), "merged, where points are thinned to voxels");
         return Err(ParamError { field: "way", value, allowed }.into());
     }
+    if let Some(size_m) = options.voxel_m.filter(|size_m| !(*size_m > 0.0 && size_m.is_finite())) {
+        let (value, allowed) = (size_m.to_string(), "a size in metres above 0");
+        return Err(ParamError { field: "voxel", value, allowed }.into());
+    }
     let smoother = RigSmoother::new(rig, options.way, &options.params, options.general_params, &options.smoother)?;
     let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
     let inbox = Arc::new(Inbox::new(names, is_live, rig.tolerance_s, LONGEST_WAIT));
