@@ -5,13 +5,13 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use planish::io::{self, Contents};
-use planish::rig::{merged_params, merged_params_in_voxels};
 use planish::{DepthFrame, Engine, Error, FleetDevice, GpuOptions, OrganizedCloud, Outputs, Radius, SmootherOptions};
 use planish_bench::{Ended, Experiment, GeneralOptions, GpuBenchOptions, Input, Options, RigBenchOptions};
 
 use super::organized;
 use crate::args::{
     BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, EdgesArg, EngineArg, ExperimentArgs,
+    params_of_voxels,
 };
 use crate::signals::stop_flag;
 
@@ -69,7 +69,7 @@ fn run_rig(args: &BenchRigArgs) -> Result<ExitCode> {
         bail!("--adapter chooses among GPUs: it needs --engine gpu");
     }
     let gpu = GpuOptions::default().with_adapter(args.adapter.clone()).with_bounds_checks(false);
-    let general_params = args.voxel.map_or_else(merged_params, merged_params_in_voxels);
+    let general_params = params_of_voxels(args.voxel)?;
     let general_params = args.radius.iter().fold(general_params, |params, &radius_m| params.with_radius_m(radius_m));
     let general_params = general_params.with_edges(args.edges.map_or(general_params.edges, EdgesArg::edges));
     planish_bench::run_rig(&RigBenchOptions {
