@@ -4,5 +4,7 @@ pub mod data;
 pub mod engines;
 pub mod parity;
 pub mod poses;
+pub mod rigs;
 pub mod scenes;
+pub mod sources;
 pub mod tolerances;

@@ -15,11 +15,12 @@ use planish::simulate::PoseErrors;
 use planish::source::{Source, SourceFrame};
 use planish::stream::SinkFormat;
 use planish::{
-    AttributeValues, Camera, DepthFrame, DeviceError, Engine, Error, FleetDevice, Frame, GpuOptions, IntoFrame,
-    Outputs, PointCloud, SensorPose, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
+    AttributeValues, Camera, DepthFrame, DeviceError, Engine, Error, FleetDevice, GpuOptions, IntoFrame, Outputs,
+    PointCloud, SensorPose, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
 };
 use planish_tests::data::skip;
 use planish_tests::engines::test_adapter;
+use planish_tests::rigs::{frames_of, rig_of};
 
 fn camera() -> Camera {
     Camera::new((160, 120), [131.25; 2], [79.5, 59.5])
@@ -29,22 +30,11 @@ fn suite(cameras: usize, errors: PoseErrors) -> RigSuite {
     RigSuite { camera: camera(), errors, ..RigSuite::new(cameras) }
 }
 
-fn rig_of(case: &RigCase) -> Rig {
-    let camera = |(i, camera): (usize, &planish::evaluate::RigCaseCamera)| {
-        RigCamera::new(&format!("camera{i}"), camera.stated.sensor_pose().unwrap())
-    };
-    Rig::new(case.cameras.iter().enumerate().map(camera).collect()).unwrap()
-}
-
-fn frames(case: &RigCase) -> Vec<Option<Frame<'_>>> {
-    case.cameras.iter().map(|camera| Some(camera.frame.into_frame().unwrap())).collect()
-}
-
 fn smooth(case: &RigCase, way: RigWay, options: &SmootherOptions) -> Vec<Smoothed> {
     let rig = rig_of(case);
     let params = vec![SmoothParams::default().at_resolution_of(&case.cameras[0].frame); rig.cameras.len()];
     let mut smoother = RigSmoother::new(&rig, way, &params, merged_params(), options).unwrap();
-    let results = smoother.smooth(&frames(case)).unwrap();
+    let results = smoother.smooth(&frames_of(case)).unwrap();
     results.into_iter().map(|result| result.unwrap().unwrap()).collect()
 }
 
@@ -145,7 +135,7 @@ fn cameras_without_a_frame_are_left_out_and_all_outputs_are_there() {
         let options = SmootherOptions::new(Engine::Cpu, outputs);
         let params = vec![SmoothParams::default(); 2];
         let mut smoother = RigSmoother::new(&rig, way, &params, merged_params(), &options).unwrap();
-        let mut given = frames(&case);
+        let mut given = frames_of(&case);
         given[0] = None;
         let results = smoother.smooth(&given).unwrap();
         let [None, Some(Ok(found))] = &results[..] else { panic!("{}: one result", way.name()) };
@@ -398,7 +388,7 @@ fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_sa
     let small: Vec<DepthFrame> = cases.iter().map(|case| half(&case.cameras[1].frame)).collect();
     let moments = || {
         (0..8).map(|i| {
-            let mut frames = frames(&cases[i % 4]);
+            let mut frames = frames_of(&cases[i % 4]);
             if i >= 3 {
                 frames[1] = Some((&small[i % 4]).into_frame().unwrap());
             }

@@ -3,41 +3,16 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use planish::internal::lose_gpu_devices;
 use planish::rig::{Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigWay, run};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::source::{Source, SourceFrame};
+use planish::source::Source;
 use planish::{DepthFrame, Engine, Error, GpuOptions, Outputs, SensorPose, Smoothed, Smoother, SmootherOptions, Xyz};
 use planish_tests::data::skip;
 use planish_tests::engines::test_adapter;
 use planish_tests::scenes::small_camera;
+use planish_tests::sources::OneByOne;
 
 const MOMENTS: u64 = 9;
-
-/// Gives one frame for each result, so that the device is lost between moments.
-struct OneByOne {
-    frame: DepthFrame,
-    next: u64,
-    results: Arc<AtomicU64>,
-    loses: bool,
-}
-
-impl Source for OneByOne {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        while self.results.load(Ordering::Relaxed) < self.next {
-            std::thread::yield_now();
-        }
-        if self.next == MOMENTS {
-            return Ok(None);
-        }
-        if self.loses && (self.next == 3 || self.next == 6) {
-            lose_gpu_devices();
-        }
-        let frame = self.frame.clone().with_timestamp_s(self.next as f64);
-        self.next += 1;
-        Ok(Some(SourceFrame::Depth(frame)))
-    }
-}
 
 /// Counts moments and keeps their points.
 struct Kept(Arc<AtomicU64>, Arc<Mutex<Vec<[Xyz; 2]>>>);
@@ -70,8 +45,9 @@ fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_f
     let rig = Rig::new(["a", "b"].map(|name| RigCamera::new(name, SensorPose::IDENTITY)).to_vec()).unwrap();
     let (count, kept) = (Arc::new(AtomicU64::new(0)), Arc::new(Mutex::new(Vec::new())));
     let source = |(i, frame): (usize, &DepthFrame)| {
-        let results = Arc::clone(&count);
-        Box::new(OneByOne { frame: frame.clone(), next: 0, results, loses: i == 0 }) as Box<dyn Source>
+        let source = OneByOne::new(frame.clone(), MOMENTS, Arc::clone(&count));
+        let lost_before: &[u64] = if i == 0 { &[3, 6] } else { &[] };
+        Box::new(source.losing_gpus_before(lost_before)) as Box<dyn Source>
     };
     let sources = frames.iter().enumerate().map(source).collect();
     let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());

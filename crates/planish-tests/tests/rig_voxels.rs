@@ -2,29 +2,18 @@
 //! back on the surface that they make.
 
 use planish::clean::voxel_downsample;
-use planish::evaluate::{RigCase, RigCaseCamera, RigEvaluation, RigReport, RigSuite};
-use planish::rig::{Rig, RigCamera, RigSmoother, RigWay, merged_params_in_voxels};
+use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
+use planish::rig::{RigSmoother, RigWay, merged_params_in_voxels};
 use planish::{
-    AttributeValues, Camera, Engine, Frame, IntoFrame, Outputs, PointCloud, SmoothParams, Smoothed, Smoother,
-    SmootherOptions, Xyz,
+    AttributeValues, Camera, Engine, Outputs, PointCloud, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
 };
+use planish_tests::rigs::{frames_of, rig_of};
 
 const VOXEL_M: f64 = 0.01;
 
 fn case(seed: u64) -> RigCase {
     let camera = Camera::new((320, 240), [262.5; 2], [159.5, 119.5]);
     RigSuite { camera, ..RigSuite::new(3) }.case(seed).unwrap()
-}
-
-fn rig_of(case: &RigCase) -> Rig {
-    let camera = |(i, camera): (usize, &RigCaseCamera)| {
-        RigCamera::new(&format!("camera{i}"), camera.stated.sensor_pose().unwrap())
-    };
-    Rig::new(case.cameras.iter().enumerate().map(camera).collect()).unwrap()
-}
-
-fn frames(case: &RigCase) -> Vec<Option<Frame<'_>>> {
-    case.cameras.iter().map(|camera| Some(camera.frame.into_frame().unwrap())).collect()
 }
 
 fn smoother(case: &RigCase, way: RigWay, voxel_m: Option<f64>) -> RigSmoother {
@@ -73,7 +62,7 @@ fn fused_points_are_the_smoothed_centroids_with_moments_in_flight_too() {
     let mut fused = PointCloud::new(Xyz::default());
     let mut received = 0;
     for case in &cases {
-        if smoother.next_fused(&frames(case), &mut fused).unwrap() {
+        if smoother.next_fused(&frames_of(case), &mut fused).unwrap() {
             check(&fused, received);
             received += 1;
         }
@@ -85,12 +74,12 @@ fn fused_points_are_the_smoothed_centroids_with_moments_in_flight_too() {
     }
     assert_eq!(received, cases.len());
     // One at a time, and received as each camera's own in between.
-    smoother.submit_in_place(&frames(&cases[1])).unwrap();
-    smoother.submit(&frames(&cases[2])).unwrap();
+    smoother.submit_in_place(&frames_of(&cases[1])).unwrap();
+    smoother.submit(&frames_of(&cases[2])).unwrap();
     assert!(smoother.receive_fused(&mut fused).unwrap());
     check(&fused, 1);
     let own = smoother.receive().unwrap().unwrap();
-    let now = smoother.smooth(&frames(&cases[2])).unwrap();
+    let now = smoother.smooth(&frames_of(&cases[2])).unwrap();
     for (own, now) in own.into_iter().zip(now) {
         let (own, now) = (own.unwrap().unwrap(), now.unwrap().unwrap());
         assert!(own.status == now.status && (own.width, own.height) == (320, 240));
@@ -98,7 +87,7 @@ fn fused_points_are_the_smoothed_centroids_with_moments_in_flight_too() {
         assert!((0..own.points.len()).all(same));
     }
     // Normals of the fused cloud face the cameras.
-    smoother.next_fused(&frames(&cases[0]), &mut fused).unwrap();
+    smoother.next_fused(&frames_of(&cases[0]), &mut fused).unwrap();
     assert!(smoother.receive_fused(&mut fused).unwrap());
     let rig = rig_of(&cases[0]);
     let component = |name: &str, i: usize| match &fused.attribute(name).unwrap().values {
@@ -118,7 +107,7 @@ fn report(way: RigWay, voxel_m: Option<f64>) -> RigReport {
     let mut evaluation = RigEvaluation::default();
     for seed in 1..=2 {
         let case = case(seed);
-        let results = smoother(&case, way, voxel_m).smooth(&frames(&case)).unwrap();
+        let results = smoother(&case, way, voxel_m).smooth(&frames_of(&case)).unwrap();
         let points: Vec<Xyz> = results.into_iter().map(|result| result.unwrap().unwrap().points).collect();
         evaluation.add(&case, &points);
     }
@@ -140,10 +129,10 @@ fn what_is_no_size_is_refused_and_a_moment_without_frames_is_empty() {
     let case = case(1);
     for size_m in [0.0, -1.0, f64::NAN, 1e-9] {
         let mut smoother = smoother(&case, RigWay::Merged, None).with_voxel_m(Some(size_m));
-        let error = smoother.smooth(&frames(&case)).unwrap_err().to_string();
+        let error = smoother.smooth(&frames_of(&case)).unwrap_err().to_string();
         assert!(error.contains("voxel"), "{error}");
         let mut fused = PointCloud::new(Xyz::default());
-        let next = (0..3).try_for_each(|_| smoother.next_fused(&frames(&case), &mut fused).map(drop));
+        let next = (0..3).try_for_each(|_| smoother.next_fused(&frames_of(&case), &mut fused).map(drop));
         assert!(next.is_err() && smoother.in_flight() == 0);
     }
     let mut smoother = smoother(&case, RigWay::Merged, Some(VOXEL_M));

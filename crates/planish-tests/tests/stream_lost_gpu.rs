@@ -1,43 +1,18 @@
 //! A stream whose GPU is lost. Alone in its process: every device of it is destroyed.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use planish::internal::lose_gpu_devices;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::source::{Source, SourceFrame};
 use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions};
-use planish::{DepthFrame, Engine, Error, GpuOptions, SmoothParams, SmootherOptions};
+use planish::{Engine, Error, GpuOptions, SmoothParams, SmootherOptions};
 use planish_tests::data::skip;
 use planish_tests::engines::test_adapter;
 use planish_tests::scenes::small_camera;
+use planish_tests::sources::OneByOne;
 
-/// Gives one frame for each result, so that the device is lost between frames.
-struct OneByOne {
-    frame: DepthFrame,
-    next: u64,
-    results: Arc<Mutex<Vec<u64>>>,
-}
-
-impl Source for OneByOne {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        while (self.results.lock().unwrap().len() as u64) < self.next {
-            std::thread::yield_now();
-        }
-        if self.next == 9 {
-            return Ok(None);
-        }
-        // Lost before the frames 3 and 6.
-        if self.next == 3 || self.next == 6 {
-            lose_gpu_devices();
-        }
-        self.frame.timestamp_s = Some(self.next as f64);
-        self.next += 1;
-        Ok(Some(SourceFrame::Depth(self.frame.clone())))
-    }
-}
-
-struct Seen(Arc<Mutex<Vec<u64>>>);
+/// Counts frames and keeps their time stamps.
+struct Seen(Arc<AtomicU64>, Arc<Mutex<Vec<u64>>>);
 
 impl Sink for Seen {
     fn name(&self) -> String {
@@ -46,7 +21,8 @@ impl Sink for Seen {
 
     fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
         assert_eq!(frame.smoothed.points.len(), 160 * 120);
-        self.0.lock().unwrap().push(frame.source.timestamp_s().unwrap() as u64);
+        self.1.lock().unwrap().push(frame.source.timestamp_s().unwrap() as u64);
+        self.0.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
 }
@@ -61,12 +37,12 @@ fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
     let (scene, pose) = Scene::tabletop(1);
     let truth = scene.render(&camera, &pose);
     let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).unwrap();
-    let results = Arc::new(Mutex::new(Vec::new()));
-    let source = OneByOne { frame, next: 0, results: Arc::clone(&results) };
+    let (count, results) = (Arc::new(AtomicU64::new(0)), Arc::new(Mutex::new(Vec::new())));
+    let source = OneByOne::new(frame, 9, Arc::clone(&count)).losing_gpus_before(&[3, 6]);
     let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());
     let options =
         StreamOptions::new(SmoothParams::default(), SmootherOptions::default().with_engine(Engine::Gpu).with_gpu(gpu));
-    let (mut warnings, gpu_frames) = (Vec::new(), std::sync::atomic::AtomicU64::new(0));
+    let (mut warnings, gpu_frames) = (Vec::new(), AtomicU64::new(0));
     let tell = |event: StreamEvent<'_>| match event {
         StreamEvent::Warning(warning) => warnings.push(warning),
         StreamEvent::Frame(statistics) => {
@@ -74,7 +50,7 @@ fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
         }
         _ => {}
     };
-    let sinks: Vec<Box<dyn Sink>> = vec![Box::new(Seen(Arc::clone(&results)))];
+    let sinks: Vec<Box<dyn Sink>> = vec![Box::new(Seen(count, Arc::clone(&results)))];
     let statistics = stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), tell).unwrap();
     assert_eq!(*results.lock().unwrap(), (0..9).collect::<Vec<_>>());
     assert_eq!((statistics.frames_out, statistics.engine), (9, Engine::Cpu));
