@@ -15,6 +15,9 @@ use crate::pose::RigidTransform;
 use crate::smoothed::named_fields;
 use crate::view::SmoothedView;
 
+/// Where points are thinned: the moment that is smoothed, and the one that is brought into voxels meanwhile.
+const IN_FLIGHT_IN_VOXELS: usize = 2;
+
 /// A moment in flight.
 pub(super) struct Flight {
     /// Of each camera that has a frame, what takes its points into the rig's frame.
@@ -143,8 +146,8 @@ impl RigSmoother {
     }
 
     /// Waits for the oldest moment in flight and puts its results together in the rig's frame: the points of all cameras, the fields that were
-    /// computed, and `camera`. Uses the memory of `out` again. Frames that could not be smoothed have no points; false if no moment is in
-    /// flight.
+    /// computed, and `camera`; of points thinned to voxels one for each. Frames that could not be smoothed have no points; false if no moment
+    /// is in flight. Uses the memory of `out` again, except for voxels.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth).
@@ -192,7 +195,7 @@ impl RigSmoother {
         size_m: f64,
         out: &mut PointCloud,
     ) -> Result<bool, Error> {
-        if self.flights.len() < 2 {
+        if self.flights.len() < IN_FLIGHT_IN_VOXELS {
             let results = self.put_together(frames)?;
             self.flights.push_back(Flight { rig_from_points: Vec::new(), results });
             return Ok(false);
@@ -230,7 +233,8 @@ impl RigSmoother {
         self.flights.len()
     }
 
-    /// How many moments in flight are worth their latency: those of one slot each where a GPU smooths each camera's frames, else 1.
+    /// How many moments in flight are worth their latency: those of one slot each where a GPU smooths each camera's frames, else 1, since
+    /// [`submit`](Self::submit) then does all the work. [`next_fused`](Self::next_fused) keeps two where points are thinned to voxels.
     pub fn max_in_flight(&self) -> usize {
         let is_pipelined = self.way == RigWay::Each && self.engine.capabilities().pipelined;
         if is_pipelined { self.options.gpu.slots } else { 1 }
