@@ -362,6 +362,9 @@ pub struct EvaluateArgs {
     /// Of rigs whose points are merged: first keep one point for each voxel of this size in metres, as `planish stream` does
     #[arg(long, value_name = "METRES", requires = "rig")]
     pub voxel: Option<f64>,
+    /// Of rigs smoothed by views: add a viewpoint halfway between every two cameras side by side
+    #[arg(long, requires = "rig")]
+    pub between: bool,
     /// Only write the simulated frames into this folder as organized clouds, for other programs to smooth
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
     pub export: Option<PathBuf>,

@@ -11,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{RigCaseCamera, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{
     self, CameraStatistics, CamerasSink, FusedSink, PictureSink, Rig, RigCamera, RigEvent, RigOptions, RigSink,
-    RigSmoother, RigStatistics, RigWay, calibration, rig_to_json,
+    RigSmoother, RigStatistics, RigWay, Viewpoint, calibration, rig_to_json,
 };
 use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
 use planish::source::{Source, TumRecorder};
@@ -107,6 +107,10 @@ fn describe(rig: &Rig) {
             intrinsics.as_deref().unwrap_or("its source's"),
             sensor.unwrap_or("of the options")
         );
+    }
+    for Viewpoint { pose, camera, .. } in &rig.viewpoints {
+        let [x, y, z] = pose.position_m;
+        outln!("  views also from   {x:.3}, {y:.3}, {z:.3} m, {}x{}", camera.width, camera.height);
     }
 }
 
@@ -392,7 +396,13 @@ pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
             Ok(RigCamera::new(&format!("camera{i}"), camera.stated.sensor_pose()?))
         };
         let placed = case.cameras.iter().enumerate().map(camera).collect::<Result<_, FrameError>>();
-        let rig = Rig::new(placed.map_err(planish::Error::from)?).map_err(planish::Error::from)?;
+        let mut rig = Rig::new(placed.map_err(planish::Error::from)?).map_err(planish::Error::from)?;
+        if args.between {
+            let side_by_side = rig.cameras.windows(2);
+            let between = side_by_side.map(|two| Viewpoint::between(&two[0].pose, &two[1].pose, suite.camera));
+            let between = between.collect::<Result<_, _>>().map_err(planish::Error::from)?;
+            rig = rig.with_viewpoints(between);
+        }
         let frames = case.cameras.iter().map(|camera| camera.frame.into_frame().map(Some));
         let frames = frames.collect::<Result<Vec<_>, _>>().map_err(planish::Error::from)?;
         moments += 1;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Clock, DEFAULT_TOLERANCE_S, Rig, RigCamera, folder_of, resolve_source};
+use super::{Clock, DEFAULT_TOLERANCE_S, Rig, RigCamera, Viewpoint, folder_of, resolve_source};
 use crate::camera::Camera;
 use crate::error::{FormatError, IoError, ParamError};
 use crate::io::{self, ReadOptions};
@@ -25,6 +25,16 @@ struct RigFile {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clock: Option<String>,
     cameras: Vec<CameraEntry>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    viewpoints: Vec<ViewpointEntry>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ViewpointEntry {
+    pose: PoseEntry,
+    /// As that of a camera, with its size.
+    camera: serde_json::Value,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -88,6 +98,12 @@ impl Rig {
     ///       "pose": { "matrix": [[1, 0, 0, 0.1], [0, 1, 0, -0.2], [0, 0, 1, 0.5], [0, 0, 0, 1]] },
     ///       "time_offset_s": 0.004
     ///     }
+    ///   ],
+    ///   "viewpoints": [
+    ///     {
+    ///       "pose": { "position_m": [0.1, 0, 0.5], "orientation_xyzw": [-0.5, 0.5, -0.5, 0.5] },
+    ///       "camera": { "width": 640, "height": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5 }
+    ///     }
     ///   ]
     /// }
     /// ```
@@ -114,7 +130,13 @@ fn parse(text: &str, folder: &Path) -> Result<Rig, FormatError> {
     };
     let cameras = file.cameras.into_iter().map(|entry| camera_of(entry, folder)).collect::<Result<_, _>>()?;
     let tolerance_s = file.tolerance_ms.map_or(DEFAULT_TOLERANCE_S, |tolerance_ms| 1e-3 * tolerance_ms);
-    let rig = Rig { cameras, frame: file.frame, tolerance_s, clock };
+    let viewpoint = |(i, entry): (usize, ViewpointEntry)| {
+        let of = |problem: String| malformed(format!("viewpoint {i}: {problem}"));
+        let (camera, _) = intrinsics_of(&entry.camera, folder).map_err(of)?;
+        Ok(Viewpoint::new(pose_of(&entry.pose).map_err(of)?, camera))
+    };
+    let viewpoints = file.viewpoints.into_iter().enumerate().map(viewpoint).collect::<Result<_, FormatError>>()?;
+    let rig = Rig { cameras, frame: file.frame, tolerance_s, clock, viewpoints };
     rig.validate().map_err(|error| malformed(error.to_string()))?;
     Ok(rig)
 }
@@ -196,11 +218,7 @@ pub fn rig_to_json(rig: &Rig) -> String {
         name: camera.name.clone(),
         source: camera.source.clone(),
         camera: camera.camera.as_ref().and_then(|of| intrinsics_entry(of, camera.depth_units_per_metre)),
-        pose: Some(PoseEntry {
-            position_m: Some(camera.pose.position_m),
-            orientation_xyzw: Some(xyzw(camera.pose.orientation)),
-            matrix: None,
-        }),
+        pose: Some(pose_entry(&camera.pose)),
         sensor: camera.sensor.map(|sensor| match sensor.name() {
             Some(name) => SensorEntry::Named(name.to_owned()),
             None => SensorEntry::Model { step: sensor.step, sigma: sensor.sigma },
@@ -209,11 +227,16 @@ pub fn rig_to_json(rig: &Rig) -> String {
         align: camera.alignment.map(|alignment| format!("{alignment:?}").to_lowercase()),
         mode: camera.mode.map(|mode| mode.to_string()),
     };
+    let viewpoint = |viewpoint: &Viewpoint| {
+        let camera = intrinsics_entry(&viewpoint.camera, None)?;
+        Some(ViewpointEntry { pose: pose_entry(&viewpoint.pose), camera })
+    };
     let file = RigFile {
         frame: rig.frame.clone(),
         tolerance_ms: (rig.tolerance_s != DEFAULT_TOLERANCE_S).then_some(1e3 * rig.tolerance_s),
         clock: (rig.clock == Clock::Arrival).then(|| "arrival".to_owned()),
         cameras: rig.cameras.iter().map(entry).collect(),
+        viewpoints: rig.viewpoints.iter().filter_map(viewpoint).collect(),
     };
     // Numbers and texts have always a form in JSON.
     serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
@@ -231,8 +254,9 @@ fn intrinsics_entry(camera: &Camera, depth_units_per_metre: Option<f64>) -> Opti
     Some(entry)
 }
 
-fn xyzw([w, x, y, z]: [f64; 4]) -> [f64; 4] {
-    [x, y, z, w]
+fn pose_entry(pose: &SensorPose) -> PoseEntry {
+    let [w, x, y, z] = pose.orientation;
+    PoseEntry { position_m: Some(pose.position_m), orientation_xyzw: Some([x, y, z, w]), matrix: None }
 }
 
 #[cfg(test)]
@@ -265,6 +289,30 @@ mod tests {
         assert_eq!(left.pose.position_m, right.pose.position_m);
         assert!((0..9).all(|i| off(i / 3, i % 3) < 1e-12), "{:?} {:?}", left.pose, right.pose);
         assert_eq!(parse(&rig_to_json(&rig), Path::new("/elsewhere")).unwrap(), rig);
+    }
+
+    #[test]
+    fn viewpoints_come_back_and_what_is_wrong_with_one_says_which() {
+        let of = |viewpoints: &str| {
+            let text = format!(r#"{{"cameras":[{{"name":"a",{POSE}}}],"viewpoints":[{viewpoints}]}}"#);
+            parse(&text, Path::new("/rigs"))
+        };
+        let camera = r#""camera":{"width":320,"height":240,"fx":262,"fy":263,"cx":160,"cy":120}"#;
+        let rig = of(&format!("{{{POSE},{camera}}}")).unwrap();
+        assert_eq!(rig.viewpoints[0].pose, rig.cameras[0].pose);
+        assert_eq!((rig.viewpoints[0].camera.width, rig.viewpoints[0].camera.fy), (320, 263.0));
+        assert_eq!(parse(&rig_to_json(&rig), Path::new("/elsewhere")).unwrap(), rig);
+        let without_size = r#""camera":{"fx":262,"fy":263,"cx":160,"cy":120}"#;
+        for (viewpoint, said) in [
+            (format!("{{{POSE}}}"), "camera"),
+            (format!("{{{camera}}}"), "pose"),
+            (format!("{{{POSE},{camera}}},{{{POSE},{without_size}}}"), "viewpoint 1"),
+            (format!(r#"{{{POSE},"camera":"missing.json"}}"#), "missing.json"),
+            (vec![format!("{{{POSE},{camera}}}"); 65].join(","), "64 at most"),
+        ] {
+            let error = of(&viewpoint).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
     }
 
     #[test]

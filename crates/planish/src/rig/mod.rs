@@ -7,6 +7,7 @@
 
 pub mod calibration;
 mod capture;
+mod facing;
 mod file;
 mod flights;
 mod fused;
@@ -20,6 +21,7 @@ mod sinks;
 mod smoother;
 mod statistics;
 mod stream;
+mod viewpoint;
 mod views;
 mod voxels;
 
@@ -43,12 +45,16 @@ pub use sinks::{CamerasSink, FusedSink, RigSink};
 pub use smoother::{RigResults, RigSmoother, RigWay};
 pub use statistics::{CameraStatistics, RigStatistics};
 pub use stream::{RigEvent, RigFrame, run};
+pub use viewpoint::Viewpoint;
 
 /// How far time stamps of one moment may be apart if a rig does not say: half the time between frames at 30 Hz.
 const DEFAULT_TOLERANCE_S: f64 = 0.016;
 
 /// As many cameras as the field `camera` of a fused cloud can tell apart.
 const MOST_CAMERAS: usize = 256;
+
+/// Each holds what all cameras see from there.
+const MOST_VIEWPOINTS: usize = 64;
 
 /// As far as the windows of single frames reach at some 1.2 m.
 const MERGED_RADIUS_M: f32 = 0.03;
@@ -77,6 +83,8 @@ pub struct Rig {
     pub tolerance_s: f64,
     /// Which clock frames are matched by.
     pub clock: Clock,
+    /// Places from which views are smoothed besides those of the cameras, 64 at most.
+    pub viewpoints: Vec<Viewpoint>,
 }
 
 /// What frames are matched by.
@@ -120,7 +128,8 @@ pub struct RigCamera {
 impl Rig {
     /// A rig of these cameras, matched by their time stamps.
     pub fn new(cameras: Vec<RigCamera>) -> Result<Self, ParamError> {
-        let rig = Self { cameras, frame: None, tolerance_s: DEFAULT_TOLERANCE_S, clock: Clock::Source };
+        let (tolerance_s, clock) = (DEFAULT_TOLERANCE_S, Clock::Source);
+        let rig = Self { cameras, frame: None, tolerance_s, clock, viewpoints: Vec::new() };
         rig.validate()?;
         Ok(rig)
     }
@@ -133,6 +142,11 @@ impl Rig {
     /// The same with frames matched by another clock.
     pub fn with_clock(self, clock: Clock) -> Self {
         Self { clock, ..self }
+    }
+
+    /// The same with views from these places too.
+    pub fn with_viewpoints(self, viewpoints: Vec<Viewpoint>) -> Self {
+        Self { viewpoints, ..self }
     }
 
     /// The same rig for a `rig.json` in this folder: sources that are files or folders, and that are named as from the working directory, are
@@ -150,8 +164,8 @@ impl Rig {
         self.cameras.iter().position(|camera| camera.name == name)
     }
 
-    /// Refuses rigs without cameras, names that are no names or not one camera's own, poses and times that are none, and two
-    /// cameras behind one device.
+    /// Refuses rigs without cameras, names that are no names or not one camera's own, poses and times that are none, two
+    /// cameras behind one device, and viewpoints that are none.
     pub fn validate(&self) -> Result<(), ParamError> {
         let bad = |field, value: String, allowed| Err(ParamError { field, value, allowed });
         if self.cameras.is_empty() || self.cameras.len() > MOST_CAMERAS {
@@ -162,6 +176,10 @@ impl Rig {
         if !is_tolerance {
             return bad("tolerance_s", self.tolerance_s.to_string(), "above 0, at most 1 s");
         }
+        if self.viewpoints.len() > MOST_VIEWPOINTS {
+            return bad("viewpoints", self.viewpoints.len().to_string(), "64 at most");
+        }
+        self.viewpoints.iter().enumerate().try_for_each(|(i, viewpoint)| viewpoint.validate(i))?;
         for (i, camera) in self.cameras.iter().enumerate() {
             camera.validate()?;
             let before = &self.cameras[..i];

@@ -62,7 +62,10 @@ pub struct RigSmoother {
     adapt_stride: bool,
     registration_m: f64,
     pub(super) threads: Threads,
+    /// Those of the rig, and after them those of viewpoints that were added.
     pub(super) cameras: Vec<CameraSmoother>,
+    /// How many the rig has.
+    of_rig: usize,
     /// For all points together.
     pub(super) general: General,
     pub(super) engine: Engine,
@@ -112,11 +115,20 @@ impl RigSmoother {
         }
         let camera = |(camera, &params): (&RigCamera, &SmoothParams)| {
             params.validate()?;
-            let rig_from_camera = camera.pose.transform()?;
-            let camera = camera.camera;
-            let (device, rays) = (None, Arc::default());
-            Ok(CameraSmoother { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0) })
+            Ok(CameraSmoother::new(camera.pose.transform()?, camera.camera, params))
         };
+        let mut cameras: Vec<CameraSmoother> =
+            rig.cameras.iter().zip(params).map(camera).collect::<Result<_, Error>>()?;
+        let of_rig = cameras.len();
+        for viewpoint in rig.viewpoints.iter().filter(|_| way == RigWay::Views) {
+            let rig_from_camera = viewpoint.pose.transform()?;
+            let from = |camera: &&CameraSmoother| {
+                camera.rig_from_camera.translation.distance_squared(rig_from_camera.translation)
+            };
+            let nearest = cameras[..of_rig].iter().min_by(|a, b| from(a).total_cmp(&from(b)));
+            let params = nearest.map(|camera| camera.params).unwrap_or_default();
+            cameras.push(CameraSmoother::new(rig_from_camera, Some(viewpoint.camera), params));
+        }
         general_params.validate()?;
         Ok(Self {
             way,
@@ -126,7 +138,8 @@ impl RigSmoother {
             adapt_stride: false,
             registration_m: DEFAULT_REGISTRATION_M,
             threads: Threads::open(options.threads)?,
-            cameras: rig.cameras.iter().zip(params).map(camera).collect::<Result<_, Error>>()?,
+            cameras,
+            of_rig,
             general: General::new(general_params),
             engine: options.engine,
             flights: VecDeque::new(),
@@ -200,7 +213,7 @@ impl RigSmoother {
     }
 
     pub(super) fn check_count(&self, frames: &[Option<Frame<'_>>]) -> Result<(), FrameError> {
-        let (len, expected) = (frames.len(), self.cameras.len());
+        let (len, expected) = (frames.len(), self.of_rig);
         if len == expected {
             return Ok(());
         }
@@ -287,7 +300,7 @@ impl RigSmoother {
             frame.map(of)
         });
         let measured: Vec<Option<Result<Measured, FrameError>>> = self.threads.install(|| measured.collect());
-        let (measured, mut refused): (Vec<Option<Measured>>, Vec<Option<FrameError>>) = measured
+        let (mut measured, mut refused): (Vec<Option<Measured>>, Vec<Option<FrameError>>) = measured
             .into_iter()
             .map(|result| match result {
                 Some(Ok(measured)) => (Some(measured), None),
@@ -295,6 +308,11 @@ impl RigSmoother {
                 None => (None, None),
             })
             .unzip();
+        if measured.iter().any(Option::is_some) {
+            let added = self.cameras[self.of_rig..].iter().filter_map(CameraSmoother::measures_nothing);
+            measured.extend(added.map(Some));
+            refused.resize(measured.len(), None);
+        }
         let view = |(i, of): (usize, &Option<Measured>)| Some(of.as_ref()?.view(i, &measured, self.registration_m));
         let views: Vec<Option<View>> = self.threads.install(|| measured.par_iter().enumerate().map(view).collect());
         let frames: Vec<Option<Frame<'_>>> = views
@@ -318,7 +336,8 @@ impl RigSmoother {
             });
         }
         let back = |(i, of): (usize, &Option<Measured>)| of.as_ref()?.carried_back(i, &measured, &smoothed, outputs);
-        let back: Vec<Option<Smoothed>> = self.threads.install(|| measured.par_iter().enumerate().map(back).collect());
+        let of_rig = measured[..self.of_rig].par_iter().enumerate();
+        let back: Vec<Option<Smoothed>> = self.threads.install(|| of_rig.map(back).collect());
         Ok(back.into_iter().zip(refused).map(|(back, refused)| back.map(Ok).or(refused.map(Err))).collect())
     }
 }
@@ -333,6 +352,16 @@ fn by_fault(result: Result<Smoothed, Error>) -> Result<Result<Smoothed, FrameErr
 }
 
 impl CameraSmoother {
+    fn new(rig_from_camera: RigidTransform, camera: Option<Camera>, params: SmoothParams) -> Self {
+        let (device, rays) = (None, Arc::default());
+        Self { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0) }
+    }
+
+    /// For views from where no camera stands.
+    fn measures_nothing(&self) -> Option<Measured> {
+        Some(Measured::nothing(self.camera?, self.params.sensor, self.rig_from_camera))
+    }
+
     /// Opens the engine for this frame, if it is not.
     fn open(&mut self, frame: Frame<'_>, adapt_stride: bool, options: &SmootherOptions) -> Result<(), Error> {
         let shape = frame.shape();

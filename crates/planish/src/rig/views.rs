@@ -1,6 +1,6 @@
 //! The way of views: what all cameras see, as range images from where each of them stands.
 //!
-//! Each camera's grid is a view. A pixel's own sample, or the nearest point that falls into it if it has none, is its front; samples of other
+//! Each camera's grid is a view, and so is that of every viewpoint that was added. A pixel's own sample, or the nearest point that falls into it if it has none, is its front; samples of other
 //! cameras that fall into the pixel no farther from its front than the cameras' registration and noise allow, on surfaces that face
 //! the view, are of the same surface. The view is the mean of them, weighted by the inverse of their noise squared, and is smoothed as a frame of its
 //! camera. Then every point moves along its own ray to the tangent planes of the pixels that it was counted in, and is the mean of
@@ -10,6 +10,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::facing::normals;
 use crate::camera::Camera;
 use crate::error::FrameError;
 use crate::frame::{Frame, PointsView};
@@ -24,21 +25,19 @@ use crate::xyz::Xyz;
 /// Two cameras' samples of one surface are apart by so many standard deviations of both.
 const DEVIATIONS: f64 = 3.0;
 
-/// Half the distance in pixels over which the side that a surface faces is told.
-const NORMAL_PX: usize = 6;
-
-/// The middle of two pixels is off the surface between them by so many standard deviations, and by how a curved surface bulges.
-const MIDDLE_DEVIATIONS: f64 = 4.0;
-
 /// Surfaces seen at more than 80° are not taken for facing a view.
 const FACING_COSINE: f64 = 0.17;
+
+/// Samples in adjacent pixels are up to two pixels apart, and a surface that counts is at most 80° steep: by so many widths of a pixel it
+/// can lie deeper in one of them.
+const STEEPEST_PX: f32 = 2.0 * 5.67;
 
 /// Pixels of one smooth surface have normals less than 30° apart, and it passes no farther than this from where a tangent plane has it.
 const SAME_SURFACE_COSINE: f64 = 0.866;
 const SAME_SURFACE_M: f64 = 0.003;
 
 /// Threads take so many pixels at a time.
-const PIXELS_OF_A_TASK: usize = 4096;
+pub(super) const PIXELS_OF_A_TASK: usize = 4096;
 
 /// A pixel that a sample does not fall into, or where it is not of the front.
 const NOWHERE: u32 = u32::MAX;
@@ -53,6 +52,8 @@ pub(super) struct Measured {
     rig_from_camera: RigidTransform,
     /// What takes its points back into the frame that they came in.
     points_from_camera: RigidTransform,
+    /// Whether nothing stands there: all pixels are holes.
+    is_added: bool,
 }
 
 /// What is seen of all cameras' points from where one of them stands.
@@ -85,7 +86,15 @@ impl Measured {
             }
         };
         let normals = normals(&points, shape, &sensor);
-        Ok(Self { camera, points, normals, sensor, rig_from_camera, points_from_camera })
+        Ok(Self { camera, points, normals, sensor, rig_from_camera, points_from_camera, is_added: false })
+    }
+
+    /// What is measured where no camera stands: nothing.
+    pub(super) fn nothing(camera: Camera, sensor: SensorModel, rig_from_camera: RigidTransform) -> Self {
+        let holes = Xyz::filled(camera.width * camera.height, f32::NAN);
+        let points_from_camera = RigidTransform::IDENTITY;
+        let normals = Xyz::default();
+        Self { camera, points: holes, normals, sensor, rig_from_camera, points_from_camera, is_added: true }
     }
 
     fn shape(&self) -> (usize, usize) {
@@ -98,15 +107,9 @@ impl Measured {
         let landings: Vec<Option<Landings>> = all
             .iter()
             .enumerate()
-            .map(|(i, other)| other.as_ref().filter(|_| i != index).map(|other| self.landings(other)))
+            .map(|(i, other)| other.as_ref().filter(|of| i != index && !of.is_added).map(|of| self.landings(of)))
             .collect();
-        // What a pixel's own sample does not say is said by the nearest of the others.
-        let mut front_m = self.points.z.clone();
-        for (pixel, point) in landings.iter().flatten().flat_map(Landings::iter) {
-            if !self.points.z[pixel].is_finite() {
-                front_m[pixel] = front_m[pixel].min(point[2]);
-            }
-        }
+        let front_m = self.front_m(&landings);
         let own_weight = |i: usize| weight(self.sensor.sigma_m(self.points.z[i].into()));
         let mut sums: Vec<[f64; 4]> = (0..width * height)
             .map(|i| match self.points.is_finite(i) {
@@ -136,8 +139,35 @@ impl Measured {
             }
             counted.push(Some(landings.pixels));
         }
+        if self.is_added {
+            leave_to_their_camera(&mut counted, width * height);
+        }
         let mean = |&[x, y, z, weight]: &[f64; 4]| [x, y, z].map(|sum| (sum / weight) as f32);
         View { points: sums.iter().map(mean).collect(), shape: (width, height), counted }
+    }
+
+    /// How far along z each pixel's front is. What its own sample does not say is said by the nearest of the others.
+    fn front_m(&self, landings: &[Option<Landings>]) -> Vec<f32> {
+        let mut front_m = self.points.z.clone();
+        for (pixel, point) in landings.iter().flatten().flat_map(Landings::iter) {
+            if !self.points.z[pixel].is_finite() {
+                front_m[pixel] = front_m[pixel].min(point[2]);
+            }
+        }
+        if !self.is_added {
+            return front_m;
+        }
+        // Where nothing stands, what is behind a surface would be seen through the gaps between its samples. It is not, where the surface cannot
+        // be as steep as to lead there from a pixel beside.
+        let (width, height) = self.shape();
+        let deeper = 1.0 + STEEPEST_PX / self.camera.fx.min(self.camera.fy) as f32;
+        let screened = |i: usize| {
+            let (u, v) = (i % width, i / width);
+            let beside = (v.saturating_sub(1)..(v + 2).min(height))
+                .flat_map(|v| (u.saturating_sub(1)..(u + 2).min(width)).map(move |u| v * width + u));
+            beside.fold(front_m[i], |front, at| front.min(deeper * front_m[at]))
+        };
+        (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK).map(screened).collect()
     }
 
     /// Where the samples of another camera fall in this one's grid.
@@ -244,6 +274,24 @@ impl View {
         let Xyz { x, y, z } = &self.points;
         let (width, height) = self.shape;
         Ok(Frame::Points(PointsView::from_planes(x, y, z)?.with_grid(width, height)?.with_camera(&of.camera)?))
+    }
+}
+
+/// Forgets in which pixels samples were counted that no other camera's were counted in: what is seen of them from where nothing stands says no
+/// more than their own camera's view.
+fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], pixels: usize) {
+    const SEVERAL: u16 = u16::MAX;
+    let mut seen_by = vec![None; pixels];
+    for (i, counted) in (0u16..).zip(&*counted) {
+        for &pixel in counted.iter().flatten().filter(|pixel| **pixel != NOWHERE) {
+            let by = &mut seen_by[pixel as usize];
+            *by = if by.is_none_or(|by| by == i) { Some(i) } else { Some(SEVERAL) };
+        }
+    }
+    for pixel in counted.iter_mut().flatten().flatten() {
+        if *pixel != NOWHERE && seen_by[*pixel as usize] != Some(SEVERAL) {
+            *pixel = NOWHERE;
+        }
     }
 }
 
@@ -380,29 +428,6 @@ fn with_weight(point: [f32; 3], weight: f64) -> [f64; 4] {
     [x, y, z, weight]
 }
 
-/// Normals by the differences of pixels some way apart, towards the camera; NaN beside holes and steps.
-fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &SensorModel) -> Xyz {
-    let at = |u: usize, v: usize| as_dvec(points.get(v * width + u));
-    let normal = |i: usize| {
-        let (u, v) = (i % width, i / width);
-        let (left, right) = (u.saturating_sub(NORMAL_PX), (u + NORMAL_PX).min(width - 1));
-        let (above, below) = (v.saturating_sub(NORMAL_PX), (v + NORMAL_PX).min(height - 1));
-        let p = at(u, v);
-        let ends = [at(left, v), at(right, v), at(u, above), at(u, below)];
-        // The middle of two ends lies on a surface, whatever its slope, and beside a step it does not.
-        let noise_m = MIDDLE_DEVIATIONS * sensor.sigma_m(p.z);
-        let is_middle = |[a, b]: [DVec3; 2]| ((a.z + b.z) / 2.0 - p.z).abs() <= noise_m;
-        if !is_middle([ends[0], ends[1]]) || !is_middle([ends[2], ends[3]]) {
-            return [f32::NAN; 3];
-        }
-        let normal = (ends[1] - ends[0]).cross(ends[3] - ends[2]).normalize();
-        let facing = if normal.dot(p) > 0.0 { -normal } else { normal };
-        facing.as_vec3().to_array()
-    };
-    let all: Vec<[f32; 3]> = (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK).map(normal).collect();
-    all.into_iter().collect()
-}
-
 #[cfg(test)]
 mod tests {
     use glam::DMat3;
@@ -428,7 +453,32 @@ mod tests {
             sensor,
             rig_from_camera,
             points_from_camera: RigidTransform::IDENTITY,
+            is_added: false,
         }
+    }
+
+    #[test]
+    fn from_where_nothing_stands_surfaces_are_the_mean_and_nothing_shows_through_their_gaps() {
+        // From half as far the samples of the wall at 1 m are two pixels apart; another wall is 40 cm behind it.
+        let closer = RigidTransform { rotation: DMat3::IDENTITY, translation: DVec3::new(0.1, 0.0, 0.5) };
+        let behind = wall(0.05, 0.4);
+        let all = [
+            Some(wall(0.0, 0.0)),
+            Some(wall(0.2, 0.004)),
+            Some(behind),
+            Some(Measured::nothing(camera(), SensorModel::KINECT_V1, closer)),
+        ];
+        let view = all[3].as_ref().unwrap().view(3, &all, 0.01);
+        let depths: Vec<f32> = view.points.z.iter().copied().filter(|z| z.is_finite()).collect();
+        assert!(depths.len() > SHAPE.0 * SHAPE.1 / 8);
+        assert!(depths.iter().all(|&z| (0.4999..0.5041).contains(&z)), "{:?}", depths.iter().find(|z| **z > 0.51));
+        // What one camera sees is left to it: the first wall's left edge.
+        let counted = view.counted[0].as_ref().unwrap();
+        assert!(counted[30 * SHAPE.0 + 25] == NOWHERE && counted[30 * SHAPE.0 + 45] != NOWHERE);
+        assert!(view.counted[3].is_none());
+        // It says nothing of its own to others.
+        let alone = all[0].as_ref().unwrap().view(0, &all[..3], 0.01);
+        assert!(all[0].as_ref().unwrap().view(0, &all, 0.01).points.z == alone.points.z);
     }
 
     #[test]
@@ -457,15 +507,5 @@ mod tests {
         let all = [Some(wall(0.0, 0.0)), Some(behind)];
         let view = all[0].as_ref().unwrap().view(0, &all, 0.01);
         assert!(view.points.z.iter().all(|&z| z == 1.0));
-    }
-
-    #[test]
-    fn the_side_beside_a_step_is_not_told() {
-        let step = |i: usize| if i % SHAPE.0 < 40 { 1.0 } else { 1.5 };
-        let points = camera().deproject_m((0..SHAPE.0 * SHAPE.1).map(step));
-        let found = normals(&points, SHAPE, &SensorModel::KINECT_V1);
-        let at = |u: usize| found.get(30 * SHAPE.0 + u);
-        assert!(at(38)[2].is_nan() && at(42)[2].is_nan());
-        assert!((at(10)[2] + 1.0).abs() < 1e-6 && (at(70)[2] + 1.0).abs() < 1e-6);
     }
 }
