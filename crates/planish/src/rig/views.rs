@@ -140,7 +140,7 @@ impl Measured {
             counted.push(Some(landings.pixels));
         }
         if self.is_added {
-            leave_to_their_camera(&mut counted, width * height);
+            leave_to_their_camera(&mut counted, (width, height));
         }
         let mean = |&[x, y, z, weight]: &[f64; 4]| [x, y, z].map(|sum| (sum / weight) as f32);
         View { points: sums.iter().map(mean).collect(), shape: (width, height), counted }
@@ -162,10 +162,8 @@ impl Measured {
         let (width, height) = self.shape();
         let deeper = 1.0 + STEEPEST_PX / self.camera.fx.min(self.camera.fy) as f32;
         let screened = |i: usize| {
-            let (u, v) = (i % width, i / width);
-            let beside = (v.saturating_sub(1)..(v + 2).min(height))
-                .flat_map(|v| (u.saturating_sub(1)..(u + 2).min(width)).map(move |u| v * width + u));
-            beside.fold(front_m[i], |front, at| front.min(deeper * front_m[at]))
+            let around = beside(i, (width, height));
+            around.fold(front_m[i], |front, at| front.min(deeper * front_m[at]))
         };
         (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK).map(screened).collect()
     }
@@ -277,22 +275,30 @@ impl View {
     }
 }
 
-/// Forgets in which pixels samples were counted that no other camera's were counted in: what is seen of them from where nothing stands says no
-/// more than their own camera's view.
-fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], pixels: usize) {
+/// Forgets in which pixels samples were counted beside which no other camera's were: what is seen of them from where nothing stands says no more
+/// than their own camera's view.
+fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], shape: (usize, usize)) {
     const SEVERAL: u16 = u16::MAX;
-    let mut seen_by = vec![None; pixels];
+    let mut seen_by = vec![None; shape.0 * shape.1];
     for (i, counted) in (0u16..).zip(&*counted) {
         for &pixel in counted.iter().flatten().filter(|pixel| **pixel != NOWHERE) {
             let by = &mut seen_by[pixel as usize];
             *by = if by.is_none_or(|by| by == i) { Some(i) } else { Some(SEVERAL) };
         }
     }
-    for pixel in counted.iter_mut().flatten().flatten() {
-        if *pixel != NOWHERE && seen_by[*pixel as usize] != Some(SEVERAL) {
-            *pixel = NOWHERE;
-        }
+    for (i, counted) in (0u16..).zip(counted) {
+        let Some(counted) = counted else { continue };
+        let is_shared = |pixel: u32| beside(pixel as usize, shape).any(|at| seen_by[at].is_some_and(|by| by != i));
+        let pixels = counted.par_iter_mut().with_min_len(PIXELS_OF_A_TASK);
+        pixels.filter(|pixel| **pixel != NOWHERE && !is_shared(**pixel)).for_each(|pixel| *pixel = NOWHERE);
     }
+}
+
+/// A pixel and those around it.
+fn beside(pixel: usize, (width, height): (usize, usize)) -> impl Iterator<Item = usize> {
+    let (u, v) = (pixel % width, pixel / width);
+    let columns = u.saturating_sub(1)..(u + 2).min(width);
+    (v.saturating_sub(1)..(v + 2).min(height)).flat_map(move |v| columns.clone().map(move |u| v * width + u))
 }
 
 /// Where the samples of a camera fall in another's grid, and where they are in its frame.
@@ -464,7 +470,7 @@ mod tests {
         let behind = wall(0.05, 0.4);
         let all = [
             Some(wall(0.0, 0.0)),
-            Some(wall(0.2, 0.004)),
+            Some(wall(0.5, 0.004)),
             Some(behind),
             Some(Measured::nothing(camera(), SensorModel::KINECT_V1, closer)),
         ];
@@ -474,7 +480,7 @@ mod tests {
         assert!(depths.iter().all(|&z| (0.4999..0.5041).contains(&z)), "{:?}", depths.iter().find(|z| **z > 0.51));
         // What one camera sees is left to it: the first wall's left edge.
         let counted = view.counted[0].as_ref().unwrap();
-        assert!(counted[30 * SHAPE.0 + 25] == NOWHERE && counted[30 * SHAPE.0 + 45] != NOWHERE);
+        assert!(counted[30 * SHAPE.0 + 29] == NOWHERE && counted[30 * SHAPE.0 + 45] != NOWHERE);
         assert!(view.counted[3].is_none());
         // It says nothing of its own to others.
         let alone = all[0].as_ref().unwrap().view(0, &all[..3], 0.01);
