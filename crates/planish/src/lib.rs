@@ -71,7 +71,7 @@ pub mod evaluate;
 mod fleet;
 mod floating;
 mod frame;
-#[cfg(feature = "gpu")]
+#[cfg(any(feature = "gpu", feature = "webgpu"))]
 mod gpu;
 #[cfg(feature = "io")]
 pub mod io;
@@ -101,11 +101,17 @@ mod status;
 #[cfg(feature = "stream")]
 pub mod stream;
 mod threads;
-#[cfg(feature = "io")]
+#[cfg(feature = "las")]
 pub mod tiles;
 mod timings;
 mod view;
 mod xyz;
+
+/// The GPU engine as data, for hosts of WebGPU that are not wgpu.
+#[cfg(feature = "webgpu")]
+pub mod webgpu {
+    pub use crate::gpu::plan::{Plan, PlannedPass, WebGpuLimits};
+}
 
 pub use camera::{Camera, Distortion, SATURATED_DEPTH};
 pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns};

@@ -184,7 +184,7 @@ impl Smoother {
     }
 
     /// The radius by density that point `i` of the last cloud had before its limit.
-    #[cfg(feature = "io")]
+    #[cfg(feature = "las")]
     pub(crate) fn own_radius_m(&self, i: usize) -> Option<f32> {
         self.opened.own_radius_m(i)
     }
@@ -227,14 +227,24 @@ impl Smoother {
 
     /// Refuses a frame of another grid, and finds out how its ranges are measured.
     fn admit<'a>(&mut self, frame: Frame<'a>) -> Result<AdmittedFrame<'a>, FrameError> {
-        check_grid(frame.grid(), self.grid)?;
-        if self.outputs.needs_camera() && frame.camera().is_none() {
-            return Err(FrameError::MissingCamera { what: "depth as an output" });
-        }
-        let Self { params, .. } = self;
-        let needs_range = params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks();
-        Ok(AdmittedFrame { frame, geometry: FrameGeometry::of(frame, needs_range, &mut self.scratch) })
+        admit(frame, &self.params, self.outputs, self.grid, &mut self.scratch)
     }
+}
+
+/// Refuses a frame of another grid, or without the camera that outputs need, and finds out how its ranges are measured.
+pub(crate) fn admit<'a>(
+    frame: Frame<'a>,
+    params: &SmoothParams,
+    outputs: Outputs,
+    grid: Option<(usize, usize)>,
+    scratch: &mut GeometryScratch,
+) -> Result<AdmittedFrame<'a>, FrameError> {
+    check_grid(frame.grid(), grid)?;
+    if outputs.needs_camera() && frame.camera().is_none() {
+        return Err(FrameError::MissingCamera { what: "depth as an output" });
+    }
+    let needs_range = params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks();
+    Ok(AdmittedFrame { frame, geometry: FrameGeometry::of(frame, needs_range, scratch) })
 }
 
 /// Refuses a frame of another grid than that which was opened for.
@@ -258,7 +268,11 @@ pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize,
     }
 }
 
-fn check_options(params: SmoothParams, options: &SmootherOptions, grid: Option<(usize, usize)>) -> Result<(), Error> {
+pub(crate) fn check_options(
+    params: SmoothParams,
+    options: &SmootherOptions,
+    grid: Option<(usize, usize)>,
+) -> Result<(), Error> {
     params.validate()?;
     options.outputs.validate()?;
     match grid {

@@ -2,6 +2,8 @@
 
 use std::ops::AddAssign;
 use std::time::Duration;
+#[cfg(not(target_family = "wasm"))]
+use std::time::Instant;
 
 /// Where the time of one frame or batch went: on a GPU's device, or in the CPU engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -21,6 +23,27 @@ impl AddAssign for FrameTimings {
         self.upload += more.upload;
         self.kernel += more.kernel;
         self.readback += more.readback;
+    }
+}
+
+/// A point in time that others are measured from. WebAssembly has no clock of its own: there all times are zero.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Stopwatch(#[cfg(not(target_family = "wasm"))] Instant);
+
+impl Stopwatch {
+    pub(crate) fn start() -> Self {
+        Self(
+            #[cfg(not(target_family = "wasm"))]
+            Instant::now(),
+        )
+    }
+
+    /// Returns the time since the start.
+    pub(crate) fn elapsed(&self) -> Duration {
+        #[cfg(not(target_family = "wasm"))]
+        return self.0.elapsed();
+        #[cfg(target_family = "wasm")]
+        return Duration::ZERO;
     }
 }
 

@@ -29,7 +29,7 @@ mod unroll;
 mod vector;
 mod window;
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
@@ -43,7 +43,7 @@ use crate::params::{Edges, SmoothParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, MIN_GATE_M, RangeRules};
 use crate::simd_level::SimdLevel;
 use crate::threads::Threads;
-use crate::timings::FrameTimings;
+use crate::timings::{FrameTimings, Stopwatch};
 use edges::{PlaneRows, Planes};
 pub(crate) use general::GeneralCpu;
 use output::OutputRows;
@@ -156,9 +156,9 @@ impl Cpu {
     /// Fills the padded frame and smooths all rows, on the threads of the pool that it is called in or on the calling one.
     fn smooth_rows(&mut self, frame: &AdmittedFrame<'_>, kernel: &Kernel, out: SmoothedMut<'_>, parallel: bool) {
         let level = self.level;
-        let start = Instant::now();
+        let start = Stopwatch::start();
         self.padded.fill(frame, &self.rays, parallel);
-        let filled = Instant::now();
+        let upload = start.elapsed();
         let measured = &self.padded;
         if let Some(means) = &mut self.means {
             let average =
@@ -182,7 +182,7 @@ impl Cpu {
             _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, input, surfaces, kernel, &mut rows)),
         };
         run_on_rows(OutputRows::all(frame, out), parallel, &smooth);
-        self.timings = FrameTimings { upload: filled - start, kernel: filled.elapsed(), readback: Duration::ZERO };
+        self.timings = FrameTimings { upload, kernel: start.elapsed() - upload, readback: Duration::ZERO };
     }
 }
 

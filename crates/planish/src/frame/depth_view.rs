@@ -160,7 +160,7 @@ impl<'a> DepthView<'a> {
     }
 
     /// All samples, if its rows follow each other without a gap.
-    #[cfg(any(test, feature = "gpu"))]
+    #[cfg(any(test, feature = "gpu", feature = "webgpu"))]
     pub(crate) fn contiguous(&self) -> Option<DepthSamples<'a>> {
         let pixels = self.camera.width * self.camera.height;
         (self.row_stride == self.camera.width).then(|| match self.samples {
@@ -169,7 +169,7 @@ impl<'a> DepthView<'a> {
         })
     }
 
-    #[cfg(feature = "gpu")]
+    #[cfg(any(feature = "gpu", feature = "webgpu"))]
     pub(crate) fn is_metres(&self) -> bool {
         matches!(self.samples, DepthSamples::F32(_))
     }

@@ -3,8 +3,8 @@
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{self, JoinHandle};
 
-use super::Flight;
 use super::device::GpuDevice;
+use super::engine::Flight;
 use crate::error::EngineError;
 use crate::smoothed::Smoothed;
 use crate::threads::Threads;

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::device::{self, GpuDevice};
+use super::engine::{Gpu, adapters, lose_devices};
 use super::kernel;
-use super::*;
+use super::layout::InputKind;
 use crate::camera::Camera;
 use crate::frame::{DepthFrame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::simulate::{DepthNoise, DepthSimulator, Random, Scene};

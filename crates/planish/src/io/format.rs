@@ -142,7 +142,7 @@ impl Format {
         } else if starts(b"ASTM-E57") {
             Some(Self::E57)
         } else if starts(b"LASF") {
-            Some(super::las::format_of(bytes))
+            Some(las_or_laz(bytes))
         } else if starts(b"# .PCD") || starts(b"VERSION") || starts(b"FIELDS") {
             Some(Self::Pcd)
         } else {
@@ -154,5 +154,14 @@ impl Format {
         Self::of_extension(path).ok_or_else(|| {
             FormatError::Unsupported(format!("cannot tell the format to write: end the name in {WRITTEN}"))
         })
+    }
+}
+
+/// LAS or LAZ, by the bit of the point format that says which.
+pub(super) fn las_or_laz(bytes: &[u8]) -> Format {
+    const POINT_FORMAT_AT: usize = 104;
+    match bytes.get(POINT_FORMAT_AT) {
+        Some(number) if number & 0x80 != 0 => Format::Laz,
+        _ => Format::Las,
     }
 }

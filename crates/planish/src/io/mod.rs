@@ -10,12 +10,14 @@ mod depth_tiff;
 mod e57;
 mod format;
 mod kitti;
+#[cfg(feature = "las")]
 mod las;
 mod mesh;
 mod npy;
 mod npz;
 mod pcd;
 mod ply;
+#[cfg(feature = "las")]
 mod records;
 #[cfg(any(feature = "internal", feature = "stream"))]
 mod rgb_png;
@@ -43,13 +45,19 @@ pub(crate) use camera_file::colmap_camera;
 pub use camera_file::{camera_to_json, parse_camera, read_camera};
 #[cfg(feature = "stream")]
 pub(crate) use camera_file::{read_text as camera_text, states_depth_scale};
+#[cfg(feature = "las")]
 pub(crate) use las::LasReader;
 pub use pcd::Encoding;
+#[cfg(feature = "las")]
 pub(crate) use ply::PlyReader;
+#[cfg(feature = "las")]
 pub(crate) use records::{RecordEncoder, RecordReader};
 #[cfg(feature = "stream")]
 pub(crate) use rgb_png::{read_rgb_png, write_rgb_png};
-pub(crate) use whole::{Temporary, WholeFile, folder_of};
+#[cfg(any(feature = "las", feature = "mcap"))]
+pub(crate) use whole::WholeFile;
+#[cfg(feature = "las")]
+pub(crate) use whole::{Temporary, folder_of};
 pub use whole::{remove_temporaries, write_whole};
 
 /// The name that stands for standard input.
@@ -232,6 +240,7 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
 
 /// Reads a LAS, LAZ or PLY file some points at a time, each part a cloud with all fields and an origin of its own; of a file without points
 /// one empty cloud.
+#[cfg(feature = "las")]
 pub fn read_in_parts(
     path: &Path,
     points_at_once: usize,
@@ -341,7 +350,10 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
         Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
         Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
         Format::Npy => npy::decode(bytes, options),
+        #[cfg(feature = "las")]
         Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options)?)),
+        #[cfg(not(feature = "las"))]
+        Format::Las | Format::Laz => Err(without_las()),
         Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options)?)),
         Format::Npz => npz::decode(bytes, options),
         Format::E57 => Ok(Contents::General(self::e57::decode(bytes, options)?)),
@@ -407,47 +419,77 @@ impl<'a> From<&'a PointCloud> for CloudRef<'a> {
     }
 }
 
-/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), lines of text, CSV, or NPY (positions alone).
-pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
+/// Encodes a cloud as the bytes of a file. Text has a comment with the names of its columns, CSV a line of them; holes are left out of LAS and
+/// LAZ, and NPY has the positions alone.
+///
+/// # Errors
+/// If the format has no place for a cloud, or fields differ in length.
+pub fn encode_cloud<'a>(
+    format: Format,
+    cloud: impl Into<CloudRef<'a>>,
+    encoding: Encoding,
+) -> Result<Vec<u8>, FormatError> {
     let cloud = cloud.into();
-    let encode = || {
-        cloud.points().validate()?;
-        match Format::of_output(path)? {
-            Format::Pcd => pcd::encode(cloud, encoding),
-            Format::Ply => ply::encode(cloud, encoding),
-            Format::Npy => npy::encode_points(cloud),
-            Format::Las => las::encode(cloud.points(), false),
-            Format::Laz => las::encode(cloud.points(), true),
-            Format::Text if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("pts")) => {
-                xyz_text::encode(cloud, Heading::Count)
-            }
-            Format::Text => xyz_text::encode(cloud, Heading::Comment),
-            Format::Csv => xyz_text::encode(cloud, Heading::Names),
-            Format::Npz => npz::encode(cloud),
-            Format::E57 => self::e57::encode(cloud.points()),
-            Format::KittiBin => kitti::encode(cloud, false),
-            Format::NuScenesBin => kitti::encode(cloud, true),
-            Format::Obj | Format::Stl => Err(FormatError::Unsupported(
-                "a mesh has faces, which points have not: end the name in .ply, which meshing programs read".into(),
-            )),
-            Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
-                "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
-            )),
-        }
-    };
-    encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+    cloud.points().validate()?;
+    match format {
+        Format::Pcd => pcd::encode(cloud, encoding),
+        Format::Ply => ply::encode(cloud, encoding),
+        Format::Npy => npy::encode_points(cloud),
+        #[cfg(feature = "las")]
+        Format::Las | Format::Laz => las::encode(cloud.points(), format == Format::Laz),
+        #[cfg(not(feature = "las"))]
+        Format::Las | Format::Laz => Err(without_las()),
+        Format::Text => xyz_text::encode(cloud, Heading::Comment),
+        Format::Csv => xyz_text::encode(cloud, Heading::Names),
+        Format::Npz => npz::encode(cloud),
+        Format::E57 => self::e57::encode(cloud.points()),
+        Format::KittiBin => kitti::encode(cloud, false),
+        Format::NuScenesBin => kitti::encode(cloud, true),
+        Format::Obj | Format::Stl => Err(FormatError::Unsupported(
+            "a mesh has faces, which points have not: end the name in .ply, which meshing programs read".into(),
+        )),
+        Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
+            "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
+        )),
+    }
 }
 
-/// Writes a depth image in the format of the path's extension: 16-bit PNG, TIFF or NPY.
-pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
-    let encode = || match Format::of_output(path)? {
+#[cfg(not(feature = "las"))]
+fn without_las() -> FormatError {
+    FormatError::Unsupported("a LAS or LAZ file, and this build has no reader of them (feature `las`)".into())
+}
+
+/// Encodes a depth image as the bytes of a file: 16-bit PNG, TIFF or NPY.
+///
+/// # Errors
+/// If the format holds points.
+pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, FormatError> {
+    match format {
         Format::DepthPng => depth_png::encode(image),
         Format::DepthTiff => depth_tiff::encode(image),
         Format::Npy => npy::encode_depth(image),
         _ => Err(FormatError::Unsupported(
             "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),
         )),
+    }
+}
+
+/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), lines of text, CSV, or NPY (positions alone).
+pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
+    let cloud = cloud.into();
+    let encode = || match Format::of_output(path)? {
+        Format::Text if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("pts")) => {
+            cloud.points().validate()?;
+            xyz_text::encode(cloud, Heading::Count)
+        }
+        format => encode_cloud(format, cloud, encoding),
     };
+    encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+}
+
+/// Writes a depth image in the format of the path's extension: 16-bit PNG, TIFF or NPY.
+pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
+    let encode = || encode_depth(Format::of_output(path)?, image);
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 

@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
 
+use super::format::las_or_laz;
 use super::{Format, FormatResult, ReadOptions};
 use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::FormatError;
@@ -27,15 +28,6 @@ const SCALE_M: f64 = 1e-5;
 /// The most that 32 bits hold, with room to move points.
 const LARGEST_INTEGER: f64 = 2e9;
 
-/// LAS or LAZ, by the bit of the point format that says which.
-pub(super) fn format_of(bytes: &[u8]) -> Format {
-    const POINT_FORMAT_AT: usize = 104;
-    match bytes.get(POINT_FORMAT_AT) {
-        Some(number) if number & 0x80 != 0 => Format::Laz,
-        _ => Format::Las,
-    }
-}
-
 fn damaged(error: las::Error) -> FormatError {
     let is_cut = |error: &std::io::Error| error.kind() == std::io::ErrorKind::UnexpectedEof;
     if matches!(&error, las::Error::Io(error) if is_cut(error))
@@ -47,7 +39,7 @@ fn damaged(error: las::Error) -> FormatError {
 }
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
-    let Checked { points, record, extended } = Checked::of(bytes, format_of(bytes))?;
+    let Checked { points, record, extended } = Checked::of(bytes, las_or_laz(bytes))?;
     // The records, and positions and columns.
     options.check(points, 2 * record + 12)?;
     // The decoder of compressed points trusts them: on damaged ones it may divide by zero.

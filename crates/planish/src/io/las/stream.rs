@@ -10,8 +10,9 @@ use std::sync::Arc;
 use las::{Builder, Header, PointData, PointDataBuilder, Reader, Writer};
 
 use super::super::records::{RecordEncoder, RecordReader};
+use super::super::format::las_or_laz;
 use super::super::{Encoding, Format, FormatResult};
-use super::{Checked, MOST_RETURNS, Records, cannot, damaged, format_of, unreadable};
+use super::{Checked, MOST_RETURNS, Records, cannot, damaged, unreadable};
 use crate::cloud::PointCloud;
 use crate::error::FormatError;
 
@@ -39,7 +40,7 @@ impl RecordReader for LasReader {
         if !head.starts_with(b"LASF") {
             return Err(FormatError::Malformed("no LAS file: it does not begin with LASF".into()));
         }
-        let Checked { points, extended, .. } = Checked::of(&file, format_of(&head))?;
+        let Checked { points, extended, .. } = Checked::of(&file, las_or_laz(&head))?;
         let opened = catch_unwind(AssertUnwindSafe(|| {
             let reader = Reader::new(BufReader::with_capacity(1 << 20, File::open(path)?))?;
             let mut builder = Builder::from(reader.header().clone());

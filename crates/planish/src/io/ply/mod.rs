@@ -5,6 +5,8 @@
 //! [`camera`].
 
 mod camera;
+#[cfg(feature = "las")]
+mod parts;
 mod records;
 
 use ply_rs_bw::parser::{Parser, Reader};
@@ -15,7 +17,8 @@ use ply_rs_bw::ply::{
 use ply_rs_bw::writer::Writer;
 
 use camera::PlyCamera;
-pub(crate) use records::PlyReader;
+#[cfg(feature = "las")]
+pub(crate) use parts::PlyReader;
 use records::{Layout, take_records};
 
 use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
@@ -207,6 +210,7 @@ fn read_binary_element(
 }
 
 /// What the element `camera` says whose bytes stand first.
+#[cfg(feature = "las")]
 fn read_camera(header: &Header, mut bytes: &[u8]) -> Result<PlyCamera, FormatError> {
     let mut found = Body::default();
     let Some(element) = header.elements.get("camera") else { return Ok(PlyCamera::default()) };

@@ -1,0 +1,86 @@
+//! Pictures as RGBA, for a canvas.
+
+use planish::render::{colours, difference_normals, relief};
+use planish::{OrganizedCloud, PointCloud, Xyz};
+
+use crate::request::PictureKind;
+
+const HOLE: [u8; 3] = [0; 3];
+
+/// The nearest and the farthest depth that colours tell apart, of 98 % of the points.
+pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
+    let mut z: Vec<f32> = points.z.iter().copied().filter(|z| z.is_finite()).collect();
+    if z.is_empty() {
+        return [0.0, 1.0];
+    }
+    let mut at = |share: f64| {
+        let index = ((z.len() - 1) as f64 * share) as usize;
+        *z.select_nth_unstable_by(index, f32::total_cmp).1
+    };
+    let [near, far] = [at(0.01), at(0.99)];
+    [near, far.max(near + 1e-6)]
+}
+
+/// Near red, far blue: the hues between, evenly bright.
+fn depth_colour(z: f32, [near, far]: [f32; 2]) -> [u8; 3] {
+    if !z.is_finite() {
+        return HOLE;
+    }
+    let share = ((z - near) / (far - near)).clamp(0.0, 1.0);
+    let hue = 4.0 * share;
+    let part = |centre: f32| (1.5 - (hue - centre).abs()).clamp(0.0, 1.0);
+    [part(0.5), part(2.0), part(3.5)].map(|part| (255.0 * (0.1 + 0.85 * part)) as u8)
+}
+
+fn normal_colour(normal: [f32; 3]) -> [u8; 3] {
+    if normal.iter().any(|n| !n.is_finite()) {
+        return HOLE;
+    }
+    // Towards the sensor is blue, as in normal maps.
+    let [x, y, z] = normal;
+    [x, -y, -z].map(|n| (127.5 * (n + 1.0)) as u8)
+}
+
+/// The colours of all points of a grid, row by row.
+pub(crate) fn colours_of(
+    cloud: &OrganizedCloud,
+    normals: Option<&Xyz>,
+    kind: PictureKind,
+    range: [f32; 2],
+) -> Vec<[u8; 3]> {
+    let (width, height) = (cloud.width(), cloud.height());
+    let between_pixels = || difference_normals(width, height, cloud.positions());
+    let pixels = |rgb: Vec<u8>| rgb.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
+    match kind {
+        PictureKind::Depth => cloud.positions().z.iter().map(|&z| depth_colour(z, range)).collect(),
+        PictureKind::Normals => match normals {
+            Some(normals) => normals.iter().map(normal_colour).collect(),
+            None => between_pixels().iter().map(normal_colour).collect(),
+        },
+        PictureKind::Colour => match colours(cloud) {
+            Some(picture) => pixels(picture.rgb),
+            None => pixels(relief(width, height, &between_pixels()).rgb),
+        },
+        PictureKind::Relief => pixels(relief(width, height, &between_pixels()).rgb),
+    }
+}
+
+/// The colours of the points of a general cloud: its own, or those of its depth along z.
+pub(crate) fn colours_of_general(cloud: &PointCloud, kind: PictureKind) -> Vec<[u8; 3]> {
+    match cloud.rgb() {
+        Some(rgb) if matches!(kind, PictureKind::Colour | PictureKind::Relief) => rgb,
+        _ => {
+            let range = depth_range(&cloud.positions);
+            cloud.positions.z.iter().map(|&z| depth_colour(z, range)).collect()
+        }
+    }
+}
+
+/// The same with an opaque alpha; holes are transparent.
+pub(crate) fn rgba(colours: &[[u8; 3]], points: &Xyz) -> Vec<u8> {
+    let pixel = |(i, &[red, green, blue]): (usize, &[u8; 3])| {
+        let alpha = if points.is_finite(i) { 255 } else { 0 };
+        [red, green, blue, alpha]
+    };
+    colours.iter().enumerate().flat_map(pixel).collect()
+}

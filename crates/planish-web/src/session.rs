@@ -1,0 +1,360 @@
+//! What a page has open: frames, plans and results.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use planish::io::{Contents, Encoding, Format, ReadOptions, decode_with, encode_cloud, encode_depth};
+use planish::render::seen_from;
+use planish::simulate::{DepthNoise, DepthSimulator, Scene};
+use planish::webgpu::{Plan, WebGpuLimits};
+use planish::{
+    Camera, DepthImage, Engine, IntoFrame, OrganizedCloud, Outputs, PointCloud, SensorModel, SmoothParams, Smoothed,
+    Smoother, SmootherOptions, Status, Xyz,
+};
+use serde_json::{Value, json};
+
+use crate::held::HeldFrame;
+use crate::picture::{colours_of, colours_of_general, depth_range, rgba};
+use crate::request::{PictureKind, Reply, Request, Side};
+use crate::settings::{CameraGiven, Settings};
+
+/// Files that need more are refused: a page has 4 GiB at most, and others beside it.
+const MAX_MEMORY_BYTES: u64 = 1 << 30;
+/// The longer side of a picture of a general cloud, in pixels.
+const GENERAL_PICTURE_PX: usize = 640;
+
+type Answer = Result<(Value, Vec<u8>), String>;
+
+/// A result of a frame.
+struct Outcome {
+    frame: u32,
+    smoothed: Smoothed,
+}
+
+/// A plan, and the frame that it is of.
+struct Planned {
+    frame: u32,
+    plan: Plan,
+}
+
+/// The smoother of the last frame, which keeps its buffers for the next.
+struct Opened {
+    params: SmoothParams,
+    outputs: Outputs,
+    grid: Option<(usize, usize)>,
+    smoother: Smoother,
+}
+
+/// Frames, plans and results by their numbers.
+#[derive(Default)]
+pub struct Session {
+    next: u32,
+    frames: BTreeMap<u32, HeldFrame>,
+    plans: BTreeMap<u32, Planned>,
+    results: BTreeMap<u32, Outcome>,
+    opened: Option<Opened>,
+}
+
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+impl Session {
+    /// Answers a request; `bytes` are those that came with it.
+    pub fn handle(&mut self, request: &str, bytes: &[u8]) -> Reply {
+        let answer = serde_json::from_str(request)
+            .map_err(|error| format!("the request: {error}"))
+            .and_then(|request| self.answer(request, bytes));
+        match answer {
+            Ok((ok, bytes)) => Reply { ok: Some(ok), error: None, bytes },
+            Err(error) => Reply { ok: None, error: Some(error), bytes: Vec::new() },
+        }
+    }
+
+    fn answer(&mut self, request: Request, bytes: &[u8]) -> Answer {
+        match request {
+            Request::About => Ok((about(), Vec::new())),
+            Request::Open { name } => self.open(&name, bytes),
+            Request::Depth { width, height } => {
+                let raw = numbers(bytes, width, height, 2, |bytes| u16::from_le_bytes([bytes[0], bytes[1]]))?;
+                self.hold(Contents::Depth(DepthImage { width, height, raw }), "depth")
+            }
+            Request::Points { width, height } => {
+                let float = |bytes: &[u8]| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+                let xyz = |bytes: &[u8]| [float(bytes), float(&bytes[4..]), float(&bytes[8..])];
+                let positions: Xyz = numbers(bytes, width, height, 12, xyz)?.into_iter().collect();
+                let cloud = OrganizedCloud::from_positions(width, height, positions).map_err(text)?;
+                self.hold(Contents::Organized(cloud), "points")
+            }
+            Request::Simulate { seed, width, height } => self.simulate(seed, width, height),
+            Request::Smooth { frame, settings, camera } => self.smooth(frame, &settings, camera.as_ref()),
+            Request::Plan { frame, settings, camera, limits: [workgroup_bytes, buffer_bytes, workgroups] } => {
+                let limits = WebGpuLimits::new(workgroup_bytes, buffer_bytes, workgroups);
+                self.plan(frame, &settings, camera.as_ref(), &limits)
+            }
+            Request::Finish { plan } => self.finish(plan, bytes),
+            Request::Arrays { result } => self.arrays(result),
+            Request::Picture { frame, side, kind, camera } => self.picture(frame, side, kind, camera.as_ref()),
+            Request::Cloud { frame, side, kind, camera } => self.cloud(frame, side, kind, camera.as_ref()),
+            Request::Write { result, format, camera } => self.write(result, &format, camera.as_ref()),
+            Request::Release { ids } => {
+                for id in ids {
+                    self.frames.remove(&id);
+                    self.plans.remove(&id);
+                    self.results.remove(&id);
+                }
+                Ok((json!({}), Vec::new()))
+            }
+        }
+    }
+
+    fn number(&mut self) -> u32 {
+        self.next += 1;
+        self.next
+    }
+
+    fn hold(&mut self, contents: Contents, format: &'static str) -> Answer {
+        let held = HeldFrame { contents, format };
+        let mut described = held.describe();
+        let number = self.number();
+        described["frame"] = number.into();
+        self.frames.insert(number, held);
+        Ok((described, Vec::new()))
+    }
+
+    fn frame(&self, number: u32) -> Result<&HeldFrame, String> {
+        self.frames.get(&number).ok_or_else(|| format!("there is no frame {number}: it was released"))
+    }
+
+    fn result(&self, number: u32) -> Result<&Outcome, String> {
+        self.results.get(&number).ok_or_else(|| format!("there is no result {number}: it was released"))
+    }
+
+    fn open(&mut self, name: &str, bytes: &[u8]) -> Answer {
+        let options = ReadOptions::default().with_max_memory_bytes(MAX_MEMORY_BYTES);
+        let announced = Format::of_extension(Path::new(name));
+        let (format, contents) = decode_with(bytes, announced, &options).map_err(|error| format!("{name}: {error}"))?;
+        self.hold(contents, format.name())
+    }
+
+    fn simulate(&mut self, seed: u64, width: usize, height: usize) -> Answer {
+        let focal = 525.0 * width as f64 / 640.0;
+        let centre = [width, height].map(|n| (n as f64 - 1.0) / 2.0);
+        let camera = Camera::new((width, height), [focal; 2], centre);
+        camera.validate().map_err(text)?;
+        let (scene, pose) = Scene::tabletop(seed);
+        let truth = scene.render(&camera, &pose);
+        let frame = DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).map_err(text)?;
+        self.hold(Contents::Depth(DepthImage { width, height, raw: frame.raw }), "simulated")
+    }
+
+    fn smooth(&mut self, number: u32, settings: &Settings, given: Option<&CameraGiven>) -> Answer {
+        let held = self.frames.get(&number).ok_or_else(|| format!("there is no frame {number}: it was released"))?;
+        let camera = held.camera(given)?;
+        let outputs = held.outputs();
+        let params = params_of(held, settings, camera.as_ref())?;
+        let (opened, mut smoothed) = (&mut self.opened, Smoothed::default());
+        held.with(camera.as_ref(), |frame| {
+            let grid = frame.grid();
+            let wanted = |opened: &Opened| (opened.params, opened.outputs, opened.grid) == (params, outputs, grid);
+            if !opened.as_ref().is_some_and(wanted) {
+                let options = SmootherOptions::new(Engine::Cpu, outputs).with_threads(Some(1));
+                let smoother = Smoother::open_with(params, &options, grid)?;
+                *opened = Some(Opened { params, outputs, grid, smoother });
+            }
+            match opened {
+                Some(opened) => opened.smoother.smooth(frame, &mut smoothed),
+                None => Ok(()),
+            }
+        })?;
+        self.keep(number, smoothed)
+    }
+
+    fn plan(
+        &mut self,
+        number: u32,
+        settings: &Settings,
+        given: Option<&CameraGiven>,
+        limits: &WebGpuLimits,
+    ) -> Answer {
+        let held = self.frame(number)?;
+        let camera = held.camera(given)?;
+        let params = params_of(held, settings, camera.as_ref())?;
+        let outputs = held.outputs();
+        let (plan, upload) = held.with(camera.as_ref(), |frame| {
+            let mut plan = Plan::new(params, outputs, frame, limits)?;
+            let upload = plan.upload(frame)?;
+            Ok((plan, upload))
+        })?;
+        let passes: Vec<Value> = plan
+            .passes()
+            .into_iter()
+            .map(|pass| {
+                json!({ "entry_point": pass.entry_point, "wgsl": pass.wgsl, "workgroups": pass.workgroups })
+            })
+            .collect();
+        let id = self.number();
+        let described = json!({
+            "plan": id, "passes": passes, "uniform": plan.uniform(), "output_bytes": plan.output_bytes(),
+            "kept_bytes": plan.kept_bytes(),
+        });
+        self.plans.insert(id, Planned { frame: number, plan });
+        Ok((described, upload))
+    }
+
+    fn finish(&mut self, plan: u32, bytes: &[u8]) -> Answer {
+        let missing = || format!("there is no plan {plan}: it was finished or released");
+        let Planned { frame, plan } = self.plans.remove(&plan).ok_or_else(missing)?;
+        let mut smoothed = Smoothed::default();
+        plan.read(bytes, &mut smoothed).map_err(text)?;
+        self.keep(frame, smoothed)
+    }
+
+    fn keep(&mut self, frame: u32, smoothed: Smoothed) -> Answer {
+        let counts = smoothed.status_counts().unwrap_or_default();
+        let number = self.number();
+        let described = json!({
+            "result": number, "width": smoothed.width, "height": smoothed.height,
+            "points": (0..smoothed.points.len()).filter(|&i| smoothed.points.is_finite(i)).count(),
+            "status_counts": counts,
+        });
+        self.results.insert(number, Outcome { frame, smoothed });
+        Ok((described, Vec::new()))
+    }
+
+    fn arrays(&self, result: u32) -> Answer {
+        let smoothed = &self.result(result)?.smoothed;
+        let mut bytes = Vec::with_capacity(25 * smoothed.points.len());
+        for vectors in [Some(&smoothed.points), smoothed.normals.as_ref()].into_iter().flatten() {
+            vectors.iter().flatten().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
+        }
+        bytes.extend(smoothed.status.iter().flatten().map(|&status| status as u8));
+        Ok((json!({ "width": smoothed.width, "height": smoothed.height }), bytes))
+    }
+
+    /// A frame, raw or smoothed, with its normals where it has some.
+    fn points(&self, frame: u32, side: Side, camera: Option<&Camera>) -> Result<(PointCloud, Option<Xyz>), String> {
+        let no_points = || "the frame has no points".to_owned();
+        let mut points = self.frame(frame)?.points(camera).ok_or_else(no_points)?;
+        let Side::Result(result) = side else { return Ok((points, None)) };
+        let outcome = self.result(result)?;
+        if outcome.frame != frame {
+            return Err(format!("the result {result} is of another frame"));
+        }
+        points.apply(&outcome.smoothed, Outputs::POINTS.with_normals(true)).map_err(text)?;
+        Ok((points, outcome.smoothed.normals.clone()))
+    }
+
+    fn picture(&self, number: u32, side: Side, kind: PictureKind, given: Option<&CameraGiven>) -> Answer {
+        let held = self.frame(number)?;
+        let camera = held.camera(given)?;
+        let (points, normals) = self.points(number, side, camera.as_ref())?;
+        let (cloud, normals) = if let Contents::General(_) = &held.contents {
+            // From above.
+            (seen_from(&points, [0.0, 0.0, 1.0], GENERAL_PICTURE_PX).map_err(text)?, None)
+        } else {
+            let (width, height) = held.contents.shape();
+            (OrganizedCloud::new(width, height, points).map_err(text)?, normals)
+        };
+        // Both sides in the colours of the raw one.
+        let raw = held.points(camera.as_ref()).map(|raw| depth_range(&raw.positions));
+        let range = match &held.contents {
+            Contents::General(_) => depth_range(cloud.positions()),
+            _ => raw.unwrap_or([0.0, 1.0]),
+        };
+        let colours = colours_of(&cloud, normals.as_ref(), kind, range);
+        let bytes = rgba(&colours, cloud.positions());
+        Ok((json!({ "width": cloud.width(), "height": cloud.height(), "depth_range_m": range }), bytes))
+    }
+
+    fn cloud(&self, number: u32, side: Side, kind: PictureKind, given: Option<&CameraGiven>) -> Answer {
+        let held = self.frame(number)?;
+        let camera = held.camera(given)?;
+        let (points, normals) = self.points(number, side, camera.as_ref())?;
+        let colours = match &held.contents {
+            Contents::General(_) => colours_of_general(&points, kind),
+            contents => {
+                let (width, height) = contents.shape();
+                let cloud = OrganizedCloud::new(width, height, points.clone()).map_err(text)?;
+                let raw = held.points(camera.as_ref()).unwrap_or_else(|| points.clone());
+                colours_of(&cloud, normals.as_ref(), kind, depth_range(&raw.positions))
+            }
+        };
+        let finite = || (0..points.len()).filter(|&i| points.positions.is_finite(i));
+        let count = finite().count();
+        let mut bytes = Vec::with_capacity(16 * count);
+        for i in finite() {
+            points.positions.get(i).iter().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
+        }
+        finite().for_each(|i| bytes.extend_from_slice(&[colours[i][0], colours[i][1], colours[i][2], 255]));
+        Ok((json!({ "points": count }), bytes))
+    }
+
+    fn write(&self, result: u32, format: &str, given: Option<&CameraGiven>) -> Answer {
+        let outcome = self.result(result)?;
+        let held = self.frame(outcome.frame)?;
+        let unknown = || format!("{format} is not written here: pcd, ply, npy, xyz, and png of depth are");
+        let name = format!("frame.{format}");
+        let kind = Format::of_extension(Path::new(&name)).ok_or_else(unknown)?;
+        let camera = held.camera(given)?;
+        let bytes = if kind == Format::DepthPng {
+            let no_depth = || "this frame came as points, without the camera that depth needs: save it as PCD or PLY";
+            let depth = match (&outcome.smoothed.depth, &camera) {
+                (Some(raw), _) => {
+                    DepthImage { width: outcome.smoothed.width, height: outcome.smoothed.height, raw: raw.clone() }
+                }
+                (None, Some(camera)) => outcome.smoothed.to_depth(camera).map_err(text)?,
+                (None, None) => return Err(no_depth().to_owned()),
+            };
+            encode_depth(kind, &depth).map_err(text)?
+        } else {
+            let (points, _) = self.points(outcome.frame, Side::Result(result), camera.as_ref())?;
+            match &held.contents {
+                Contents::General(_) => encode_cloud(kind, &points, Encoding::Binary),
+                contents => {
+                    let (width, height) = contents.shape();
+                    let cloud = OrganizedCloud::new(width, height, points).map_err(text)?;
+                    encode_cloud(kind, &cloud, Encoding::Binary)
+                }
+            }
+            .map_err(text)?
+        };
+        Ok((json!({ "format": kind.name() }), bytes))
+    }
+}
+
+fn about() -> Value {
+    let sensors: Vec<&str> = SensorModel::NAMED.iter().map(|&(name, _)| name).collect();
+    let statuses: Vec<String> = Status::ALL.iter().map(|status| format!("{status:?}")).collect();
+    json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "presets": ["light", "default", "strong", "paper"],
+        "sensors": sensors,
+        "statuses": statuses,
+        "simd": planish::SimdLevel::best().name(),
+    })
+}
+
+fn params_of(held: &HeldFrame, settings: &Settings, camera: Option<&Camera>) -> Result<SmoothParams, String> {
+    let mut params = Err(String::new());
+    held.with(camera, |frame| {
+        params = settings.params(frame.into_frame()?, || held.organized(camera));
+        Ok(())
+    })?;
+    params
+}
+
+/// Little-endian numbers, or groups of them, of `size` bytes for each pixel.
+fn numbers<T>(
+    bytes: &[u8],
+    width: usize,
+    height: usize,
+    size: usize,
+    of: impl Fn(&[u8]) -> T,
+) -> Result<Vec<T>, String> {
+    let expected = width.checked_mul(height).and_then(|pixels| pixels.checked_mul(size));
+    if expected != Some(bytes.len()) {
+        return Err(format!("{width} x {height} pixels of {size} bytes were announced, {} bytes came", bytes.len()));
+    }
+    Ok(bytes.chunks_exact(size).map(of).collect())
+}

@@ -1,0 +1,187 @@
+//! The GPU engine for hosts of WebGPU that are not wgpu: a browser, or another program's own device.
+//!
+//! A [`Plan`] says what such a host has to do for one frame: which kernels to compile and dispatch in which order, how large its buffers
+//! are and what to write into them; and it reads what comes back. The host needs no knowledge of the method. Every kernel has one bind
+//! group:
+//!
+//! | binding | buffer | bytes |
+//! |---|---|---|
+//! | 0 | uniform: [`Plan::uniform`] | 16 |
+//! | 1 | storage, read only: [`Plan::upload`] | its length |
+//! | 2 | storage: the result, given to [`Plan::read`] | [`Plan::output_bytes`] |
+//! | 3, 4 | storage, which passes leave for one another | [`Plan::kept_bytes`] |
+//!
+//! The passes are dispatched in order, in one compute pass, since WebGPU puts barriers between dispatches.
+
+use super::kernel::{KernelKey, Pass};
+use super::layout::{InputKind, Layout};
+use super::results::Results;
+use super::upload::Uploader;
+use crate::engines::{Engine, SmootherOptions};
+use crate::error::{EngineError, Error, FrameError};
+use crate::frame::{Frame, GeometryScratch, IntoFrame};
+use crate::outputs::Outputs;
+use crate::params::{Edges, SmoothParams};
+use crate::smoothed::Smoothed;
+use crate::smoother::{admit, check_options};
+
+/// The limits of a WebGPU device that plans depend on, named as in `GPUSupportedLimits`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct WebGpuLimits {
+    /// `maxComputeWorkgroupStorageSize`, in bytes. With the default of 16 KiB some kernels read from buffers what they would keep there.
+    pub workgroup_bytes: u64,
+    /// The smaller of `maxStorageBufferBindingSize` and `maxBufferSize`, in bytes.
+    pub buffer_bytes: u64,
+    /// `maxComputeWorkgroupsPerDimension`.
+    pub workgroups: u64,
+}
+
+impl Default for WebGpuLimits {
+    /// What every device of WebGPU has.
+    fn default() -> Self {
+        Self { workgroup_bytes: 16 << 10, buffer_bytes: 128 << 20, workgroups: 65_535 }
+    }
+}
+
+impl WebGpuLimits {
+    /// The limits of a device.
+    pub const fn new(workgroup_bytes: u64, buffer_bytes: u64, workgroups: u64) -> Self {
+        Self { workgroup_bytes, buffer_bytes, workgroups }
+    }
+}
+
+/// One kernel of a frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct PlannedPass {
+    /// The name of its entry point.
+    pub entry_point: &'static str,
+    /// Its source. Passes of the same source are the same kernel, in every plan.
+    pub wgsl: String,
+    /// Workgroups to dispatch, across and down.
+    pub workgroups: [u32; 2],
+}
+
+/// What a host of WebGPU has to do to smooth frames of one grid and kind.
+pub struct Plan {
+    params: SmoothParams,
+    outputs: Outputs,
+    layout: Layout,
+    keys: Vec<KernelKey>,
+    uploader: Uploader,
+    scratch: GeometryScratch,
+}
+
+impl Plan {
+    /// Plans frames that are like this one: of its grid, and depth or points as it is.
+    ///
+    /// # Errors
+    /// If the parameters are not allowed, the frame is a general cloud, or larger than the device takes.
+    pub fn new<'a>(
+        params: SmoothParams,
+        outputs: Outputs,
+        frame: impl IntoFrame<'a>,
+        limits: &WebGpuLimits,
+    ) -> Result<Self, Error> {
+        let frame = frame.into_frame()?;
+        let Some((width, height)) = frame.grid() else {
+            let reason = "WebGPU smooths frames on a grid; general clouds take the CPU engine".to_owned();
+            return Err(EngineError::Unavailable { engine: "webgpu", reason }.into());
+        };
+        check_options(params, &SmootherOptions::new(Engine::Gpu, outputs), Some((width, height)))?;
+        let kind = InputKind::of(&frame);
+        let keeps_planes = params.edges != Edges::Off;
+        let keeps_points = keeps_planes || params.averages_blocks();
+        let layout = Layout { width, height, kind, outputs, keeps_points, keeps_planes };
+        let workgroup_bytes = usize::try_from(limits.workgroup_bytes).unwrap_or(usize::MAX);
+        let key = |&pass| KernelKey::new(&params, pass, kind, outputs, true, workgroup_bytes);
+        let keys: Vec<KernelKey> = Pass::of(&params).iter().map(key).collect();
+        let (uploader, scratch) = (Uploader::new(params), GeometryScratch::default());
+        let plan = Self { params, outputs, layout, keys, uploader, scratch };
+        plan.check(limits)?;
+        Ok(plan)
+    }
+
+    fn check(&self, limits: &WebGpuLimits) -> Result<(), EngineError> {
+        let [points, planes] = self.kept_bytes();
+        let bytes = self.output_bytes().max(4 * self.layout.input_words()).max(points).max(planes);
+        let workgroups = self.passes().iter().flat_map(|pass| pass.workgroups).max().unwrap_or(0);
+        let needs = [
+            ("bytes in a buffer", limits.buffer_bytes, bytes as u64),
+            ("workgroups across or down", limits.workgroups, u64::from(workgroups)),
+        ];
+        match needs.into_iter().find(|(_, allowed, needed)| needed > allowed) {
+            None => Ok(()),
+            Some((what, allowed, needed)) => {
+                Err(EngineError::Limit { device: "of WebGPU".to_owned(), what, allowed, needed })
+            }
+        }
+    }
+
+    /// Its kernels, in the order in which they are dispatched.
+    pub fn passes(&self) -> Vec<PlannedPass> {
+        let shape = (self.layout.width, self.layout.height);
+        let pass = |key: &KernelKey| PlannedPass {
+            entry_point: key.pass.entry_point(),
+            wgsl: key.wgsl(),
+            workgroups: key.workgroups(shape).map(|groups| groups as u32),
+        };
+        self.keys.iter().map(pass).collect()
+    }
+
+    /// The words of the uniform.
+    pub fn uniform(&self) -> [u32; 4] {
+        bytemuck::cast(self.layout.batch())
+    }
+
+    /// Bytes of the result.
+    pub fn output_bytes(&self) -> usize {
+        4 * self.layout.output_words()
+    }
+
+    /// Bytes of the two buffers that passes leave for one another.
+    pub fn kept_bytes(&self) -> [usize; 2] {
+        // Every kernel binds them, whether it uses them or not.
+        self.layout.kept_words().map(|words| 4 * words.max(4))
+    }
+
+    /// Returns the bytes that a frame is uploaded as.
+    ///
+    /// # Errors
+    /// If the frame has another grid or is of another kind than planned for.
+    pub fn upload<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<Vec<u8>, Error> {
+        let frame = self.expected(frame.into_frame()?)?;
+        let grid = Some((self.layout.width, self.layout.height));
+        let admitted = admit(frame, &self.params, self.outputs, grid, &mut self.scratch)?;
+        let mut bytes = vec![0u8; 4 * self.layout.input_words()];
+        self.uploader.write(&self.layout, &admitted, &mut |word, from| {
+            bytes[4 * word..4 * word + from.len()].copy_from_slice(from);
+        });
+        Ok(bytes)
+    }
+
+    fn expected<'a>(&self, frame: Frame<'a>) -> Result<Frame<'a>, Error> {
+        if InputKind::of(&frame) == self.layout.kind {
+            return Ok(frame);
+        }
+        let reason = "the plan is for frames of another kind (depth, depth in metres, or points)".to_owned();
+        Err(EngineError::Unavailable { engine: "webgpu", reason }.into())
+    }
+
+    /// Reads a result.
+    ///
+    /// # Errors
+    /// If it is not [`output_bytes`](Self::output_bytes) long.
+    pub fn read(&self, result: &[u8], out: &mut Smoothed) -> Result<(), FrameError> {
+        let expected = self.output_bytes();
+        if result.len() != expected {
+            return Err(FrameError::LengthMismatch { what: "the result".into(), len: result.len(), expected });
+        }
+        // Mapped memory need not be aligned for words.
+        let mut words = vec![0u32; expected / 4];
+        bytemuck::cast_slice_mut(&mut words).copy_from_slice(result);
+        Results::of_frame(&self.layout, bytemuck::cast_slice(&words), 0).copy_to(out);
+        Ok(())
+    }
+}

@@ -1,0 +1,129 @@
+//! The words of a result (layout.rs) as the values that they are.
+
+use std::ops::Range;
+
+use super::layout::Layout;
+use crate::outputs::{SmoothedMut, VectorsMut};
+use crate::smoothed::Smoothed;
+use crate::status::Status;
+
+/// One frame of a result, in the bytes that the device has written.
+#[derive(Clone, Copy)]
+pub(super) struct Results<'a> {
+    layout: &'a Layout,
+    bytes: &'a [u8],
+}
+
+impl<'a> Results<'a> {
+    /// A frame of a batch, whose bytes these are; without them the frame has no values.
+    pub(super) fn of_frame(layout: &'a Layout, batch: &'a [u8], frame: usize) -> Self {
+        let bytes = 4 * layout.output_words();
+        Self { layout, bytes: batch.get(frame * bytes..(frame + 1) * bytes).unwrap_or_default() }
+    }
+
+    /// Returns words as values of a plain type.
+    fn values<T: bytemuck::AnyBitPattern>(self, words: Range<usize>) -> &'a [T] {
+        bytemuck::cast_slice(self.bytes.get(4 * words.start..4 * words.end).unwrap_or_default())
+    }
+
+    pub(super) fn points(self) -> Option<[&'a [f32]; 3]> {
+        Some(self.layout.points()?.map(|channel| self.values(channel)))
+    }
+
+    pub(super) fn normals(self) -> Option<[&'a [f32]; 3]> {
+        Some(self.layout.normals()?.map(|channel| self.values(channel)))
+    }
+
+    pub(super) fn curvature(self) -> Option<&'a [f32]> {
+        Some(self.values(self.layout.curvature()?))
+    }
+
+    pub(super) fn depth_m(self) -> Option<&'a [f32]> {
+        Some(self.values(self.layout.depth_m()?))
+    }
+
+    pub(super) fn depth_rows(self) -> Option<impl Iterator<Item = &'a [u16]>> {
+        Some(self.rows(self.layout.depth()?))
+    }
+
+    pub(super) fn status(self) -> Option<impl Iterator<Item = Status>> {
+        Some(self.codes(self.layout.status()?).map(Status::of_code))
+    }
+
+    pub(super) fn neighbours(self) -> Option<impl Iterator<Item = u32>> {
+        Some(self.codes(self.layout.neighbours()?).map(u32::from))
+    }
+
+    /// Returns rows of packed values, each of the image's width without the padding of up to 3 bytes after it.
+    fn rows<T: bytemuck::AnyBitPattern>(self, words: Range<usize>) -> impl Iterator<Item = &'a [T]> {
+        let values: &[T] = self.values(words);
+        let width = self.layout.width;
+        values.chunks_exact((values.len() / self.layout.height).max(1)).map(move |row| &row[..width])
+    }
+
+    fn codes(self, words: Range<usize>) -> impl Iterator<Item = u8> {
+        self.rows::<u8>(words).flatten().copied()
+    }
+
+    /// Copies the result into a `Smoothed`.
+    pub(super) fn copy_to(self, out: &mut Smoothed) {
+        out.prepare(self.layout.width, self.layout.height, self.layout.outputs);
+        self.copy_into(out.as_mut());
+    }
+
+    /// Copies the result into the given buffers, channels in parallel.
+    pub(super) fn copy_into(self, out: SmoothedMut<'_>) {
+        rayon::scope(|scope| {
+            for (from, to) in [(self.points(), out.points), (self.normals(), out.normals)] {
+                if let (Some(from), Some(to)) = (from, to) {
+                    spawn_copying(scope, from, to);
+                }
+            }
+            for (from, to) in [(self.curvature(), out.curvature), (self.depth_m(), out.depth_m)] {
+                let (Some(from), Some(to)) = (from, to) else { continue };
+                scope.spawn(move |_| to.copy_from_slice(from));
+            }
+            if let (Some(rows), Some(to)) = (self.depth_rows(), out.depth) {
+                to.chunks_exact_mut(self.layout.width).zip(rows).for_each(|(to, from)| to.copy_from_slice(from));
+            }
+            if let (Some(from), Some(to)) = (self.status(), out.status) {
+                to.iter_mut().zip(from).for_each(|(to, status)| *to = status);
+            }
+            if let (Some(from), Some(to)) = (self.neighbours(), out.neighbours) {
+                to.iter_mut().zip(from).for_each(|(to, count)| *to = count);
+            }
+        });
+    }
+}
+
+/// Vectors interleaved per task.
+const VECTORS_PER_TASK: usize = 1 << 16;
+
+/// Copies vectors, channels in parallel.
+pub(super) fn spawn_copying<'s>(scope: &rayon::Scope<'s>, from: [&'s [f32]; 3], to: VectorsMut<'s>) {
+    match to {
+        VectorsMut::Planes(to) => {
+            for (from, to) in from.into_iter().zip(to) {
+                scope.spawn(move |_| to.copy_from_slice(from));
+            }
+        }
+        VectorsMut::Rows(to) => spawn_interleaving(scope, from, to, |row, xyz| *row = xyz),
+        VectorsMut::Rows4(to) => spawn_interleaving(scope, from, to, |row, xyz| row[..3].copy_from_slice(&xyz)),
+    }
+}
+
+fn spawn_interleaving<'s, T: Send>(
+    scope: &rayon::Scope<'s>,
+    [x, y, z]: [&'s [f32]; 3],
+    to: &'s mut [T],
+    set: fn(&mut T, [f32; 3]),
+) {
+    let from = x.chunks(VECTORS_PER_TASK).zip(y.chunks(VECTORS_PER_TASK)).zip(z.chunks(VECTORS_PER_TASK));
+    for (to, ((x, y), z)) in to.chunks_mut(VECTORS_PER_TASK).zip(from) {
+        scope.spawn(move |_| {
+            for (to, ((&x, &y), &z)) in to.iter_mut().zip(x.iter().zip(y).zip(z)) {
+                set(to, [x, y, z]);
+            }
+        });
+    }
+}
