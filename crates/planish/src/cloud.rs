@@ -158,10 +158,10 @@ pub struct PointCloud {
     pub(crate) exact_m: Option<[Vec<f64>; 3]>,
     /// What a LAS file says beside its points: its coordinate system, scales and offsets, and descriptions of extra bytes. It is
     /// written back with the cloud.
-    #[cfg(feature = "las")]
+    #[cfg(feature = "scans")]
     pub(crate) las_header: Option<std::sync::Arc<las::Header>>,
     /// The same of the scans of an E57 file.
-    #[cfg(feature = "io")]
+    #[cfg(feature = "scans")]
     pub(crate) e57_scans: Option<std::sync::Arc<crate::io::Scans>>,
 }
 
@@ -175,9 +175,9 @@ impl PointCloud {
             position_columns: PositionColumns::default(),
             pose: SensorPose::IDENTITY,
             exact_m: None,
-            #[cfg(feature = "las")]
+            #[cfg(feature = "scans")]
             las_header: None,
-            #[cfg(feature = "io")]
+            #[cfg(feature = "scans")]
             e57_scans: None,
         }
     }
@@ -282,9 +282,9 @@ impl PointCloud {
             position_columns: self.position_columns,
             pose: self.pose,
             exact_m: None,
-            #[cfg(feature = "las")]
+            #[cfg(feature = "scans")]
             las_header: self.las_header.clone(),
-            #[cfg(feature = "io")]
+            #[cfg(feature = "scans")]
             e57_scans: self.e57_scans.clone(),
         }
     }

@@ -54,7 +54,7 @@ pub(crate) trait SmoothingEngine: Send {
     }
 
     /// The radius by density that point `i` of the last cloud had before its limit, where there was one.
-    #[cfg(feature = "las")]
+    #[cfg(feature = "scans")]
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
@@ -84,7 +84,7 @@ pub(crate) trait ImmediateEngine: Send {
     }
 
     /// The radius by density that point `i` of the last cloud had before its limit, where there was one.
-    #[cfg(feature = "las")]
+    #[cfg(feature = "scans")]
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
@@ -175,7 +175,7 @@ impl<E: ImmediateEngine> SmoothingEngine for Immediate<E> {
         self.engine.device_name()
     }
 
-    #[cfg(feature = "las")]
+    #[cfg(feature = "scans")]
     fn own_radius_m(&self, i: usize) -> Option<f32> {
         self.engine.own_radius_m(i)
     }

@@ -101,7 +101,7 @@ mod status;
 #[cfg(feature = "stream")]
 pub mod stream;
 mod threads;
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 pub mod tiles;
 mod timings;
 mod view;

@@ -184,7 +184,7 @@ impl Smoother {
     }
 
     /// The radius by density that point `i` of the last cloud had before its limit.
-    #[cfg(feature = "las")]
+    #[cfg(feature = "scans")]
     pub(crate) fn own_radius_m(&self, i: usize) -> Option<f32> {
         self.opened.own_radius_m(i)
     }

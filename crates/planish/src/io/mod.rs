@@ -7,17 +7,19 @@ mod camera_file;
 mod columns;
 mod depth_png;
 mod depth_tiff;
+#[cfg(feature = "scans")]
 mod e57;
 mod format;
 mod kitti;
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 mod las;
 mod mesh;
 mod npy;
+#[cfg(feature = "npz")]
 mod npz;
 mod pcd;
 mod ply;
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 mod records;
 #[cfg(any(feature = "internal", feature = "stream"))]
 mod rgb_png;
@@ -38,6 +40,7 @@ use crate::frame::{DepthFrame, DepthImage};
 pub(crate) use self::columns::{cloud_from_columns, columns_from_cloud, with_values};
 #[cfg(feature = "ros")]
 pub(crate) use self::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
+#[cfg(feature = "scans")]
 pub(crate) use self::e57::Scans;
 pub use self::format::{Format, WRITTEN};
 #[cfg(feature = "stream")]
@@ -45,18 +48,18 @@ pub(crate) use camera_file::colmap_camera;
 pub use camera_file::{camera_to_json, parse_camera, read_camera};
 #[cfg(feature = "stream")]
 pub(crate) use camera_file::{read_text as camera_text, states_depth_scale};
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 pub(crate) use las::LasReader;
 pub use pcd::Encoding;
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 pub(crate) use ply::PlyReader;
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 pub(crate) use records::{RecordEncoder, RecordReader};
 #[cfg(feature = "stream")]
 pub(crate) use rgb_png::{read_rgb_png, write_rgb_png};
-#[cfg(any(feature = "las", feature = "mcap"))]
+#[cfg(any(feature = "scans", feature = "mcap"))]
 pub(crate) use whole::WholeFile;
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 pub(crate) use whole::{Temporary, folder_of};
 pub use whole::{remove_temporaries, write_whole};
 
@@ -240,7 +243,7 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
 
 /// Reads a LAS, LAZ or PLY file some points at a time, each part a cloud with all fields and an origin of its own; of a file without points
 /// one empty cloud.
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 pub fn read_in_parts(
     path: &Path,
     points_at_once: usize,
@@ -350,17 +353,19 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
         Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
         Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
         Format::Npy => npy::decode(bytes, options),
-        #[cfg(feature = "las")]
+        #[cfg(feature = "scans")]
         Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options)?)),
-        #[cfg(not(feature = "las"))]
-        Format::Las | Format::Laz => Err(without_las()),
         Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options)?)),
+        #[cfg(feature = "npz")]
         Format::Npz => npz::decode(bytes, options),
+        #[cfg(feature = "scans")]
         Format::E57 => Ok(Contents::General(self::e57::decode(bytes, options)?)),
         Format::KittiBin => Ok(Contents::General(kitti::decode(bytes, false, options)?)),
         Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options)?)),
         Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options)?)),
         Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
+        #[cfg(not(all(feature = "npz", feature = "scans")))]
+        _ => Err(left_out(format)),
     }?;
     Ok((format, contents))
 }
@@ -435,13 +440,13 @@ pub fn encode_cloud<'a>(
         Format::Pcd => pcd::encode(cloud, encoding),
         Format::Ply => ply::encode(cloud, encoding),
         Format::Npy => npy::encode_points(cloud),
-        #[cfg(feature = "las")]
+        #[cfg(feature = "scans")]
         Format::Las | Format::Laz => las::encode(cloud.points(), format == Format::Laz),
-        #[cfg(not(feature = "las"))]
-        Format::Las | Format::Laz => Err(without_las()),
         Format::Text => xyz_text::encode(cloud, Heading::Comment),
         Format::Csv => xyz_text::encode(cloud, Heading::Names),
+        #[cfg(feature = "npz")]
         Format::Npz => npz::encode(cloud),
+        #[cfg(feature = "scans")]
         Format::E57 => self::e57::encode(cloud.points()),
         Format::KittiBin => kitti::encode(cloud, false),
         Format::NuScenesBin => kitti::encode(cloud, true),
@@ -451,12 +456,16 @@ pub fn encode_cloud<'a>(
         Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
             "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
         )),
+        #[cfg(not(all(feature = "npz", feature = "scans")))]
+        _ => Err(left_out(format)),
     }
 }
 
-#[cfg(not(feature = "las"))]
-fn without_las() -> FormatError {
-    FormatError::Unsupported("a LAS or LAZ file, and this build has no reader of them (feature `las`)".into())
+/// Of a format that this build was made without.
+#[cfg(not(all(feature = "npz", feature = "scans")))]
+fn left_out(format: Format) -> FormatError {
+    let feature = if format == Format::Npz { "npz" } else { "scans" };
+    FormatError::Unsupported(format!("{}, which this build leaves out (planish's feature `{feature}`)", format.name()))
 }
 
 /// Encodes a depth image as the bytes of a file: 16-bit PNG, TIFF or NPY.

@@ -171,7 +171,7 @@ impl ImmediateEngine for GeneralCpu {
         Some(Arc::clone(&self.progress))
     }
 
-    #[cfg(feature = "las")]
+    #[cfg(feature = "scans")]
     fn own_radius_m(&self, i: usize) -> Option<f32> {
         let place = self.index.place(i)?;
         matches!(self.params.radius, Radius::Neighbours { .. }).then(|| self.radii[place])

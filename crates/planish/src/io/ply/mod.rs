@@ -5,7 +5,7 @@
 //! [`camera`].
 
 mod camera;
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 mod parts;
 mod records;
 
@@ -17,7 +17,7 @@ use ply_rs_bw::ply::{
 use ply_rs_bw::writer::Writer;
 
 use camera::PlyCamera;
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 pub(crate) use parts::PlyReader;
 use records::{Layout, take_records};
 
@@ -210,7 +210,7 @@ fn read_binary_element(
 }
 
 /// What the element `camera` says whose bytes stand first.
-#[cfg(feature = "las")]
+#[cfg(feature = "scans")]
 fn read_camera(header: &Header, mut bytes: &[u8]) -> Result<PlyCamera, FormatError> {
     let mut found = Body::default();
     let Some(element) = header.elements.get("camera") else { return Ok(PlyCamera::default()) };

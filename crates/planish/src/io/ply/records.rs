@@ -96,7 +96,7 @@ impl Layout {
     }
 
     /// A value of a record as a number.
-    #[cfg(feature = "las")]
+    #[cfg(feature = "scans")]
     pub(super) fn number(&self, record: &[u8], field: usize) -> f64 {
         fn bytes<const N: usize>(record: &[u8], at: usize) -> [u8; N] {
             record.get(at..at + N).and_then(|bytes| bytes.try_into().ok()).unwrap_or([0; N])
