@@ -170,13 +170,7 @@ impl Session {
         self.keep(number, smoothed)
     }
 
-    fn plan(
-        &mut self,
-        number: u32,
-        settings: &Settings,
-        given: Option<&CameraGiven>,
-        limits: &WebGpuLimits,
-    ) -> Answer {
+    fn plan(&mut self, number: u32, settings: &Settings, given: Option<&CameraGiven>, limits: &WebGpuLimits) -> Answer {
         let held = self.frame(number)?;
         let camera = held.camera(given)?;
         let params = params_of(held, settings, camera.as_ref())?;
@@ -189,9 +183,7 @@ impl Session {
         let passes: Vec<Value> = plan
             .passes()
             .into_iter()
-            .map(|pass| {
-                json!({ "entry_point": pass.entry_point, "wgsl": pass.wgsl, "workgroups": pass.workgroups })
-            })
+            .map(|pass| json!({ "entry_point": pass.entry_point, "wgsl": pass.wgsl, "workgroups": pass.workgroups }))
             .collect();
         let id = self.number();
         let described = json!({

@@ -18,11 +18,14 @@ pub enum SimdLevel {
     Avx512,
     /// 64-bit Arm, 4 lanes.
     Neon,
+    /// WebAssembly with vectors, 4 lanes.
+    Simd128,
 }
 
 impl SimdLevel {
     /// Every level there is, narrowest first.
-    pub const ALL: [Self; 6] = [Self::Scalar, Self::Sse2, Self::Sse4_2, Self::Avx2, Self::Avx512, Self::Neon];
+    pub const ALL: [Self; 7] =
+        [Self::Scalar, Self::Sse2, Self::Sse4_2, Self::Avx2, Self::Avx512, Self::Neon, Self::Simd128];
 
     /// The name used on the command line.
     pub fn name(self) -> &'static str {
@@ -33,6 +36,7 @@ impl SimdLevel {
             Self::Avx2 => "avx2",
             Self::Avx512 => "avx512",
             Self::Neon => "neon",
+            Self::Simd128 => "simd128",
         }
     }
 
@@ -62,6 +66,8 @@ impl SimdLevel {
             Self::Avx512 => machine.as_avx512().map(Level::Avx512),
             #[cfg(target_arch = "aarch64")]
             Self::Neon => machine.as_neon().map(Level::Neon),
+            #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+            Self::Simd128 => machine.as_wasm_simd128().map(Level::WasmSimd128),
             _ => None,
         }
     }

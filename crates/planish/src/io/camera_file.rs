@@ -90,48 +90,65 @@ fn distortion_of(coefficients: &[f64]) -> FormatResult<Distortion> {
 }
 
 /// planish's own layout, or Open3D's with its matrix in column-major order.
+/// A camera file in JSON.
+#[derive(Deserialize)]
+struct JsonCamera {
+    width: Option<usize>,
+    height: Option<usize>,
+    intrinsic_matrix: Option<[f64; 9]>,
+    fx: Option<f64>,
+    fy: Option<f64>,
+    #[serde(alias = "ppx")]
+    cx: Option<f64>,
+    #[serde(alias = "ppy")]
+    cy: Option<f64>,
+    #[serde(alias = "depth_units_per_metre")]
+    depth_scale: Option<f64>,
+    #[serde(
+        default,
+        alias = "distortion_coefficients",
+        alias = "dist_coeffs",
+        alias = "coeffs",
+        alias = "D",
+        alias = "d"
+    )]
+    distortion: Vec<f64>,
+    /// Row by row, as OpenCV and ROS have it.
+    #[serde(rename = "K", alias = "k", alias = "camera_matrix")]
+    matrix: Option<[f64; 9]>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    k5: Option<f64>,
+    k6: Option<f64>,
+    /// What else it says.
+    #[serde(flatten)]
+    others: serde_json::Map<String, serde_json::Value>,
+}
+
+impl JsonCamera {
+    fn parse(text: &str) -> FormatResult<Self> {
+        let error = |error: serde_json::Error| malformed(format!("not a camera file: {error}"));
+        let mut value: serde_json::Value = serde_json::from_str(text).map_err(error)?;
+        // Open3D's PinholeCameraParameters nest them one level deeper.
+        if let Some(intrinsic) = value.get_mut("intrinsic").map(serde_json::Value::take) {
+            value = intrinsic;
+        }
+        serde_json::from_value(value).map_err(error)
+    }
+}
+
+/// A key of a camera in JSON that says nothing of a camera, such as one that is spelled wrongly.
+#[cfg(feature = "stream")]
+pub(crate) fn unknown_camera_key(text: &str) -> FormatResult<Option<String>> {
+    Ok(JsonCamera::parse(text)?.others.keys().next().cloned())
+}
+
 fn from_json(text: &str) -> FormatResult<Camera> {
-    #[derive(Deserialize)]
-    struct File {
-        width: Option<usize>,
-        height: Option<usize>,
-        intrinsic_matrix: Option<[f64; 9]>,
-        fx: Option<f64>,
-        fy: Option<f64>,
-        #[serde(alias = "ppx")]
-        cx: Option<f64>,
-        #[serde(alias = "ppy")]
-        cy: Option<f64>,
-        #[serde(alias = "depth_units_per_metre")]
-        depth_scale: Option<f64>,
-        #[serde(
-            default,
-            alias = "distortion_coefficients",
-            alias = "dist_coeffs",
-            alias = "coeffs",
-            alias = "D",
-            alias = "d"
-        )]
-        distortion: Vec<f64>,
-        /// Row by row, as OpenCV and ROS have it.
-        #[serde(rename = "K", alias = "k", alias = "camera_matrix")]
-        matrix: Option<[f64; 9]>,
-        k1: Option<f64>,
-        k2: Option<f64>,
-        p1: Option<f64>,
-        p2: Option<f64>,
-        k3: Option<f64>,
-        k4: Option<f64>,
-        k5: Option<f64>,
-        k6: Option<f64>,
-    }
-    let error = |error: serde_json::Error| malformed(format!("not a camera file: {error}"));
-    let mut value: serde_json::Value = serde_json::from_str(text).map_err(error)?;
-    // Open3D's PinholeCameraParameters nest them one level deeper.
-    if let Some(intrinsic) = value.get_mut("intrinsic").map(serde_json::Value::take) {
-        value = intrinsic;
-    }
-    let file: File = serde_json::from_value(value).map_err(error)?;
+    let file = JsonCamera::parse(text)?;
     let (focal_length, centre) = match (file.intrinsic_matrix, file.matrix, file.fx, file.fy, file.cx, file.cy) {
         (Some(m), ..) => ([m[0], m[4]], [m[6], m[7]]),
         (None, Some(m), ..) => ([m[0], m[4]], [m[2], m[5]]),

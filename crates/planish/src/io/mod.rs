@@ -47,7 +47,7 @@ pub use self::format::{Format, WRITTEN};
 pub(crate) use camera_file::colmap_camera;
 pub use camera_file::{camera_to_json, parse_camera, read_camera};
 #[cfg(feature = "stream")]
-pub(crate) use camera_file::{read_text as camera_text, states_depth_scale};
+pub(crate) use camera_file::{read_text as camera_text, states_depth_scale, unknown_camera_key};
 #[cfg(feature = "scans")]
 pub(crate) use las::LasReader;
 pub use pcd::Encoding;

@@ -187,7 +187,16 @@ fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Op
             let camera = io::camera_text(&path).and_then(|text| parse(&text)).map_err(IoError::at(&path));
             camera.map_err(|error| error.to_string())
         }
-        value => parse(&value.to_string()).map_err(|error: FormatError| error.to_string()),
+        value => {
+            let text = value.to_string();
+            let quoted = |error: FormatError| error.to_string();
+            match io::unknown_camera_key(&text).map_err(quoted)? {
+                Some(key) => {
+                    Err(format!("a camera has no {}; depth_scale, width and height may be missing", io::quoted(&key)))
+                }
+                None => parse(&text).map_err(quoted),
+            }
+        }
     }
 }
 
@@ -195,7 +204,7 @@ fn pose_of(entry: &PoseEntry) -> Result<SensorPose, String> {
     match (entry.position_m, entry.orientation_xyzw, &entry.matrix) {
         (Some(position_m), Some(orientation), None) => Ok(SensorPose::from_xyzw(position_m, orientation)),
         (None, None, Some(rows)) => pose_of_matrix(rows),
-        _ => Err("a pose is position_m with orientation_xyzw, or a matrix of four rows".into()),
+        _ => Err("a pose is position_m with orientation_xyzw, or a matrix of three or four rows".into()),
     }
 }
 
@@ -309,6 +318,7 @@ mod tests {
             (format!("{{{POSE},{camera}}},{{{POSE},{without_size}}}"), "viewpoint 1"),
             (format!(r#"{{{POSE},"camera":"missing.json"}}"#), "missing.json"),
             (vec![format!("{{{POSE},{camera}}}"); 65].join(","), "64 at most"),
+            (format!("{{{POSE},{}}}", camera.replace("320", "16384").replace("240", "1025")), "2^24"),
         ] {
             let error = of(&viewpoint).unwrap_err().to_string();
             assert!(error.contains(said), "{error}");
@@ -352,6 +362,10 @@ mod tests {
             (format!(r#"{{"name":"left","sensor":"d999",{POSE}}}"#), "kinect1"),
             (format!(r#"{{"name":"left","camera":"missing.json",{POSE}}}"#), "missing.json"),
             (format!(r#"{{"name":"left","camera":{{"fx":1}},{POSE}}}"#), "fx, fy, cx and cy"),
+            (
+                format!(r#"{{"name":"left","camera":{{"fx":5,"fy":5,"cx":2,"cy":2,"depthscale":5000}},{POSE}}}"#),
+                "no \"depthscale\"",
+            ),
             (format!(r#"{{"name":"left","mode":"big",{POSE}}}"#), "WIDTHxHEIGHT"),
             (format!(r#"{{"name":"left","align":"up",{POSE}}}"#), "\"depth\""),
             (r#"{"name":"left","pose":{"position_m":[0,0,0]}}"#.to_owned(), "orientation_xyzw"),

@@ -1,6 +1,6 @@
 //! All points of a moment as one general cloud, and its result given back to the cameras.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -16,6 +16,7 @@ use crate::fleet::FleetDevice;
 use crate::frame::Frame;
 use crate::params::SmoothParams;
 use crate::pose::RigidTransform;
+use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::status::Status;
@@ -27,11 +28,29 @@ pub(super) struct General {
     /// The size of the voxels that points are thinned to; `None` for all points.
     voxel_m: Option<f64>,
     smoother: Option<Smoother>,
+    stopper: Stopper,
+}
+
+/// Ends the work on all points together, from another thread: on millions of points it takes seconds.
+#[derive(Clone, Default)]
+pub(super) struct Stopper(Arc<Mutex<Option<Arc<Progress>>>>);
+
+impl Stopper {
+    /// Ends the work that is under way, which becomes [`EngineError::Stopped`](crate::EngineError::Stopped); has no effect if there is none.
+    pub(super) fn stop(&self) {
+        if let Some(progress) = &*self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+            progress.stop();
+        }
+    }
+
+    fn watch(&self, smoother: &Smoother) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = smoother.progress();
+    }
 }
 
 impl General {
     pub(super) fn new(params: SmoothParams) -> Self {
-        Self { params, voxel_m: None, smoother: None }
+        Self { params, voxel_m: None, smoother: None, stopper: Stopper::default() }
     }
 
     pub(super) fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
@@ -40,6 +59,10 @@ impl General {
 
     pub(super) fn voxel_m(&self) -> Option<f64> {
         self.voxel_m
+    }
+
+    pub(super) fn stopper(&self) -> Stopper {
+        self.stopper.clone()
     }
 
     pub(super) fn close(&mut self) {
@@ -59,7 +82,9 @@ impl General {
                 // Points are carried onto the voxels' tangent planes.
                 let with_normals = options.outputs.with_points(true).with_normals(true);
                 let outputs = if self.voxel_m.is_some() { with_normals } else { options.outputs };
-                empty.insert(Smoother::open_with(self.params, &options.with_outputs(outputs), None)?)
+                let smoother = Smoother::open_with(self.params, &options.with_outputs(outputs), None)?;
+                self.stopper.watch(&smoother);
+                empty.insert(smoother)
             }
         })
     }

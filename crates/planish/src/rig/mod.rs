@@ -55,6 +55,8 @@ const MOST_CAMERAS: usize = 256;
 
 /// Each holds what all cameras see from there.
 const MOST_VIEWPOINTS: usize = 64;
+/// Of all viewpoints together: each takes some 80 bytes while a moment is smoothed.
+const MOST_VIEWPOINT_PIXELS: usize = 1 << 24;
 
 /// As far as the windows of single frames reach at some 1.2 m.
 const MERGED_RADIUS_M: f32 = 0.03;
@@ -180,6 +182,15 @@ impl Rig {
             return bad("viewpoints", self.viewpoints.len().to_string(), "64 at most");
         }
         self.viewpoints.iter().enumerate().try_for_each(|(i, viewpoint)| viewpoint.validate(i))?;
+        let pixels: usize =
+            self.viewpoints.iter().map(|viewpoint| viewpoint.camera.width * viewpoint.camera.height).sum();
+        if pixels > MOST_VIEWPOINT_PIXELS {
+            return bad(
+                "viewpoints",
+                format!("{pixels} pixels"),
+                "16,777,216 pixels (2^24) of all viewpoints together",
+            );
+        }
         for (i, camera) in self.cameras.iter().enumerate() {
             camera.validate()?;
             let before = &self.cameras[..i];

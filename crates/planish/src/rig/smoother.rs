@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::flights::Flight;
-use super::merged::General;
+use super::merged::{General, Stopper};
 use super::views::{Measured, View};
 use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera};
 use crate::camera::{Camera, Rays};
@@ -168,6 +168,11 @@ impl RigSmoother {
     /// point nearest to it. Each camera's own points are put onto the surface that those make (docs/method.md, section 13).
     pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
         Self { general: self.general.with_voxel_m(voxel_m), ..self }
+    }
+
+    /// What ends the work on all points together.
+    pub(super) fn stopper(&self) -> Stopper {
+        self.general.stopper()
     }
 
     /// The engine that is open.

@@ -140,7 +140,7 @@ pub fn run(
         let result = threads
             .as_ref()
             .map_err(|error| Error::from(error.clone()))
-            .and_then(|_| stream.run(&inbox, stop, &mut tell));
+            .and_then(|_| stream.run_until(&inbox, stop, &mut tell));
         inbox.close();
         stream.finish(&inbox, &mut tell);
         result.map(|()| stream.statistics)
@@ -203,6 +203,34 @@ struct RigStream<'a> {
 }
 
 impl RigStream<'_> {
+    /// Runs until the end; a moment that is being smoothed when `stop` is set is given up, where that may take long.
+    fn run_until(
+        &mut self,
+        inbox: &Inbox,
+        stop: &AtomicBool,
+        tell: &mut impl FnMut(RigEvent<'_>),
+    ) -> Result<(), Error> {
+        let (stopper, is_done) = (self.smoother.stopper(), AtomicBool::new(false));
+        thread::scope(|scope| {
+            let watcher = scope.spawn(|| {
+                while !is_done.load(Ordering::Relaxed) {
+                    thread::park_timeout(PATIENCE);
+                    if stop.load(Ordering::Relaxed) {
+                        // Again and again: the next moment forgets that the one before was stopped.
+                        stopper.stop();
+                    }
+                }
+            });
+            let result = self.run(inbox, stop, tell);
+            is_done.store(true, Ordering::Relaxed);
+            watcher.thread().unpark();
+            match result {
+                Err(Error::Engine(EngineError::Stopped)) if stop.load(Ordering::Relaxed) => Ok(()),
+                result => result,
+            }
+        })
+    }
+
     fn run(&mut self, inbox: &Inbox, stop: &AtomicBool, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
         let start = Instant::now();
         let mut submitted = 0;
@@ -370,7 +398,8 @@ impl RigStream<'_> {
         loop {
             let is_gpu = self.smoother.engine() == Engine::Gpu;
             // One that never opened is no lost one.
-            let is_recoverable = matches!(error, Error::Engine(_)) && is_gpu && self.was_open;
+            let is_stopped = matches!(error, Error::Engine(EngineError::Stopped));
+            let is_recoverable = matches!(error, Error::Engine(_)) && !is_stopped && is_gpu && self.was_open;
             if !is_recoverable || self.has_fallen_back {
                 return Err(error);
             }

@@ -16,8 +16,8 @@ use bytemuck::bytes_of;
 
 use super::device::GpuDevice;
 use super::layout::{Batch, InputKind, Layout};
-use super::upload::Uploader;
 use super::results::spawn_copying;
+use super::upload::Uploader;
 use crate::devices::{GpuOptions, choose};
 use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};

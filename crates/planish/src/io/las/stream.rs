@@ -9,8 +9,8 @@ use std::sync::Arc;
 
 use las::{Builder, Header, PointData, PointDataBuilder, Reader, Writer};
 
-use super::super::records::{RecordEncoder, RecordReader};
 use super::super::format::las_or_laz;
+use super::super::records::{RecordEncoder, RecordReader};
 use super::super::{Encoding, Format, FormatResult};
 use super::{Checked, MOST_RETURNS, Records, cannot, damaged, unreadable};
 use crate::cloud::PointCloud;

@@ -1,0 +1,57 @@
+//! A stream of a rig that is stopped while all its points are smoothed as one cloud gives that moment up.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use planish::evaluate::RigSuite;
+use planish::rig::{RigOptions, RigWay, merged_params, run};
+use planish::source::{Source, SourceFrame};
+use planish::{Camera, DepthFrame, Engine, Error, Outputs, SmootherOptions};
+use planish_tests::rigs::rig_of;
+
+/// Gives one frame and says so.
+struct Once {
+    frame: Option<DepthFrame>,
+    has_given: Arc<AtomicBool>,
+}
+
+impl Source for Once {
+    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        self.has_given.store(true, Ordering::Relaxed);
+        Ok(self.frame.take().map(SourceFrame::Depth))
+    }
+
+    fn is_live(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn a_moment_of_merged_points_is_given_up_when_the_stream_is_stopped() {
+    let camera = Camera::new((320, 240), [262.5; 2], [159.5, 119.5]);
+    let case = RigSuite { camera, ..RigSuite::new(2) }.case(1).unwrap();
+    let rig = rig_of(&case);
+    let (has_given, stop) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
+    let source = |frame: &DepthFrame| -> Box<dyn Source> {
+        Box::new(Once { frame: Some(frame.clone().with_timestamp_s(0.0)), has_given: Arc::clone(&has_given) })
+    };
+    let sources = case.cameras.iter().map(|camera| source(&camera.frame)).collect();
+    // Everything within 30 cm: minutes of work.
+    let options = RigOptions::new(&rig, RigWay::Merged, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
+    let params = options.params.clone();
+    let options = options.with_params(params, merged_params().with_radius_m(0.3));
+    let statistics = thread::scope(|scope| {
+        scope.spawn(|| {
+            while !has_given.load(Ordering::Relaxed) {
+                thread::sleep(Duration::from_millis(1));
+            }
+            // By then the moment is being smoothed.
+            thread::sleep(Duration::from_millis(500));
+            stop.store(true, Ordering::Relaxed);
+        });
+        run(&rig, sources, &options, Vec::new(), &stop, |_| ()).unwrap()
+    });
+    assert_eq!(statistics.moments.frames_out, 0);
+}

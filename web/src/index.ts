@@ -1,0 +1,269 @@
+// planish in the browser: depth or points in, smoothed points, normals and status out.
+
+import { Core, PlanishError } from "./core.js";
+import { Gpu, type Plan } from "./webgpu.js";
+
+export { PlanishError } from "./core.js";
+
+/** Settings; what is missing is the preset's. The same names as the command's options. */
+export interface Settings {
+  preset?: "light" | "default" | "strong" | "paper";
+  /** 0 (light) to 1 (strong), instead of a preset. */
+  strength?: number;
+  /** Whose noise: "kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone", "exact", or "auto" to estimate it. */
+  sensor?: string;
+  edges?: "robust" | "off";
+  /** Half width of the window in samples, 1 to 7. */
+  window?: number;
+  /** Pixels between samples, 1 to 8. */
+  stride?: number;
+  average_blocks?: boolean;
+  /** A fixed radius in metres. */
+  radius?: number;
+  /** Of general clouds, how many neighbours. */
+  neighbours?: number;
+  /** Highest degree of the polynomial, 1 to 3. */
+  degree?: number;
+  /** Ridge of the fit, 1e-3 to 100. */
+  ridge?: number;
+  project?: "ray" | "normal";
+}
+
+/** Intrinsics in pixels; `depth_scale` is the number of depth units in a metre, 1000 if it is missing. */
+export interface Camera {
+  fx: number;
+  fy: number;
+  cx: number;
+  cy: number;
+  depth_scale?: number;
+  width?: number;
+  height?: number;
+  distortion?: number[];
+}
+
+/** A camera, or the text of a camera file (JSON, ROS camera_info, a 3x3 matrix, COLMAP). */
+export type CameraLike = Camera | string;
+
+/** A frame that planish holds until it is released. */
+export interface Frame {
+  frame: number;
+  kind: "depth" | "depth_metres" | "points" | "general";
+  width: number;
+  height: number;
+  /** Pixels or points with a measurement. */
+  valid: number;
+  format: string;
+  has_colour: boolean;
+  /** Of depth: a camera with a Kinect's field of view, to begin with. */
+  assumed_camera?: Camera;
+}
+
+/** A smoothed frame that planish holds until it is released. */
+export interface Result {
+  result: number;
+  width: number;
+  height: number;
+  /** Finite points. */
+  points: number;
+  /** Pixels of each status, in the order of {@link About.statuses}. */
+  status_counts: number[];
+  /** What computed it. */
+  engine: "webgpu" | "wasm";
+  /** From the call to the result, in milliseconds; compiling kernels, which happens once, counts in. */
+  milliseconds: number;
+}
+
+/** The arrays of a result, pixel by pixel, row by row. */
+export interface Smoothed {
+  width: number;
+  height: number;
+  /** x, y and z of each pixel in metres, NaN for holes. */
+  points: Float32Array;
+  /** The unit normal of each pixel towards the sensor, NaN where there is none. */
+  normals: Float32Array;
+  /** What became of each pixel: an index into {@link About.statuses}. */
+  status: Uint8Array;
+  engine: "webgpu" | "wasm";
+  milliseconds: number;
+}
+
+/** Names and the version. */
+export interface About {
+  version: string;
+  presets: string[];
+  sensors: string[];
+  statuses: string[];
+  simd: string;
+}
+
+export type PictureKind = "relief" | "depth" | "normals" | "colour";
+/** Raw, or the result of this number. */
+export type Side = "raw" | { result: number };
+
+export interface LoadOptions {
+  /** The module's bytes, or where it is; else `planish.wasm` beside this file. */
+  wasm?: BufferSource | URL | string;
+  /** False leaves WebGPU alone. */
+  webgpu?: boolean;
+}
+
+/** planish: a WebAssembly module, and WebGPU where there is one. */
+export class Planish {
+  private gpu: Gpu | undefined;
+  /** Why WebGPU does not compute, if it does not. */
+  withoutGpu: string | undefined;
+
+  private constructor(private readonly core: Core) {}
+
+  static async load(options: LoadOptions = {}): Promise<Planish> {
+    const given = options.wasm ?? new URL("./planish.wasm", import.meta.url);
+    const isAddress = typeof given === "string" || given instanceof URL;
+    const planish = new Planish(await Core.load(isAddress ? await fetched(given) : given));
+    if (options.webgpu === false) planish.withoutGpu = "WebGPU was not asked for";
+    else await planish.openGpu();
+    return planish;
+  }
+
+  /** Names and the version. */
+  about(): About {
+    return this.core.call<About>({ op: "about" }).ok;
+  }
+
+  /** The adapter's name, or `undefined` where WebAssembly computes. */
+  get adapter(): string | undefined {
+    return this.gpu?.name;
+  }
+
+  /** Bytes of the module's memory. */
+  get memoryBytes(): number {
+    return this.core.memoryBytes;
+  }
+
+  /** Smooths raw depth, `width` x `height` values in units of the camera's `depth_scale`, 0 for holes. */
+  async smooth(depth: Uint16Array, camera: Camera & { width: number; height: number }, settings: Settings = {}): Promise<Smoothed> {
+    const frame = this.depth(depth, camera.width, camera.height);
+    try {
+      const result = await this.smoothFrame(frame, settings, camera);
+      const arrays = this.arrays(result);
+      this.release(result);
+      return { ...arrays, engine: result.engine, milliseconds: result.milliseconds };
+    } finally {
+      this.release(frame);
+    }
+  }
+
+  /** Reads a file: PCD, PLY, NPY, 16-bit PNG or TIFF, XYZ, and more. */
+  open(name: string, bytes: Uint8Array): Frame {
+    return this.core.call<Frame>({ op: "open", name }, bytes).ok;
+  }
+
+  /** Takes raw depth. */
+  depth(depth: Uint16Array, width: number, height: number): Frame {
+    return this.core.call<Frame>({ op: "depth", width, height }, bytesOf(depth)).ok;
+  }
+
+  /** Takes points on a grid: x, y and z of each pixel in metres, NaN for holes. */
+  points(points: Float32Array, width: number, height: number): Frame {
+    return this.core.call<Frame>({ op: "points", width, height }, bytesOf(points)).ok;
+  }
+
+  /** Simulates a frame of a Kinect v1. */
+  simulate(seed = 1, width = 640, height = 480): Frame {
+    return this.core.call<Frame>({ op: "simulate", seed, width, height }).ok;
+  }
+
+  /** Smooths a frame: on WebGPU, or in WebAssembly where there is none, it was lost, or the frame is more than it takes. */
+  async smoothFrame(frame: Frame, settings: Settings = {}, camera?: CameraLike): Promise<Result> {
+    const start = performance.now();
+    const request = { frame: frame.frame, settings, ...(camera === undefined ? {} : { camera }) };
+    const done = (ok: Omit<Result, "engine" | "milliseconds">, engine: Result["engine"]): Result => ({
+      ...ok,
+      engine,
+      milliseconds: performance.now() - start,
+    });
+    if (this.gpu && frame.kind !== "general") {
+      const gpu = this.gpu;
+      const { ok: plan, bytes: upload } = this.core.call<Plan>({ op: "plan", ...request, limits: gpu.limits });
+      try {
+        const output = await gpu.run(plan, upload);
+        return done(this.core.call<Result>({ op: "finish", plan: plan.plan }, output).ok, "webgpu");
+      } catch (error) {
+        this.releaseIds([plan.plan]);
+        if (error instanceof PlanishError && gpu.lost === undefined) throw error;
+        await this.loseGpu(gpu, error);
+      }
+    }
+    return done(this.core.call<Result>({ op: "smooth", ...request }).ok, "wasm");
+  }
+
+  /** The arrays of a result. */
+  arrays(result: Result): Omit<Smoothed, "engine" | "milliseconds"> {
+    const { ok, bytes } = this.core.call<{ width: number; height: number }>({ op: "arrays", result: result.result });
+    const pixels = ok.width * ok.height;
+    return {
+      ...ok,
+      points: new Float32Array(bytes.buffer, 0, 3 * pixels),
+      normals: new Float32Array(bytes.buffer, 12 * pixels, 3 * pixels),
+      status: new Uint8Array(bytes.buffer, 24 * pixels, pixels),
+    };
+  }
+
+  /** Draws a frame, raw or smoothed, as RGBA. */
+  picture(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { width: number; height: number; rgba: Uint8ClampedArray<ArrayBuffer> } {
+    const request = { op: "picture", frame: frame.frame, side, kind, ...(camera === undefined ? {} : { camera }) };
+    const { ok, bytes } = this.core.call<{ width: number; height: number }>(request);
+    return { width: ok.width, height: ok.height, rgba: new Uint8ClampedArray(bytes.buffer) };
+  }
+
+  /** The finite points of a frame, raw or smoothed, with a colour each. */
+  cloud(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { points: Float32Array<ArrayBuffer>; rgba: Uint8Array<ArrayBuffer> } {
+    const request = { op: "cloud", frame: frame.frame, side, kind, ...(camera === undefined ? {} : { camera }) };
+    const { ok, bytes } = this.core.call<{ points: number }>(request);
+    return { points: new Float32Array(bytes.buffer, 0, 3 * ok.points), rgba: new Uint8Array(bytes.buffer, 12 * ok.points) };
+  }
+
+  /** Encodes a result as a file: "pcd", "ply", "npy", "xyz", or of depth "png". */
+  write(result: Result, format: string, camera?: CameraLike): Uint8Array<ArrayBuffer> {
+    const request = { op: "write", result: result.result, format, ...(camera === undefined ? {} : { camera }) };
+    return this.core.call({ ...request }).bytes;
+  }
+
+  /** Forgets frames and results. */
+  release(...held: (Frame | Result)[]): void {
+    this.releaseIds(held.map((held) => ("frame" in held ? held.frame : held.result)));
+  }
+
+  private releaseIds(ids: number[]): void {
+    this.core.call({ op: "release", ids });
+  }
+
+  private async openGpu(): Promise<void> {
+    try {
+      this.gpu = await Gpu.open();
+      this.withoutGpu = this.gpu ? undefined : "this browser has no WebGPU, or no adapter for it";
+    } catch (error) {
+      this.withoutGpu = `WebGPU did not open: ${String(error)}`;
+    }
+  }
+
+  /** Opens a lost device once more; WebAssembly computes the frame at hand. */
+  private async loseGpu(gpu: Gpu, error: unknown): Promise<void> {
+    if (this.gpu !== gpu) return;
+    this.gpu = undefined;
+    const reason = gpu.lost ?? String(error);
+    gpu.close();
+    if (gpu.lost !== undefined) await this.openGpu();
+    this.withoutGpu ??= this.gpu ? undefined : `WebGPU failed: ${reason}`;
+  }
+}
+
+function bytesOf(values: Uint16Array | Float32Array): Uint8Array {
+  return new Uint8Array(values.buffer, values.byteOffset, values.byteLength);
+}
+
+async function fetched(address: URL | string): Promise<Response | ArrayBuffer> {
+  const response = await fetch(address);
+  if (!response.ok) throw new PlanishError(`${String(address)} was not found (${response.status})`);
+  // Servers that do not know the type of .wasm files are forgiven.
+  return response.headers.get("Content-Type")?.startsWith("application/wasm") ? response : response.arrayBuffer();
+}
