@@ -5,6 +5,9 @@ import { Gpu, type Plan } from "./webgpu.js";
 
 export { PlanishError } from "./core.js";
 
+/** Beside this file, in the package. */
+const MODULE_FILE = "./planish.wasm";
+
 /** Settings; what is missing is the preset's. The same names as the command's options. */
 export interface Settings {
   preset?: "light" | "default" | "strong" | "paper";
@@ -110,13 +113,15 @@ export interface LoadOptions {
 /** planish: a WebAssembly module, and WebGPU where there is one. */
 export class Planish {
   private gpu: Gpu | undefined;
+  /** Whether frames go to the GPU where there is one. */
+  usesGpu = true;
   /** Why WebGPU does not compute, if it does not. */
   withoutGpu: string | undefined;
 
   private constructor(private readonly core: Core) {}
 
   static async load(options: LoadOptions = {}): Promise<Planish> {
-    const given = options.wasm ?? new URL("./planish.wasm", import.meta.url);
+    const given = options.wasm ?? new URL(MODULE_FILE, import.meta.url);
     const isAddress = typeof given === "string" || given instanceof URL;
     const planish = new Planish(await Core.load(isAddress ? await fetched(given) : given));
     if (options.webgpu === false) planish.withoutGpu = "WebGPU was not asked for";
@@ -181,7 +186,7 @@ export class Planish {
       engine,
       milliseconds: performance.now() - start,
     });
-    if (this.gpu && frame.kind !== "general") {
+    if (this.gpu && this.usesGpu && frame.kind !== "general") {
       const gpu = this.gpu;
       const { ok: plan, bytes: upload } = this.core.call<Plan>({ op: "plan", ...request, limits: gpu.limits });
       try {
