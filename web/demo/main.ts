@@ -114,6 +114,15 @@ async function draw(): Promise<void> {
   paint(find<HTMLCanvasElement>("#smoothed"), pictures[1]!);
 }
 
+/** Draws the raw side alone, which need not wait for the smoothed one. */
+async function drawRaw(): Promise<void> {
+  const [drawn, at] = [frame, version];
+  if (!drawn || control("layout").value.startsWith("cloud")) return;
+  const kind = control("kind").value as PictureKind;
+  const picture = await ask<Picture>({ method: "picture", frame: drawn, side: "raw", kind, camera: camera() });
+  if (at === version) paint(find<HTMLCanvasElement>("#raw"), picture);
+}
+
 /** Smooths the frame by the controls and draws it. */
 async function update(): Promise<void> {
   const [smoothed, at] = [frame, ++version];
@@ -149,6 +158,7 @@ async function take(opening: Promise<Frame>, called: string): Promise<void> {
     if (held.length > 0) await ask({ method: "release", held });
     if (opened.assumed_camera) setCamera(opened.assumed_camera);
     if (!opened.has_colour && control("kind").value === "colour") control("kind").value = "relief";
+    await drawRaw();
     await update();
   } catch (error) {
     fail(error);
@@ -216,12 +226,13 @@ function listen(): void {
 
 async function start(): Promise<void> {
   listen();
-  const about = await ask<About & { adapter?: string; withoutGpu?: string }>({ method: "about" });
+  const about = await ask<About & { adapter?: string; withoutGpu?: string; isSoftware: boolean }>({ method: "about" });
   [hasGpu, withoutGpu] = [about.adapter !== undefined, about.withoutGpu];
-  control("webgpu").checked = hasGpu;
+  control("webgpu").defaultChecked = hasGpu && !about.isSoftware;
   control("sensor").replaceChildren(...about.sensors.concat("auto").map((sensor) => new Option(sensor, sensor)));
-  const computes = hasGpu ? `WebGPU on ${about.adapter}` : `WebAssembly (${about.withoutGpu}; Chrome, Edge, Safari 26 and Firefox 141 have WebGPU)`;
-  find("#about").textContent = `planish ${about.version}. Computed by ${computes}.`;
+  const gpu = about.isSoftware ? `a GPU in software, ${about.adapter}: WebAssembly is faster` : about.adapter;
+  const has = hasGpu ? `WebGPU: ${gpu}` : `No WebGPU (${about.withoutGpu}; Chrome and Edge have it, and newer Safari and Firefox)`;
+  find("#about").textContent = `planish ${about.version}. ${has}.`;
   await take(ask<Frame>({ method: "simulate", seed }), "simulated");
 }
 

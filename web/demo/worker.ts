@@ -10,7 +10,7 @@ async function answer(call: Call): Promise<unknown> {
   const engine = await loading;
   switch (call.method) {
     case "about":
-      return { ...engine.about(), adapter: engine.adapter, withoutGpu: engine.withoutGpu };
+      return { ...engine.about(), adapter: engine.adapter, withoutGpu: engine.withoutGpu, isSoftware: engine.isSoftware };
     case "open":
       return engine.open(call.name, new Uint8Array(call.bytes));
     case "simulate":

@@ -113,7 +113,7 @@ export interface LoadOptions {
 /** planish: a WebAssembly module, and WebGPU where there is one. */
 export class Planish {
   private gpu: Gpu | undefined;
-  /** Whether frames go to the GPU where there is one. */
+  /** Whether frames go to WebGPU where there is one; at first they do, unless its GPU is one in software. */
   usesGpu = true;
   /** Why WebGPU does not compute, if it does not. */
   withoutGpu: string | undefined;
@@ -126,6 +126,7 @@ export class Planish {
     const planish = new Planish(await Core.load(isAddress ? await fetched(given) : given));
     if (options.webgpu === false) planish.withoutGpu = "WebGPU was not asked for";
     else await planish.openGpu();
+    planish.usesGpu = !planish.isSoftware;
     return planish;
   }
 
@@ -137,6 +138,11 @@ export class Planish {
   /** The adapter's name, or `undefined` where WebAssembly computes. */
   get adapter(): string | undefined {
     return this.gpu?.name;
+  }
+
+  /** Whether the adapter is a GPU in software. */
+  get isSoftware(): boolean {
+    return this.gpu?.isSoftware ?? false;
   }
 
   /** Bytes of the module's memory. */

@@ -37,6 +37,8 @@ export class Gpu {
     private readonly device: GPUDevice,
     /** The name of the adapter. */
     readonly name: string,
+    /** Whether it is a GPU in software, which is slower than the module. */
+    readonly isSoftware: boolean,
   ) {
     const types: GPUBufferBindingType[] = ["uniform", "read-only-storage", "storage", "storage", "storage"];
     this.layout = device.createBindGroupLayout({
@@ -57,8 +59,9 @@ export class Gpu {
     const device = await adapter.requestDevice({
       requiredLimits: { maxComputeWorkgroupStorageSize, maxStorageBufferBindingSize, maxBufferSize },
     });
-    const { description, vendor, architecture } = adapter.info;
-    return new Gpu(device, description || [vendor, architecture].filter(Boolean).join(" ") || "GPU");
+    const { description, vendor, architecture, isFallbackAdapter } = adapter.info;
+    const name = description || [vendor, architecture].filter(Boolean).join(" ") || "GPU";
+    return new Gpu(device, name, isFallbackAdapter || architecture === "swiftshader");
   }
 
   /** The limits that plans depend on. */

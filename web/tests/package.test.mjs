@@ -53,13 +53,13 @@ test("what is wrong is said in words", async () => {
   }
   await said(() => planish.depth(new Uint16Array(5), 2, 2));
   await said(() => planish.open("a.pcd", new Uint8Array([1, 2, 3])));
-  await said(() => planish.open("b.png", new Uint8Array(await_png())));
+  await said(() => planish.open("b.png", new Uint8Array(pngStart())));
   planish.release(frame);
   await said(() => planish.smoothFrame(frame, {}, frame.assumed_camera));
 });
 
 /** The beginning of a PNG and nothing after it. */
-function await_png() {
+function pngStart() {
   return [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0, 0, 0, 13];
 }
 
@@ -106,6 +106,8 @@ test("WebGPU gives what WebAssembly gives", { timeout: 600_000 }, async () => {
   const ran = await page.evaluate(async ([shape, allSettings]) => {
     const { Planish } = await import("/dist/index.js");
     const planish = await Planish.load();
+    // SwiftShader, which is not taken by itself.
+    planish.usesGpu = true;
     const frame = planish.simulate(1, ...shape);
     const out = [];
     // Beside each other: frames in flight keep apart.

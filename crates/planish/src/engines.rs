@@ -4,9 +4,12 @@
 use crate::cpu::{Cpu, GeneralCpu};
 use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
 use crate::engine::{Immediate, SmoothingEngine};
+#[cfg(not(all(feature = "gpu", feature = "reference")))]
+use crate::error::EngineError;
 use crate::error::Error;
 use crate::outputs::Outputs;
 use crate::params::SmoothParams;
+#[cfg(feature = "reference")]
 use crate::reference::Reference;
 use crate::simd_level::SimdLevel;
 
@@ -209,6 +212,12 @@ fn open_named(
             Ok(Box::new(Immediate::new(cpu, outputs, gpu.slots, false)))
         }
         (Engine::Gpu, grid) => open_gpu(params, outputs, gpu, grid),
+        #[cfg(not(feature = "reference"))]
+        (Engine::Reference, _) => {
+            let reason = "not in this build; enable the feature reference".to_owned();
+            Err(EngineError::Unavailable { engine: "reference", reason }.into())
+        }
+        #[cfg(feature = "reference")]
         (Engine::Reference, _) => {
             let reference = Reference::open(params, threads)?;
             Ok(Box::new(Immediate::new(reference, outputs, gpu.slots, false)))
@@ -238,7 +247,7 @@ fn open_gpu(
     _: Option<(usize, usize)>,
 ) -> Result<Box<dyn SmoothingEngine>, Error> {
     let reason = "not in this build; enable the feature gpu, or use auto, cpu or reference".to_owned();
-    Err(crate::error::EngineError::Unavailable { engine: "gpu", reason }.into())
+    Err(EngineError::Unavailable { engine: "gpu", reason }.into())
 }
 
 #[cfg(test)]

@@ -82,6 +82,7 @@ mod params;
 mod pose;
 mod progress;
 mod range;
+#[cfg(feature = "reference")]
 mod reference;
 #[cfg(feature = "evaluate")]
 pub mod render;

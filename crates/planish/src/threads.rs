@@ -17,6 +17,10 @@ impl Threads {
     /// `None` is one thread for each core, shared by the whole process.
     pub(crate) fn open(threads: Option<usize>) -> Result<Self, EngineError> {
         let Some(threads) = threads else { return Ok(Self(None)) };
+        // WebAssembly has the calling thread alone, on which rayon's global pool then works.
+        if cfg!(target_family = "wasm") {
+            return Ok(Self(None));
+        }
         if threads > MAX_THREADS {
             return Err(EngineError::Threads { threads, reason: format!("{MAX_THREADS} are the most allowed") });
         }

@@ -125,6 +125,7 @@ struct JsonCamera {
     k5: Option<f64>,
     k6: Option<f64>,
     /// What else it says.
+    #[cfg(feature = "stream")]
     #[serde(flatten)]
     others: serde_json::Map<String, serde_json::Value>,
 }

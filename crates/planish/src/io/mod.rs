@@ -6,6 +6,7 @@
 mod camera_file;
 mod columns;
 mod depth_png;
+#[cfg(feature = "tiff")]
 mod depth_tiff;
 #[cfg(feature = "scans")]
 mod e57;
@@ -222,6 +223,7 @@ pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(For
         let format = Format::of_contents(&start);
         let summarize = match format {
             Some(Format::DepthPng) => depth_png::summarize,
+            #[cfg(feature = "tiff")]
             Some(Format::DepthTiff) => depth_tiff::summarize,
             _ => return Ok(None),
         };
@@ -351,6 +353,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
         Format::Pcd => organized_if_grid(pcd::decode(bytes, options)?),
         Format::Ply => organized_if_grid(ply::decode(bytes, options)?),
         Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
+        #[cfg(feature = "tiff")]
         Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
         Format::Npy => npy::decode(bytes, options),
         #[cfg(feature = "scans")]
@@ -364,7 +367,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
         Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options)?)),
         Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options)?)),
         Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
-        #[cfg(not(all(feature = "npz", feature = "scans")))]
+        #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),
     }?;
     Ok((format, contents))
@@ -456,15 +459,19 @@ pub fn encode_cloud<'a>(
         Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
             "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
         )),
-        #[cfg(not(all(feature = "npz", feature = "scans")))]
+        #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),
     }
 }
 
 /// Of a format that this build was made without.
-#[cfg(not(all(feature = "npz", feature = "scans")))]
+#[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
 fn left_out(format: Format) -> FormatError {
-    let feature = if format == Format::Npz { "npz" } else { "scans" };
+    let feature = match format {
+        Format::Npz => "npz",
+        Format::DepthTiff => "tiff",
+        _ => "scans",
+    };
     FormatError::Unsupported(format!("{}, which this build leaves out (planish's feature `{feature}`)", format.name()))
 }
 
@@ -475,7 +482,10 @@ fn left_out(format: Format) -> FormatError {
 pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, FormatError> {
     match format {
         Format::DepthPng => depth_png::encode(image),
+        #[cfg(feature = "tiff")]
         Format::DepthTiff => depth_tiff::encode(image),
+        #[cfg(not(feature = "tiff"))]
+        Format::DepthTiff => Err(left_out(format)),
         Format::Npy => npy::encode_depth(image),
         _ => Err(FormatError::Unsupported(
             "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),

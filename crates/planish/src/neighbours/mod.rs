@@ -2,13 +2,15 @@
 
 mod index;
 
-use glam::DVec3;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use std::num::NonZero;
+#[cfg(any(feature = "evaluate", feature = "reference"))]
+mod search;
 
-use crate::error::EngineError;
+#[cfg(feature = "reference")]
+use glam::DVec3;
 
 pub(crate) use index::{Bounds, LEAF, LeafMoments, PointIndex};
+#[cfg(any(feature = "evaluate", feature = "reference"))]
+pub(crate) use search::NeighbourSearch;
 
 /// Points from which an extent is taken.
 const SAMPLE: usize = 10_000;
@@ -24,60 +26,10 @@ pub(crate) fn middle(len: usize, value: impl Fn(usize) -> f64) -> Option<[f64; 2
 }
 
 /// The diagonal of the box around all points but stray ones, in metres.
+#[cfg(feature = "reference")]
 pub(crate) fn extent_m(points: &[DVec3]) -> f64 {
     let span = |axis: usize| middle(points.len(), |i| points[i][axis]).map_or(0.0, |[low, high]| high - low);
     DVec3::new(span(0), span(1), span(2)).length()
-}
-
-/// A k-d tree over the finite points of a cloud.
-pub(crate) struct NeighbourSearch {
-    tree: Option<ImmutableKdTree<f64, 3>>,
-    /// Index in the cloud of each point in the tree.
-    index: Vec<u32>,
-}
-
-impl NeighbourSearch {
-    pub(crate) fn new(points: &[DVec3]) -> Result<Self, EngineError> {
-        let index: Vec<u32> = (0u32..).zip(points).filter(|(_, p)| p.is_finite()).map(|(i, _)| i).collect();
-        let finite: Vec<[f64; 3]> = index.iter().map(|&i| points[i as usize].to_array()).collect();
-        let tree = if finite.is_empty() {
-            None
-        } else {
-            Some(ImmutableKdTree::new_from_slice(&finite).map_err(|error| EngineError::Unavailable {
-                engine: "reference",
-                reason: format!("no search tree over {} points: {error}", finite.len()),
-            })?)
-        };
-        Ok(Self { tree, index })
-    }
-
-    /// Indices of all points within `radius_m` of p, ascending, so that sums do not depend on the tree.
-    pub(crate) fn within(&self, p: DVec3, radius_m: f64, found: &mut Vec<usize>) {
-        found.clear();
-        let Some(tree) = &self.tree else { return };
-        let items = tree.query(&p.to_array()).within::<SquaredEuclidean<f64>>(radius_m * radius_m).unsorted().execute();
-        found.extend(items.into_iter().map(|found| self.index[found.item as usize] as usize));
-        found.sort_unstable();
-    }
-
-    /// Indices of so many points nearest to p or fewer, ascending.
-    #[cfg(feature = "evaluate")]
-    pub(crate) fn nearest(&self, p: DVec3, count: usize) -> Vec<usize> {
-        let (Some(tree), Some(count)) = (&self.tree, NonZero::new(count)) else { return Vec::new() };
-        let nearest = tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
-        let mut found: Vec<usize> = nearest.into_iter().map(|found| self.index[found.item as usize] as usize).collect();
-        found.sort_unstable();
-        found
-    }
-
-    /// The squares of the distances from p to so many nearest points or fewer, ascending.
-    pub(crate) fn nearest_squares(&self, p: DVec3, count: usize) -> Vec<f64> {
-        let (Some(tree), Some(count)) = (&self.tree, NonZero::new(count)) else { return Vec::new() };
-        let nearest = tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
-        let mut squares: Vec<f64> = nearest.into_iter().map(|found| found.distance).collect();
-        squares.sort_by(f64::total_cmp);
-        squares
-    }
 }
 
 #[cfg(test)]

@@ -1,0 +1,198 @@
+// The page: every control, each format, wrong files, keys, and the command's result for the same frame.
+
+import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { mkdtemp, readFile, writeFile, rm } from "node:fs/promises";
+import { brotliCompressSync } from "node:zlib";
+import { readdirSync, readFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import { Planish } from "../dist/index.js";
+import { compare, launch, root, serve } from "./helpers.mjs";
+
+const SHAPE = [160, 120];
+const command = process.env.PLANISH ?? `${root}/../target/release/planish`;
+let browser, server, page, folder, planish;
+const errors = [];
+
+before(async () => {
+  server = await serve(`${root}/dist-page`);
+  browser = await launch();
+  page = await browser.newPage({ viewport: { width: 1280, height: 900 } });
+  page.on("pageerror", (error) => errors.push(error.message));
+  folder = await mkdtemp(join(tmpdir(), "planish-web-"));
+  planish = await Planish.load({ wasm: await readFile(`${root}/dist/planish.wasm`), webgpu: false });
+  await page.goto(server.address);
+  await settled("simulated");
+});
+
+after(async () => {
+  await browser?.close();
+  await server?.close();
+  await rm(folder, { recursive: true });
+});
+
+/** Waits until the page has smoothed a frame of that name. */
+async function settled(name) {
+  await page.waitForFunction((name) => {
+    const said = document.querySelector("#status").textContent;
+    return said.startsWith(name) && said.includes("points") && !document.body.hasAttribute("aria-busy");
+  }, name, { timeout: 120_000 });
+}
+
+/** Changes a control and returns the pixels of the smoothed picture. */
+async function change(work) {
+  await page.evaluate(() => (document.querySelector("#status").textContent = ""));
+  await work();
+  await settled("");
+  return pixels("#smoothed");
+}
+
+function pixels(selector) {
+  return page.evaluate((selector) => {
+    const canvas = document.querySelector(selector);
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let hash = 0;
+    for (const value of data) hash = (hash * 31 + value) | 0;
+    return `${canvas.width}x${canvas.height} ${hash}`;
+  }, selector);
+}
+
+async function open(name, bytes) {
+  await page.evaluate(() => (document.querySelector("#status").textContent = ""));
+  await page.setInputFiles("#file", { name, mimeType: "application/octet-stream", buffer: Buffer.from(bytes) });
+}
+
+/** A small frame in a format. */
+async function file(format) {
+  const frame = planish.simulate(3, ...SHAPE);
+  const result = await planish.smoothFrame(frame, { preset: "light" }, frame.assumed_camera);
+  return planish.write(result, format, frame.assumed_camera);
+}
+
+test("what is sent is small", () => {
+  const sizes = readdirSync(`${root}/dist-page/assets`).map((name) => brotliCompressSync(readFileSync(`${root}/dist-page/assets/${name}`)).length);
+  const sum = sizes.reduce((sum, size) => sum + size, 0) + brotliCompressSync(readFileSync(`${root}/dist-page/index.html`)).length;
+  console.log(`${sum} bytes by Brotli`);
+  assert.ok(sum <= 400_000, `${sum}`);
+});
+
+test("every format opens, from the button and dropped", async () => {
+  for (const format of ["pcd", "ply", "npy", "png"]) {
+    await open(`frame.${format}`, await file(format));
+    await settled(`frame.${format}`);
+    assert.match(await page.textContent("#status"), /160x120, [\d,]+ points/);
+    assert.equal(await page.isVisible("#camera-fields"), format === "png");
+  }
+  const bytes = Array.from(await file("ply"));
+  await page.evaluate((bytes) => {
+    const transfer = new DataTransfer();
+    transfer.items.add(new File([new Uint8Array(bytes)], "dropped.ply"));
+    document.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
+  }, bytes);
+  await settled("dropped.ply");
+});
+
+test("wrong files are told in words and change nothing", async () => {
+  const before = await pixels("#smoothed");
+  for (const [name, bytes, said] of [
+    ["nothing.pcd", [], /nothing\.pcd: .*empty/],
+    ["noise.xyz1", [1, 2, 3, 4], /none of PCD/],
+    ["cut.ply", (await file("ply")).slice(0, 400), /cut short|damaged/],
+    ["cut.png", (await file("png")).slice(0, 200), /cut\.png: /],
+  ]) {
+    await open(name, bytes);
+    await page.waitForFunction((name) => document.querySelector("#error").textContent.includes(name), name);
+    assert.match(await page.textContent("#error"), said);
+    assert.ok(await page.isVisible("#error"));
+  }
+  assert.equal(await pixels("#smoothed"), before);
+});
+
+test("every control changes the picture, those that do nothing are off and say why", async () => {
+  await open("frame.png", await file("png"));
+  await settled("frame.png");
+  const seen = new Set([await pixels("#smoothed")]);
+  const differs = async (work, what) => {
+    const now = await change(work);
+    assert.ok(!seen.has(now), what);
+    seen.add(now);
+  };
+  await differs(() => page.selectOption('[name="preset"]', "light"), "light");
+  await differs(() => page.selectOption('[name="preset"]', "strong"), "strong");
+  await differs(() => page.selectOption('[name="preset"]', "paper"), "paper");
+  assert.ok(await page.isDisabled('[name="strength"]'));
+  assert.notEqual(await page.textContent('.why[data-of="strength"]'), "");
+  await change(() => page.selectOption('[name="preset"]', ""));
+  assert.ok(await page.isEnabled('[name="strength"]'));
+  await differs(() => page.locator('[name="strength"]').fill("0.25"), "strength");
+  await differs(() => page.selectOption('[name="window"]', "4"), "window");
+  await differs(() => page.selectOption('[name="sensor"]', "d435"), "sensor");
+  await differs(() => page.uncheck('[name="edges"]'), "edges");
+  await page.evaluate(() => (document.querySelector("#camera-fields").open = true));
+  await differs(() => page.fill('[name="fx"]', "200").then(() => page.press('[name="fx"]', "Tab")), "fx");
+  for (const kind of ["depth", "normals"]) {
+    await page.selectOption('[name="kind"]', kind);
+    await page.waitForFunction(() => true);
+    await page.waitForTimeout(300);
+    const now = await pixels("#smoothed");
+    assert.ok(!seen.has(now), kind);
+    seen.add(now);
+  }
+  assert.ok(await page.evaluate(() => document.querySelector('[value="colour"]').disabled));
+  await page.evaluate(() => document.querySelector('[name="fx"]').closest("form").reset());
+});
+
+test("a camera file says the camera", async () => {
+  await open("frame.png", await file("png"));
+  await settled("frame.png");
+  const before = await pixels("#smoothed");
+  const camera = { name: "camera.json", mimeType: "application/json", buffer: Buffer.from('{"fx": 300, "fy": 300, "cx": 80, "cy": 60}') };
+  assert.notEqual(await change(() => page.setInputFiles("#camera-file", camera)), before);
+});
+
+test("a cloud without a grid is smoothed, and what does not concern it is off", async () => {
+  const lines = Array.from({ length: 4000 }, (_, i) => `${(i % 80) / 100} ${Math.floor(i / 80) / 100} ${1 + 0.002 * Math.sin(i * 12.9898)}`);
+  await open("scan.xyz", Buffer.from(lines.join("\n")));
+  await settled("scan.xyz");
+  for (const name of ["strength", "sensor", "window"]) assert.ok(await page.isDisabled(`[name="${name}"]`), name);
+  assert.match(await page.textContent("#status"), /4,000 points/);
+});
+
+test("keys move the divider and turn the cloud", async () => {
+  await page.focus("#divider");
+  await page.keyboard.press("ArrowRight");
+  assert.equal(await page.evaluate(() => document.querySelector("#pictures").style.getPropertyValue("--split")), "51%");
+  await page.selectOption('[name="layout"]', "cloud");
+  await page.waitForFunction(() => !document.querySelector("#cloud").hidden);
+  await page.waitForTimeout(500);
+  const shot = () => page.locator("#cloud").screenshot();
+  const before = await shot();
+  await page.focus("#cloud");
+  for (let i = 0; i < 5; i++) await page.keyboard.press("ArrowLeft");
+  assert.ok(!before.equals(await shot()));
+  await page.selectOption('[name="layout"]', "divider");
+});
+
+test("it gives what the command gives, by WebAssembly and by WebGPU", { timeout: 300_000 }, async () => {
+  await writeFile(join(folder, "in.png"), await file("png"));
+  const camera = "131.25,131.25,79.5,59.5";
+  execFileSync(command, ["smooth", join(folder, "in.png"), join(folder, "out.pcd"), "--camera", camera, "--engine", "cpu"]);
+  const expected = planish.open("out.pcd", await readFile(join(folder, "out.pcd")));
+  const of = (frame) => planish.cloud(frame, "raw", "relief").points;
+  for (const webgpu of [false, true]) {
+    await open("in.png", await readFile(join(folder, "in.png")));
+    await settled("in.png");
+    if (webgpu) await change(() => page.check('[name="webgpu"]'));
+    assert.match(await page.textContent("#status"), webgpu ? /WebGPU/ : /WebAssembly/);
+    const [download] = await Promise.all([page.waitForEvent("download"), page.click('[data-format="pcd"]')]);
+    assert.equal(download.suggestedFilename(), "in-smoothed.pcd");
+    const saved = planish.open("saved.pcd", await readFile(await download.path()));
+    const { largest, different } = compare(of(saved), of(expected));
+    console.log(`${webgpu ? "WebGPU" : "WebAssembly"}: ${largest} m from the command at most`);
+    assert.ok(largest < 6e-4 && different === 0, `${largest} ${different}`);
+  }
+});
+
+test("the page made no mistakes", () => assert.deepEqual(errors, []));
