@@ -66,12 +66,12 @@ const MAX_BATCH_FRAMES: u64 = 64;
 
 /// The GPU engine with its buffers.
 pub(crate) struct Gpu {
-    gpu: Arc<GpuDevice>,
+    pub(super) gpu: Arc<GpuDevice>,
     params: SmoothParams,
     outputs: Outputs,
     options: GpuOptions,
     shape: (usize, usize),
-    free: FreeSlots,
+    pub(super) free: FreeSlots,
     uploader: Uploader,
     pending: VecDeque<Pending>,
     copier: Option<Copier>,

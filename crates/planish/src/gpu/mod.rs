@@ -26,14 +26,14 @@ mod results;
 mod slot;
 #[cfg(feature = "gpu")]
 mod stamps;
-#[cfg(all(test, feature = "gpu"))]
+#[cfg(feature = "gpu")]
+#[cfg(test)]
 mod tests;
 mod upload;
 #[cfg(feature = "gpu")]
 mod view;
 
-#[cfg(any(feature = "internal", all(test, feature = "gpu")))]
-#[cfg(feature = "gpu")]
+#[cfg(all(feature = "gpu", any(test, feature = "internal")))]
 pub use engine::lose_devices;
 #[cfg(feature = "gpu")]
 pub(crate) use engine::{Gpu, adapters};

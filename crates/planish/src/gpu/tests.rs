@@ -4,13 +4,18 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
-use super::device::{self, GpuDevice};
-use super::engine::{Gpu, adapters, lose_devices};
+use super::device::{self, GpuDevice, lock};
+use super::engine::{Gpu, adapters};
 use super::kernel;
-use super::layout::InputKind;
 use crate::camera::Camera;
+use crate::devices::{GpuAdapter, GpuOptions};
+use crate::engine::{AdmittedFrame, SmoothingEngine};
+use crate::error::{EngineError, Error};
 use crate::frame::{DepthFrame, FrameGeometry, GeometryScratch, IntoFrame};
+use crate::outputs::Outputs;
+use crate::params::SmoothParams;
 use crate::simulate::{DepthNoise, DepthSimulator, Random, Scene};
+use crate::smoothed::Smoothed;
 
 /// The device of the tests; says SKIP where there is none.
 fn device(test: &str) -> Option<(Arc<GpuDevice>, GpuAdapter)> {
