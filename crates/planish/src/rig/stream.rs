@@ -210,6 +210,13 @@ impl RigStream<'_> {
         stop: &AtomicBool,
         tell: &mut impl FnMut(RigEvent<'_>),
     ) -> Result<(), Error> {
+        /// Ends the watcher, also when the stream panics.
+        struct Done<'a>(&'a AtomicBool);
+        impl Drop for Done<'_> {
+            fn drop(&mut self) {
+                self.0.store(true, Ordering::Relaxed);
+            }
+        }
         let (stopper, is_done) = (self.smoother.stopper(), AtomicBool::new(false));
         thread::scope(|scope| {
             let watcher = scope.spawn(|| {
@@ -221,8 +228,9 @@ impl RigStream<'_> {
                     }
                 }
             });
+            let done = Done(&is_done);
             let result = self.run(inbox, stop, tell);
-            is_done.store(true, Ordering::Relaxed);
+            drop(done);
             watcher.thread().unpark();
             match result {
                 Err(Error::Engine(EngineError::Stopped)) if stop.load(Ordering::Relaxed) => Ok(()),
