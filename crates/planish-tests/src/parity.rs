@@ -7,7 +7,7 @@ use planish::{OrganizedCloud, Project, Radius, SensorPose, SmoothParams, Smoothe
 use crate::data::real_frames;
 use crate::engines::{TestEngine, parameter_grid};
 use crate::poses::moved;
-use crate::scenes::{nasty_scenes, simulated, small_camera};
+use crate::scenes::{grid, nasty_scenes, simulated, small_camera};
 use crate::tolerances::assert_invariants;
 
 /// An engine under a name.
@@ -58,20 +58,30 @@ pub fn simulated_frames_agree(subjects: &[Subject]) {
     assert_none(&compare("simulated", &clouds, &parameter_grid(), subjects));
 }
 
-/// The real frames: each with the usual settings, and the grid dealt out among them.
+/// The real frames: each as a whole with the usual settings, and quarters of it with those of the grid, which is dealt out among all quarters.
 ///
 /// # Panics
 /// If an engine does not agree.
 pub fn real_frames_agree(subjects: &[Subject], test: &str) {
     let usual = [SmoothParams::paper(), SmoothParams::default(), SmoothParams::paper().with_window(1).with_degree(2)];
-    let grid = parameter_grid();
+    let settings_of_grid = parameter_grid();
     let frames = real_frames(test);
-    let (mut misses, count) = (Vec::new(), frames.len());
+    let (mut misses, count) = (Vec::new(), 4 * frames.len());
     for (i, frame) in frames.into_iter().enumerate() {
-        let settings: Vec<_> = usual.iter().chain(grid.iter().skip(i).step_by(count)).copied().collect();
-        misses.extend(compare(frame.name, &[frame.cloud], &settings, subjects));
+        for k in 0..4 {
+            let settings: Vec<_> = settings_of_grid.iter().skip(4 * i + k).step_by(count).copied().collect();
+            misses.extend(compare(frame.name, &[quarter(&frame.cloud, k)], &settings, subjects));
+        }
+        misses.extend(compare(frame.name, &[frame.cloud], &usual, subjects));
     }
     assert_none(&misses);
+}
+
+/// One of the quarters of a cloud.
+fn quarter(cloud: &OrganizedCloud, k: usize) -> OrganizedCloud {
+    let (width, height) = (cloud.width() / 2, cloud.height() / 2);
+    let (left, top) = (k % 2 * width, k / 2 * height);
+    grid(width, height, |u, v| cloud.positions().get((top + v) * cloud.width() + left + u))
 }
 
 /// Clouds that engines stumble over, at the corners of the parameters: the rules hold.

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{
-    CamerasSink, FusedSink, Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigSmoother, RigStatistics,
+    CamerasSink, Clock, FusedSink, Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigSmoother, RigStatistics,
     RigWay, merged_params, run,
 };
 use planish::simulate::PoseErrors;
@@ -302,6 +302,62 @@ fn every_moment_of_recordings_comes_once_in_order_and_one_that_ends_early_holds_
     let right = &statistics.cameras[1];
     assert_eq!((right.frames_in, right.frames_out, right.missing, right.has_ended), (9, 9, 21, true));
     assert!(warnings.is_empty(), "{warnings:?}");
+    // One that ends long before the other is said to.
+    let (result, _, warnings) =
+        stream(vec![script((0..40).map(frame).collect(), false), script((0..10).map(frame).collect(), false)]);
+    assert_eq!(result.unwrap().moments.frames_out, 40);
+    assert!(warnings.len() == 1 && warnings[0].contains("right") && warnings[0].contains("0.6 s"), "{warnings:?}");
+}
+
+#[test]
+fn time_stamps_of_no_clock_are_refused_and_so_is_the_arrival_of_recordings() {
+    let mut right: Vec<Step> = (0..4).map(frame).collect();
+    right.insert(2, Step::Frame(1e300, Duration::ZERO));
+    right.insert(3, Step::Frame(f64::NAN, Duration::ZERO));
+    let (result, moments, warnings) = stream(vec![script((0..4).map(frame).collect(), false), script(right, false)]);
+    assert_eq!((result.unwrap().cameras[1].unreadable, moments.len()), (2, 4));
+    assert!(moments.iter().all(|(_, has)| has == &[true, true]), "{moments:?}");
+    assert!(warnings.len() == 2 && warnings[0].contains("1e300"), "{warnings:?}");
+
+    let rig = rig_of_two().with_clock(Clock::Arrival);
+    let options = RigOptions::new(&rig, RigWay::Each, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
+    let sources = (0..2).map(|_| script(vec![frame(0)], false)).collect();
+    let error = run(&rig, sources, &options, Vec::new(), &AtomicBool::new(false), |_| ()).unwrap_err();
+    assert!(error.to_string().contains("recordings"), "{error}");
+}
+
+/// Fails at once, as where the disk is full.
+struct Full;
+
+impl RigSink for Full {
+    fn name(&self) -> String {
+        "full".into()
+    }
+
+    fn write(&mut self, _: &RigFrame) -> Result<(), Error> {
+        Err(planish::FrameError::NoPoints.into())
+    }
+}
+
+#[test]
+fn a_stream_whose_sinks_have_all_failed_ends_and_one_that_has_another_goes_on() {
+    let rig = rig_of_two();
+    let options = RigOptions::new(&rig, RigWay::Each, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
+    let of = |sinks: Vec<Box<dyn RigSink>>| {
+        let sources = (0..2).map(|_| script((0..200).map(frame).collect(), false)).collect();
+        let mut last = String::new();
+        let statistics = run(&rig, sources, &options, sinks, &AtomicBool::new(false), |event| {
+            if let RigEvent::Warning(warning) = event {
+                last = warning;
+            }
+        });
+        (statistics.unwrap().moments, last)
+    };
+    let (moments, last) = of(vec![Box::new(Full)]);
+    assert!(moments.frames_out < 200 && moments.failed_sinks == 1, "{moments:?}");
+    assert!(last.contains("the stream ends"), "{last}");
+    let (moments, _) = of(vec![Box::new(Full), Box::new(Kept::default())]);
+    assert_eq!((moments.frames_out, moments.failed_sinks), (200, 1));
 }
 
 #[test]

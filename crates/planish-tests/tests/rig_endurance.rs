@@ -125,8 +125,11 @@ fn eight_cameras_lose_nothing_but_the_frames_of_the_one_that_is_unplugged_and_me
         _ => {}
     })
     .unwrap();
-    eprintln!("{statistics:#?}\nmemory, MB: {memory:?}\n{} points; {warnings:?}", points.load(Ordering::Relaxed));
     let of = &statistics.moments;
+    let (latency, mean_ms) = (of.latency(), 1e3 * of.time_in_sinks.as_secs_f64() / of.frames_out.max(1) as f64);
+    eprintln!("{} moments, {} complete; {latency:?}; {mean_ms:.1} ms in the sink", of.frames_out, statistics.complete);
+    eprintln!("{:#?}\nmemory, MB: {memory:?}", statistics.cameras);
+    eprintln!("{} points; {warnings:?}", points.load(Ordering::Relaxed));
     assert_eq!((of.dropped, of.dropped_by_sinks, of.failed_sinks), (0, 0, 0));
     for (i, camera) in statistics.cameras.iter().enumerate() {
         assert_eq!((camera.dropped, camera.unreadable, camera.out_of_order), (0, 0, 0), "{camera:?}");

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::stream::open_source;
 use crate::args::RecordArgs;
-use crate::signals::stop_flag;
+use crate::signals::stop_by;
 
 #[derive(Serialize)]
 struct Report {
@@ -92,8 +92,10 @@ impl Recorder {
 
 pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.source.limits.max_duration()?;
-    let stop = stop_flag();
+    // Opening may take seconds: meanwhile a signal ends the command.
+    let stop = Arc::default();
     let mut source = open_source(&args.source, &stop)?;
+    stop_by(&stop);
     source.end_with(Arc::clone(&stop));
     super::checks::check_not_input(std::path::Path::new(args.source.name()), &args.folder, None)?;
     let mut recorder = Recorder::create(&args.folder)?;

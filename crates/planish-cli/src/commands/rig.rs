@@ -1,7 +1,7 @@
 //! `planish rig`: describes rigs, makes them of calibrations, simulates them; and `planish stream --rig`.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
@@ -24,7 +24,7 @@ use super::checks::is_mcap;
 use super::stream::{StatusLine, WithoutFloating, ms, open_named};
 use crate::args::{EvaluateArgs, LimitArgs, RigArgs, StreamArgs, outputs_of};
 use crate::exit::ExitCode;
-use crate::signals::stop_flag;
+use crate::signals::stop_by;
 
 pub fn run(args: &RigArgs) -> Result<ExitCode> {
     if args.json && args.simulate.is_some() {
@@ -34,7 +34,16 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
         return simulate(args, cameras.into(), folder);
     }
     let Some(file) = &args.file else { bail!("a rig.json or a calibration is needed") };
-    let mut rig = if is_rig_file(file) { Rig::read(file)? } else { read_calibration(args, file)? };
+    let mut rig = if is_rig_file(file) {
+        let of_calibrations =
+            [("--base", args.base.is_some()), ("--frame", !args.frame.is_empty()), ("--scale", args.scale.is_some())];
+        if let Some((name, _)) = of_calibrations.iter().find(|(_, is_given)| *is_given) {
+            bail!("{}: {name} is of calibrations, and this is a rig.json", file.display());
+        }
+        Rig::read(file)?
+    } else {
+        read_calibration(args, file)?
+    };
     for named in &args.source {
         let (name, source) =
             named.split_once('=').with_context(|| format!("--source {named}: NAME=SOURCE is expected"))?;
@@ -119,17 +128,24 @@ fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
     let scene = RigScene::tabletop(args.seed, cameras);
     let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
     let stated = scene.poses_with_errors(errors, args.seed);
-    if folder.join("rig.json").exists() {
-        bail!("{}: has a rig already; write into another folder", folder.display());
+    if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
+        bail!("{}: has files already: a simulated rig goes into a folder of its own", folder.display());
     }
-    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    // Under another name until it is whole; of a run that was interrupted, what was left is replaced.
+    let mut partial = folder.as_os_str().to_owned();
+    partial.push(".partial");
+    let partial = PathBuf::from(partial);
+    if partial.exists() {
+        fs::remove_dir_all(&partial).with_context(|| format!("cannot remove {}", partial.display()))?;
+    }
+    fs::create_dir_all(&partial).with_context(|| format!("cannot make the folder {}", partial.display()))?;
     let camera = Camera::kinect_v1();
     let mut rig_cameras = Vec::new();
     for (i, (pose, stated)) in scene.poses.iter().zip(&stated).enumerate() {
         let name = format!("camera{i}");
         let simulator = DepthSimulator::new(DepthNoise::default(), camera, args.seed * 100 + i as u64);
         let truth = scene.scene.render(&camera, pose);
-        let mut recorder = TumRecorder::create(&folder.join(&name))?;
+        let mut recorder = TumRecorder::create(&partial.join(&name))?;
         for number in 0..args.frames {
             let frame = simulator.frame(&truth, number).map_err(planish::Error::from)?;
             recorder.add(&frame.with_timestamp_s(number as f64 / 30.0))?;
@@ -139,8 +155,13 @@ fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
         rig_cameras.push(placed.with_sensor(Some(SensorModel::KINECT_V1)));
     }
     let rig = Rig::new(rig_cameras).map_err(planish::Error::from)?;
-    let file = folder.join("rig.json");
+    let file = partial.join("rig.json");
     io::write_whole(&file, rig_to_json(&rig).as_bytes()).with_context(|| file.display().to_string())?;
+    if folder.is_dir() {
+        fs::remove_dir(folder).with_context(|| format!("cannot replace {}", folder.display()))?;
+    }
+    fs::rename(&partial, folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let file = folder.join("rig.json");
     outln!(
         "{cameras} cameras, {} frames each, in {}; planish stream --rig {}",
         args.frames,
@@ -206,9 +227,12 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
         .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_moments(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
+    options.validate().map_err(planish::Error::from)?;
     check_outputs(args, &rig)?;
-    let stop = stop_flag();
+    // Opening may take seconds: meanwhile a signal ends the command.
+    let stop = Arc::default();
     let mut sources = open_sources(&rig, &args.source.limits, &stop)?;
+    stop_by(&stop);
     if args.smoothing.remove_floating {
         let without = |(source, sensor)| Box::new(WithoutFloating { source, sensor }) as Box<dyn Source>;
         sources = sources.into_iter().zip(sensors).map(without).collect();

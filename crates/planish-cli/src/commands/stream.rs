@@ -16,7 +16,7 @@ use serde::Serialize;
 
 use super::checks::{check_is_new, check_not_input, is_mcap};
 use crate::args::{LimitArgs, SourceArgs, StreamArgs, StreamFormatArg, outputs_of};
-use crate::signals::stop_flag;
+use crate::signals::stop_by;
 
 /// What is said at the end.
 #[derive(Serialize)]
@@ -91,8 +91,10 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_frames(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
-    let stop = stop_flag();
+    // Opening may take seconds: meanwhile a signal ends the command.
+    let stop = Arc::default();
     let mut source = open_source(&args.source, &stop)?;
+    stop_by(&stop);
     if let Some(sensor) = args.smoothing.floating_sensor(None)? {
         source = Box::new(WithoutFloating { source, sensor });
     }
@@ -176,6 +178,9 @@ pub fn open_named(
     limits: &LimitArgs,
     stop: &Arc<AtomicBool>,
 ) -> Result<Box<dyn Source>> {
+    if name == "synthetic" || name.starts_with("synthetic:") {
+        errln!("{name}: rendering the round of frames that is played");
+    }
     let source = match source::open(name, &options) {
         Err(Error::Device(error @ DeviceError::NotFound { .. })) if limits.reconnect => {
             errln!("{error}; waiting for it");

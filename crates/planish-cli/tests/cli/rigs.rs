@@ -77,6 +77,24 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
 }
 
 #[test]
+fn a_simulated_rig_is_there_as_a_whole_or_not_at_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let (rig, partial) = (folder.path().join("rig"), folder.path().join("rig.partial"));
+    // What a run that was interrupted has left, and a folder made for the rig.
+    fs::create_dir_all(partial.join("camera0")).unwrap();
+    fs::write(partial.join("camera0/depth.txt"), "half").unwrap();
+    fs::create_dir(&rig).unwrap();
+    let simulate = ["rig", "--simulate", "2", "--frames", "1", "--out", str(&rig)];
+    ok(&simulate);
+    assert!(rig.join("rig.json").is_file() && !partial.exists());
+    let before = files(folder.path());
+    assert!(refused(&simulate).contains("has files already"));
+    let of_calibrations = refused(&["rig", str(&rig.join("rig.json")), "--scale", "2"]);
+    assert!(of_calibrations.contains("--scale is of calibrations"), "{of_calibrations}");
+    assert!(files(folder.path()) == before);
+}
+
+#[test]
 fn a_rig_that_is_written_elsewhere_finds_its_sources() {
     let (folder, rig) = simulated();
     let elsewhere = folder.path().join("elsewhere");
@@ -132,9 +150,12 @@ fn merged_points_in_voxels_are_one_a_voxel_and_each_camera_s_own_beside() {
         assert!(frames.len() >= 3, "{camera}");
     }
     // Sizes that are none, and ways that have no voxels.
-    for size in ["0", "nan", "-0.01", "inf"] {
-        let said = refused(&["stream", "--rig", str(&rig), "--fuse", "merged", &format!("--voxel={size}")]);
+    let none = folder.path().join("none");
+    for size in ["0", "nan", "-0.01", "inf", "1e-9"] {
+        let voxel = format!("--voxel={size}");
+        let said = refused(&["stream", "--rig", str(&rig), "--fuse", "merged", &voxel, "--save", str(&none)]);
         assert!(said.contains("voxel"), "{said}");
+        assert!(!none.exists(), "{size}");
     }
     let said = refused(&["stream", "--rig", str(&rig), "--voxel", "0.01"]);
     assert!(said.contains("--fuse merged"), "{said}");

@@ -89,6 +89,17 @@ fn distortion_of(coefficients: &[f64]) -> FormatResult<Distortion> {
     })
 }
 
+/// The size of the images; 0 by 0 where none is stated.
+fn shape_of(width: Option<usize>, height: Option<usize>) -> FormatResult<(usize, usize)> {
+    match (width, height) {
+        (Some(width), Some(height)) => Ok((width, height)),
+        (None, None) => Ok((0, 0)),
+        _ => Err(FormatError::Malformed(
+            "the camera has a width or a height, but not both: give both, or neither".into(),
+        )),
+    }
+}
+
 /// planish's own layout, or Open3D's with its matrix in column-major order.
 /// A camera file in JSON.
 #[derive(Deserialize)]
@@ -161,7 +172,7 @@ fn from_json(text: &str) -> FormatResult<Camera> {
         true => single.map(Option::unwrap_or_default).to_vec(),
         false => file.distortion,
     };
-    let shape = (file.width.unwrap_or(0), file.height.unwrap_or(0));
+    let shape = shape_of(file.width, file.height)?;
     Ok(Camera::new(shape, focal_length, centre)
         .with_depth_units_per_metre(file.depth_scale.unwrap_or(1000.0))
         .with_distortion(distortion_of(&coefficients)?))
@@ -273,7 +284,7 @@ fn from_camera_info(text: &str) -> FormatResult<Camera> {
         _ => {}
     }
     let distortion = if distorts { distortion_of(&coefficients)? } else { Distortion::NONE };
-    let shape = (file.image_width.unwrap_or(0), file.image_height.unwrap_or(0));
+    let shape = shape_of(file.image_width, file.image_height)?;
     Ok(Camera::new(shape, [fx, fy], [cx, cy]).with_distortion(distortion))
 }
 

@@ -5,8 +5,11 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::{Clock, Matcher, MatcherCounts, Moment};
-use crate::error::Error;
+use crate::error::{Error, ParamError};
 use crate::source::{Source, SourceFrame};
+
+/// Time stamps farther from 0 than this are no clock's, in seconds: 30,000 years.
+const LARGEST_TIMESTAMP_S: f64 = 1e12;
 
 /// A live source that failed so many times in a row counts as gone.
 const MOST_FAILURES: u32 = 100;
@@ -14,8 +17,8 @@ const MOST_FAILURES: u32 = 100;
 /// Frames a second of a recording without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// So many moments with one camera each say that the cameras' clocks have nothing in common.
-const UNMATCHED_ARE_TOLD: u32 = 30;
+/// So many moments of one camera alone, and as many of another in between, say that the cameras' clocks have nothing in common.
+const UNMATCHED_ARE_TOLD: u32 = 10;
 
 /// A frame that has arrived from a camera.
 pub(super) struct Arrived {
@@ -49,8 +52,8 @@ struct State {
     first_error: Option<Error>,
     /// Moments that newer ones replaced.
     skipped: u64,
-    /// Moments of one camera each, one after another, while several gave frames.
-    alone_in_a_row: u32,
+    /// Of each camera the moments that it had alone since two last came together.
+    alone: Vec<u32>,
     has_told_unmatched: bool,
     is_closed: bool,
     started: Instant,
@@ -62,6 +65,10 @@ pub(super) struct Received {
     pub(super) unreadable: u64,
     pub(super) dropped_by_source: u64,
     pub(super) has_ended: bool,
+    /// Whether it ended by an error, which was said.
+    pub(super) has_failed: bool,
+    /// The latest of its time stamps, time offset added, in seconds.
+    pub(super) last_s: Option<f64>,
 }
 
 impl Inbox {
@@ -72,7 +79,7 @@ impl Inbox {
             warnings: VecDeque::new(),
             first_error: None,
             skipped: 0,
-            alone_in_a_row: 0,
+            alone: vec![0; names.len()],
             has_told_unmatched: false,
             is_closed: false,
             started: Instant::now(),
@@ -90,7 +97,7 @@ impl Inbox {
         let _end = EndOf { inbox: self, camera };
         let (mut failures, mut number) = (0, 0u64);
         while !self.lock().is_closed {
-            match source.next_frame() {
+            match source.next_frame().and_then(checked) {
                 Ok(Some(frame)) => {
                     failures = 0;
                     let arrived = Arrived { frame, name: source.frame_name(), since: Instant::now() };
@@ -130,7 +137,10 @@ impl Inbox {
         };
         state.cameras[camera].dropped_by_source = dropped;
         let since = arrived.since;
-        state.matcher.put(camera, stamp_s + time_offset_s, since, arrived);
+        let time_s = stamp_s + time_offset_s;
+        let last_s = &mut state.cameras[camera].last_s;
+        *last_s = Some(last_s.map_or(time_s, |last_s| last_s.max(time_s)));
+        state.matcher.put(camera, time_s, since, arrived);
         self.changed.notify_all();
     }
 
@@ -140,6 +150,7 @@ impl Inbox {
         let goes_on = if is_over { "; the other cameras go on" } else { "" };
         state.warnings.push_back(format!("camera {}: {error}{goes_on}", self.names[camera]));
         if is_over {
+            state.cameras[camera].has_failed = true;
             state.first_error.get_or_insert(error);
         }
         self.changed.notify_all();
@@ -209,10 +220,13 @@ impl State {
 
     /// Warns once if several cameras give frames and none of them belong together.
     fn look_for_unmatched(&mut self, moment: &Moment<Arrived>) {
-        let together = moment.frames.iter().flatten().count();
-        self.alone_in_a_row = if together > 1 { 0 } else { self.alone_in_a_row + 1 };
-        let giving = self.matcher.counts().iter().filter(|counts| counts.received > counts.late + 1).count();
-        if self.alone_in_a_row >= UNMATCHED_ARE_TOLD && giving > 1 && !self.has_told_unmatched {
+        let are_together = moment.frames.iter().flatten().count() > 1;
+        for (alone, frame) in self.alone.iter_mut().zip(&moment.frames) {
+            *alone = if are_together { 0 } else { *alone + u32::from(frame.is_some()) };
+        }
+        // Where only one camera is left, the others are missing.
+        let unmatched = self.alone.iter().filter(|alone| **alone >= UNMATCHED_ARE_TOLD).count();
+        if unmatched > 1 && !self.has_told_unmatched {
             self.has_told_unmatched = true;
             self.warnings.push_back(
                 "no frames of different cameras have time stamps within the tolerance: give time offsets (time_offset_s), a larger \
@@ -220,6 +234,17 @@ impl State {
                     .to_owned(),
             );
         }
+    }
+}
+
+/// Refuses a time stamp that cannot be compared with others.
+fn checked(frame: Option<SourceFrame>) -> Result<Option<SourceFrame>, Error> {
+    match frame.as_ref().and_then(SourceFrame::timestamp_s) {
+        Some(seconds) if seconds.is_nan() || seconds.abs() > LARGEST_TIMESTAMP_S => {
+            let allowed = "seconds, within 1e12 of 0";
+            Err(ParamError { field: "timestamp", value: format!("{seconds:e}"), allowed }.into())
+        }
+        _ => Ok(frame),
     }
 }
 

@@ -4,8 +4,12 @@ use std::time::Duration;
 
 use super::{Rig, RigWay};
 use crate::engines::SmootherOptions;
+use crate::error::ParamError;
 use crate::fleet::FleetDevice;
 use crate::params::SmoothParams;
+
+/// The smallest voxels, in metres: finer than any depth camera measures, and few enough of them for a room.
+const SMALLEST_VOXEL_M: f64 = 1e-4;
 
 /// How a rig is streamed.
 #[derive(Debug, Clone)]
@@ -51,6 +55,27 @@ impl RigOptions {
             max_moments: None,
             max_duration: None,
         }
+    }
+
+    /// Refuses options that do not fit together; [`run`](super::run) does so before it begins.
+    ///
+    /// # Errors
+    /// If the surfaces may be farther apart than 0.1 m, or if points are thinned that are not merged, or to voxels of less than 0.1 mm.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        if !(0.0..=0.1).contains(&self.registration_m) {
+            let value = self.registration_m.to_string();
+            return Err(ParamError { field: "registration_m", value, allowed: "0 to 0.1 m" });
+        }
+        let Some(size_m) = self.voxel_m else { return Ok(()) };
+        if self.way != RigWay::Merged {
+            let (value, allowed) = (self.way.name().to_owned(), "merged, where points are thinned to voxels");
+            return Err(ParamError { field: "way", value, allowed });
+        }
+        if !(size_m >= SMALLEST_VOXEL_M && size_m.is_finite()) {
+            let (value, allowed) = (format!("{size_m:?}"), "a size in metres, 0.0001 or more");
+            return Err(ParamError { field: "voxel", value, allowed });
+        }
+        Ok(())
     }
 
     /// The same with other parameters: one set for each camera, and those of all points as one cloud.

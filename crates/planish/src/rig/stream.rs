@@ -6,9 +6,9 @@ use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::capture::{Arrived, Inbox, Taken};
+use super::capture::{Arrived, Inbox, Received, Taken};
 use super::{
-    CameraStatistics, MatcherCounts, Moment, Rig, RigCamera, RigOptions, RigResults, RigSink, RigSmoother,
+    CameraStatistics, Clock, MatcherCounts, Moment, Rig, RigCamera, RigOptions, RigResults, RigSink, RigSmoother,
     RigStatistics, RigWay,
 };
 use crate::clean::voxel_downsample;
@@ -63,6 +63,9 @@ impl RigFrame {
     }
 }
 
+/// A camera whose frames end this much before another's is said to, in seconds.
+const TOLD_EARLIER_S: f64 = 0.5;
+
 /// What a running rig reports to the caller.
 #[derive(Debug)]
 #[non_exhaustive]
@@ -90,18 +93,7 @@ pub fn run(
     mut tell: impl FnMut(RigEvent<'_>),
 ) -> Result<RigStatistics, Error> {
     let is_live = check_sources(rig, &sources)?;
-    if !(0.0..=0.1).contains(&options.registration_m) {
-        let value = options.registration_m.to_string();
-        return Err(ParamError { field: "registration_m", value, allowed: "0 to 0.1 m" }.into());
-    }
-    if options.voxel_m.is_some() && options.way != RigWay::Merged {
-        let (value, allowed) = (options.way.name().to_owned(), "merged, where points are thinned to voxels");
-        return Err(ParamError { field: "way", value, allowed }.into());
-    }
-    if let Some(size_m) = options.voxel_m.filter(|size_m| !(*size_m > 0.0 && size_m.is_finite())) {
-        let (value, allowed) = (size_m.to_string(), "a size in metres above 0");
-        return Err(ParamError { field: "voxel", value, allowed }.into());
-    }
+    options.validate()?;
     let smoother = RigSmoother::new(rig, options.way, &options.params, options.general_params, &options.smoother)?;
     let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
     let inbox = Arc::new(Inbox::new(names, is_live, rig.tolerance_s, LONGEST_WAIT));
@@ -172,6 +164,11 @@ fn check_sources(rig: &Rig, sources: &[Box<dyn Source>]) -> Result<bool, ParamEr
         let value = format!("{live} live of {}", sources.len());
         let allowed = "live cameras, or recordings; recordings beside live cameras are played at a pace (fps)";
         return Err(ParamError { field: "sources", value, allowed });
+    }
+    if rig.clock == Clock::Arrival && live == 0 {
+        let allowed =
+            "\"source\" for recordings, whose frames come as fast as they are read; \"arrival\" is for live cameras";
+        return Err(ParamError { field: "clock", value: "\"arrival\"".to_owned(), allowed });
     }
     Ok(live != 0)
 }
@@ -245,6 +242,7 @@ impl RigStream<'_> {
         loop {
             let is_over = stop.load(Ordering::Relaxed)
                 || self.options.max_moments.is_some_and(|most| submitted >= most)
+                || self.sinks_are_gone(tell)
                 || self.options.max_duration.is_some_and(|longest| start.elapsed() >= longest);
             if is_over {
                 break;
@@ -269,6 +267,15 @@ impl RigStream<'_> {
             self.receive(inbox, tell)?;
         }
         Ok(())
+    }
+
+    /// Whether there were sinks, and all have failed: nobody would get the results.
+    fn sinks_are_gone(&self, tell: &mut impl FnMut(RigEvent<'_>)) -> bool {
+        let are_gone = !self.sinks.is_empty() && self.sinks.iter().all(SinkThread::has_failed);
+        if are_gone {
+            tell(RigEvent::Warning("every sink has failed: the stream ends".to_owned()));
+        }
+        are_gone
     }
 
     /// Submits a moment; false if none of its frames can be smoothed.
@@ -443,6 +450,22 @@ impl RigStream<'_> {
         }
     }
 
+    /// Says which recordings ended before others.
+    fn tell_short(&self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
+        let (counts, _) = inbox.counts();
+        let Some(latest_s) = counts.iter().filter_map(|(_, received)| received.last_s).reduce(f64::max) else { return };
+        let has_ended = |received: &Received| received.has_ended && !received.has_failed;
+        for (camera, (_, received)) in self.rig.cameras.iter().zip(&counts).filter(|(_, (_, of))| has_ended(of)) {
+            let earlier_s = received.last_s.map_or(0.0, |last_s| latest_s - last_s);
+            if earlier_s > TOLD_EARLIER_S {
+                let name = &camera.name;
+                tell(RigEvent::Warning(format!(
+                    "camera {name}: its frames end {earlier_s:.1} s before another camera's"
+                )));
+            }
+        }
+    }
+
     /// Waits for the sinks and puts the counts together.
     fn finish(&mut self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
         for sink in self.sinks.drain(..) {
@@ -451,11 +474,12 @@ impl RigStream<'_> {
             }
         }
         self.tell_alone(inbox, tell);
+        self.tell_short(inbox, tell);
         let (counts, skipped) = inbox.counts();
         let (dropped_before, skipped_before) = self.at_start.clone().unwrap_or_default();
         self.statistics.moments.dropped = skipped - skipped_before;
         self.statistics.moments.frames_in = self.statistics.moments.frames_out + self.statistics.moments.dropped;
-        let of_camera = |(i, (counts, received)): (usize, (MatcherCounts, super::capture::Received))| {
+        let of_camera = |(i, (counts, received)): (usize, (MatcherCounts, Received))| {
             let dropped = counts.dropped + received.dropped_by_source;
             CameraStatistics {
                 name: self.rig.cameras[i].name.clone(),

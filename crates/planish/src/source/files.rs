@@ -27,8 +27,14 @@ impl FileSource {
         let mut files = entries.map_err(at)?;
         files.retain(|path| path.is_file() && Format::is_of_frames(path));
         files.sort();
-        if files.is_empty() {
+        let Some(first) = files.first() else {
             return Err(malformed(folder, "the folder has no frames (.pcd, .ply, .png, .tiff, .npy)").into());
+        };
+        // Without a camera every depth image would fail: said once, before anything is written.
+        if camera.is_none()
+            && let Ok((_, contents @ (Contents::Depth(_) | Contents::DepthMetres { .. }))) = io::read(first)
+        {
+            return Err(needs_camera(first, contents.shape()).into());
         }
         Ok(Self { files, camera, next: 0, repeated: None, repeats: false })
     }
@@ -48,6 +54,8 @@ impl Source for FileSource {
         // Advanced first, so that a caller that continues after an error gets the next file.
         self.next += 1;
         let frame = read_frame(file, self.camera)?;
+        // Intrinsics are those of one size of images.
+        self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()));
         if self.repeats {
             self.next = 0;
             self.repeated = Some(frame.clone());
@@ -67,27 +75,28 @@ pub(super) fn file_stem(file: &Path) -> Option<String> {
     file.file_stem()?.to_str().map(str::to_owned)
 }
 
+fn needs_camera(file: &Path, (width, height): (usize, usize)) -> IoError {
+    malformed(file, format!("a depth image of {width}x{height} needs its camera (fx, fy, cx, cy); none was given"))
+}
+
 /// Reads one frame file; depth needs a camera.
 pub(super) fn read_frame(file: &Path, camera: Option<Camera>) -> Result<SourceFrame, Error> {
     let (_, contents) = io::read(file)?;
-    let (width, height) = contents.shape();
-    let needs_camera = || {
-        malformed(file, format!("a depth image of {width}x{height} needs its camera (fx, fy, cx, cy); none was given"))
+    let shape = contents.shape();
+    let of_shape = |camera: Camera| {
+        let camera = with_shape(camera, shape);
+        camera.check_shape(shape).map_err(|error| malformed(file, error.to_string()))?;
+        Ok::<_, Error>(camera)
     };
-    let of_shape = |camera: Camera| with_shape(camera, (width, height));
+    let known = || of_shape(camera.ok_or_else(|| needs_camera(file, shape))?);
     match contents {
-        Contents::Depth(image) => {
-            let camera = of_shape(camera.ok_or_else(needs_camera)?);
-            Ok(SourceFrame::Depth(DepthFrame::from_image(camera, image)?))
-        }
+        Contents::Depth(image) => Ok(SourceFrame::Depth(DepthFrame::from_image(known()?, image)?)),
         Contents::DepthMetres { depth_m, .. } => {
-            let camera = of_shape(camera.ok_or_else(needs_camera)?);
-            camera.check_shape((width, height)).map_err(|error| malformed(file, error.to_string()))?;
-            let cloud = DepthView::from_metres(&depth_m, &camera)?.deproject()?;
+            let cloud = DepthView::from_metres(&depth_m, &known()?)?.deproject()?;
             Ok(SourceFrame::Cloud { cloud, timestamp_s: None })
         }
         Contents::Organized(mut cloud) => {
-            cloud.camera = camera.map(of_shape);
+            cloud.camera = camera.map(of_shape).transpose()?;
             Ok(SourceFrame::Cloud { cloud, timestamp_s: None })
         }
         Contents::General(_) => Err(malformed(file, "a general cloud; a stream needs frames on a grid").into()),

@@ -8,7 +8,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::files::{file_stem, read_frame};
-use super::{Source, SourceFrame, malformed};
+use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::{Camera, SATURATED_DEPTH};
 use crate::error::{Error, FormatError, IoError};
 use crate::frame::{DepthFrame, DepthImage};
@@ -77,6 +77,7 @@ impl Source for TumSource {
             );
             return Err(malformed(&file, problem).into());
         }
+        self.camera = with_shape(self.camera, shape);
         if let SourceFrame::Depth(depth) = &mut frame {
             depth.timestamp_s = Some(entry.timestamp_s);
             if let Some(rgb) = &entry.rgb {

@@ -264,6 +264,7 @@ impl Stream<'_> {
         loop {
             let is_over = stop.load(Ordering::Relaxed)
                 || self.options.max_frames.is_some_and(|most| submitted >= most)
+                || self.sinks_are_gone(tell)
                 || self.options.max_duration.is_some_and(|longest| start.elapsed() >= longest);
             if is_over {
                 break;
@@ -303,6 +304,15 @@ impl Stream<'_> {
             self.receive(tell)?;
         }
         Ok(())
+    }
+
+    /// Whether there were sinks, and all have failed: nobody would get the results.
+    fn sinks_are_gone(&self, tell: &mut impl FnMut(StreamEvent<'_>)) -> bool {
+        let are_gone = !self.sinks.is_empty() && self.sinks.iter().all(SinkThread::has_failed);
+        if are_gone {
+            tell(StreamEvent::Warning("every sink has failed: the stream ends".to_owned()));
+        }
+        are_gone
     }
 
     fn submit(&mut self, pending: InFlight, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {

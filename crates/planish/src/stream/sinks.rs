@@ -160,8 +160,8 @@ impl Sink for FolderSink {
 /// Of a source without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// Length of a sink's queue. When it is full a live stream drops results; any other waits.
-const QUEUE: usize = 4;
+/// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full a live stream drops results; any other waits.
+const QUEUE: usize = 8;
 
 /// Consumes results of a kind: what a thread of its own does with them.
 pub(crate) trait Consumer<T>: Send + 'static {
@@ -232,6 +232,11 @@ impl<T: Send + Sync + 'static> SinkThread<T> {
                 Some(format!("{}: gets nothing more: {reason}", self.name))
             }
         }
+    }
+
+    /// Whether it takes nothing more.
+    pub(crate) fn has_failed(&self) -> bool {
+        self.frames.is_none()
     }
 
     /// Returns why it failed, once its thread has ended.

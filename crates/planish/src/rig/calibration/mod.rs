@@ -52,12 +52,30 @@ impl CalibrationOptions {
     pub fn with_metres_per_unit(self, metres_per_unit: f64) -> Self {
         Self { metres_per_unit, ..self }
     }
+
+    /// Refuses frames where there are none.
+    fn refuse_of_ros(&self, what: &str) -> Result<(), FormatError> {
+        let given = [("base", self.base.is_some()), ("frames", !self.frames.is_empty())];
+        match given.iter().find(|(_, is_given)| *is_given) {
+            Some((name, _)) => Err(malformed(format!("{what} has no frames of ROS: leave out {name}"))),
+            None => Ok(()),
+        }
+    }
+
+    /// Refuses a scale where lengths are in metres.
+    fn refuse_scale(&self, what: &str) -> Result<(), FormatError> {
+        if self.metres_per_unit == 1.0 {
+            return Ok(());
+        }
+        Err(malformed(format!("{what} is in metres: leave out the scale, which only COLMAP's units need")))
+    }
 }
 
 /// Reads a calibration as a rig of cameras without sources.
 pub fn read(path: &Path, options: &CalibrationOptions) -> Result<Rig, IoError> {
     let read = || {
         if path.is_dir() {
+            options.refuse_of_ros("a model of COLMAP")?;
             return rig_of(colmap::model(path, options)?, None);
         }
         let bytes = io::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
@@ -71,14 +89,22 @@ pub fn read(path: &Path, options: &CalibrationOptions) -> Result<Rig, IoError> {
 fn parse(text: &str, options: &CalibrationOptions) -> Result<Rig, FormatError> {
     match text.trim_start().chars().next() {
         Some('<') => of_tree(ros::urdf(text)?, options),
-        Some('[') => rig_of(colmap::rig_config(text, options)?, None),
-        _ if kalibr::is_camchain(text) => rig_of(kalibr::camchain(text)?, None),
+        Some('[') => {
+            options.refuse_of_ros("a rig of COLMAP")?;
+            rig_of(colmap::rig_config(text, options)?, None)
+        }
+        _ if kalibr::is_camchain(text) => {
+            options.refuse_of_ros("a camchain of Kalibr")?;
+            options.refuse_scale("a camchain of Kalibr")?;
+            rig_of(kalibr::camchain(text)?, None)
+        }
         _ if text.contains("transforms:") => of_tree(ros::transforms(text)?, options),
         _ => Err(malformed(format!("no calibration that is known; {HELP}"))),
     }
 }
 
 fn of_tree(tree: ros::Tree, options: &CalibrationOptions) -> Result<Rig, FormatError> {
+    options.refuse_scale("a tree of transforms of ROS")?;
     let (base, cameras) = tree.cameras(options)?;
     rig_of(cameras, Some(base))
 }
@@ -107,6 +133,22 @@ fn as_name(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn options_that_do_not_apply_are_refused() {
+        let with_base = || CalibrationOptions::default().with_base(Some("base".into()));
+        let with_scale = || CalibrationOptions::default().with_metres_per_unit(0.1);
+        let transforms = "transforms:\n- header: {frame_id: a}\n";
+        for (text, options, said) in [
+            ("[]", with_base(), "base"),
+            ("cam0:\n  T_cam_imu: []\n", with_base(), "base"),
+            ("cam0:\n  T_cam_imu: []\n", with_scale(), "metres"),
+            (transforms, with_scale(), "metres"),
+        ] {
+            let error = parse(text, &options).unwrap_err().to_string();
+            assert!(error.contains(said), "{text}: {error}");
+        }
+    }
 
     #[test]
     fn what_is_no_calibration_says_what_would_be() {
