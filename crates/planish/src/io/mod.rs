@@ -14,6 +14,7 @@ mod format;
 mod kitti;
 #[cfg(feature = "scans")]
 mod las;
+mod little_endian;
 mod mesh;
 mod npy;
 #[cfg(feature = "npz")]

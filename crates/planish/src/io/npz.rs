@@ -2,7 +2,6 @@
 
 use std::io::{Cursor, Read, Write};
 
-use npyz::{DType, NpyFile, TypeChar};
 use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
 use super::columns::with_values;
@@ -87,36 +86,29 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<Conten
 
 /// An array as a field of so many points; `None` if it has another number of values, as a matrix beside the points.
 fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Option<Attribute>> {
-    npy::check_header(array)?;
-    let file = NpyFile::new(array).map_err(damaged)?;
-    let DType::Plain(kind) = file.dtype() else { return Ok(None) };
-    let (kind, size) = (kind.type_char(), kind.size_field());
-    let len = file.shape().iter().try_fold(1u64, |product, &n| product.checked_mul(n));
-    let Some(len) = len.filter(|len| rows > 0 && len % rows as u64 == 0 && *len > 0) else { return Ok(None) };
-    if len.checked_mul(size).is_none_or(|bytes| bytes > array.len() as u64) {
-        return Err(FormatError::Malformed(format!("the array {name} is cut short")));
+    let array = match npy::Array::parse(array) {
+        Ok(array) => array,
+        Err(error) => return Err(FormatError::Malformed(format!("the array {name}: {error}"))),
+    };
+    let len = array.header.len().unwrap_or(0);
+    if rows == 0 || len % rows != 0 || len == 0 {
+        return Ok(None);
     }
-    let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
-    if file.order() != npyz::Order::C && shape.len() > 1 {
-        return field(name, &npy::in_c_order(array, &shape, size as usize)?, rows);
-    }
-    let values: AttributeValues = match (kind, size) {
-        (TypeChar::Int, 1) => file.into_vec::<i8>().map_err(damaged)?.into(),
-        (TypeChar::Int, 2) => file.into_vec::<i16>().map_err(damaged)?.into(),
-        (TypeChar::Int, 4) => file.into_vec::<i32>().map_err(damaged)?.into(),
-        (TypeChar::Int, 8) => file.into_vec::<i64>().map_err(damaged)?.into(),
-        (TypeChar::Uint, 1) => file.into_vec::<u8>().map_err(damaged)?.into(),
-        (TypeChar::Uint, 2) => file.into_vec::<u16>().map_err(damaged)?.into(),
-        (TypeChar::Uint, 4) => file.into_vec::<u32>().map_err(damaged)?.into(),
-        (TypeChar::Uint, 8) => file.into_vec::<u64>().map_err(damaged)?.into(),
-        (TypeChar::Float, 4) => file.into_vec::<f32>().map_err(damaged)?.into(),
-        (TypeChar::Float, 8) => file.into_vec::<f64>().map_err(damaged)?.into(),
-        (TypeChar::Bool, 1) => {
-            file.into_vec::<bool>().map_err(damaged)?.into_iter().map(u8::from).collect::<Vec<_>>().into()
-        }
+    let values: AttributeValues = match (array.header.kind, array.header.size) {
+        ('i', 1) => array.values::<i8>().into(),
+        ('i', 2) => array.values::<i16>().into(),
+        ('i', 4) => array.values::<i32>().into(),
+        ('i', 8) => array.values::<i64>().into(),
+        ('u' | 'b', 1) => array.values::<u8>().into(),
+        ('u', 2) => array.values::<u16>().into(),
+        ('u', 4) => array.values::<u32>().into(),
+        ('u', 8) => array.values::<u64>().into(),
+        ('f', 4) => array.values::<f32>().into(),
+        ('f', 8) => array.values::<f64>().into(),
         _ => {
             return Err(FormatError::Unsupported(format!(
-                "the array {name} is of {kind:?} of {size} bytes: save it as integers, f32 or f64, or leave it out"
+                "the array {name} is of the type {}: save it as integers, f32 or f64, or leave it out",
+                array.header.descr
             )));
         }
     };
@@ -171,17 +163,17 @@ pub(super) fn encode(cloud: CloudRef<'_>) -> FormatResult<Vec<u8>> {
         writer.start_file(format!("{name}.npy"), options).map_err(|error| FormatError::Os(error.into()))?;
         Ok(writer.write_all(array)?)
     };
-    add(POSITIONS[0], &npy::encode_points(cloud)?)?;
+    add(POSITIONS[0], &npy::encode_points(cloud))?;
     let (width, height) = cloud.grid();
     let mut named = cloud.points().clone();
     named.unpack_colour();
     for attribute in vectors(&named.attributes).iter().filter(|attribute| attribute.name != "_") {
         let grid = match cloud {
-            CloudRef::Organized(_) => vec![height as u64, width as u64],
-            CloudRef::General(_) => vec![width as u64],
+            CloudRef::Organized(_) => vec![height, width],
+            CloudRef::General(_) => vec![width],
         };
-        let shape = if attribute.count == 1 { grid } else { [grid, vec![attribute.count as u64]].concat() };
-        let array = with_values!(&attribute.values, values => npy::encode(&shape, values.iter().copied())?);
+        let shape = if attribute.count == 1 { grid } else { [grid, vec![attribute.count]].concat() };
+        let array = with_values!(&attribute.values, values => npy::encode(&shape, values.iter().copied()));
         add(&attribute.name, &array)?;
     }
     Ok(writer.finish().map_err(|error| FormatError::Os(error.into()))?.into_inner())

@@ -69,7 +69,7 @@ pub fn encode_cloud<'a>(
     match format {
         Format::Pcd => pcd::encode(cloud, encoding),
         Format::Ply => ply::encode(cloud, encoding),
-        Format::Npy => npy::encode_points(cloud),
+        Format::Npy => Ok(npy::encode_points(cloud)),
         #[cfg(feature = "scans")]
         Format::Las | Format::Laz => las::encode(cloud.points(), format == Format::Laz),
         Format::Text => xyz_text::encode(cloud, Heading::Comment),
@@ -102,7 +102,7 @@ pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, Forma
         Format::DepthTiff => depth_tiff::encode(image),
         #[cfg(not(feature = "tiff"))]
         Format::DepthTiff => Err(left_out(format)),
-        Format::Npy => npy::encode_depth(image),
+        Format::Npy => Ok(npy::encode_depth(image)),
         _ => Err(FormatError::Unsupported(
             "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),
         )),
@@ -130,5 +130,5 @@ pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
 
 /// Writes depth in metres as a NumPy array of f32, [height, width].
 pub fn write_depth_metres(path: &Path, width: usize, depth_m: &[f32]) -> Result<(), IoError> {
-    npy::encode_depth_metres(width, depth_m).and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+    write_whole(path, &npy::encode_depth_metres(width, depth_m)).map_err(IoError::at(path))
 }

@@ -5,30 +5,7 @@ use super::lzf;
 use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
 use crate::io::columns::with_values;
-
-/// A number with a little-endian form.
-trait LittleEndian: Copy {
-    fn read(bytes: &[u8]) -> Self;
-    fn write(self, bytes: &mut [u8]);
-}
-
-macro_rules! little_endian {
-    ($($scalar:ty)*) => {$(
-        impl LittleEndian for $scalar {
-            #[inline(always)]
-            fn read(bytes: &[u8]) -> Self {
-                let mut value = [0; size_of::<$scalar>()];
-                value.copy_from_slice(bytes);
-                Self::from_le_bytes(value)
-            }
-            #[inline(always)]
-            fn write(self, bytes: &mut [u8]) {
-                bytes.copy_from_slice(&self.to_le_bytes());
-            }
-        }
-    )*};
-}
-little_endian!(i8 u8 i16 u16 i32 u32 i64 u64 f32 f64);
+use crate::io::little_endian::LittleEndian;
 
 /// Reads one field: `count` values from `offset` on in every `stride` bytes.
 fn read_field(

@@ -1,0 +1,37 @@
+//! Numbers by their bytes.
+
+/// A number with a little-endian form.
+pub(super) trait LittleEndian: Copy {
+    /// Reads the number that all these bytes are.
+    fn read(bytes: &[u8]) -> Self;
+
+    /// Reads the number that all these bytes are in the other order.
+    fn read_big_endian(bytes: &[u8]) -> Self;
+
+    /// Writes all these bytes.
+    fn write(self, bytes: &mut [u8]);
+}
+
+macro_rules! little_endian {
+    ($($scalar:ty)*) => {$(
+        impl LittleEndian for $scalar {
+            #[inline(always)]
+            fn read(bytes: &[u8]) -> Self {
+                let mut value = [0; size_of::<$scalar>()];
+                value.copy_from_slice(bytes);
+                Self::from_le_bytes(value)
+            }
+            #[inline(always)]
+            fn read_big_endian(bytes: &[u8]) -> Self {
+                let mut value = [0; size_of::<$scalar>()];
+                value.copy_from_slice(bytes);
+                Self::from_be_bytes(value)
+            }
+            #[inline(always)]
+            fn write(self, bytes: &mut [u8]) {
+                bytes.copy_from_slice(&self.to_le_bytes());
+            }
+        }
+    )*};
+}
+little_endian!(i8 u8 i16 u16 i32 u32 i64 u64 f32 f64);
