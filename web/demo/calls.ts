@@ -6,6 +6,7 @@ export type Call =
   | { method: "about" }
   | { method: "open"; name: string; bytes: ArrayBuffer }
   | { method: "simulate"; seed: number }
+  | { method: "readCamera"; frame: Frame; text: string }
   | { method: "smooth"; frame: Frame; settings: Settings; camera: CameraLike | undefined; webgpu: boolean }
   | { method: "picture"; frame: Frame; side: Side; kind: PictureKind; camera: CameraLike | undefined }
   | { method: "cloud"; frame: Frame; side: Side; kind: PictureKind; camera: CameraLike | undefined }

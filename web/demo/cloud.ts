@@ -38,6 +38,9 @@ export class CloudView {
     this.view = gl.getUniformLocation(program, "view");
     this.size = gl.getUniformLocation(program, "size");
     this.buffers = [gl.createBuffer(), gl.createBuffer()];
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    // Everything that the context had is gone.
+    canvas.addEventListener("webglcontextrestored", () => location.reload());
     this.listen();
   }
 

@@ -16,14 +16,18 @@ const control = (name: string) => form.elements.namedItem(name) as HTMLInputElem
 
 let frame: Frame | undefined;
 let result: Result | undefined;
-/** The text of a camera file that was opened; else the fields say the camera. */
-let cameraFile: string | undefined;
+/** The camera that was given for frames of this size; without one it is assumed. */
+let given: { camera: Camera; width: number; height: number } | undefined;
 let name = "simulated";
 let seed = 1;
 let cloudView: CloudView | undefined;
 let hasGpu = false;
+let withoutGpu: string | undefined;
 /** Grows with every change: results of older ones are dropped. */
 let version = 0;
+/** Grows with every frame that is asked for: the last one wins, whichever is read first. */
+let asked = 0;
+let isComputing = false;
 
 function say(text: string): void {
   find("#status").textContent = text;
@@ -36,8 +40,11 @@ function fail(error: unknown): void {
 }
 
 function why(of: string, reason: string): void {
-  find(`.why[data-of="${of}"]`).textContent = reason;
+  const shown = find(`.why[data-of="${of}"]`);
   const named = of === "png" ? find<HTMLButtonElement>('[data-format="png"]') : control(of);
+  shown.textContent = reason;
+  shown.id = `why-${of}`;
+  named.setAttribute("aria-describedby", shown.id);
   named.disabled = reason !== "";
 }
 
@@ -50,13 +57,20 @@ function explain(): void {
   why("window", noGrid);
   why("edges", "");
   why("webgpu", isGeneral ? "Clouds without a grid are smoothed by the CPU here." : hasGpu ? "" : (withoutGpu ?? ""));
+  if (hasGpu && !isGeneral && result?.withoutGpu) find('.why[data-of="webgpu"]').textContent = result.withoutGpu;
   why("png", frame && frame.kind !== "depth" ? "The frame came as points; a PNG holds depth." : "");
   const colour = control("kind").querySelector<HTMLOptionElement>('[value="colour"]')!;
   colour.disabled = !frame?.has_colour;
   find(`.why[data-of="kind"]`).textContent = frame?.has_colour ? "" : "The frame has no colour of its own.";
   find("#camera-fields").hidden = !frame?.assumed_camera;
+  for (const button of find("#save").querySelectorAll("button")) button.disabled ||= result === undefined;
+  if (result) for (const button of find("#save").querySelectorAll("button")) button.disabled = button.dataset["format"] === "png" && frame?.kind !== "depth";
 }
-let withoutGpu: string | undefined;
+
+/** What the command does by default: edges are kept but with the 2011 setting, and in clouds without a grid. */
+function defaultEdges(): void {
+  control("edges").checked = frame?.kind !== "general" && control("preset").value !== "paper";
+}
 
 function settings(): Settings {
   const [preset, sensor, samples] = [control("preset").value, control("sensor").value, control("window").value];
@@ -73,18 +87,51 @@ const CAMERA_FIELDS = ["fx", "fy", "cx", "cy", "depth_scale"] as const;
 
 function camera(): CameraLike | undefined {
   if (!frame?.assumed_camera) return undefined;
-  if (cameraFile !== undefined) return cameraFile;
-  return Object.fromEntries(CAMERA_FIELDS.map((field) => [field, Number(control(field).value)])) as unknown as Camera;
+  return given?.camera ?? frame.assumed_camera;
 }
 
-function setCamera(of: Camera): void {
-  cameraFile = undefined;
-  for (const field of CAMERA_FIELDS) control(field).value = String(of[field] ?? "");
+/** Shows the camera in its fields. */
+function showCamera(): void {
+  const shown = given?.camera ?? frame?.assumed_camera;
+  for (const field of CAMERA_FIELDS) control(field).value = String(shown?.[field] ?? "");
+}
+
+/** Takes the fields as the camera; a distortion that a file gave stays. */
+function takeFields(): void {
+  if (!frame?.assumed_camera) return;
+  const numbers = CAMERA_FIELDS.map((field) => [field, control(field).valueAsNumber] as const);
+  const wrong = numbers.find(([, number]) => !Number.isFinite(number));
+  if (wrong) return fail(new Error(`${wrong[0] === "depth_scale" ? "units per metre" : wrong[0]} of the camera: a number is needed`));
+  const camera = { ...(given?.camera ?? frame.assumed_camera), ...Object.fromEntries(numbers) } as Camera;
+  given = { camera, width: frame.width, height: frame.height };
+  void update();
+}
+
+async function openCamera(file: File | undefined): Promise<void> {
+  if (!file || !frame) return;
+  const of = frame;
+  try {
+    if (!of.assumed_camera) throw new Error(`${file.name}: this frame came as points, which need no camera`);
+    const camera = await ask<Camera>({ method: "readCamera", frame: of, text: await file.text() });
+    if (frame !== of) return;
+    given = { camera, width: of.width, height: of.height };
+    showCamera();
+    find<HTMLDetailsElement>("#camera-fields").open = true;
+    await update();
+  } catch (error) {
+    fail(new Error(`${file.name}: ${error instanceof Error ? error.message : String(error)}`));
+  }
 }
 
 function paint(canvas: HTMLCanvasElement, { width, height, rgba }: Picture): void {
   [canvas.width, canvas.height] = [width, height];
   canvas.getContext("2d")!.putImageData(new ImageData(rgba, width, height), 0, 0);
+}
+
+/** Leaves nothing of an older frame in the smoothed picture. */
+function clearSmoothed(): void {
+  const [raw, smoothed] = [find<HTMLCanvasElement>("#raw"), find<HTMLCanvasElement>("#smoothed")];
+  [smoothed.width, smoothed.height] = [raw.width, raw.height];
 }
 
 /** Draws both sides, or the cloud. */
@@ -97,7 +144,13 @@ async function draw(): Promise<void> {
   find("#pictures").hidden = isCloud;
   find("#cloud").hidden = !isCloud;
   if (isCloud) {
-    cloudView ??= new CloudView(find<HTMLCanvasElement>("#cloud"));
+    try {
+      cloudView ??= new CloudView(find<HTMLCanvasElement>("#cloud"));
+    } catch (error) {
+      control("layout").value = "divider";
+      await draw();
+      throw error;
+    }
     const side = layout === "cloud-raw" ? "raw" : smoothed;
     const { points, rgba } = await ask<{ points: Float32Array<ArrayBuffer>; rgba: Uint8Array<ArrayBuffer> }>({
       method: "cloud", frame: drawn, side, kind, camera: camera(),
@@ -123,52 +176,89 @@ async function drawRaw(): Promise<void> {
   if (at === version) paint(find<HTMLCanvasElement>("#raw"), picture);
 }
 
-/** Smooths the frame by the controls and draws it. */
+/** Smooths the frame by the controls and draws it; changes that come meanwhile are smoothed once, when this is done. */
 async function update(): Promise<void> {
-  const [smoothed, at] = [frame, ++version];
+  version += 1;
   explain();
-  if (!smoothed) return;
+  if (isComputing || !frame) return;
+  isComputing = true;
   document.body.setAttribute("aria-busy", "true");
   try {
-    const done = await ask<Result>({ method: "smooth", frame: smoothed, settings: settings(), camera: camera(), webgpu: control("webgpu").checked });
-    if (at !== version) {
-      await ask({ method: "release", held: [done] });
-      return;
+    for (let done = 0; done !== version;) {
+      done = version;
+      await compute(done);
     }
-    if (result) await ask({ method: "release", held: [result] });
+  } finally {
+    isComputing = false;
+    document.body.removeAttribute("aria-busy");
+  }
+}
+
+async function compute(at: number): Promise<void> {
+  const smoothed = frame!;
+  const slow = setTimeout(() => say(`Smoothing ${name}...`), 500);
+  try {
+    const done = await ask<Result>({ method: "smooth", frame: smoothed, settings: settings(), camera: camera(), webgpu: control("webgpu").checked });
+    if (at !== version) return void (await ask({ method: "release", held: [done] }));
+    const before = result;
     result = done;
+    if (before) await ask({ method: "release", held: [before] });
     find("#error").hidden = true;
+    explain();
     await draw();
+    if (at !== version) return;
     const engine = done.engine === "webgpu" ? "WebGPU" : "WebAssembly";
     const size = smoothed.kind === "general" ? "" : `${smoothed.width}x${smoothed.height}, `;
-    say(`${name} (${smoothed.format}): ${size}${done.points.toLocaleString("en")} points, ${done.milliseconds.toFixed(0)} ms by ${engine}`);
+    const points = done.points === 1 ? "1 point" : `${done.points.toLocaleString("en")} points`;
+    say(`${name} (${smoothed.format}): ${size}${points}, ${done.milliseconds.toFixed(0)} ms by ${engine}`);
   } catch (error) {
-    if (at === version) fail(error);
+    if (at !== version) return;
+    if (result) await ask({ method: "release", held: [result] }).catch(() => undefined);
+    result = undefined;
+    clearSmoothed();
+    explain();
+    fail(error);
+    say(`${name} (${smoothed.format}): not smoothed`);
   } finally {
-    if (at === version) document.body.removeAttribute("aria-busy");
+    clearTimeout(slow);
   }
 }
 
-/** Takes another frame in place of the one that is there. */
-async function take(opening: Promise<Frame>, called: string): Promise<void> {
+/** Takes another frame in place of the one that is there, unless one was asked for after it. */
+async function take(opening: () => Promise<Frame>, called: string): Promise<void> {
+  const ticket = ++asked;
+  const said = find("#status").textContent ?? "";
+  say(`Reading ${called}...`);
   try {
-    const opened = await opening;
+    const opened = await opening();
+    if (ticket !== asked) return void (await ask({ method: "release", held: [opened] }));
     const held = [frame, result].filter((held) => held !== undefined);
+    const wasGeneral = frame?.kind === "general";
+    version += 1;
     [frame, result, name] = [opened, undefined, called];
     if (held.length > 0) await ask({ method: "release", held });
-    if (opened.assumed_camera) setCamera(opened.assumed_camera);
+    if (ticket !== asked) return;
+    if (given && (given.width !== opened.width || given.height !== opened.height)) given = undefined;
+    showCamera();
+    if (wasGeneral !== (opened.kind === "general")) defaultEdges();
     if (!opened.has_colour && control("kind").value === "colour") control("kind").value = "relief";
     await drawRaw();
+    if (ticket !== asked) return;
+    clearSmoothed();
     await update();
   } catch (error) {
+    if (ticket !== asked) return;
     fail(error);
+    say(said);
   }
 }
 
-async function openFile(file: File | undefined): Promise<void> {
+async function openFiles(files: FileList | null | undefined): Promise<void> {
+  const file = files?.[0];
   if (!file) return;
-  say(`Reading ${file.name}...`);
-  await take(file.arrayBuffer().then((bytes) => ask<Frame>({ method: "open", name: file.name, bytes })), file.name);
+  if (/\.(json|ya?ml)$/i.test(file.name)) return openCamera(file);
+  await take(async () => ask<Frame>({ method: "open", name: file.name, bytes: await file.arrayBuffer() }), file.name);
+  if (files.length > 1) fail(new Error(`${files.length} files came: ${file.name} is shown, the others are not opened`));
 }
 
 async function save(format: string): Promise<void> {
@@ -190,19 +280,21 @@ function listen(): void {
   form.addEventListener("change", ({ target }) => {
     const { name: changed } = target as HTMLInputElement;
     if (changed === "kind" || changed === "layout") void draw().catch(fail);
-    else if ((CAMERA_FIELDS as readonly string[]).includes(changed)) {
-      cameraFile = undefined;
+    else if ((CAMERA_FIELDS as readonly string[]).includes(changed)) takeFields();
+    else if (changed) {
+      if (changed === "preset") defaultEdges();
       void update();
-    } else if (changed) void update();
+    }
   });
-  find("#file").addEventListener("change", ({ target }) => void openFile((target as HTMLInputElement).files?.[0]));
-  find("#camera-file").addEventListener("change", async ({ target }) => {
-    cameraFile = await (target as HTMLInputElement).files?.[0]?.text();
-    void update();
-  });
+  for (const selector of ["#file", "#camera-file"]) {
+    // So that the same file, changed or not, can be chosen again.
+    find(selector).addEventListener("click", ({ target }) => ((target as HTMLInputElement).value = ""));
+  }
+  find("#file").addEventListener("change", ({ target }) => void openFiles((target as HTMLInputElement).files));
+  find("#camera-file").addEventListener("change", ({ target }) => void openCamera((target as HTMLInputElement).files?.[0]));
   find("#sample").addEventListener("click", () => {
     seed += 1;
-    void take(ask<Frame>({ method: "simulate", seed }), "simulated");
+    void take(() => ask<Frame>({ method: "simulate", seed }), "simulated");
   });
   find("#save").addEventListener("click", ({ target }) => {
     const { format } = (target as HTMLElement).dataset;
@@ -220,7 +312,7 @@ function listen(): void {
   document.addEventListener("drop", (event) => {
     event.preventDefault();
     document.body.classList.remove("dropping");
-    void openFile(event.dataTransfer?.files[0]);
+    void openFiles(event.dataTransfer?.files);
   });
 }
 
@@ -233,7 +325,11 @@ async function start(): Promise<void> {
   const gpu = about.isSoftware ? `a GPU in software, ${about.adapter}: WebAssembly is faster` : about.adapter;
   const has = hasGpu ? `WebGPU: ${gpu}` : `No WebGPU (${about.withoutGpu}; Chrome and Edge have it, and newer Safari and Firefox)`;
   find("#about").textContent = `planish ${about.version}. ${has}.`;
-  await take(ask<Frame>({ method: "simulate", seed }), "simulated");
+  await take(() => ask<Frame>({ method: "simulate", seed }), "simulated");
 }
 
-start().catch(fail);
+start().catch((error) => {
+  fail(error);
+  say("planish did not start.");
+  form.querySelectorAll("fieldset").forEach((fieldset) => (fieldset.disabled = true));
+});

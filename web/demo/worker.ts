@@ -15,6 +15,8 @@ async function answer(call: Call): Promise<unknown> {
       return engine.open(call.name, new Uint8Array(call.bytes));
     case "simulate":
       return engine.simulate(call.seed);
+    case "readCamera":
+      return engine.readCamera(call.frame, call.text);
     case "smooth":
       engine.usesGpu = call.webgpu;
       return engine.smoothFrame(call.frame, call.settings, call.camera);

@@ -19,33 +19,70 @@ const NO_BYTES = new Uint8Array();
 
 /** The module, and what it holds: frames, plans and results by their numbers. */
 export class Core {
-  private constructor(private readonly exports: Exports) {}
+  private exports: Exports;
+  /** The last number that was given to something held. */
+  private last = 0;
+
+  private constructor(
+    private readonly module: WebAssembly.Module,
+    instance: WebAssembly.Instance,
+  ) {
+    this.exports = instance.exports as unknown as Exports;
+  }
 
   /** Compiles the module from its bytes or a response. */
   static async load(source: Response | BufferSource): Promise<Core> {
-    const { instance } =
+    const { module, instance } =
       source instanceof Response
         ? await WebAssembly.instantiateStreaming(source, {})
         : await WebAssembly.instantiate(source, {});
-    return new Core(instance.exports as unknown as Exports);
+    return new Core(module, instance);
   }
 
   /** Asks for something. The bytes of the reply are a copy. */
   call<T>(request: { op: string; [key: string]: unknown }, bytes: Uint8Array = NO_BYTES): { ok: T; bytes: Uint8Array<ArrayBuffer> } {
-    const json = new TextEncoder().encode(JSON.stringify(request));
-    const e = this.exports;
-    const [jsonAt, bytesAt] = [this.put(json), this.put(bytes)];
+    const text = JSON.stringify(request, onlyFinite);
+    let answer: { ok: T; bytes: Uint8Array<ArrayBuffer> };
     try {
-      e.planish_call(jsonAt, json.length, bytesAt, bytes.length);
-    } finally {
-      e.planish_free(jsonAt, json.length);
-      e.planish_free(bytesAt, bytes.length);
+      answer = this.ask<T>(new TextEncoder().encode(text), bytes);
+    } catch (error) {
+      if (!(error instanceof WebAssembly.RuntimeError)) throw error;
+      const usedMiB = Math.round(this.memoryBytes / 2 ** 20);
+      this.startAnew();
+      throw new PlanishError(
+        `the module stopped (${error.message}), most likely because ${usedMiB} MiB were in use and it needed more: it has started anew, ` +
+          "and what it held is gone. Open the frame again, or a smaller one",
+      );
     }
+    const { frame, plan, result } = (answer.ok ?? {}) as { frame?: number; plan?: number; result?: number };
+    this.last = Math.max(this.last, frame ?? 0, plan ?? 0, result ?? 0);
+    return answer;
+  }
+
+  private ask<T>(json: Uint8Array, bytes: Uint8Array): { ok: T; bytes: Uint8Array<ArrayBuffer> } {
+    const e = this.exports;
+    const jsonAt = this.put(json);
+    let bytesAt: number;
+    try {
+      bytesAt = this.put(bytes);
+    } catch (error) {
+      e.planish_free(jsonAt, json.length);
+      throw error;
+    }
+    e.planish_call(jsonAt, json.length, bytesAt, bytes.length);
+    e.planish_free(jsonAt, json.length);
+    e.planish_free(bytesAt, bytes.length);
     const reply = JSON.parse(new TextDecoder().decode(this.part(0))) as { ok?: T; error?: string };
     const answer = this.part(1).slice();
     e.planish_reply_done();
     if (reply.error !== undefined) throw new PlanishError(reply.error);
     return { ok: reply.ok as T, bytes: answer };
+  }
+
+  /** After a trap, whose instance cannot be trusted. Numbers go on, so that an old one means nothing new. */
+  private startAnew(): void {
+    this.exports = new WebAssembly.Instance(this.module, {}).exports as unknown as Exports;
+    this.ask(new TextEncoder().encode(JSON.stringify({ op: "continue", after: this.last })), NO_BYTES);
   }
 
   /** Bytes of the module's memory. */
@@ -54,14 +91,21 @@ export class Core {
   }
 
   private put(bytes: Uint8Array): number {
-    const at = this.exports.planish_alloc(bytes.length);
-    if (at === 0) throw new PlanishError(`out of memory: ${bytes.length} bytes`);
+    // Addresses come as signed numbers.
+    const at = this.exports.planish_alloc(bytes.length) >>> 0;
+    if (at === 0) throw new PlanishError(`out of memory: the module has ${this.memoryBytes} bytes and needs ${bytes.length} more`);
     new Uint8Array(this.exports.memory.buffer, at, bytes.length).set(bytes);
     return at;
   }
 
   private part(part: number): Uint8Array<ArrayBuffer> {
     const { memory, planish_reply, planish_reply_len } = this.exports;
-    return new Uint8Array(memory.buffer as ArrayBuffer, planish_reply(part), planish_reply_len(part));
+    return new Uint8Array(memory.buffer as ArrayBuffer, planish_reply(part) >>> 0, planish_reply_len(part) >>> 0);
   }
+}
+
+/** Refuses what JSON has no form for, and would leave out. */
+function onlyFinite(key: string, value: unknown): unknown {
+  if (typeof value === "number" && !Number.isFinite(value)) throw new PlanishError(`${key} = ${value} is not allowed: a finite number is`);
+  return value;
 }

@@ -1,7 +1,7 @@
 // planish in the browser: depth or points in, smoothed points, normals and status out.
 
 import { Core, PlanishError } from "./core.js";
-import { Gpu, type Plan } from "./webgpu.js";
+import { FrameTooLarge, Gpu, type Plan } from "./webgpu.js";
 
 export { PlanishError } from "./core.js";
 
@@ -74,6 +74,8 @@ export interface Result {
   engine: "webgpu" | "wasm";
   /** From the call to the result, in milliseconds; compiling kernels, which happens once, counts in. */
   milliseconds: number;
+  /** Why WebGPU did not compute it, though it was asked for. */
+  withoutGpu?: string;
 }
 
 /** The arrays of a result, pixel by pixel, row by row. */
@@ -100,7 +102,7 @@ export interface About {
 }
 
 export type PictureKind = "relief" | "depth" | "normals" | "colour";
-/** Raw, or the result of this number. */
+/** Raw, or a result of the frame. */
 export type Side = "raw" | { result: number };
 
 export interface LoadOptions {
@@ -152,6 +154,7 @@ export class Planish {
 
   /** Smooths raw depth, `width` x `height` values in units of the camera's `depth_scale`, 0 for holes. */
   async smooth(depth: Uint16Array, camera: Camera & { width: number; height: number }, settings: Settings = {}): Promise<Smoothed> {
+    if (typeof camera !== "object" || camera === null) throw new PlanishError("the second argument is the camera: { width, height, fx, fy, cx, cy }");
     const frame = this.depth(depth, camera.width, camera.height);
     try {
       const result = await this.smoothFrame(frame, settings, camera);
@@ -163,19 +166,30 @@ export class Planish {
     }
   }
 
-  /** Reads a file: PCD, PLY, NPY, 16-bit PNG or TIFF, XYZ, and more. */
-  open(name: string, bytes: Uint8Array): Frame {
-    return this.core.call<Frame>({ op: "open", name }, bytes).ok;
+  /** Reads a file: PCD, PLY, NPY, 16-bit PNG, XYZ or CSV, OBJ, STL. */
+  open(name: string, bytes: Uint8Array | ArrayBuffer): Frame {
+    const given = bytes instanceof ArrayBuffer ? new Uint8Array(bytes) : bytes;
+    if (!(given instanceof Uint8Array)) throw new PlanishError(`${name}: the file's bytes are given as Uint8Array or ArrayBuffer`);
+    return this.core.call<Frame>({ op: "open", name }, given).ok;
   }
 
   /** Takes raw depth. */
   depth(depth: Uint16Array, width: number, height: number): Frame {
+    if (!(depth instanceof Uint16Array)) throw new PlanishError("raw depth is given as Uint16Array");
+    checkShape(depth.length, width, height, 1);
     return this.core.call<Frame>({ op: "depth", width, height }, bytesOf(depth)).ok;
   }
 
   /** Takes points on a grid: x, y and z of each pixel in metres, NaN for holes. */
   points(points: Float32Array, width: number, height: number): Frame {
+    if (!(points instanceof Float32Array)) throw new PlanishError("points are given as Float32Array");
+    checkShape(points.length, width, height, 3);
     return this.core.call<Frame>({ op: "points", width, height }, bytesOf(points)).ok;
+  }
+
+  /** Reads a camera file for a frame. */
+  readCamera(frame: Frame, text: string): Camera {
+    return this.core.call<Camera>({ op: "read_camera", frame: frame.frame, camera: text }).ok;
   }
 
   /** Simulates a frame of a Kinect v1. */
@@ -186,11 +200,13 @@ export class Planish {
   /** Smooths a frame: on WebGPU, or in WebAssembly where there is none, it was lost, or the frame is more than it takes. */
   async smoothFrame(frame: Frame, settings: Settings = {}, camera?: CameraLike): Promise<Result> {
     const start = performance.now();
+    let withoutGpu: string | undefined;
     const request = { frame: frame.frame, settings, ...(camera === undefined ? {} : { camera }) };
     const done = (ok: Omit<Result, "engine" | "milliseconds">, engine: Result["engine"]): Result => ({
       ...ok,
       engine,
       milliseconds: performance.now() - start,
+      ...(withoutGpu === undefined ? {} : { withoutGpu }),
     });
     if (this.gpu && this.usesGpu && frame.kind !== "general") {
       const gpu = this.gpu;
@@ -200,8 +216,9 @@ export class Planish {
         return done(this.core.call<Result>({ op: "finish", plan: plan.plan }, output).ok, "webgpu");
       } catch (error) {
         this.releaseIds([plan.plan]);
-        if (error instanceof PlanishError && gpu.lost === undefined) throw error;
-        await this.loseGpu(gpu, error);
+        if (error instanceof FrameTooLarge) withoutGpu = `WebGPU has no room for this frame: ${error.message}`;
+        else if (error instanceof PlanishError && !(await gpu.isLost())) throw error;
+        else withoutGpu = await this.loseGpu(gpu, error);
       }
     }
     return done(this.core.call<Result>({ op: "smooth", ...request }).ok, "wasm");
@@ -221,14 +238,14 @@ export class Planish {
 
   /** Draws a frame, raw or smoothed, as RGBA. */
   picture(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { width: number; height: number; rgba: Uint8ClampedArray<ArrayBuffer> } {
-    const request = { op: "picture", frame: frame.frame, side, kind, ...(camera === undefined ? {} : { camera }) };
+    const request = { op: "picture", frame: frame.frame, side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
     const { ok, bytes } = this.core.call<{ width: number; height: number }>(request);
     return { width: ok.width, height: ok.height, rgba: new Uint8ClampedArray(bytes.buffer) };
   }
 
   /** The finite points of a frame, raw or smoothed, with a colour each. */
   cloud(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { points: Float32Array<ArrayBuffer>; rgba: Uint8Array<ArrayBuffer> } {
-    const request = { op: "cloud", frame: frame.frame, side, kind, ...(camera === undefined ? {} : { camera }) };
+    const request = { op: "cloud", frame: frame.frame, side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
     const { ok, bytes } = this.core.call<{ points: number }>(request);
     return { points: new Float32Array(bytes.buffer, 0, 3 * ok.points), rgba: new Uint8Array(bytes.buffer, 12 * ok.points) };
   }
@@ -244,6 +261,13 @@ export class Planish {
     this.releaseIds(held.map((held) => ("frame" in held ? held.frame : held.result)));
   }
 
+  /** Gives the GPU back; WebAssembly goes on. */
+  close(): void {
+    this.gpu?.close();
+    this.gpu = undefined;
+    this.withoutGpu = "it was closed";
+  }
+
   private releaseIds(ids: number[]): void {
     this.core.call({ op: "release", ids });
   }
@@ -257,14 +281,31 @@ export class Planish {
     }
   }
 
-  /** Opens a lost device once more; WebAssembly computes the frame at hand. */
-  private async loseGpu(gpu: Gpu, error: unknown): Promise<void> {
-    if (this.gpu !== gpu) return;
+  /** Opens a lost device once more; WebAssembly computes the frame at hand. Returns why. */
+  private async loseGpu(gpu: Gpu, error: unknown): Promise<string> {
+    const isLost = await gpu.isLost();
+    const reason = `WebGPU failed: ${gpu.lost ?? String(error)}`;
+    // Several frames in flight find the same loss.
+    if (this.gpu !== gpu) return reason;
     this.gpu = undefined;
-    const reason = gpu.lost ?? String(error);
     gpu.close();
-    if (gpu.lost !== undefined) await this.openGpu();
-    this.withoutGpu ??= this.gpu ? undefined : `WebGPU failed: ${reason}`;
+    if (isLost) await this.openGpu();
+    if (!this.gpu) this.withoutGpu = reason;
+    return reason;
+  }
+}
+
+/** As the module takes it; a result has more than its number. */
+function sideOf(side: Side): Side {
+  return side === "raw" ? side : { result: side.result };
+}
+
+function checkShape(length: number, width: number, height: number, values: number): void {
+  const isSize = [width, height].every((side) => Number.isInteger(side) && side > 0);
+  if (!isSize) throw new PlanishError(`width and height are ${width} and ${height}: whole numbers above 0 are allowed`);
+  if (length !== values * width * height) {
+    const each = values === 1 ? "a value" : `${values} values`;
+    throw new PlanishError(`${length} values came; ${width}x${height} pixels of ${each} each are ${values * width * height}`);
   }
 }
 
@@ -272,7 +313,13 @@ function bytesOf(values: Uint16Array | Float32Array): Uint8Array {
   return new Uint8Array(values.buffer, values.byteOffset, values.byteLength);
 }
 
-async function fetched(address: URL | string): Promise<Response | ArrayBuffer> {
+async function fetched(address: URL | string): Promise<Response | BufferSource> {
+  if (String(address).startsWith("file:")) {
+    // Node, whose fetch reads no files. Bundlers need not look into this.
+    const node = "node:fs/promises";
+    const files = (await import(/* @vite-ignore */ node)) as { readFile(file: URL): Promise<Uint8Array<ArrayBuffer>> };
+    return files.readFile(new URL(address));
+  }
   const response = await fetch(address);
   if (!response.ok) throw new PlanishError(`${String(address)} was not found (${response.status})`);
   // Servers that do not know the type of .wasm files are forgiven.

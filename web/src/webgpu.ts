@@ -22,6 +22,12 @@ interface Slot {
 /** Frames that may be in flight before `run` waits. */
 const SLOTS = 3;
 
+/** How long an adapter may take to answer, in milliseconds. */
+const PATIENCE_MS = 5000;
+
+/** A frame that the device cannot take, though it goes on with others. */
+export class FrameTooLarge extends Error {}
+
 /** Kernels and buffers on a device. */
 export class Gpu {
   private readonly pipelines = new Map<string, Promise<GPUComputePipeline>>();
@@ -53,7 +59,8 @@ export class Gpu {
   /** Opens the adapter with all that it allows: the default of 16 KiB of workgroup memory is less than tiles need. `undefined` without WebGPU. */
   static async open(): Promise<Gpu | undefined> {
     const gpu = (globalThis.navigator as Navigator | undefined)?.gpu;
-    const adapter = await gpu?.requestAdapter({ powerPreference: "high-performance" }).catch(() => null);
+    const asked = gpu?.requestAdapter({ powerPreference: "high-performance" }).catch(() => null);
+    const adapter = await Promise.race([asked, after(PATIENCE_MS)]);
     if (!adapter) return undefined;
     const { maxComputeWorkgroupStorageSize, maxStorageBufferBindingSize, maxBufferSize } = adapter.limits;
     const device = await adapter.requestDevice({
@@ -74,9 +81,10 @@ export class Gpu {
   /** Runs a plan on what it uploads and returns the bytes that its kernels wrote. */
   async run(plan: Plan, upload: Uint8Array<ArrayBuffer>): Promise<Uint8Array<ArrayBuffer>> {
     const pipelines = await Promise.all(plan.passes.map((pass) => this.pipeline(pass.entry_point, pass.wgsl)));
+    const { device } = this;
     const slot = await this.slot(plan, upload.length);
+    let isWhole = false;
     try {
-      const { device } = this;
       device.queue.writeBuffer(slot.uniform, 0, new Uint32Array(plan.uniform));
       device.queue.writeBuffer(slot.input, 0, upload);
       const bound = [slot.uniform, slot.input, slot.output, ...slot.kept];
@@ -97,10 +105,19 @@ export class Gpu {
       await slot.readback.mapAsync(GPUMapMode.READ, 0, plan.output_bytes);
       const result = new Uint8Array(slot.readback.getMappedRange(0, plan.output_bytes)).slice();
       slot.readback.unmap();
+      isWhole = true;
       return result;
     } finally {
-      this.give(slot);
+      if (isWhole) this.free.push(slot);
+      else destroy(slot);
+      this.leave();
     }
+  }
+
+  /** Whether the device is lost: what waits for it may hear of that first. */
+  async isLost(): Promise<boolean> {
+    await Promise.race([this.device.lost, after(100)]);
+    return this.lost !== undefined;
   }
 
   /** Frees its buffers and the device. */
@@ -116,34 +133,58 @@ export class Gpu {
       compute: { module: this.device.createShaderModule({ code: wgsl }), entryPoint },
     });
     this.pipelines.set(wgsl, compiling);
+    // One that failed may be tried again.
+    compiling.catch(() => this.pipelines.delete(wgsl));
     return compiling;
   }
 
   private async slot(plan: Plan, inputBytes: number): Promise<Slot> {
     while (this.open >= SLOTS) await new Promise<void>((resolve) => this.waiting.push(resolve));
     this.open += 1;
+    try {
+      return await this.buffers(plan, inputBytes);
+    } catch (error) {
+      this.leave();
+      throw error;
+    }
+  }
+
+  /** Buffers for a plan. Without looking for errors those that were not created would read as zeros. */
+  private async buffers(plan: Plan, inputBytes: number): Promise<Slot> {
     const key = [inputBytes, plan.output_bytes, ...plan.kept_bytes].join();
     const at = this.free.findIndex((slot) => slot.key === key);
     if (at >= 0) return this.free.splice(at, 1)[0]!;
     // Frames of another size: their buffers are in the way.
     this.free.splice(0).forEach(destroy);
-    const buffer = (size: number, usage: number) => this.device.createBuffer({ size: Math.ceil(size / 4) * 4, usage });
+    const { device } = this;
+    const buffer = (size: number, usage: number) => device.createBuffer({ size: Math.ceil(size / 4) * 4, usage });
     const { STORAGE, COPY_DST, COPY_SRC, UNIFORM, MAP_READ } = GPUBufferUsage;
-    return {
+    device.pushErrorScope("validation");
+    device.pushErrorScope("out-of-memory");
+    const slot = {
       key,
       uniform: buffer(16, UNIFORM | COPY_DST),
       input: buffer(inputBytes, STORAGE | COPY_DST),
       output: buffer(plan.output_bytes, STORAGE | COPY_SRC),
       readback: buffer(plan.output_bytes, MAP_READ | COPY_DST),
       kept: [buffer(plan.kept_bytes[0], STORAGE), buffer(plan.kept_bytes[1], STORAGE)],
-    };
+    } satisfies Slot;
+    const errors = await Promise.all([device.popErrorScope(), device.popErrorScope()]);
+    const error = errors.find((error) => error !== null);
+    if (!error) return slot;
+    destroy(slot);
+    throw new FrameTooLarge(error.message);
   }
 
-  private give(slot: Slot): void {
+  /** Lets the next frame in. */
+  private leave(): void {
     this.open -= 1;
-    if (this.lost === undefined) this.free.push(slot);
     this.waiting.shift()?.();
   }
+}
+
+function after(milliseconds: number): Promise<undefined> {
+  return new Promise((resolve) => setTimeout(() => resolve(undefined), milliseconds));
 }
 
 function destroy(slot: Slot): void {

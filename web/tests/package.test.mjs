@@ -11,7 +11,8 @@ const SETTINGS = [{}, { preset: "paper" }, { edges: "off" }, { preset: "strong",
 let planish, browser, server;
 
 before(async () => {
-  planish = await Planish.load({ wasm: await readFile(`${root}/dist/planish.wasm`), webgpu: false });
+  // In Node too it finds its module, beside the code.
+  planish = await Planish.load();
 });
 
 after(async () => {
@@ -58,6 +59,61 @@ test("what is wrong is said in words", async () => {
   await said(() => planish.smoothFrame(frame, {}, frame.assumed_camera));
 });
 
+test("arrays of other types, numbers that are none and cameras that are misspelt are refused", async () => {
+  const [width, height] = [4, 3];
+  const camera = { width, height, fx: 4, fy: 4, cx: 1.5, cy: 1 };
+  const depth = new Uint16Array(12).fill(1000);
+  const refused = (work, said) => assert.rejects(async () => work(), (error) => error instanceof PlanishError && said.test(error.message));
+  await refused(() => planish.smooth(new Int16Array(12), camera), /Uint16Array/);
+  await refused(() => planish.smooth(Array(12).fill(1000), camera), /Uint16Array/);
+  await refused(() => planish.smooth(depth), /second argument/);
+  await refused(() => planish.points(new Float64Array(36), width, height), /Float32Array/);
+  await refused(() => planish.depth(depth, 4, 4), /12 values came; 4x4/);
+  await refused(() => planish.depth(depth, -4, -3), /whole numbers above 0/);
+  await refused(() => planish.open("x.pcd", "text"), /Uint8Array or ArrayBuffer/);
+  await refused(() => planish.smooth(depth, { ...camera, fx: NaN }), /fx = NaN/);
+  await refused(() => planish.smooth(depth, camera, { radius: Infinity }), /radius = Infinity/);
+  await refused(() => planish.smooth(depth, { ...camera, depthScale: 5000 }), /no "depthScale"/);
+});
+
+test("a result outlives its frame", async () => {
+  const frame = planish.simulate(1, ...SHAPE);
+  const result = await planish.smoothFrame(frame, {}, frame.assumed_camera);
+  planish.release(frame);
+  assert.equal(planish.open("a.ply", planish.write(result, "ply", frame.assumed_camera)).width, SHAPE[0]);
+  assert.throws(() => planish.picture(frame, "raw", "relief", frame.assumed_camera), PlanishError);
+  planish.release(result);
+});
+
+test("more than the memory takes is said, and the module goes on", async () => {
+  const raw = new Uint16Array(12_000 * 8000).fill(1000);
+  const held = [];
+  const fill = () => {
+    while (held.length < 40) held.push(planish.depth(raw, 12_000, 8000));
+  };
+  assert.throws(fill, (error) => error instanceof PlanishError && /out of memory|started anew/.test(error.message));
+  const large = held.at(-1);
+  planish.release(...held);
+  // Released or gone, its number means nothing else.
+  assert.throws(() => planish.picture(large, "raw", "relief", large.assumed_camera), PlanishError);
+  const frame = planish.simulate(2, ...SHAPE);
+  assert.ok(frame.frame > large.frame);
+  const result = await planish.smoothFrame(frame, {}, frame.assumed_camera);
+  assert.ok(result.points > 10_000);
+  planish.release(frame, result);
+});
+
+test("colour goes into PLY as other programs expect it", async () => {
+  const header = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 2\nHEIGHT 2\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA ascii\n";
+  const points = [0, 1, 2, 3].map((i) => `${(i % 2) / 100} ${Math.floor(i / 2) / 100} 1 ${0x102030 + i}`).join("\n");
+  const frame = planish.open("a.pcd", new TextEncoder().encode(`${header}${points}\n`));
+  const result = await planish.smoothFrame(frame);
+  const ply = new TextDecoder("latin1").decode(planish.write(result, "ply"));
+  assert.match(ply, /property uchar red/);
+  // A result may stand for its side as it is.
+  assert.equal(planish.picture(frame, result, "colour").width, 2);
+});
+
 /** The beginning of a PNG and nothing after it. */
 function pngStart() {
   return [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0, 0, 0, 13];
@@ -96,6 +152,58 @@ test("memory is flat over ten large frames", async () => {
     sizes.push(planish.memoryBytes);
   }
   assert.equal(sizes.at(-1), sizes[1], sizes.join());
+});
+
+test("a GPU without room, and one that is lost, leave no frame behind", { timeout: 300_000 }, async () => {
+  const server = await serve(root);
+  const browser = await launch();
+  try {
+    const page = await browser.newPage();
+    await page.goto(`${server.address}tests/empty.html`);
+    const ran = await page.evaluate(async (shape) => {
+      const { Planish } = await import("/dist/index.js");
+      const devices = [];
+      const requestDevice = GPUAdapter.prototype.requestDevice;
+      GPUAdapter.prototype.requestDevice = async function (...options) {
+        const device = await requestDevice.apply(this, options);
+        devices.push(device);
+        return device;
+      };
+      const planish = await Planish.load();
+      planish.usesGpu = true;
+      const frame = planish.simulate(1, ...shape);
+      const smooth = () => planish.smoothFrame(frame, { preset: "paper" }, frame.assumed_camera);
+      const first = await smooth();
+      const z = (result) => planish.arrays(result).points.filter((value) => Number.isFinite(value)).reduce((sum, value) => sum + Math.abs(value), 0);
+      const createBuffer = GPUDevice.prototype.createBuffer;
+      const [otherShape, larger] = [[120, 90], 2 ** 41];
+      GPUDevice.prototype.createBuffer = function (descriptor) {
+        return createBuffer.call(this, descriptor.usage & GPUBufferUsage.UNIFORM ? descriptor : { ...descriptor, size: larger });
+      };
+      const small = planish.simulate(1, ...otherShape);
+      const without = await planish.smoothFrame(small, { preset: "paper" }, small.assumed_camera);
+      GPUDevice.prototype.createBuffer = createBuffer;
+      const after = await smooth();
+      // Lost while frames are in flight.
+      const inFlight = [1, 2, 3, 4].map(smooth);
+      await new Promise((resolve) => setTimeout(resolve, 5));
+      devices.at(-1).destroy();
+      const survived = await Promise.all(inFlight);
+      const again = await smooth();
+      return {
+        engines: [first, without, after, again].map((result) => result.engine), why: without.withoutGpu, adapter: planish.adapter,
+        sums: [first, after, ...survived, again].map(z), points: [without.points, small.valid], devices: devices.length,
+      };
+    }, SHAPE);
+    assert.deepEqual(ran.engines, ["webgpu", "wasm", "webgpu", "webgpu"], JSON.stringify(ran));
+    assert.match(ran.why, /no room/);
+    assert.ok(ran.adapter && ran.devices === 2, JSON.stringify(ran));
+    assert.ok(ran.points[0] > 0.9 * ran.points[1], JSON.stringify(ran.points));
+    for (const sum of ran.sums) assert.ok(Math.abs(sum - ran.sums[0]) < 1e-4 * ran.sums[0], JSON.stringify(ran.sums));
+  } finally {
+    await browser.close();
+    await server.close();
+  }
 });
 
 test("WebGPU gives what WebAssembly gives", { timeout: 600_000 }, async () => {

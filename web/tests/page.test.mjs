@@ -108,6 +108,53 @@ test("wrong files are told in words and change nothing", async () => {
     assert.ok(await page.isVisible("#error"));
   }
   assert.equal(await pixels("#smoothed"), before);
+  assert.match(await page.textContent("#status"), /^$|points/);
+});
+
+/** Drops files, and returns at once. */
+function drop(files) {
+  return page.evaluate((files) => {
+    const transfer = new DataTransfer();
+    for (const [name, bytes] of files) transfer.items.add(new File([new Uint8Array(bytes)], name));
+    document.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
+  }, files.map(([name, bytes]) => [name, Array.from(bytes)]));
+}
+
+test("of files that are dropped at once the last one stays, and nothing of a frame before it", async () => {
+  const [png, ply] = [await file("png"), await file("ply")];
+  const large = planish.simulate(5, 640, 480);
+  const slow = planish.write(await planish.smoothFrame(large, { preset: "light" }, large.assumed_camera), "pcd", large.assumed_camera);
+  await writeFile(join(folder, "slow.pcd"), slow);
+  await page.setInputFiles("#file", join(folder, "slow.pcd"));
+  await drop([["first.png", png]]);
+  await drop([["last.ply", ply]]);
+  await settled("last.ply");
+  // While a large frame is smoothed, which is chosen once more.
+  const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.click("#file")]);
+  await chooser.setFiles(join(folder, "slow.pcd"));
+  await page.waitForFunction(() => document.querySelector("#raw").width === 640);
+  await drop([["quick.png", png]]);
+  await settled("quick.png");
+  assert.match(await pixels("#smoothed"), /^160x120 /);
+  assert.ok(await page.isHidden("#error"), await page.textContent("#error"));
+  // Two files: the first, and a word on the other.
+  await drop([["one.ply", ply], ["two.ply", ply]]);
+  await settled("one.ply");
+  assert.match(await page.textContent("#error"), /2 files came: one\.ply is shown/);
+});
+
+test("a frame that cannot be smoothed leaves neither an older one's picture nor its files", async () => {
+  const old = await pixels("#smoothed");
+  await page.selectOption('[name="sensor"]', "auto");
+  const pcd = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 3\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 6\nDATA ascii\n";
+  await drop([["tiny.pcd", Buffer.from(`${pcd}${"0 0 1\n".repeat(6)}`)]]);
+  await page.waitForFunction(() => document.querySelector("#status").textContent.includes("not smoothed"));
+  assert.match(await page.textContent("#error"), /sensor/);
+  assert.notEqual(await pixels("#smoothed"), old);
+  for (const format of ["pcd", "ply", "png"]) assert.ok(await page.isDisabled(`[data-format="${format}"]`), format);
+  await change(() => page.selectOption('[name="sensor"]', "kinect1"));
+  assert.ok(await page.isEnabled('[data-format="ply"]'));
+  assert.ok(await page.isHidden("#error"));
 });
 
 test("every control changes the picture, those that do nothing are off and say why", async () => {
@@ -149,7 +196,16 @@ test("a camera file says the camera", async () => {
   await settled("frame.png");
   const before = await pixels("#smoothed");
   const camera = { name: "camera.json", mimeType: "application/json", buffer: Buffer.from('{"fx": 300, "fy": 300, "cx": 80, "cy": 60}') };
-  assert.notEqual(await change(() => page.setInputFiles("#camera-file", camera)), before);
+  const after = await change(() => page.setInputFiles("#camera-file", camera));
+  assert.notEqual(after, before);
+  // It is in the fields, stays for the next frame of that size, and gives way to a camera that is dropped.
+  assert.equal(await page.inputValue('[name="fx"]'), "300");
+  await drop([["next.png", await file("png")]]);
+  await settled("next.png");
+  assert.equal(await page.inputValue('[name="fx"]'), "300");
+  assert.equal(await change(() => drop([["camera.json", camera.buffer]])), after);
+  await drop([["wrong.json", Buffer.from('{"fx": 1}')]]);
+  await page.waitForFunction(() => /wrong\.json: .*fx, fy, cx and cy/.test(document.querySelector("#error").textContent));
 });
 
 test("a cloud without a grid is smoothed, and what does not concern it is off", async () => {
@@ -158,6 +214,19 @@ test("a cloud without a grid is smoothed, and what does not concern it is off", 
   await settled("scan.xyz");
   for (const name of ["strength", "sensor", "window"]) assert.ok(await page.isDisabled(`[name="${name}"]`), name);
   assert.match(await page.textContent("#status"), /4,000 points/);
+  // As the command smooths it, where nothing is said of edges; and to be seen: not black.
+  assert.ok(!(await page.isChecked('[name="edges"]')));
+  assert.equal((await pixels("#raw")).split(" ")[0], (await pixels("#smoothed")).split(" ")[0]);
+  const bright = await page.evaluate(() => {
+    const canvas = document.querySelector("#raw");
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const lit = data.filter((value, i) => i % 4 === 0 && data[i + 3] > 0);
+    return lit.reduce((sum, value) => sum + value, 0) / lit.length;
+  });
+  assert.ok(bright > 120, `${bright}`);
+  await drop([["frame.png", await file("png")]]);
+  await settled("frame.png");
+  assert.ok(await page.isChecked('[name="edges"]'));
 });
 
 test("keys move the divider and turn the cloud", async () => {

@@ -11,11 +11,13 @@
 mod abi;
 mod held;
 mod picture;
+mod plans;
 mod request;
 mod session;
 mod settings;
 
 pub use held::HeldFrame;
+pub use plans::usual_plans;
 pub use request::{PictureKind, Reply, Request, Side};
 pub use session::Session;
 pub use settings::{CameraGiven, Settings};

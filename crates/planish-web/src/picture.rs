@@ -1,6 +1,6 @@
 //! Pictures as RGBA, for a canvas.
 
-use planish::render::{colours, difference_normals, relief};
+use planish::render::{colours, difference_normals, normals_of, relief};
 use planish::{OrganizedCloud, PointCloud, Xyz};
 
 use crate::request::PictureKind;
@@ -21,13 +21,16 @@ pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
     [near, far.max(near + 1e-6)]
 }
 
-/// Near red, far blue: the hues between, evenly bright.
+/// Near red, far blue: the hues between, evenly bright. Of depths before a camera by their inverse, since what is near is seen in most pixels and
+/// measured most finely.
 fn depth_colour(z: f32, [near, far]: [f32; 2]) -> [u8; 3] {
     if !z.is_finite() {
         return HOLE;
     }
-    let share = ((z - near) / (far - near)).clamp(0.0, 1.0);
-    let hue = 4.0 * share;
+    let scale = |z: f32| if near > 0.0 { -1.0 / z.clamp(near, far) } else { z };
+    let share = ((scale(z) - scale(near)) / (scale(far) - scale(near))).clamp(0.0, 1.0);
+    // Outside of these all hues are one red or one blue.
+    let hue = 0.5 + 3.0 * share;
     let part = |centre: f32| (1.5 - (hue - centre).abs()).clamp(0.0, 1.0);
     [part(0.5), part(2.0), part(3.5)].map(|part| (255.0 * (0.1 + 0.85 * part)) as u8)
 }
@@ -47,9 +50,14 @@ pub(crate) fn colours_of(
     normals: Option<&Xyz>,
     kind: PictureKind,
     range: [f32; 2],
+    is_general: bool,
 ) -> Vec<[u8; 3]> {
     let (width, height) = (cloud.width(), cloud.height());
-    let between_pixels = || difference_normals(width, height, cloud.positions());
+    // Those of a general cloud's picture are its fields.
+    let between_pixels = || match cloud.points.attribute("normal_x") {
+        Some(_) if is_general => normals_of(cloud),
+        _ => difference_normals(width, height, cloud.positions()),
+    };
     let pixels = |rgb: Vec<u8>| rgb.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
     match kind {
         PictureKind::Depth => cloud.positions().z.iter().map(|&z| depth_colour(z, range)).collect(),
@@ -65,14 +73,24 @@ pub(crate) fn colours_of(
     }
 }
 
-/// The colours of the points of a general cloud: its own, or those of its depth along z.
-pub(crate) fn colours_of_general(cloud: &PointCloud, kind: PictureKind) -> Vec<[u8; 3]> {
-    match cloud.rgb() {
-        Some(rgb) if matches!(kind, PictureKind::Colour | PictureKind::Relief) => rgb,
-        _ => {
-            let range = depth_range(&cloud.positions);
-            cloud.positions.z.iter().map(|&z| depth_colour(z, range)).collect()
+/// The colours of the points of a general cloud: its own, shades or colours of its normals, or those of its depth along z where it has neither.
+pub(crate) fn colours_of_general(
+    cloud: &PointCloud,
+    normals: Option<&Xyz>,
+    kind: PictureKind,
+    range: [f32; 2],
+) -> Vec<[u8; 3]> {
+    let lit =
+        |normals: &Xyz| relief(normals.len(), 1, normals).rgb.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+    match (kind, cloud.rgb(), normals) {
+        (PictureKind::Colour, Some(rgb), _) => rgb,
+        (PictureKind::Normals, _, Some(normals)) => normals.iter().map(normal_colour).collect(),
+        (PictureKind::Relief, _, Some(normals)) => {
+            // Whichever side of it is turned to the light from above.
+            lit(&normals.iter().map(|n| if n[2] > 0.0 { n.map(|value| -value) } else { n }).collect())
         }
+        (PictureKind::Relief, Some(rgb), None) => rgb,
+        _ => cloud.positions.z.iter().map(|&z| depth_colour(z, range)).collect(),
     }
 }
 

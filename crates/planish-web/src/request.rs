@@ -12,6 +12,18 @@ use crate::settings::{CameraGiven, Settings};
 pub enum Request {
     /// The names of presets, sensors, statuses and formats, and the version.
     About,
+    /// Numbers what comes next from here on: of a module that goes on where another ended.
+    Continue {
+        /// The last number that was given.
+        after: u32,
+    },
+    /// Reads a camera file.
+    ReadCamera {
+        /// For which frame.
+        frame: u32,
+        /// The text.
+        camera: CameraGiven,
+    },
     /// Reads a file, whose bytes these are.
     Open {
         /// Its name; where its contents do not say the format, its extension does.

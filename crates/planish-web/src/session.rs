@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::rc::Rc;
 
-use planish::io::{Contents, Encoding, Format, ReadOptions, decode_with, encode_cloud, encode_depth};
-use planish::render::seen_from;
+use planish::io::{Contents, Encoding, Format, ReadOptions, camera_to_json, decode_with, encode_cloud, encode_depth};
+use planish::render::{DistantView, normals_of};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::webgpu::{Plan, WebGpuLimits};
 use planish::{
-    Camera, DepthImage, Engine, IntoFrame, OrganizedCloud, Outputs, PointCloud, SensorModel, SmoothParams, Smoothed,
-    Smoother, SmootherOptions, Status, Xyz,
+    Camera, DepthImage, Engine, FormatError, IntoFrame, OrganizedCloud, Outputs, PointCloud, SensorModel, SmoothParams,
+    Smoothed, Smoother, SmootherOptions, Status, Xyz,
 };
 use serde_json::{Value, json};
 
@@ -18,22 +19,28 @@ use crate::picture::{colours_of, colours_of_general, depth_range, rgba};
 use crate::request::{PictureKind, Reply, Request, Side};
 use crate::settings::{CameraGiven, Settings};
 
-/// Files that need more are refused: a page has 4 GiB at most, and others beside it.
-const MAX_MEMORY_BYTES: u64 = 1 << 30;
+/// Files that need more are refused: the module has 4 GiB at most, and frame, copy, result and pictures all go into it.
+const MAX_MEMORY_BYTES: u64 = 1 << 29;
 /// The longer side of a picture of a general cloud, in pixels.
 const GENERAL_PICTURE_PX: usize = 640;
+
+/// What the library says of formats whose features are not built in.
+const LEFT_OUT: &str = "this build leaves out";
 
 type Answer = Result<(Value, Vec<u8>), String>;
 
 /// A result of a frame.
 struct Outcome {
     frame: u32,
+    /// That frame, which may be released before its results.
+    held: Rc<HeldFrame>,
     smoothed: Smoothed,
 }
 
 /// A plan, and the frame that it is of.
 struct Planned {
     frame: u32,
+    held: Rc<HeldFrame>,
     plan: Plan,
 }
 
@@ -49,7 +56,7 @@ struct Opened {
 #[derive(Default)]
 pub struct Session {
     next: u32,
-    frames: BTreeMap<u32, HeldFrame>,
+    frames: BTreeMap<u32, Rc<HeldFrame>>,
     plans: BTreeMap<u32, Planned>,
     results: BTreeMap<u32, Outcome>,
     opened: Option<Opened>,
@@ -74,6 +81,15 @@ impl Session {
     fn answer(&mut self, request: Request, bytes: &[u8]) -> Answer {
         match request {
             Request::About => Ok((about(), Vec::new())),
+            Request::Continue { after } => {
+                self.next = after;
+                Ok((json!({}), Vec::new()))
+            }
+            Request::ReadCamera { frame, camera } => {
+                let camera = camera.camera(self.frame(frame)?.contents.shape())?;
+                let read: Value = serde_json::from_str(&camera_to_json(&camera)).map_err(text)?;
+                Ok((read, Vec::new()))
+            }
             Request::Open { name } => self.open(&name, bytes),
             Request::Depth { width, height } => {
                 let raw = numbers(bytes, width, height, 2, |bytes| u16::from_le_bytes([bytes[0], bytes[1]]))?;
@@ -118,22 +134,30 @@ impl Session {
         let mut described = held.describe();
         let number = self.number();
         described["frame"] = number.into();
-        self.frames.insert(number, held);
+        self.frames.insert(number, Rc::new(held));
         Ok((described, Vec::new()))
     }
 
-    fn frame(&self, number: u32) -> Result<&HeldFrame, String> {
-        self.frames.get(&number).ok_or_else(|| format!("there is no frame {number}: it was released"))
+    fn frame(&self, number: u32) -> Result<&Rc<HeldFrame>, String> {
+        self.frames.get(&number).ok_or_else(|| format!("there is no frame {number}, or it was released"))
     }
 
     fn result(&self, number: u32) -> Result<&Outcome, String> {
-        self.results.get(&number).ok_or_else(|| format!("there is no result {number}: it was released"))
+        self.results.get(&number).ok_or_else(|| format!("there is no result {number}, or it was released"))
     }
 
     fn open(&mut self, name: &str, bytes: &[u8]) -> Answer {
         let options = ReadOptions::default().with_max_memory_bytes(MAX_MEMORY_BYTES);
         let announced = Format::of_extension(Path::new(name));
-        let (format, contents) = decode_with(bytes, announced, &options).map_err(|error| format!("{name}: {error}"))?;
+        let (format, contents) = decode_with(bytes, announced, &options).map_err(|error| match error {
+            FormatError::Unsupported(what) if what.contains(LEFT_OUT) => {
+                let format = what.split(',').next().unwrap_or_default();
+                format!(
+                    "{name}: {format} is not read here; the command reads it: save it as PCD, PLY, NPY or a 16-bit PNG"
+                )
+            }
+            error => format!("{name}: {error}"),
+        })?;
         self.hold(contents, format.name())
     }
 
@@ -149,10 +173,10 @@ impl Session {
     }
 
     fn smooth(&mut self, number: u32, settings: &Settings, given: Option<&CameraGiven>) -> Answer {
-        let held = self.frames.get(&number).ok_or_else(|| format!("there is no frame {number}: it was released"))?;
+        let held = Rc::clone(self.frame(number)?);
         let camera = held.camera(given)?;
         let outputs = held.outputs();
-        let params = params_of(held, settings, camera.as_ref())?;
+        let params = params_of(&held, settings, camera.as_ref())?;
         let (opened, mut smoothed) = (&mut self.opened, Smoothed::default());
         held.with(camera.as_ref(), |frame| {
             let grid = frame.grid();
@@ -167,13 +191,13 @@ impl Session {
                 None => Ok(()),
             }
         })?;
-        self.keep(number, smoothed)
+        self.keep(number, held, smoothed)
     }
 
     fn plan(&mut self, number: u32, settings: &Settings, given: Option<&CameraGiven>, limits: &WebGpuLimits) -> Answer {
-        let held = self.frame(number)?;
+        let held = Rc::clone(self.frame(number)?);
         let camera = held.camera(given)?;
-        let params = params_of(held, settings, camera.as_ref())?;
+        let params = params_of(&held, settings, camera.as_ref())?;
         let outputs = held.outputs();
         let (plan, upload) = held.with(camera.as_ref(), |frame| {
             let mut plan = Plan::new(params, outputs, frame, limits)?;
@@ -190,19 +214,19 @@ impl Session {
             "plan": id, "passes": passes, "uniform": plan.uniform(), "output_bytes": plan.output_bytes(),
             "kept_bytes": plan.kept_bytes(),
         });
-        self.plans.insert(id, Planned { frame: number, plan });
+        self.plans.insert(id, Planned { frame: number, held, plan });
         Ok((described, upload))
     }
 
     fn finish(&mut self, plan: u32, bytes: &[u8]) -> Answer {
         let missing = || format!("there is no plan {plan}: it was finished or released");
-        let Planned { frame, plan } = self.plans.remove(&plan).ok_or_else(missing)?;
+        let Planned { frame, held, plan } = self.plans.remove(&plan).ok_or_else(missing)?;
         let mut smoothed = Smoothed::default();
         plan.read(bytes, &mut smoothed).map_err(text)?;
-        self.keep(frame, smoothed)
+        self.keep(frame, held, smoothed)
     }
 
-    fn keep(&mut self, frame: u32, smoothed: Smoothed) -> Answer {
+    fn keep(&mut self, frame: u32, held: Rc<HeldFrame>, smoothed: Smoothed) -> Answer {
         let counts = smoothed.status_counts().unwrap_or_default();
         let number = self.number();
         let described = json!({
@@ -210,7 +234,7 @@ impl Session {
             "points": (0..smoothed.points.len()).filter(|&i| smoothed.points.is_finite(i)).count(),
             "status_counts": counts,
         });
-        self.results.insert(number, Outcome { frame, smoothed });
+        self.results.insert(number, Outcome { frame, held, smoothed });
         Ok((described, Vec::new()))
     }
 
@@ -227,12 +251,14 @@ impl Session {
     /// A frame, raw or smoothed, with its normals where it has some.
     fn points(&self, frame: u32, side: Side, camera: Option<&Camera>) -> Result<(PointCloud, Option<Xyz>), String> {
         let no_points = || "the frame has no points".to_owned();
-        let mut points = self.frame(frame)?.points(camera).ok_or_else(no_points)?;
-        let Side::Result(result) = side else { return Ok((points, None)) };
+        let Side::Result(result) = side else {
+            return Ok((self.frame(frame)?.points(camera).ok_or_else(no_points)?, None));
+        };
         let outcome = self.result(result)?;
         if outcome.frame != frame {
             return Err(format!("the result {result} is of another frame"));
         }
+        let mut points = outcome.held.points(camera).ok_or_else(no_points)?;
         points.apply(&outcome.smoothed, Outputs::POINTS.with_normals(true)).map_err(text)?;
         Ok((points, outcome.smoothed.normals.clone()))
     }
@@ -241,20 +267,22 @@ impl Session {
         let held = self.frame(number)?;
         let camera = held.camera(given)?;
         let (points, normals) = self.points(number, side, camera.as_ref())?;
-        let (cloud, normals) = if let Contents::General(_) = &held.contents {
-            // From above.
-            (seen_from(&points, [0.0, 0.0, 1.0], GENERAL_PICTURE_PX).map_err(text)?, None)
+        let is_general = matches!(held.contents, Contents::General(_));
+        let (cloud, normals) = if let Contents::General(raw) = &held.contents {
+            // From above, both sides alike.
+            let view = DistantView::of(raw, [0.0, 0.0, 1.0], GENERAL_PICTURE_PX).map_err(text)?;
+            let cloud = view.see(&points).map_err(text)?;
+            let normals = normals_of(&cloud);
+            (cloud, Some(normals))
         } else {
             let (width, height) = held.contents.shape();
             (OrganizedCloud::new(width, height, points).map_err(text)?, normals)
         };
         // Both sides in the colours of the raw one.
         let raw = held.points(camera.as_ref()).map(|raw| depth_range(&raw.positions));
-        let range = match &held.contents {
-            Contents::General(_) => depth_range(cloud.positions()),
-            _ => raw.unwrap_or([0.0, 1.0]),
-        };
-        let colours = colours_of(&cloud, normals.as_ref(), kind, range);
+        // Seen from above, z is down.
+        let range = raw.map_or([0.0, 1.0], |[near, far]| if is_general { [-far, -near] } else { [near, far] });
+        let colours = colours_of(&cloud, normals.as_ref(), kind, range, is_general);
         let bytes = rgba(&colours, cloud.positions());
         Ok((json!({ "width": cloud.width(), "height": cloud.height(), "depth_range_m": range }), bytes))
     }
@@ -264,12 +292,12 @@ impl Session {
         let camera = held.camera(given)?;
         let (points, normals) = self.points(number, side, camera.as_ref())?;
         let colours = match &held.contents {
-            Contents::General(_) => colours_of_general(&points, kind),
+            Contents::General(raw) => colours_of_general(&points, normals.as_ref(), kind, depth_range(&raw.positions)),
             contents => {
                 let (width, height) = contents.shape();
                 let cloud = OrganizedCloud::new(width, height, points.clone()).map_err(text)?;
                 let raw = held.points(camera.as_ref()).unwrap_or_else(|| points.clone());
-                colours_of(&cloud, normals.as_ref(), kind, depth_range(&raw.positions))
+                colours_of(&cloud, normals.as_ref(), kind, depth_range(&raw.positions), false)
             }
         };
         let finite = || (0..points.len()).filter(|&i| points.positions.is_finite(i));
@@ -284,7 +312,7 @@ impl Session {
 
     fn write(&self, result: u32, format: &str, given: Option<&CameraGiven>) -> Answer {
         let outcome = self.result(result)?;
-        let held = self.frame(outcome.frame)?;
+        let held = &outcome.held;
         let unknown = || format!("{format} is not written here: pcd, ply, npy, xyz, and png of depth are");
         let name = format!("frame.{format}");
         let kind = Format::of_extension(Path::new(&name)).ok_or_else(unknown)?;
@@ -300,7 +328,12 @@ impl Session {
             };
             encode_depth(kind, &depth).map_err(text)?
         } else {
-            let (points, _) = self.points(outcome.frame, Side::Result(result), camera.as_ref())?;
+            let (mut points, _) = self.points(outcome.frame, Side::Result(result), camera.as_ref())?;
+            match kind {
+                Format::Ply => points.unpack_colour(),
+                Format::Pcd => points.pack_colour(),
+                _ => {}
+            }
             match &held.contents {
                 Contents::General(_) => encode_cloud(kind, &points, Encoding::Binary),
                 contents => {

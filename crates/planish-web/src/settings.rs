@@ -2,7 +2,7 @@
 
 use planish::{
     Camera, Edges, Frame, OrganizedCloud, ParamError, Project, Radius, SensorModel, SmoothParams, Strength,
-    io::parse_camera,
+    io::{parse_camera, unknown_camera_key},
 };
 use serde::Deserialize;
 use serde_json::Value;
@@ -109,8 +109,16 @@ impl CameraGiven {
     pub(crate) fn camera(&self, shape: (usize, usize)) -> Result<Camera, String> {
         let text = match &self.0 {
             Value::String(text) => text.clone(),
-            object => object.to_string(),
+            object => {
+                let text = object.to_string();
+                if let Some(key) = unknown_camera_key(&text).map_err(|error| error.to_string())? {
+                    return Err(format!(
+                        "a camera has no {key:?}: it has fx, fy, cx, cy, depth_scale, width, height and distortion"
+                    ));
+                }
+                text
+            }
         };
-        parse_camera(&text, Some(shape)).map_err(|error| format!("the camera: {error}"))
+        parse_camera(&text, Some(shape)).map_err(|error| error.to_string())
     }
 }

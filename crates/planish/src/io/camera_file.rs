@@ -100,8 +100,7 @@ fn shape_of(width: Option<usize>, height: Option<usize>) -> FormatResult<(usize,
     }
 }
 
-/// planish's own layout, or Open3D's with its matrix in column-major order.
-/// A camera file in JSON.
+/// A camera file in JSON: planish's own layout, or Open3D's with its matrix in column-major order.
 #[derive(Deserialize)]
 struct JsonCamera {
     width: Option<usize>,
@@ -136,7 +135,6 @@ struct JsonCamera {
     k5: Option<f64>,
     k6: Option<f64>,
     /// What else it says.
-    #[cfg(feature = "stream")]
     #[serde(flatten)]
     others: serde_json::Map<String, serde_json::Value>,
 }
@@ -153,9 +151,11 @@ impl JsonCamera {
     }
 }
 
-/// A key of a camera in JSON that says nothing of a camera, such as one that is spelled wrongly.
-#[cfg(feature = "stream")]
-pub(crate) fn unknown_camera_key(text: &str) -> FormatResult<Option<String>> {
+/// Returns a key of a camera in JSON that says nothing of a camera, such as one that is misspelt.
+///
+/// # Errors
+/// If the text is no camera in JSON.
+pub fn unknown_camera_key(text: &str) -> FormatResult<Option<String>> {
     Ok(JsonCamera::parse(text)?.others.keys().next().cloned())
 }
 

@@ -48,9 +48,9 @@ pub(crate) use self::e57::Scans;
 pub use self::format::{Format, WRITTEN};
 #[cfg(feature = "stream")]
 pub(crate) use camera_file::colmap_camera;
-pub use camera_file::{camera_to_json, parse_camera, read_camera};
+pub use camera_file::{camera_to_json, parse_camera, read_camera, unknown_camera_key};
 #[cfg(feature = "stream")]
-pub(crate) use camera_file::{read_text as camera_text, states_depth_scale, unknown_camera_key};
+pub(crate) use camera_file::{read_text as camera_text, states_depth_scale};
 #[cfg(feature = "scans")]
 pub(crate) use las::LasReader;
 pub use pcd::Encoding;

@@ -9,7 +9,7 @@ use crate::io::RgbImage;
 use crate::simulate::{NO_OBJECT, Truth};
 use crate::xyz::Xyz;
 
-pub use general::seen_from;
+pub use general::{DistantView, seen_from};
 
 /// Returns normals from differences of neighbouring pixels, towards the sensor; they show every bump of the points.
 ///

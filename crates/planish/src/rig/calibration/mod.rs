@@ -88,7 +88,10 @@ pub fn read(path: &Path, options: &CalibrationOptions) -> Result<Rig, IoError> {
 /// [`read`] of a file's text.
 fn parse(text: &str, options: &CalibrationOptions) -> Result<Rig, FormatError> {
     match text.trim_start().chars().next() {
-        Some('<') => of_tree(ros::urdf(text)?, options),
+        Some('<') => {
+            options.refuse_scale("a URDF")?;
+            of_tree(ros::urdf(text)?, options)
+        }
         Some('[') => {
             options.refuse_of_ros("a rig of COLMAP")?;
             rig_of(colmap::rig_config(text, options)?, None)
@@ -98,13 +101,15 @@ fn parse(text: &str, options: &CalibrationOptions) -> Result<Rig, FormatError> {
             options.refuse_scale("a camchain of Kalibr")?;
             rig_of(kalibr::camchain(text)?, None)
         }
-        _ if text.contains("transforms:") => of_tree(ros::transforms(text)?, options),
+        _ if text.contains("transforms:") => {
+            options.refuse_scale("a list of transforms of ROS")?;
+            of_tree(ros::transforms(text)?, options)
+        }
         _ => Err(malformed(format!("no calibration that is known; {HELP}"))),
     }
 }
 
 fn of_tree(tree: ros::Tree, options: &CalibrationOptions) -> Result<Rig, FormatError> {
-    options.refuse_scale("a tree of transforms of ROS")?;
     let (base, cameras) = tree.cameras(options)?;
     rig_of(cameras, Some(base))
 }

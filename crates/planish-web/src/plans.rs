@@ -1,0 +1,44 @@
+//! The plans of the usual settings as files, for whoever hosts the kernels without this module, and for whoever reviews a change of them.
+
+use planish::webgpu::{Plan, WebGpuLimits};
+use planish::{Camera, DepthFrame, Error, Outputs, SmoothParams};
+use serde_json::json;
+
+/// What most GPUs of today have: 32 KiB of workgroup memory.
+const LIMITS: WebGpuLimits = WebGpuLimits::new(32 << 10, 128 << 20, 65_535);
+
+/// Plans depth images of 640x480 with each preset to points, normals, status and depth: the names of files and their contents.
+///
+/// `NAME.json` has what [`Plan`] says but for the kernels, which are `NAME-PASS.wgsl`, in the order of their passes. A kernel that another plan has too
+/// is named there and not written twice.
+///
+/// # Errors
+/// If a frame cannot be planned.
+pub fn usual_plans() -> Result<Vec<(String, String)>, Error> {
+    let camera = Camera::kinect_v1();
+    let frame = DepthFrame::new(camera, vec![1000; camera.width * camera.height])?;
+    let outputs = Outputs::POINTS.with_normals(true).with_status(true).with_depth(true);
+    let mut files: Vec<(String, String)> = Vec::new();
+    for (name, params) in [("default", SmoothParams::default()), ("paper", SmoothParams::paper())] {
+        let plan = Plan::new(params, outputs, &frame, &LIMITS)?;
+        let mut passes = Vec::new();
+        for (i, pass) in plan.passes().into_iter().enumerate() {
+            let known = files.iter().find(|(_, text)| *text == pass.wgsl).map(|(file, _)| file.clone());
+            let file = known.unwrap_or_else(|| {
+                let file = format!("{name}-{i}-{}.wgsl", pass.entry_point);
+                files.push((file.clone(), pass.wgsl));
+                file
+            });
+            passes.push(json!({ "wgsl": file, "entry_point": pass.entry_point, "workgroups": pass.workgroups }));
+        }
+        let described = json!({
+            "frame": { "kind": "depth", "width": camera.width, "height": camera.height },
+            "outputs": ["points", "normals", "status", "depth"],
+            "bindings": ["uniform", "read-only-storage", "storage", "storage", "storage"],
+            "uniform": plan.uniform(), "output_bytes": plan.output_bytes(), "kept_bytes": plan.kept_bytes(),
+            "passes": passes,
+        });
+        files.push((format!("{name}.json"), format!("{described:#}\n")));
+    }
+    Ok(files)
+}

@@ -1,0 +1,578 @@
+const HEADER_WORDS: u32 = 22u;
+const METRES_PER_UNIT: u32 = 0u;
+const UNITS_PER_METRE: u32 = 1u;
+const RADIUS_LINEAR: u32 = 2u;
+const RADIUS: u32 = 3u;
+const SIGMA: u32 = 10u;
+const BANDWIDTH: u32 = 13u;
+const RIDGE: u32 = 14u;
+const FLAGS: u32 = 15u;
+const POSITION: u32 = 16u;
+const AXIS: u32 = 19u;
+const BY_DISTANCE: u32 = 1u;
+const ON_RAY: u32 = 2u;
+const BLOCK_LINEAR: u32 = 6u;
+const BLOCK: u32 = 7u;
+const POINT_CHANNELS: u32 = 6u;
+const PLANE_CHANNELS: u32 = 13u;
+const SATURATED_DEPTH: u32 = 65535u;
+const POINTS_CHANNEL: u32 = 0u;
+const NORMALS_CHANNEL: u32 = 3u;
+const CURVATURE_CHANNEL: u32 = 3u;
+const DEPTH_M_CHANNEL: u32 = 3u;
+const CHANNELS: u32 = 3u;
+const STATUS_HOLE: u32 = 0u;
+const STATUS_TOO_FEW: u32 = 1u;
+const STATUS_DEGENERATE: u32 = 2u;
+const STATUS_PLANE: u32 = 3u;
+const STATUS_POLYNOMIAL_2: u32 = 4u;
+const STATUS_POLYNOMIAL_3: u32 = 5u;
+const STATUS_ISOLATED: u32 = 6u;
+const IS_RAW_DEPTH: bool = true;
+const IS_DEPTH_METRES: bool = false;
+const IS_POINTS: bool = false;
+const WANTS_POINTS: bool = true;
+const WANTS_NORMALS: bool = false;
+const WANTS_CURVATURE: bool = false;
+const WANTS_STATUS: bool = false;
+const WANTS_NEIGHBOURS: bool = false;
+const WANTS_DEPTH: bool = false;
+const WANTS_DEPTH_M: bool = false;
+const MIN_POSITIVE: f32 = 1.1754944e-38;
+const GRAZING_COSINE: f32 = 0.2;
+const MAX_ALONG: f32 = 0.5;
+const MAX_RADIUS_M: f32 = 1000000.0;
+const MAX_RANGE_M: f32 = 1e18;
+const DEGENERATE_RATIO: f32 = 0.0001;
+const MAX_DOUBT: f32 = 1000000.0;
+const MIN_TOTAL: f32 = 5.0;
+const COSINE_FADE: f32 = 0.01;
+const GENERAL_MEAN_REACH: f32 = 0.4;
+const GENERAL_DISTANCE_WEIGHT: f32 = 0.2;
+const FACING_COSINE: f32 = 0.1;
+const STAY_WEIGHT: f32 = 0.001;
+const OWN_NORMAL_WEIGHT: f32 = 1e-12;
+const MIN_NOISE: f32 = 0.01;
+const MIN_GATE_M: f32 = 1e-12;
+const MAX_RADIUS_RATIO: f32 = 1.5;
+const GATE_FADE: f32 = 16.0;
+const PLANE_REACH: f32 = 2.0;
+const BLOCK_WIDTH: f32 = 1.5;
+const MIN_BLOCK_WEIGHT: f32 = 0.02;
+const DISTANCE_WEIGHT: f32 = 0.3;
+const NARROW_WIDTH: f32 = 1.0;
+const DOUBT_WEIGHT: f32 = 0.01;
+const MIN_INCIDENCE_COSINE: f32 = 0.05;
+const SQRT_LOG2_E: f32 = 1.2011224;
+const MAX_OFF_SURFACE: f32 = 11.54156;
+const TILE_WIDTH: u32 = 32u;
+const TILE_HEIGHT: u32 = 8u;
+const WINDOW: u32 = 2u;
+const STRIDE: u32 = 1u;
+const DEGREE: u32 = 1u;
+const EDGE_SHIFT: u32 = 0u;
+const KEEPS_EDGES: bool = false;
+const READS_MEANS: bool = false;
+// The buffers that the kernels read and write, by the word (layout.rs).
+//
+// What is not finite, or outside the image, is NO_POINT in every coordinate: a finite number so far away that no radius
+// reaches it. Shaders need not keep NaN by the rules of Vulkan, so none is ever computed with; finiteness is read from the bits.
+
+struct Batch {
+    width: u32,
+    height: u32,
+    // From one frame to the next.
+    input_words: u32,
+    output_words: u32,
+}
+
+@group(0) @binding(0) var<uniform> batch: Batch;
+@group(0) @binding(1) var<storage, read> input: array<u32>;
+@group(0) @binding(2) var<storage, read_write> output: array<u32>;
+
+const NO_POINT: f32 = 4.0e18;
+
+fn header(frame: u32, field: u32) -> f32 {
+    return bitcast<f32>(input[frame * batch.input_words + field]);
+}
+
+fn header_bits(frame: u32, field: u32) -> u32 {
+    return input[frame * batch.input_words + field];
+}
+
+fn is_finite(bits: u32) -> bool {
+    return (bits & 0x7f800000u) != 0x7f800000u;
+}
+// What the passes of a frame leave on the device for one another: points and planes, a channel for each number, frame after frame
+// (docs/method.md, sections 2 and 10).
+
+@group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
+@group(0) @binding(4) var<storage, read_write> planes: array<f32>;
+
+// Of the points as measured, and of the samples of the windows: block means. NO_POINT for a hole.
+const KEPT_POINT: u32 = 0u;
+const KEPT_MEAN: u32 = 3u;
+
+// Of the first planes: the normal, the height over the point, the variance along the normal plus the plane's uncertainty in m²
+// (more, up to NOT_USABLE, where the neighbours are too few, on a line, or on a plane seen edge-on), the curvature, the number of neighbours,
+// negative where they are on a line, and the square of the extent in m².
+const FIRST_NORMAL: u32 = 0u;
+const FIRST_HEIGHT: u32 = 3u;
+const FIRST_RESIDUAL: u32 = 4u;
+const FIRST_CURVATURE: u32 = 5u;
+const FIRST_COUNT: u32 = 6u;
+const FIRST_EXTENT: u32 = 7u;
+// Of the surfaces found from them: the normal, the height over the point, and how far from it a neighbour counts in metres.
+const SURFACE_NORMAL: u32 = 8u;
+const SURFACE_HEIGHT: u32 = 11u;
+const SURFACE_WIDTH: u32 = 12u;
+
+// More than any variance, and its multiples are finite.
+const NOT_USABLE: f32 = 1e18;
+
+fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+    let pixels = batch.width * batch.height;
+    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+    return vec3<f32>(kept_points[at], kept_points[at + pixels], kept_points[at + 2u * pixels]);
+}
+
+fn keep_point(frame: u32, channel: u32, pixel: u32, point: vec3<f32>) {
+    let pixels = batch.width * batch.height;
+    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+    kept_points[at] = point.x;
+    kept_points[at + pixels] = point.y;
+    kept_points[at + 2u * pixels] = point.z;
+}
+
+fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
+    return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
+}
+
+fn normal_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+    let at = plane_word(frame, channel, pixel);
+    let pixels = batch.width * batch.height;
+    return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
+}
+
+fn keep_normal(frame: u32, channel: u32, pixel: u32, normal: vec3<f32>) {
+    let at = plane_word(frame, channel, pixel);
+    let pixels = batch.width * batch.height;
+    planes[at] = normal.x;
+    planes[at + pixels] = normal.y;
+    planes[at + 2u * pixels] = normal.z;
+}
+
+// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
+fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
+    return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
+}
+// The input frame: depth or points (layout.rs).
+//
+// Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. What depth becomes is finite, since
+// Camera::validate keeps rays and units within bounds.
+
+fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
+    if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
+        return vec3<f32>(NO_POINT);
+    }
+    let base = frame * batch.input_words + HEADER_WORDS;
+    let pixel = u32(y) * batch.width + u32(x);
+    let samples = base + batch.width + batch.height;
+    if IS_RAW_DEPTH || IS_DEPTH_METRES {
+        return deproject(frame, base, x, y, depth_at(frame, samples, pixel));
+    }
+    let pixels = batch.width * batch.height;
+    let bits = vec3<u32>(input[samples + pixel], input[samples + pixels + pixel], input[samples + 2u * pixels + pixel]);
+    if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
+        return vec3<f32>(NO_POINT);
+    }
+    return bitcast<vec3<f32>>(bits);
+}
+
+// Depth in metres; 0 for a hole.
+fn depth_at(frame: u32, samples: u32, pixel: u32) -> f32 {
+    if IS_RAW_DEPTH {
+        let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
+        return select(f32(raw) * header(frame, METRES_PER_UNIT), 0.0, raw == 0u || raw == SATURATED_DEPTH);
+    }
+    let bits = input[samples + pixel];
+    return select(0.0, bitcast<f32>(bits), is_finite(bits));
+}
+
+fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
+    if z <= 0.0 {
+        return vec3<f32>(NO_POINT);
+    }
+    let ray_x = bitcast<f32>(input[base + u32(x)]);
+    let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
+    return vec3<f32>(ray_x * z, ray_y * z, z);
+}
+// The samples of the windows are the points as measured.
+
+fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
+    return point_at(frame, x, y);
+}
+
+// The measured point of a pixel.
+fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
+    return candidate(window, WINDOW, WINDOW);
+}
+// The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
+//
+// One workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so that the rows of all their windows are
+// the rows of the tile and WINDOW more at either side; columns are neighbours, so that loads and stores are whole lines. x, y
+// and z are in arrays of their own, where the threads of a row read neighbouring words.
+
+const REACH: u32 = WINDOW * STRIDE;
+const PITCH: u32 = TILE_WIDTH + 2u * REACH;
+const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
+
+var<workgroup> tile_x: array<f32, TILE_AREA>;
+var<workgroup> tile_y: array<f32, TILE_AREA>;
+var<workgroup> tile_z: array<f32, TILE_AREA>;
+
+// Where a pixel's candidates are: the index of the first.
+alias WindowOrigin = u32;
+
+fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
+    let first = vec2<i32>(origin) - i32(REACH);
+    for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
+        let p = sample_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * STRIDE));
+        tile_x[i] = p.x;
+        tile_y[i] = p.y;
+        tile_z[i] = p.z;
+    }
+    workgroupBarrier();
+}
+
+fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
+    return local.y * PITCH + local.x;
+}
+
+fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
+    let at = window + row * PITCH + column * STRIDE;
+    return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
+}
+// How much a candidate counts by its distance, and the sums over those that do (docs/method.md, sections 2 and 3).
+
+struct Gate {
+    // Of the weight over the squared distance.
+    slope: f32,
+}
+
+fn gate_of(radius: f32) -> Gate {
+    return Gate(-GATE_FADE / (radius * radius));
+}
+
+// How much an offset counts by its square: not at all from 0 down, fully from 1 up.
+fn unclamped(gate: Gate, squared: f32) -> f32 {
+    return fma(squared, gate.slope, GATE_FADE + 0.5);
+}
+
+// Sums over the neighbours, relative to p.
+struct Sums {
+    // How many.
+    n: f32,
+    // How much they count together.
+    total: f32,
+    e: vec3<f32>,
+    // xx, xy, xz
+    x_row: vec3<f32>,
+    // yy, yz, zz
+    rest: vec3<f32>,
+}
+
+fn square(e: vec3<f32>) -> f32 {
+    return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
+}
+// The neighbours of a pixel: the candidates within the radius, and their sums (docs/method.md, sections 2 and 3).
+//
+// Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate. The gate fades out, so that
+// nothing changes at once.
+
+const SIDE: u32 = 2u * WINDOW + 1u;
+
+// One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: a tile's first pixel. STRIDE workgroups
+// share a block of rows, each with its rows STRIDE apart.
+fn origin_of(group: vec3<u32>) -> vec2<u32> {
+    return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+}
+
+// The range at the end of a ray. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
+fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
+    if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
+        // Scaled, since the squares may be too large.
+        let largest = max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
+        let scaled = ray / largest;
+        return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
+    }
+    return min(abs(depth_of(frame, ray)), MAX_RANGE_M);
+}
+
+// Coefficients of 1, z and z² in the header, from a field on.
+fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
+    return fma(fma(range, header(frame, field + 2u), header(frame, field + 1u)), range, header(frame, field));
+}
+
+fn radius_at(frame: u32, range: f32) -> f32 {
+    let radius = max(range * header(frame, RADIUS_LINEAR), polynomial_in_range(frame, RADIUS, range));
+    return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
+}
+
+// First pass. Masks instead of a branch: with so little to skip, branching costs more.
+fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
+    var sums: Sums;
+    for (var row = 0u; row < SIDE; row++) {
+        for (var column = 0u; column < SIDE; column++) {
+            let offset = candidate(window, column, row) - p;
+            let squared = square(offset);
+            let nearness = unclamped(gate, squared);
+            let is_neighbour = nearness > 0.0;
+            let e = select(vec3<f32>(0.0), offset, is_neighbour);
+            let weight = clamp(nearness, 0.0, 1.0);
+            let weighted = weight * e;
+            sums.n += select(0.0, 1.0, is_neighbour);
+            sums.total += weight;
+            sums.e += weighted;
+            sums.x_row = fma(vec3<f32>(weighted.x), e, sums.x_row);
+            sums.rest = fma(weighted.yyz, e.yzz, sums.rest);
+        }
+    }
+    return sums;
+}
+// The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
+//
+// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half their
+// digits, so the root that stands alone is solved for first: the smallest where the points lie on a plane, the largest where
+// they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
+// (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
+
+// Where det(B)/2 is beyond this, the largest root stands alone by far and the smaller two are close.
+const LINE_LIKE: f32 = 0.9;
+
+struct Symmetric {
+    xx: f32,
+    xy: f32,
+    xz: f32,
+    yy: f32,
+    yz: f32,
+    zz: f32,
+}
+
+// Eigenvalues in ascending order and the unit eigenvector of the smallest.
+struct Smallest {
+    values: vec3<f32>,
+    vector: vec3<f32>,
+}
+
+fn symmetric_times(m: Symmetric, v: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(
+        dot(vec3<f32>(m.xx, m.xy, m.xz), v),
+        dot(vec3<f32>(m.xy, m.yy, m.yz), v),
+        dot(vec3<f32>(m.xz, m.yz, m.zz), v),
+    );
+}
+
+// cos(acos(x)/3) for x in [-1, 1], absolute error under 5e-7. Built-in acos and cos may be off by 1e-3.
+fn cos_third_acos(x: f32) -> f32 {
+    // acos(|x|) = sqrt(1 - |x|) p(|x|): Abramowitz & Stegun 4.4.46.
+    let magnitude = abs(x);
+    var p = -0.0012624911;
+    p = fma(p, magnitude, 0.0066700901);
+    p = fma(p, magnitude, -0.0170881256);
+    p = fma(p, magnitude, 0.0308918810);
+    p = fma(p, magnitude, -0.0501743046);
+    p = fma(p, magnitude, 0.0889789874);
+    p = fma(p, magnitude, -0.2145988016);
+    p = fma(p, magnitude, 1.5707963268);
+    let acute = sqrt(max(1.0 - magnitude, 0.0)) * p;
+    let angle = select(acute, 3.1415926536 - acute, x < 0.0);
+    // cos on [0, pi/3] by its series in the square: the next term is below 2e-8.
+    let s = (angle * (1.0 / 3.0)) * (angle * (1.0 / 3.0));
+    var c = 2.4801587e-5;
+    c = fma(c, s, -1.3888889e-3);
+    c = fma(c, s, 4.1666667e-2);
+    c = fma(c, s, -0.5);
+    return fma(c, s, 1.0);
+}
+
+// a b - c d
+fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
+    return fma(a, b, -(c * d));
+}
+
+// A unit vector that B - value I takes to zero: the longest cross product of two of its rows.
+fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
+    let x = vec3<f32>(b.xx - value, b.xy, b.xz);
+    let y = vec3<f32>(b.xy, b.yy - value, b.yz);
+    let z = vec3<f32>(b.xz, b.yz, b.zz - value);
+    var longest = cross(x, y);
+    var length_squared = dot(longest, longest);
+    for (var i = 0; i < 2; i++) {
+        let other = cross(select(y, x, i == 0), z);
+        let other_squared = dot(other, other);
+        if other_squared > length_squared {
+            longest = other;
+            length_squared = other_squared;
+        }
+    }
+    // A zero matrix has no direction; any will do.
+    if length_squared > MIN_POSITIVE {
+        return longest * (1.0 / sqrt(length_squared));
+    }
+    return vec3<f32>(0.0, 0.0, 1.0);
+}
+
+// Two unit vectors that complete n to an orthonormal frame (Duff et al. 2017), as in the reference.
+struct Tangents {
+    u: vec3<f32>,
+    v: vec3<f32>,
+}
+
+fn tangents_of(n: vec3<f32>) -> Tangents {
+    let sign = bitcast<f32>((bitcast<u32>(n.z) & 0x80000000u) | 0x3f800000u);
+    let a = -1.0 / (sign + n.z);
+    let b = n.x * n.y * a;
+    return Tangents(
+        vec3<f32>(fma(sign * n.x * n.x, a, 1.0), sign * b, -(sign * n.x)),
+        vec3<f32>(b, fma(n.y * n.y, a, sign), -n.y),
+    );
+}
+
+// The smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
+fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
+    let tangents = tangents_of(axis);
+    let bu = symmetric_times(b, tangents.u);
+    let bv = symmetric_times(b, tangents.v);
+    let uu = dot(tangents.u, bu);
+    let uv = dot(tangents.u, bv);
+    let vv = dot(tangents.v, bv);
+    let half_sum = (uu + vv) * 0.5;
+    let half_difference = (uu - vv) * 0.5;
+    let spread = sqrt(fma(half_difference, half_difference, uv * uv));
+    // The eigenvector of the smaller one, by the longer of the two rows' normals.
+    let reach = abs(half_difference) + spread;
+    let along = select(vec2<f32>(-reach, uv), vec2<f32>(uv, -reach), half_difference >= 0.0);
+    let length_squared = dot(along, along);
+    var vector = tangents.u;
+    if length_squared > MIN_POSITIVE {
+        vector = (along.x * tangents.u + along.y * tangents.v) * (1.0 / sqrt(length_squared));
+    }
+    return Smallest(vec3<f32>(half_sum - spread, half_sum + spread, half_sum + spread), vector);
+}
+
+fn smallest_eigenvector(m: Symmetric) -> Smallest {
+    // M = mean I + p B: B has trace 0, eigenvalues between -2 and 2, and the characteristic polynomial x³ - 3x - det(B).
+    let mean = (m.xx + m.yy + m.zz) * (1.0 / 3.0);
+    let d = vec3<f32>(m.xx, m.yy, m.zz) - mean;
+    let off = vec3<f32>(m.xy, m.xz, m.yz);
+    let p = sqrt((dot(d, d) + 2.0 * dot(off, off)) * (1.0 / 6.0));
+    let inverse_p = 1.0 / max(p, MIN_POSITIVE);
+    let b = Symmetric(
+        d.x * inverse_p,
+        m.xy * inverse_p,
+        m.xz * inverse_p,
+        d.y * inverse_p,
+        m.yz * inverse_p,
+        d.z * inverse_p,
+    );
+    let det = fma(
+        b.xx,
+        minor(b.yy, b.zz, b.yz, b.yz),
+        fma(b.xz, minor(b.xy, b.yz, b.yy, b.xz), -(b.xy * minor(b.xy, b.zz, b.yz, b.xz))),
+    );
+    let half_det = clamp(det * 0.5, -1.0, 1.0);
+
+    // The root that stands alone: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
+    let is_line_like = half_det > LINE_LIKE;
+    let sign = select(-1.0, 1.0, is_line_like);
+    let half_alone = sign * cos_third_acos(half_det * sign);
+    let axis = null_vector(b, 2.0 * half_alone);
+    let alone = fma(p, 2.0 * half_alone, mean);
+    if is_line_like {
+        let across = across_line(b, axis);
+        return Smallest(vec3<f32>(fma(p, across.values.x, mean), fma(p, across.values.y, mean), alone), across.vector);
+    }
+    // The other two lie around minus half of it, sqrt(3) sin apart from there.
+    let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
+    return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
+}
+// Where the sensor stands in the cloud's frame (docs/method.md, section 11).
+//
+// Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame would be
+// rounded once more. A ray leads from the sensor to a point, in the cloud's frame. Where that is the sensor's own, the same
+// operations change no bit (up to 1e18 m).
+
+fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
+    return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
+}
+
+fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
+    if !IS_POINTS {
+        return p;
+    }
+    // Clamped, so that what is computed from it stays finite.
+    return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
+}
+
+// How far a ray reaches along the sensor's axis.
+fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
+    if !IS_POINTS {
+        return ray.z;
+    }
+    return dot(header_vec3(frame, AXIS), ray);
+}
+// The means of blocks of points (docs/method.md, sections 2 and 10). The windows of this pass are the blocks.
+
+// How far from its pixel's point a point of a block may be, whose range is given.
+fn block_gate(frame: u32, range: f32) -> Gate {
+    let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
+    return gate_of(clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M));
+}
+
+// The mean around p. The points count by how far they are from a plane, in units of its width: 0 in every unit for all alike.
+fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: vec3<f32>, height_in_widths: f32) -> vec3<f32> {
+    var sum = vec3<f32>(0.0);
+    var total = 0.0;
+    for (var row = 0u; row < SIDE; row++) {
+        for (var column = 0u; column < SIDE; column++) {
+            let offset = candidate(window, column, row) - p;
+            let squared = square(offset);
+            let nearness = unclamped(gate, squared);
+            let e = select(vec3<f32>(0.0), offset, nearness > 0.0);
+            let f = dot(e, normal_per_width) - height_in_widths;
+            let on_surface = max(fma(-f, f, 1.0), MIN_BLOCK_WEIGHT);
+            let weight = clamp(nearness, 0.0, 1.0) * on_surface * on_surface;
+            sum = fma(vec3<f32>(weight), e, sum);
+            total += weight;
+        }
+    }
+    // p itself has a weight.
+    return p + sum / total;
+}
+// The first pass where blocks are averaged (docs/method.md, section 2).
+
+@compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
+fn average_blocks(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let frame = group.z;
+    let origin = origin_of(group);
+    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    load_candidates(frame, origin, thread);
+    if pixel.x >= batch.width || pixel.y >= batch.height {
+        return;
+    }
+    let at = pixel.y * batch.width + pixel.x;
+    let window = window_origin_of(frame, pixel, local.xy);
+    let p = candidate(window, WINDOW, WINDOW);
+    var mean = p;
+    if p.x != NO_POINT {
+        let gate = block_gate(frame, range_of(frame, ray_to(frame, p)));
+        mean = block_mean(window, p, gate, vec3<f32>(0.0), 0.0);
+    }
+    keep_point(frame, KEPT_POINT, at, p);
+    keep_point(frame, KEPT_MEAN, at, mean);
+}

@@ -1,0 +1,1332 @@
+const HEADER_WORDS: u32 = 22u;
+const METRES_PER_UNIT: u32 = 0u;
+const UNITS_PER_METRE: u32 = 1u;
+const RADIUS_LINEAR: u32 = 2u;
+const RADIUS: u32 = 3u;
+const SIGMA: u32 = 10u;
+const BANDWIDTH: u32 = 13u;
+const RIDGE: u32 = 14u;
+const FLAGS: u32 = 15u;
+const POSITION: u32 = 16u;
+const AXIS: u32 = 19u;
+const BY_DISTANCE: u32 = 1u;
+const ON_RAY: u32 = 2u;
+const BLOCK_LINEAR: u32 = 6u;
+const BLOCK: u32 = 7u;
+const POINT_CHANNELS: u32 = 6u;
+const PLANE_CHANNELS: u32 = 13u;
+const SATURATED_DEPTH: u32 = 65535u;
+const POINTS_CHANNEL: u32 = 0u;
+const NORMALS_CHANNEL: u32 = 3u;
+const CURVATURE_CHANNEL: u32 = 6u;
+const DEPTH_M_CHANNEL: u32 = 6u;
+const CHANNELS: u32 = 6u;
+const STATUS_HOLE: u32 = 0u;
+const STATUS_TOO_FEW: u32 = 1u;
+const STATUS_DEGENERATE: u32 = 2u;
+const STATUS_PLANE: u32 = 3u;
+const STATUS_POLYNOMIAL_2: u32 = 4u;
+const STATUS_POLYNOMIAL_3: u32 = 5u;
+const STATUS_ISOLATED: u32 = 6u;
+const IS_RAW_DEPTH: bool = true;
+const IS_DEPTH_METRES: bool = false;
+const IS_POINTS: bool = false;
+const WANTS_POINTS: bool = true;
+const WANTS_NORMALS: bool = true;
+const WANTS_CURVATURE: bool = false;
+const WANTS_STATUS: bool = true;
+const WANTS_NEIGHBOURS: bool = false;
+const WANTS_DEPTH: bool = true;
+const WANTS_DEPTH_M: bool = false;
+const MIN_POSITIVE: f32 = 1.1754944e-38;
+const GRAZING_COSINE: f32 = 0.2;
+const MAX_ALONG: f32 = 0.5;
+const MAX_RADIUS_M: f32 = 1000000.0;
+const MAX_RANGE_M: f32 = 1e18;
+const DEGENERATE_RATIO: f32 = 0.0001;
+const MAX_DOUBT: f32 = 1000000.0;
+const MIN_TOTAL: f32 = 5.0;
+const COSINE_FADE: f32 = 0.01;
+const GENERAL_MEAN_REACH: f32 = 0.4;
+const GENERAL_DISTANCE_WEIGHT: f32 = 0.2;
+const FACING_COSINE: f32 = 0.1;
+const STAY_WEIGHT: f32 = 0.001;
+const OWN_NORMAL_WEIGHT: f32 = 1e-12;
+const MIN_NOISE: f32 = 0.01;
+const MIN_GATE_M: f32 = 1e-12;
+const MAX_RADIUS_RATIO: f32 = 1.5;
+const GATE_FADE: f32 = 16.0;
+const PLANE_REACH: f32 = 2.0;
+const BLOCK_WIDTH: f32 = 1.5;
+const MIN_BLOCK_WEIGHT: f32 = 0.02;
+const DISTANCE_WEIGHT: f32 = 0.3;
+const NARROW_WIDTH: f32 = 1.0;
+const DOUBT_WEIGHT: f32 = 0.01;
+const MIN_INCIDENCE_COSINE: f32 = 0.05;
+const SQRT_LOG2_E: f32 = 1.2011224;
+const MAX_OFF_SURFACE: f32 = 11.54156;
+const TILE_WIDTH: u32 = 32u;
+const TILE_HEIGHT: u32 = 4u;
+const WINDOW: u32 = 3u;
+const STRIDE: u32 = 1u;
+const DEGREE: u32 = 3u;
+const EDGE_SHIFT: u32 = 0u;
+const KEEPS_EDGES: bool = false;
+const READS_MEANS: bool = false;
+// The buffers that the kernels read and write, by the word (layout.rs).
+//
+// What is not finite, or outside the image, is NO_POINT in every coordinate: a finite number so far away that no radius
+// reaches it. Shaders need not keep NaN by the rules of Vulkan, so none is ever computed with; finiteness is read from the bits.
+
+struct Batch {
+    width: u32,
+    height: u32,
+    // From one frame to the next.
+    input_words: u32,
+    output_words: u32,
+}
+
+@group(0) @binding(0) var<uniform> batch: Batch;
+@group(0) @binding(1) var<storage, read> input: array<u32>;
+@group(0) @binding(2) var<storage, read_write> output: array<u32>;
+
+const NO_POINT: f32 = 4.0e18;
+
+fn header(frame: u32, field: u32) -> f32 {
+    return bitcast<f32>(input[frame * batch.input_words + field]);
+}
+
+fn header_bits(frame: u32, field: u32) -> u32 {
+    return input[frame * batch.input_words + field];
+}
+
+fn is_finite(bits: u32) -> bool {
+    return (bits & 0x7f800000u) != 0x7f800000u;
+}
+// What the passes of a frame leave on the device for one another: points and planes, a channel for each number, frame after frame
+// (docs/method.md, sections 2 and 10).
+
+@group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
+@group(0) @binding(4) var<storage, read_write> planes: array<f32>;
+
+// Of the points as measured, and of the samples of the windows: block means. NO_POINT for a hole.
+const KEPT_POINT: u32 = 0u;
+const KEPT_MEAN: u32 = 3u;
+
+// Of the first planes: the normal, the height over the point, the variance along the normal plus the plane's uncertainty in m²
+// (more, up to NOT_USABLE, where the neighbours are too few, on a line, or on a plane seen edge-on), the curvature, the number of neighbours,
+// negative where they are on a line, and the square of the extent in m².
+const FIRST_NORMAL: u32 = 0u;
+const FIRST_HEIGHT: u32 = 3u;
+const FIRST_RESIDUAL: u32 = 4u;
+const FIRST_CURVATURE: u32 = 5u;
+const FIRST_COUNT: u32 = 6u;
+const FIRST_EXTENT: u32 = 7u;
+// Of the surfaces found from them: the normal, the height over the point, and how far from it a neighbour counts in metres.
+const SURFACE_NORMAL: u32 = 8u;
+const SURFACE_HEIGHT: u32 = 11u;
+const SURFACE_WIDTH: u32 = 12u;
+
+// More than any variance, and its multiples are finite.
+const NOT_USABLE: f32 = 1e18;
+
+fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+    let pixels = batch.width * batch.height;
+    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+    return vec3<f32>(kept_points[at], kept_points[at + pixels], kept_points[at + 2u * pixels]);
+}
+
+fn keep_point(frame: u32, channel: u32, pixel: u32, point: vec3<f32>) {
+    let pixels = batch.width * batch.height;
+    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+    kept_points[at] = point.x;
+    kept_points[at + pixels] = point.y;
+    kept_points[at + 2u * pixels] = point.z;
+}
+
+fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
+    return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
+}
+
+fn normal_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+    let at = plane_word(frame, channel, pixel);
+    let pixels = batch.width * batch.height;
+    return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
+}
+
+fn keep_normal(frame: u32, channel: u32, pixel: u32, normal: vec3<f32>) {
+    let at = plane_word(frame, channel, pixel);
+    let pixels = batch.width * batch.height;
+    planes[at] = normal.x;
+    planes[at + pixels] = normal.y;
+    planes[at + 2u * pixels] = normal.z;
+}
+
+// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
+fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
+    return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
+}
+// The input frame: depth or points (layout.rs).
+//
+// Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. What depth becomes is finite, since
+// Camera::validate keeps rays and units within bounds.
+
+fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
+    if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
+        return vec3<f32>(NO_POINT);
+    }
+    let base = frame * batch.input_words + HEADER_WORDS;
+    let pixel = u32(y) * batch.width + u32(x);
+    let samples = base + batch.width + batch.height;
+    if IS_RAW_DEPTH || IS_DEPTH_METRES {
+        return deproject(frame, base, x, y, depth_at(frame, samples, pixel));
+    }
+    let pixels = batch.width * batch.height;
+    let bits = vec3<u32>(input[samples + pixel], input[samples + pixels + pixel], input[samples + 2u * pixels + pixel]);
+    if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
+        return vec3<f32>(NO_POINT);
+    }
+    return bitcast<vec3<f32>>(bits);
+}
+
+// Depth in metres; 0 for a hole.
+fn depth_at(frame: u32, samples: u32, pixel: u32) -> f32 {
+    if IS_RAW_DEPTH {
+        let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
+        return select(f32(raw) * header(frame, METRES_PER_UNIT), 0.0, raw == 0u || raw == SATURATED_DEPTH);
+    }
+    let bits = input[samples + pixel];
+    return select(0.0, bitcast<f32>(bits), is_finite(bits));
+}
+
+fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
+    if z <= 0.0 {
+        return vec3<f32>(NO_POINT);
+    }
+    let ray_x = bitcast<f32>(input[base + u32(x)]);
+    let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
+    return vec3<f32>(ray_x * z, ray_y * z, z);
+}
+// The samples of the windows are the points as measured.
+
+fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
+    return point_at(frame, x, y);
+}
+
+// The measured point of a pixel.
+fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
+    return candidate(window, WINDOW, WINDOW);
+}
+// The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
+//
+// One workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so that the rows of all their windows are
+// the rows of the tile and WINDOW more at either side; columns are neighbours, so that loads and stores are whole lines. x, y
+// and z are in arrays of their own, where the threads of a row read neighbouring words.
+
+const REACH: u32 = WINDOW * STRIDE;
+const PITCH: u32 = TILE_WIDTH + 2u * REACH;
+const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
+
+var<workgroup> tile_x: array<f32, TILE_AREA>;
+var<workgroup> tile_y: array<f32, TILE_AREA>;
+var<workgroup> tile_z: array<f32, TILE_AREA>;
+
+// Where a pixel's candidates are: the index of the first.
+alias WindowOrigin = u32;
+
+fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
+    let first = vec2<i32>(origin) - i32(REACH);
+    for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
+        let p = sample_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * STRIDE));
+        tile_x[i] = p.x;
+        tile_y[i] = p.y;
+        tile_z[i] = p.z;
+    }
+    workgroupBarrier();
+}
+
+fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
+    return local.y * PITCH + local.x;
+}
+
+fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
+    let at = window + row * PITCH + column * STRIDE;
+    return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
+}
+// How much a candidate counts by its distance, and the sums over those that do (docs/method.md, sections 2 and 3).
+
+struct Gate {
+    // Of the weight over the squared distance.
+    slope: f32,
+}
+
+fn gate_of(radius: f32) -> Gate {
+    return Gate(-GATE_FADE / (radius * radius));
+}
+
+// How much an offset counts by its square: not at all from 0 down, fully from 1 up.
+fn unclamped(gate: Gate, squared: f32) -> f32 {
+    return fma(squared, gate.slope, GATE_FADE + 0.5);
+}
+
+// Sums over the neighbours, relative to p.
+struct Sums {
+    // How many.
+    n: f32,
+    // How much they count together.
+    total: f32,
+    e: vec3<f32>,
+    // xx, xy, xz
+    x_row: vec3<f32>,
+    // yy, yz, zz
+    rest: vec3<f32>,
+}
+
+fn square(e: vec3<f32>) -> f32 {
+    return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
+}
+// The neighbours of a pixel: the candidates within the radius, and their sums (docs/method.md, sections 2 and 3).
+//
+// Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate. The gate fades out, so that
+// nothing changes at once.
+
+const SIDE: u32 = 2u * WINDOW + 1u;
+
+// One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: a tile's first pixel. STRIDE workgroups
+// share a block of rows, each with its rows STRIDE apart.
+fn origin_of(group: vec3<u32>) -> vec2<u32> {
+    return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+}
+
+// The range at the end of a ray. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
+fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
+    if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
+        // Scaled, since the squares may be too large.
+        let largest = max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
+        let scaled = ray / largest;
+        return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
+    }
+    return min(abs(depth_of(frame, ray)), MAX_RANGE_M);
+}
+
+// Coefficients of 1, z and z² in the header, from a field on.
+fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
+    return fma(fma(range, header(frame, field + 2u), header(frame, field + 1u)), range, header(frame, field));
+}
+
+fn radius_at(frame: u32, range: f32) -> f32 {
+    let radius = max(range * header(frame, RADIUS_LINEAR), polynomial_in_range(frame, RADIUS, range));
+    return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
+}
+
+// First pass. Masks instead of a branch: with so little to skip, branching costs more.
+fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
+    var sums: Sums;
+    for (var row = 0u; row < SIDE; row++) {
+        for (var column = 0u; column < SIDE; column++) {
+            let offset = candidate(window, column, row) - p;
+            let squared = square(offset);
+            let nearness = unclamped(gate, squared);
+            let is_neighbour = nearness > 0.0;
+            let e = select(vec3<f32>(0.0), offset, is_neighbour);
+            let weight = clamp(nearness, 0.0, 1.0);
+            let weighted = weight * e;
+            sums.n += select(0.0, 1.0, is_neighbour);
+            sums.total += weight;
+            sums.e += weighted;
+            sums.x_row = fma(vec3<f32>(weighted.x), e, sums.x_row);
+            sums.rest = fma(weighted.yyz, e.yzz, sums.rest);
+        }
+    }
+    return sums;
+}
+// The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
+//
+// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half their
+// digits, so the root that stands alone is solved for first: the smallest where the points lie on a plane, the largest where
+// they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
+// (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
+
+// Where det(B)/2 is beyond this, the largest root stands alone by far and the smaller two are close.
+const LINE_LIKE: f32 = 0.9;
+
+struct Symmetric {
+    xx: f32,
+    xy: f32,
+    xz: f32,
+    yy: f32,
+    yz: f32,
+    zz: f32,
+}
+
+// Eigenvalues in ascending order and the unit eigenvector of the smallest.
+struct Smallest {
+    values: vec3<f32>,
+    vector: vec3<f32>,
+}
+
+fn symmetric_times(m: Symmetric, v: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(
+        dot(vec3<f32>(m.xx, m.xy, m.xz), v),
+        dot(vec3<f32>(m.xy, m.yy, m.yz), v),
+        dot(vec3<f32>(m.xz, m.yz, m.zz), v),
+    );
+}
+
+// cos(acos(x)/3) for x in [-1, 1], absolute error under 5e-7. Built-in acos and cos may be off by 1e-3.
+fn cos_third_acos(x: f32) -> f32 {
+    // acos(|x|) = sqrt(1 - |x|) p(|x|): Abramowitz & Stegun 4.4.46.
+    let magnitude = abs(x);
+    var p = -0.0012624911;
+    p = fma(p, magnitude, 0.0066700901);
+    p = fma(p, magnitude, -0.0170881256);
+    p = fma(p, magnitude, 0.0308918810);
+    p = fma(p, magnitude, -0.0501743046);
+    p = fma(p, magnitude, 0.0889789874);
+    p = fma(p, magnitude, -0.2145988016);
+    p = fma(p, magnitude, 1.5707963268);
+    let acute = sqrt(max(1.0 - magnitude, 0.0)) * p;
+    let angle = select(acute, 3.1415926536 - acute, x < 0.0);
+    // cos on [0, pi/3] by its series in the square: the next term is below 2e-8.
+    let s = (angle * (1.0 / 3.0)) * (angle * (1.0 / 3.0));
+    var c = 2.4801587e-5;
+    c = fma(c, s, -1.3888889e-3);
+    c = fma(c, s, 4.1666667e-2);
+    c = fma(c, s, -0.5);
+    return fma(c, s, 1.0);
+}
+
+// a b - c d
+fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
+    return fma(a, b, -(c * d));
+}
+
+// A unit vector that B - value I takes to zero: the longest cross product of two of its rows.
+fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
+    let x = vec3<f32>(b.xx - value, b.xy, b.xz);
+    let y = vec3<f32>(b.xy, b.yy - value, b.yz);
+    let z = vec3<f32>(b.xz, b.yz, b.zz - value);
+    var longest = cross(x, y);
+    var length_squared = dot(longest, longest);
+    for (var i = 0; i < 2; i++) {
+        let other = cross(select(y, x, i == 0), z);
+        let other_squared = dot(other, other);
+        if other_squared > length_squared {
+            longest = other;
+            length_squared = other_squared;
+        }
+    }
+    // A zero matrix has no direction; any will do.
+    if length_squared > MIN_POSITIVE {
+        return longest * (1.0 / sqrt(length_squared));
+    }
+    return vec3<f32>(0.0, 0.0, 1.0);
+}
+
+// Two unit vectors that complete n to an orthonormal frame (Duff et al. 2017), as in the reference.
+struct Tangents {
+    u: vec3<f32>,
+    v: vec3<f32>,
+}
+
+fn tangents_of(n: vec3<f32>) -> Tangents {
+    let sign = bitcast<f32>((bitcast<u32>(n.z) & 0x80000000u) | 0x3f800000u);
+    let a = -1.0 / (sign + n.z);
+    let b = n.x * n.y * a;
+    return Tangents(
+        vec3<f32>(fma(sign * n.x * n.x, a, 1.0), sign * b, -(sign * n.x)),
+        vec3<f32>(b, fma(n.y * n.y, a, sign), -n.y),
+    );
+}
+
+// The smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
+fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
+    let tangents = tangents_of(axis);
+    let bu = symmetric_times(b, tangents.u);
+    let bv = symmetric_times(b, tangents.v);
+    let uu = dot(tangents.u, bu);
+    let uv = dot(tangents.u, bv);
+    let vv = dot(tangents.v, bv);
+    let half_sum = (uu + vv) * 0.5;
+    let half_difference = (uu - vv) * 0.5;
+    let spread = sqrt(fma(half_difference, half_difference, uv * uv));
+    // The eigenvector of the smaller one, by the longer of the two rows' normals.
+    let reach = abs(half_difference) + spread;
+    let along = select(vec2<f32>(-reach, uv), vec2<f32>(uv, -reach), half_difference >= 0.0);
+    let length_squared = dot(along, along);
+    var vector = tangents.u;
+    if length_squared > MIN_POSITIVE {
+        vector = (along.x * tangents.u + along.y * tangents.v) * (1.0 / sqrt(length_squared));
+    }
+    return Smallest(vec3<f32>(half_sum - spread, half_sum + spread, half_sum + spread), vector);
+}
+
+fn smallest_eigenvector(m: Symmetric) -> Smallest {
+    // M = mean I + p B: B has trace 0, eigenvalues between -2 and 2, and the characteristic polynomial x³ - 3x - det(B).
+    let mean = (m.xx + m.yy + m.zz) * (1.0 / 3.0);
+    let d = vec3<f32>(m.xx, m.yy, m.zz) - mean;
+    let off = vec3<f32>(m.xy, m.xz, m.yz);
+    let p = sqrt((dot(d, d) + 2.0 * dot(off, off)) * (1.0 / 6.0));
+    let inverse_p = 1.0 / max(p, MIN_POSITIVE);
+    let b = Symmetric(
+        d.x * inverse_p,
+        m.xy * inverse_p,
+        m.xz * inverse_p,
+        d.y * inverse_p,
+        m.yz * inverse_p,
+        d.z * inverse_p,
+    );
+    let det = fma(
+        b.xx,
+        minor(b.yy, b.zz, b.yz, b.yz),
+        fma(b.xz, minor(b.xy, b.yz, b.yy, b.xz), -(b.xy * minor(b.xy, b.zz, b.yz, b.xz))),
+    );
+    let half_det = clamp(det * 0.5, -1.0, 1.0);
+
+    // The root that stands alone: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
+    let is_line_like = half_det > LINE_LIKE;
+    let sign = select(-1.0, 1.0, is_line_like);
+    let half_alone = sign * cos_third_acos(half_det * sign);
+    let axis = null_vector(b, 2.0 * half_alone);
+    let alone = fma(p, 2.0 * half_alone, mean);
+    if is_line_like {
+        let across = across_line(b, axis);
+        return Smallest(vec3<f32>(fma(p, across.values.x, mean), fma(p, across.values.y, mean), alone), across.vector);
+    }
+    // The other two lie around minus half of it, sqrt(3) sin apart from there.
+    let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
+    return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
+}
+// Where the sensor stands in the cloud's frame (docs/method.md, section 11).
+//
+// Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame would be
+// rounded once more. A ray leads from the sensor to a point, in the cloud's frame. Where that is the sensor's own, the same
+// operations change no bit (up to 1e18 m).
+
+fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
+    return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
+}
+
+fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
+    if !IS_POINTS {
+        return p;
+    }
+    // Clamped, so that what is computed from it stays finite.
+    return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
+}
+
+// How far a ray reaches along the sensor's axis.
+fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
+    if !IS_POINTS {
+        return ray.z;
+    }
+    return dot(header_vec3(frame, AXIS), ray);
+}
+// The plane of a neighbourhood by principal component analysis (docs/method.md, section 4). Metres, relative to p.
+
+struct Plane {
+    // Unit normal, towards the sensor.
+    normal: vec3<f32>,
+    // c·n: the foot of p on the plane is this times the normal.
+    height: f32,
+    // Variance along the normal, l0, in m².
+    residual: f32,
+    // How little the points determine the normal: l2/(l1 - l0), at most MAX_DOUBT.
+    doubt: f32,
+    // Four times the largest variance, 4 l2, in m²: the square of the neighbourhood's in-plane extent.
+    extent_squared: f32,
+    // Surface variation l0/(l0+l1+l2).
+    curvature: f32,
+    // By what share the second extent exceeds that of a line, l1/(1e-4 l2) - 1.
+    off_line: f32,
+    // The neighbours lie on a line; the rest means nothing.
+    is_degenerate: bool,
+}
+
+// The plane that a point lies on, as one of the passes found it.
+struct LocalSurface {
+    plane: Plane,
+    // How many neighbours.
+    n: f32,
+    // How far from the plane a neighbour counts, in metres; means nothing where KEEPS_EDGES is false.
+    width: f32,
+}
+
+// `ray` leads from the sensor to p.
+fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
+    let inverse_total = 1.0 / max(sums.total, MIN_POSITIVE);
+    let c = sums.e * inverse_total;
+    // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
+    let x_row = fma(sums.x_row, vec3<f32>(inverse_total), -(c.x * c));
+    let rest = fma(sums.rest, vec3<f32>(inverse_total), -(c.yyz * c.yzz));
+    let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));
+    let normal = select(eigen.vector, -eigen.vector, dot(eigen.vector, ray) > 0.0);
+    let l = eigen.values;
+    let residual = max(l.x, 0.0);
+    let curvature = residual / max(l.x + l.y + l.z, MIN_POSITIVE);
+    let doubt = min(l.z / max(l.y - residual, MIN_POSITIVE), MAX_DOUBT);
+    let line = l.z * DEGENERATE_RATIO;
+    let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
+    return Plane(normal, dot(c, normal), residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
+}
+// The plane that a point lies on: that of its own window (docs/method.md, section 4).
+
+fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
+    let ray = ray_to(frame, p);
+    let radius = radius_at(frame, range_of(frame, ray));
+    let sums = sums_of(window, p, gate_of(radius));
+    let n = u32(sums.n);
+    if n < 3u {
+        return no_result(STATUS_TOO_FEW, n);
+    }
+    return result_of(frame, window, p, radius, LocalSurface(plane_of(ray, sums), sums.n, 0.0));
+}
+// The point on the surface, its normal and its status (docs/method.md, section 7).
+
+struct Projected {
+    point: vec3<f32>,
+    normal: vec3<f32>,
+    // Codes of Status.
+    status: u32,
+    // The depth at which the ray meets the surface, over the measured one.
+    depth_scale: f32,
+}
+
+fn is_on_ray(frame: u32) -> bool {
+    return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
+}
+
+// Puts p onto the surface that is `height` away along the plane's normal, and has a normal of its own.
+fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
+    let on_ray = is_on_ray(frame);
+    var point = fma(vec3<f32>(height), plane_normal, p);
+    var along = 0.0;
+    if WANTS_DEPTH || WANTS_DEPTH_M || on_ray {
+        let ray = ray_to(frame, p);
+        along = along_ray(height * dot(plane_normal, normal), normal, ray, radius);
+        if on_ray {
+            point = fma(vec3<f32>(along), ray, p);
+        }
+    }
+    return Projected(point, normal, status, 1.0 + along);
+}
+
+// How far along the ray, in its lengths, the tangent plane lies that is `height` from the ray's end along its normal. Where the
+// ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
+fn along_ray(height: f32, normal: vec3<f32>, ray: vec3<f32>, radius: f32) -> f32 {
+    let square = max(dot(ray, ray), MIN_POSITIVE);
+    let across = dot(ray, normal);
+    let divisor = max(max(across * across, square * (GRAZING_COSINE * GRAZING_COSINE)), MIN_POSITIVE);
+    let along = height * across / divisor;
+    let limit = min(radius / sqrt(square), MAX_ALONG);
+    return clamp(along, -limit, limit);
+}
+
+fn project_on_plane(frame: u32, p: vec3<f32>, plane: Plane, radius: f32) -> Projected {
+    return put_on_surface(frame, p, plane.normal, plane.height, plane.normal, radius, STATUS_PLANE);
+}
+struct Moments {
+    m00: f32,
+    m01: f32,
+    m02: f32,
+    m03: f32,
+    m04: f32,
+    m05: f32,
+    m06: f32,
+    m10: f32,
+    m11: f32,
+    m12: f32,
+    m13: f32,
+    m14: f32,
+    m15: f32,
+    m20: f32,
+    m21: f32,
+    m22: f32,
+    m23: f32,
+    m24: f32,
+    m30: f32,
+    m31: f32,
+    m32: f32,
+    m33: f32,
+    m40: f32,
+    m41: f32,
+    m42: f32,
+    m50: f32,
+    m51: f32,
+    m60: f32,
+    t00: f32,
+    t01: f32,
+    t02: f32,
+    t03: f32,
+    t10: f32,
+    t11: f32,
+    t12: f32,
+    t20: f32,
+    t21: f32,
+    t30: f32,
+}
+// The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
+//
+// The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the in-plane coordinates and f the height over the plane, all in units of the
+// bandwidth over sqrt(log2 e). Moments: m_ij = sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for
+// i + j <= DEGREE, summed as outer products of the powers of a and b. kernel.rs writes the struct Moments, and in the place of the
+// lines that name them the loop over the candidates (e is the offset of one from p, count how many points it stands for) and the
+// sums, one statement for each moment; loops stay rolled, or the kernel outgrows the instruction cache.
+
+struct Fit {
+    moments: Moments,
+    // In-plane axes, of unit length.
+    u: vec3<f32>,
+    v: vec3<f32>,
+    // Units of a, b and f in a metre.
+    per_metre: f32,
+    // The square of the extent in units of a and b.
+    extent_squared: f32,
+}
+
+// Second pass over the window. The gate is that of the first pass in these units.
+fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
+    let plane = surface.plane;
+    let tangents = tangents_of(plane.normal);
+    let per_metre = SQRT_LOG2_E / bandwidth;
+    let a_axis = tangents.u * per_metre;
+    let b_axis = tangents.v * per_metre;
+    let f_axis = plane.normal * per_metre;
+    let f_offset = plane.height * per_metre;
+    let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
+    // f² counts so many times more in the weight of section 10.
+    let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
+    var s: Moments;
+    for (var row = 0u; row < SIDE; row++) { for (var column = 0u; column < SIDE; column++) {
+        let e = candidate(window, column, row) - p;
+        let count = 1.0;
+        let a = fma(e.x, a_axis.x, fma(e.y, a_axis.y, e.z * a_axis.z));
+        let b = fma(e.x, b_axis.x, fma(e.y, b_axis.y, e.z * b_axis.z));
+        let above_p = fma(e.x, f_axis.x, fma(e.y, f_axis.y, e.z * f_axis.z));
+        let in_plane = fma(a, a, b * b);
+        let squared = fma(above_p, above_p, in_plane);
+        let nearness = unclamped(gate, squared);
+        if nearness > 0.0 {
+            let f = above_p - f_offset;
+            var exponent = fma(f, f, in_plane);
+            if KEEPS_EDGES {
+                exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
+            }
+            let w = count * (min(nearness, 1.0) * exp2(-exponent));
+            let wa0 = w;
+let wa1 = w * a;
+let a2 = a * a;
+let b1 = b;
+let b2 = b * b;
+let wa2 = wa0 * a2;
+let wa3 = wa1 * a2;
+let wa4 = wa2 * a2;
+let wa5 = wa3 * a2;
+let b3 = b1 * b2;
+let b4 = b2 * b2;
+let b5 = b2 * b3;
+let b6 = b3 * b3;
+s.m00 += wa0;
+s.m01 = fma(wa0, b1, s.m01);
+s.m02 = fma(wa0, b2, s.m02);
+s.m03 = fma(wa0, b3, s.m03);
+s.m04 = fma(wa0, b4, s.m04);
+s.m05 = fma(wa0, b5, s.m05);
+s.m06 = fma(wa0, b6, s.m06);
+s.m10 += wa1;
+s.m11 = fma(wa1, b1, s.m11);
+s.m12 = fma(wa1, b2, s.m12);
+s.m13 = fma(wa1, b3, s.m13);
+s.m14 = fma(wa1, b4, s.m14);
+s.m15 = fma(wa1, b5, s.m15);
+s.m20 += wa2;
+s.m21 = fma(wa2, b1, s.m21);
+s.m22 = fma(wa2, b2, s.m22);
+s.m23 = fma(wa2, b3, s.m23);
+s.m24 = fma(wa2, b4, s.m24);
+s.m30 += wa3;
+s.m31 = fma(wa3, b1, s.m31);
+s.m32 = fma(wa3, b2, s.m32);
+s.m33 = fma(wa3, b3, s.m33);
+s.m40 += wa4;
+s.m41 = fma(wa4, b1, s.m41);
+s.m42 = fma(wa4, b2, s.m42);
+s.m50 += wa5;
+s.m51 = fma(wa5, b1, s.m51);
+s.m60 = fma(wa4, a2, s.m60);
+let wf0 = wa0 * f;
+s.t00 += wf0;
+s.t01 = fma(wf0, b1, s.t01);
+s.t02 = fma(wf0, b2, s.t02);
+s.t03 = fma(wf0, b3, s.t03);
+let wf1 = wa1 * f;
+s.t10 += wf1;
+s.t11 = fma(wf1, b1, s.t11);
+s.t12 = fma(wf1, b2, s.t12);
+let wf2 = wa2 * f;
+s.t20 += wf2;
+s.t21 = fma(wf2, b1, s.t21);
+s.t30 = fma(wa3, f, s.t30);
+
+        }
+    } }
+    let extent_squared = min(plane.extent_squared, radius_squared) * per_metre * per_metre;
+    return Fit(s, tangents.u, tangents.v, per_metre, extent_squared);
+}
+fn solve(s: Moments, ridge: f32, extent_squared: f32, n: f32) -> vec3<f32> {
+let ridge0 = 0.0;
+let ridge1 = s.m00 * ridge * extent_squared;
+let ridge2 = ridge1 * extent_squared;
+let ridge3 = ridge2 * extent_squared;
+var pivot0 = fma(ridge0, 0.0, s.m00);
+var y0 = s.t00;
+let inverse0 = select(0.0, 1.0 / pivot0, pivot0 > 0.0);
+var d1_0 = s.m10;
+let l1_0 = d1_0 * inverse0;
+var d2_0 = s.m01;
+let l2_0 = d2_0 * inverse0;
+var d3_0 = s.m20;
+let l3_0 = d3_0 * inverse0;
+var d4_0 = s.m11;
+let l4_0 = d4_0 * inverse0;
+var d5_0 = s.m02;
+let l5_0 = d5_0 * inverse0;
+var d6_0 = s.m30;
+let l6_0 = d6_0 * inverse0;
+var d7_0 = s.m21;
+let l7_0 = d7_0 * inverse0;
+var d8_0 = s.m12;
+let l8_0 = d8_0 * inverse0;
+var d9_0 = s.m03;
+let l9_0 = d9_0 * inverse0;
+var pivot1 = fma(ridge1, 1.0, s.m20);
+var y1 = s.t10;
+pivot1 = fma(-l1_0, d1_0, pivot1);
+y1 = fma(-l1_0, y0, y1);
+let inverse1 = select(0.0, 1.0 / pivot1, pivot1 > 0.0);
+var d2_1 = s.m11;
+d2_1 = fma(-l2_0, d1_0, d2_1);
+let l2_1 = d2_1 * inverse1;
+var d3_1 = s.m30;
+d3_1 = fma(-l3_0, d1_0, d3_1);
+let l3_1 = d3_1 * inverse1;
+var d4_1 = s.m21;
+d4_1 = fma(-l4_0, d1_0, d4_1);
+let l4_1 = d4_1 * inverse1;
+var d5_1 = s.m12;
+d5_1 = fma(-l5_0, d1_0, d5_1);
+let l5_1 = d5_1 * inverse1;
+var d6_1 = s.m40;
+d6_1 = fma(-l6_0, d1_0, d6_1);
+let l6_1 = d6_1 * inverse1;
+var d7_1 = s.m31;
+d7_1 = fma(-l7_0, d1_0, d7_1);
+let l7_1 = d7_1 * inverse1;
+var d8_1 = s.m22;
+d8_1 = fma(-l8_0, d1_0, d8_1);
+let l8_1 = d8_1 * inverse1;
+var d9_1 = s.m13;
+d9_1 = fma(-l9_0, d1_0, d9_1);
+let l9_1 = d9_1 * inverse1;
+var pivot2 = fma(ridge1, 1.0, s.m02);
+var y2 = s.t01;
+pivot2 = fma(-l2_0, d2_0, pivot2);
+y2 = fma(-l2_0, y0, y2);
+pivot2 = fma(-l2_1, d2_1, pivot2);
+y2 = fma(-l2_1, y1, y2);
+let inverse2 = select(0.0, 1.0 / pivot2, pivot2 > 0.0);
+var d3_2 = s.m21;
+d3_2 = fma(-l3_0, d2_0, d3_2);
+d3_2 = fma(-l3_1, d2_1, d3_2);
+let l3_2 = d3_2 * inverse2;
+var d4_2 = s.m12;
+d4_2 = fma(-l4_0, d2_0, d4_2);
+d4_2 = fma(-l4_1, d2_1, d4_2);
+let l4_2 = d4_2 * inverse2;
+var d5_2 = s.m03;
+d5_2 = fma(-l5_0, d2_0, d5_2);
+d5_2 = fma(-l5_1, d2_1, d5_2);
+let l5_2 = d5_2 * inverse2;
+var d6_2 = s.m31;
+d6_2 = fma(-l6_0, d2_0, d6_2);
+d6_2 = fma(-l6_1, d2_1, d6_2);
+let l6_2 = d6_2 * inverse2;
+var d7_2 = s.m22;
+d7_2 = fma(-l7_0, d2_0, d7_2);
+d7_2 = fma(-l7_1, d2_1, d7_2);
+let l7_2 = d7_2 * inverse2;
+var d8_2 = s.m13;
+d8_2 = fma(-l8_0, d2_0, d8_2);
+d8_2 = fma(-l8_1, d2_1, d8_2);
+let l8_2 = d8_2 * inverse2;
+var d9_2 = s.m04;
+d9_2 = fma(-l9_0, d2_0, d9_2);
+d9_2 = fma(-l9_1, d2_1, d9_2);
+let l9_2 = d9_2 * inverse2;
+var pivot3 = fma(ridge2, 1.0, s.m40);
+var y3 = s.t20;
+pivot3 = fma(-l3_0, d3_0, pivot3);
+y3 = fma(-l3_0, y0, y3);
+pivot3 = fma(-l3_1, d3_1, pivot3);
+y3 = fma(-l3_1, y1, y3);
+pivot3 = fma(-l3_2, d3_2, pivot3);
+y3 = fma(-l3_2, y2, y3);
+let inverse3 = select(0.0, 1.0 / pivot3, pivot3 > 0.0);
+var d4_3 = s.m31;
+d4_3 = fma(-l4_0, d3_0, d4_3);
+d4_3 = fma(-l4_1, d3_1, d4_3);
+d4_3 = fma(-l4_2, d3_2, d4_3);
+let l4_3 = d4_3 * inverse3;
+var d5_3 = s.m22;
+d5_3 = fma(-l5_0, d3_0, d5_3);
+d5_3 = fma(-l5_1, d3_1, d5_3);
+d5_3 = fma(-l5_2, d3_2, d5_3);
+let l5_3 = d5_3 * inverse3;
+var d6_3 = s.m50;
+d6_3 = fma(-l6_0, d3_0, d6_3);
+d6_3 = fma(-l6_1, d3_1, d6_3);
+d6_3 = fma(-l6_2, d3_2, d6_3);
+let l6_3 = d6_3 * inverse3;
+var d7_3 = s.m41;
+d7_3 = fma(-l7_0, d3_0, d7_3);
+d7_3 = fma(-l7_1, d3_1, d7_3);
+d7_3 = fma(-l7_2, d3_2, d7_3);
+let l7_3 = d7_3 * inverse3;
+var d8_3 = s.m32;
+d8_3 = fma(-l8_0, d3_0, d8_3);
+d8_3 = fma(-l8_1, d3_1, d8_3);
+d8_3 = fma(-l8_2, d3_2, d8_3);
+let l8_3 = d8_3 * inverse3;
+var d9_3 = s.m23;
+d9_3 = fma(-l9_0, d3_0, d9_3);
+d9_3 = fma(-l9_1, d3_1, d9_3);
+d9_3 = fma(-l9_2, d3_2, d9_3);
+let l9_3 = d9_3 * inverse3;
+var pivot4 = fma(ridge2, 0.5, s.m22);
+var y4 = s.t11;
+pivot4 = fma(-l4_0, d4_0, pivot4);
+y4 = fma(-l4_0, y0, y4);
+pivot4 = fma(-l4_1, d4_1, pivot4);
+y4 = fma(-l4_1, y1, y4);
+pivot4 = fma(-l4_2, d4_2, pivot4);
+y4 = fma(-l4_2, y2, y4);
+pivot4 = fma(-l4_3, d4_3, pivot4);
+y4 = fma(-l4_3, y3, y4);
+let inverse4 = select(0.0, 1.0 / pivot4, pivot4 > 0.0);
+var d5_4 = s.m13;
+d5_4 = fma(-l5_0, d4_0, d5_4);
+d5_4 = fma(-l5_1, d4_1, d5_4);
+d5_4 = fma(-l5_2, d4_2, d5_4);
+d5_4 = fma(-l5_3, d4_3, d5_4);
+let l5_4 = d5_4 * inverse4;
+var d6_4 = s.m41;
+d6_4 = fma(-l6_0, d4_0, d6_4);
+d6_4 = fma(-l6_1, d4_1, d6_4);
+d6_4 = fma(-l6_2, d4_2, d6_4);
+d6_4 = fma(-l6_3, d4_3, d6_4);
+let l6_4 = d6_4 * inverse4;
+var d7_4 = s.m32;
+d7_4 = fma(-l7_0, d4_0, d7_4);
+d7_4 = fma(-l7_1, d4_1, d7_4);
+d7_4 = fma(-l7_2, d4_2, d7_4);
+d7_4 = fma(-l7_3, d4_3, d7_4);
+let l7_4 = d7_4 * inverse4;
+var d8_4 = s.m23;
+d8_4 = fma(-l8_0, d4_0, d8_4);
+d8_4 = fma(-l8_1, d4_1, d8_4);
+d8_4 = fma(-l8_2, d4_2, d8_4);
+d8_4 = fma(-l8_3, d4_3, d8_4);
+let l8_4 = d8_4 * inverse4;
+var d9_4 = s.m14;
+d9_4 = fma(-l9_0, d4_0, d9_4);
+d9_4 = fma(-l9_1, d4_1, d9_4);
+d9_4 = fma(-l9_2, d4_2, d9_4);
+d9_4 = fma(-l9_3, d4_3, d9_4);
+let l9_4 = d9_4 * inverse4;
+var pivot5 = fma(ridge2, 1.0, s.m04);
+var y5 = s.t02;
+pivot5 = fma(-l5_0, d5_0, pivot5);
+y5 = fma(-l5_0, y0, y5);
+pivot5 = fma(-l5_1, d5_1, pivot5);
+y5 = fma(-l5_1, y1, y5);
+pivot5 = fma(-l5_2, d5_2, pivot5);
+y5 = fma(-l5_2, y2, y5);
+pivot5 = fma(-l5_3, d5_3, pivot5);
+y5 = fma(-l5_3, y3, y5);
+pivot5 = fma(-l5_4, d5_4, pivot5);
+y5 = fma(-l5_4, y4, y5);
+let inverse5 = select(0.0, 1.0 / pivot5, pivot5 > 0.0);
+var d6_5 = s.m32;
+d6_5 = fma(-l6_0, d5_0, d6_5);
+d6_5 = fma(-l6_1, d5_1, d6_5);
+d6_5 = fma(-l6_2, d5_2, d6_5);
+d6_5 = fma(-l6_3, d5_3, d6_5);
+d6_5 = fma(-l6_4, d5_4, d6_5);
+let l6_5 = d6_5 * inverse5;
+var d7_5 = s.m23;
+d7_5 = fma(-l7_0, d5_0, d7_5);
+d7_5 = fma(-l7_1, d5_1, d7_5);
+d7_5 = fma(-l7_2, d5_2, d7_5);
+d7_5 = fma(-l7_3, d5_3, d7_5);
+d7_5 = fma(-l7_4, d5_4, d7_5);
+let l7_5 = d7_5 * inverse5;
+var d8_5 = s.m14;
+d8_5 = fma(-l8_0, d5_0, d8_5);
+d8_5 = fma(-l8_1, d5_1, d8_5);
+d8_5 = fma(-l8_2, d5_2, d8_5);
+d8_5 = fma(-l8_3, d5_3, d8_5);
+d8_5 = fma(-l8_4, d5_4, d8_5);
+let l8_5 = d8_5 * inverse5;
+var d9_5 = s.m05;
+d9_5 = fma(-l9_0, d5_0, d9_5);
+d9_5 = fma(-l9_1, d5_1, d9_5);
+d9_5 = fma(-l9_2, d5_2, d9_5);
+d9_5 = fma(-l9_3, d5_3, d9_5);
+d9_5 = fma(-l9_4, d5_4, d9_5);
+let l9_5 = d9_5 * inverse5;
+var pivot6 = fma(ridge3, 1.0, s.m60);
+var y6 = s.t30;
+pivot6 = fma(-l6_0, d6_0, pivot6);
+y6 = fma(-l6_0, y0, y6);
+pivot6 = fma(-l6_1, d6_1, pivot6);
+y6 = fma(-l6_1, y1, y6);
+pivot6 = fma(-l6_2, d6_2, pivot6);
+y6 = fma(-l6_2, y2, y6);
+pivot6 = fma(-l6_3, d6_3, pivot6);
+y6 = fma(-l6_3, y3, y6);
+pivot6 = fma(-l6_4, d6_4, pivot6);
+y6 = fma(-l6_4, y4, y6);
+pivot6 = fma(-l6_5, d6_5, pivot6);
+y6 = fma(-l6_5, y5, y6);
+let inverse6 = select(0.0, 1.0 / pivot6, pivot6 > 0.0 && n >= 10.0);
+var d7_6 = s.m51;
+d7_6 = fma(-l7_0, d6_0, d7_6);
+d7_6 = fma(-l7_1, d6_1, d7_6);
+d7_6 = fma(-l7_2, d6_2, d7_6);
+d7_6 = fma(-l7_3, d6_3, d7_6);
+d7_6 = fma(-l7_4, d6_4, d7_6);
+d7_6 = fma(-l7_5, d6_5, d7_6);
+let l7_6 = d7_6 * inverse6;
+var d8_6 = s.m42;
+d8_6 = fma(-l8_0, d6_0, d8_6);
+d8_6 = fma(-l8_1, d6_1, d8_6);
+d8_6 = fma(-l8_2, d6_2, d8_6);
+d8_6 = fma(-l8_3, d6_3, d8_6);
+d8_6 = fma(-l8_4, d6_4, d8_6);
+d8_6 = fma(-l8_5, d6_5, d8_6);
+let l8_6 = d8_6 * inverse6;
+var d9_6 = s.m33;
+d9_6 = fma(-l9_0, d6_0, d9_6);
+d9_6 = fma(-l9_1, d6_1, d9_6);
+d9_6 = fma(-l9_2, d6_2, d9_6);
+d9_6 = fma(-l9_3, d6_3, d9_6);
+d9_6 = fma(-l9_4, d6_4, d9_6);
+d9_6 = fma(-l9_5, d6_5, d9_6);
+let l9_6 = d9_6 * inverse6;
+var pivot7 = fma(ridge3, 0.33333334, s.m42);
+var y7 = s.t21;
+pivot7 = fma(-l7_0, d7_0, pivot7);
+y7 = fma(-l7_0, y0, y7);
+pivot7 = fma(-l7_1, d7_1, pivot7);
+y7 = fma(-l7_1, y1, y7);
+pivot7 = fma(-l7_2, d7_2, pivot7);
+y7 = fma(-l7_2, y2, y7);
+pivot7 = fma(-l7_3, d7_3, pivot7);
+y7 = fma(-l7_3, y3, y7);
+pivot7 = fma(-l7_4, d7_4, pivot7);
+y7 = fma(-l7_4, y4, y7);
+pivot7 = fma(-l7_5, d7_5, pivot7);
+y7 = fma(-l7_5, y5, y7);
+pivot7 = fma(-l7_6, d7_6, pivot7);
+y7 = fma(-l7_6, y6, y7);
+let inverse7 = select(0.0, 1.0 / pivot7, pivot7 > 0.0 && n >= 10.0);
+var d8_7 = s.m33;
+d8_7 = fma(-l8_0, d7_0, d8_7);
+d8_7 = fma(-l8_1, d7_1, d8_7);
+d8_7 = fma(-l8_2, d7_2, d8_7);
+d8_7 = fma(-l8_3, d7_3, d8_7);
+d8_7 = fma(-l8_4, d7_4, d8_7);
+d8_7 = fma(-l8_5, d7_5, d8_7);
+d8_7 = fma(-l8_6, d7_6, d8_7);
+let l8_7 = d8_7 * inverse7;
+var d9_7 = s.m24;
+d9_7 = fma(-l9_0, d7_0, d9_7);
+d9_7 = fma(-l9_1, d7_1, d9_7);
+d9_7 = fma(-l9_2, d7_2, d9_7);
+d9_7 = fma(-l9_3, d7_3, d9_7);
+d9_7 = fma(-l9_4, d7_4, d9_7);
+d9_7 = fma(-l9_5, d7_5, d9_7);
+d9_7 = fma(-l9_6, d7_6, d9_7);
+let l9_7 = d9_7 * inverse7;
+var pivot8 = fma(ridge3, 0.33333334, s.m24);
+var y8 = s.t12;
+pivot8 = fma(-l8_0, d8_0, pivot8);
+y8 = fma(-l8_0, y0, y8);
+pivot8 = fma(-l8_1, d8_1, pivot8);
+y8 = fma(-l8_1, y1, y8);
+pivot8 = fma(-l8_2, d8_2, pivot8);
+y8 = fma(-l8_2, y2, y8);
+pivot8 = fma(-l8_3, d8_3, pivot8);
+y8 = fma(-l8_3, y3, y8);
+pivot8 = fma(-l8_4, d8_4, pivot8);
+y8 = fma(-l8_4, y4, y8);
+pivot8 = fma(-l8_5, d8_5, pivot8);
+y8 = fma(-l8_5, y5, y8);
+pivot8 = fma(-l8_6, d8_6, pivot8);
+y8 = fma(-l8_6, y6, y8);
+pivot8 = fma(-l8_7, d8_7, pivot8);
+y8 = fma(-l8_7, y7, y8);
+let inverse8 = select(0.0, 1.0 / pivot8, pivot8 > 0.0 && n >= 10.0);
+var d9_8 = s.m15;
+d9_8 = fma(-l9_0, d8_0, d9_8);
+d9_8 = fma(-l9_1, d8_1, d9_8);
+d9_8 = fma(-l9_2, d8_2, d9_8);
+d9_8 = fma(-l9_3, d8_3, d9_8);
+d9_8 = fma(-l9_4, d8_4, d9_8);
+d9_8 = fma(-l9_5, d8_5, d9_8);
+d9_8 = fma(-l9_6, d8_6, d9_8);
+d9_8 = fma(-l9_7, d8_7, d9_8);
+let l9_8 = d9_8 * inverse8;
+var pivot9 = fma(ridge3, 1.0, s.m06);
+var y9 = s.t03;
+pivot9 = fma(-l9_0, d9_0, pivot9);
+y9 = fma(-l9_0, y0, y9);
+pivot9 = fma(-l9_1, d9_1, pivot9);
+y9 = fma(-l9_1, y1, y9);
+pivot9 = fma(-l9_2, d9_2, pivot9);
+y9 = fma(-l9_2, y2, y9);
+pivot9 = fma(-l9_3, d9_3, pivot9);
+y9 = fma(-l9_3, y3, y9);
+pivot9 = fma(-l9_4, d9_4, pivot9);
+y9 = fma(-l9_4, y4, y9);
+pivot9 = fma(-l9_5, d9_5, pivot9);
+y9 = fma(-l9_5, y5, y9);
+pivot9 = fma(-l9_6, d9_6, pivot9);
+y9 = fma(-l9_6, y6, y9);
+pivot9 = fma(-l9_7, d9_7, pivot9);
+y9 = fma(-l9_7, y7, y9);
+pivot9 = fma(-l9_8, d9_8, pivot9);
+y9 = fma(-l9_8, y8, y9);
+let inverse9 = select(0.0, 1.0 / pivot9, pivot9 > 0.0 && n >= 10.0);
+var c9 = y9 * inverse9;
+var c8 = y8 * inverse8;
+c8 = fma(-l9_8, c9, c8);
+var c7 = y7 * inverse7;
+c7 = fma(-l9_7, c9, c7);
+c7 = fma(-l8_7, c8, c7);
+var c6 = y6 * inverse6;
+c6 = fma(-l9_6, c9, c6);
+c6 = fma(-l8_6, c8, c6);
+c6 = fma(-l7_6, c7, c6);
+var c5 = y5 * inverse5;
+c5 = fma(-l9_5, c9, c5);
+c5 = fma(-l8_5, c8, c5);
+c5 = fma(-l7_5, c7, c5);
+c5 = fma(-l6_5, c6, c5);
+var c4 = y4 * inverse4;
+c4 = fma(-l9_4, c9, c4);
+c4 = fma(-l8_4, c8, c4);
+c4 = fma(-l7_4, c7, c4);
+c4 = fma(-l6_4, c6, c4);
+c4 = fma(-l5_4, c5, c4);
+var c3 = y3 * inverse3;
+c3 = fma(-l9_3, c9, c3);
+c3 = fma(-l8_3, c8, c3);
+c3 = fma(-l7_3, c7, c3);
+c3 = fma(-l6_3, c6, c3);
+c3 = fma(-l5_3, c5, c3);
+c3 = fma(-l4_3, c4, c3);
+var c2 = y2 * inverse2;
+c2 = fma(-l9_2, c9, c2);
+c2 = fma(-l8_2, c8, c2);
+c2 = fma(-l7_2, c7, c2);
+c2 = fma(-l6_2, c6, c2);
+c2 = fma(-l5_2, c5, c2);
+c2 = fma(-l4_2, c4, c2);
+c2 = fma(-l3_2, c3, c2);
+var c1 = y1 * inverse1;
+c1 = fma(-l9_1, c9, c1);
+c1 = fma(-l8_1, c8, c1);
+c1 = fma(-l7_1, c7, c1);
+c1 = fma(-l6_1, c6, c1);
+c1 = fma(-l5_1, c5, c1);
+c1 = fma(-l4_1, c4, c1);
+c1 = fma(-l3_1, c3, c1);
+c1 = fma(-l2_1, c2, c1);
+var c0 = y0 * inverse0;
+c0 = fma(-l9_0, c9, c0);
+c0 = fma(-l8_0, c8, c0);
+c0 = fma(-l7_0, c7, c0);
+c0 = fma(-l6_0, c6, c0);
+c0 = fma(-l5_0, c5, c0);
+c0 = fma(-l4_0, c4, c0);
+c0 = fma(-l3_0, c3, c0);
+c0 = fma(-l2_0, c2, c0);
+c0 = fma(-l1_0, c1, c0);
+return vec3<f32>(c0, c1, c2);
+}
+// The point on the polynomial over the plane (docs/method.md, section 7).
+
+// `c` is c_00, c_10 and c_01 in the units of the fit. A surface further away than the radius gives way to the plane; so does one
+// whose height is no number.
+fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
+    let height = c.x / fit.per_metre + plane.height;
+    if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {
+        return project_on_plane(frame, p, plane, radius);
+    }
+    var normal = plane.normal;
+    if WANTS_NORMALS || WANTS_DEPTH || WANTS_DEPTH_M || is_on_ray(frame) {
+        normal = plane.normal - c.y * fit.u - c.z * fit.v;
+        normal *= select(1.0, -1.0, dot(normal, ray_to(frame, p)) > 0.0) / sqrt(dot(normal, normal));
+    }
+    let status = select(STATUS_POLYNOMIAL_2, STATUS_POLYNOMIAL_3, DEGREE == 3u && n >= 10.0);
+    return put_on_surface(frame, p, plane.normal, height, normal, radius, status);
+}
+
+fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> Projected {
+    if surface.n < 6.0 {
+        return project_on_plane(frame, p, surface.plane, radius);
+    }
+    let own_bandwidth = header(frame, BANDWIDTH);
+    let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
+    let fit = fit_of(window, p, radius * radius, surface, bandwidth);
+    return project_on_polynomial(frame, p, surface.plane, fit, solve(fit.moments, header(frame, RIDGE), fit.extent_squared, surface.n), radius, surface.n);
+}
+// A point's result before it is stored. NaN is written by its bits and never computed.
+
+const NAN_BITS: u32 = 0x7fc00000u;
+
+struct PixelResult {
+    point: vec3<u32>,
+    normal: vec3<u32>,
+    curvature: u32,
+    depth_m: u32,
+    // Status in the low byte, the number of neighbours in the next, raw depth in the upper half; of general clouds the number of
+    // neighbours in all others, as far as it goes.
+    codes: u32,
+}
+
+fn no_result(status: u32, n: u32) -> PixelResult {
+    return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, NAN_BITS, status | (n << 8u));
+}
+// What becomes of a point: from the plane that it lies on, sections 5 to 7 of docs/method.md.
+
+// The depth at which the ray of p meets the surface, in metres and in raw units.
+fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) -> PixelResult {
+    var result = without;
+    if WANTS_DEPTH || WANTS_DEPTH_M {
+        let depth = depth_of(frame, ray_to(frame, p)) * depth_scale;
+        result.depth_m = bitcast<u32>(depth);
+        let raw = round(depth * header(frame, UNITS_PER_METRE));
+        if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
+            result.codes |= u32(raw) << 16u;
+        }
+    }
+    return result;
+}
+
+// Of a point with 3 neighbours or more.
+fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
+    let n = u32(surface.n);
+    if surface.plane.is_degenerate {
+        var result = no_result(STATUS_DEGENERATE, n);
+        result.point = bitcast<vec3<u32>>(p);
+        // Without a normal the depth is the point's own.
+        return with_depth(frame, p, 1.0, result);
+    }
+    let projected = surface_of(frame, window, p, radius, surface);
+    let result = PixelResult(
+        bitcast<vec3<u32>>(projected.point),
+        bitcast<vec3<u32>>(projected.normal),
+        bitcast<u32>(surface.plane.curvature),
+        NAN_BITS,
+        projected.status | (n << 8u),
+    );
+    return with_depth(frame, p, projected.depth_scale, result);
+}
+// The result in its readback layout: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
+//
+// Packed rows start at whole words, so a row of a tile is whole words too.
+
+var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
+
+fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
+    output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;
+}
+
+// Packed rows of `shift`ed fields of `bits` bits each, behind the channels; one thread a word.
+fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
+    let in_word = 32u / bits;
+    let words_in_tile_row = TILE_WIDTH / in_word;
+    let row = thread / words_in_tile_row;
+    let word = thread % words_in_tile_row;
+    let row_words = (batch.width + in_word - 1u) / in_word;
+    let y = origin.y + row * STRIDE;
+    let at = origin.x / in_word + word;
+    if row >= TILE_HEIGHT || y >= batch.height || at >= row_words {
+        return;
+    }
+    var packed = 0u;
+    for (var i = 0u; i < in_word; i++) {
+        packed |= extractBits(codes[row * TILE_WIDTH + word * in_word + i], shift, bits) << (i * bits);
+    }
+    output[frame * batch.output_words + rows_at + y * row_words + at] = packed;
+}
+
+fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: PixelResult) {
+    if pixel.x < batch.width && pixel.y < batch.height {
+        let at = pixel.y * batch.width + pixel.x;
+        if WANTS_POINTS {
+            store_word(frame, POINTS_CHANNEL, at, result.point.x);
+            store_word(frame, POINTS_CHANNEL + 1u, at, result.point.y);
+            store_word(frame, POINTS_CHANNEL + 2u, at, result.point.z);
+        }
+        if WANTS_NORMALS {
+            store_word(frame, NORMALS_CHANNEL, at, result.normal.x);
+            store_word(frame, NORMALS_CHANNEL + 1u, at, result.normal.y);
+            store_word(frame, NORMALS_CHANNEL + 2u, at, result.normal.z);
+        }
+        if WANTS_CURVATURE {
+            store_word(frame, CURVATURE_CHANNEL, at, result.curvature);
+        }
+        if WANTS_DEPTH_M {
+            store_word(frame, DEPTH_M_CHANNEL, at, result.depth_m);
+        }
+    }
+    if WANTS_STATUS || WANTS_NEIGHBOURS || WANTS_DEPTH {
+        codes[thread] = result.codes;
+        workgroupBarrier();
+        var rows_at = CHANNELS * batch.width * batch.height;
+        if WANTS_STATUS {
+            store_packed(frame, rows_at, origin, thread, 0u, 8u);
+            rows_at += batch.height * ((batch.width + 3u) / 4u);
+        }
+        if WANTS_NEIGHBOURS {
+            store_packed(frame, rows_at, origin, thread, 8u, 8u);
+            rows_at += batch.height * ((batch.width + 3u) / 4u);
+        }
+        if WANTS_DEPTH {
+            store_packed(frame, rows_at, origin, thread, 16u, 16u);
+        }
+    }
+}
+// The results of a tile of pixels.
+
+@compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
+fn smooth_frames(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let frame = group.z;
+    let origin = origin_of(group);
+    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    load_candidates(frame, origin, thread);
+    let window = window_origin_of(frame, pixel, local.xy);
+    let p = centre_of(frame, pixel, window);
+    var result = no_result(STATUS_HOLE, 0u);
+    if p.x != NO_POINT {
+        result = smooth_point(frame, pixel, window, p);
+    }
+    store(frame, origin, pixel, thread, result);
+}
