@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 /// A parameter outside its range.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{field} = {value} is not allowed: {allowed}")]
+#[error("{field} = {} is not allowed: {allowed}", shortened(value))]
 pub struct ParamError {
     /// The field of the parameter struct, as it is spelled in code.
     pub field: &'static str,
@@ -16,6 +16,15 @@ pub struct ParamError {
     pub value: String,
     /// What it may be.
     pub allowed: &'static str,
+}
+
+/// A number of more digits than anybody reads by its exponent.
+fn shortened(value: &str) -> String {
+    const LONGEST: usize = 40;
+    match value.parse::<f64>() {
+        Ok(number) if value.len() > LONGEST => format!("{number:e}"),
+        _ => value.to_owned(),
+    }
 }
 
 /// A malformed frame.

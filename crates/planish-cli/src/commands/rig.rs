@@ -1,9 +1,11 @@
 //! `planish rig`: describes rigs, makes them of calibrations, simulates them; and `planish stream --rig`.
 
+mod simulate;
+
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -13,10 +15,10 @@ use planish::rig::{
     self, CameraStatistics, CamerasSink, FusedSink, PictureSink, Rig, RigCamera, RigEvent, RigOptions, RigSink,
     RigSmoother, RigStatistics, RigWay, Viewpoint, calibration, rig_to_json,
 };
-use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
-use planish::source::{Source, TumRecorder};
+use planish::simulate::DepthNoise;
+use planish::source::Source;
 use planish::stream::SinkFormat;
-use planish::{Camera, FrameError, IntoFrame, Outputs, SensorModel, io, source};
+use planish::{FrameError, IntoFrame, Outputs, io, source};
 use planish_bench::{errln, out, outln};
 use serde::Serialize;
 
@@ -31,7 +33,7 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
         bail!("--json prints a rig that there is; of a simulated one see its rig.json");
     }
     if let (Some(cameras), Some(folder)) = (args.simulate, &args.out) {
-        return simulate(args, cameras.into(), folder);
+        return simulate::simulate(args, cameras.into(), folder);
     }
     let Some(file) = &args.file else { bail!("a rig.json or a calibration is needed") };
     let mut rig = if is_rig_file(file) {
@@ -44,9 +46,14 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
     } else {
         read_calibration(args, file)?
     };
+    let mut named_before: Vec<&str> = Vec::new();
     for named in &args.source {
-        let (name, source) =
-            named.split_once('=').with_context(|| format!("--source {named}: NAME=SOURCE is expected"))?;
+        let pair = named.split_once('=').filter(|(_, source)| !source.is_empty());
+        let (name, source) = pair.with_context(|| format!("--source {named}: NAME=SOURCE is expected"))?;
+        if named_before.contains(&name) {
+            bail!("--source {named}: camera {name} has a source already");
+        }
+        named_before.push(name);
         let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
         let camera =
             rig.index_of(name).with_context(|| format!("--source {named}: the cameras are {}", names.join(", ")))?;
@@ -74,10 +81,14 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Whether a file is planish's own: JSON with cameras, where COLMAP's has a list.
+/// Whether a file is planish's own: JSON of an object, where COLMAP's has a list.
 fn is_rig_file(file: &Path) -> bool {
+    let is_json = file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let starts_with = |text: &str, c: char| text.trim_start_matches('\u{feff}').trim_start().starts_with(c);
     file.is_file()
-        && fs::read_to_string(file).is_ok_and(|text| text.trim_start().starts_with('{') && text.contains("\"cameras\""))
+        && fs::read_to_string(file).is_ok_and(|text| {
+            starts_with(&text, '{') || is_json && !starts_with(&text, '[') && !starts_with(&text, '<')
+        })
 }
 
 fn read_calibration(args: &RigArgs, file: &Path) -> Result<Rig> {
@@ -121,54 +132,6 @@ fn describe(rig: &Rig) {
         let [x, y, z] = pose.position_m;
         outln!("  views also from   {x:.3}, {y:.3}, {z:.3} m, {}x{}", camera.width, camera.height);
     }
-}
-
-/// Simulates a rig: a data set of each camera, and the rig.json.
-fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
-    let scene = RigScene::tabletop(args.seed, cameras);
-    let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
-    let stated = scene.poses_with_errors(errors, args.seed);
-    if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
-        bail!("{}: has files already: a simulated rig goes into a folder of its own", folder.display());
-    }
-    // Under another name until it is whole; of a run that was interrupted, what was left is replaced.
-    let mut partial = folder.as_os_str().to_owned();
-    partial.push(".partial");
-    let partial = PathBuf::from(partial);
-    if partial.exists() {
-        fs::remove_dir_all(&partial).with_context(|| format!("cannot remove {}", partial.display()))?;
-    }
-    fs::create_dir_all(&partial).with_context(|| format!("cannot make the folder {}", partial.display()))?;
-    let camera = Camera::kinect_v1();
-    let mut rig_cameras = Vec::new();
-    for (i, (pose, stated)) in scene.poses.iter().zip(&stated).enumerate() {
-        let name = format!("camera{i}");
-        let simulator = DepthSimulator::new(DepthNoise::default(), camera, args.seed * 100 + i as u64);
-        let truth = scene.scene.render(&camera, pose);
-        let mut recorder = TumRecorder::create(&partial.join(&name))?;
-        for number in 0..args.frames {
-            let frame = simulator.frame(&truth, number).map_err(planish::Error::from)?;
-            recorder.add(&frame.with_timestamp_s(number as f64 / 30.0))?;
-        }
-        let placed =
-            RigCamera::new(&name, stated.sensor_pose().map_err(planish::Error::from)?).with_source(Some(name.clone()));
-        rig_cameras.push(placed.with_sensor(Some(SensorModel::KINECT_V1)));
-    }
-    let rig = Rig::new(rig_cameras).map_err(planish::Error::from)?;
-    let file = partial.join("rig.json");
-    io::write_whole(&file, rig_to_json(&rig).as_bytes()).with_context(|| file.display().to_string())?;
-    if folder.is_dir() {
-        fs::remove_dir(folder).with_context(|| format!("cannot replace {}", folder.display()))?;
-    }
-    fs::rename(&partial, folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    let file = folder.join("rig.json");
-    outln!(
-        "{cameras} cameras, {} frames each, in {}; planish stream --rig {}",
-        args.frames,
-        folder.display(),
-        file.display()
-    );
-    Ok(ExitCode::SUCCESS)
 }
 
 /// What is said at the end of a rig's stream.
@@ -215,6 +178,10 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     let registration_m = args.registration.map_or(options.registration_m, |mm| 1e-3 * mm);
     if args.registration.is_some() && way != RigWay::Views {
         bail!("--registration is of rigs smoothed by views: it needs --fuse views");
+    }
+    let unused = args.smoothing.unused_by_general_clouds();
+    if way == RigWay::Merged && !unused.is_empty() {
+        errln!("the points are merged to a general cloud, for which {} change nothing", unused.join(", "));
     }
     if args.voxel.is_some() && way != RigWay::Merged {
         bail!("--voxel is of rigs whose points are merged: it needs --fuse merged");
@@ -267,6 +234,14 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     } else {
         print(&report);
     }
+    if stop.load(Ordering::Relaxed) {
+        errln!(
+            "stopped before the end{}",
+            if way == RigWay::Merged { ", and a moment that was being smoothed is given up" } else { "" }
+        );
+    } else if report.moments == 0 && args.source.limits.frames != Some(0) {
+        errln!("warning: no moments were smoothed");
+    }
     let unreadable = report.cameras.iter().any(|camera| camera.unreadable > 0);
     Ok(if report.failed_sinks > 0 || unreadable { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
@@ -281,8 +256,10 @@ fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
             bail!("{}: has files already: results of a rig go into a folder of their own", folder.display());
         }
     }
-    if args.save.is_some() && args.save == args.save_cameras {
-        bail!("--save and --save-cameras write into a folder each: give them two");
+    if let (Some(fused), Some(cameras)) = (&args.save, &args.save_cameras)
+        && (fused.starts_with(cameras) || cameras.starts_with(fused))
+    {
+        bail!("--save and --save-cameras write into a folder each: give them two, neither in the other");
     }
     let Some(picture) = &args.picture else { return Ok(()) };
     if !picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
@@ -372,7 +349,10 @@ fn report(statistics: &RigStatistics, way: RigWay) -> Report {
 fn print(report: &Report) {
     let Report { moments, complete, dropped, seconds, fps, latency_ms: [p50, p95, p99], engine, way, cameras, .. } =
         report;
-    outln!("{moments} moments in {seconds:.1} s, {fps:.1} a second, {way}, engine {engine}");
+    let s = if *moments == 1 { "" } else { "s" };
+    outln!(
+        "{moments} moment{s} in {seconds:.1} s, {way}, engine {engine}; from the first to the last {fps:.1} a second"
+    );
     outln!("  {complete} of them with every camera; {dropped} dropped for newer ones");
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}");
     for camera in cameras {
@@ -382,9 +362,6 @@ fn print(report: &Report) {
             "  {name:<16} {frames_out} of {frames_in} frames smoothed; missing from {missing} moments, {late} late, {out_of_order} out of \
              order, {clock_jumps} jumps of its clock, {dropped} dropped, {unreadable} unreadable"
         );
-    }
-    if *moments == 0 {
-        errln!("warning: no frames came");
     }
 }
 

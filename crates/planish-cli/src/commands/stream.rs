@@ -68,6 +68,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         ("--save-cameras", args.save_cameras.is_some()),
         ("--picture", args.picture.is_some()),
         ("--registration", args.registration.is_some()),
+        ("--voxel", args.voxel.is_some()),
     ];
     if let Some((name, _)) = of_rigs.iter().find(|(_, is_given)| *is_given) {
         bail!("{name} is for several cameras: give --rig, and no source beside it");
@@ -307,7 +308,8 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
 impl LimitArgs {
     pub fn max_duration(&self) -> Result<Option<Duration>> {
         let duration = |seconds| {
-            Duration::try_from_secs_f64(seconds).with_context(|| format!("--duration {seconds}: a number of seconds"))
+            let duration = Duration::try_from_secs_f64(seconds).ok();
+            duration.with_context(|| format!("--duration {seconds:?}: a number of seconds is needed, 0 or more"))
         };
         self.duration.map(duration).transpose()
     }

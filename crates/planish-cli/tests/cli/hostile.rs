@@ -35,7 +35,7 @@ fn headers_that_nest_or_announce_gigabytes_are_refused_at_once() {
         ["[".repeat(30), "{1:".repeat(10), format!("{{'descr': {}'<f4'{}, }}", "(".repeat(12), ")".repeat(12))];
     for header in nested {
         fs::write(&file, npy(1, &(header.len() as u16).to_le_bytes(), &header)).unwrap();
-        assert!(refused_at_once(&["info", str(&file)]).contains("nested"), "{header}");
+        assert!(refused_at_once(&["info", str(&file)]).contains("damaged NPY header"), "{header}");
     }
     fs::write(&file, npy(2, &[0xff; 4], "")).unwrap();
     assert!(refused_at_once(&["info", str(&file)]).contains("4294967295 bytes"));

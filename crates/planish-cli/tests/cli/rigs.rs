@@ -71,6 +71,11 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
     let both = str(&path("both")).to_owned();
     let stderr = refused(&["stream", "--rig", str(&rig), "--save", &both, "--save-cameras", &both]);
     assert!(stderr.contains("give them two"), "{stderr}");
+    let within = str(&path("both").join("within")).to_owned();
+    assert!(
+        refused(&["stream", "--rig", str(&rig), "--save", &within, "--save-cameras", &both])
+            .contains("neither in the other")
+    );
     assert!(refused(&["stream", "synthetic", "--picture", "a.png"]).contains("--rig"));
     assert!(refused(&["stream", str(&rig)]).contains("stream --rig"));
     assert!(files(folder.path()) == before);
@@ -80,13 +85,14 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
 fn a_simulated_rig_is_there_as_a_whole_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
     let (rig, partial) = (folder.path().join("rig"), folder.path().join("rig.partial"));
-    // What a run that was interrupted has left, and a folder made for the rig.
-    fs::create_dir_all(partial.join("camera0")).unwrap();
-    fs::write(partial.join("camera0/depth.txt"), "half").unwrap();
-    fs::create_dir(&rig).unwrap();
+    // A folder made for the rig, and somebody's own beside it.
+    fs::create_dir_all(&rig).unwrap();
+    fs::create_dir(&partial).unwrap();
+    fs::write(partial.join("notes.txt"), "mine").unwrap();
     let simulate = ["rig", "--simulate", "2", "--frames", "1", "--out", str(&rig)];
     ok(&simulate);
-    assert!(rig.join("rig.json").is_file() && !partial.exists());
+    assert!(rig.join("rig.json").is_file() && partial.join("notes.txt").is_file());
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     let before = files(folder.path());
     assert!(refused(&simulate).contains("has files already"));
     let of_calibrations = refused(&["rig", str(&rig.join("rig.json")), "--scale", "2"]);
@@ -157,6 +163,10 @@ fn merged_points_in_voxels_are_one_a_voxel_and_each_camera_s_own_beside() {
         assert!(said.contains("voxel"), "{said}");
         assert!(!none.exists(), "{size}");
     }
+    let small = ["--fuse", "merged", "--voxel", "0.02", "--radius", "0.01", "--save", str(&none)];
+    let said = refused(&[&["stream", "--rig", str(&rig)], &small[..]].concat());
+    assert!(said.contains("two voxels") && !none.exists(), "{said}");
+    assert!(refused(&["stream", "synthetic", "--voxel", "0.01"]).contains("--rig"));
     let said = refused(&["stream", "--rig", str(&rig), "--voxel", "0.01"]);
     assert!(said.contains("--fuse merged"), "{said}");
 }

@@ -14,6 +14,9 @@ const LARGEST_TIMESTAMP_S: f64 = 1e12;
 /// A live source that failed so many times in a row counts as gone.
 const MOST_FAILURES: u32 = 100;
 
+/// So many frames of a camera that cannot be read are reported one by one.
+const MOST_FAILURES_TOLD: u64 = 5;
+
 /// Frames a second of a recording without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
@@ -147,8 +150,13 @@ impl Inbox {
     fn failed(&self, camera: usize, error: Error, is_over: bool) {
         let mut state = self.lock();
         state.cameras[camera].unreadable += 1;
-        let goes_on = if is_over { "; the other cameras go on" } else { "" };
-        state.warnings.push_back(format!("camera {}: {error}{goes_on}", self.names[camera]));
+        let (name, unreadable) = (&self.names[camera], state.cameras[camera].unreadable);
+        if is_over {
+            state.warnings.push_back(format!("camera {name}: {error}; the other cameras go on"));
+        } else if unreadable <= MOST_FAILURES_TOLD {
+            let only_counted = if unreadable == MOST_FAILURES_TOLD { "; more of them are only counted" } else { "" };
+            state.warnings.push_back(format!("camera {name}: {error}{only_counted}"));
+        }
         if is_over {
             state.cameras[camera].has_failed = true;
             state.first_error.get_or_insert(error);
@@ -209,7 +217,10 @@ impl Inbox {
 impl State {
     fn next(&mut self, now: Instant, is_live: bool) -> Option<Moment<Arrived>> {
         let mut moment = self.matcher.take(now)?;
-        self.look_for_unmatched(&moment);
+        // Of recordings the end tells.
+        if is_live {
+            self.look_for_unmatched(&moment);
+        }
         while is_live && let Some(newer) = self.matcher.take(now) {
             self.look_for_unmatched(&newer);
             self.skipped += 1;

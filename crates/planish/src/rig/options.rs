@@ -6,10 +6,13 @@ use super::{Rig, RigWay};
 use crate::engines::SmootherOptions;
 use crate::error::ParamError;
 use crate::fleet::FleetDevice;
-use crate::params::SmoothParams;
+use crate::params::{Radius, SmoothParams};
 
 /// The smallest voxels, in metres: finer than any depth camera measures, and few enough of them for a room.
 const SMALLEST_VOXEL_M: f64 = 1e-4;
+
+/// A radius of fewer voxels leaves most of their points without neighbours.
+const LEAST_VOXELS_IN_RADIUS: f64 = 1.999;
 
 /// How a rig is streamed.
 #[derive(Debug, Clone)]
@@ -60,7 +63,7 @@ impl RigOptions {
     /// Refuses options that do not fit together; [`run`](super::run) does so before it begins.
     ///
     /// # Errors
-    /// If the surfaces may be farther apart than 0.1 m, or if points are thinned that are not merged, or to voxels of less than 0.1 mm.
+    /// If the surfaces may be farther apart than 0.1 m, or if points are thinned that are not merged, to voxels of less than 0.1 mm, or to larger ones than half the radius.
     pub fn validate(&self) -> Result<(), ParamError> {
         if !(0.0..=0.1).contains(&self.registration_m) {
             let value = self.registration_m.to_string();
@@ -74,6 +77,12 @@ impl RigOptions {
         if !(size_m >= SMALLEST_VOXEL_M && size_m.is_finite()) {
             let (value, allowed) = (format!("{size_m:?}"), "a size in metres, 0.0001 or more");
             return Err(ParamError { field: "voxel", value, allowed });
+        }
+        if let Radius::Fixed { radius_m } = self.general_params.radius
+            && f64::from(radius_m) < LEAST_VOXELS_IN_RADIUS * size_m
+        {
+            let (value, allowed) = (radius_m.to_string(), "two voxels or more, so that their points have neighbours");
+            return Err(ParamError { field: "radius", value, allowed });
         }
         Ok(())
     }

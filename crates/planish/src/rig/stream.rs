@@ -1,5 +1,7 @@
 //! The loop of a rig: cameras, matching, smoothing, sinks.
 
+mod told;
+
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -63,9 +65,6 @@ impl RigFrame {
     }
 }
 
-/// A camera whose frames end this much before another's is said to, in seconds.
-const TOLD_EARLIER_S: f64 = 0.5;
-
 /// What a running rig reports to the caller.
 #[derive(Debug)]
 #[non_exhaustive]
@@ -126,6 +125,7 @@ pub fn run(
             smoothed: vec![0; rig.cameras.len()],
             refused: vec![0; rig.cameras.len()],
             last_refusals: vec![None; rig.cameras.len()],
+            told_lost_points: vec![false; rig.cameras.len()],
             together: vec![0; rig.cameras.len()],
             at_start: None,
         };
@@ -193,6 +193,8 @@ struct RigStream<'a> {
     refused: Vec<u64>,
     /// Why a camera's last frame was refused.
     last_refusals: Vec<Option<String>>,
+    /// Cameras of which it was said that many points became holes.
+    told_lost_points: Vec<bool>,
     /// Frames of each camera that came with one of another.
     together: Vec<u64>,
     /// What had been dropped when the engine was open: of each camera, and of moments.
@@ -267,15 +269,6 @@ impl RigStream<'_> {
             self.receive(inbox, tell)?;
         }
         Ok(())
-    }
-
-    /// Whether there were sinks, and all have failed: nobody would get the results.
-    fn sinks_are_gone(&self, tell: &mut impl FnMut(RigEvent<'_>)) -> bool {
-        let are_gone = !self.sinks.is_empty() && self.sinks.iter().all(SinkThread::has_failed);
-        if are_gone {
-            tell(RigEvent::Warning("every sink has failed: the stream ends".to_owned()));
-        }
-        are_gone
     }
 
     /// Submits a moment; false if none of its frames can be smoothed.
@@ -365,6 +358,7 @@ impl RigStream<'_> {
             };
             cameras.push(arrived.zip(smoothed).map(|(Arrived { frame, name, since }, smoothed)| {
                 self.smoothed[i] += 1;
+                self.tell_lost_points(i, &frame, &smoothed, tell);
                 let latency = received.saturating_duration_since(since);
                 StreamFrame { index, name, source: frame, smoothed, latency, received }
             }));
@@ -397,16 +391,6 @@ impl RigStream<'_> {
         Ok(())
     }
 
-    fn refuse(&mut self, camera: usize, error: &FrameError, tell: &mut impl FnMut(RigEvent<'_>)) {
-        self.refused[camera] += 1;
-        let why = error.to_string();
-        // Once where every frame has the same.
-        if self.last_refusals[camera].as_ref() != Some(&why) {
-            tell(RigEvent::Warning(format!("camera {}: {why}", self.rig.cameras[camera].name)));
-            self.last_refusals[camera] = Some(why);
-        }
-    }
-
     /// After an error of a GPU: its cameras go to the other devices; of one alone the engines are opened once more, then the CPU takes over.
     /// Moments in flight are submitted again.
     fn recover(&mut self, mut error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
@@ -430,38 +414,6 @@ impl RigStream<'_> {
             match (0..self.pending.len()).try_for_each(|i| self.submit_pending(i)) {
                 Ok(()) => return Ok(()),
                 Err(again) => error = again,
-            }
-        }
-    }
-
-    /// Says which cameras gave frames that never came together with another's.
-    fn tell_alone(&self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
-        let gave = self.smoothed.iter().filter(|smoothed| **smoothed > 0).count();
-        if gave < 2 || inbox.has_told_unmatched() {
-            return;
-        }
-        let all = self.rig.cameras.iter().zip(self.smoothed.iter().zip(&self.together));
-        for (camera, _) in all.filter(|(_, (smoothed, together))| **smoothed > 1 && **together == 0) {
-            tell(RigEvent::Warning(format!(
-                "camera {}: none of its frames came together with another camera's: its time stamps are not within the tolerance of theirs \
-                 (time_offset_s, tolerance_ms; of a live camera \"clock\": \"arrival\")",
-                camera.name
-            )));
-        }
-    }
-
-    /// Says which recordings ended before others.
-    fn tell_short(&self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
-        let (counts, _) = inbox.counts();
-        let Some(latest_s) = counts.iter().filter_map(|(_, received)| received.last_s).reduce(f64::max) else { return };
-        let has_ended = |received: &Received| received.has_ended && !received.has_failed;
-        for (camera, (_, received)) in self.rig.cameras.iter().zip(&counts).filter(|(_, (_, of))| has_ended(of)) {
-            let earlier_s = received.last_s.map_or(0.0, |last_s| latest_s - last_s);
-            if earlier_s > TOLD_EARLIER_S {
-                let name = &camera.name;
-                tell(RigEvent::Warning(format!(
-                    "camera {name}: its frames end {earlier_s:.1} s before another camera's"
-                )));
             }
         }
     }

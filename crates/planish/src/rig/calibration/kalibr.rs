@@ -17,6 +17,8 @@ struct Entry {
     #[serde(default)]
     distortion_coeffs: Vec<f64>,
     resolution: Option<[usize; 2]>,
+    /// What is added to a camera's time stamps for the time of the IMU, in seconds.
+    timeshift_cam_imu: Option<f64>,
     /// Takes points of the camera before this one into this one's frame.
     #[serde(rename = "T_cn_cnm1")]
     from_previous: Option<Vec<[f64; 4]>>,
@@ -35,7 +37,7 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
     let mut rig_from_camera = RigidTransform::IDENTITY;
     loop {
         let name = format!("cam{}", cameras.len());
-        let Some(entry) = file.get(name.as_str()) else { return Ok(cameras) };
+        let Some(entry) = file.get(name.as_str()) else { break };
         let problem = |what: String| malformed(format!("{name}: {what}"));
         let entry: Entry = serde_yaml_ng::from_value(entry.clone()).map_err(|error| problem(error.to_string()))?;
         let intrinsics = intrinsics(&entry).map_err(problem)?;
@@ -48,8 +50,16 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
             None if cameras.is_empty() => {}
             None => return Err(problem("no T_cn_cnm1: it was not calibrated to the camera before it".into())),
         }
-        cameras.push(camera_at(&name, &rig_from_camera).with_camera(Some(intrinsics)));
+        let camera = camera_at(&name, &rig_from_camera).with_camera(Some(intrinsics));
+        // Both take time stamps to the clock of the IMU.
+        cameras.push(camera.with_time_offset_s(entry.timeshift_cam_imu.unwrap_or(0.0)));
     }
+    let is_camera = |key: &&str| key.strip_prefix("cam").is_some_and(|number| number.parse::<usize>().is_ok());
+    let named = file.keys().filter_map(|key| key.as_str()).filter(is_camera).count();
+    if named > cameras.len() {
+        return Err(malformed(format!("{named} cameras, of which cam{} is missing from the chain", cameras.len())));
+    }
+    Ok(cameras)
 }
 
 fn intrinsics(entry: &Entry) -> Result<Camera, String> {
@@ -109,6 +119,15 @@ cam2:
   - [0.0, 0.0, 0.0, 1.0]
   intrinsics: [457.6, 456.1, 379.0, 255.2]
 ";
+
+    #[test]
+    fn time_shifts_are_taken_and_a_gap_in_the_chain_is_refused() {
+        let shifted = CHAIN.replacen("cam1:\n", "cam1:\n  timeshift_cam_imu: 0.0125\n", 1);
+        let offsets: Vec<f64> = camchain(&shifted).unwrap().iter().map(|camera| camera.time_offset_s).collect();
+        assert_eq!(offsets, [0.0, 0.0125, 0.0]);
+        let error = camchain(&CHAIN.replace("cam1:", "cam3:")).unwrap_err().to_string();
+        assert!(error.contains("cam1 is missing"), "{error}");
+    }
 
     #[test]
     fn each_camera_stands_where_the_chain_leads() {

@@ -1,0 +1,64 @@
+//! `planish rig --simulate`.
+
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::Ordering;
+
+use anyhow::{Context, Result, bail};
+use planish::rig::{Rig, RigCamera, rig_to_json};
+use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
+use planish::source::TumRecorder;
+use planish::{Camera, SensorModel, io};
+use planish_bench::outln;
+
+use crate::args::RigArgs;
+use crate::exit::ExitCode;
+use crate::signals::{INTERRUPTED, stop_flag};
+
+/// Simulates a rig: a data set of each camera, and the rig.json.
+pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
+    let scene = RigScene::tabletop(args.seed, cameras);
+    let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
+    let stated = scene.poses_with_errors(errors, args.seed);
+    if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
+        bail!("{}: has files already: a simulated rig goes into a folder of its own", folder.display());
+    }
+    // Under another name until it is whole.
+    let beside = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let partial = tempfile::Builder::new().prefix(".planish-rig-").tempdir_in(beside);
+    let partial = partial.with_context(|| format!("cannot make a folder in {}", beside.display()))?;
+    let stop = stop_flag();
+    let camera = Camera::kinect_v1();
+    let mut rig_cameras = Vec::new();
+    for (i, (pose, stated)) in scene.poses.iter().zip(&stated).enumerate() {
+        let name = format!("camera{i}");
+        let simulator = DepthSimulator::new(DepthNoise::default(), camera, args.seed * 100 + i as u64);
+        let truth = scene.scene.render(&camera, pose);
+        let mut recorder = TumRecorder::create(&partial.path().join(&name))?;
+        for number in 0..args.frames {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(ExitCode::from(INTERRUPTED));
+            }
+            let frame = simulator.frame(&truth, number).map_err(planish::Error::from)?;
+            recorder.add(&frame.with_timestamp_s(number as f64 / 30.0))?;
+        }
+        let placed =
+            RigCamera::new(&name, stated.sensor_pose().map_err(planish::Error::from)?).with_source(Some(name.clone()));
+        rig_cameras.push(placed.with_sensor(Some(SensorModel::KINECT_V1)));
+    }
+    let rig = Rig::new(rig_cameras).map_err(planish::Error::from)?;
+    let file = partial.path().join("rig.json");
+    io::write_whole(&file, rig_to_json(&rig).as_bytes()).with_context(|| file.display().to_string())?;
+    if folder.is_dir() {
+        fs::remove_dir(folder).with_context(|| format!("cannot replace {}", folder.display()))?;
+    }
+    fs::rename(partial.keep(), folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let file = folder.join("rig.json");
+    outln!(
+        "{cameras} cameras, {} frames each, in {}; planish stream --rig {}",
+        args.frames,
+        folder.display(),
+        file.display()
+    );
+    Ok(ExitCode::SUCCESS)
+}
