@@ -9,9 +9,10 @@ void main() { pixel = shade; }`;
 
 export class CloudView {
   private readonly gl: WebGL2RenderingContext;
-  private readonly buffers: [WebGLBuffer, WebGLBuffer];
-  private readonly view: WebGLUniformLocation | null;
-  private readonly size: WebGLUniformLocation | null;
+  private buffers!: [WebGLBuffer, WebGLBuffer];
+  private view: WebGLUniformLocation | null = null;
+  private size: WebGLUniformLocation | null = null;
+  private shown: [Float32Array<ArrayBuffer>, Uint8Array<ArrayBuffer>] | undefined;
   private count = 0;
   private centre = [0, 0, 1];
   private extent = 1;
@@ -23,6 +24,18 @@ export class CloudView {
     const gl = canvas.getContext("webgl2");
     if (!gl) throw new Error("this browser has no WebGL 2, which the turning cloud needs: look at the pictures instead");
     this.gl = gl;
+    this.setUp();
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    // Everything that the context had is gone.
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.setUp();
+      if (this.shown) this.show(...this.shown);
+    });
+    this.listen();
+  }
+
+  private setUp(): void {
+    const { gl } = this;
     const program = gl.createProgram();
     for (const [type, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]] as const) {
       const shader = gl.createShader(type)!;
@@ -38,15 +51,12 @@ export class CloudView {
     this.view = gl.getUniformLocation(program, "view");
     this.size = gl.getUniformLocation(program, "size");
     this.buffers = [gl.createBuffer(), gl.createBuffer()];
-    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    // Everything that the context had is gone.
-    canvas.addEventListener("webglcontextrestored", () => location.reload());
-    this.listen();
   }
 
   /** Shows points with a colour each. */
   show(points: Float32Array<ArrayBuffer>, rgba: Uint8Array<ArrayBuffer>): void {
     const { gl } = this;
+    this.shown = [points, rgba];
     this.count = points.length / 3;
     const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
     for (let i = 0; i < points.length; i++) {

@@ -25,12 +25,19 @@ let hasGpu = false;
 let withoutGpu: string | undefined;
 /** Grows with every change: results of older ones are dropped. */
 let version = 0;
-/** Grows with every frame that is asked for: the last one wins, whichever is read first. */
+/** Grows with every frame that is asked for: the newest request wins, whichever file is read first. */
 let asked = 0;
 let isComputing = false;
+/** What was said last of a frame, which stays if another cannot be opened. */
+let settledStatus = "";
 
 function say(text: string): void {
   find("#status").textContent = text;
+}
+
+function settle(text: string): void {
+  settledStatus = text;
+  say(text);
 }
 
 function fail(error: unknown): void {
@@ -63,8 +70,9 @@ function explain(): void {
   colour.disabled = !frame?.has_colour;
   find(`.why[data-of="kind"]`).textContent = frame?.has_colour ? "" : "The frame has no colour of its own.";
   find("#camera-fields").hidden = !frame?.assumed_camera;
-  for (const button of find("#save").querySelectorAll("button")) button.disabled ||= result === undefined;
-  if (result) for (const button of find("#save").querySelectorAll("button")) button.disabled = button.dataset["format"] === "png" && frame?.kind !== "depth";
+  for (const button of find("#save").querySelectorAll("button")) {
+    button.disabled = !result || (button.dataset["format"] === "png" && frame?.kind !== "depth");
+  }
 }
 
 /** What the command does by default: edges are kept but with the 2011 setting, and in clouds without a grid. */
@@ -111,7 +119,7 @@ async function openCamera(file: File | undefined): Promise<void> {
   if (!file || !frame) return;
   const of = frame;
   try {
-    if (!of.assumed_camera) throw new Error(`${file.name}: this frame came as points, which need no camera`);
+    if (!of.assumed_camera) throw new Error("this frame came as points, which need no camera");
     const camera = await ask<Camera>({ method: "readCamera", frame: of, text: await file.text() });
     if (frame !== of) return;
     given = { camera, width: of.width, height: of.height };
@@ -148,8 +156,8 @@ async function draw(): Promise<void> {
       cloudView ??= new CloudView(find<HTMLCanvasElement>("#cloud"));
     } catch (error) {
       control("layout").value = "divider";
-      await draw();
-      throw error;
+      fail(error);
+      return draw();
     }
     const side = layout === "cloud-raw" ? "raw" : smoothed;
     const { points, rgba } = await ask<{ points: Float32Array<ArrayBuffer>; rgba: Uint8Array<ArrayBuffer> }>({
@@ -210,55 +218,65 @@ async function compute(at: number): Promise<void> {
     const engine = done.engine === "webgpu" ? "WebGPU" : "WebAssembly";
     const size = smoothed.kind === "general" ? "" : `${smoothed.width}x${smoothed.height}, `;
     const points = done.points === 1 ? "1 point" : `${done.points.toLocaleString("en")} points`;
-    say(`${name} (${smoothed.format}): ${size}${points}, ${done.milliseconds.toFixed(0)} ms by ${engine}`);
+    settle(`${name} (${smoothed.format}): ${size}${points}, ${done.milliseconds.toFixed(0)} ms by ${engine}`);
   } catch (error) {
     if (at !== version) return;
-    if (result) await ask({ method: "release", held: [result] }).catch(() => undefined);
+    const before = result;
     result = undefined;
     clearSmoothed();
     explain();
     fail(error);
-    say(`${name} (${smoothed.format}): not smoothed`);
+    settle(`${name} (${smoothed.format}): not smoothed`);
+    if (before) await ask({ method: "release", held: [before] }).catch(() => undefined);
   } finally {
     clearTimeout(slow);
   }
 }
 
-/** Takes another frame in place of the one that is there, unless one was asked for after it. */
-async function take(opening: () => Promise<Frame>, called: string): Promise<void> {
+/** Takes another frame in place of the one that is there, unless one was asked for after it; returns whether it did. */
+async function take(opening: () => Promise<Frame>, called: string): Promise<boolean> {
   const ticket = ++asked;
-  const said = find("#status").textContent ?? "";
   say(`Reading ${called}...`);
   try {
     const opened = await opening();
-    if (ticket !== asked) return void (await ask({ method: "release", held: [opened] }));
+    if (ticket !== asked) {
+      await ask({ method: "release", held: [opened] });
+      return false;
+    }
     const held = [frame, result].filter((held) => held !== undefined);
     const wasGeneral = frame?.kind === "general";
     version += 1;
     [frame, result, name] = [opened, undefined, called];
-    if (held.length > 0) await ask({ method: "release", held });
-    if (ticket !== asked) return;
     if (given && (given.width !== opened.width || given.height !== opened.height)) given = undefined;
     showCamera();
     if (wasGeneral !== (opened.kind === "general")) defaultEdges();
     if (!opened.has_colour && control("kind").value === "colour") control("kind").value = "relief";
+    if (held.length > 0) await ask({ method: "release", held });
     await drawRaw();
-    if (ticket !== asked) return;
-    clearSmoothed();
+    if (frame === opened && !result) clearSmoothed();
     await update();
+    return true;
   } catch (error) {
-    if (ticket !== asked) return;
-    fail(error);
-    say(said);
+    if (ticket === asked) {
+      fail(error);
+      say(settledStatus);
+    }
+    return false;
   }
 }
 
+/** Opens a frame, a camera file, or one of each; of several frames the first. */
 async function openFiles(files: FileList | null | undefined): Promise<void> {
-  const file = files?.[0];
-  if (!file) return;
-  if (/\.(json|ya?ml)$/i.test(file.name)) return openCamera(file);
-  await take(async () => ask<Frame>({ method: "open", name: file.name, bytes: await file.arrayBuffer() }), file.name);
-  if (files.length > 1) fail(new Error(`${files.length} files came: ${file.name} is shown, the others are not opened`));
+  const isCamera = (file: File) => /\.(json|ya?ml)$/i.test(file.name);
+  const all = [...(files ?? [])];
+  const [frames, cameras] = [all.filter((file) => !isCamera(file)), all.filter(isCamera)];
+  const [first] = frames;
+  if (first) {
+    const taken = await take(async () => ask<Frame>({ method: "open", name: first.name, bytes: await first.arrayBuffer() }), first.name);
+    if (!taken) return;
+  }
+  if (cameras[0]) await openCamera(cameras[0]);
+  if (frames.length > 1) fail(new Error(`${frames.length} frames were dropped: ${first!.name} is shown, the others are not opened`));
 }
 
 async function save(format: string): Promise<void> {

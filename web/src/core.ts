@@ -17,6 +17,9 @@ interface Exports {
 
 const NO_BYTES = new Uint8Array();
 
+/** A module that stops with so much of its 4096 MiB in use most likely needed more. */
+const NEARLY_FULL_MIB = 1024;
+
 /** The module, and what it holds: frames, plans and results by their numbers. */
 export class Core {
   private exports: Exports;
@@ -49,9 +52,10 @@ export class Core {
       if (!(error instanceof WebAssembly.RuntimeError)) throw error;
       const usedMiB = Math.round(this.memoryBytes / 2 ** 20);
       this.startAnew();
+      const isFull = usedMiB > NEARLY_FULL_MIB;
+      const why = isFull ? `out of memory: ${usedMiB} MiB were in use and it needed more` : error.message;
       throw new PlanishError(
-        `the module stopped (${error.message}), most likely because ${usedMiB} MiB were in use and it needed more: it has started anew, ` +
-          "and what it held is gone. Open the frame again, or a smaller one",
+        `the module stopped (${why}). It has started anew, and what it held is gone: open the frame again${isFull ? ", or a smaller one" : ""}`,
       );
     }
     const { frame, plan, result } = (answer.ok ?? {}) as { frame?: number; plan?: number; result?: number };
@@ -79,7 +83,7 @@ export class Core {
     return { ok: reply.ok as T, bytes: answer };
   }
 
-  /** After a trap, whose instance cannot be trusted. Numbers go on, so that an old one means nothing new. */
+  /** After a trap, whose instance cannot be trusted. Numbers go on, so that old numbers are never reused. */
   private startAnew(): void {
     this.exports = new WebAssembly.Instance(this.module, {}).exports as unknown as Exports;
     this.ask(new TextEncoder().encode(JSON.stringify({ op: "continue", after: this.last })), NO_BYTES);
@@ -104,8 +108,8 @@ export class Core {
   }
 }
 
-/** Refuses what JSON has no form for, and would leave out. */
+/** Refuses numbers that JSON cannot represent. */
 function onlyFinite(key: string, value: unknown): unknown {
-  if (typeof value === "number" && !Number.isFinite(value)) throw new PlanishError(`${key} = ${value} is not allowed: a finite number is`);
+  if (typeof value === "number" && !Number.isFinite(value)) throw new PlanishError(`${key} = ${value} is not a finite number`);
   return value;
 }

@@ -90,6 +90,8 @@ export interface Smoothed {
   status: Uint8Array;
   engine: "webgpu" | "wasm";
   milliseconds: number;
+  /** Why WebGPU did not compute it, though it was asked for. */
+  withoutGpu?: string;
 }
 
 /** Names and the version. */
@@ -156,13 +158,13 @@ export class Planish {
   async smooth(depth: Uint16Array, camera: Camera & { width: number; height: number }, settings: Settings = {}): Promise<Smoothed> {
     if (typeof camera !== "object" || camera === null) throw new PlanishError("the second argument is the camera: { width, height, fx, fy, cx, cy }");
     const frame = this.depth(depth, camera.width, camera.height);
+    let result: Result | undefined;
     try {
-      const result = await this.smoothFrame(frame, settings, camera);
-      const arrays = this.arrays(result);
-      this.release(result);
-      return { ...arrays, engine: result.engine, milliseconds: result.milliseconds };
+      result = await this.smoothFrame(frame, settings, camera);
+      const { engine, milliseconds, withoutGpu } = result;
+      return { ...this.arrays(result), engine, milliseconds, ...(withoutGpu === undefined ? {} : { withoutGpu }) };
     } finally {
-      this.release(frame);
+      this.release(frame, ...(result ? [result] : []));
     }
   }
 
@@ -210,13 +212,17 @@ export class Planish {
     });
     if (this.gpu && this.usesGpu && frame.kind !== "general") {
       const gpu = this.gpu;
-      const { ok: plan, bytes: upload } = this.core.call<Plan>({ op: "plan", ...request, limits: gpu.limits });
+      let plan: Plan | undefined;
       try {
-        const output = await gpu.run(plan, upload);
+        const planned = this.core.call<Plan>({ op: "plan", ...request, limits: gpu.limits });
+        plan = planned.ok;
+        const output = await gpu.run(plan, planned.bytes);
         return done(this.core.call<Result>({ op: "finish", plan: plan.plan }, output).ok, "webgpu");
       } catch (error) {
-        this.releaseIds([plan.plan]);
-        if (error instanceof FrameTooLarge) withoutGpu = `WebGPU has no room for this frame: ${error.message}`;
+        // Settings and frames that are not allowed are refused again below, in the same words; a frame beyond the device's limits is not.
+        if (plan !== undefined) this.releaseIds([plan.plan]);
+        if (plan === undefined) withoutGpu = error instanceof Error ? error.message : String(error);
+        else if (error instanceof FrameTooLarge) withoutGpu = `WebGPU has no room for this frame: ${error.message}`;
         else if (error instanceof PlanishError && !(await gpu.isLost())) throw error;
         else withoutGpu = await this.loseGpu(gpu, error);
       }
@@ -225,7 +231,7 @@ export class Planish {
   }
 
   /** The arrays of a result. */
-  arrays(result: Result): Omit<Smoothed, "engine" | "milliseconds"> {
+  arrays(result: Result): Omit<Smoothed, "engine" | "milliseconds" | "withoutGpu"> {
     const { ok, bytes } = this.core.call<{ width: number; height: number }>({ op: "arrays", result: result.result });
     const pixels = ok.width * ok.height;
     return {
@@ -295,7 +301,7 @@ export class Planish {
   }
 }
 
-/** As the module takes it; a result has more than its number. */
+/** Keeps only the number of a result, as the module expects. */
 function sideOf(side: Side): Side {
   return side === "raw" ? side : { result: side.result };
 }
@@ -317,7 +323,7 @@ async function fetched(address: URL | string): Promise<Response | BufferSource> 
   if (String(address).startsWith("file:")) {
     // Node, whose fetch reads no files. Bundlers need not look into this.
     const node = "node:fs/promises";
-    const files = (await import(/* @vite-ignore */ node)) as { readFile(file: URL): Promise<Uint8Array<ArrayBuffer>> };
+    const files = (await import(/* @vite-ignore */ /* webpackIgnore: true */ node)) as { readFile(file: URL): Promise<Uint8Array<ArrayBuffer>> };
     return files.readFile(new URL(address));
   }
   const response = await fetch(address);

@@ -59,8 +59,11 @@ export class Gpu {
   /** Opens the adapter with all that it allows: the default of 16 KiB of workgroup memory is less than tiles need. `undefined` without WebGPU. */
   static async open(): Promise<Gpu | undefined> {
     const gpu = (globalThis.navigator as Navigator | undefined)?.gpu;
-    const asked = gpu?.requestAdapter({ powerPreference: "high-performance" }).catch(() => null);
-    const adapter = await Promise.race([asked, after(PATIENCE_MS)]);
+    if (!gpu) return undefined;
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    const tooLate = new Promise<undefined>((resolve) => (timer = setTimeout(() => resolve(undefined), PATIENCE_MS)));
+    const adapter = await Promise.race([gpu.requestAdapter({ powerPreference: "high-performance" }).catch(() => null), tooLate]);
+    clearTimeout(timer);
     if (!adapter) return undefined;
     const { maxComputeWorkgroupStorageSize, maxStorageBufferBindingSize, maxBufferSize } = adapter.limits;
     const device = await adapter.requestDevice({
@@ -114,7 +117,7 @@ export class Gpu {
     }
   }
 
-  /** Whether the device is lost: what waits for it may hear of that first. */
+  /** Whether the device is lost; a pending call may fail before `lost` resolves. */
   async isLost(): Promise<boolean> {
     await Promise.race([this.device.lost, after(100)]);
     return this.lost !== undefined;
@@ -149,7 +152,7 @@ export class Gpu {
     }
   }
 
-  /** Buffers for a plan. Without looking for errors those that were not created would read as zeros. */
+  /** Buffers for a plan. Checks for errors: buffers that were not created would read as zeros. */
   private async buffers(plan: Plan, inputBytes: number): Promise<Slot> {
     const key = [inputBytes, plan.output_bytes, ...plan.kept_bytes].join();
     const at = this.free.findIndex((slot) => slot.key === key);

@@ -140,7 +140,7 @@ test("of files that are dropped at once the last one stays, and nothing of a fra
   // Two files: the first, and a word on the other.
   await drop([["one.ply", ply], ["two.ply", ply]]);
   await settled("one.ply");
-  assert.match(await page.textContent("#error"), /2 files came: one\.ply is shown/);
+  assert.match(await page.textContent("#error"), /2 frames were dropped: one\.ply is shown/);
 });
 
 test("a frame that cannot be smoothed leaves neither an older one's picture nor its files", async () => {
@@ -204,6 +204,10 @@ test("a camera file says the camera", async () => {
   await settled("next.png");
   assert.equal(await page.inputValue('[name="fx"]'), "300");
   assert.equal(await change(() => drop([["camera.json", camera.buffer]])), after);
+  // A frame and its camera at once, in whichever order.
+  await drop([["camera.json", camera.buffer], ["both.png", await file("png")]]);
+  await settled("both.png");
+  await page.waitForFunction(() => document.querySelector('[name="fx"]').value === "300");
   await drop([["wrong.json", Buffer.from('{"fx": 1}')]]);
   await page.waitForFunction(() => /wrong\.json: .*fx, fy, cx and cy/.test(document.querySelector("#error").textContent));
 });

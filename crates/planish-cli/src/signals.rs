@@ -57,7 +57,7 @@ pub fn stop_flag() -> Arc<AtomicBool> {
     Arc::clone(STOP.get_or_init(Default::default))
 }
 
-/// Makes the first signal set `stop` from here on; until then a signal ends the command at once.
+/// Lets the first signal set `stop` from now on; before that a signal ends the command at once.
 pub fn stop_by(stop: &Arc<AtomicBool>) {
     // Each command calls this once.
     let _ = STOP.set(Arc::clone(stop));

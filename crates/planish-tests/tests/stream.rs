@@ -426,6 +426,24 @@ fn a_folder_of_depth_needs_its_camera_at_once_and_intrinsics_are_those_of_one_si
 }
 
 #[test]
+fn what_is_read_ahead_of_the_last_frame_does_not_count() {
+    let folder = tempfile::tempdir().unwrap();
+    for i in 0..2u64 {
+        let depth = frame(small_camera(), i);
+        let image = planish::DepthImage { width: 160, height: 120, raw: depth.raw };
+        planish::io::write_depth(&folder.path().join(format!("{i}.png")), &image).unwrap();
+    }
+    std::fs::write(folder.path().join("2.png"), b"no image").unwrap();
+    let count = |most: Option<u64>| {
+        let source = Box::new(FileSource::folder(folder.path(), Some(small_camera())).unwrap());
+        let options = options(Engine::Cpu).with_max_frames(most);
+        let statistics = stream::run(source, &options, Vec::new(), &AtomicBool::new(false), |_| ()).unwrap();
+        (statistics.frames_out, statistics.unreadable)
+    };
+    assert_eq!((count(Some(2)), count(None)), ((2, 0), (2, 1)));
+}
+
+#[test]
 fn real_data_sets_stream() {
     let Some(data) = folder("real data sets") else { return };
     let camera = planish::io::read_camera(&data.join("redwood/camera_primesense.json"), Some((640, 480)));

@@ -18,18 +18,18 @@ pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
         *z.select_nth_unstable_by(index, f32::total_cmp).1
     };
     let [near, far] = [at(0.01), at(0.99)];
-    [near, far.max(near + 1e-6)]
+    [near, far.max(near + 1e-6 * near.abs().max(1.0))]
 }
 
-/// Near red, far blue: the hues between, evenly bright. Of depths before a camera by their inverse, since what is near is seen in most pixels and
-/// measured most finely.
+/// Near is red, far is blue, in hues of even brightness. Positive depths are scaled by their inverse: near ones fill most pixels and are measured most
+/// finely.
 fn depth_colour(z: f32, [near, far]: [f32; 2]) -> [u8; 3] {
     if !z.is_finite() {
         return HOLE;
     }
     let scale = |z: f32| if near > 0.0 { -1.0 / z.clamp(near, far) } else { z };
     let share = ((scale(z) - scale(near)) / (scale(far) - scale(near))).clamp(0.0, 1.0);
-    // Outside of these all hues are one red or one blue.
+    // Beyond these the hue no longer changes.
     let hue = 0.5 + 3.0 * share;
     let part = |centre: f32| (1.5 - (hue - centre).abs()).clamp(0.0, 1.0);
     [part(0.5), part(2.0), part(3.5)].map(|part| (255.0 * (0.1 + 0.85 * part)) as u8)
@@ -86,7 +86,7 @@ pub(crate) fn colours_of_general(
         (PictureKind::Colour, Some(rgb), _) => rgb,
         (PictureKind::Normals, _, Some(normals)) => normals.iter().map(normal_colour).collect(),
         (PictureKind::Relief, _, Some(normals)) => {
-            // Whichever side of it is turned to the light from above.
+            // Lit from above, whichever side it shows.
             lit(&normals.iter().map(|n| if n[2] > 0.0 { n.map(|value| -value) } else { n }).collect())
         }
         (PictureKind::Relief, Some(rgb), None) => rgb,

@@ -1,4 +1,4 @@
-//! The plans of the usual settings as files, for whoever hosts the kernels without this module, and for whoever reviews a change of them.
+//! The plans of the usual settings as files, for hosts without this module, and for review.
 
 use planish::webgpu::{Plan, WebGpuLimits};
 use planish::{Camera, DepthFrame, Error, Outputs, SmoothParams};
@@ -9,8 +9,8 @@ const LIMITS: WebGpuLimits = WebGpuLimits::new(32 << 10, 128 << 20, 65_535);
 
 /// Plans depth images of 640x480 with each preset to points, normals, status and depth: the names of files and their contents.
 ///
-/// `NAME.json` has what [`Plan`] says but for the kernels, which are `NAME-PASS.wgsl`, in the order of their passes. A kernel that another plan has too
-/// is named there and not written twice.
+/// `NAME.json` has the [`Plan`] without its kernels, which are `NAME-PASS.wgsl` in the order of their passes. A kernel shared with an earlier plan is
+/// referenced, not written again.
 ///
 /// # Errors
 /// If a frame cannot be planned.

@@ -12,14 +12,14 @@ use crate::settings::{CameraGiven, Settings};
 pub enum Request {
     /// The names of presets, sensors, statuses and formats, and the version.
     About,
-    /// Numbers what comes next from here on: of a module that goes on where another ended.
+    /// Continues the numbering of a module that was restarted.
     Continue {
-        /// The last number that was given.
+        /// The last number given out.
         after: u32,
     },
     /// Reads a camera file.
     ReadCamera {
-        /// For which frame.
+        /// The frame that it is for.
         frame: u32,
         /// The text.
         camera: CameraGiven,

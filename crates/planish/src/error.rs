@@ -18,7 +18,7 @@ pub struct ParamError {
     pub allowed: &'static str,
 }
 
-/// A number of more digits than anybody reads by its exponent.
+/// Returns a number with very many digits in exponent form.
 fn shortened(value: &str) -> String {
     const LONGEST: usize = 40;
     match value.parse::<f64>() {

@@ -92,7 +92,7 @@ impl Recorder {
 
 pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.source.limits.max_duration()?;
-    // Opening may take seconds: meanwhile a signal ends the command.
+    // Opening may take seconds: until then a signal ends the command at once.
     let stop = Arc::default();
     let mut source = open_source(&args.source, &stop)?;
     stop_by(&stop);

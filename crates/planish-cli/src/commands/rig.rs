@@ -40,7 +40,7 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
         let of_calibrations =
             [("--base", args.base.is_some()), ("--frame", !args.frame.is_empty()), ("--scale", args.scale.is_some())];
         if let Some((name, _)) = of_calibrations.iter().find(|(_, is_given)| *is_given) {
-            bail!("{}: {name} is of calibrations, and this is a rig.json", file.display());
+            bail!("{}: {name} applies to calibrations, not to a rig.json", file.display());
         }
         Rig::read(file)?
     } else {
@@ -181,10 +181,10 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     let unused = args.smoothing.unused_by_general_clouds();
     if way == RigWay::Merged && !unused.is_empty() {
-        errln!("the points are merged to a general cloud, for which {} change nothing", unused.join(", "));
+        errln!("ignored for merged points, which are a general cloud: {}", unused.join(", "));
     }
     if args.voxel.is_some() && way != RigWay::Merged {
-        bail!("--voxel is of rigs whose points are merged: it needs --fuse merged");
+        bail!("--voxel thins merged points: it needs --fuse merged");
     }
     let options = options
         .with_registration_m(registration_m)
@@ -196,7 +196,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
         .with_max_duration(args.source.limits.max_duration()?);
     options.validate().map_err(planish::Error::from)?;
     check_outputs(args, &rig)?;
-    // Opening may take seconds: meanwhile a signal ends the command.
+    // Opening may take seconds: until then a signal ends the command at once.
     let stop = Arc::default();
     let mut sources = open_sources(&rig, &args.source.limits, &stop)?;
     stop_by(&stop);
@@ -235,10 +235,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
         print(&report);
     }
     if stop.load(Ordering::Relaxed) {
-        errln!(
-            "stopped before the end{}",
-            if way == RigWay::Merged { ", and a moment that was being smoothed is given up" } else { "" }
-        );
+        errln!("stopped early; a moment still being smoothed was abandoned");
     } else if report.moments == 0 && args.source.limits.frames != Some(0) {
         errln!("warning: no moments were smoothed");
     }
@@ -257,9 +254,10 @@ fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
         }
     }
     if let (Some(fused), Some(cameras)) = (&args.save, &args.save_cameras)
-        && (fused.starts_with(cameras) || cameras.starts_with(fused))
+        && let (Ok(fused), Ok(cameras)) = (std::path::absolute(fused), std::path::absolute(cameras))
+        && (fused.starts_with(&cameras) || cameras.starts_with(&fused))
     {
-        bail!("--save and --save-cameras write into a folder each: give them two, neither in the other");
+        bail!("--save and --save-cameras write into a folder each: give two folders, neither inside the other");
     }
     let Some(picture) = &args.picture else { return Ok(()) };
     if !picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {

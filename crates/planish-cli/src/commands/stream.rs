@@ -92,7 +92,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_frames(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
-    // Opening may take seconds: meanwhile a signal ends the command.
+    // Opening may take seconds: until then a signal ends the command at once.
     let stop = Arc::default();
     let mut source = open_source(&args.source, &stop)?;
     stop_by(&stop);
@@ -180,7 +180,7 @@ pub fn open_named(
     stop: &Arc<AtomicBool>,
 ) -> Result<Box<dyn Source>> {
     if name == "synthetic" || name.starts_with("synthetic:") {
-        errln!("{name}: rendering the round of frames that is played");
+        errln!("{name}: rendering its frames first");
     }
     let source = match source::open(name, &options) {
         Err(Error::Device(error @ DeviceError::NotFound { .. })) if limits.reconnect => {

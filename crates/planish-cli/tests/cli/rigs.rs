@@ -70,11 +70,11 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
     }
     let both = str(&path("both")).to_owned();
     let stderr = refused(&["stream", "--rig", str(&rig), "--save", &both, "--save-cameras", &both]);
-    assert!(stderr.contains("give them two"), "{stderr}");
+    assert!(stderr.contains("give two folders"), "{stderr}");
     let within = str(&path("both").join("within")).to_owned();
     assert!(
         refused(&["stream", "--rig", str(&rig), "--save", &within, "--save-cameras", &both])
-            .contains("neither in the other")
+            .contains("neither inside the other")
     );
     assert!(refused(&["stream", "synthetic", "--picture", "a.png"]).contains("--rig"));
     assert!(refused(&["stream", str(&rig)]).contains("stream --rig"));
@@ -84,19 +84,32 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
 #[test]
 fn a_simulated_rig_is_there_as_a_whole_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
-    let (rig, partial) = (folder.path().join("rig"), folder.path().join("rig.partial"));
-    // A folder made for the rig, and somebody's own beside it.
-    fs::create_dir_all(&rig).unwrap();
-    fs::create_dir(&partial).unwrap();
-    fs::write(partial.join("notes.txt"), "mine").unwrap();
-    let simulate = ["rig", "--simulate", "2", "--frames", "1", "--out", str(&rig)];
-    ok(&simulate);
-    assert!(rig.join("rig.json").is_file() && partial.join("notes.txt").is_file());
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    // A file is in the way: nothing is left beside it.
+    let file = folder.path().join("file");
+    fs::write(&file, "mine").unwrap();
+    let simulate = |out: &Path| {
+        ["rig", "--simulate", "2", "--frames", "1", "--out"]
+            .map(str::to_owned)
+            .into_iter()
+            .chain([out.to_str().unwrap().to_owned()])
+            .collect::<Vec<_>>()
+    };
+    let refused_into = |out: &Path| refused(&simulate(out).iter().map(String::as_str).collect::<Vec<_>>());
+    refused_into(&file);
+    assert_eq!((fs::read_dir(folder.path()).unwrap().count(), fs::read(&file).unwrap()), (1, b"mine".to_vec()));
+    // Into a folder that is there and empty, and one whose parents are not there.
+    let rig = folder.path().join("rig");
+    fs::create_dir(&rig).unwrap();
+    for out in [&rig, &folder.path().join("new/parent/rig")] {
+        ok(&simulate(out).iter().map(String::as_str).collect::<Vec<_>>());
+        let mut names: Vec<_> = fs::read_dir(out).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, ["camera0", "camera1", "rig.json"]);
+    }
     let before = files(folder.path());
-    assert!(refused(&simulate).contains("has files already"));
+    assert!(refused_into(&rig).contains("has files already"));
     let of_calibrations = refused(&["rig", str(&rig.join("rig.json")), "--scale", "2"]);
-    assert!(of_calibrations.contains("--scale is of calibrations"), "{of_calibrations}");
+    assert!(of_calibrations.contains("--scale applies to calibrations"), "{of_calibrations}");
     assert!(files(folder.path()) == before);
 }
 

@@ -220,6 +220,24 @@ fn numpys_own_files_are_read() {
     let cloud = DepthView::from_metres(&depth_m, &camera).unwrap().deproject().unwrap();
     assert_eq!(cloud.positions().get(2), [-0.25 * 2.5, 0.25 * 2.5, 2.5]);
     assert!(!cloud.positions().is_finite(1));
+    // The other byte order; three indices of which the first runs fastest.
+    let big_endian: Vec<u8> = [1u16, 2, 300, 4].iter().flat_map(|v| v.to_be_bytes()).collect();
+    let (_, contents) = io::decode(&npy(">u2", "(2, 2)", big_endian), None).unwrap();
+    assert_eq!(contents, Contents::Depth(DepthImage { width: 2, height: 2, raw: vec![1, 2, 300, 4] }));
+    let (height, width) = (2, 4);
+    let value = |v: usize, u: usize, axis: usize| (100 * v + 10 * u + axis) as f32;
+    let by_first: Vec<u8> = (0..3)
+        .flat_map(|axis| (0..width).flat_map(move |u| (0..height).map(move |v| value(v, u, axis))))
+        .flat_map(f32::to_le_bytes)
+        .collect();
+    let fortran = npy("<f4", "(2, 4, 3)", by_first);
+    let at = fortran.windows(5).position(|window| window == b"False").unwrap();
+    let fortran = [&fortran[..at], b"True ", &fortran[at + 5..]].concat();
+    let (_, contents) = io::decode(&fortran, None).unwrap();
+    let Contents::Organized(cloud) = contents else { panic!("points on a grid") };
+    for (v, u) in (0..height).flat_map(|v| (0..width).map(move |u| (v, u))) {
+        assert_eq!(cloud.positions().get(v * width + u), [0, 1, 2].map(|axis| value(v, u, axis)));
+    }
     assert!(io::decode(&npy("<f4", "(9, 9999999999)", vec![0; 16]), None).is_err());
     assert!(io::decode(&npy("<i4", "(2, 2)", vec![0; 16]), None).is_err());
 }

@@ -151,10 +151,10 @@ impl JsonCamera {
     }
 }
 
-/// Returns a key of a camera in JSON that says nothing of a camera, such as one that is misspelt.
+/// Returns a key in a JSON camera that no camera has, such as a misspelt one.
 ///
 /// # Errors
-/// If the text is no camera in JSON.
+/// If the text is not a camera in JSON.
 pub fn unknown_camera_key(text: &str) -> FormatResult<Option<String>> {
     Ok(JsonCamera::parse(text)?.others.keys().next().cloned())
 }

@@ -1,11 +1,11 @@
-//! Numbers by their bytes.
+//! Conversion of numbers from and to bytes.
 
 /// A number with a little-endian form.
 pub(super) trait LittleEndian: Copy {
-    /// Reads the number that all these bytes are.
+    /// Reads a number from exactly its bytes.
     fn read(bytes: &[u8]) -> Self;
 
-    /// Reads the number that all these bytes are in the other order.
+    /// The same, big-endian.
     fn read_big_endian(bytes: &[u8]) -> Self;
 
     /// Writes all these bytes.

@@ -88,6 +88,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<Conten
 fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Option<Attribute>> {
     let array = match npy::Array::parse(array) {
         Ok(array) => array,
+        // Texts and records are no fields.
+        Err(FormatError::Unsupported(_)) => return Ok(None),
         Err(error) => return Err(FormatError::Malformed(format!("the array {name}: {error}"))),
     };
     let len = array.header.len().unwrap_or(0);
@@ -177,4 +179,33 @@ pub(super) fn encode(cloud: CloudRef<'_>) -> FormatResult<Vec<u8>> {
         add(&attribute.name, &array)?;
     }
     Ok(writer.finish().map_err(|error| FormatError::Os(error.into()))?.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_and_records_beside_the_points_are_left_out() {
+        let cloud = crate::cloud::PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
+        let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
+        let array = |descr: &str, shape: &str| {
+            let dict = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n");
+            [b"\x93NUMPY\x01\x00", &(dict.len() as u16).to_le_bytes()[..], dict.as_bytes(), &[0; 64]].concat()
+        };
+        let arrays = [
+            ("points.npy", npy::encode_points(CloudRef::General(&cloud))),
+            ("units.npy", array("'<U1'", "()")),
+            ("names.npy", array("[('a', '<f4')]", "(2,)")),
+            ("label.npy", array("'|u1'", "(2,)")),
+        ];
+        for (name, bytes) in arrays {
+            writer.start_file(name, SimpleFileOptions::default()).unwrap();
+            writer.write_all(&bytes).unwrap();
+        }
+        let bytes = writer.finish().unwrap().into_inner();
+        let Contents::General(read) = decode(&bytes, &ReadOptions::default()).unwrap() else { panic!("a cloud") };
+        let names: Vec<&str> = read.attributes.iter().map(|attribute| attribute.name.as_str()).collect();
+        assert_eq!((read.positions, names), (cloud.positions, vec!["label"]));
+    }
 }

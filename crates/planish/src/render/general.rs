@@ -30,11 +30,11 @@ pub fn seen_from(cloud: &PointCloud, direction: [f64; 3], longest_side: usize) -
     DistantView::of(cloud, direction, longest_side)?.see(cloud)
 }
 
-/// A view from far away, where all rays are parallel, that has one cloud in the picture; of others it shows what lies there.
+/// An orthographic view framed on one cloud; other clouds with the same origin appear where they lie in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DistantView {
     viewer_from_cloud: DMat3,
-    /// Of the picture's left upper corner, in the viewer's frame, in metres.
+    /// The picture's upper left corner in the viewer's frame, in metres.
     left: [f64; 2],
     pixel_m: f64,
     width: usize,
@@ -78,10 +78,10 @@ impl DistantView {
         Ok(Self { viewer_from_cloud, left, pixel_m, width, height })
     }
 
-    /// What is seen of a cloud.
+    /// Renders what is visible of a cloud.
     ///
     /// # Errors
-    /// If the cloud is not what its fields say.
+    /// If a field's length does not match the number of points.
     pub fn see(&self, cloud: &PointCloud) -> Result<OrganizedCloud, FrameError> {
         let Self { viewer_from_cloud, left, pixel_m, width, height } = *self;
         let seen = in_frame(&viewer_from_cloud, cloud);

@@ -8,19 +8,19 @@ use super::{Clock, Matcher, MatcherCounts, Moment};
 use crate::error::{Error, ParamError};
 use crate::source::{Source, SourceFrame};
 
-/// Time stamps farther from 0 than this are no clock's, in seconds: 30,000 years.
+/// The largest time stamp accepted, in seconds from 0: about 30,000 years.
 const LARGEST_TIMESTAMP_S: f64 = 1e12;
 
 /// A live source that failed so many times in a row counts as gone.
 const MOST_FAILURES: u32 = 100;
 
-/// So many frames of a camera that cannot be read are reported one by one.
+/// Unreadable frames of a camera that are reported one by one; later ones are only counted.
 const MOST_FAILURES_TOLD: u64 = 5;
 
 /// Frames a second of a recording without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// So many moments of one camera alone, and as many of another in between, say that the cameras' clocks have nothing in common.
+/// When each of two cameras has had this many moments alone since the last match, their clocks are taken to be unrelated.
 const UNMATCHED_ARE_TOLD: u32 = 10;
 
 /// A frame that has arrived from a camera.
@@ -55,7 +55,7 @@ struct State {
     first_error: Option<Error>,
     /// Moments that newer ones replaced.
     skipped: u64,
-    /// Of each camera the moments that it had alone since two last came together.
+    /// Per camera: moments with it alone since two cameras last matched.
     alone: Vec<u32>,
     has_told_unmatched: bool,
     is_closed: bool,
@@ -68,7 +68,7 @@ pub(super) struct Received {
     pub(super) unreadable: u64,
     pub(super) dropped_by_source: u64,
     pub(super) has_ended: bool,
-    /// Whether it ended by an error, which was said.
+    /// Whether it ended with an error, which was reported.
     pub(super) has_failed: bool,
     /// The latest of its time stamps, time offset added, in seconds.
     pub(super) last_s: Option<f64>,
@@ -100,7 +100,8 @@ impl Inbox {
         let _end = EndOf { inbox: self, camera };
         let (mut failures, mut number) = (0, 0u64);
         while !self.lock().is_closed {
-            match source.next_frame().and_then(checked) {
+            let frame = source.next_frame();
+            match if clock == Clock::Source { frame.and_then(checked) } else { frame } {
                 Ok(Some(frame)) => {
                     failures = 0;
                     let arrived = Arrived { frame, name: source.frame_name(), since: Instant::now() };
@@ -217,7 +218,7 @@ impl Inbox {
 impl State {
     fn next(&mut self, now: Instant, is_live: bool) -> Option<Moment<Arrived>> {
         let mut moment = self.matcher.take(now)?;
-        // Of recordings the end tells.
+        // Recordings are checked at the end (`tell_alone`).
         if is_live {
             self.look_for_unmatched(&moment);
         }
@@ -235,7 +236,7 @@ impl State {
         for (alone, frame) in self.alone.iter_mut().zip(&moment.frames) {
             *alone = if are_together { 0 } else { *alone + u32::from(frame.is_some()) };
         }
-        // Where only one camera is left, the others are missing.
+        // If only one camera gives frames, the others are missing, not unmatched.
         let unmatched = self.alone.iter().filter(|alone| **alone >= UNMATCHED_ARE_TOLD).count();
         if unmatched > 1 && !self.has_told_unmatched {
             self.has_told_unmatched = true;
@@ -269,7 +270,8 @@ impl Drop for EndOf<'_> {
     fn drop(&mut self) {
         let mut state = self.inbox.lock();
         state.matcher.end(self.camera);
-        state.cameras[self.camera].has_ended = true;
+        // One that is no longer wanted has not ended by itself.
+        state.cameras[self.camera].has_ended = !state.is_closed;
         if std::thread::panicking() {
             state.warnings.push_back(format!("camera {}: its source panicked", self.inbox.names[self.camera]));
         }

@@ -270,10 +270,10 @@ impl RigCamera {
         let is_name = (1..=LONGEST_NAME).contains(&self.name.len())
             && !self.name.starts_with('.')
             && self.name.chars().all(is_allowed)
-            // Which lies beside the folders of the cameras' results.
+            // That file lies beside the folders of the cameras' results.
             && !self.name.eq_ignore_ascii_case("rig.json");
         if !is_name {
-            let allowed = "letters, digits, - _ and ., 1 to 64 of them, the first no dot, and not rig.json";
+            let allowed = "letters, digits, - _ and ., 1 to 64 of them, not starting with a dot, and not rig.json";
             return Err(ParamError { field: "camera.name", value: format!("{:?}", self.name), allowed });
         }
         if let Err(FrameError::BadPose(problem)) = self.pose.validate() {

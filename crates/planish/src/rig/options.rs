@@ -8,10 +8,10 @@ use crate::error::ParamError;
 use crate::fleet::FleetDevice;
 use crate::params::{Radius, SmoothParams};
 
-/// The smallest voxels, in metres: finer than any depth camera measures, and few enough of them for a room.
+/// The smallest voxels, in metres: finer than any depth camera resolves.
 const SMALLEST_VOXEL_M: f64 = 1e-4;
 
-/// A radius of fewer voxels leaves most of their points without neighbours.
+/// With a smaller radius, in voxels, most points have no neighbours.
 const LEAST_VOXELS_IN_RADIUS: f64 = 1.999;
 
 /// How a rig is streamed.
@@ -60,10 +60,10 @@ impl RigOptions {
         }
     }
 
-    /// Refuses options that do not fit together; [`run`](super::run) does so before it begins.
+    /// Refuses options that contradict each other; [`run`](super::run) does so before it begins.
     ///
     /// # Errors
-    /// If the surfaces may be farther apart than 0.1 m, or if points are thinned that are not merged, to voxels of less than 0.1 mm, or to larger ones than half the radius.
+    /// If `registration_m` is above 0.1, or if `voxel_m` is set for another way than merged, below 0.1 mm, or above half a fixed radius.
     pub fn validate(&self) -> Result<(), ParamError> {
         if !(0.0..=0.1).contains(&self.registration_m) {
             let value = self.registration_m.to_string();

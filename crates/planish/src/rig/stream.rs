@@ -75,7 +75,8 @@ pub enum RigEvent<'a> {
     Warning(String),
 }
 
-/// Streams a rig until all its cameras end, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
+/// Streams a rig until all its cameras end, its limits are reached, all its sinks have failed, or `stop` is set; then waits for the sinks and
+/// closes them.
 ///
 /// `sources` are those of its cameras, in their order: all live, of which the newest moment wins, or none, of which every frame is smoothed. A
 /// camera that fails or ends is reported and counted, and the others go on. A lost GPU is reopened once, after which the CPU engine takes over;
@@ -124,7 +125,7 @@ pub fn run(
             statistics: RigStatistics { moments: StreamStatistics::start(), complete: 0, cameras: Vec::new() },
             smoothed: vec![0; rig.cameras.len()],
             refused: vec![0; rig.cameras.len()],
-            last_refusals: vec![None; rig.cameras.len()],
+            told_refusals: vec![Vec::new(); rig.cameras.len()],
             told_lost_points: vec![false; rig.cameras.len()],
             together: vec![0; rig.cameras.len()],
             at_start: None,
@@ -191,9 +192,9 @@ struct RigStream<'a> {
     /// Frames of each camera that were smoothed, and that the engine refused.
     smoothed: Vec<u64>,
     refused: Vec<u64>,
-    /// Why a camera's last frame was refused.
-    last_refusals: Vec<Option<String>>,
-    /// Cameras of which it was said that many points became holes.
+    /// Why each camera's frames were refused, as far as it was reported.
+    told_refusals: Vec<Vec<String>>,
+    /// Cameras whose lost points were reported.
     told_lost_points: Vec<bool>,
     /// Frames of each camera that came with one of another.
     together: Vec<u64>,

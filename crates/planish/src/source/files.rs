@@ -20,6 +20,9 @@ pub struct FileSource {
 
 impl FileSource {
     /// Reads every frame file of a folder once, in order of their names. Depth images need a camera.
+    ///
+    /// # Errors
+    /// If the folder cannot be read or has no frames, or if the first frame is a depth image and there is no camera.
     pub fn folder(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
         let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
         let entries: Result<Vec<PathBuf>, _> =
@@ -30,7 +33,7 @@ impl FileSource {
         let Some(first) = files.first() else {
             return Err(malformed(folder, "the folder has no frames (.pcd, .ply, .png, .tiff, .npy)").into());
         };
-        // Without a camera every depth image would fail: said once, before anything is written.
+        // Without a camera every depth image would fail: refuse at once, before anything is written.
         if camera.is_none()
             && let Ok((_, contents @ (Contents::Depth(_) | Contents::DepthMetres { .. }))) = io::read(first)
         {
@@ -54,7 +57,7 @@ impl Source for FileSource {
         // Advanced first, so that a caller that continues after an error gets the next file.
         self.next += 1;
         let frame = read_frame(file, self.camera)?;
-        // Intrinsics are those of one size of images.
+        // Intrinsics hold for one image size.
         self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()));
         if self.repeats {
             self.next = 0;

@@ -108,8 +108,7 @@ impl Mailbox {
         if state.closed {
             return;
         }
-        let counter = if item.is_ok() { &mut state.frames } else { &mut state.unreadable };
-        *counter += 1;
+        state.frames += u64::from(item.is_ok());
         state.items.push_back(Box::new(item));
         self.changed.notify_all();
     }
@@ -124,6 +123,8 @@ impl Mailbox {
         }
         match state.items.pop_front() {
             Some(item) => {
+                // Counted when taken: what was read ahead and never taken lies beyond the stream's end.
+                state.unreadable += u64::from(item.is_err());
                 self.changed.notify_all();
                 Taken::Item(item)
             }

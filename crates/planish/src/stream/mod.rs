@@ -33,7 +33,7 @@ pub(crate) use self::rerun::Recording;
 #[cfg(feature = "rerun")]
 pub use self::rerun::RerunSink;
 pub(crate) use mailbox::TimeSpent;
-pub(crate) use sinks::{Consumer, SinkThread};
+pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
 pub use statistics::{Latency, StreamStatistics};
 
@@ -306,11 +306,11 @@ impl Stream<'_> {
         Ok(())
     }
 
-    /// Whether there were sinks, and all have failed: nobody would get the results.
+    /// Whether nobody would get the results any more, which is reported.
     fn sinks_are_gone(&self, tell: &mut impl FnMut(StreamEvent<'_>)) -> bool {
-        let are_gone = !self.sinks.is_empty() && self.sinks.iter().all(SinkThread::has_failed);
+        let are_gone = SinkThread::all_failed(&self.sinks);
         if are_gone {
-            tell(StreamEvent::Warning("every sink has failed: the stream ends".to_owned()));
+            tell(StreamEvent::Warning(ALL_SINKS_FAILED.to_owned()));
         }
         are_gone
     }

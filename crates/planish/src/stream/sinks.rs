@@ -160,6 +160,9 @@ impl Sink for FolderSink {
 /// Of a source without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
+/// Reported when a stream ends because nobody would get its results.
+pub(crate) const ALL_SINKS_FAILED: &str = "every sink has failed: the stream ends";
+
 /// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full a live stream drops results; any other waits.
 const QUEUE: usize = 8;
 
@@ -234,9 +237,9 @@ impl<T: Send + Sync + 'static> SinkThread<T> {
         }
     }
 
-    /// Whether it takes nothing more.
-    pub(crate) fn has_failed(&self) -> bool {
-        self.frames.is_none()
+    /// Whether there are sinks, and all have failed.
+    pub(crate) fn all_failed(sinks: &[Self]) -> bool {
+        !sinks.is_empty() && sinks.iter().all(|sink| sink.frames.is_none())
     }
 
     /// Returns why it failed, once its thread has ended.

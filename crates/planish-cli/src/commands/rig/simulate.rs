@@ -17,16 +17,26 @@ use crate::signals::{INTERRUPTED, stop_flag};
 
 /// Simulates a rig: a data set of each camera, and the rig.json.
 pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
-    let scene = RigScene::tabletop(args.seed, cameras);
-    let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
-    let stated = scene.poses_with_errors(errors, args.seed);
     if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
         bail!("{}: has files already: a simulated rig goes into a folder of its own", folder.display());
     }
-    // Under another name until it is whole.
-    let beside = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let partial = tempfile::Builder::new().prefix(".planish-rig-").tempdir_in(beside);
-    let partial = partial.with_context(|| format!("cannot make a folder in {}", beside.display()))?;
+    let is_new = !folder.exists();
+    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let written = write(args, cameras, folder);
+    if is_new && !matches!(written, Ok(ExitCode::SUCCESS)) {
+        // Empty again: of what was written nothing has its final name.
+        let _ = fs::remove_dir(folder);
+    }
+    written
+}
+
+/// Writes the rig under a temporary name, and then moves it to where it belongs, rig.json last.
+fn write(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
+    let scene = RigScene::tabletop(args.seed, cameras);
+    let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
+    let stated = scene.poses_with_errors(errors, args.seed);
+    let partial = tempfile::Builder::new().prefix(".planish-rig-").tempdir_in(folder);
+    let partial = partial.with_context(|| format!("cannot make a folder in {}", folder.display()))?;
     let stop = stop_flag();
     let camera = Camera::kinect_v1();
     let mut rig_cameras = Vec::new();
@@ -47,13 +57,12 @@ pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCod
         rig_cameras.push(placed.with_sensor(Some(SensorModel::KINECT_V1)));
     }
     let rig = Rig::new(rig_cameras).map_err(planish::Error::from)?;
-    let file = partial.path().join("rig.json");
-    io::write_whole(&file, rig_to_json(&rig).as_bytes()).with_context(|| file.display().to_string())?;
-    if folder.is_dir() {
-        fs::remove_dir(folder).with_context(|| format!("cannot replace {}", folder.display()))?;
+    for camera in &rig.cameras {
+        let (from, to) = (partial.path().join(&camera.name), folder.join(&camera.name));
+        fs::rename(from, &to).with_context(|| format!("cannot make {}", to.display()))?;
     }
-    fs::rename(partial.keep(), folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let file = folder.join("rig.json");
+    io::write_whole(&file, rig_to_json(&rig).as_bytes()).with_context(|| file.display().to_string())?;
     outln!(
         "{cameras} cameras, {} frames each, in {}; planish stream --rig {}",
         args.frames,

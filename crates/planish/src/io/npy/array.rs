@@ -19,7 +19,7 @@ macro_rules! npy_numbers {
 }
 npy_numbers!(i8: "|i1" u8: "|u1" i16: "<i2" u16: "<u2" i32: "<i4" u32: "<u4" i64: "<i8" u64: "<u8" f32: "<f4" f64: "<f8");
 
-/// An array whose values are there in full.
+/// An array with all its values present.
 pub(in crate::io) struct Array<'a> {
     pub(in crate::io) header: Header,
     data: &'a [u8],
@@ -42,7 +42,7 @@ impl<'a> Array<'a> {
         }
     }
 
-    /// How many bytes the values have.
+    /// Returns the number of bytes of the values.
     pub(in crate::io) fn bytes(&self) -> usize {
         self.data.len()
     }
@@ -52,11 +52,12 @@ impl<'a> Array<'a> {
         let Header { size, shape, is_big_endian, is_fortran, .. } = &self.header;
         let read = if *is_big_endian { T::read_big_endian } else { T::read };
         if !is_fortran || shape.len() < 2 {
-            return self.data.chunks_exact((*size).max(1)).map(read).collect();
+            return self.data.chunks_exact(*size).map(read).collect();
         }
-        let mut values = Vec::with_capacity(self.data.len() / (*size).max(1));
+        let count = self.data.len() / size;
+        let mut values = Vec::with_capacity(count);
         let mut index = vec![0usize; shape.len()];
-        for _ in 0..values.capacity() {
+        for _ in 0..count {
             // Where the value of this index is, with the first running fastest.
             let place = index.iter().zip(shape).rev().fold(0, |place, (&i, &n)| place * n + i);
             values.push(read(&self.data[size * place..size * (place + 1)]));

@@ -5,8 +5,11 @@ use crate::io::quoted;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// The largest header accepted, in bytes; NumPy's own have some hundred.
+/// The largest header accepted, in bytes; NumPy's own are about a hundred.
 const MAX_BYTES: usize = 16 * 1024;
+
+/// The most dimensions accepted, which are NumPy's own limit.
+const MAX_DIMENSIONS: usize = 64;
 
 /// Values begin at multiples of so many bytes.
 const ALIGNMENT: usize = 64;
@@ -27,7 +30,7 @@ pub(in crate::io) struct Header {
 }
 
 fn damaged(expected: &str) -> FormatError {
-    FormatError::Malformed(format!("damaged NPY header: {expected} is expected"))
+    FormatError::Malformed(format!("damaged NPY header: expected {expected}"))
 }
 
 fn cut() -> FormatError {
@@ -42,17 +45,17 @@ impl Header {
             [1, _, a, b, rest @ ..] => (usize::from(u16::from_le_bytes([*a, *b])), rest),
             [2 | 3, _, a, b, c, d, rest @ ..] => (u32::from_le_bytes([*a, *b, *c, *d]) as usize, rest),
             [1..=3, ..] | [] => return Err(cut()),
-            _ => return Err(FormatError::Unsupported("an NPY of a version that is not known; 1, 2 and 3 are".into())),
+            _ => return Err(FormatError::Unsupported("an unknown version of NPY; 1, 2 and 3 are supported".into())),
         };
         if stated > MAX_BYTES {
-            let problem = format!("an NPY header of {stated} bytes is none of an array of numbers");
+            let problem = format!("an NPY header of {stated} bytes is too long for an array of numbers");
             return Err(FormatError::Malformed(problem));
         }
         let (dict, data) = rest.split_at_checked(stated).ok_or_else(cut)?;
         Ok((Dict(dict).header()?, data))
     }
 
-    /// How many values there are, if that can be counted.
+    /// Returns the number of values; `None` if it overflows.
     pub(in crate::io) fn len(&self) -> Option<usize> {
         self.shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n))
     }
@@ -74,7 +77,7 @@ impl Header {
     }
 }
 
-/// What is left of the dict.
+/// The rest of the dict.
 struct Dict<'a>(&'a [u8]);
 
 impl<'a> Dict<'a> {
@@ -100,7 +103,7 @@ impl<'a> Dict<'a> {
             return Err(damaged("a dict of 'descr', 'fortran_order' and 'shape', and nothing after it"));
         };
         let unknown =
-            || FormatError::Unsupported(format!("an array of the type {}, which is no number", quoted(descr)));
+            || FormatError::Unsupported(format!("an array of the type {}, which is not a number type", quoted(descr)));
         let (order, of_value) = match descr.as_bytes() {
             [order @ (b'<' | b'>' | b'|' | b'='), rest @ ..] => (*order, rest),
             rest => (b'|', rest),
@@ -136,6 +139,9 @@ impl<'a> Dict<'a> {
         self.expect(b'(')?;
         while !self.eat(b')') {
             shape.push(self.number()?);
+            if shape.len() > MAX_DIMENSIONS {
+                return Err(damaged("a shape of at most 64 numbers"));
+            }
             if !self.eat(b',') {
                 self.expect(b')')?;
                 break;
@@ -144,14 +150,14 @@ impl<'a> Dict<'a> {
         Ok(shape)
     }
 
-    /// A number, behind which Python 2 wrote an L.
+    /// A number, which Python 2 suffixed with L.
     fn number(&mut self) -> Result<usize, FormatError> {
         self.skip_blanks();
         let digits = self.0.iter().take_while(|byte| byte.is_ascii_digit()).count();
         let (number, rest) = self.0.split_at(digits);
         self.0 = rest.strip_prefix(b"L").unwrap_or(rest);
         let number = std::str::from_utf8(number).ok().filter(|number| !number.is_empty());
-        // One that cannot be counted is of no file.
+        // No file has a dimension beyond usize.
         number.map(|number| number.parse().unwrap_or(usize::MAX)).ok_or_else(|| damaged("a shape of numbers"))
     }
 
@@ -226,8 +232,8 @@ mod tests {
             ("{'descr': '<f4'}".into(), "'shape'"),
             (format!("{{'descr': '<f4', {shape}}} x"), "nothing after"),
             (format!("{{'descr': '<f4', 'descr': '<f4', {shape}}}"), "one each"),
-            (format!("{{'descr': '|O', {shape}}}"), "no number"),
-            (format!("{{'descr': '<f9999999', {shape}}}"), "no number"),
+            (format!("{{'descr': '|O', {shape}}}"), "not a number type"),
+            (format!("{{'descr': '<f9999999', {shape}}}"), "not a number type"),
             (format!("{{'descr': [('x', '<f4')], {shape}}}"), "records"),
             ("{'descr': '<f4', 'fortran_order': Maybe".into(), "True or False"),
             ("{'descr': '<f4', 'fortran_order': False, 'shape': (-1,)}".into(), "numbers"),

@@ -17,7 +17,7 @@ struct Entry {
     #[serde(default)]
     distortion_coeffs: Vec<f64>,
     resolution: Option<[usize; 2]>,
-    /// What is added to a camera's time stamps for the time of the IMU, in seconds.
+    /// Added to the camera's time stamps to get the IMU's time, in seconds.
     timeshift_cam_imu: Option<f64>,
     /// Takes points of the camera before this one into this one's frame.
     #[serde(rename = "T_cn_cnm1")]
@@ -57,7 +57,7 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
     let is_camera = |key: &&str| key.strip_prefix("cam").is_some_and(|number| number.parse::<usize>().is_ok());
     let named = file.keys().filter_map(|key| key.as_str()).filter(is_camera).count();
     if named > cameras.len() {
-        return Err(malformed(format!("{named} cameras, of which cam{} is missing from the chain", cameras.len())));
+        return Err(malformed(format!("{named} cameras, but no cam{}: the chain has a gap", cameras.len())));
     }
     Ok(cameras)
 }
@@ -126,7 +126,7 @@ cam2:
         let offsets: Vec<f64> = camchain(&shifted).unwrap().iter().map(|camera| camera.time_offset_s).collect();
         assert_eq!(offsets, [0.0, 0.0125, 0.0]);
         let error = camchain(&CHAIN.replace("cam1:", "cam3:")).unwrap_err().to_string();
-        assert!(error.contains("cam1 is missing"), "{error}");
+        assert!(error.contains("no cam1"), "{error}");
     }
 
     #[test]

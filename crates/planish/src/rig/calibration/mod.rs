@@ -53,16 +53,16 @@ impl CalibrationOptions {
         Self { metres_per_unit, ..self }
     }
 
-    /// Refuses frames where there are none.
+    /// Refuses the options for ROS frames.
     fn refuse_of_ros(&self, what: &str) -> Result<(), FormatError> {
         let given = [("base", self.base.is_some()), ("frames", !self.frames.is_empty())];
         match given.iter().find(|(_, is_given)| *is_given) {
-            Some((name, _)) => Err(malformed(format!("{what} has no frames of ROS: leave out {name}"))),
+            Some((name, _)) => Err(malformed(format!("{what} has no ROS frames: omit {name}"))),
             None => Ok(()),
         }
     }
 
-    /// Refuses a scale where lengths are in metres.
+    /// Refuses a scale for lengths that are in metres.
     fn refuse_scale(&self, what: &str) -> Result<(), FormatError> {
         if self.metres_per_unit == 1.0 {
             return Ok(());

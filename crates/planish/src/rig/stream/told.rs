@@ -1,23 +1,24 @@
-//! What a running rig says: of cameras that go wrong, and of results that are not what was hoped for.
+//! Warnings of a running rig: failing cameras and disappointing results.
 
 use super::{Inbox, Received, RigEvent, RigStream, SinkThread};
 use crate::error::FrameError;
 use crate::frame::IntoFrame;
 use crate::smoothed::Smoothed;
 use crate::source::SourceFrame;
+use crate::stream::ALL_SINKS_FAILED;
 
-/// A camera whose frames end this much before another's is said to, in seconds.
+/// A camera is reported if its frames end this much before another's, in seconds.
 const TOLD_EARLIER_S: f64 = 0.5;
 
-/// So many frames of a camera that cannot be smoothed are reported one by one; more are only counted.
-const MOST_REFUSALS_TOLD: u64 = 5;
+/// Different reasons why a camera's frames are refused that are reported; later ones are only counted.
+const MOST_REFUSALS_TOLD: usize = 5;
 
 impl RigStream<'_> {
-    /// Whether there were sinks, and all have failed: nobody would get the results.
+    /// Whether nobody would get the results any more, which is reported.
     pub(super) fn sinks_are_gone(&self, tell: &mut impl FnMut(RigEvent<'_>)) -> bool {
-        let are_gone = !self.sinks.is_empty() && self.sinks.iter().all(SinkThread::has_failed);
+        let are_gone = SinkThread::all_failed(&self.sinks);
         if are_gone {
-            tell(RigEvent::Warning("every sink has failed: the stream ends".to_owned()));
+            tell(RigEvent::Warning(ALL_SINKS_FAILED.to_owned()));
         }
         are_gone
     }
@@ -25,10 +26,11 @@ impl RigStream<'_> {
     pub(super) fn refuse(&mut self, camera: usize, error: &FrameError, tell: &mut impl FnMut(RigEvent<'_>)) {
         self.refused[camera] += 1;
         let why = error.to_string();
+        let told = &mut self.told_refusals[camera];
         // Once where every frame has the same.
-        if self.last_refusals[camera].as_ref() != Some(&why) && self.refused[camera] <= MOST_REFUSALS_TOLD {
+        if told.len() < MOST_REFUSALS_TOLD && !told.contains(&why) {
             tell(RigEvent::Warning(format!("camera {}: {why}", self.rig.cameras[camera].name)));
-            self.last_refusals[camera] = Some(why);
+            told.push(why);
         }
     }
 
@@ -47,7 +49,7 @@ impl RigStream<'_> {
         }
     }
 
-    /// Says which cameras gave frames that never came together with another's.
+    /// Names cameras whose frames never matched another's.
     pub(super) fn tell_alone(&self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
         let gave = self.smoothed.iter().filter(|smoothed| **smoothed > 0).count();
         if gave < 2 || inbox.has_told_unmatched() {
@@ -63,8 +65,11 @@ impl RigStream<'_> {
         }
     }
 
-    /// Says which recordings ended before others.
+    /// Names recordings that ended before others.
     pub(super) fn tell_short(&self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
+        if self.is_live {
+            return;
+        }
         let (counts, _) = inbox.counts();
         let Some(latest_s) = counts.iter().filter_map(|(_, received)| received.last_s).reduce(f64::max) else { return };
         let has_ended = |received: &Received| received.has_ended && !received.has_failed;
