@@ -122,8 +122,8 @@ def test_clouds_come_with_their_points(tmp_path: Path) -> None:
 def test_what_is_wrong_is_said(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         planish.stream(tmp_path / "none")
-    with pytest.warns(RuntimeWarning, match="camera"):
-        assert list(planish.stream(folder)) == []
+    with pytest.raises(ValueError, match=r"frame0\.png.*camera"):
+        planish.stream(folder)
     with pytest.raises(ValueError, match="outputs"):
         planish.stream(folder, CAMERA, outputs=["colour"])  # type: ignore[list-item]
     with pytest.raises(ValueError, match="auto"):
