@@ -207,7 +207,9 @@ def test_a_signal_leaves_no_part_of_a_recording(bag, tmp_path):
     for i in range(300):
         (frames / f"{i:03}.png").write_bytes(png(depth_mm(i % 3, 640, 480)))
     command = [program("planish"), "smooth", frames, out, "--camera", "525,525,319.5,239.5", "--engine", "cpu"]
-    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    # One that a shell in the background started would ignore SIGINT.
+    heeds = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heeds)
     time.sleep(0.7)
     run.send_signal(signal.SIGINT)
     assert run.wait(20) == 130, run.stderr.read()
