@@ -323,7 +323,7 @@ impl Bench<'_> {
         let mut rows = Vec::new();
         for ((setting, params), transfer) in timed_settings() {
             for take in Take::ALL {
-                for slots in [2, 3, 4] {
+                for slots in [2, 3, 4, 6] {
                     let mut smoother = self.open(params, |options| {
                         options.outputs = take.outputs();
                         options.gpu.transfer = transfer;

@@ -61,7 +61,11 @@ fn frames_in_flight_come_back_in_order() {
         depths.iter().zip(&clouds).flat_map(|(d, c)| [d.into_frame().unwrap(), c.into_frame().unwrap()]).collect();
     let expected = one_by_one(&frames, SmoothParams::default());
     for transfer in [Transfer::Staged, Transfer::Auto] {
-        let mut smoother = open(SmoothParams::default(), |options| options.gpu.transfer = transfer).unwrap();
+        let mut smoother = open(SmoothParams::default(), |options| {
+            options.gpu.transfer = transfer;
+            options.gpu.slots = 3;
+        })
+        .unwrap();
         assert!(smoother.receive().unwrap().is_none());
         let mut found = Vec::new();
         for (i, &frame) in frames.iter().enumerate() {
@@ -317,7 +321,8 @@ fn auto_takes_a_real_gpu_or_the_cpu_and_says_why() {
 #[test]
 fn the_cpu_engine_keeps_the_same_order_and_limit() {
     let depths: Vec<_> = (0..4).map(frame).collect();
-    let mut smoother = Smoother::open(SmoothParams::default(), Engine::Cpu, SHAPE).unwrap();
+    let options = SmootherOptions::default().with_engine(Engine::Cpu).with_gpu(GpuOptions::default().with_slots(3));
+    let mut smoother = Smoother::open_with(SmoothParams::default(), &options, SHAPE).unwrap();
     let mut expected = Vec::new();
     for depth in &depths[..3] {
         let mut smoothed = Smoothed::default();

@@ -56,7 +56,8 @@ pub struct GpuOptions {
     /// The adapter by its index (a number is nothing else) or any part of its name, in any case; `None` is the first real GPU. A
     /// software adapter is only taken by this. `Engine::Auto` does not look at it.
     pub adapter: Option<String>,
-    /// How many frames may be in flight: submitted and not received. At least 1; 3 keep a GPU busy. Other engines keep to it too.
+    /// How many frames may be in flight: submitted and not received. At least 1. 3 keep a GPU busy whose results are read in place, 6 one
+    /// whose results are copied out. Other engines keep to it too.
     pub slots: usize,
     /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings). The CPU
     /// engine takes its own by the same.
@@ -95,11 +96,11 @@ impl GpuOptions {
 }
 
 impl Default for GpuOptions {
-    /// The first real GPU, 3 slots, no time stamps; bounds are checked in debug builds.
+    /// The first real GPU, 6 slots, no time stamps; bounds are checked in debug builds.
     fn default() -> Self {
         Self {
             adapter: None,
-            slots: 3,
+            slots: 6,
             timestamps: false,
             bounds_checks: cfg!(debug_assertions),
             transfer: Transfer::Auto,

@@ -33,6 +33,9 @@ pub(crate) trait SmoothingEngine: Send {
     /// Waits for the result of the oldest frame in flight.
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error>;
 
+    /// Does what else the second frame in flight would wait for.
+    fn prepare_in_flight(&mut self) {}
+
     fn in_flight(&self) -> usize;
 
     fn max_in_flight(&self) -> usize;

@@ -215,6 +215,12 @@ impl Smoother {
         self.opened.receive()
     }
 
+    /// Prepares for several frames in flight, which the second of them waits for otherwise: some 0.1 s on a GPU with several queues,
+    /// on which frames overlap. Who smooths one at a time needs neither the time nor the memory.
+    pub fn prepare_in_flight(&mut self) {
+        self.opened.prepare_in_flight();
+    }
+
     /// How many frames were submitted and not received.
     pub fn in_flight(&self) -> usize {
         self.opened.in_flight()

@@ -126,7 +126,11 @@ impl Fleet {
             FleetDevice::Cpu => device.options(&cpu),
             FleetDevice::Gpu(_) => device.options(options),
         };
-        let open = |device: &FleetDevice| Smoother::open_with(params, &options_of(device), grid);
+        let open = |device: &FleetDevice| {
+            let mut smoother = Smoother::open_with(params, &options_of(device), grid)?;
+            smoother.prepare_in_flight();
+            Ok(smoother)
+        };
         let smoothers: Result<Vec<Smoother>, Error> = thread::scope(|scope| {
             let opening: Vec<_> = devices.iter().map(|device| scope.spawn(move || open(device))).collect();
             let panicked = || EngineError::Unavailable { engine: "fleet", reason: "opening it panicked".to_owned() };
@@ -232,7 +236,8 @@ mod tests {
     }
 
     fn on_cpus(count: usize) -> Fleet {
-        let options = SmootherOptions::new(Engine::Cpu, Outputs::POINTS).with_threads(Some(1));
+        let slots = crate::GpuOptions::default().with_slots(3);
+        let options = SmootherOptions::new(Engine::Cpu, Outputs::POINTS).with_threads(Some(1)).with_gpu(slots);
         Fleet::open(SmoothParams::paper(), &options, &vec![FleetDevice::Cpu; count], SHAPE).unwrap()
     }
 

@@ -1,4 +1,4 @@
-//! The thread that waits for frames in flight and copies their results out, so that the one that submits need not.
+//! The thread that waits for the frames in flight on a queue and copies their results out, so that the one that submits need not.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{self, JoinHandle};

@@ -1,7 +1,8 @@
 //! Devices: listing and opening adapters, compiled kernels, device loss.
 //!
-//! A device is shared by all smoothers of the process on its adapter, and closed with the last of them. A fault is kept: once
-//! the device is lost, every call returns that error, and the next smoother opens a fresh one.
+//! An adapter is opened once, or twice where frames overlap on several queues: quickly for what is smoothed one at a time, and with a
+//! device of wgpu's for each queue. Devices are shared by all smoothers of the process on that adapter, and closed with the last of
+//! them. A fault is kept: once a device is lost, every call returns that error, and the next smoother opens a fresh one.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -10,6 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use super::kernel::KernelKey;
+use super::queues;
 use crate::devices::{AdapterKind, GpuAdapter, GpuOptions};
 use crate::error::EngineError;
 
@@ -29,6 +31,21 @@ const SPIN: Duration = Duration::from_millis(1);
 /// Locks, ignoring poisoning: the state behind the locks here is consistent at any time.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What an adapter is opened for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// One submission at a time, on one queue.
+    OneAtATime,
+    /// Frames in flight, on several queues; there may be none.
+    InFlight,
+}
+
+/// An open adapter.
+pub(super) struct OpenAdapter {
+    /// One for each queue, at least one; they share one fault.
+    pub(super) devices: Vec<Arc<GpuDevice>>,
 }
 
 pub(super) struct GpuDevice {
@@ -83,99 +100,96 @@ pub(crate) fn list() -> Vec<GpuAdapter> {
     adapters().iter().enumerate().map(|(index, adapter)| describe(index, &adapter.get_info())).collect()
 }
 
-/// The open devices, by adapter index.
-static OPEN: Mutex<Vec<(usize, Weak<GpuDevice>)>> = Mutex::new(Vec::new());
+/// The open adapters, by index and purpose.
+static OPEN: Mutex<Vec<(usize, Purpose, Weak<OpenAdapter>)>> = Mutex::new(Vec::new());
 
 /// Destroys the open devices.
 #[cfg(any(test, feature = "internal"))]
 pub(super) fn lose_open() {
-    for device in lock(&OPEN).iter().filter_map(|(_, device)| device.upgrade()) {
-        device.device.destroy();
+    for adapter in lock(&OPEN).iter().filter_map(|(.., adapter)| adapter.upgrade()) {
+        adapter.devices.iter().for_each(|device| device.device.destroy());
     }
 }
 
-/// Opens a device that is not shared, to be lost on purpose.
+/// Opens an adapter whose devices are not shared, to be lost on purpose: as if it had so many queues.
 #[cfg(test)]
-pub(super) fn open_alone(chosen: &GpuAdapter) -> Result<GpuDevice, EngineError> {
-    GpuDevice::open_adapter(&adapters()[chosen.index], &chosen.name)
+pub(super) fn open_alone(chosen: &GpuAdapter, queues: usize) -> OpenAdapter {
+    let adapter = &adapters()[chosen.index];
+    let opened = (0..queues).map(|_| queues::open_one(adapter).unwrap());
+    OpenAdapter::new(adapter, &chosen.name, opened.collect())
+}
+
+impl OpenAdapter {
+    /// Opens the adapter with this index, or shares it if it is open for this purpose.
+    pub(super) fn open(chosen: &GpuAdapter, purpose: Purpose) -> Result<Arc<Self>, EngineError> {
+        let mut open = lock(&OPEN);
+        open.retain(|(.., adapter)| adapter.strong_count() > 0);
+        let alike = open.iter().filter(|(index, other, _)| (*index, *other) == (chosen.index, purpose));
+        let shared = alike.filter_map(|(.., adapter)| adapter.upgrade());
+        if let Some(adapter) = shared.into_iter().find(|adapter| adapter.devices.iter().all(|gpu| gpu.check().is_ok()))
+        {
+            return Ok(adapter);
+        }
+        let unavailable = |reason| EngineError::Unavailable { engine: "gpu", reason };
+        let adapter =
+            adapters().get(chosen.index).ok_or_else(|| unavailable(format!("the adapter {} is gone", chosen.name)))?;
+        let opened =
+            match purpose {
+                Purpose::OneAtATime => vec![queues::open_one(adapter).map_err(|error| {
+                    unavailable(format!("the adapter {} could not be opened: {error}", chosen.name))
+                })?],
+                Purpose::InFlight => queues::open_several(adapter)
+                    .ok_or_else(|| unavailable(format!("the adapter {} has no queues side by side", chosen.name)))?,
+            };
+        let opened = Arc::new(Self::new(adapter, &chosen.name, opened));
+        open.push((chosen.index, purpose, Arc::downgrade(&opened)));
+        Ok(opened)
+    }
+
+    /// Has the devices record their faults in one place.
+    fn new(adapter: &wgpu::Adapter, name: &str, opened: Vec<(wgpu::Device, wgpu::Queue)>) -> Self {
+        let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+        let spin = if is_software { Duration::ZERO } else { SPIN };
+        let fault = Arc::<Mutex<Option<EngineError>>>::default();
+        let record_faults = |(device, queue): (wgpu::Device, wgpu::Queue)| {
+            let (lost, lost_name) = (Arc::clone(&fault), name.to_owned());
+            device.set_device_lost_callback(move |reason, message| {
+                // The loss explains all other errors.
+                let mut fault = lock(&lost);
+                if !matches!(*fault, Some(EngineError::Lost { .. })) {
+                    let reason = format!("{message} ({reason:?})");
+                    *fault = Some(EngineError::Lost { device: lost_name.clone(), reason });
+                }
+            });
+            let (failed, failed_name) = (Arc::clone(&fault), name.to_owned());
+            device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+                // The first error explains later ones.
+                let first = || EngineError::Device { device: failed_name.clone(), reason: error.to_string() };
+                lock(&failed).get_or_insert_with(first);
+            }));
+            Arc::new(GpuDevice::new(device, queue, name.to_owned(), Arc::clone(&fault), spin))
+        };
+        Self { devices: opened.into_iter().map(record_faults).collect() }
+    }
 }
 
 impl GpuDevice {
-    /// Opens the adapter with this index, or shares its open device.
-    pub(super) fn open(chosen: &GpuAdapter) -> Result<Arc<Self>, EngineError> {
-        let mut open = lock(&OPEN);
-        open.retain(|(_, device)| device.strong_count() > 0);
-        let shared = open.iter().filter(|(index, _)| *index == chosen.index).find_map(|(_, device)| device.upgrade());
-        if let Some(device) = shared.filter(|device| device.check().is_ok()) {
-            return Ok(device);
-        }
-        let adapter = adapters().get(chosen.index).ok_or_else(|| EngineError::Unavailable {
-            engine: "gpu",
-            reason: format!("the adapter {} is gone", chosen.name),
-        })?;
-        let device = Arc::new(Self::open_adapter(adapter, &chosen.name)?);
-        open.push((chosen.index, Arc::downgrade(&device)));
-        Ok(device)
-    }
-
-    fn open_adapter(adapter: &wgpu::Adapter, name: &str) -> Result<Self, EngineError> {
-        let useful = wgpu::Features::TIMESTAMP_QUERY
-            | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS
-            | wgpu::Features::MAPPABLE_PRIMARY_BUFFERS;
-        let features = adapter.features() & useful;
-        let limits = adapter.limits();
-        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
-            label: Some("planish"),
-            required_features: features,
-            required_limits: limits.clone(),
-            ..Default::default()
-        }))
-        .map_err(|error| EngineError::Unavailable {
-            engine: "gpu",
-            reason: format!("the adapter {name} could not be opened: {error}"),
-        })?;
-
-        let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
-        let fault = Arc::new(Mutex::new(None));
-        let (lost, failed) = (Arc::clone(&fault), Arc::clone(&fault));
-        let device_name = name.to_owned();
-        device.set_device_lost_callback(move |reason, message| {
-            // The loss explains all other errors.
-            let mut fault = lock(&lost);
-            if !matches!(*fault, Some(EngineError::Lost { .. })) {
-                let reason = format!("{message} ({reason:?})");
-                *fault = Some(EngineError::Lost { device: device_name.clone(), reason });
-            }
-        });
-        let device_name = name.to_owned();
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            // The first error explains later ones.
-            lock(&failed)
-                .get_or_insert_with(|| EngineError::Device { device: device_name.clone(), reason: error.to_string() });
-        }));
-
-        let spin = if is_software { Duration::ZERO } else { SPIN };
-        Ok(Self::new(device, queue, name.to_owned(), limits, features, fault, spin))
-    }
-
     /// Wraps a device of the host program, without setting callbacks: loss and errors are seen when waiting.
     #[cfg(feature = "wgpu-interop")]
     pub(super) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         let info = device.adapter_info();
         let spin = if info.device_type == wgpu::DeviceType::Cpu { Duration::ZERO } else { SPIN };
-        let (limits, features) = (device.limits(), device.features());
-        Self::new(device, queue, info.name, limits, features, Arc::default(), spin)
+        Self::new(device, queue, info.name, Arc::default(), spin)
     }
 
     fn new(
         device: wgpu::Device,
         queue: wgpu::Queue,
         name: String,
-        limits: wgpu::Limits,
-        features: wgpu::Features,
         fault: Arc<Mutex<Option<EngineError>>>,
         spin: Duration,
     ) -> Self {
+        let (limits, features) = (device.limits(), device.features());
         let storage = |read_only| wgpu::BindingType::Buffer {
             ty: wgpu::BufferBindingType::Storage { read_only },
             has_dynamic_offset: false,

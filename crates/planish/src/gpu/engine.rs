@@ -1,6 +1,6 @@
 //! The engine: slots, frames in flight, batches.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -8,7 +8,7 @@ use std::thread;
 use rayon::prelude::*;
 
 use super::copier::{Copied, Copier};
-use super::device::{self, GpuDevice, lock};
+use super::device::{self, GpuDevice, OpenAdapter, Purpose, lock};
 use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
 use super::slot::Slot;
@@ -39,7 +39,6 @@ pub(super) type FreeSlots = Arc<Mutex<Vec<Slot>>>;
 
 /// A submission in progress, or whose result has not been received.
 pub(super) struct Flight {
-    pub(super) gpu: Arc<GpuDevice>,
     pub(super) slot: Slot,
     submission: wgpu::SubmissionIndex,
     pub(super) free: FreeSlots,
@@ -48,8 +47,8 @@ pub(super) struct Flight {
 impl Flight {
     /// Waits for the result.
     pub(super) fn land(self) -> Result<MappedView, EngineError> {
-        self.gpu.wait(self.submission.clone())?;
-        self.slot.wait_mapped(&self.gpu)?;
+        self.slot.gpu.wait(self.submission.clone())?;
+        self.slot.wait_mapped()?;
         MappedView::new(self)
     }
 }
@@ -60,21 +59,30 @@ enum Pending {
     Copied(Copied),
 }
 
+/// Opens an adapter with all its queues.
+type OpenSeveral = Box<dyn Fn() -> Result<Arc<OpenAdapter>, EngineError> + Send>;
+
 /// Limits of a submission of several frames: bytes per buffer, and frames.
 const MAX_BATCH_BYTES: u64 = 256 << 20;
 const MAX_BATCH_FRAMES: u64 = 64;
 
 /// The GPU engine with its buffers.
 pub(crate) struct Gpu {
-    pub(super) gpu: Arc<GpuDevice>,
+    /// Where slots are: one device until frames overlap, then one for each queue.
+    pub(super) adapter: Arc<OpenAdapter>,
+    /// The adapter with all its queues, until that has been tried; `None` for a device of the host program's.
+    pub(super) several: Option<OpenSeveral>,
     params: SmoothParams,
     outputs: Outputs,
     options: GpuOptions,
     shape: (usize, usize),
     pub(super) free: FreeSlots,
+    /// Slots allocated so far: they are dealt to the queues in turns.
+    allocated: usize,
     uploader: Uploader,
     pending: VecDeque<Pending>,
-    copier: Option<Copier>,
+    /// One for each device.
+    copiers: Vec<Copier>,
     timings: Option<FrameTimings>,
     /// Bytes of all slots, wherever they are.
     bytes: Arc<AtomicU64>,
@@ -89,8 +97,11 @@ impl Gpu {
         shape: (usize, usize),
     ) -> Result<Self, EngineError> {
         let adapters = adapters();
-        let gpu = GpuDevice::open(choose(&adapters, options.adapter.as_deref())?)?;
-        Self::open_device(gpu, params, outputs, options, shape)
+        let chosen = choose(&adapters, options.adapter.as_deref())?.clone();
+        let adapter = OpenAdapter::open(&chosen, Purpose::OneAtATime)?;
+        let mut engine = Self::open_in(adapter, params, outputs, options, shape)?;
+        engine.several = Some(Box::new(move || OpenAdapter::open(&chosen, Purpose::InFlight)));
+        Ok(engine)
     }
 
     /// Opens on a device of the host program's.
@@ -103,18 +114,19 @@ impl Gpu {
         options: &GpuOptions,
         shape: (usize, usize),
     ) -> Result<Self, EngineError> {
-        let gpu = Arc::new(GpuDevice::of_host(device.clone(), queue.clone()));
-        Self::open_device(gpu, params, outputs, options, shape)
+        let device = Arc::new(GpuDevice::of_host(device.clone(), queue.clone()));
+        Self::open_in(Arc::new(OpenAdapter { devices: vec![device] }), params, outputs, options, shape)
     }
 
-    fn open_device(
-        gpu: Arc<GpuDevice>,
+    pub(super) fn open_in(
+        adapter: Arc<OpenAdapter>,
         params: SmoothParams,
         outputs: Outputs,
         options: &GpuOptions,
         shape: (usize, usize),
     ) -> Result<Self, EngineError> {
         let mut options = options.clone();
+        let gpu = &adapter.devices[0];
         let lacks = |reason: &str| EngineError::Unavailable {
             engine: "gpu",
             reason: format!("the adapter {} {reason}", gpu.name),
@@ -128,46 +140,64 @@ impl Gpu {
             chosen => chosen,
         };
         let mut engine = Self {
-            gpu,
+            adapter,
+            several: None,
             params,
             outputs,
             options,
             shape,
             free: Arc::default(),
+            allocated: 0,
             uploader: Uploader::new(params),
             pending: VecDeque::new(),
-            copier: None,
+            copiers: Vec::new(),
             timings: None,
             bytes: Arc::default(),
         };
         // Errors and slow work happen here rather than with the first frame.
-        let kinds = [InputKind::Depth, InputKind::DepthMetres, InputKind::Points];
-        for kind in kinds {
+        for kind in InputKind::ALL {
             engine.check_limits(engine.layout(kind), 1)?;
         }
-        engine.compile(&kinds)?;
+        engine.compile(&engine.adapter)?;
         engine.warm_up()?;
         Ok(engine)
     }
 
+    /// Deals frames to several queues from now on, where the adapter has them and unless that has been tried; else frames in flight
+    /// take turns on the one that is open.
+    fn open_several(&mut self) {
+        let Some(open) = self.several.take().filter(|_| self.options.slots > 1) else { return };
+        let Ok(several) = open() else { return };
+        if self.compile(&several).is_ok() {
+            self.adapter = several;
+            lock(&self.free).clear();
+            // What fails here fails again with the next frame.
+            let _ = self.warm_up();
+        }
+    }
+
+    /// Stands for all devices where they are alike: limits, features, faults.
+    fn gpu(&self) -> &GpuDevice {
+        &self.adapter.devices[0]
+    }
+
     /// Compiles the kernels of all kinds of input, in parallel: drivers compile on the calling thread.
-    fn compile(&self, kinds: &[InputKind]) -> Result<(), EngineError> {
-        let mut keys: Vec<KernelKey> = kinds.iter().flat_map(|&kind| self.kernel_keys(kind)).collect();
-        let mut seen = std::collections::HashSet::new();
-        keys.retain(|key| seen.insert(*key));
-        let gpu = &self.gpu;
+    fn compile(&self, adapter: &OpenAdapter) -> Result<(), EngineError> {
+        let keys: HashSet<KernelKey> = InputKind::ALL.into_iter().flat_map(|kind| self.kernel_keys(kind)).collect();
+        let all = adapter.devices.iter().flat_map(|gpu| keys.iter().map(move |&key| (gpu, key)));
         thread::scope(|scope| {
-            let compiling: Vec<_> =
-                keys.into_iter().map(|key| scope.spawn(move || gpu.kernel(key).map(drop))).collect();
-            let failed = || Err(gpu.failed("a kernel was not compiled"));
+            let compiling: Vec<_> = all.map(|(gpu, key)| scope.spawn(move || gpu.kernel(key).map(drop))).collect();
+            let failed = || Err(self.gpu().failed("a kernel was not compiled"));
             compiling.into_iter().try_for_each(|thread| thread.join().unwrap_or_else(|_| failed()))
         })
     }
 
-    /// Computes a frame of holes in every slot and starts the copier, so that the driver's one-time work per buffer and kernel
+    /// Computes a frame of holes in every slot and starts the copiers, so that the driver's one-time work per buffer and kernel
     /// does not delay the first frames of a camera.
     fn warm_up(&mut self) -> Result<(), EngineError> {
-        self.copier.get_or_insert(Copier::start()?);
+        while self.copiers.len() < self.adapter.devices.len() {
+            self.copiers.push(Copier::start()?);
+        }
         let layout = self.layout(InputKind::Depth);
         let mut landed = Vec::new();
         for _ in 0..self.options.slots {
@@ -186,7 +216,7 @@ impl Gpu {
 
     /// The kernels of a frame's passes, in order.
     fn kernel_keys(&self, kind: InputKind) -> impl Iterator<Item = KernelKey> {
-        let workgroup_bytes = self.gpu.limits.max_compute_workgroup_storage_size as usize;
+        let workgroup_bytes = self.gpu().limits.max_compute_workgroup_storage_size as usize;
         let key = move |&pass| {
             KernelKey::new(&self.params, pass, kind, self.outputs, self.options.bounds_checks, workgroup_bytes)
         };
@@ -194,8 +224,12 @@ impl Gpu {
     }
 
     /// The kernels of a frame's passes in order, each with its workgroups across and down.
-    fn kernels(&self, kind: InputKind) -> Result<Vec<(wgpu::ComputePipeline, [usize; 2])>, EngineError> {
-        self.kernel_keys(kind).map(|key| Ok((self.gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
+    fn kernels(
+        &self,
+        gpu: &GpuDevice,
+        kind: InputKind,
+    ) -> Result<Vec<(wgpu::ComputePipeline, [usize; 2])>, EngineError> {
+        self.kernel_keys(kind).map(|key| Ok((gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
     }
 
     /// The most workgroups of a frame, across or down.
@@ -205,7 +239,7 @@ impl Gpu {
 
     /// Returns the device's limit of bytes per buffer.
     fn buffer_limit(&self) -> u64 {
-        let limits = &self.gpu.limits;
+        let limits = &self.gpu().limits;
         limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
     }
 
@@ -228,29 +262,35 @@ impl Gpu {
             ("bytes in a buffer", self.buffer_limit(), Self::frame_bytes(layout) * frames as u64),
             (
                 "workgroups across or down",
-                u64::from(self.gpu.limits.max_compute_workgroups_per_dimension),
+                u64::from(self.gpu().limits.max_compute_workgroups_per_dimension),
                 self.most_workgroups(layout.kind) as u64,
             ),
         ];
         match limits.into_iter().find(|(_, allowed, needed)| needed > allowed) {
             None => Ok(()),
             Some((what, allowed, needed)) => {
-                Err(EngineError::Limit { device: self.gpu.name.clone(), what, allowed, needed })
+                Err(EngineError::Limit { device: self.gpu().name.clone(), what, allowed, needed })
             }
         }
     }
 
-    /// Returns a free slot for this many frames of a layout, or a new one.
-    fn slot(&self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
-        let mut free = lock(&self.free);
-        match free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
-            Some(at) => Ok(free.swap_remove(at)),
-            None => {
-                // One batch at a time: slots of other sizes are not kept.
-                free.retain(|slot| slot.frames == 1);
-                Slot::new(&self.gpu, layout, frames, self.options.transfer, self.options.timestamps, &self.bytes)
+    /// Returns the slot for this many frames of a layout that has been free for longest, or a new one.
+    fn slot(&mut self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
+        {
+            let mut free = lock(&self.free);
+            // Views return slots of the device before, too.
+            free.retain(|slot| self.adapter.devices.iter().any(|gpu| Arc::ptr_eq(gpu, &slot.gpu)));
+            if let Some(at) = free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
+                return Ok(free.remove(at));
             }
+            // One batch at a time: slots of other sizes are not kept.
+            free.retain(|slot| slot.frames == 1);
         }
+        let devices = &self.adapter.devices;
+        let gpu = Arc::clone(&devices[self.allocated % devices.len()]);
+        let slot = Slot::new(gpu, layout, frames, self.options.transfer, self.options.timestamps, &self.bytes)?;
+        self.allocated += 1;
+        Ok(slot)
     }
 
     /// Writes frames of one kind into a slot and submits it.
@@ -258,21 +298,21 @@ impl Gpu {
         let Some(first) = frames.first() else {
             return Err(FrameError::LengthMismatch { what: "a batch".into(), len: 0, expected: 1 }.into());
         };
-        self.gpu.check()?;
+        self.gpu().check()?;
         let layout = self.layout(InputKind::of(&first.frame));
         self.check_limits(layout, frames.len())?;
         let mut slot = self.slot(layout, frames.len())?;
-        slot.write(&self.gpu, frames, &mut self.uploader)?;
+        slot.write(frames, &mut self.uploader)?;
         Ok(self.submit_slot(slot)?)
     }
 
     /// Submits a slot whose frames are written.
     fn submit_slot(&self, slot: Slot) -> Result<Flight, EngineError> {
         let kind = slot.layout.kind;
-        let kernels = self.kernels(kind)?;
-        let submission = slot.submit(&self.gpu, &kernels);
-        self.gpu.check()?;
-        Ok(Flight { gpu: Arc::clone(&self.gpu), slot, submission, free: Arc::clone(&self.free) })
+        let kernels = self.kernels(&slot.gpu, kind)?;
+        let submission = slot.submit(&kernels);
+        self.gpu().check()?;
+        Ok(Flight { slot, submission, free: Arc::clone(&self.free) })
     }
 }
 
@@ -310,18 +350,22 @@ impl SmoothingEngine for Gpu {
         if in_flight >= self.options.slots {
             return Err(EngineError::Full { in_flight }.into());
         }
+        if in_flight > 0 {
+            self.open_several();
+        }
         let flight = self.launch(std::slice::from_ref(frame))?;
         self.pending.push_back(match buffer {
             None => Pending::InPlace(Box::new(flight)),
             Some(buffer) => {
-                let copier = match &self.copier {
-                    Some(copier) => copier,
-                    None => self.copier.insert(Copier::start()?),
-                };
-                Pending::Copied(copier.copy(flight, buffer))
+                let queue = self.adapter.devices.iter().position(|gpu| Arc::ptr_eq(gpu, &flight.slot.gpu)).unwrap_or(0);
+                Pending::Copied(self.copiers[queue].copy(flight, buffer))
             }
         });
         Ok(())
+    }
+
+    fn prepare_in_flight(&mut self) {
+        self.open_several();
     }
 
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
@@ -333,7 +377,7 @@ impl SmoothingEngine for Gpu {
                 Ok(Some(SmoothedView::in_place(Box::new(view), timings)))
             }
             Some(Pending::Copied(copied)) => {
-                let (smoothed, timings) = copied.wait(&self.gpu)?;
+                let (smoothed, timings) = copied.wait(self.gpu())?;
                 Ok(Some(SmoothedView::owned(smoothed, timings)))
             }
         }
@@ -358,6 +402,6 @@ impl SmoothingEngine for Gpu {
     }
 
     fn device_name(&self) -> Option<&str> {
-        Some(&self.gpu.name)
+        Some(&self.gpu().name)
     }
 }

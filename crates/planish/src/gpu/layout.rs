@@ -78,6 +78,9 @@ pub(super) enum InputKind {
 }
 
 impl InputKind {
+    #[cfg(feature = "gpu")]
+    pub(super) const ALL: [Self; 3] = [Self::Depth, Self::DepthMetres, Self::Points];
+
     /// Returns how a frame is uploaded. Depth seen through a distorted lens is deprojected by the host, which has a ray per pixel.
     pub(super) fn of(frame: &Frame<'_>) -> Self {
         match frame {

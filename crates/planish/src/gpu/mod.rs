@@ -21,6 +21,8 @@ mod layout;
 mod mapped;
 #[cfg(feature = "webgpu")]
 pub(crate) mod plan;
+#[cfg(feature = "gpu")]
+mod queues;
 mod results;
 #[cfg(feature = "gpu")]
 mod slot;

@@ -23,6 +23,8 @@ use crate::timings::FrameTimings;
 const WORD: u64 = 4;
 
 pub(super) struct Slot {
+    /// Where it is submitted.
+    pub(super) gpu: Arc<GpuDevice>,
     pub(super) layout: Layout,
     pub(super) frames: usize,
     /// Written by the host; mapped whenever the slot is free.
@@ -63,7 +65,7 @@ impl Drop for Counted {
 impl Slot {
     /// Allocates the buffers for so many frames of a layout, and counts their bytes in with `all_bytes`.
     pub(super) fn new(
-        gpu: &GpuDevice,
+        gpu: Arc<GpuDevice>,
         layout: Layout,
         frames: usize,
         transfer: Transfer,
@@ -77,6 +79,7 @@ impl Slot {
         // The kernels have places for them whether they use them or not.
         let kept_bytes = layout.kept_words().map(|words| (words * frames).max(4) as u64 * WORD);
         let total = kept_bytes.iter().sum::<u64>() + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
+        let owner = Arc::clone(&gpu);
         gpu.allocate(total, || {
             let device = &gpu.device;
             let buffer = |label, size, usage, mapped_at_creation| {
@@ -106,8 +109,9 @@ impl Slot {
                 layout: &gpu.bind_group_layout,
                 entries: &entries,
             });
-            let stamps = timestamps.then(|| Stamps::new(gpu));
+            let stamps = timestamps.then(|| Stamps::new(&gpu));
             Self {
+                gpu: owner,
                 layout,
                 frames,
                 upload,
@@ -124,13 +128,8 @@ impl Slot {
     }
 
     /// Writes the frames into the upload buffer, which is mapped.
-    pub(super) fn write(
-        &mut self,
-        gpu: &GpuDevice,
-        frames: &[AdmittedFrame<'_>],
-        uploader: &mut Uploader,
-    ) -> Result<(), EngineError> {
-        let mut range = self.upload.get_mapped_range_mut(..).map_err(|error| gpu.failed(error))?;
+    pub(super) fn write(&mut self, frames: &[AdmittedFrame<'_>], uploader: &mut Uploader) -> Result<(), EngineError> {
+        let mut range = self.upload.get_mapped_range_mut(..).map_err(|error| self.gpu.failed(error))?;
         for (i, frame) in frames.iter().enumerate() {
             let first = i * self.layout.input_words();
             uploader.write(&self.layout, frame, &mut |word: usize, bytes: &[u8]| {
@@ -142,13 +141,9 @@ impl Slot {
     }
 
     /// Submits the frames to kernels, each with its workgroups across and down, and asks for the buffers back when they are done.
-    pub(super) fn submit(
-        &self,
-        gpu: &GpuDevice,
-        kernels: &[(wgpu::ComputePipeline, [usize; 2])],
-    ) -> wgpu::SubmissionIndex {
+    pub(super) fn submit(&self, kernels: &[(wgpu::ComputePipeline, [usize; 2])]) -> wgpu::SubmissionIndex {
         self.upload.unmap();
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         if let Some(stamps) = &self.stamps {
             stamps.write(&mut encoder, 0);
         }
@@ -172,7 +167,7 @@ impl Slot {
             stamps.write(&mut encoder, 3);
             stamps.resolve(&mut encoder);
         }
-        let submission = gpu.submit(encoder.finish());
+        let submission = self.gpu.submit(encoder.finish());
 
         let stamps = self.stamps.as_ref().map(|stamps| (&stamps.readback, wgpu::MapMode::Read));
         let buffers = [(&self.upload, wgpu::MapMode::Write), (&self.readback, wgpu::MapMode::Read)];
@@ -181,8 +176,8 @@ impl Slot {
     }
 
     /// Waits until every buffer of a submission that has run is the host's again.
-    pub(super) fn wait_mapped(&self, gpu: &GpuDevice) -> Result<(), EngineError> {
-        self.mapped.wait(gpu)
+    pub(super) fn wait_mapped(&self) -> Result<(), EngineError> {
+        self.mapped.wait(&self.gpu)
     }
 
     /// The times of the last submission, whose stamps are mapped; gives the stamps back to the device.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
-use super::device::{self, GpuDevice, lock};
+use super::device::{self, GpuDevice, OpenAdapter, Purpose};
 use super::engine::{Gpu, adapters};
 use super::kernel;
 use crate::camera::Camera;
@@ -16,16 +16,17 @@ use crate::outputs::Outputs;
 use crate::params::SmoothParams;
 use crate::simulate::{DepthNoise, DepthSimulator, Random, Scene};
 use crate::smoothed::Smoothed;
+use crate::xyz::Xyz;
 
 /// The device of the tests; says SKIP where there is none.
-fn device(test: &str) -> Option<(Arc<GpuDevice>, GpuAdapter)> {
+fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
     let Some(adapter) = adapters().into_iter().next() else {
         assert!(std::env::var_os("PLANISH_REQUIRE_GPU").is_none(), "no GPU adapter, and one is required");
         use std::io::Write;
         let _ = writeln!(std::io::stderr(), "SKIP {test}: no GPU adapter");
         return None;
     };
-    Some((GpuDevice::open(&adapter).unwrap(), adapter))
+    Some((OpenAdapter::open(&adapter, Purpose::OneAtATime).unwrap(), adapter))
 }
 
 /// Runs `body` once for each `inputs` values of `input`, with `at` the first of its own; it writes `outputs` values from
@@ -93,7 +94,7 @@ const EIGEN: &str = concat!("const MIN_POSITIVE: f32 = 1.1754944e-38;\n", includ
 fn the_cosine_of_a_third_of_the_arc_cosine_keeps_its_error() {
     let Some((gpu, _)) = device("cos(acos(x)/3)") else { return };
     let input: Vec<f32> = (-100_000..=100_000).map(|i| i as f32 * 1e-5).collect();
-    let found = run(&gpu, EIGEN, "output[to] = cos_third_acos(input[at]);", &input, 1, 1);
+    let found = run(&gpu.devices[0], EIGEN, "output[to] = cos_third_acos(input[at]);", &input, 1, 1);
     for (x, found) in input.iter().zip(found) {
         let expected = (f64::from(*x).clamp(-1.0, 1.0).acos() / 3.0).cos();
         assert!((f64::from(found) - expected).abs() < 1e-6, "{x}: {found} {expected}");
@@ -126,7 +127,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
             input[at], input[at + 1u], input[at + 2u], input[at + 3u], input[at + 4u], input[at + 5u]));
         output[to] = e.values.x; output[to + 1u] = e.values.y; output[to + 2u] = e.values.z;
         output[to + 3u] = e.vector.x; output[to + 4u] = e.vector.y; output[to + 5u] = e.vector.z;";
-    let found = run(&gpu, EIGEN, body, &input, 6, 6);
+    let found = run(&gpu.devices[0], EIGEN, body, &input, 6, 6);
     for (i, found) in found.chunks_exact(6).enumerate() {
         let vector = DVec3::new(found[3].into(), found[4].into(), found[5].into());
         assert!((vector.length() - 1.0).abs() < 2e-6, "case {i}: {vector}");
@@ -181,7 +182,7 @@ fn the_solve_finds_coefficients_and_damps_what_is_not_supported() {
             input.push(49.0);
             expected.push([c[0], c[1], if on_line { 0.0 } else { c[2] }]);
         }
-        let found = run(&gpu, &functions, &body, &input, len + 1, 3);
+        let found = run(&gpu.devices[0], &functions, &body, &input, len + 1, 3);
         for (found, expected) in found.chunks_exact(3).zip(&expected) {
             for (found, expected) in found.iter().zip(expected) {
                 assert!((f64::from(*found) - expected).abs() < 2e-4, "degree {degree}: {found} {expected}");
@@ -196,27 +197,28 @@ fn frame() -> DepthFrame {
     DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&scene.render(&camera, &pose), 0).unwrap()
 }
 
+fn admit(frame: &DepthFrame) -> AdmittedFrame<'_> {
+    let frame = frame.into_frame().unwrap();
+    AdmittedFrame { frame, geometry: FrameGeometry::of(frame, true, &mut GeometryScratch::default()) }
+}
+
 #[test]
 fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
     let Some((_, adapter)) = device("a lost device") else { return };
     // A device of its own: others of this process go on with theirs.
     let options = GpuOptions::default().with_adapter(adapter.index.to_string());
     let frame = frame();
-    let frame = frame.into_frame().unwrap();
-    let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
-    let frame = AdmittedFrame { frame, geometry };
-    let open = || Gpu::open(SmoothParams::paper(), Outputs::ALL, &options, (64, 48)).unwrap();
-    let mut lost = open();
-    let own = device::open_alone(&adapter).unwrap();
-    lost.gpu = Arc::new(own);
-    lock(&lost.free).clear();
+    let frame = admit(&frame);
+    let (params, shape) = (SmoothParams::paper(), (64, 48));
+    let own = Arc::new(device::open_alone(&adapter, 2));
+    let mut lost = Gpu::open_in(own, params, Outputs::ALL, &options, shape).unwrap();
 
     let mut smoothed = Smoothed::default();
     smoothed.prepare(64, 48, Outputs::ALL);
     lost.smooth(&frame, smoothed.as_mut()).unwrap();
     lost.submit(&frame, None).unwrap();
     lost.submit(&frame, Some(Smoothed::default())).unwrap();
-    lost.gpu.device.destroy();
+    lost.adapter.devices.iter().for_each(|gpu| gpu.device.destroy());
     let is_lost = |error: Error| match error {
         Error::Engine(EngineError::Lost { .. }) => {}
         other => panic!("{other}"),
@@ -229,14 +231,55 @@ fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
         }
     }
     is_lost(lost.submit(&frame, None).unwrap_err());
-    assert!(lost.gpu.check().is_err());
-    open().smooth(&frame, smoothed.as_mut()).unwrap();
+    assert!(lost.adapter.devices[0].check().is_err());
+    let mut next = Gpu::open(params, Outputs::ALL, &options, shape).unwrap();
+    next.smooth(&frame, smoothed.as_mut()).unwrap();
+}
+
+#[test]
+fn frames_on_several_queues_come_back_in_order_and_the_same() {
+    let Some((_, adapter)) = device("several queues") else { return };
+    let options = GpuOptions::default().with_slots(4);
+    let (params, shape) = (SmoothParams::default(), (64, 48));
+    let open_alone = |queues| Arc::new(device::open_alone(&adapter, queues));
+    let mut alone = Gpu::open_in(open_alone(1), params, Outputs::ALL, &options, shape).unwrap();
+    let mut spread = Gpu::open_in(open_alone(1), params, Outputs::ALL, &options, shape).unwrap();
+    let several = open_alone(3);
+    spread.several = Some(Box::new(move || Ok(Arc::clone(&several))));
+    let camera = Camera::new(shape, [52.5; 2], [31.5, 23.5]);
+    let (scene, pose) = Scene::tabletop(1);
+    let (truth, sensor) = (scene.render(&camera, &pose), DepthSimulator::new(DepthNoise::default(), camera, 1));
+    let frames: Vec<_> = (0..12).map(|i| sensor.frame(&truth, i).unwrap()).collect();
+    let admitted: Vec<_> = frames.iter().map(admit).collect();
+    let mut received = Vec::new();
+    for frame in &admitted {
+        if spread.in_flight() == options.slots {
+            received.extend(spread.receive().unwrap());
+        }
+        spread.submit(frame, None).unwrap();
+    }
+    while let Some(view) = spread.receive().unwrap() {
+        received.push(view);
+    }
+    assert_eq!((received.len(), spread.adapter.devices.len()), (frames.len(), 3));
+    for (view, frame) in received.into_iter().zip(&admitted) {
+        let mut expected = Smoothed::default();
+        expected.prepare(64, 48, Outputs::ALL);
+        alone.smooth(frame, expected.as_mut()).unwrap();
+        let found = view.into_smoothed();
+        let bits = |smoothed: &Smoothed| {
+            let Xyz { x, y, z } = &smoothed.points;
+            [x, y, z].map(|channel| channel.iter().map(|value| value.to_bits()).collect::<Vec<_>>())
+        };
+        assert_eq!((bits(&found), found.status), (bits(&expected), expected.status));
+    }
 }
 
 #[test]
 fn a_lack_of_memory_is_an_error_that_says_how_much() {
     let Some((_, adapter)) = device("a lack of memory") else { return };
-    let gpu = device::open_alone(&adapter).unwrap();
+    let alone = device::open_alone(&adapter, 1);
+    let gpu = &alone.devices[0];
     let size = gpu.limits.max_buffer_size / 4 * 4;
     let usage = wgpu::BufferUsages::STORAGE;
     let mut taken = Vec::new();

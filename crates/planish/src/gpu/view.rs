@@ -23,8 +23,8 @@ pub(super) struct MappedView {
 
 impl MappedView {
     pub(super) fn new(flight: Flight) -> Result<Self, EngineError> {
-        let Flight { gpu, slot, free, .. } = flight;
-        let words = slot.readback.get_mapped_range(..).map_err(|error| gpu.failed(error))?;
+        let Flight { slot, free, .. } = flight;
+        let words = slot.readback.get_mapped_range(..).map_err(|error| slot.gpu.failed(error))?;
         let timings = slot.timings();
         Ok(Self { layout: slot.layout, timings, mapped: Some((words, slot)), free })
     }

@@ -375,7 +375,8 @@ impl CameraSmoother {
         }
         let adapted = adapt_stride.then(|| self.params.at_resolution_of(frame));
         let options = self.device.as_ref().map_or_else(|| options.clone(), |device| device.options(options));
-        let smoother = Smoother::open_with(adapted.unwrap_or(self.params), &options, shape)?;
+        let mut smoother = Smoother::open_with(adapted.unwrap_or(self.params), &options, shape)?;
+        smoother.prepare_in_flight();
         (self.shape, self.smoother) = (shape, Some(smoother));
         Ok(())
     }

@@ -14,7 +14,7 @@ use std::thread;
 
 use bytemuck::bytes_of;
 
-use super::device::GpuDevice;
+use super::device::{GpuDevice, OpenAdapter, Purpose};
 use super::layout::{Batch, InputKind, Layout};
 use super::results::spawn_copying;
 use super::upload::Uploader;
@@ -42,6 +42,8 @@ const LEAST_EXTENT_M: f64 = 1e-18;
 /// The GPU engine for general clouds, with its buffers.
 pub(crate) struct GeneralGpu {
     gpu: Arc<GpuDevice>,
+    /// Keeps the adapter open for others to share.
+    _adapter: Arc<OpenAdapter>,
     params: SmoothParams,
     outputs: Outputs,
     options: GpuOptions,
@@ -56,7 +58,8 @@ pub(crate) struct GeneralGpu {
 impl GeneralGpu {
     /// Opens an adapter by the options.
     pub(crate) fn open(params: SmoothParams, outputs: Outputs, options: &GpuOptions) -> Result<Self, EngineError> {
-        let gpu = GpuDevice::open(choose(&super::adapters(), options.adapter.as_deref())?)?;
+        let adapter = OpenAdapter::open(choose(&super::adapters(), options.adapter.as_deref())?, Purpose::OneAtATime)?;
+        let gpu = Arc::clone(&adapter.devices[0]);
         gpu.check_timestamps(options)?;
         // In parallel: drivers compile on the calling thread.
         let kernels = thread::scope(|scope| {
@@ -69,7 +72,19 @@ impl GeneralGpu {
         let uploader = Uploader::new(params.with_project(Project::Normal));
         let options = options.clone();
         let (progress, bytes) = Default::default();
-        Ok(Self { gpu, params, outputs, options, kernels, uploader, buffers: None, progress, timings: None, bytes })
+        Ok(Self {
+            gpu,
+            _adapter: adapter,
+            params,
+            outputs,
+            options,
+            kernels,
+            uploader,
+            buffers: None,
+            progress,
+            timings: None,
+            bytes,
+        })
     }
 
     /// Where a point's results are; the words of status and neighbours lie behind the other channels.
