@@ -245,6 +245,8 @@ fn the_bytes_of_its_buffers_are_known_wherever_they_are() {
         options.gpu.slots = 2;
     })
     .unwrap();
+    // Else the first frame in flight has a slot of the queue that is open before.
+    smoother.prepare_in_flight();
     // Every slot has its buffers from the beginning.
     let one = smoother.buffer_bytes() / 2;
     // Depth and the outputs at least, each on both sides; less than twice that.

@@ -9,7 +9,7 @@ use super::blocks::Block;
 use super::padded::{PaddedFrame, PaddedRows};
 use super::plane::{self, Plane};
 use super::row_tasks::SplitRows;
-use super::vector::{Mask, Vec3, splat};
+use super::vector::{Mask, Vec3, share, splat};
 use super::window::{Candidates, Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
 use crate::method::{
@@ -88,19 +88,19 @@ impl PlaneRows<'_> {
     /// Stores planes from an index on, with what is said of them in the channel [`RESIDUAL`] or [`WIDTH`].
     #[inline(always)]
     fn store<S: Simd>(&mut self, at: usize, plane: &Plane<S>, residual_or_width: S::f32s, n: S::f32s) {
-        let channels = [
-            plane.normal.x,
-            plane.normal.y,
-            plane.normal.z,
-            plane.height,
-            residual_or_width,
-            plane.curvature,
-            plane.degenerate.select(-n, n),
-            plane.extent_squared,
-        ];
-        for (kept, values) in self.channels.iter_mut().zip(channels) {
-            values.store_slice(&mut kept[at..at + S::f32s::LEN]);
-        }
+        self.store_channel::<S>(NORMAL, at, plane.normal.x);
+        self.store_channel::<S>(NORMAL + 1, at, plane.normal.y);
+        self.store_channel::<S>(NORMAL + 2, at, plane.normal.z);
+        self.store_channel::<S>(HEIGHT, at, plane.height);
+        self.store_channel::<S>(RESIDUAL, at, residual_or_width);
+        self.store_channel::<S>(CURVATURE, at, plane.curvature);
+        self.store_channel::<S>(COUNT, at, plane.degenerate.select(-n, n));
+        self.store_channel::<S>(EXTENT, at, plane.extent_squared);
+    }
+
+    #[inline(always)]
+    fn store_channel<S: Simd>(&mut self, channel: usize, at: usize, values: S::f32s) {
+        values.store_slice(&mut self.channels[channel][at..at + S::f32s::LEN]);
     }
 }
 
@@ -138,15 +138,16 @@ impl Planes {
         S::f32s::from_slice(simd, &self.channels[channel][at..at + S::f32s::LEN])
     }
 
+    #[inline(always)]
+    fn normal<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
+        Vec3::new(self.load(simd, NORMAL, at), self.load(simd, NORMAL + 1, at), self.load(simd, NORMAL + 2, at))
+    }
+
     /// The planes from an index on, which are taken as they are.
     #[inline(always)]
     fn plane<S: Simd>(&self, simd: S, at: usize) -> Plane<S> {
-        let [x, y, z] = [NORMAL, NORMAL + 1, NORMAL + 2].map(
-            #[inline(always)]
-            |channel| self.load(simd, channel, at),
-        );
         Plane {
-            normal: Vec3::new(x, y, z),
+            normal: self.normal(simd, at),
             height: self.load(simd, HEIGHT, at),
             residual: splat(simd, 0.0),
             doubt: splat(simd, 1.0),
@@ -192,7 +193,7 @@ impl Planes {
                 let at = here + self.shift * (row * self.row_len + column) - self.shift * (self.row_len + 1);
                 let (offset, nearness, near) = gate.apply(simd, measured.load(simd, at).sub(p));
                 // One that is not near may hold anything.
-                let n = self.plane(simd, at).normal.or(near, Vec3::splat(simd, 0.0));
+                let n = self.normal(simd, at).or(near, Vec3::splat(simd, 0.0));
                 // From p to the plane along its normal.
                 let to_plane = offset.dot(n) + near.select(self.load(simd, HEIGHT, at), zero);
                 let from_mean = to_plane - to_mean.dot(n);
@@ -231,11 +232,7 @@ fn usable<S: Simd>(simd: S, ray: Vec3<S>, plane: &Plane<S>, total: S::f32s) -> S
     let cosine = plane.normal.dot(direction).abs() / direction.dot(direction).sqrt();
     let enough = total - splat(simd, MIN_TOTAL);
     let facing = (cosine - splat(simd, MIN_INCIDENCE_COSINE)) * splat(simd, 1.0 / COSINE_FADE);
-    let [enough, off_line, facing] = [enough, plane.off_line, facing].map(
-        #[inline(always)]
-        |share| share.max(splat(simd, 0.0)).min(splat(simd, 1.0)),
-    );
-    enough * off_line * facing
+    share(simd, enough) * share(simd, plane.off_line) * share(simd, facing)
 }
 
 /// The pass of the first planes, for some rows.

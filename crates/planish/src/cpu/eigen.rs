@@ -80,12 +80,12 @@ pub(super) fn smallest_eigenvector<S: Simd>(simd: S, m: &Symmetric<S>) -> Smalle
 
     // The other two lie around minus half of it, sqrt(3) sin apart from there.
     let spread = (splat(simd, 3.0) * minor::<S>(one, one, half_alone, half_alone)).max(zero).sqrt();
-    let value = [half_alone + half_alone, -half_alone - spread, -half_alone + spread];
     let plane_like = Smallest {
-        values: value.map(
-            #[inline(always)]
-            |x| p.mul_add(x, mean),
-        ),
+        values: [
+            p.mul_add(half_alone + half_alone, mean),
+            p.mul_add(-half_alone - spread, mean),
+            p.mul_add(-half_alone + spread, mean),
+        ],
         vector: axis,
     };
     if !line_like.any_true() {

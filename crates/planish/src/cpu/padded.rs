@@ -49,19 +49,23 @@ impl PaddedRows<'_> {
     /// The points from an index on.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
-        let [x, y, z] = self.xyz.each_ref().map(
-            #[inline(always)]
-            |channel| S::f32s::from_slice(simd, &channel[at..at + S::f32s::LEN]),
-        );
-        Vec3::new(x, y, z)
+        let lanes = at..at + S::f32s::LEN;
+        let [x, y, z] = &self.xyz;
+        Vec3::new(
+            S::f32s::from_slice(simd, &x[lanes.clone()]),
+            S::f32s::from_slice(simd, &y[lanes.clone()]),
+            S::f32s::from_slice(simd, &z[lanes]),
+        )
     }
 
     /// Stores points from an index on. What a last vector writes behind the image is border, and NaN like it.
     #[inline(always)]
     pub(super) fn store<S: Simd>(&mut self, at: usize, points: Vec3<S>) {
-        for (channel, values) in self.xyz.iter_mut().zip([points.x, points.y, points.z]) {
-            values.store_slice(&mut channel[at..at + S::f32s::LEN]);
-        }
+        let lanes = at..at + S::f32s::LEN;
+        let [x, y, z] = &mut self.xyz;
+        points.x.store_slice(&mut x[lanes.clone()]);
+        points.y.store_slice(&mut y[lanes.clone()]);
+        points.z.store_slice(&mut z[lanes]);
     }
 }
 

@@ -5,7 +5,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::super::plane::{self, Plane};
 use super::super::row_tasks::SplitRows;
-use super::super::vector::{Mask, Vec3, splat};
+use super::super::vector::{Mask, Vec3, share, splat};
 use super::super::window::{Candidates, Gate};
 use super::gather::{Gathered, Reach};
 use super::{Kernel, Radii, load, load_radius};
@@ -93,13 +93,14 @@ impl FirstPlanes {
     /// The planes of the positions from a place on, as their own neighbours say, and how many those are.
     #[inline(always)]
     fn own<S: Simd>(&self, simd: S, place: usize) -> (Plane<S>, S::f32s) {
-        let [x, y, z] = [0, 1, 2].map(
-            #[inline(always)]
-            |axis: usize| self.load(simd, place, |plane| plane.normal[axis]),
+        let normal = Vec3::new(
+            self.load(simd, place, |plane| plane.normal[0]),
+            self.load(simd, place, |plane| plane.normal[1]),
+            self.load(simd, place, |plane| plane.normal[2]),
         );
         let count = self.load(simd, place, |plane| plane.count);
         let plane = Plane {
-            normal: Vec3::new(x, y, z),
+            normal,
             height: self.load(simd, place, |plane| plane.height),
             residual: splat(simd, 0.0),
             doubt: splat(simd, 1.0),
@@ -135,10 +136,7 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, kernel: &Kernel<'_>, rows: &mut
         let radius = kernel.gather(simd, &mut gathered, p, valid, place);
         let sums = (&gathered).sums(simd, p, radius);
         let plane = plane::fit(simd, kernel.sensor.ray(simd, p), &sums);
-        let [enough, off_line] = [sums.total - splat(simd, MIN_TOTAL), plane.off_line].map(
-            #[inline(always)]
-            |share| share.max(splat(simd, 0.0)).min(splat(simd, 1.0)),
-        );
+        let (enough, off_line) = (share(simd, sums.total - splat(simd, MIN_TOTAL)), share(simd, plane.off_line));
         let least = radius * splat(simd, MIN_NOISE);
         let variance = least.mul_add(least, plane.residual);
         let doubtful = variance * plane.doubt.mul_add(splat(simd, DOUBT_WEIGHT), splat(simd, 1.0));

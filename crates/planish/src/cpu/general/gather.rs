@@ -253,12 +253,13 @@ impl<S: Simd> Candidates<S> for &Gathered {
             let e = Vec3::<S>::new(splat(simd, *x), splat(simd, *y), splat(simd, *z)).sub(p);
             let count = splat(simd, *count);
             sums.add(e, count, count);
-            let [xx, xy, xz, yy, yz, zz] = products.map(
-                #[inline(always)]
-                |product| splat(simd, product),
-            );
-            (sums.xx, sums.xy, sums.xz) = (sums.xx + xx, sums.xy + xy, sums.xz + xz);
-            (sums.yy, sums.yz, sums.zz) = (sums.yy + yy, sums.yz + yz, sums.zz + zz);
+            let [xx, xy, xz, yy, yz, zz] = *products;
+            sums.xx += splat(simd, xx);
+            sums.xy += splat(simd, xy);
+            sums.xz += splat(simd, xz);
+            sums.yy += splat(simd, yy);
+            sums.yz += splat(simd, yz);
+            sums.zz += splat(simd, zz);
         }
         sums
     }
