@@ -1,7 +1,7 @@
 //! Block means: each sample of the windows is the mean of its pixel's block (docs/method.md, section 2), and where edges are kept,
 //! of those of its points that are on the pixel's surface (section 10).
 
-use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask};
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::padded::{PaddedFrame, PaddedRows};
 use super::plane::Plane;
@@ -44,10 +44,11 @@ impl<'a, S: Simd> Block<'a, S> {
         for row in 0..side {
             for column in 0..side {
                 let e = self.measured.load(simd, first + row * row_len + column).sub(self.p);
-                let (e, gate, _) = self.gate.apply(simd, e);
+                let (gate, near) = self.gate.weight(simd, e);
                 let weight = gate * weigh(e);
-                sum = sum.add_scaled(weight, e);
-                total += weight;
+                // One that is not near may be no number, and changes nothing.
+                sum = sum.add_scaled(weight, e).or(near, sum);
+                total = near.select(total + weight, total);
             }
         }
         // p itself has a weight.

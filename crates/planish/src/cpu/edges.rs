@@ -191,21 +191,21 @@ impl Planes {
         for row in 0..3 {
             for column in 0..3 {
                 let at = here + self.shift * (row * self.row_len + column) - self.shift * (self.row_len + 1);
-                let (offset, nearness, near) = gate.apply(simd, measured.load(simd, at).sub(p));
-                // One that is not near may hold anything.
-                let n = self.normal(simd, at).or(near, Vec3::splat(simd, 0.0));
+                let offset = measured.load(simd, at).sub(p);
+                let (nearness, near) = gate.weight(simd, offset);
+                let n = self.normal(simd, at);
                 // From p to the plane along its normal.
-                let to_plane = offset.dot(n) + near.select(self.load(simd, HEIGHT, at), zero);
+                let to_plane = offset.dot(n) + self.load(simd, HEIGHT, at);
                 let from_mean = to_plane - to_mean.dot(n);
                 let residual =
                     (from_mean * from_mean).mul_add(splat(simd, DISTANCE_WEIGHT), self.load(simd, RESIDUAL, at));
-                let root = one / residual.mul_add(per_variance, one);
-                let square = root * root;
-                // An unusable plane has an infinite residual, hence no weight.
-                let weight = near.select(square * square * nearness, zero);
-                normal = normal.add_scaled(weight, n);
-                height = weight.mul_add(to_plane, height);
-                total += weight;
+                let badness = residual.mul_add(per_variance, one);
+                let square = badness * badness;
+                // An unusable plane has an infinite residual, hence no weight. One that is not near may hold anything, and changes nothing.
+                let weight = nearness / (square * square);
+                normal = normal.add_scaled(weight, n).or(near, normal);
+                height = near.select(weight.mul_add(to_plane, height), height);
+                total = near.select(total + weight, total);
             }
         }
         // A hole may hold anything, and so may a point on a line.

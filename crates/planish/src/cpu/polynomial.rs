@@ -286,8 +286,9 @@ fn accumulate<S: Simd, const D: usize, const M0: usize, const M1: usize, const T
 ) {
     // Local, so that what is summed stays in registers through the loop.
     let (mut m, mut t) = (moments.m, moments.t);
-    let terms = terms.w[..len].iter().zip(&terms.a[..len]).zip(&terms.b[..len]).zip(&terms.f[..len]);
-    for (((&w, &a), &b), &f) in terms {
+    let (w, a, b, f) = (&terms.w[..len], &terms.a[..len], &terms.b[..len], &terms.f[..len]);
+    for k in 0..len {
+        let (w, a, b, f) = (w[k], a[k], b[k], f[k]);
         let (a2, b2) = (a * a, b * b);
         let (wa, wa2, b3, b4) = (w * a, w * a2, b2 * b, b2 * b2);
         let b_powers = [b, b, b2, b3, b4, b4 * b, b3 * b3];

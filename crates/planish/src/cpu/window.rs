@@ -35,13 +35,19 @@ impl<S: Simd> Gate<S> {
         Self { slope: splat(simd, -GATE_FADE) / (radius * radius) }
     }
 
+    /// How much an offset counts where it does, and where that is: not where it is too far or no number.
+    #[inline(always)]
+    pub(super) fn weight(&self, simd: S, e: Vec3<S>) -> (S::f32s, Mask<S>) {
+        let weight = e.dot(e).mul_add(self.slope, splat(simd, GATE_FADE + 0.5));
+        (weight.min(splat(simd, 1.0)), weight.simd_gt(splat(simd, 0.0)))
+    }
+
     /// The offset, zero where it is too far or no number; how much it counts; and where it does.
     #[inline(always)]
     pub(super) fn apply(&self, simd: S, e: Vec3<S>) -> (Vec3<S>, S::f32s, Mask<S>) {
         let zero = splat(simd, 0.0);
-        let weight = e.dot(e).mul_add(self.slope, splat(simd, GATE_FADE + 0.5));
-        let near: Mask<S> = weight.simd_gt(zero);
-        (e.or(near, Vec3::splat(simd, 0.0)), near.select(weight.min(splat(simd, 1.0)), zero), near)
+        let (weight, near) = self.weight(simd, e);
+        (e.or(near, Vec3::splat(simd, 0.0)), near.select(weight, zero), near)
     }
 }
 
