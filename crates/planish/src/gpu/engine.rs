@@ -81,7 +81,7 @@ pub(crate) struct Gpu {
     allocated: usize,
     uploader: Uploader,
     pending: VecDeque<Pending>,
-    /// One for each device.
+    /// At least one, if possible one for each device.
     copiers: Vec<Copier>,
     timings: Option<FrameTimings>,
     /// Bytes of all slots, wherever they are.
@@ -358,7 +358,9 @@ impl SmoothingEngine for Gpu {
             None => Pending::InPlace(Box::new(flight)),
             Some(buffer) => {
                 let queue = self.adapter.devices.iter().position(|gpu| Arc::ptr_eq(gpu, &flight.slot.gpu)).unwrap_or(0);
-                Pending::Copied(self.copiers[queue].copy(flight, buffer))
+                // There may be fewer, where the system had no more threads.
+                let copier = &self.copiers[queue.min(self.copiers.len() - 1)];
+                Pending::Copied(copier.copy(flight, buffer))
             }
         });
         Ok(())
