@@ -187,7 +187,8 @@ impl PointIndex {
     }
 
     pub(crate) fn point(&self, place: usize) -> [f32; 3] {
-        self.positions.each_ref().map(|values| values[place])
+        let [x, y, z] = &self.positions;
+        [x[place], y[place], z[place]]
     }
 
     /// The place of point `i` of the cloud; `None` for a hole.

@@ -147,7 +147,11 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, kernel: &Kernel<'_>, rows: &mut
         radius.store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
         for (lane, first) in rows.planes[at..at + S::f32s::LEN].iter_mut().enumerate() {
             *first = FirstPlane {
-                normal: [plane.normal.x, plane.normal.y, plane.normal.z].map(|values| values.as_slice()[lane]),
+                normal: [
+                    plane.normal.x.as_slice()[lane],
+                    plane.normal.y.as_slice()[lane],
+                    plane.normal.z.as_slice()[lane],
+                ],
                 height: plane.height.as_slice()[lane],
                 residual: residual.as_slice()[lane],
                 curvature: plane.curvature.as_slice()[lane],
