@@ -99,14 +99,17 @@ impl PointIndex {
         copy(view, &mut raw);
         let curve = Curve::of(&raw);
         self.extent_m = view.extent_m().unwrap_or(curve.extent_m);
-        let at = |i: u32| raw.each_ref().map(|values| values[i as usize]);
+        let at = |i: u32| point_of(&raw, i as usize);
         self.keys.clear();
         self.keys.par_extend((0..view.len() as u32).into_par_iter().filter_map(|i| {
             let point = at(i);
             point.iter().all(|value| value.is_finite()).then(|| (curve.key(point), i))
         }));
         // -0 and 0 are one place.
-        let bits = |i: u32| at(i).map(|value| (value + 0.0).to_bits());
+        let bits = |i: u32| {
+            let [x, y, z] = at(i);
+            [(x + 0.0).to_bits(), (y + 0.0).to_bits(), (z + 0.0).to_bits()]
+        };
         self.keys.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| (bits(a.1), a.1).cmp(&(bits(b.1), b.1))));
         self.keys.par_chunk_by_mut(|a, b| a.0 == b.0).for_each(|cell| refine(cell, &raw));
 
@@ -187,8 +190,7 @@ impl PointIndex {
     }
 
     pub(crate) fn point(&self, place: usize) -> [f32; 3] {
-        let [x, y, z] = &self.positions;
-        [x[place], y[place], z[place]]
+        point_of(&self.positions, place)
     }
 
     /// The place of point `i` of the cloud; `None` for a hole.
@@ -308,12 +310,18 @@ impl Iterator for Nearest<'_> {
     }
 }
 
+/// A point of three channels. Written out, since `array::map` is called out of line in kernels; see cpu/vector.rs.
+#[inline]
+fn point_of([x, y, z]: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
+    [x[i], y[i], z[i]]
+}
+
 /// Sorts the points of one cell, if they are many and not all at one place, along a curve through their own box.
 fn refine(cell: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
     if cell.len() <= CROWDED {
         return;
     }
-    let at = |i: u32| raw.each_ref().map(|values| values[i as usize]);
+    let at = |i: u32| point_of(raw, i as usize);
     let bounds = cell.iter().map(|&(_, i)| Bounds::of_point(at(i))).fold(Bounds::EMPTY, Bounds::union);
     if bounds.low == bounds.high {
         return;
@@ -377,8 +385,8 @@ impl Curve {
         for shift in [1, 2, 4, 8] {
             flips ^= flips >> shift;
         }
-        let [x, y, z] = cell.map(|value| spread(value ^ flips));
-        (x << 2) | (y << 1) | z
+        let [x, y, z] = cell;
+        (spread(x ^ flips) << 2) | (spread(y ^ flips) << 1) | spread(z ^ flips)
     }
 }
 
