@@ -59,8 +59,8 @@ pub struct GpuOptions {
     /// How many frames may be in flight: submitted and not received. At least 1. 3 keep a GPU busy whose results are read in place, 6 one
     /// whose results are copied out. Other engines keep to it too.
     pub slots: usize,
-    /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings). The CPU
-    /// engine takes its own by the same.
+    /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings). Frames in flight
+    /// may overlap, and each then takes longer than alone. The CPU engine takes its own by the same.
     pub timestamps: bool,
     /// Whether the shader checks every access to memory against its bounds.
     pub bounds_checks: bool,

@@ -60,7 +60,7 @@ enum Pending {
 }
 
 /// Opens an adapter with all its queues.
-type OpenSeveral = Box<dyn Fn() -> Result<Arc<OpenAdapter>, EngineError> + Send>;
+type OpenSeveral = Box<dyn FnOnce() -> Result<Arc<OpenAdapter>, EngineError> + Send>;
 
 /// Limits of a submission of several frames: bytes per buffer, and frames.
 const MAX_BATCH_BYTES: u64 = 256 << 20;

@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
-use super::device::{self, GpuDevice, OpenAdapter, Purpose};
+use super::device::{self, GpuDevice, OpenAdapter, Purpose, lock};
 use super::engine::{Gpu, adapters};
 use super::kernel;
+use super::slot::Slot;
 use crate::camera::Camera;
 use crate::devices::{GpuAdapter, GpuOptions};
 use crate::engine::{AdmittedFrame, SmoothingEngine};
@@ -245,7 +246,7 @@ fn frames_on_several_queues_come_back_in_order_and_the_same() {
     let mut alone = Gpu::open_in(open_alone(1), params, Outputs::ALL, &options, shape).unwrap();
     let mut spread = Gpu::open_in(open_alone(1), params, Outputs::ALL, &options, shape).unwrap();
     let several = open_alone(3);
-    spread.several = Some(Box::new(move || Ok(Arc::clone(&several))));
+    spread.several = Some(Box::new(|| Ok(several)));
     let camera = Camera::new(shape, [52.5; 2], [31.5, 23.5]);
     let (scene, pose) = Scene::tabletop(1);
     let (truth, sensor) = (scene.render(&camera, &pose), DepthSimulator::new(DepthNoise::default(), camera, 1));
@@ -262,17 +263,22 @@ fn frames_on_several_queues_come_back_in_order_and_the_same() {
         received.push(view);
     }
     assert_eq!((received.len(), spread.adapter.devices.len()), (frames.len(), 3));
-    for (view, frame) in received.into_iter().zip(&admitted) {
+    let received: Vec<_> = received.into_iter().map(|view| view.into_smoothed()).collect();
+    for (found, frame) in received.into_iter().zip(&admitted) {
         let mut expected = Smoothed::default();
         expected.prepare(64, 48, Outputs::ALL);
         alone.smooth(frame, expected.as_mut()).unwrap();
-        let found = view.into_smoothed();
         let bits = |smoothed: &Smoothed| {
             let Xyz { x, y, z } = &smoothed.points;
             [x, y, z].map(|channel| channel.iter().map(|value| value.to_bits()).collect::<Vec<_>>())
         };
         assert_eq!((bits(&found), found.status), (bits(&expected), expected.status));
     }
+    // Every slot came back. The one of the device that was open before is not used again.
+    spread.submit(&admitted[0], None).unwrap();
+    drop(spread.receive().unwrap());
+    let is_of_several = |slot: &Slot| spread.adapter.devices.iter().any(|gpu| Arc::ptr_eq(gpu, &slot.gpu));
+    assert!(lock(&spread.free).iter().all(is_of_several));
 }
 
 #[test]

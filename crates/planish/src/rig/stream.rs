@@ -20,7 +20,7 @@ use crate::error::{EngineError, Error, FrameError, ParamError};
 use crate::frame::IntoFrame;
 use crate::outputs::Outputs;
 use crate::source::Source;
-use crate::stream::{SinkThread, StreamFrame, StreamStatistics};
+use crate::stream::{LIVE_IN_FLIGHT, SinkThread, StreamFrame, StreamStatistics};
 
 /// Frames of one moment wait for each other no longer than this, nor than the time between two frames.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
@@ -242,6 +242,7 @@ impl RigStream<'_> {
     fn run(&mut self, inbox: &Inbox, stop: &AtomicBool, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
         let start = Instant::now();
         let mut submitted = 0;
+        let most_at_once = if self.is_live { LIVE_IN_FLIGHT } else { usize::MAX };
         loop {
             let is_over = stop.load(Ordering::Relaxed)
                 || self.options.max_moments.is_some_and(|most| submitted >= most)
@@ -253,7 +254,7 @@ impl RigStream<'_> {
             // With moments in flight, only their results are waited for.
             let taken = match self.pending.len() {
                 0 => inbox.take(PATIENCE),
-                in_flight if in_flight < self.smoother.max_in_flight() => inbox.take(Duration::ZERO),
+                in_flight if in_flight < self.smoother.max_in_flight().min(most_at_once) => inbox.take(Duration::ZERO),
                 _ => Taken::Nothing,
             };
             while let Some(warning) = inbox.warning() {

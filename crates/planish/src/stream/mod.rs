@@ -35,6 +35,7 @@ pub use self::rerun::RerunSink;
 pub(crate) use mailbox::TimeSpent;
 pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
+pub(crate) use smoothing::LIVE_IN_FLIGHT;
 pub use statistics::{Latency, StreamStatistics};
 
 /// How many frames are read ahead from a source that is not live.

@@ -11,6 +11,9 @@ use crate::smoother::Smoother;
 use crate::source::SourceFrame;
 use crate::view::SmoothedView;
 
+/// Frames of a live source in flight on a device, at most: more would wait for those before, and the newest would come late.
+pub(crate) const LIVE_IN_FLIGHT: usize = 3;
+
 pub(super) enum Smoothing {
     One(Box<Smoother>),
     Fleet {
@@ -51,13 +54,17 @@ impl Smoothing {
     /// How many frames in flight are worth their latency; of a live source no more than are computed at once.
     pub(super) fn max_in_flight(&self, is_live: bool) -> usize {
         match self {
+            Self::One(smoother) if smoother.capabilities().pipelined && is_live => {
+                smoother.max_in_flight().min(LIVE_IN_FLIGHT)
+            }
             Self::One(smoother) if smoother.capabilities().pipelined => smoother.max_in_flight(),
             // Other engines return the result at once.
             Self::One(_) => 1,
             Self::Fleet { fleet, slots, .. } if is_live => {
                 let members = fleet.members();
                 let working = members.iter().filter(|member| member.lost.is_none());
-                let at_once = working.map(|member| if member.engine.capabilities().pipelined { *slots } else { 1 });
+                let slots = (*slots).min(LIVE_IN_FLIGHT);
+                let at_once = working.map(|member| if member.engine.capabilities().pipelined { slots } else { 1 });
                 at_once.sum::<usize>().max(1)
             }
             Self::Fleet { fleet, .. } => fleet.max_in_flight(),
