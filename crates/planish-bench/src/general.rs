@@ -38,6 +38,8 @@ pub struct GeneralOptions {
     pub threads: Option<usize>,
     /// Which GPU, by its index or part of its name; else the first real one.
     pub adapter: Option<String>,
+    /// How many points are on the GPU at once, at most; `None` for as many as it takes.
+    pub points_at_once: Option<usize>,
     /// Runs for each figure, at most.
     pub runs: usize,
     /// Print one JSON array.
@@ -125,6 +127,7 @@ fn open(
     outputs: Outputs,
 ) -> Result<Smoother> {
     let gpu = GpuOptions::default().with_adapter(options.adapter.clone()).with_timestamps(engine == Engine::Gpu);
+    let gpu = gpu.with_points_at_once(options.points_at_once);
     let opened = SmootherOptions::new(engine, outputs).with_threads(options.threads).with_simd(simd).with_gpu(gpu);
     Ok(Smoother::open_with(params, &opened, None)?)
 }

@@ -18,11 +18,14 @@ pub struct TestEngine {
     pub simd: Option<SimdLevel>,
     /// Whether the shader of the GPU engine checks bounds.
     pub bounds_checks: bool,
+    /// How many points of a general cloud the GPU engine takes at once.
+    pub points_at_once: Option<usize>,
 }
 
 impl TestEngine {
     /// The oracle.
-    pub const REFERENCE: Self = Self { engine: Engine::Reference, threads: None, simd: None, bounds_checks: true };
+    pub const REFERENCE: Self =
+        Self { engine: Engine::Reference, threads: None, simd: None, bounds_checks: true, points_at_once: None };
 
     /// The CPU engine at one instruction set.
     pub fn cpu(simd: SimdLevel) -> Self {
@@ -32,6 +35,11 @@ impl TestEngine {
     /// The GPU engine on the adapter of the tests.
     pub fn gpu(bounds_checks: bool) -> Self {
         Self { engine: Engine::Gpu, bounds_checks, ..Self::REFERENCE }
+    }
+
+    /// The same with so many points of a general cloud on the GPU at once.
+    pub fn in_parts(points_at_once: usize) -> Self {
+        Self { points_at_once: Some(points_at_once), ..Self::gpu(true) }
     }
 
     /// What a smoother for this engine is opened with.
@@ -53,6 +61,7 @@ impl TestEngine {
     fn plain_options(self, outputs: Outputs) -> SmootherOptions {
         let adapter = test_adapter().map(|adapter| adapter.index.to_string());
         let gpu = GpuOptions::default().with_adapter(adapter).with_bounds_checks(self.bounds_checks);
+        let gpu = gpu.with_points_at_once(self.points_at_once);
         SmootherOptions::new(self.engine, outputs).with_threads(self.threads).with_simd(self.simd).with_gpu(gpu)
     }
 

@@ -129,6 +129,59 @@ fn real_clouds_agree() {
     }
 }
 
+/// How many points differ by more than rounding between a cloud smoothed on the GPU in parts and at once.
+fn differing_in_parts(points: &[[f32; 3]], params: SmoothParams, points_at_once: usize) -> usize {
+    let whole = smooth(TestEngine::gpu(true), points, params);
+    let parts = smooth(TestEngine::in_parts(points_at_once), points, params);
+    let status = |smoothed: &Smoothed, i: usize| smoothed.status.as_ref().map(|status| status[i]);
+    let is_same = |i: usize| {
+        let [found, expected] = [parts.points.get(i), whole.points.get(i)];
+        let is_near = |axis: usize| {
+            let close = (found[axis] - expected[axis]).abs() < 1e-5;
+            close || (found[axis].is_nan() && expected[axis].is_nan())
+        };
+        status(&parts, i) == status(&whole, i) && (0..3).all(is_near)
+    };
+    (0..points.len()).filter(|&i| !is_same(i)).count()
+}
+
+#[test]
+fn clouds_in_parts_are_as_those_at_once() {
+    if planish_tests::engines::test_adapter().is_none() {
+        return;
+    }
+    // A point may miss that reaches more of the cloud than the device takes, and one whose neighbours' radii are much larger than its own.
+    let room = frame_points(2);
+    for params in settings().into_iter().step_by(3) {
+        let differing = differing_in_parts(&room, params, 9000);
+        assert!(differing <= room.len() / 5000, "{differing} of the room, {params:?}");
+    }
+    let sphere = uneven_sphere(6000, 3);
+    let differing = differing_in_parts(&sphere, SmoothParams::general(), 4000);
+    assert!(differing <= 3, "{differing} of the sphere");
+}
+
+#[test]
+fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
+    if planish_tests::engines::test_adapter().is_none() {
+        return;
+    }
+    let sphere = uneven_sphere(6000, 3);
+    let mut one_place = sphere.clone();
+    one_place[..4500].fill(sphere[0]);
+    let general = SmoothParams::general();
+    let options = TestEngine::in_parts(4000).options(Outputs::POINTS);
+    for (points, params) in [(&sphere, general.with_radius_m(0.2)), (&one_place, general)] {
+        let mut smoother = Smoother::open_with(params, &options, None).unwrap();
+        let smooth = |smoother: &mut Smoother, points| {
+            smoother.smooth(PointsView::from_rows(points).unwrap(), &mut Smoothed::default())
+        };
+        let error = smooth(&mut smoother, points).unwrap_err().to_string();
+        assert!(error.contains("allows points at once of 4000"), "{error}");
+        smooth(&mut smoother, &sphere[..100]).unwrap();
+    }
+}
+
 #[test]
 fn small_clouds_agree_and_lose_nothing() {
     let all = uneven_sphere(40, 5);

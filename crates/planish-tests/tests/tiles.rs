@@ -10,6 +10,7 @@ use planish::{
     Smoother, SmootherOptions,
 };
 use planish_tests::data::folder;
+use planish_tests::engines::{TestEngine, test_adapter};
 
 fn read(path: &Path) -> PointCloud {
     match io::read(path).unwrap().1 {
@@ -52,8 +53,12 @@ fn fields() -> Outputs {
 }
 
 fn whole(cloud: &PointCloud, params: SmoothParams) -> PointCloud {
+    whole_by(&cpu(), cloud, params)
+}
+
+fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, params: SmoothParams) -> PointCloud {
     let mut smoothed = Smoothed::default();
-    let mut smoother = Smoother::open_with(params, &cpu(), None).unwrap();
+    let mut smoother = Smoother::open_with(params, smoother, None).unwrap();
     smoother.smooth(cloud.into_frame().unwrap(), &mut smoothed).unwrap();
     let mut result = cloud.clone();
     result.apply(&smoothed, fields()).unwrap();
@@ -62,8 +67,18 @@ fn whole(cloud: &PointCloud, params: SmoothParams) -> PointCloud {
 
 /// Smooths a file in tiles into another, in a share of the memory that it takes whole.
 fn in_tiles(input: &Path, output: &Path, params: SmoothParams, share: u64) -> TilesReport {
+    in_tiles_by(cpu(), input, output, params, share)
+}
+
+fn in_tiles_by(
+    smoother: SmootherOptions,
+    input: &Path,
+    output: &Path,
+    params: SmoothParams,
+    share: u64,
+) -> TilesReport {
     let bytes = bytes_in_memory(input).unwrap() / share;
-    let options = TileOptions::new(params, cpu(), bytes).with_fields(fields());
+    let options = TileOptions::new(params, smoother, bytes).with_fields(fields());
     let progress = Progress::default();
     let report = smooth_tiles(input, output, &options, &progress).unwrap();
     assert!(report.tiles as u64 >= share, "{report:?}");
@@ -218,6 +233,29 @@ fn a_real_scan_in_tiles_is_the_same() {
 }
 
 #[test]
+fn tiles_on_a_gpu_give_what_the_whole_cloud_gives_there() {
+    if test_adapter().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (las, out) = (folder.path().join("a.las"), folder.path().join("out.las"));
+    let cloud = field(40_000);
+    io::write_cloud(&las, &cloud, Encoding::Binary).unwrap();
+    let gpu = TestEngine::gpu(false).options(Outputs::ALL);
+    // The smaller one takes no tile at once.
+    let in_parts = TestEngine { bounds_checks: false, ..TestEngine::in_parts(6000) }.options(Outputs::ALL);
+    let general = SmoothParams::general();
+    for (params, smoother) in [(general, &gpu), (general.with_radius_m(0.6), &gpu), (general, &in_parts)] {
+        let report = in_tiles_by(smoother.clone(), &las, &out, params, 3);
+        assert_eq!((report.engine, report.points), (Engine::Gpu, cloud.len()));
+        assert!(report.reaching_beyond < 30, "{report:?}");
+        let expected = folder.path().join("expected.las");
+        io::write_cloud(&expected, &whole_by(&gpu, &read(&las), params), Encoding::Binary).unwrap();
+        assert_same(&read(&out), &read(&expected), 1e-5, &format!("{params:?}"));
+    }
+}
+
+#[test]
 fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (folder.path().join("a.las"), folder.path().join("out.las"));
@@ -232,7 +270,7 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
     let found = smooth(&input, &options(Engine::Cpu, 10_000));
     assert!(found.contains("a.las") && found.contains("raise the limit (the whole needs 2 MiB)"), "{found}");
     let found = smooth(&input, &options(Engine::Reference, needed / 3));
-    assert!(found.contains("CPU engine"), "{found}");
+    assert!(found.contains("the CPU or the GPU engine"), "{found}");
     let whole = fs::read(&input).unwrap();
     let cut = folder.path().join("cut.las");
     fs::write(&cut, &whole[..whole.len() / 2]).unwrap();

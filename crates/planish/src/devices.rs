@@ -66,6 +66,9 @@ pub struct GpuOptions {
     pub bounds_checks: bool,
     /// How frames get there and results back.
     pub transfer: Transfer,
+    /// How many points of a general cloud are on the device at once, at most; `None` for as many as it takes. Larger clouds are smoothed in
+    /// parts, which overlap.
+    pub points_at_once: Option<usize>,
 }
 
 impl GpuOptions {
@@ -93,6 +96,11 @@ impl GpuOptions {
     pub fn with_transfer(self, transfer: Transfer) -> Self {
         Self { transfer, ..self }
     }
+
+    /// The same with so many points of a general cloud on the device at most; `None` for as many as it takes.
+    pub fn with_points_at_once(self, points_at_once: Option<usize>) -> Self {
+        Self { points_at_once, ..self }
+    }
 }
 
 impl Default for GpuOptions {
@@ -104,6 +112,7 @@ impl Default for GpuOptions {
             timestamps: false,
             bounds_checks: cfg!(debug_assertions),
             transfer: Transfer::Auto,
+            points_at_once: None,
         }
     }
 }

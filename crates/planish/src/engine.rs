@@ -56,7 +56,11 @@ pub(crate) trait SmoothingEngine: Send {
         None
     }
 
-    /// The radius by density that point `i` of the last cloud had before its limit, where there was one.
+    /// Keeps the radii by density of the next clouds, where the engine would not.
+    #[cfg(feature = "scans")]
+    fn keep_radii(&mut self) {}
+
+    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was kept.
     #[cfg(feature = "scans")]
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
@@ -86,7 +90,11 @@ pub(crate) trait ImmediateEngine: Send {
         None
     }
 
-    /// The radius by density that point `i` of the last cloud had before its limit, where there was one.
+    /// Keeps the radii by density of the next clouds, where the engine would not.
+    #[cfg(feature = "scans")]
+    fn keep_radii(&mut self) {}
+
+    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was kept.
     #[cfg(feature = "scans")]
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
@@ -176,6 +184,11 @@ impl<E: ImmediateEngine> SmoothingEngine for Immediate<E> {
 
     fn device_name(&self) -> Option<&str> {
         self.engine.device_name()
+    }
+
+    #[cfg(feature = "scans")]
+    fn keep_radii(&mut self) {
+        self.engine.keep_radii();
     }
 
     #[cfg(feature = "scans")]

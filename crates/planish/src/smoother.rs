@@ -183,7 +183,13 @@ impl Smoother {
         self.opened.progress()
     }
 
-    /// The radius by density that point `i` of the last cloud had before its limit.
+    /// Keeps the radii by density of the next clouds, for [`own_radius_m`](Self::own_radius_m).
+    #[cfg(feature = "scans")]
+    pub(crate) fn keep_radii(&mut self) {
+        self.opened.keep_radii();
+    }
+
+    /// The radius by density that point `i` of the last cloud had before its limit, if radii are kept.
     #[cfg(feature = "scans")]
     pub(crate) fn own_radius_m(&self, i: usize) -> Option<f32> {
         self.opened.own_radius_m(i)

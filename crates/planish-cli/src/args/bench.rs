@@ -142,6 +142,9 @@ pub struct BenchGeneralArgs {
     /// Which GPU, by its index or part of its name (see `planish devices`); else the first real one
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
+    /// How many points are on the GPU at once, at most; larger clouds go in parts
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..))]
+    pub points_at_once: Option<u32>,
     /// Runs for each figure, as far as 20 s go
     #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,

@@ -112,6 +112,7 @@ fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
         every_simd: args.every_simd,
         threads: args.threads,
         adapter: args.adapter.clone(),
+        points_at_once: args.points_at_once.map(|points| points as usize),
         runs: args.runs as usize,
         json: args.json,
     })?;

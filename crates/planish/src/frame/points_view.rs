@@ -204,7 +204,7 @@ impl<'a> PointsView<'a> {
     }
 
     /// The same as a part of a cloud of so many points, which span so many metres.
-    #[cfg(feature = "scans")]
+    #[cfg(any(feature = "gpu", feature = "scans"))]
     pub(crate) fn as_part_of(self, points: usize, extent_m: f64) -> Self {
         Self { whole: Some((extent_m, points)), ..self }
     }

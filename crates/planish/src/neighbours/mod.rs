@@ -1,5 +1,7 @@
 //! Neighbours in general clouds: sorted for the fast engines ([`PointIndex`]), and a k-d tree for the reference.
 
+#[cfg(any(feature = "gpu", feature = "scans"))]
+pub(crate) mod halo;
 mod index;
 
 #[cfg(any(feature = "evaluate", feature = "reference"))]

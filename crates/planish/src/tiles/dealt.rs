@@ -4,10 +4,12 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use super::bytes_a_point;
 use super::plan::{Cells, Tile};
-use super::{OWN_SHARE, bytes_a_point};
+
 use crate::error::FormatError;
 use crate::io::{RecordEncoder, RecordReader, Temporary, WholeFile};
+use crate::neighbours::halo::OWN_SHARE;
 use crate::neighbours::middle;
 use crate::progress::Progress;
 

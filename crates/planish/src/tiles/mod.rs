@@ -15,9 +15,9 @@ use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FormatError, IoError};
 use crate::frame::{IntoFrame, PointsView};
 use crate::io::{Encoding, Format, LasReader, PlyReader, RecordEncoder, RecordReader, Temporary, WholeFile, folder_of};
-use crate::method::PLANE_REACH;
+use crate::neighbours::halo::{self, NeededHalo};
 use crate::outputs::Outputs;
-use crate::params::{Edges, Radius, SmoothParams};
+use crate::params::{Radius, SmoothParams};
 use crate::pose::SensorPose;
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
@@ -29,11 +29,7 @@ use plan::Tile;
 const ENGINE_BYTES_A_POINT: u64 = 250;
 /// A tile's records take so many times their size: as read, in columns, and as written.
 const COPIES: u64 = 3;
-/// The share of a tile's points with its halo that are its own, when tiles are planned.
-const OWN_SHARE: f64 = 0.6;
-/// How far the gate reaches, in radii.
-const GATE_REACH: f64 = 1.02;
-/// More points than this share, whose radius reaches beyond the halo, ask for a wider one.
+/// More of a tile's points than this share, whose radius reaches beyond the halo, ask for a wider one.
 const MAY_REACH_BEYOND: f64 = 1e-4;
 /// Where memory does not hold a wider one, no more than this share of a tile's points, or of those of a usual tile.
 const MAY_BE_INEXACT: f64 = 0.01;
@@ -46,7 +42,7 @@ const NARROWEST: f64 = 0.01;
 pub struct TileOptions {
     /// The parameters, as for any general cloud.
     pub params: SmoothParams,
-    /// The engine and its options; with radii by density the CPU's, or `Auto`, which takes it.
+    /// The engine and its options; with radii by density not the reference.
     pub smoother: SmootherOptions,
     /// What is written beside the points.
     pub fields: Outputs,
@@ -153,15 +149,12 @@ fn smooth_records<R: RecordReader>(
     options: &TileOptions,
     progress: &Progress,
 ) -> Result<TilesReport, Error> {
-    let engine = match (options.params.radius, options.smoother.engine) {
-        // Radii by density have to be known.
-        (Radius::Neighbours { .. }, Engine::Auto | Engine::Cpu) => Engine::Cpu,
-        (Radius::Neighbours { .. }, engine) => {
-            let reason = "radii by density in tiles need the CPU engine; give a radius, or cpu".to_owned();
-            return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
-        }
-        (_, engine) => engine,
-    };
+    let engine = options.smoother.engine;
+    if engine == Engine::Reference && matches!(options.params.radius, Radius::Neighbours { .. }) {
+        // Radii by density have to be known, which it does not keep.
+        let reason = "radii by density in tiles need the CPU or the GPU engine, or a radius".to_owned();
+        return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
+    }
     let whole = WholeFile::new(output).map_err(IoError::at(output))?;
     let reader = R::open(input).map_err(IoError::at(input))?;
     progress.begin(3 * reader.points());
@@ -172,7 +165,7 @@ fn smooth_records<R: RecordReader>(
     };
     let mut dealt = Dealt::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
     let report = TilesReport::default();
-    let mut tiler = Tiler::<R> { options, engine, smoother: None, halo_share: 1.0, report, encoder: None };
+    let mut tiler = Tiler::<R> { options, smoother: None, halo_share: 1.0, report, encoder: None };
     for number in 0..dealt.tiles.len() {
         tiler.smooth(&mut dealt, number, output).map_err(|error| match error {
             TileError::Files(problem) => at_either(problem),
@@ -231,7 +224,6 @@ impl From<Error> for TileError {
 /// What goes from tile to tile.
 struct Tiler<'a, R: RecordReader> {
     options: &'a TileOptions,
-    engine: Engine,
     smoother: Option<Smoother>,
     /// How wide the last tile's halo was, in those by density.
     halo_share: f64,
@@ -245,7 +237,7 @@ impl<R: RecordReader> Tiler<'_, R> {
     fn smooth(&mut self, dealt: &mut Dealt<R>, number: usize, output: &Path) -> Result<(), TileError> {
         let tile = dealt.tiles[number].tile;
         let own = tile.points as usize;
-        let by_density_m = self.halo_by_density_m(dealt, &tile);
+        let by_density_m = halo::first_halo_m(&self.options.params, tile.points, dealt.cells.area(&tile));
         let mut halo_m = self.halo_share * by_density_m;
         let mut may_widen = true;
         loop {
@@ -263,41 +255,18 @@ impl<R: RecordReader> Tiler<'_, R> {
                 cloud.pose = pose;
             }
             let smoothed = self.smoothed(&cloud, dealt)?;
-            let (wider_m, beyond) = self.needed_halo_m(dealt, &tile, &cloud, halo_m)?;
-            if may_widen && beyond as f64 > MAY_REACH_BEYOND * own as f64 {
-                halo_m = wider_m;
+            let needed = self.needed_halo(dealt, &tile, &cloud, halo_m);
+            if may_widen && needed.is_wider {
+                halo_m = needed.halo_m;
                 continue;
             }
             let usual = dealt.points / dealt.tiles.len();
-            if beyond as f64 > MAY_BE_INEXACT * own.max(usual) as f64 {
+            if needed.beyond as f64 > MAY_BE_INEXACT * own.max(usual) as f64 {
                 return Err(too_large(dealt.points, dealt.record, self.options.max_memory_bytes).into());
             }
             self.halo_share = halo_m / by_density_m;
-            self.report.reaching_beyond += beyond;
+            self.report.reaching_beyond += needed.beyond;
             return self.keep(dealt, number, &mut cloud, &smoothed, output);
-        }
-    }
-
-    /// How far away, in its radii, other points influence what a point gets: radii by density follow those of the neighbours, and
-    /// where edges are kept, the planes of points twice as far away count, whose own radii may be larger by the same factor.
-    fn reach(&self) -> f64 {
-        let SmoothParams { radius, edges, .. } = self.options.params;
-        let by_density = matches!(radius, Radius::Neighbours { .. });
-        let growth = if by_density { 2.0 } else { 1.0 };
-        let of_planes = if edges == Edges::Off { 0.0 } else { growth * f64::from(PLANE_REACH) };
-        GATE_REACH * (growth + of_planes)
-    }
-
-    /// Exact for a fixed radius; else about twice what points reach at the tile's density.
-    fn halo_by_density_m(&self, dealt: &Dealt<R>, tile: &Tile) -> f64 {
-        match self.options.params.radius {
-            Radius::Fixed { radius_m } => self.reach() * f64::from(radius_m),
-            Radius::Neighbours { count } => {
-                let area = dealt.cells.area(tile);
-                2.0 * self.reach() * (f64::from(count) * area / (std::f64::consts::PI * tile.points as f64)).sqrt()
-            }
-            // `Smoother::open` refuses it.
-            Radius::Sensor => 1.0,
         }
     }
 
@@ -305,8 +274,9 @@ impl<R: RecordReader> Tiler<'_, R> {
         let smoother = match &mut self.smoother {
             Some(smoother) => smoother,
             none => {
-                let options = self.options.smoother.clone().with_engine(self.engine);
-                none.insert(Smoother::open_with(self.options.params, &options, None)?)
+                let smoother = none.insert(Smoother::open_with(self.options.params, &self.options.smoother, None)?);
+                smoother.keep_radii();
+                smoother
             }
         };
         let mut smoothed = Smoothed::default();
@@ -315,35 +285,21 @@ impl<R: RecordReader> Tiler<'_, R> {
         Ok(smoothed)
     }
 
-    /// The halo that the tile's points need, but for the few that reach farthest, and how many reach beyond that which they have.
-    fn needed_halo_m(
-        &self,
-        dealt: &Dealt<R>,
-        tile: &Tile,
-        cloud: &PointCloud,
-        halo_m: f64,
-    ) -> Result<(f64, usize), TileError> {
-        let (Radius::Neighbours { .. }, Some(smoother)) = (self.options.params.radius, &self.smoother) else {
-            return Ok((halo_m, 0));
-        };
+    /// Returns the halo that the tile's points need.
+    fn needed_halo(&self, dealt: &Dealt<R>, tile: &Tile, cloud: &PointCloud, halo_m: f64) -> NeededHalo {
         let [low, high] = dealt.cells.bounds(tile);
-        let mut needed_m = Vec::with_capacity(tile.points as usize);
-        for i in 0..tile.points as usize {
-            // A hole reaches nothing, and may belong to any tile.
-            let Some(radius_m) = smoother.own_radius_m(i) else { continue };
+        let reach = halo::reach(&self.options.params);
+        let needed_m = (0..tile.points as usize).filter_map(|i| {
+            // A hole reaches nothing, and may belong to any tile. Without radii by density there are none.
+            let radius_m = self.smoother.as_ref()?.own_radius_m(i)?;
             // From the point to the border of its tile, beyond which there are other points.
             let to_border = (0..2).map(|axis| {
                 let value = cloud.coordinate(axis, i);
                 (value - low[axis]).min(high[axis] - value)
             });
-            needed_m.push(self.reach() * f64::from(radius_m) - to_border.fold(f64::INFINITY, f64::min));
-        }
-        let beyond = needed_m.iter().filter(|needed_m| **needed_m > halo_m).count();
-        let farthest = (needed_m.len() as f64 * (1.0 - MAY_REACH_BEYOND / 2.0)) as usize;
-        let Some(last) = needed_m.len().checked_sub(1) else { return Ok((halo_m, 0)) };
-        let farthest = farthest.min(last);
-        let (_, wider_m, _) = needed_m.select_nth_unstable_by(farthest, f64::total_cmp);
-        Ok((1.05 * *wider_m, beyond))
+            Some(reach * f64::from(radius_m) - to_border.fold(f64::INFINITY, f64::min))
+        });
+        halo::needed_halo(halo_m, &needed_m.collect::<Vec<_>>(), MAY_REACH_BEYOND * tile.points as f64)
     }
 
     /// Writes the new records of the tile's own points.

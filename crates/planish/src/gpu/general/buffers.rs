@@ -13,6 +13,7 @@ use super::super::stamps::Stamps;
 use super::passes::{Compiled, DIGITS, Pass, Resource, TILE};
 use crate::error::EngineError;
 use crate::neighbours::LEAF;
+use crate::xyz::MAX_PIXELS;
 
 /// Nodes under a node.
 const CHILDREN: usize = 8;
@@ -44,9 +45,12 @@ pub(super) struct CloudUniform {
     pub(super) least_neighbours: u32,
     pub(super) part_places: u32,
     pub(super) levels: [u32; LEVELS],
+    /// Of a part with its halo the first so many are its own.
+    pub(super) own_points: u32,
+    pub(super) padding: [u32; 3],
 }
 
-const _: () = assert!(size_of::<CloudUniform>() == 96);
+const _: () = assert!(size_of::<CloudUniform>() == 112);
 
 /// Where the nodes of each level are.
 pub(super) struct Levels {
@@ -78,6 +82,60 @@ impl Levels {
     fn all_nodes(&self) -> usize {
         self.firsts[self.top + 1] as usize
     }
+}
+
+/// Bytes of the buffers that grow with a cloud.
+struct Sizes {
+    kept: [(&'static str, u64); 10],
+    input: u64,
+    output: u64,
+    /// Of results, state and radii by density.
+    readback: u64,
+}
+
+impl Sizes {
+    fn of(points: usize, output_words: usize, keeps_edges: bool) -> Self {
+        let levels = Levels::of(points);
+        let padded = points.next_multiple_of(LEAF);
+        let bytes = |words: usize| 4 * words as u64;
+        let kept = [
+            ("keys", bytes(2 * points)),
+            ("keys", bytes(2 * points)),
+            ("order", bytes(points)),
+            ("order", bytes(points)),
+            ("counts", bytes(DIGITS * points.div_ceil(TILE))),
+            ("positions", bytes(4 * padded)),
+            ("nodes", (NODE_BYTES * levels.all_nodes()) as u64),
+            ("radii", bytes(padded)),
+            ("firsts", bytes(points + 1)),
+            // No buffer may be empty.
+            ("planes", (PLANE_BYTES * if keeps_edges { padded } else { 1 }) as u64),
+        ];
+        let output = bytes(output_words * points);
+        Self { kept, input: bytes(SAMPLES + 3 * points), output, readback: output + STATE_BYTES + bytes(points) }
+    }
+
+    /// Returns the bytes of the largest buffer.
+    fn largest(&self) -> u64 {
+        self.kept.iter().map(|&(_, size)| size).chain([self.input, self.readback]).max().unwrap_or(0)
+    }
+}
+
+/// Returns the bytes of the largest buffer that the device takes.
+fn largest_buffer(gpu: &GpuDevice) -> u64 {
+    gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size)
+}
+
+/// Returns how many points the device takes at once, by its limits.
+pub(super) fn most_points(gpu: &GpuDevice, output_words: usize, keeps_edges: bool) -> usize {
+    let allowed = largest_buffer(gpu);
+    let fits = |points: usize| Sizes::of(points, output_words, keeps_edges).largest() <= allowed;
+    let (mut fit, mut beyond) = (0, MAX_PIXELS + 1);
+    while beyond - fit > 1 {
+        let middle = fit.midpoint(beyond);
+        if fits(middle) { fit = middle } else { beyond = middle }
+    }
+    fit
 }
 
 /// The buffers for clouds of up to so many points.
@@ -112,37 +170,13 @@ impl Buffers {
         all_bytes: &Arc<AtomicU64>,
     ) -> Result<Self, EngineError> {
         use wgpu::BufferUsages as Usage;
-        let levels = Levels::of(capacity);
-        let padded = capacity.next_multiple_of(LEAF);
-        let bytes = |words: usize| 4 * words as u64;
-        let input_bytes = bytes(SAMPLES + 3 * capacity);
-        let output_bytes = bytes(output_words * capacity);
-        let sizes = [
-            ("keys", bytes(2 * capacity)),
-            ("keys", bytes(2 * capacity)),
-            ("order", bytes(capacity)),
-            ("order", bytes(capacity)),
-            ("counts", bytes(DIGITS * capacity.div_ceil(TILE))),
-            ("positions", bytes(4 * padded)),
-            ("nodes", (NODE_BYTES * levels.all_nodes()) as u64),
-            ("radii", bytes(padded)),
-            ("firsts", bytes(capacity + 1)),
-            // No buffer may be empty.
-            ("planes", (PLANE_BYTES * if keeps_edges { padded } else { 1 }) as u64),
-        ];
-        let limits = &gpu.limits;
-        let allowed = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
-        let largest =
-            sizes.iter().map(|&(_, size)| size).max().unwrap_or(0).max(input_bytes).max(output_bytes + STATE_BYTES);
-        if largest > allowed {
-            return Err(EngineError::Limit {
-                device: gpu.name.clone(),
-                what: "bytes in a buffer",
-                allowed,
-                needed: largest,
-            });
+        let sizes = Sizes::of(capacity, output_words, keeps_edges);
+        let (allowed, needed) = (largest_buffer(gpu), sizes.largest());
+        if needed > allowed {
+            return Err(EngineError::Limit { device: gpu.name.clone(), what: "bytes in a buffer", allowed, needed });
         }
-        let total = sizes.iter().map(|&(_, size)| size).sum::<u64>() + 2 * (input_bytes + output_bytes);
+        let kept_bytes: u64 = sizes.kept.iter().map(|&(_, size)| size).sum();
+        let total = kept_bytes + 2 * sizes.input + sizes.output + sizes.readback;
         gpu.allocate(total, || {
             let buffer = |label, size, usage, mapped_at_creation| {
                 gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -152,10 +186,10 @@ impl Buffers {
                     mapped_at_creation,
                 })
             };
-            let upload = buffer("upload", input_bytes, Usage::MAP_WRITE | Usage::COPY_SRC, true);
-            let readback = buffer("readback", output_bytes + STATE_BYTES, Usage::MAP_READ | Usage::COPY_DST, false);
-            let input = buffer("input", input_bytes, Usage::STORAGE | Usage::COPY_DST, false);
-            let output = buffer("output", output_bytes, Usage::STORAGE | Usage::COPY_SRC, false);
+            let upload = buffer("upload", sizes.input, Usage::MAP_WRITE | Usage::COPY_SRC, true);
+            let readback = buffer("readback", sizes.readback, Usage::MAP_READ | Usage::COPY_DST, false);
+            let input = buffer("input", sizes.input, Usage::STORAGE | Usage::COPY_DST, false);
+            let output = buffer("output", sizes.output, Usage::STORAGE | Usage::COPY_SRC, false);
             let batch = buffer("batch", size_of::<Batch>() as u64, Usage::UNIFORM | Usage::COPY_DST, false);
             let cloud = buffer("cloud", size_of::<CloudUniform>() as u64, Usage::UNIFORM | Usage::COPY_DST, false);
             let state = buffer("state", STATE_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST, false);
@@ -167,7 +201,7 @@ impl Buffers {
                 }
             }
             parts.unmap();
-            let kept = sizes.map(|(label, size)| buffer(label, size, Usage::STORAGE, false));
+            let kept = sizes.kept.map(|(label, size)| buffer(label, size, Usage::STORAGE, false));
             let bind = |kernel: &Compiled, part: usize, is_swapped: bool| {
                 // Every second pass of the sort goes back.
                 let (from, to) = if is_swapped { (1, 0) } else { (0, 1) };

@@ -4,9 +4,14 @@
 //!
 //! [`passes`] has the kernels, in the order in which they run, [`buffers`] what they work with. Passes over all positions are
 //! submitted in parts, so that none is long enough for a desktop's watchdog, and progress can be told.
+//!
+//! Clouds that the device does not take at once are smoothed in parts of their own ([`in_parts`]).
 
 mod buffers;
+mod in_parts;
+mod parts;
 mod passes;
+mod results;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,7 +21,6 @@ use bytemuck::bytes_of;
 
 use super::device::{GpuDevice, OpenAdapter, Purpose};
 use super::layout::{Batch, InputKind, Layout};
-use super::results::spawn_copying;
 use super::upload::Uploader;
 use crate::devices::{GpuOptions, choose};
 use crate::engine::{AdmittedFrame, ImmediateEngine};
@@ -27,10 +31,10 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, Project, Radius, SmoothParams};
 use crate::progress::Progress;
 use crate::range::MAX_RANGE_M;
-use crate::status::Status;
 use crate::timings::FrameTimings;
 use buffers::{Buffers, CloudUniform, Levels, MOST_PARTS, SAMPLES, STATE_BYTES};
 use passes::{Compiled, DIGITS, Pass, TILE};
+use results::GeneralResults;
 
 /// Positions that are fitted in one submission, at least: as many as the largest devices have threads.
 const PART_PLACES: usize = 1 << 18;
@@ -38,6 +42,14 @@ const PART_PLACES: usize = 1 << 18;
 const MOST_GROUPS_ACROSS: usize = 1 << 15;
 /// A smaller extent counts as this, so that its inverse stays within f32.
 const LEAST_EXTENT_M: f64 = 1e-18;
+
+/// Which of the points need results: the first so many.
+#[derive(Debug, Clone, Copy)]
+struct Own {
+    points: usize,
+    /// No radius by density of theirs is larger.
+    largest_radius_m: f32,
+}
 
 /// The GPU engine for general clouds, with its buffers.
 pub(crate) struct GeneralGpu {
@@ -50,6 +62,11 @@ pub(crate) struct GeneralGpu {
     kernels: Vec<Compiled>,
     uploader: Uploader,
     buffers: Option<Buffers>,
+    /// How many points the device takes at once.
+    most_points: usize,
+    /// Whether radii by density are read back for [`ImmediateEngine::own_radius_m`], and those of the last cloud.
+    keeps_radii: bool,
+    radii: Vec<f32>,
     progress: Arc<Progress>,
     timings: Option<FrameTimings>,
     bytes: Arc<AtomicU64>,
@@ -71,8 +88,8 @@ impl GeneralGpu {
         // General clouds have no rays (section 7).
         let uploader = Uploader::new(params.with_project(Project::Normal));
         let options = options.clone();
-        let (progress, bytes) = Default::default();
-        Ok(Self {
+        let (radii, progress, bytes) = Default::default();
+        let mut engine = Self {
             gpu,
             _adapter: adapter,
             params,
@@ -81,10 +98,20 @@ impl GeneralGpu {
             kernels,
             uploader,
             buffers: None,
+            most_points: 0,
+            keeps_radii: false,
+            radii,
             progress,
             timings: None,
             bytes,
-        })
+        };
+        let most_points = buffers::most_points(&engine.gpu, engine.output_words(), params.edges != Edges::Off);
+        engine.most_points = engine.options.points_at_once.unwrap_or(usize::MAX).clamp(1, most_points);
+        Ok(engine)
+    }
+
+    fn is_by_density(&self) -> bool {
+        matches!(self.params.radius, Radius::Neighbours { .. })
     }
 
     /// Where a point's results are; the words of status and neighbours lie behind the other channels.
@@ -109,11 +136,9 @@ impl GeneralGpu {
         Buffers::new(&self.gpu, &self.kernels, points, words, keeps_edges, timestamps, &self.bytes)
     }
 
-    fn uniform(&self, view: &PointsView<'_>, levels: &Levels) -> CloudUniform {
-        let middle =
-            [0, 1, 2].map(|axis| middle(view.len(), |i| f64::from(view.get(i)[axis] as f32)).unwrap_or_default());
-        let own_extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
-        let extent_m = view.extent_m().unwrap_or(own_extent_m);
+    fn uniform(&self, view: &PointsView<'_>, levels: &Levels, own: Own) -> CloudUniform {
+        let middle = middle_of(view);
+        let extent_m = extent_m(view);
         let half = middle.iter().map(|[low, high]| high - low).fold(0.0, f64::max) / 2.0;
         let half_count = match self.params.radius {
             Radius::Neighbours { count } => count as f32 / 2.0,
@@ -127,17 +152,27 @@ impl GeneralGpu {
             middle: middle.map(|[low, high]| ((low + high) / 2.0) as f32),
             per_half_extent: (1.0 / half.max(LEAST_EXTENT_M)) as f32,
             half_count,
-            largest_radius: (extent_m as f32 / 2.0).min(MAX_RANGE_M),
+            largest_radius: (extent_m as f32 / 2.0).min(MAX_RANGE_M).min(own.largest_radius_m),
             least_neighbours: self.params.least_neighbours(view),
             part_places: part_places(view.len()) as u32,
             levels: levels.firsts,
+            own_points: own.points as u32,
+            padding: [0; 3],
         }
     }
 
-    /// Writes a cloud, runs all passes, and waits for the results.
-    fn run(&mut self, buffers: &Buffers, frame: &AdmittedFrame<'_>, view: &PointsView<'_>) -> Result<(), EngineError> {
+    /// Writes a cloud, runs all passes, and waits for the results, which are behind each other in the buffer for reading: those of the
+    /// points, the state, and radii by density if they are wanted.
+    fn run(
+        &mut self,
+        buffers: &Buffers,
+        frame: &AdmittedFrame<'_>,
+        view: &PointsView<'_>,
+        wants_radii: bool,
+        own: Own,
+    ) -> Result<(), EngineError> {
         let (points, layout, levels) = (view.len(), self.layout(view.len()), Levels::of(view.len()));
-        let uniform = self.uniform(view, &levels);
+        let uniform = self.uniform(view, &levels, own);
         {
             let Self { gpu, uploader, .. } = self;
             let mut range = buffers.upload.get_mapped_range_mut(..).map_err(|error| gpu.failed(error))?;
@@ -170,8 +205,7 @@ impl GeneralGpu {
         }
         let part = part_places(points);
         let parts = points.div_ceil(part);
-        let by_density = matches!(self.params.radius, Radius::Neighbours { .. });
-        let keeps_edges = self.params.edges != Edges::Off;
+        let (by_density, keeps_edges) = (self.is_by_density(), self.params.edges != Edges::Off);
         for (pass, wanted) in [(Pass::Radii, by_density), (Pass::FirstPlanes, keeps_edges), (Pass::Fit, true)] {
             for number in (0..parts).filter(|_| wanted) {
                 let places = part.min(points - number * part);
@@ -188,17 +222,28 @@ impl GeneralGpu {
             stamps.resolve(&mut commands);
         }
         submissions.push(gpu.submit(commands.finish()));
+        if wants_radii {
+            submissions.push(self.submit_steps(buffers, &[(Pass::PointRadii, 0, points)], encoder()));
+            let mut commands = encoder();
+            let to = output_bytes + STATE_BYTES;
+            commands.copy_buffer_to_buffer(&buffers.output, 0, &buffers.readback, to, 4 * points as u64);
+            submissions.push(gpu.submit(commands.finish()));
+        }
         let stamps = buffers.stamps.as_ref().map(|stamps| (&stamps.readback, wgpu::MapMode::Read));
         let asked = [(&buffers.upload, wgpu::MapMode::Write), (&buffers.readback, wgpu::MapMode::Read)];
         buffers.mapped.ask_for(asked.into_iter().chain(stamps));
-        self.progress.begin(submissions.len());
-        for submission in submissions {
+        let count = submissions.len();
+        for (number, submission) in submissions.into_iter().enumerate() {
             // What is submitted already is computed all the same, for nobody.
             self.progress.check()?;
             gpu.wait(submission)?;
-            self.progress.add(1);
+            self.progress.add(own.points * (number + 1) / count - own.points * number / count);
         }
-        buffers.mapped.wait(gpu)
+        buffers.mapped.wait(gpu)?;
+        if let Some(timings) = buffers.stamps.as_ref().and_then(|stamps| stamps.timings()) {
+            *self.timings.get_or_insert_default() += timings;
+        }
+        Ok(())
     }
 
     /// Runs parts of passes one after the other. Each waits for those before: wgpu sees what they share.
@@ -221,43 +266,48 @@ impl GeneralGpu {
         self.gpu.submit(commands.finish())
     }
 
-    /// Copies the results out of mapped memory.
-    fn copy_out(&self, buffers: &Buffers, points: usize, out: SmoothedMut<'_>) -> Result<(), EngineError> {
+    /// Smooths a cloud that the device takes at once.
+    fn smooth_at_once(
+        &mut self,
+        frame: &AdmittedFrame<'_>,
+        view: &PointsView<'_>,
+        out: SmoothedMut<'_>,
+    ) -> Result<(), EngineError> {
+        let buffers = self.take_buffers(view.len())?;
+        let wants_radii = self.keeps_radii && self.is_by_density();
+        // After an error the buffers are dropped: whether they are mapped is not known.
+        let own = Own { points: view.len(), largest_radius_m: f32::INFINITY };
+        self.run(&buffers, frame, view, wants_radii, own)?;
+        self.radii = self.with_results(&buffers, view.len(), |results| {
+            results.copy_into(out);
+            if wants_radii { results.radii.to_vec() } else { Vec::new() }
+        })?;
+        self.buffers = Some(buffers);
+        Ok(())
+    }
+
+    /// Calls a function with what a run has left in mapped memory, and gives that back to the device.
+    fn with_results<T>(
+        &self,
+        buffers: &Buffers,
+        points: usize,
+        use_results: impl FnOnce(GeneralResults<'_>) -> T,
+    ) -> Result<T, EngineError> {
         let bytes = buffers.readback.get_mapped_range(..).map_err(|error| self.gpu.failed(error))?;
         let state_at = 4 * self.output_words() * points;
-        let [_, ended_early]: [u32; 2] =
-            bytemuck::pod_read_unaligned(&bytes[state_at..state_at + STATE_BYTES as usize]);
+        let radii_at = state_at + STATE_BYTES as usize;
+        let [_, ended_early]: [u32; 2] = bytemuck::pod_read_unaligned(&bytes[state_at..radii_at]);
         if ended_early != 0 {
             return Err(self.gpu.failed(
                 "its driver ended a loop early; a smaller radius, fewer neighbours, edges off or the CPU engine may help",
             ));
         }
-        let layout = self.layout(points);
-        let numbers =
-            |words: std::ops::Range<usize>| -> &[f32] { bytemuck::cast_slice(&bytes[4 * words.start..4 * words.end]) };
-        let first_code = layout.output_words();
-        rayon::scope(|scope| {
-            for (channels, to) in [(layout.points(), out.points), (layout.normals(), out.normals)] {
-                if let (Some(channels), Some(to)) = (channels, to) {
-                    spawn_copying(scope, channels.map(numbers), to);
-                }
-            }
-            if let (Some(words), Some(to)) = (layout.curvature(), out.curvature) {
-                let from = numbers(words);
-                scope.spawn(move |_| to.copy_from_slice(from));
-            }
-            if out.status.is_some() || out.neighbours.is_some() {
-                let codes: &[u32] = bytemuck::cast_slice(&bytes[4 * first_code..4 * (first_code + points)]);
-                if let Some(to) = out.status {
-                    let status = |code: &u32| Status::of_code(*code as u8);
-                    scope.spawn(move |_| to.iter_mut().zip(codes).for_each(|(to, code)| *to = status(code)));
-                }
-                if let Some(to) = out.neighbours {
-                    scope.spawn(move |_| to.iter_mut().zip(codes).for_each(|(to, code)| *to = code >> 8));
-                }
-            }
-        });
-        Ok(())
+        let words = bytemuck::cast_slice(&bytes[..state_at]);
+        let radii = bytemuck::cast_slice(&bytes[radii_at..radii_at + 4 * points]);
+        let result = use_results(GeneralResults { layout: self.layout(points), words, radii });
+        drop(bytes);
+        buffers.readback.unmap();
+        Ok(result)
     }
 }
 
@@ -287,32 +337,63 @@ fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
     ]
 }
 
+/// The least and the largest of the coordinates of most points.
+fn middle_of(view: &PointsView<'_>) -> [[f64; 2]; 3] {
+    [0, 1, 2].map(|axis| middle(view.len(), |i| f64::from(view.get(i)[axis] as f32)).unwrap_or_default())
+}
+
+/// How far most points of the whole cloud span, in metres.
+fn extent_m(view: &PointsView<'_>) -> f64 {
+    let own_m = || middle_of(view).iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
+    view.extent_m().unwrap_or_else(own_m)
+}
+
 /// Positions of a submission.
 fn part_places(points: usize) -> usize {
     points.div_ceil(MOST_PARTS).next_multiple_of(PART_PLACES)
 }
 
 impl ImmediateEngine for GeneralGpu {
-    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
         let Frame::Points(view) = frame.frame else { return Ok(()) };
         self.gpu.check()?;
         self.timings = None;
+        self.radii.clear();
         self.progress.reset();
         if view.is_empty() {
             return Ok(());
         }
-        let buffers = self.take_buffers(view.len())?;
-        // After an error the buffers are dropped: whether they are mapped is not known.
-        self.run(&buffers, frame, &view)?;
-        self.copy_out(&buffers, view.len(), out)?;
-        self.timings = buffers.stamps.as_ref().and_then(|stamps| stamps.timings());
-        buffers.readback.unmap();
-        self.buffers = Some(buffers);
-        Ok(())
+        loop {
+            self.progress.begin(view.len());
+            let result = if view.len() <= self.most_points {
+                self.smooth_at_once(frame, &view, out.reborrow()).map_err(Error::from)
+            } else {
+                self.smooth_in_parts(frame, &view, out.reborrow())
+            };
+            match result {
+                // Its limits allow more than it has room for.
+                Err(Error::Engine(EngineError::OutOfMemory { .. }))
+                    if self.most_points.min(view.len()) > PART_PLACES =>
+                {
+                    self.most_points = self.most_points.min(view.len()) / 2;
+                }
+                result => return result,
+            }
+        }
     }
 
     fn timings(&self) -> Option<FrameTimings> {
         self.timings
+    }
+
+    #[cfg(feature = "scans")]
+    fn keep_radii(&mut self) {
+        self.keeps_radii = true;
+    }
+
+    #[cfg(feature = "scans")]
+    fn own_radius_m(&self, i: usize) -> Option<f32> {
+        self.radii.get(i).copied().filter(|radius_m| radius_m.is_finite())
     }
 
     fn buffer_bytes(&self) -> u64 {

@@ -87,10 +87,12 @@ pub(super) enum Pass {
     Fit,
     /// The results of points at the same position.
     Repeat,
+    /// The radii in the order of the points, where the host asks for them.
+    PointRadii,
 }
 
 impl Pass {
-    pub(super) const ALL: [Self; 12] = [
+    pub(super) const ALL: [Self; 13] = [
         Self::Keys,
         Self::CountDigits,
         Self::ScanCounts,
@@ -103,6 +105,7 @@ impl Pass {
         Self::FirstPlanes,
         Self::Fit,
         Self::Repeat,
+        Self::PointRadii,
     ];
 
     fn entry_point(self) -> &'static str {
@@ -119,6 +122,7 @@ impl Pass {
             Self::FirstPlanes => "fit_first_planes",
             Self::Fit => "fit_places",
             Self::Repeat => "repeat_results",
+            Self::PointRadii => "write_point_radii",
         }
     }
 
@@ -141,13 +145,14 @@ impl Pass {
             }
             Self::Fit => (&[Batch, Cloud, Part, Input, Order, Positions, Nodes, Planes, Firsts], &[Output, State]),
             Self::Repeat => (&[Batch, Cloud, Input, Keys, Order, OrderOut, Firsts], &[Output]),
+            Self::PointRadii => (&[Batch, Cloud, Input, Keys, Order, OrderOut, Radii], &[Output]),
         }
     }
 
     /// Workgroups for so many points, places or nodes.
     pub(super) fn groups(self, count: usize) -> usize {
         match self {
-            Self::Keys | Self::Repeat => count.div_ceil(POINT_THREADS),
+            Self::Keys | Self::Repeat | Self::PointRadii => count.div_ceil(POINT_THREADS),
             Self::ScanCounts => 1,
             Self::CountDigits | Self::ScatterDigits | Self::CountHeads | Self::PlaceHeads => count.div_ceil(TILE),
             Self::Leaves | Self::Nodes | Self::Radii | Self::FirstPlanes | Self::Fit => count.div_ceil(THREADS),
@@ -186,6 +191,10 @@ impl Pass {
             Self::CountHeads => text += &(heads.to_owned() + include_str!("../shaders/general/count_heads.wgsl")),
             Self::PlaceHeads => text += &(heads.to_owned() + include_str!("../shaders/general/place_heads.wgsl")),
             Self::Repeat => text += include_str!("../shaders/general/repeat.wgsl"),
+            Self::PointRadii => {
+                let result = include_str!("../shaders/pixel_result.wgsl");
+                text += &(result.to_owned() + include_str!("../shaders/general/point_radii.wgsl"));
+            }
             Self::Leaves => text += &(node.to_owned() + include_str!("../shaders/general/leaves.wgsl")),
             Self::Nodes => text += &(node.to_owned() + include_str!("../shaders/general/nodes.wgsl")),
             Self::Radii => text += &[gate, walk, include_str!("../shaders/general/radii.wgsl")].concat(),

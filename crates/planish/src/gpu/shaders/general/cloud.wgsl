@@ -23,6 +23,8 @@ struct Cloud {
     part_places: u32,
     // Where each level of nodes begins.
     levels: array<vec4<u32>, 3>,
+    // Of a part with its halo the first so many are its own; the others need no results.
+    own_points: u32,
 }
 
 // What one dispatch of several differs in.

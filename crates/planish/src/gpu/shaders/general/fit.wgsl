@@ -11,5 +11,9 @@ fn fit_places(
     if in_part >= cloud.part_places || place >= atomicLoad(&state[PLACES]) {
         return;
     }
-    store(order[firsts[place]], smooth_place(place));
+    // The sort keeps the order of points at one place: where one is the part's own, the first is.
+    let point = order[firsts[place]];
+    if point < cloud.own_points {
+        store(point, smooth_place(place));
+    }
 }

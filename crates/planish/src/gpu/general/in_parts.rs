@@ -1,0 +1,202 @@
+//! Clouds of more points than the device takes at once, part by part.
+//!
+//! Radii by density are known only when a part has been computed. Where many of its points reach beyond the halo, it is computed again with
+//! a wider one; where few do, they alone are, with a halo of their own. Radii for which neighbours were missing come out too large, so
+//! that a halo by them suffices.
+
+use std::collections::HashMap;
+
+use super::buffers::Buffers;
+use super::parts::{Part, Parts, Record};
+use super::{GeneralGpu, Own};
+use crate::engine::AdmittedFrame;
+use crate::error::{EngineError, Error};
+use crate::frame::{Frame, FrameGeometry, PointsView};
+use crate::neighbours::halo::{OWN_SHARE, first_halo_m, needed_halo, reach};
+use crate::outputs::SmoothedMut;
+use crate::xyz::Xyz;
+
+/// More of a part's points than this share, which reach beyond its halo, ask for a wider one.
+const MAY_REACH_BEYOND: f64 = 0.01;
+/// Points that reach beyond their halo are computed again so many at a time, at most.
+const FAR_TOGETHER: usize = 64;
+/// Points closer than this are at one place, with as many others as the device does not take.
+const LEAST_HALO_M: f64 = 1e-9;
+/// Parts of a usual one's points over this are not cut further for the sake of their halo.
+const SMALL: usize = 64;
+/// A halo of one point, or of a small part, that holds too many others is tried narrower by this.
+const NARROWER: f64 = 0.7;
+/// A part's halo begins with what the part before needed, up to so many times what its density asks for.
+const MOST_HALO_SHARE: f64 = 4.0;
+
+/// A cloud under way.
+struct Work {
+    parts: Parts,
+    /// Points of a usual part.
+    usual: usize,
+    geometry: FrameGeometry,
+    /// Points of the whole cloud that are no holes, and how far it spans in metres.
+    whole: (usize, f64),
+    wants_radii: bool,
+    /// The points that reach beyond the halo of their part, by their numbers, and how far each of them reaches, in metres.
+    far: HashMap<u32, f64>,
+    far_records: Vec<Record>,
+    /// The halo of the part before, in those by its density.
+    last_share: f64,
+    /// A part's own points and those of its halo.
+    points: Xyz,
+}
+
+impl GeneralGpu {
+    /// Smooths a cloud in parts.
+    pub(super) fn smooth_in_parts(
+        &mut self,
+        frame: &AdmittedFrame<'_>,
+        view: &PointsView<'_>,
+        mut out: SmoothedMut<'_>,
+    ) -> Result<(), Error> {
+        let most = self.most_points;
+        let usual = (OWN_SHARE * most as f64).ceil() as usize;
+        // First of all: a device without room for it leaves the rest to smaller parts.
+        let buffers = self.take_buffers(most)?;
+        let mut work = Work {
+            parts: Parts::of(view, usual),
+            usual,
+            geometry: frame.geometry,
+            whole: (view.points_of_whole(), super::extent_m(view)),
+            wants_radii: self.is_by_density(),
+            far: HashMap::new(),
+            far_records: Vec::new(),
+            last_share: 1.0,
+            points: Xyz::default(),
+        };
+        if self.keeps_radii && work.wants_radii {
+            self.radii.resize(view.len(), f32::NAN);
+        }
+        let mut waiting = work.parts.all();
+        while let Some(part) = waiting.pop() {
+            if !self.smooth_part(&buffers, &mut work, &part, out.reborrow())? {
+                if part.len() < 2 {
+                    let (allowed, needed) = (most as u64, work.points.len() as u64);
+                    let (device, what) = (self.gpu.name.clone(), "points at once");
+                    return Err(EngineError::Limit { device, what, allowed, needed }.into());
+                }
+                waiting.extend(work.parts.halves(&part));
+            }
+        }
+        let far_records = std::mem::take(&mut work.far_records);
+        waiting = work.parts.again(far_records, FAR_TOGETHER);
+        while let Some(part) = waiting.pop() {
+            if self.smooth_far(&buffers, &mut work, &part, out.reborrow())? {
+                continue;
+            }
+            match part.len() {
+                1 => waiting.push(part),
+                _ => waiting.extend(work.parts.halves(&part)),
+            }
+        }
+        self.buffers = Some(buffers);
+        Ok(())
+    }
+
+    /// Smooths a part, and notes its points that reach beyond its halo; false if the device does not take it with its halo.
+    fn smooth_part(
+        &mut self,
+        buffers: &Buffers,
+        work: &mut Work,
+        part: &Part,
+        mut out: SmoothedMut<'_>,
+    ) -> Result<bool, Error> {
+        let by_density_m = first_halo_m(&self.params, part.len() as u64, part.area_m2());
+        let mut halo_m = work.last_share * by_density_m;
+        let reach = reach(&self.params);
+        let (mut may_widen, is_small) = (true, work.wants_radii && part.len() <= work.usual / SMALL);
+        loop {
+            if !work.parts.gather(part, halo_m, self.most_points, &mut work.points) {
+                if !is_small || halo_m < LEAST_HALO_M {
+                    return Ok(false);
+                }
+                (halo_m, may_widen) = (NARROWER * halo_m, false);
+                continue;
+            }
+            self.run_part(buffers, work, Own { points: part.len(), largest_radius_m: f32::INFINITY })?;
+            let radii = self.take_results(buffers, work, part, out.reborrow())?;
+            let own = radii.iter().zip(work.parts.own(part));
+            let reach_m = |radius_m: f32| reach * f64::from(radius_m);
+            let needed_m = own.clone().map(|(&radius_m, record)| reach_m(radius_m) - part.to_border_m(record.position));
+            let needed_m: Vec<f64> = needed_m.collect();
+            let needed = needed_halo(halo_m, &needed_m, MAY_REACH_BEYOND * work.usual as f64);
+            if !(needed.is_wider && may_widen) {
+                for ((&radius_m, record), _) in own.zip(&needed_m).filter(|(_, needed_m)| **needed_m > halo_m) {
+                    work.far.insert(record.number, reach_m(radius_m));
+                    work.far_records.push(*record);
+                }
+                if !needed_m.is_empty() && by_density_m > 0.0 {
+                    work.last_share = (needed.halo_m / by_density_m).clamp(1.0, MOST_HALO_SHARE);
+                }
+                return Ok(true);
+            }
+            halo_m = needed.halo_m;
+        }
+    }
+
+    /// Smooths points that reach beyond the halo of their part; false if they are to be tried in halves, or one of them again.
+    fn smooth_far(
+        &mut self,
+        buffers: &Buffers,
+        work: &mut Work,
+        part: &Part,
+        out: SmoothedMut<'_>,
+    ) -> Result<bool, Error> {
+        let reach_m = work.parts.own(part).iter().filter_map(|record| work.far.get(&record.number));
+        let reach_m = reach_m.copied().fold(0.0, f64::max);
+        let mut halo_m = reach_m;
+        while !work.parts.gather(part, halo_m, self.most_points, &mut work.points) {
+            if part.len() > 1 {
+                return Ok(false);
+            }
+            if halo_m < LEAST_HALO_M {
+                return Ok(true);
+            }
+            halo_m *= NARROWER;
+        }
+        self.run_part(buffers, work, Own { points: part.len(), largest_radius_m: halo_m as f32 })?;
+        let radii = self.take_results(buffers, work, part, out)?;
+        let (Some(&radius_m), Some(record)) = (radii.first(), work.parts.own(part).first()) else { return Ok(true) };
+        // With more points around it than in its part its radius is smaller. One that still reaches more than the device takes is left.
+        let smaller_m = reach(&self.params) * f64::from(radius_m);
+        let is_left = halo_m == reach_m || smaller_m > NARROWER * reach_m;
+        work.far.insert(record.number, smaller_m);
+        Ok(is_left)
+    }
+
+    /// Runs all passes on what was gathered.
+    fn run_part(&mut self, buffers: &Buffers, work: &Work, own: Own) -> Result<(), Error> {
+        let Xyz { x, y, z } = &work.points;
+        let view = PointsView::from_planes(x, y, z)?.as_part_of(work.whole.0, work.whole.1);
+        let frame = AdmittedFrame { frame: Frame::Points(view), geometry: work.geometry };
+        Ok(self.run(buffers, &frame, &view, work.wants_radii, own)?)
+    }
+
+    /// Copies the results of a part's own points to where those are in the cloud, and returns their radii by density, if there are any.
+    fn take_results(
+        &mut self,
+        buffers: &Buffers,
+        work: &Work,
+        part: &Part,
+        out: SmoothedMut<'_>,
+    ) -> Result<Vec<f32>, EngineError> {
+        let own = work.parts.own(part);
+        let radii = self.with_results(buffers, work.points.len(), |results| {
+            results.scatter_into(own, out);
+            let has_radii = work.wants_radii && part.has_neighbours();
+            if has_radii { results.radii[..own.len()].to_vec() } else { Vec::new() }
+        })?;
+        if self.keeps_radii {
+            for (record, &radius_m) in own.iter().zip(&radii) {
+                self.radii[record.number as usize] = radius_m;
+            }
+        }
+        Ok(radii)
+    }
+}

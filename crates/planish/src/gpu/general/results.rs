@@ -1,0 +1,95 @@
+//! What a run leaves in the buffer for reading: the results of the points, channel by channel, and their radii by density.
+
+use std::ops::Range;
+
+use super::super::layout::Layout;
+use super::super::results::spawn_copying;
+use super::parts::Record;
+use crate::outputs::{SmoothedMut, VectorsMut};
+use crate::status::Status;
+
+/// The results of a cloud, or of a part of one with its halo.
+pub(super) struct GeneralResults<'a> {
+    /// Status and neighbours lie behind the other channels, a word for each point.
+    pub(super) layout: Layout,
+    pub(super) words: &'a [u32],
+    /// In metres, before their limit; NaN for holes. They mean nothing unless they were asked for.
+    pub(super) radii: &'a [f32],
+}
+
+impl<'a> GeneralResults<'a> {
+    fn numbers(&self, words: Range<usize>) -> &'a [f32] {
+        bytemuck::cast_slice(&self.words[words])
+    }
+
+    /// Copies the results, in the order of the cloud.
+    pub(super) fn copy_into(&self, out: SmoothedMut<'_>) {
+        rayon::scope(|scope| {
+            for (channels, to) in [(self.layout.points(), out.points), (self.layout.normals(), out.normals)] {
+                if let (Some(channels), Some(to)) = (channels, to) {
+                    spawn_copying(scope, channels.map(|channel| self.numbers(channel)), to);
+                }
+            }
+            if let (Some(channel), Some(to)) = (self.layout.curvature(), out.curvature) {
+                let from = self.numbers(channel);
+                scope.spawn(move |_| to.copy_from_slice(from));
+            }
+            let codes = &self.words[self.layout.output_words()..];
+            if let Some(to) = out.status {
+                scope.spawn(move |_| to.iter_mut().zip(codes).for_each(|(to, code)| *to = status(*code)));
+            }
+            if let Some(to) = out.neighbours {
+                scope.spawn(move |_| to.iter_mut().zip(codes).for_each(|(to, code)| *to = neighbours(*code)));
+            }
+        });
+    }
+
+    /// Copies the results of a part's own points, which come first, to where those are in the cloud.
+    pub(super) fn scatter_into(&self, own: &[Record], out: SmoothedMut<'_>) {
+        fn put<T, U: Copy>(own: &[Record], to: &mut [T], from: &[U], set: impl Fn(&mut T, U)) {
+            own.iter().zip(from).for_each(|(record, from)| set(&mut to[record.number as usize], *from));
+        }
+        rayon::scope(|scope| {
+            for (channels, to) in [(self.layout.points(), out.points), (self.layout.normals(), out.normals)] {
+                let (Some(channels), Some(to)) = (channels, to) else { continue };
+                let from = channels.map(|channel| self.numbers(channel));
+                match to {
+                    VectorsMut::Planes(to) => {
+                        for (to, from) in to.into_iter().zip(from) {
+                            scope.spawn(move |_| put(own, to, from, |to, value| *to = value));
+                        }
+                    }
+                    VectorsMut::Rows(to) => scope.spawn(move |_| {
+                        for (axis, from) in from.into_iter().enumerate() {
+                            put(own, to, from, |row, value| row[axis] = value);
+                        }
+                    }),
+                    VectorsMut::Rows4(to) => scope.spawn(move |_| {
+                        for (axis, from) in from.into_iter().enumerate() {
+                            put(own, to, from, |row, value| row[axis] = value);
+                        }
+                    }),
+                }
+            }
+            if let (Some(channel), Some(to)) = (self.layout.curvature(), out.curvature) {
+                let from = self.numbers(channel);
+                scope.spawn(move |_| put(own, to, from, |to, value| *to = value));
+            }
+            let codes = &self.words[self.layout.output_words()..];
+            if let Some(to) = out.status {
+                scope.spawn(move |_| put(own, to, codes, |to, code| *to = status(code)));
+            }
+            if let Some(to) = out.neighbours {
+                scope.spawn(move |_| put(own, to, codes, |to, code| *to = neighbours(code)));
+            }
+        });
+    }
+}
+
+fn status(code: u32) -> Status {
+    Status::of_code(code as u8)
+}
+
+fn neighbours(code: u32) -> u32 {
+    code >> 8
+}

@@ -1,0 +1,18 @@
+// The radius by density of every point before its limit, where the results were, which the host has by then; NaN of holes.
+
+@compute @workgroup_size(256)
+fn write_point_radii(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = number_of(group, groups) * 256u + thread;
+    if i >= cloud.points {
+        return;
+    }
+    var radius = NAN_BITS;
+    if any(keys[i] != HOLE_KEY) {
+        radius = bitcast<u32>(radii[order_out[i]]);
+    }
+    output[order[i]] = radius;
+}
