@@ -18,8 +18,9 @@ use crate::xyz::Xyz;
 
 /// More of a part's points than this share, which reach beyond its halo, ask for a wider one.
 const MAY_REACH_BEYOND: f64 = 0.01;
-/// Points that reach beyond their halo are computed again so many at a time, at most.
+/// Points that reach beyond their halo are computed again so many at a time, or a share of a usual part's.
 const FAR_TOGETHER: usize = 64;
+const FAR_SHARE: usize = 1024;
 /// Points closer than this are at one place, with as many others as the device does not take.
 const LEAST_HALO_M: f64 = 1e-9;
 /// Parts of a usual one's points over this are not cut further for the sake of their halo.
@@ -85,7 +86,7 @@ impl GeneralGpu {
             }
         }
         let far_records = std::mem::take(&mut work.far_records);
-        waiting = work.parts.again(far_records, FAR_TOGETHER);
+        waiting = work.parts.again(far_records, FAR_TOGETHER.max(usual / FAR_SHARE));
         while let Some(part) = waiting.pop() {
             if self.smooth_far(&buffers, &mut work, &part, out.reborrow())? {
                 continue;

@@ -110,6 +110,12 @@ impl Parts {
         let Some([low, high]) = part.bounds else { return to.len() <= most };
         let low = low.map(|value| f64::from(value) - halo_m);
         let high = high.map(|value| f64::from(value) + halo_m);
+        let mut own_numbers: Vec<u32> = Vec::new();
+        if part.is_again {
+            own_numbers.extend(self.own(part).iter().map(|record| record.number));
+            own_numbers.sort_unstable();
+        }
+        let is_own = |number: u32| own_numbers.binary_search(&number).is_ok();
         for other in &self.parts {
             let Some([other_low, other_high]) = other.bounds else { continue };
             let overlaps =
@@ -117,14 +123,14 @@ impl Parts {
             if !overlaps || to.len() > most {
                 continue;
             }
-            for at in other.own.clone().filter(|at| !part.own.contains(at)) {
-                let Record { position, number } = self.records[at];
-                let is_near = (0..3).all(|axis| (low[axis]..=high[axis]).contains(&f64::from(position[axis])));
-                let is_own = || part.is_again && self.own(part).iter().any(|record| record.number == number);
-                if is_near && !is_own() {
-                    push(to, position);
-                }
-            }
+            // In parallel: a part may have millions of points, of which few are near.
+            let first = other.own.start;
+            let near = self.records[other.own.clone()].par_iter().enumerate().filter(|(at, record)| {
+                let is_near = (0..3).all(|axis| (low[axis]..=high[axis]).contains(&f64::from(record.position[axis])));
+                is_near && !part.own.contains(&(first + at)) && !is_own(record.number)
+            });
+            let near: Vec<[f32; 3]> = near.map(|(_, record)| record.position).collect();
+            near.into_iter().for_each(|position| push(to, position));
         }
         to.len() <= most
     }
