@@ -78,6 +78,7 @@ impl Shared {
 struct Publishers {
     points: Publisher<PointCloud2>,
     depth: Publisher<Image>,
+    normals: Publisher<Image>,
     compressed: Option<Publisher<CompressedImage>>,
     diagnostics: Publisher<DiagnosticArray>,
 }
@@ -106,8 +107,10 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     rosout!(node, LogLevel::Info, "planish smooths {} -> {}", image_topic, arguments.topic("points"));
     eprintln!("planish smooths {image_topic} -> {}", arguments.topic("points"));
 
+    let mut smoother = MessageSmoother::new(settings.params, settings.options()).with_adapt_stride(true);
+    smoother.set_normals_image(settings.publish_normals);
     let mut work = Work {
-        smoother: MessageSmoother::new(settings.params, settings.options()).with_adapt_stride(true),
+        smoother,
         is_rectified: is_rectified(&image_topic),
         camera_topic,
         settings,
@@ -292,6 +295,7 @@ fn publish(node: &mut Node, settings: &Settings, arguments: &Arguments) -> Resul
         points: publisher(node, &arguments.topic("points"), ("sensor_msgs", "PointCloud2"), &qos)?,
         depth: publisher(node, &depth, ("sensor_msgs", "Image"), &qos)?,
         compressed,
+        normals: publisher(node, &arguments.topic("normals"), ("sensor_msgs", "Image"), &qos)?,
         diagnostics: publisher(
             node,
             &arguments.topic("/diagnostics"),
@@ -318,6 +322,7 @@ impl Work {
     fn change(&mut self, settings: Settings) {
         self.smoother.set_params(settings.params, true);
         self.smoother.set_outputs(settings.outputs());
+        self.smoother.set_normals_image(settings.publish_normals);
         self.settings = settings;
     }
 
@@ -374,13 +379,15 @@ impl Work {
         let is_rectified = self.is_rectified;
         let camera = |shape| camera.camera(shape, is_rectified);
         let Settings { publish_points, publish_depth, .. } = self.settings;
-        if publish_points && !publish_depth {
-            let cloud = self.smoother.smooth_depth_to_cloud(message, camera)?;
-            let sent = self.publishers.points.publish(cloud);
-            self.count(sent);
-            return Ok(());
-        }
         if !publish_depth {
+            if publish_points {
+                let cloud = self.smoother.smooth_depth_to_cloud(message, camera)?;
+                let sent = self.publishers.points.publish(cloud);
+                self.count(sent);
+            } else {
+                self.smoother.smooth_depth_to_normals(message, camera)?;
+            }
+            self.publish_normals(message.header());
             return Ok(());
         }
         let depth = self.smoother.smooth_depth(message, camera, publish_points)?;
@@ -401,17 +408,27 @@ impl Work {
                 }
             }
         }
+        self.publish_normals(message.header());
         Ok(())
     }
 
     fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<(), MessageError> {
-        if !self.settings.publish_points {
-            return Ok(());
-        }
+        let header = cloud.header.clone();
         let smoothed = self.smoother.smooth_cloud(cloud)?;
-        let sent = self.publishers.points.publish(smoothed);
-        self.count(sent);
+        if self.settings.publish_points {
+            let sent = self.publishers.points.publish(smoothed);
+            self.count(sent);
+        }
+        self.publish_normals(&header);
         Ok(())
+    }
+
+    /// Publishes the normals of the last message, where they are wanted and there is a grid.
+    fn publish_normals(&mut self, header: &Header) {
+        if let Some(image) = self.smoother.normals_image(header.clone()) {
+            let sent = self.publishers.normals.publish(image);
+            self.count(sent);
+        }
     }
 
     fn count<M>(&mut self, sent: Result<(), WriteError<M>>) {

@@ -32,6 +32,7 @@ pub fn declared() -> Vec<Declared> {
         ("normals", Boolean(false), true, "Whether clouds have normal_x, normal_y, normal_z and curvature"),
         ("publish_points", Boolean(true), true, "Whether clouds are published (points)"),
         ("publish_depth", Boolean(false), true, "Whether depth images are published (image_smoothed)"),
+        ("publish_normals", Boolean(false), true, "Whether normals are published as images of 32FC3 (normals)"),
         ("input", text("depth"), false, "depth: images on image_rect with camera_info; points: clouds on input"),
         ("image_transport", text("raw"), false, "raw, or compressedDepth: images on image_rect/compressedDepth"),
         ("qos", text("sensor_data"), false, "How input is subscribed to: sensor_data (best effort) or reliable"),
@@ -62,6 +63,7 @@ pub struct Settings {
     pub normals: bool,
     pub publish_points: bool,
     pub publish_depth: bool,
+    pub publish_normals: bool,
     pub subscribe_reliably: bool,
     pub publish_reliably: bool,
 }
@@ -130,6 +132,7 @@ impl Settings {
             normals: truth("normals")?,
             publish_points: truth("publish_points")?,
             publish_depth: truth("publish_depth")?,
+            publish_normals: truth("publish_normals")?,
             subscribe_reliably: is_reliable("qos")?,
             publish_reliably: is_reliable("publish_qos")?,
         })
@@ -137,7 +140,7 @@ impl Settings {
 
     /// Whether anything is published: clouds have no depth images.
     pub fn publishes(&self) -> bool {
-        self.publish_points || self.publish_depth && self.input != Input::Points
+        self.publish_points || self.publish_normals || self.publish_depth && self.input != Input::Points
     }
 
     /// What the engine is opened with.

@@ -125,6 +125,38 @@ def test_depth_becomes_clouds_and_depth(robot, start):
                         lambda: smoothed and smoothed[-1].encoding == "32FC1")
 
 
+def test_normals_are_images_of_their_own(robot, start):
+    start("-p", "publish_normals:=true")
+    robot.listen(PointCloud2, "points")
+    robot.listen(Image, "normals")
+    images = robot.node.create_publisher(Image, "image_rect", 5)
+    infos = robot.node.create_publisher(CameraInfo, "camera_info", 5)
+    clouds, normals = robot.received["points"], robot.received["normals"]
+    sends = [(infos, camera_info()), (images, image(depth_mm(4)))]
+    robot.publish_until(sends, lambda: clouds and normals)
+    # Clouds have none for that.
+    assert clouds[-1].point_step == 16
+
+    def check(message):
+        assert (message.encoding, message.width, message.height, message.step) == ("32FC3", WIDTH, HEIGHT, 12 * WIDTH)
+        assert (message.header.frame_id, message.header.stamp.sec) == ("lens", 7)
+        pixels = np.frombuffer(bytes(message.data), np.float32).reshape(HEIGHT, WIDTH, 3)
+        assert np.isnan(pixels[:, :4]).all() and np.isfinite(pixels).mean() > 0.9
+        length = np.linalg.norm(pixels, axis=2)
+        assert np.nanmax(np.abs(length - 1)) < 1e-5 and np.nanmax(pixels[..., 2]) < 0
+        return pixels
+
+    both = check(normals[-1])
+    request = SetParameters.Request(parameters=[Parameter(name="publish_points", value=ParameterValue(
+        type=ParameterType.PARAMETER_BOOL, bool_value=False))])
+    service = f"{robot.node.get_namespace()}/planish/set_parameters"
+    assert robot.call(SetParameters, service, request).results[0].successful
+    clouds.clear()
+    normals.clear()
+    robot.publish_until(sends, lambda: len(normals) > 3)
+    assert np.array_equal(check(normals[-1]), both, equal_nan=True) and len(clouds) <= 1
+
+
 def test_parameters_are_listed_changed_and_refused(robot, start):
     start("-p", "strength:=0.25")
     name = f"{robot.node.get_namespace()}/planish"

@@ -9,6 +9,7 @@ mod cloud;
 mod cloud_fields;
 mod depth;
 mod messages;
+mod normals;
 mod smoother;
 
 pub use camera::{camera_info_topic, is_rectified};

@@ -1,6 +1,6 @@
 //! Smooths messages, whatever their shape.
 
-use super::{DepthMessage, DepthPixels, PointCloud2};
+use super::{DepthMessage, DepthPixels, Header, Image, PointCloud2};
 use crate::camera::Camera;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{Error, FormatError, FrameError};
@@ -10,6 +10,7 @@ use crate::outputs::Outputs;
 use crate::params::SmoothParams;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
+use crate::xyz::Xyz;
 
 /// Why a message was not smoothed.
 #[derive(Debug, thiserror::Error)]
@@ -50,6 +51,9 @@ pub struct MessageSmoother {
     read: ReadOptions,
     open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
+    wants_normals_image: bool,
+    /// Where clouds have none.
+    normals: Option<Xyz>,
     /// What was noticed, once.
     warning: Option<String>,
     warned: bool,
@@ -67,6 +71,8 @@ impl MessageSmoother {
             read: ReadOptions::default(),
             open: None,
             smoothed: Smoothed::default(),
+            wants_normals_image: false,
+            normals: None,
             warning: None,
             warned: false,
         }
@@ -95,6 +101,19 @@ impl MessageSmoother {
     /// Sets the fields that clouds get beside points.
     pub fn set_outputs(&mut self, outputs: Outputs) {
         self.options.outputs = outputs;
+    }
+
+    /// Asks for the normals of frames on a grid as an image, whether clouds have them or not.
+    pub fn set_normals_image(&mut self, wanted: bool) {
+        self.wants_normals_image = wanted;
+    }
+
+    /// The normals of the last message in the camera's optical frame, as an image of 32FC3; `None` if they were not asked for, or for a
+    /// cloud without a grid.
+    pub fn normals_image(&self, header: Header) -> Option<Image> {
+        let normals = self.normals.as_ref().or(self.smoothed.normals.as_ref()).filter(|_| self.wants_normals_image)?;
+        let Smoothed { width, height, .. } = self.smoothed;
+        (height > 1).then(|| Image::of_normals(header, (width, height), normals))
     }
 
     /// The engine that smoothed the last message.
@@ -135,6 +154,18 @@ impl MessageSmoother {
                 DepthPixels::Metres { width, height, depth_m }
             }
         })
+    }
+
+    /// Smooths a depth image, of which nothing is needed but its normals ([`normals_image`](Self::normals_image)).
+    ///
+    /// # Errors
+    /// As [`smooth_depth`](Self::smooth_depth).
+    pub fn smooth_depth_to_normals(
+        &mut self,
+        message: &DepthMessage,
+        camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
+    ) -> Result<(), MessageError> {
+        self.smooth_pixels(message, camera, false, false).map(drop)
     }
 
     /// Smooths a depth image into a cloud and nothing else.
@@ -195,6 +226,9 @@ impl MessageSmoother {
 
     fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<(), Error> {
         let grid = frame.grid();
+        let has_normals = outputs.normals;
+        let outputs = outputs.with_normals(has_normals || self.wants_normals_image && grid.is_some());
+        self.smoothed.normals = self.smoothed.normals.take().or(self.normals.take());
         let params = match grid {
             None => self.general,
             Some(_) if self.adapt_stride => self.params.at_resolution_of(frame),
@@ -215,6 +249,10 @@ impl MessageSmoother {
             self.open = None;
         }
         result?;
+        if !has_normals {
+            // Clouds have the fields that are there.
+            self.normals = self.smoothed.normals.take();
+        }
         self.note_lost_points(frame);
         Ok(())
     }
