@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use planish::PointCloud;
-use planish::io::{self, Contents, Encoding};
+use planish::io::{self, Contents, Encoding, Format};
 use planish_tests::data::{folder, general_cloud};
 
 /// The records of a LAS file and what its header says beside their number.
@@ -162,5 +162,30 @@ fn damaged_las_files_are_refused() {
         let mut scaleless = bytes;
         scaleless[131..139].copy_from_slice(&0f64.to_le_bytes());
         assert!(io::decode(&scaleless, None).unwrap_err().to_string().contains("scales"), "{name}");
+    }
+}
+
+#[test]
+fn layers_larger_than_their_chunk_are_refused_before_anything_is_allocated() {
+    // Point formats from 6 on are compressed in layers, whose sizes are behind the first point of a chunk.
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.laz");
+    let cloud = PointCloud::new((0..1000).map(|i| [i as f32, 0.5 * i as f32, (i % 7) as f32]).collect());
+    io::write_cloud(&file, &cloud, Encoding::Binary).unwrap();
+    let bytes = fs::read(&file).unwrap();
+    assert!(io::decode(&bytes, Some(Format::Laz)).is_ok());
+    let number = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    let record = usize::from(u16::from_le_bytes([bytes[105], bytes[106]]));
+    assert!(bytes[104] & 0x3f >= 6, "written in point format {}", bytes[104] & 0x3f);
+    let sizes_at = number(96) + 8 + record + 4;
+    for layer in 0..9 {
+        let mut lying = bytes.clone();
+        lying[sizes_at + 4 * layer..][..4].copy_from_slice(&0xffff_fff0u32.to_le_bytes());
+        let error = io::decode(&lying, Some(Format::Laz)).unwrap_err().to_string();
+        assert!(error.contains("whose layers need"), "{error}");
+        // The same where the file is read in parts.
+        fs::write(&file, &lying).unwrap();
+        let error = io::read_in_parts(&file, 1 << 20, |_| ()).unwrap_err().to_string();
+        assert!(error.contains("a.laz") && error.contains("whose layers need"), "{error}");
     }
 }

@@ -1,9 +1,12 @@
 //! What a header claims, checked against the file before the decoder believes it.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use las::Vlr;
+use laz::laszip::ChunkTable;
+use laz::{LazItemType, LazVlr};
 
 use super::super::FormatResult;
 use crate::error::FormatError;
@@ -15,6 +18,9 @@ pub(super) trait FileBytes {
 
     /// Bytes from a place on; `None` if the file ends before their end, and before anything is allocated.
     fn read(&self, at: usize, len: usize) -> Option<Vec<u8>>;
+
+    /// All of them from a place on.
+    fn reader(&self, at: u64) -> Option<impl Read + Seek>;
 }
 
 impl FileBytes for [u8] {
@@ -24,6 +30,12 @@ impl FileBytes for [u8] {
 
     fn read(&self, at: usize, len: usize) -> Option<Vec<u8>> {
         Some(self.get(at..at.checked_add(len)?)?.to_vec())
+    }
+
+    fn reader(&self, at: u64) -> Option<impl Read + Seek> {
+        let mut reader = Cursor::new(self);
+        reader.set_position(at);
+        Some(reader)
     }
 }
 
@@ -40,6 +52,12 @@ impl FileBytes for File {
         file.seek(SeekFrom::Start(at as u64)).ok()?;
         file.read_exact(&mut bytes).ok()?;
         Some(bytes)
+    }
+
+    fn reader(&self, at: u64) -> Option<impl Read + Seek> {
+        let mut file = self;
+        file.seek(SeekFrom::Start(at)).ok()?;
+        Some(file)
     }
 }
 
@@ -70,6 +88,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     const LARGEST_CHUNK: u64 = 1 << 20;
     let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
     let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
+    let mut description = None;
     // Every record ahead of the points has 54 bytes plus the length it states.
     for _ in 0..u32_at(100)? {
         let user = bytes.read(at.checked_add(2)?, 16)?;
@@ -78,6 +97,8 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
             if chunk != u32::MAX && u64::from(chunk) > points.max(LARGEST_CHUNK) {
                 return Some(Err(FormatError::Malformed(format!("chunks of {chunk} points in a file of {points}"))));
             }
+            let length = usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
+            description = LazVlr::from_buffer(bytes.read(at + 54, length)?).ok();
         }
         at += 54 + usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
     }
@@ -90,6 +111,40 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     // Each begins with an uncompressed point.
     if chunks.saturating_mul(record.max(1)) > bytes.size() {
         return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.size()))));
+    }
+    description.map_or(Some(Ok(())), |description| check_layers(bytes, &description, record))
+}
+
+/// Refuses layers that are larger than their chunk: from version 3 on each chunk begins with a point, the number of points, and the
+/// sizes of the layers of which the others consist.
+fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record: usize) -> Option<FormatResult<()>> {
+    if description.items().iter().all(|item| item.version() < 3) {
+        return Some(Ok(()));
+    }
+    let layers = |item: &laz::LazItem| match item.item_type() {
+        LazItemType::Point14 => 9,
+        LazItemType::RGBNIR14 => 2,
+        LazItemType::Byte14(count) => usize::from(count),
+        _ => 1,
+    };
+    let layers: usize = description.items().iter().map(layers).sum();
+    let points_at = u64::from(u32::from_le_bytes(read_at(bytes, 96)?));
+    // Its decoder trusts the table as it does the points.
+    let table = catch_unwind(AssertUnwindSafe(|| ChunkTable::read_from(bytes.reader(points_at)?, description).ok()));
+    let table = table.ok()??;
+    let mut at = points_at + ChunkTable::OFFSET_SIZE as u64;
+    for chunk in &table {
+        if chunk.byte_count > 0 {
+            let sizes_at = usize::try_from(at).ok()?.checked_add(record + 4)?;
+            let sizes = bytes.read(sizes_at, 4 * layers)?;
+            let size = |size: &[u8]| size.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte));
+            let needed = (record + 4 + 4 * layers) as u64 + sizes.chunks_exact(4).map(size).sum::<u64>();
+            if needed != chunk.byte_count {
+                let text = format!("a chunk of {} bytes whose layers need {needed}", chunk.byte_count);
+                return Some(Err(FormatError::Malformed(text)));
+            }
+        }
+        at = at.checked_add(chunk.byte_count)?;
     }
     Some(Ok(()))
 }
