@@ -1,7 +1,10 @@
 //! General clouds: the fast engines against the reference, and what holds for any cloud.
 
 use planish::agreement::Agreement;
-use planish::{Edges, Engine, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother, Status};
+use planish::{
+    Edges, Engine, EngineError, Error, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother,
+    Status,
+};
 use planish_tests::data::{bunny, folder, general_cloud};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{simulated, small_camera};
@@ -129,10 +132,17 @@ fn real_clouds_agree() {
     }
 }
 
-/// How many points differ by more than rounding between a cloud smoothed on the GPU in parts and at once.
-fn differing_in_parts(points: &[[f32; 3]], params: SmoothParams, points_at_once: usize) -> usize {
+/// How many points differ by more than rounding between a cloud smoothed on the GPU in parts and at once; `None` if its points reach too
+/// many others for parts.
+fn differing_in_parts(points: &[[f32; 3]], params: SmoothParams, points_at_once: usize) -> Option<usize> {
     let whole = smooth(TestEngine::gpu(false), points, params);
-    let parts = smooth(TestEngine { bounds_checks: false, ..TestEngine::in_parts(points_at_once) }, points, params);
+    let options = TestEngine { bounds_checks: false, ..TestEngine::in_parts(points_at_once) }.options(Outputs::ALL);
+    let mut parts = Smoothed::default();
+    let mut smoother = Smoother::open_with(params, &options, None).unwrap();
+    match smoother.smooth(PointsView::from_rows(points).unwrap(), &mut parts) {
+        Err(Error::Engine(EngineError::Limit { .. })) => return None,
+        result => result.unwrap(),
+    }
     let status = |smoothed: &Smoothed, i: usize| smoothed.status.as_ref().map(|status| status[i]);
     let is_same = |i: usize| {
         let [found, expected] = [parts.points.get(i), whole.points.get(i)];
@@ -142,7 +152,7 @@ fn differing_in_parts(points: &[[f32; 3]], params: SmoothParams, points_at_once:
         };
         status(&parts, i) == status(&whole, i) && (0..3).all(is_near)
     };
-    (0..points.len()).filter(|&i| !is_same(i)).count()
+    Some((0..points.len()).filter(|&i| !is_same(i)).count())
 }
 
 #[test]
@@ -156,11 +166,12 @@ fn clouds_in_parts_are_as_those_at_once() {
     let robust = general.with_edges(Edges::Robust);
     for params in [general, general.with_radius_m(0.1), robust.with_radius_m(0.06)] {
         let differing = differing_in_parts(&room, params, 3500);
-        assert!(differing <= 2, "{differing} of the room, {params:?}");
+        assert!(differing.is_some_and(|differing| differing <= 2), "{differing:?} of the room, {params:?}");
     }
     let sphere = uneven_sphere(6000, 3);
     let differing = differing_in_parts(&sphere, general, 4000);
-    assert!(differing <= 3, "{differing} of the sphere");
+    // A hundredth of its points are strays.
+    assert!(differing.is_none_or(|differing| differing <= 3), "{differing:?} of the sphere");
 }
 
 #[test]
@@ -170,10 +181,14 @@ fn clouds_in_parts_are_as_those_at_once_in_every_setting() {
         return;
     }
     let room = frame_points(2);
+    let (mut done, all) = (0, settings().len());
     for params in settings() {
-        let differing = differing_in_parts(&room, params, 9000);
+        let Some(differing) = differing_in_parts(&room, params, 9000) else { continue };
         assert!(differing <= room.len() / 5000, "{differing} of the room, {params:?}");
+        done += 1;
     }
+    // With many neighbours, or edges kept, points reach much of so small a cloud.
+    assert!(2 * done > all, "{done} of {all}");
 }
 
 #[test]
@@ -192,7 +207,7 @@ fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
             smoother.smooth(PointsView::from_rows(points).unwrap(), &mut Smoothed::default())
         };
         let error = smooth(&mut smoother, points).unwrap_err().to_string();
-        assert!(error.contains("allows points at once of 4000"), "{error}");
+        assert!(error.contains("points around one point of 4000"), "{error}");
         smooth(&mut smoother, &sphere[..100]).unwrap();
     }
 }

@@ -48,12 +48,12 @@ pub(crate) fn first_halo_m(params: &SmoothParams, points: u64, area_m2: f64) -> 
 /// Returns the halo that a part needs, from how wide each of its points needs it. So many may reach beyond it.
 pub(crate) fn needed_halo(halo_m: f64, needed_m: &[f64], may_reach_beyond: f64) -> NeededHalo {
     let beyond = needed_m.iter().filter(|needed_m| **needed_m > halo_m).count();
-    if needed_m.is_empty() {
+    let mut finite_m: Vec<f64> = needed_m.iter().copied().filter(|needed_m| needed_m.is_finite()).collect();
+    if finite_m.is_empty() {
         return NeededHalo { halo_m, beyond, is_wider: false };
     }
-    let farthest = needed_m.len().saturating_sub(1 + (may_reach_beyond / 2.0) as usize);
-    let mut needed_m = needed_m.to_vec();
-    let (_, wider_m, _) = needed_m.select_nth_unstable_by(farthest, f64::total_cmp);
+    let farthest = finite_m.len().saturating_sub(1 + (may_reach_beyond / 2.0) as usize);
+    let (_, wider_m, _) = finite_m.select_nth_unstable_by(farthest, f64::total_cmp);
     NeededHalo { halo_m: 1.05 * *wider_m, beyond, is_wider: beyond as f64 > may_reach_beyond }
 }
 

@@ -21,6 +21,12 @@ const MAY_REACH_BEYOND: f64 = 0.01;
 /// Points that reach beyond their halo are computed again so many at a time, or a share of a usual part's.
 const FAR_TOGETHER: usize = 64;
 const FAR_SHARE: usize = 1024;
+/// Runs for each part as dealt at first; clouds that need more are left to other engines.
+const RUNS_A_PART: usize = 64;
+/// More of a cloud's points than this share, which reach more than the device takes, are an error.
+const MAY_BE_INEXACT: f64 = 1e-3;
+/// A halo is widened by so much at a time.
+const MOST_WIDENING: f64 = 4.0;
 /// Points closer than this are at one place, with as many others as the device does not take.
 const LEAST_HALO_M: f64 = 1e-9;
 /// Parts of a usual one's points over this are not cut further for the sake of their halo.
@@ -46,6 +52,10 @@ struct Work {
     last_share: f64,
     /// A part's own points and those of its halo.
     points: Xyz,
+    /// How many runs there may be yet.
+    runs_left: usize,
+    /// How many points may yet be left with what their part gave.
+    inexact_left: usize,
 }
 
 impl GeneralGpu {
@@ -70,17 +80,18 @@ impl GeneralGpu {
             far_records: Vec::new(),
             last_share: 1.0,
             points: Xyz::default(),
+            runs_left: 0,
+            inexact_left: (MAY_BE_INEXACT * view.len() as f64) as usize,
         };
         if self.keeps_radii && work.wants_radii {
             self.radii.resize(view.len(), f32::NAN);
         }
         let mut waiting = work.parts.all();
+        work.runs_left = RUNS_A_PART * waiting.len();
         while let Some(part) = waiting.pop() {
             if !self.smooth_part(&buffers, &mut work, &part, out.reborrow())? {
                 if part.len() < 2 {
-                    let (allowed, needed) = (most as u64, work.points.len() as u64);
-                    let (device, what) = (self.gpu.name.clone(), "points at once");
-                    return Err(EngineError::Limit { device, what, allowed, needed }.into());
+                    return Err(self.too_many_around(&work).into());
                 }
                 waiting.extend(work.parts.halves(&part));
             }
@@ -137,7 +148,9 @@ impl GeneralGpu {
                 }
                 return Ok(true);
             }
-            halo_m = needed.halo_m;
+            // A radius for which most neighbours were missing says little.
+            let base_m = halo_m.max(by_density_m);
+            halo_m = if base_m > 0.0 { needed.halo_m.min(MOST_WIDENING * base_m) } else { needed.halo_m };
         }
     }
 
@@ -157,7 +170,7 @@ impl GeneralGpu {
                 return Ok(false);
             }
             if halo_m < LEAST_HALO_M {
-                return Ok(true);
+                return Err(self.too_many_around(work).into());
             }
             halo_m *= NARROWER;
         }
@@ -168,11 +181,22 @@ impl GeneralGpu {
         let smaller_m = reach(&self.params) * f64::from(radius_m);
         let is_left = halo_m == reach_m || smaller_m > NARROWER * reach_m;
         work.far.insert(record.number, smaller_m);
+        if is_left && halo_m < reach_m {
+            work.inexact_left = work.inexact_left.checked_sub(1).ok_or_else(|| self.too_many_around(work))?;
+        }
         Ok(is_left)
     }
 
+    /// The error of clouds of which points reach more than the device takes, or so many reach far that parts would take too long.
+    fn too_many_around(&self, work: &Work) -> EngineError {
+        let (device, what) = (self.gpu.name.clone(), "numbers of points around one point");
+        let (allowed, needed) = (self.most_points as u64, work.points.len().max(self.most_points + 1) as u64);
+        EngineError::Limit { device, what, allowed, needed }
+    }
+
     /// Runs all passes on what was gathered.
-    fn run_part(&mut self, buffers: &Buffers, work: &Work, own: Own) -> Result<(), Error> {
+    fn run_part(&mut self, buffers: &Buffers, work: &mut Work, own: Own) -> Result<(), Error> {
+        work.runs_left = work.runs_left.checked_sub(1).ok_or_else(|| self.too_many_around(work))?;
         let Xyz { x, y, z } = &work.points;
         let view = PointsView::from_planes(x, y, z)?.as_part_of(work.whole.0, work.whole.1);
         let frame = AdmittedFrame { frame: Frame::Points(view), geometry: work.geometry };

@@ -47,7 +47,7 @@ const LEAST_EXTENT_M: f64 = 1e-18;
 #[derive(Debug, Clone, Copy)]
 struct Own {
     points: usize,
-    /// No radius by density of theirs is larger.
+    /// No radius by density is larger, of the others neither.
     largest_radius_m: f32,
 }
 
