@@ -144,7 +144,7 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
                 return Some(Err(FormatError::Malformed(text)));
             }
         }
-        at = at.checked_add(chunk.byte_count)?;
+        at = at.checked_add(chunk.byte_count).filter(|&end| end <= bytes.size() as u64)?;
     }
     Some(Ok(()))
 }
