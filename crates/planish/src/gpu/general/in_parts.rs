@@ -8,7 +8,7 @@ use std::collections::HashMap;
 
 use super::buffers::Buffers;
 use super::parts::{Part, Parts, Record};
-use super::{GeneralGpu, Own};
+use super::{GeneralGpu, Own, extent_m, middle_of};
 use crate::engine::AdmittedFrame;
 use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry, PointsView};
@@ -74,7 +74,7 @@ impl GeneralGpu {
             parts: Parts::of(view, usual),
             usual,
             geometry: frame.geometry,
-            whole: (view.points_of_whole(), super::extent_m(view)),
+            whole: (view.points_of_whole(), view.extent_m().unwrap_or_else(|| extent_m(&middle_of(view)))),
             wants_radii: self.is_by_density(),
             far: HashMap::new(),
             far_records: Vec::new(),

@@ -138,7 +138,7 @@ impl GeneralGpu {
 
     fn uniform(&self, view: &PointsView<'_>, levels: &Levels, own: Own) -> CloudUniform {
         let middle = middle_of(view);
-        let extent_m = extent_m(view);
+        let extent_m = view.extent_m().unwrap_or_else(|| extent_m(&middle));
         let half = middle.iter().map(|[low, high]| high - low).fold(0.0, f64::max) / 2.0;
         let half_count = match self.params.radius {
             Radius::Neighbours { count } => count as f32 / 2.0,
@@ -342,10 +342,9 @@ fn middle_of(view: &PointsView<'_>) -> [[f64; 2]; 3] {
     [0, 1, 2].map(|axis| middle(view.len(), |i| f64::from(view.get(i)[axis] as f32)).unwrap_or_default())
 }
 
-/// How far most points of the whole cloud span, in metres.
-fn extent_m(view: &PointsView<'_>) -> f64 {
-    let own_m = || middle_of(view).iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
-    view.extent_m().unwrap_or_else(own_m)
+/// How far most points span, in metres.
+fn extent_m(middle: &[[f64; 2]; 3]) -> f64 {
+    middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Positions of a submission.

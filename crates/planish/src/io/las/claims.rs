@@ -164,3 +164,39 @@ pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (mut at, count
 fn read_at<const N: usize>(bytes: &(impl FileBytes + ?Sized), at: usize) -> Option<[u8; N]> {
     bytes.read(at, N)?.try_into().ok()
 }
+
+#[cfg(test)]
+mod tests {
+    use laz::laszip::ChunkTableEntry;
+
+    use super::*;
+    use crate::cloud::PointCloud;
+    use crate::io::{Encoding, Format, encode_cloud};
+
+    #[test]
+    fn a_chunk_that_ends_beyond_the_file_is_refused_though_its_layers_fill_it() {
+        let cloud = PointCloud::new((0..1000).map(|i| [i as f32, 0.5 * i as f32, (i % 7) as f32]).collect());
+        let mut bytes = encode_cloud(Format::Laz, &cloud, Encoding::Binary).unwrap();
+        assert!(matches!(check_chunks(&bytes[..], 1000), Some(Ok(()))));
+        let number = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        let points_at = number(96) as usize;
+        let user_at = bytes.windows(14).position(|window| window == b"laszip encoded").unwrap();
+        let description = LazVlr::from_buffer(&bytes[user_at + 52..points_at]).unwrap();
+        let table_at = number(points_at) as usize;
+        let mut reader = Cursor::new(&bytes);
+        reader.set_position(points_at as u64);
+        let chunk = ChunkTable::read_from(reader, &description).unwrap()[0];
+        // The first layer and the chunk claim as much more.
+        let more = 0x7000_0000u32;
+        let layer_at = points_at + 8 + usize::from(u16::from_le_bytes([bytes[105], bytes[106]])) + 4;
+        let layer = number(layer_at) + more;
+        let mut table = ChunkTable::default();
+        table.push(ChunkTableEntry { byte_count: chunk.byte_count + u64::from(more), ..chunk });
+        bytes[layer_at..layer_at + 4].copy_from_slice(&layer.to_le_bytes());
+        bytes.truncate(table_at);
+        table.write_to(&mut bytes, &description).unwrap();
+        bytes.extend([0; 64]);
+        let checked = check_chunks(&bytes[..], 1000);
+        assert!(checked.is_none(), "{checked:?}");
+    }
+}
