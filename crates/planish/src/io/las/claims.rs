@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use las::Vlr;
 use laz::laszip::ChunkTable;
-use laz::{LazItemType, LazVlr};
+use laz::{LazItem, LazItemType, LazVlr};
 
 use super::super::FormatResult;
 use crate::error::FormatError;
@@ -82,13 +82,25 @@ pub(super) fn claims(bytes: &(impl FileBytes + ?Sized)) -> Option<Claims> {
     Some(Claims { points, record, extended })
 }
 
+/// Refuses headers that are shorter than their version's: the decoder would find what follows elsewhere than [`check_chunks`] does.
+pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatResult<()>> {
+    let [major, minor] = read_at(bytes, 24)?;
+    let (size, needed) = (u16::from_le_bytes(read_at(bytes, 94)?), las::Version::new(major, minor).header_size());
+    Some(if size < needed {
+        let text = format!("a header of {size} bytes, where LAS {major}.{minor} has {needed}");
+        Err(FormatError::Malformed(text))
+    } else {
+        Ok(())
+    })
+}
+
 /// Refuses chunks of points that the file cannot hold: the decoder allocates what is claimed. `None` if it is cut off.
 pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Option<FormatResult<()>> {
     /// More points than that in a chunk are believed only of a file that has them.
     const LARGEST_CHUNK: u64 = 1 << 20;
     let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
     let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
-    let mut description = None;
+    let mut descriptions = Vec::new();
     // Every record ahead of the points has 54 bytes plus the length it states.
     for _ in 0..u32_at(100)? {
         let user = bytes.read(at.checked_add(2)?, 16)?;
@@ -98,7 +110,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
                 return Some(Err(FormatError::Malformed(format!("chunks of {chunk} points in a file of {points}"))));
             }
             let length = usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
-            description = LazVlr::from_buffer(bytes.read(at + 54, length)?).ok();
+            descriptions.push(LazVlr::from_buffer(bytes.read(at + 54, length)?).ok()?);
         }
         at += 54 + usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
     }
@@ -112,7 +124,27 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     if chunks.saturating_mul(record.max(1)) > bytes.size() {
         return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.size()))));
     }
-    description.map_or(Some(Ok(())), |description| check_layers(bytes, &description, record))
+    // Of several the decoder may believe another.
+    let Ok([description]) = <[LazVlr; 1]>::try_from(descriptions) else {
+        return Some(Err(FormatError::Malformed("not one record says how its points are compressed".into())));
+    };
+    let size: usize = description.items().iter().map(item_bytes).sum();
+    if size != record {
+        return Some(Err(FormatError::Malformed(format!("points of {record} bytes, which are compressed as {size}"))));
+    }
+    check_layers(bytes, &description, record)
+}
+
+/// Bytes of one of the items of which a compressed point consists: what the decoder takes, whatever the file says.
+fn item_bytes(item: &LazItem) -> usize {
+    match item.item_type() {
+        LazItemType::Byte(count) | LazItemType::Byte14(count) => count.into(),
+        LazItemType::GpsTime | LazItemType::RGBNIR14 => 8,
+        LazItemType::Point10 => 20,
+        LazItemType::Point14 => 30,
+        LazItemType::RGB12 | LazItemType::RGB14 => 6,
+        LazItemType::WavePacket13 | LazItemType::WavePacket14 => 29,
+    }
 }
 
 /// Refuses layers that are larger than their chunk: from version 3 on each chunk begins with a point, the number of points, and the
@@ -121,7 +153,7 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
     if description.items().iter().all(|item| item.version() < 3) {
         return Some(Ok(()));
     }
-    let layers = |item: &laz::LazItem| match item.item_type() {
+    let layers = |item: &LazItem| match item.item_type() {
         LazItemType::Point14 => 9,
         LazItemType::RGBNIR14 => 2,
         LazItemType::Byte14(count) => usize::from(count),
@@ -172,6 +204,31 @@ mod tests {
     use super::*;
     use crate::cloud::PointCloud;
     use crate::io::{Encoding, Format, encode_cloud};
+
+    #[test]
+    fn headers_shorter_than_their_versions_are_refused() {
+        let cloud = PointCloud::new((0..10).map(|i| [1.0, 2.0, i as f32]).collect());
+        for format in [Format::Las, Format::Laz] {
+            let mut bytes = encode_cloud(format, &cloud, Encoding::Binary).unwrap();
+            assert!(matches!(check_header(&bytes[..]), Some(Ok(()))));
+            bytes[94] -= 1;
+            assert!(
+                matches!(check_header(&bytes[..]), Some(Err(FormatError::Malformed(what))) if what.contains("header of"))
+            );
+        }
+    }
+
+    #[test]
+    fn points_compressed_as_others_are_refused() {
+        let cloud = PointCloud::new((0..1000).map(|i| [i as f32, 0.5 * i as f32, (i % 7) as f32]).collect());
+        let mut bytes = encode_cloud(Format::Laz, &cloud, Encoding::Binary).unwrap();
+        bytes[105] -= 1;
+        let checked = check_chunks(&bytes[..], 1000);
+        assert!(
+            matches!(&checked, Some(Err(FormatError::Malformed(what))) if what.contains("compressed as")),
+            "{checked:?}"
+        );
+    }
 
     #[test]
     fn a_chunk_that_ends_beyond_the_file_is_refused_though_its_layers_fill_it() {

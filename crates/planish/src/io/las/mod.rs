@@ -20,7 +20,7 @@ use crate::xyz::Xyz;
 pub(crate) use stream::LasReader;
 use stream::LasWriter;
 
-use claims::{Claims, FileBytes, check_chunks, claims, extended_records};
+use claims::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
 use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
 
 /// Coordinates of files that we make are multiples of this, where they fit: finer than any scanner measures.
@@ -71,6 +71,7 @@ struct Checked {
 impl Checked {
     fn of(bytes: &(impl FileBytes + ?Sized), format: Format) -> FormatResult<Self> {
         let cut_off = || FormatError::Malformed("cut off".into());
+        check_header(bytes).ok_or_else(cut_off)??;
         let Claims { points, record, extended } = claims(bytes).ok_or_else(cut_off)?;
         let count = usize::try_from(points).unwrap_or(usize::MAX);
         match format {
