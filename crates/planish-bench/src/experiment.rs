@@ -105,9 +105,9 @@ impl<'a> Bench<'a> {
             return Ok(None);
         }
         match error.downcast_ref::<Error>() {
-            Some(Error::Engine(
-                EngineError::Limit { .. } | EngineError::OutOfMemory { .. } | EngineError::Unavailable { .. },
-            )) => {
+            Some(Error::Engine(engine))
+                if engine.is_too_large() || matches!(engine, EngineError::Unavailable { .. }) =>
+            {
                 self.skipped.borrow_mut().push(format!("{what}: {error}"));
                 Ok(None)
             }

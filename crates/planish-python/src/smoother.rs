@@ -5,8 +5,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use planish::{
-    Camera, Engine, EngineError, Error, Frame, OrganizedCloud, Outputs, Progress, SensorPose, SmoothParams, Smoothed,
-    SmoothedMut, SmoothedView, Smoother, Status,
+    Camera, Engine, Error, Frame, OrganizedCloud, Outputs, Progress, SensorPose, SmoothParams, Smoothed, SmoothedMut,
+    SmoothedView, Smoother, Status,
 };
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -167,8 +167,11 @@ impl State {
                 }
             };
             match result {
-                Err(Error::Engine(error @ (EngineError::Limit { .. } | EngineError::OutOfMemory { .. })))
-                    if self.settings.engine() == Engine::Auto && self.instead.is_none() && frame.grid().is_none() =>
+                Err(Error::Engine(error))
+                    if error.is_too_large()
+                        && self.settings.engine() == Engine::Auto
+                        && self.instead.is_none()
+                        && frame.grid().is_none() =>
                 {
                     (self.instead, said) = (Some(Engine::Cpu), Some(error.to_string()));
                 }

@@ -140,7 +140,7 @@ fn differing_in_parts(points: &[[f32; 3]], params: SmoothParams, points_at_once:
     let mut parts = Smoothed::default();
     let mut smoother = Smoother::open_with(params, &options, None).unwrap();
     match smoother.smooth(PointsView::from_rows(points).unwrap(), &mut parts) {
-        Err(Error::Engine(EngineError::Limit { .. })) => return None,
+        Err(Error::Engine(EngineError::Crowded { .. })) => return None,
         result => result.unwrap(),
     }
     let status = |smoothed: &Smoothed, i: usize| smoothed.status.as_ref().map(|status| status[i]);
@@ -207,7 +207,7 @@ fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
             smoother.smooth(PointsView::from_rows(points).unwrap(), &mut Smoothed::default())
         };
         let error = smooth(&mut smoother, points).unwrap_err().to_string();
-        assert!(error.contains("points around one point of 4000"), "{error}");
+        assert!(error.contains("takes 4000 points of a cloud at once"), "{error}");
         smooth(&mut smoother, &sphere[..100]).unwrap();
     }
 }

@@ -149,6 +149,17 @@ pub enum EngineError {
         /// What is needed.
         needed: u64,
     },
+    /// A general cloud of which too many points have more others around them than the device takes at once.
+    #[error(
+        "the GPU {device} takes {points_at_once} points of a cloud at once, and too many points have more around them: \
+         use a smaller radius, fewer neighbours or the CPU engine"
+    )]
+    Crowded {
+        /// The device's name.
+        device: String,
+        /// Points that the device takes at once.
+        points_at_once: u64,
+    },
     /// The device is out of memory.
     #[error("the GPU {device} could not allocate {bytes} bytes: {reason}")]
     OutOfMemory {
@@ -192,6 +203,13 @@ pub enum EngineError {
         /// What the system said.
         reason: String,
     },
+}
+
+impl EngineError {
+    /// Returns whether the frame was too large for the device, and not for every engine.
+    pub fn is_too_large(&self) -> bool {
+        matches!(self, Self::Limit { .. } | Self::Crowded { .. } | Self::OutOfMemory { .. })
+    }
 }
 
 /// A camera or a viewer that is unavailable, or that is gone.

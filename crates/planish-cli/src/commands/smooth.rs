@@ -334,7 +334,7 @@ impl Worker<'_> {
                 }
             }
             if let (Err(Error::Engine(error)), Engine::Auto) = (&result, self.args.smoothing.engine())
-                && matches!(error, EngineError::Limit { .. } | EngineError::OutOfMemory { .. })
+                && error.is_too_large()
             {
                 // How large a general cloud is, is known after auto has chosen.
                 errln!("{}: {error}; smoothed on the CPU", output.display());
@@ -363,7 +363,7 @@ impl Worker<'_> {
 
     /// After an error of the engine: whether there is another device, which the worker goes on with.
     fn leaves_device(&mut self, error: &EngineError, output: &Path) -> bool {
-        if self.devices.len() < 2 || matches!(error, EngineError::Limit { .. }) {
+        if self.devices.len() < 2 || matches!(error, EngineError::Limit { .. } | EngineError::Crowded { .. }) {
             return false;
         }
         errln!("{}: {error}; another device goes on", output.display());

@@ -285,5 +285,9 @@ fn work(shared: &Shared, device: usize, mut smoother: Smoother) -> Result<(), Er
 
 /// Whether another frame may be smoothed where this one was not: it is wrong, or too large.
 fn is_of_frame(error: &Error) -> bool {
-    matches!(error, Error::Frame(_) | Error::Engine(EngineError::Limit { .. } | EngineError::OutOfMemory { .. }))
+    match error {
+        Error::Frame(_) => true,
+        Error::Engine(error) => error.is_too_large(),
+        _ => false,
+    }
 }

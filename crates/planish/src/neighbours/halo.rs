@@ -3,6 +3,8 @@
 //! With a fixed radius its width is known. Radii by density are known only when they have been computed, and those of points whose
 //! neighbours are missing come out too large: a part of which too many points reach beyond the halo is computed again with a wider one.
 
+use rayon::prelude::*;
+
 use crate::method::PLANE_REACH;
 use crate::params::{Edges, Radius, SmoothParams};
 
@@ -47,13 +49,21 @@ pub(crate) fn first_halo_m(params: &SmoothParams, points: u64, area_m2: f64) -> 
 
 /// Returns the halo that a part needs, from how wide each of its points needs it. So many may reach beyond it.
 pub(crate) fn needed_halo(halo_m: f64, needed_m: &[f64], may_reach_beyond: f64) -> NeededHalo {
-    let beyond = needed_m.iter().filter(|needed_m| **needed_m > halo_m).count();
-    let mut finite_m: Vec<f64> = needed_m.iter().copied().filter(|needed_m| needed_m.is_finite()).collect();
-    if finite_m.is_empty() {
+    let beyond = needed_m.par_iter().filter(|needed_m| **needed_m > halo_m).count();
+    let above = |least_m: f64| -> Vec<f64> {
+        needed_m.par_iter().copied().filter(|needed_m| needed_m.is_finite() && *needed_m > least_m).collect()
+    };
+    // Of the points far from the border, which are most, none counts.
+    let may_be_farther = (may_reach_beyond / 2.0) as usize;
+    let mut farthest_m = above(0.0);
+    if farthest_m.len() <= may_be_farther {
+        farthest_m = above(f64::NEG_INFINITY);
+    }
+    if farthest_m.is_empty() {
         return NeededHalo { halo_m, beyond, is_wider: false };
     }
-    let farthest = finite_m.len().saturating_sub(1 + (may_reach_beyond / 2.0) as usize);
-    let (_, wider_m, _) = finite_m.select_nth_unstable_by(farthest, f64::total_cmp);
+    let farthest = farthest_m.len().saturating_sub(1 + may_be_farther);
+    let (_, wider_m, _) = farthest_m.select_nth_unstable_by(farthest, f64::total_cmp);
     NeededHalo { halo_m: 1.05 * *wider_m, beyond, is_wider: beyond as f64 > may_reach_beyond }
 }
 

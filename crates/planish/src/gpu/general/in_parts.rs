@@ -5,15 +5,19 @@
 //! that a halo by them suffices.
 
 use std::collections::HashMap;
+use std::sync::Arc;
+
+use rayon::prelude::*;
 
 use super::buffers::Buffers;
-use super::parts::{Part, Parts, Record};
+use super::parts::{Part, Parts, Record, deal};
 use super::{GeneralGpu, Own, extent_m, middle_of};
 use crate::engine::AdmittedFrame;
 use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry, PointsView};
 use crate::neighbours::halo::{OWN_SHARE, first_halo_m, needed_halo, reach};
 use crate::outputs::SmoothedMut;
+use crate::params::Radius;
 use crate::xyz::Xyz;
 
 /// More of a part's points than this share, which reach beyond its halo, ask for a wider one.
@@ -27,6 +31,8 @@ const RUNS_A_PART: usize = 64;
 const MAY_BE_INEXACT: f64 = 1e-3;
 /// A halo is widened by so much at a time.
 const MOST_WIDENING: f64 = 4.0;
+/// So many times the points that the device takes are surely too many around one point, though they are estimated from a sample.
+const SURELY_TOO_MANY: f64 = 2.0;
 /// Points closer than this are at one place, with as many others as the device does not take.
 const LEAST_HALO_M: f64 = 1e-9;
 /// Parts of a usual one's points over this are not cut further for the sake of their halo.
@@ -35,6 +41,13 @@ const SMALL: usize = 64;
 const NARROWER: f64 = 0.7;
 /// A part's halo begins with what the part before needed, up to so many times what its density asks for.
 const MOST_HALO_SHARE: f64 = 4.0;
+
+/// A part under way.
+struct Task {
+    part: Arc<Part>,
+    /// What its first run adds to the progress.
+    steps: usize,
+}
 
 /// A cloud under way.
 struct Work {
@@ -86,25 +99,32 @@ impl GeneralGpu {
         if self.keeps_radii && work.wants_radii {
             self.radii.resize(view.len(), f32::NAN);
         }
-        let mut waiting = work.parts.all();
-        work.runs_left = RUNS_A_PART * waiting.len();
-        while let Some(part) = waiting.pop() {
-            if !self.smooth_part(&buffers, &mut work, &part, out.reborrow())? {
-                if part.len() < 2 {
-                    return Err(self.too_many_around(&work).into());
+        if let Radius::Fixed { radius_m } = self.params.radius
+            && work.parts.most_around(reach(&self.params) * f64::from(radius_m)) > SURELY_TOO_MANY * most as f64
+        {
+            return Err(self.crowded().into());
+        }
+        let mut tasks: Vec<_> = work.parts.all().map(|part| Task { steps: part.len(), part }).collect();
+        work.runs_left = RUNS_A_PART * tasks.len();
+        while let Some(mut task) = tasks.pop() {
+            if !self.smooth_part(&buffers, &mut work, &mut task, out.reborrow())? {
+                if task.part.len() < 2 {
+                    return Err(self.crowded().into());
                 }
-                waiting.extend(work.parts.halves(&part));
+                let steps = |half: &Part| if task.steps == 0 { 0 } else { half.len() };
+                tasks.extend(task.part.halves().map(|half| Task { steps: steps(&half), part: Arc::new(half) }));
             }
         }
-        let far_records = std::mem::take(&mut work.far_records);
-        waiting = work.parts.again(far_records, FAR_TOGETHER.max(usual / FAR_SHARE));
-        while let Some(part) = waiting.pop() {
+        let mut far_records = std::mem::take(&mut work.far_records);
+        far_records.sort_unstable_by_key(|record| record.number);
+        let mut far = deal(far_records, FAR_TOGETHER.max(usual / FAR_SHARE));
+        while let Some(part) = far.pop() {
             if self.smooth_far(&buffers, &mut work, &part, out.reborrow())? {
                 continue;
             }
             match part.len() {
-                1 => waiting.push(part),
-                _ => waiting.extend(work.parts.halves(&part)),
+                1 => far.push(part),
+                _ => far.extend(part.halves()),
             }
         }
         self.buffers = Some(buffers);
@@ -116,14 +136,16 @@ impl GeneralGpu {
         &mut self,
         buffers: &Buffers,
         work: &mut Work,
-        part: &Part,
+        task: &mut Task,
         mut out: SmoothedMut<'_>,
     ) -> Result<bool, Error> {
+        let part = &*task.part;
         let by_density_m = first_halo_m(&self.params, part.len() as u64, part.area_m2());
         let mut halo_m = work.last_share * by_density_m;
         let reach = reach(&self.params);
-        let (mut may_widen, is_small) = (true, work.wants_radii && part.len() <= work.usual / SMALL);
+        let (mut may_widen, is_small) = (true, work.wants_radii && part.len() <= (work.usual / SMALL).max(1));
         loop {
+            self.progress.check()?;
             if !work.parts.gather(part, halo_m, self.most_points, &mut work.points) {
                 if !is_small || halo_m < LEAST_HALO_M {
                     return Ok(false);
@@ -131,12 +153,13 @@ impl GeneralGpu {
                 (halo_m, may_widen) = (NARROWER * halo_m, false);
                 continue;
             }
-            self.run_part(buffers, work, Own { points: part.len(), largest_radius_m: f32::INFINITY })?;
+            let steps = std::mem::take(&mut task.steps);
+            self.run_part(buffers, work, Own { points: part.len(), steps, largest_radius_m: f32::INFINITY })?;
             let radii = self.take_results(buffers, work, part, out.reborrow())?;
-            let own = radii.iter().zip(work.parts.own(part));
+            let own = radii.iter().zip(part.own());
             let reach_m = |radius_m: f32| reach * f64::from(radius_m);
-            let needed_m = own.clone().map(|(&radius_m, record)| reach_m(radius_m) - part.to_border_m(record.position));
-            let needed_m: Vec<f64> = needed_m.collect();
+            let needed_m = |(&radius_m, record): (&f32, &Record)| reach_m(radius_m) - part.to_border_m(record.position);
+            let needed_m: Vec<f64> = radii.par_iter().zip(part.own()).map(needed_m).collect();
             let needed = needed_halo(halo_m, &needed_m, MAY_REACH_BEYOND * work.usual as f64);
             if !(needed.is_wider && may_widen) {
                 for ((&radius_m, record), _) in own.zip(&needed_m).filter(|(_, needed_m)| **needed_m > halo_m) {
@@ -162,41 +185,40 @@ impl GeneralGpu {
         part: &Part,
         out: SmoothedMut<'_>,
     ) -> Result<bool, Error> {
-        let reach_m = work.parts.own(part).iter().filter_map(|record| work.far.get(&record.number));
+        let reach_m = part.own().iter().filter_map(|record| work.far.get(&record.number));
         let reach_m = reach_m.copied().fold(0.0, f64::max);
         let mut halo_m = reach_m;
         while !work.parts.gather(part, halo_m, self.most_points, &mut work.points) {
+            self.progress.check()?;
             if part.len() > 1 {
                 return Ok(false);
             }
             if halo_m < LEAST_HALO_M {
-                return Err(self.too_many_around(work).into());
+                return Err(self.crowded().into());
             }
             halo_m *= NARROWER;
         }
-        self.run_part(buffers, work, Own { points: part.len(), largest_radius_m: halo_m as f32 })?;
+        self.run_part(buffers, work, Own { points: part.len(), steps: 0, largest_radius_m: halo_m as f32 })?;
         let radii = self.take_results(buffers, work, part, out)?;
-        let (Some(&radius_m), Some(record)) = (radii.first(), work.parts.own(part).first()) else { return Ok(true) };
+        let (Some(&radius_m), Some(record)) = (radii.first(), part.own().first()) else { return Ok(true) };
         // With more points around it than in its part its radius is smaller. One that still reaches more than the device takes is left.
         let smaller_m = reach(&self.params) * f64::from(radius_m);
         let is_left = halo_m == reach_m || smaller_m > NARROWER * reach_m;
         work.far.insert(record.number, smaller_m);
         if is_left && halo_m < reach_m {
-            work.inexact_left = work.inexact_left.checked_sub(1).ok_or_else(|| self.too_many_around(work))?;
+            work.inexact_left = work.inexact_left.checked_sub(1).ok_or_else(|| self.crowded())?;
         }
         Ok(is_left)
     }
 
     /// The error of clouds of which points reach more than the device takes, or so many reach far that parts would take too long.
-    fn too_many_around(&self, work: &Work) -> EngineError {
-        let (device, what) = (self.gpu.name.clone(), "numbers of points around one point");
-        let (allowed, needed) = (self.most_points as u64, work.points.len().max(self.most_points + 1) as u64);
-        EngineError::Limit { device, what, allowed, needed }
+    fn crowded(&self) -> EngineError {
+        EngineError::Crowded { device: self.gpu.name.clone(), points_at_once: self.most_points as u64 }
     }
 
     /// Runs all passes on what was gathered.
     fn run_part(&mut self, buffers: &Buffers, work: &mut Work, own: Own) -> Result<(), Error> {
-        work.runs_left = work.runs_left.checked_sub(1).ok_or_else(|| self.too_many_around(work))?;
+        work.runs_left = work.runs_left.checked_sub(1).ok_or_else(|| self.crowded())?;
         let Xyz { x, y, z } = &work.points;
         let view = PointsView::from_planes(x, y, z)?.as_part_of(work.whole.0, work.whole.1);
         let frame = AdmittedFrame { frame: Frame::Points(view), geometry: work.geometry };
@@ -211,7 +233,7 @@ impl GeneralGpu {
         part: &Part,
         out: SmoothedMut<'_>,
     ) -> Result<Vec<f32>, EngineError> {
-        let own = work.parts.own(part);
+        let own = part.own();
         let radii = self.with_results(buffers, work.points.len(), |results| {
             results.scatter_into(own, out);
             let has_radii = work.wants_radii && part.has_neighbours();

@@ -47,6 +47,8 @@ const LEAST_EXTENT_M: f64 = 1e-18;
 #[derive(Debug, Clone, Copy)]
 struct Own {
     points: usize,
+    /// What the run adds to the progress.
+    steps: usize,
     /// No radius by density is larger, of the others neither.
     largest_radius_m: f32,
 }
@@ -106,7 +108,7 @@ impl GeneralGpu {
             bytes,
         };
         let most_points = buffers::most_points(&engine.gpu, engine.output_words(), params.edges != Edges::Off);
-        engine.most_points = engine.options.points_at_once.unwrap_or(usize::MAX).clamp(1, most_points);
+        engine.most_points = engine.options.points_at_once.unwrap_or(usize::MAX).min(most_points).max(1);
         Ok(engine)
     }
 
@@ -237,7 +239,7 @@ impl GeneralGpu {
             // What is submitted already is computed all the same, for nobody.
             self.progress.check()?;
             gpu.wait(submission)?;
-            self.progress.add(own.points * (number + 1) / count - own.points * number / count);
+            self.progress.add(own.steps * (number + 1) / count - own.steps * number / count);
         }
         buffers.mapped.wait(gpu)?;
         if let Some(timings) = buffers.stamps.as_ref().and_then(|stamps| stamps.timings()) {
@@ -276,7 +278,7 @@ impl GeneralGpu {
         let buffers = self.take_buffers(view.len())?;
         let wants_radii = self.keeps_radii && self.is_by_density();
         // After an error the buffers are dropped: whether they are mapped is not known.
-        let own = Own { points: view.len(), largest_radius_m: f32::INFINITY };
+        let own = Own { points: view.len(), steps: view.len(), largest_radius_m: f32::INFINITY };
         self.run(&buffers, frame, view, wants_radii, own)?;
         self.radii = self.with_results(&buffers, view.len(), |results| {
             results.copy_into(out);

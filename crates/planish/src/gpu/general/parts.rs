@@ -1,13 +1,23 @@
 //! Clouds of more points than the device takes at once: dealt to boxes by medians, each of which is smoothed with a halo of the points
 //! around it (`neighbours/halo.rs`).
+//!
+//! The points of a part lie in the order of the cloud, so that results are put in their places in parallel.
 
-use std::ops::Range;
+use std::cmp::Ordering;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::frame::PointsView;
 use crate::range::MAX_RANGE_M;
 use crate::xyz::Xyz;
+
+/// Points from which the cuts between parts are taken.
+const SAMPLE: usize = 1 << 16;
+/// A part by such cuts may have so many more points than were aimed at.
+const TOLERANCE: f64 = 1.1;
+/// Points that are dealt at a time.
+const CHUNK: usize = 1 << 16;
 
 /// A point, and its number in the cloud.
 #[derive(Debug, Clone, Copy)]
@@ -16,27 +26,36 @@ pub(super) struct Record {
     pub(super) number: u32,
 }
 
-/// A part of the cloud: a range of the records, and the box around them.
-#[derive(Debug, Clone)]
+/// Some points of the cloud, and the box around them.
+#[derive(Debug)]
 pub(super) struct Part {
-    own: Range<usize>,
+    records: Vec<Record>,
     /// The least and the largest coordinates; `None` for points that are no neighbours of others: holes, and those too far away.
     bounds: Option<[[f32; 3]; 2]>,
-    /// Whether its points are those of other parts once more ([`Parts::again`]).
-    is_again: bool,
 }
 
 /// The points of a cloud, part by part.
-pub(super) struct Parts {
-    records: Vec<Record>,
-    /// As dealt at first; [`Parts::halves`] changes the order of records within them.
-    parts: Vec<Part>,
+pub(super) struct Parts(Vec<Arc<Part>>);
+
+/// Cuts between parts, as a tree.
+enum Cuts {
+    Part(usize),
+    At { axis: usize, value: f32, below: Box<Cuts>, above: Box<Cuts> },
 }
 
 impl Part {
+    fn of(records: Vec<Record>) -> Self {
+        Self { bounds: Some(bounds(&records)), records }
+    }
+
+    /// Returns its own points, in the order of the cloud.
+    pub(super) fn own(&self) -> &[Record] {
+        &self.records
+    }
+
     /// Returns how many points are its own.
     pub(super) fn len(&self) -> usize {
-        self.own.len()
+        self.records.len()
     }
 
     /// Returns whether its points may have neighbours.
@@ -58,110 +77,170 @@ impl Part {
         let along = |axis: usize| f64::from((point[axis] - low[axis]).min(high[axis] - point[axis]));
         along(0).min(along(1)).min(along(2))
     }
+
+    /// Returns its points in two halves, of which each has a box of its own.
+    pub(super) fn halves(&self) -> [Self; 2] {
+        cut(&self.records, self.len() / 2)
+            .map(|records| Self { bounds: self.bounds.map(|_| bounds(&records)), records })
+    }
 }
 
 impl Parts {
-    /// Deals the points of a cloud to parts of at most so many.
+    /// Deals the points of a cloud to parts of about so many.
     pub(super) fn of(view: &PointsView<'_>, most: usize) -> Self {
         let record =
             |i: usize| Record { position: view.point(i).to_array().map(|value| value as f32), number: i as u32 };
-        // NaN is none.
-        let is_neighbour = |record: &Record| record.position.iter().all(|value| value.abs() <= MAX_RANGE_M);
-        let mut records: Vec<_> = (0..view.len()).into_par_iter().map(record).filter(is_neighbour).collect();
-        let mut parts = deal(&mut records, 0, most);
-        let neighbours = records.len();
-        records.par_extend((0..view.len()).into_par_iter().map(record).filter(|record| !is_neighbour(record)));
-        let chunks = (neighbours..records.len()).step_by(most);
-        parts.extend(chunks.map(|first| Part {
-            own: first..records.len().min(first + most),
-            bounds: None,
-            is_again: false,
-        }));
-        Self { records, parts }
+        let step = view.len().div_ceil(SAMPLE).max(1);
+        let mut sample: Vec<_> = (0..view.len()).step_by(step).map(record).filter(is_neighbour).collect();
+        let mut parts = 0;
+        let cuts = Cuts::of(&mut sample, view.len().div_ceil(most), &mut parts);
+        // The last group is of those that are no neighbours.
+        let dealt = |chunk: usize| {
+            let mut groups = vec![Vec::new(); parts + 1];
+            for record in (CHUNK * chunk..view.len().min(CHUNK * (chunk + 1))).map(record) {
+                let group = if is_neighbour(&record) { cuts.part(record.position) } else { parts };
+                groups[group].push(record);
+            }
+            groups
+        };
+        let dealt: Vec<_> = (0..view.len().div_ceil(CHUNK)).into_par_iter().map(dealt).collect();
+        let joined = |group: usize| dealt.iter().flat_map(|groups| &groups[group]).copied().collect::<Vec<_>>();
+        let tolerated = (TOLERANCE * most as f64) as usize;
+        let dealt = (0..parts).into_par_iter().flat_map_iter(|part| {
+            let records = joined(part);
+            if records.len() <= tolerated { deal(records, tolerated) } else { deal(records, most) }
+        });
+        let mut all: Vec<_> = dealt.map(Arc::new).collect();
+        let holes = joined(parts);
+        all.extend(holes.chunks(most).map(|records| Arc::new(Part { records: records.to_vec(), bounds: None })));
+        Self(all)
     }
 
     /// Returns the parts as dealt at first.
-    pub(super) fn all(&self) -> Vec<Part> {
-        self.parts.clone()
+    pub(super) fn all(&self) -> impl Iterator<Item = Arc<Part>> {
+        self.0.iter().map(Arc::clone)
     }
 
-    /// Returns the points of a part.
-    pub(super) fn own(&self, part: &Part) -> &[Record] {
-        &self.records[part.own.clone()]
-    }
-
-    /// Cuts a part of two points or more in two.
-    pub(super) fn halves(&mut self, part: &Part) -> Vec<Part> {
-        let halves = deal(&mut self.records[part.own.clone()], part.own.start, part.len().div_ceil(2));
-        halves.into_iter().map(|half| Part { is_again: part.is_again, ..half }).collect()
-    }
-
-    /// Deals some of the points once more, to parts of at most so many.
-    pub(super) fn again(&mut self, mut records: Vec<Record>, most: usize) -> Vec<Part> {
-        let parts = deal(&mut records, self.records.len(), most);
-        self.records.append(&mut records);
-        parts.into_iter().map(|part| Part { is_again: true, ..part }).collect()
+    /// Estimates how many points are closer than this along each axis to the point that has most of them.
+    pub(super) fn most_around(&self, half_m: f64) -> f64 {
+        let all = || self.0.iter().filter(|part| part.has_neighbours()).flat_map(|part| part.own());
+        let count = self.0.iter().filter(|part| part.has_neighbours()).map(|part| part.len()).sum::<usize>();
+        let some = |most: usize| -> Vec<[f32; 3]> {
+            let step = count.div_ceil(most).max(1);
+            all().step_by(step).map(|record| record.position).collect()
+        };
+        let (centres, sample) = (some(SAMPLE / 128), some(SAMPLE / 2));
+        let around = |centre: &[f32; 3]| {
+            let is_near = |point: &&[f32; 3]| {
+                (0..3).all(|axis| (f64::from(point[axis]) - f64::from(centre[axis])).abs() <= half_m)
+            };
+            sample.iter().filter(is_near).count()
+        };
+        let most = centres.par_iter().map(around).max().unwrap_or(0);
+        most as f64 * count as f64 / sample.len().max(1) as f64
     }
 
     /// Writes the points of a part, and behind them those of its halo; false if they are more than `most`.
+    ///
+    /// The part may be one of these, or have some of their points.
     pub(super) fn gather(&self, part: &Part, halo_m: f64, most: usize, to: &mut Xyz) -> bool {
         [&mut to.x, &mut to.y, &mut to.z].into_iter().for_each(Vec::clear);
-        self.own(part).iter().for_each(|record| push(to, record.position));
+        push(to, &part.records);
         let Some([low, high]) = part.bounds else { return to.len() <= most };
         let low = low.map(|value| f64::from(value) - halo_m);
         let high = high.map(|value| f64::from(value) + halo_m);
-        let mut own_numbers: Vec<u32> = Vec::new();
-        if part.is_again {
-            own_numbers.extend(self.own(part).iter().map(|record| record.number));
-            own_numbers.sort_unstable();
-        }
-        let is_own = |number: u32| own_numbers.binary_search(&number).is_ok();
-        for other in &self.parts {
+        let is_own = |number: u32| part.records.binary_search_by_key(&number, |record| record.number).is_ok();
+        for other in &self.0 {
             let Some([other_low, other_high]) = other.bounds else { continue };
             let overlaps =
                 (0..3).all(|axis| f64::from(other_low[axis]) <= high[axis] && f64::from(other_high[axis]) >= low[axis]);
-            if !overlaps || to.len() > most {
+            if !overlaps || std::ptr::eq(part, &**other) {
                 continue;
             }
+            if to.len() > most {
+                return false;
+            }
             // In parallel: a part may have millions of points, of which few are near.
-            let first = other.own.start;
-            let near = self.records[other.own.clone()].par_iter().enumerate().filter(|(at, record)| {
-                let is_near = (0..3).all(|axis| (low[axis]..=high[axis]).contains(&f64::from(record.position[axis])));
-                is_near && !part.own.contains(&(first + at)) && !is_own(record.number)
+            let near = other.records.par_iter().filter(|record| {
+                (0..3).all(|axis| (low[axis]..=high[axis]).contains(&f64::from(record.position[axis])))
+                    && !is_own(record.number)
             });
-            let near: Vec<[f32; 3]> = near.map(|(_, record)| record.position).collect();
-            near.into_iter().for_each(|position| push(to, position));
+            push(to, &near.copied().collect::<Vec<_>>());
         }
         to.len() <= most
     }
 }
 
-fn push(to: &mut Xyz, [x, y, z]: [f32; 3]) {
-    to.x.push(x);
-    to.y.push(y);
-    to.z.push(z);
+impl Cuts {
+    /// Cuts a sample of points into so many parts of about the same size, which are numbered from `part` on; fewer if it has no more.
+    fn of(sample: &mut [Record], parts: usize, part: &mut usize) -> Self {
+        let left = sample.len() * (parts / 2) / parts.max(1);
+        if left == 0 {
+            *part += 1;
+            return Self::Part(*part - 1);
+        }
+        let axis = longest_side(&bounds(sample));
+        let (_, &mut Record { position, .. }, _) =
+            sample.select_nth_unstable_by(left, |a, b| a.position[axis].total_cmp(&b.position[axis]));
+        let (below, above) = sample.split_at_mut(left);
+        let below = Box::new(Self::of(below, parts / 2, part));
+        let above = Box::new(Self::of(above, parts - parts / 2, part));
+        Self::At { axis, value: position[axis], below, above }
+    }
+
+    fn part(&self, position: [f32; 3]) -> usize {
+        match self {
+            Self::Part(part) => *part,
+            Self::At { axis, value, below, above } => {
+                if position[*axis] < *value {
+                    below.part(position)
+                } else {
+                    above.part(position)
+                }
+            }
+        }
+    }
 }
 
-/// Deals records, of which the first has this number among all, to parts of at most so many, and puts them into their order.
-fn deal(records: &mut [Record], first: usize, most: usize) -> Vec<Part> {
+/// Deals points to parts of at most so many.
+pub(super) fn deal(records: Vec<Record>, most: usize) -> Vec<Part> {
     if records.is_empty() {
         return Vec::new();
     }
-    let bounds = bounds(records);
-    let [low, high] = bounds;
-    let count = records.len();
-    if count <= most {
-        return vec![Part { own: first..first + count, bounds: Some(bounds), is_again: false }];
+    if records.len() <= most {
+        return vec![Part::of(records)];
     }
-    let side = |axis: &usize| high[*axis] - low[*axis];
-    let axis = (0..3).max_by(|a, b| side(a).total_cmp(&side(b))).unwrap_or(0);
-    let parts = count.div_ceil(most);
-    let left = (count as u64 * (parts / 2) as u64 / parts as u64) as usize;
-    records.select_nth_unstable_by(left, |a, b| a.position[axis].total_cmp(&b.position[axis]));
-    let (before, after) = records.split_at_mut(left);
-    let (mut dealt, more) = rayon::join(|| deal(before, first, most), || deal(after, first + left, most));
+    let parts = records.len().div_ceil(most);
+    let left = (records.len() as u64 * (parts / 2) as u64 / parts as u64) as usize;
+    let [below, above] = cut(&records, left);
+    drop(records);
+    let (mut dealt, more) = rayon::join(|| deal(below, most), || deal(above, most));
     dealt.extend(more);
     dealt
+}
+
+/// Returns the first so many points along the longest side of the box around them all, and the others.
+fn cut(records: &[Record], left: usize) -> [Vec<Record>; 2] {
+    let axis = longest_side(&bounds(records));
+    // Points at one place may lie on both sides.
+    let order = |a: &Record, b: &Record| -> Ordering {
+        a.position[axis].total_cmp(&b.position[axis]).then(a.number.cmp(&b.number))
+    };
+    let mut sorted = records.to_vec();
+    let (_, &mut first_above, _) = sorted.select_nth_unstable_by(left, order);
+    let (below, above) = records.iter().partition(|record| order(record, &first_above).is_lt());
+    [below, above]
+}
+
+fn push(to: &mut Xyz, records: &[Record]) {
+    let extend = |to: &mut Vec<f32>, axis: usize| to.par_extend(records.par_iter().map(|record| record.position[axis]));
+    rayon::join(|| extend(&mut to.x, 0), || rayon::join(|| extend(&mut to.y, 1), || extend(&mut to.z, 2)));
+}
+
+/// Whether other points may have it as a neighbour.
+fn is_neighbour(record: &Record) -> bool {
+    // NaN is none.
+    record.position.iter().all(|value| value.abs() <= MAX_RANGE_M)
 }
 
 /// The least and the largest coordinates.
@@ -174,6 +253,11 @@ fn bounds(records: &[Record]) -> [[f32; 3]; 2] {
         }
     }
     bounds
+}
+
+fn longest_side([low, high]: &[[f32; 3]; 2]) -> usize {
+    let side = |axis: &usize| high[*axis] - low[*axis];
+    (0..3).max_by(|a, b| side(a).total_cmp(&side(b))).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -189,22 +273,23 @@ mod tests {
         points[7][1] = f32::NAN;
         points[4000][2] = 2.0 * MAX_RANGE_M;
         // Points at one place may lie in several parts.
-        points[100..200].fill([5.0, 2.0, 0.5]);
+        points[1000..3000].fill([5.0, 2.0, 0.5]);
         let view = PointsView::from_rows(&points).unwrap();
-        let mut parts = Parts::of(&view, 700);
-        let mut all = parts.all();
-        assert!(all.iter().all(|part| part.len() <= 700) && all.len() == 9, "{}", all.len());
+        let parts = Parts::of(&view, 700);
+        let mut all: Vec<_> = parts.all().collect();
+        assert!(all.iter().all(|part| part.len() <= 770) && (9..14).contains(&all.len()), "{}", all.len());
         let halved = all.remove(3);
-        all.extend(parts.halves(&halved));
-        let twice: Vec<_> = parts.own(&all[0]).iter().copied().step_by(9).collect();
+        all.extend(halved.halves().map(Arc::new));
+        let twice: Vec<_> = all[0].own().iter().copied().step_by(9).collect();
         let twice_count = twice.len();
-        let again = parts.again(twice, 40);
-        assert!(again.iter().all(|part| part.is_again && part.len() <= 40));
-        all.extend(again);
+        let again = deal(twice, 40);
+        assert!(again.iter().all(|part| part.len() <= 40));
+        all.extend(again.into_iter().map(Arc::new));
         let mut seen = vec![0; points.len()];
         let mut gathered = Xyz::default();
         for part in &all {
-            let own = parts.own(part);
+            let own = part.own();
+            assert!(own.is_sorted_by_key(|record| record.number));
             own.iter().for_each(|record| seen[record.number as usize] += 1);
             assert!(parts.gather(part, 0.3, points.len(), &mut gathered));
             for (i, record) in own.iter().enumerate() {
@@ -226,5 +311,10 @@ mod tests {
         }
         assert!(seen.iter().all(|&times| times == 1 || times == 2));
         assert_eq!(seen.iter().filter(|&&times| times == 2).count(), twice_count);
+        // The points at one place, and all.
+        for (half_m, expected) in [(1e-3, 2000), (20.0, 4998)] {
+            let most = parts.most_around(half_m);
+            assert!((most / f64::from(expected) - 1.0).abs() < 0.01, "{most} of {expected}");
+        }
     }
 }

@@ -44,10 +44,10 @@ impl<'a> GeneralResults<'a> {
         });
     }
 
-    /// Copies the results of a part's own points, which come first, to where those are in the cloud.
+    /// Copies the results of a part's own points, which come first and lie in the order of the cloud, to where those are in it.
     pub(super) fn scatter_into(&self, own: &[Record], out: SmoothedMut<'_>) {
-        fn put<T, U: Copy>(own: &[Record], to: &mut [T], from: &[U], set: impl Fn(&mut T, U)) {
-            own.iter().zip(from).for_each(|(record, from)| set(&mut to[record.number as usize], *from));
+        fn put<T: Send, U: Copy + Sync>(own: &[Record], to: &mut [T], from: &[U], set: impl Fn(&mut T, U) + Sync) {
+            put_from(0, own, to, from, &set);
         }
         rayon::scope(|scope| {
             for (channels, to) in [(self.layout.points(), out.points), (self.layout.normals(), out.normals)] {
@@ -84,6 +84,29 @@ impl<'a> GeneralResults<'a> {
             }
         });
     }
+}
+
+/// Sets what a slice has for some points, of which it begins with the one of number `first`, in parallel.
+fn put_from<T: Send, U: Copy + Sync>(
+    first: usize,
+    own: &[Record],
+    to: &mut [T],
+    from: &[U],
+    set: &(impl Fn(&mut T, U) + Sync),
+) {
+    /// Points that one thread sets.
+    const TOGETHER: usize = 1 << 14;
+    if own.len() <= TOGETHER {
+        own.iter().zip(from).for_each(|(record, from)| set(&mut to[record.number as usize - first], *from));
+        return;
+    }
+    let half = own.len() / 2;
+    let (own, own_after) = own.split_at(half);
+    let (from, from_after) = from.split_at(half);
+    // Their numbers ascend.
+    let first_after = own_after.first().map_or(first, |record| record.number as usize);
+    let (to, to_after) = to.split_at_mut(first_after - first);
+    rayon::join(|| put_from(first, own, to, from, set), || put_from(first_after, own_after, to_after, from_after, set));
 }
 
 fn status(code: u32) -> Status {
