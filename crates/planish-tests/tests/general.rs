@@ -251,6 +251,27 @@ fn holes_stay_holes_at_their_index_and_stray_points_stay_where_they_are() {
 }
 
 #[test]
+fn points_farther_than_the_engines_see_are_isolated_and_change_no_other() {
+    let near = frame_points(1);
+    let mut points = near.clone();
+    points.extend([[2e18, 1.0, 0.0]; 40]);
+    points.extend([[3e18, 1.0, 1.0], [1.0, -2e18, 0.0], [0.0, 0.0, f32::MAX]]);
+    let far = near.len()..points.len();
+    let all = [SmoothParams::general(), SmoothParams::general().with_edges(Edges::Robust)];
+    for params in all.into_iter().chain([SmoothParams::general().with_radius_m(0.05)]) {
+        for (name, engine) in engines() {
+            let [alone, found] = [&near, &points].map(|points| smooth(engine, points, params));
+            let status = found.status.as_ref().unwrap();
+            assert!(far.clone().all(|i| status[i] == Status::Isolated && found.points.get(i) == points[i]), "{name}");
+            assert_eq!(status[..near.len()], alone.status.as_ref().unwrap()[..], "{name}");
+            let moved =
+                |i: usize| (0..3).any(|axis| (found.points.get(i)[axis] - alone.points.get(i)[axis]).abs() > 1e-5);
+            assert!(!(0..near.len()).any(moved), "{name}");
+        }
+    }
+}
+
+#[test]
 fn neither_threads_nor_the_order_of_the_points_change_a_bit() {
     // Of more points the curve of the index goes by a sample, which depends on their order.
     let points = uneven_sphere(9000, 8);

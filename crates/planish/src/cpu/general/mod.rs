@@ -236,7 +236,9 @@ fn smooth_vector<S: Simd, const D: usize>(
             (surface.plane, surface.n, Some(surface.width), radius)
         }
     };
-    let n = valid.select(n, splat(simd, 0.0));
+    // Farther away than squares can say.
+    let is_far = p.x.abs().max(p.y.abs()).max(p.z.abs()).simd_gt(splat(simd, MAX_RANGE_M));
+    let n = valid.select(is_far.select(splat(simd, 1.0), n), splat(simd, 0.0));
     let ray = kernel.sensor.ray(simd, p);
     let projection = rows.projection(false);
     let projected = kernel.fitting.fit::<S, _, D>(
