@@ -181,7 +181,7 @@ fn depth_that_is_mapped_to_a_distorted_colour_image_stays_on_its_surface() {
 }
 
 #[test]
-fn a_recording_that_begins_and_ends_without_colour_plays_whole_without_it() {
+fn a_recording_that_begins_and_ends_without_colour_plays_whole() {
     let folder = tempfile::tempdir().unwrap();
     let Some(camera) = software_camera(true) else { return };
     let (recorded, file) = (frames(20), folder.path().join("late.db3"));
@@ -193,46 +193,63 @@ fn a_recording_that_begins_and_ends_without_colour_plays_whole_without_it() {
         }
         thread::sleep(Duration::from_millis(200));
     });
-    let numbers = |alignment| {
+    // Each frame's number, and whether it has colour.
+    let played = |alignment| {
         let mut source = open(&file, alignment).unwrap();
-        let found = std::iter::from_fn(|| next(&mut source).unwrap()).map(|frame| frame.raw);
-        found.map(|raw| recorded.iter().position(|frame| frame.raw == raw).unwrap()).collect::<Vec<_>>()
+        let frames = std::iter::from_fn(|| next(&mut source).unwrap());
+        let number = |frame: &DepthFrame| recorded.iter().position(|recorded| recorded.raw == frame.raw).unwrap();
+        frames.map(|frame| (number(&frame), frame.rgb.is_some())).collect::<Vec<_>>()
     };
-    assert_eq!(numbers(Some(Alignment::None)), (0..20).collect::<Vec<_>>());
-    // With colour, those from the first to the last image are there, each once.
-    let with_color = numbers(None);
-    assert!(with_color.windows(2).all(|pair| pair[1] == pair[0] + 1), "{with_color:?}");
-    assert!(with_color[0] <= 5 && with_color.last() >= Some(&13), "{with_color:?}");
+    for alignment in [Some(Alignment::None), Some(Alignment::Depth), None] {
+        let played = played(alignment);
+        assert!(played.iter().map(|(number, _)| *number).eq(0..20), "{alignment:?}: {played:?}");
+        let coloured = played.iter().filter(|(_, has_colour)| *has_colour).map(|(number, _)| *number);
+        let coloured: Vec<_> = coloured.collect();
+        if alignment == Some(Alignment::None) {
+            assert!(coloured.is_empty());
+        } else {
+            assert!(coloured.windows(2).all(|pair| pair[1] == pair[0] + 1), "{coloured:?}");
+            assert!(coloured[0] <= 5 && coloured.last() >= Some(&13), "{coloured:?}");
+        }
+    }
 }
 
 #[test]
-fn a_recording_whose_colour_stops_ends_with_the_reason() {
+fn depth_plays_on_where_colour_stops_and_what_needs_it_ends_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let Some(camera) = software_camera(true) else { return };
-    let (recorded, file) = (frames(40), folder.path().join("stops.db3"));
-    let without = folder.path().join("without.db3");
-    for (file, images) in [(&file, 10), (&without, 0)] {
+    let recorded = frames(40);
+    // How many images come first, and which frames have one.
+    for (name, at_start, has_image) in [
+        ("stops", 10, (|i| i < 10) as fn(usize) -> bool),
+        ("none", 0, |_| false),
+        ("pauses", 10, |i| !(10..30).contains(&i)),
+    ] {
+        let file = &folder.path().join(name).with_extension("db3");
         camera.record(file, || {
             for (i, frame) in recorded.iter().enumerate() {
-                let rgb = (i < images).then(|| color_image(i + 1));
+                let rgb = has_image(i).then(|| color_image(i + 1));
                 camera.deliver(i + 1, timestamp_ms(i), &frame.raw, rgb.as_deref());
                 thread::sleep(Duration::from_millis(10));
             }
             thread::sleep(Duration::from_millis(200));
         });
         let mut source = open(file, None).unwrap();
+        let played: Vec<_> = std::iter::from_fn(|| next(&mut source).unwrap()).collect();
+        assert!(played.iter().map(|frame| &frame.raw).eq(recorded.iter().map(|frame| &frame.raw)), "{}", played.len());
+        let coloured = played.iter().filter(|frame| frame.rgb.is_some()).count();
+        assert!(coloured + 1 >= at_start && (at_start > 0 || coloured == 0), "{name}: {coloured}");
+
+        let mut source = open(file, Some(Alignment::Color)).unwrap();
         let mut found = 0;
         let said = loop {
             match next(&mut source) {
-                Ok(Some(frame)) => {
-                    assert!(frame.raw == recorded[found].raw, "frame {found}");
-                    found += 1;
-                }
+                Ok(Some(_)) => found += 1,
                 Ok(None) => break String::new(),
                 Err(error) => break error.to_string(),
             }
         };
-        assert!(found >= images && (said.contains("--align none") || found == 40), "{images}: {found}, {said}");
+        assert!(found + 1 >= at_start && (said.contains("--align none") || found == 40), "{name}: {found}, {said}");
         assert!(next(&mut source).unwrap().is_none());
     }
 }

@@ -3,9 +3,10 @@
 //! The library is `librealsense2.so`, or the path in the environment variable PLANISH_LIBREALSENSE. Its pipeline chooses the
 //! device's default modes, or one that was asked for, and puts depth and colour of one time together; its `align` maps one onto the
 //! other. Of a live camera the newest frames win and frames that are missing by their numbers are counted. Of a recording every
-//! frame of depth comes once; with colour, every one from the first to the last that the library finds colour for, with the image
-//! closest in time.
+//! frame of depth comes once, from the first colour image to the last with the one closest in time ([`all_depth`]). Depth that is
+//! mapped onto colour comes where there is colour alone.
 
+mod all_depth;
 mod api;
 mod camera;
 mod start;
@@ -20,6 +21,7 @@ use super::{Alignment, Source, SourceFrame, StreamMode, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{DeviceError, Error, IoError, ParamError};
 use crate::frame::DepthFrame;
+use all_depth::AllDepth;
 use api::{Functions, Intrinsics, Owned, STREAM_COLOR, STREAM_DEPTH};
 use camera::camera_of;
 use start::{Colour, Started, check_device, start};
@@ -71,6 +73,8 @@ pub struct RealSenseSource {
     recording: Option<PathBuf>,
     aligner: Option<Aligner>,
     held: Option<Held>,
+    /// Of a recording whose colour is mapped onto depth.
+    all_depth: Option<AllDepth>,
     /// Whether a recording has begun, and whether it is over: by its end, or by an error, which is told once.
     has_begun: bool,
     delivered: u64,
@@ -146,6 +150,10 @@ impl RealSenseSource {
         let Started { device, profile, colour } = start(library, &pipeline, input, alignment, mode).map_err(named)?;
         let to = if alignment == Some(Alignment::Color) { STREAM_COLOR } else { STREAM_DEPTH };
         let aligner = (colour != Colour::None).then(|| Aligner::new(library, to)).transpose()?;
+        let all_depth = match &recording {
+            Some(_) if colour != Colour::None && to == STREAM_DEPTH => Some(AllDepth::open(input, camera)?),
+            _ => None,
+        };
         let name = library.name_of(&device);
         let mut description = match name.serial.as_str() {
             "" => name.name,
@@ -161,6 +169,7 @@ impl RealSenseSource {
             recording,
             aligner,
             held: None,
+            all_depth,
             has_begun: false,
             delivered: 0,
             is_over: false,
@@ -335,7 +344,14 @@ impl Source for RealSenseSource {
         if self.is_over {
             return Ok(None);
         }
-        let result = self.wait_for_frame();
+        let result = match self.all_depth.take() {
+            Some(mut all_depth) => {
+                let result = all_depth.next_frame(|| self.wait_for_frame());
+                self.all_depth = Some(all_depth);
+                result
+            }
+            None => self.wait_for_frame(),
+        };
         // What is wrong with a recording stays wrong.
         self.is_over = self.recording.is_some() && !matches!(result, Ok(Some(_)));
         result.map_err(|error| named(self.recording.as_deref(), error))
@@ -350,6 +366,9 @@ impl Source for RealSenseSource {
     }
 
     fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        if let Some(all_depth) = &mut self.all_depth {
+            all_depth.player.end_with(Arc::clone(&ended));
+        }
         self.ended = ended;
     }
 
