@@ -1,7 +1,8 @@
 //! Reading and writing files, without losing fields and without leaving half-written files.
 //!
 //! A format is detected from the contents first, then from the file's extension. Every reader checks what a header claims against
-//! the bytes that are there before it allocates.
+//! the bytes that are there before it allocates. One kind of damage ends the process: GPS times of LAZ (point formats 6 to 10) that
+//! send the decoder, laz 0.13, into a recursion that overflows the stack. Files of strangers are read in a process of their own.
 
 mod camera_file;
 mod columns;
