@@ -303,7 +303,7 @@ mod tests {
             };
             let is_near = |point: &&[f32; 3]| {
                 (0..3).all(|axis| {
-                    (f64::from(low[axis]) - 0.3..=f64::from(high[axis]) + 0.3).contains(&point[axis].into())
+                    (f64::from(low[axis]) - 0.3..=f64::from(high[axis]) + 0.3).contains(&f64::from(point[axis]))
                 })
             };
             assert_eq!(gathered.len(), points.iter().filter(is_near).count());
