@@ -23,7 +23,7 @@ fn main() -> ExitCode {
         println!("planish-ros {}", env!("CARGO_PKG_VERSION"));
         return ExitCode::SUCCESS;
     }
-    return_large_buffers();
+    set_up_memory();
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let run = || {
@@ -39,18 +39,21 @@ fn main() -> ExitCode {
     }
 }
 
-/// Has the allocator give messages back to the system when they are dropped. It would keep those that are freed on other threads than they
-/// were made on, some gigabyte of them.
-fn return_large_buffers() {
+/// Has the allocator give messages back to the system when they are dropped, for it would keep those that are freed on other threads than
+/// they were made on, some gigabyte of them; but has it take memory in large pieces: a message grows within one while it is written,
+/// and its pages need not be cleared for each anew.
+fn set_up_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
+        const M_TOP_PAD: i32 = -2;
         const M_MMAP_THRESHOLD: i32 = -3;
-        const BYTES: i32 = 128 << 10;
         unsafe extern "C" {
             fn mallopt(parameter: i32, value: i32) -> i32;
         }
-        // SAFETY: the C library's own function, with a parameter that it defines; no other thread runs yet.
-        unsafe { mallopt(M_MMAP_THRESHOLD, BYTES) };
+        for (parameter, bytes) in [(M_MMAP_THRESHOLD, 128 << 10), (M_TOP_PAD, 64 << 20)] {
+            // SAFETY: the C library's own function, with parameters that it defines; no other thread runs yet.
+            unsafe { mallopt(parameter, bytes) };
+        }
     }
 }
 
