@@ -67,7 +67,7 @@ pub struct GpuOptions {
     /// How frames get there and results back.
     pub transfer: Transfer,
     /// How many points of a general cloud are on the device at once, at most; `None` for as many as it takes. Larger clouds are smoothed in
-    /// parts, which overlap and take longer; where points reach too many others for that, [`EngineError::Crowded`](crate::EngineError::Crowded).
+    /// parts, which overlap and take longer; where points reach too many others for that, or too many reach far, [`EngineError::Crowded`](crate::EngineError::Crowded).
     pub points_at_once: Option<usize>,
 }
 

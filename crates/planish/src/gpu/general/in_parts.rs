@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::buffers::Buffers;
 use super::parts::{Part, Parts, Record, deal};
+use super::results::repeat;
 use super::{GeneralGpu, Own, extent_m, middle_of};
 use crate::engine::AdmittedFrame;
 use crate::error::{EngineError, Error};
@@ -25,8 +26,10 @@ const MAY_REACH_BEYOND: f64 = 0.01;
 /// Points that reach beyond their halo are computed again so many at a time, or a share of a usual part's.
 const FAR_TOGETHER: usize = 64;
 const FAR_SHARE: usize = 1024;
-/// Runs for each part as dealt at first; clouds that need more are left to other engines.
-const RUNS_A_PART: usize = 64;
+/// Runs for each part as dealt at first; clouds that need more are left to other engines. Scans need some four.
+const RUNS_A_PART: usize = 24;
+/// The share of a part's progress that is told before its points that reach far are done.
+const FIRST_SHARE: f64 = 0.8;
 /// More of a cloud's points than this share, which reach more than the device takes, are an error.
 const MAY_BE_INEXACT: f64 = 1e-3;
 /// A halo is widened by so much at a time.
@@ -71,6 +74,28 @@ struct Work {
     inexact_left: usize,
 }
 
+impl Work {
+    /// Takes the points that reach far, in the order of the cloud: of each place the first, and the pairs of that and each other one.
+    fn far_places(&mut self) -> (Vec<Record>, Vec<(u32, u32)>) {
+        let mut records = std::mem::take(&mut self.far_records);
+        // -0 and 0 are one place.
+        let place = |record: &Record| record.position.map(|value| (value + 0.0).to_bits());
+        records.par_sort_unstable_by_key(|record| (place(record), record.number));
+        let mut repeated = Vec::new();
+        for at_place in records.chunk_by(|a, b| place(a) == place(b)) {
+            let [first, others @ ..] = at_place else { continue };
+            repeated.extend(others.iter().map(|other| (first.number, other.number)));
+            // Each reach is too large by what its part lacked.
+            let reach_m = at_place.iter().filter_map(|record| self.far.get(&record.number));
+            let reach_m = reach_m.copied().fold(f64::INFINITY, f64::min);
+            self.far.insert(first.number, reach_m);
+        }
+        records.dedup_by_key(|record| place(record));
+        records.par_sort_unstable_by_key(|record| record.number);
+        (records, repeated)
+    }
+}
+
 impl GeneralGpu {
     /// Smooths a cloud in parts.
     pub(super) fn smooth_in_parts(
@@ -99,27 +124,42 @@ impl GeneralGpu {
         if self.keeps_radii && work.wants_radii {
             self.radii.resize(view.len(), f32::NAN);
         }
-        if let Radius::Fixed { radius_m } = self.params.radius
-            && work.parts.most_around(reach(&self.params) * f64::from(radius_m)) > SURELY_TOO_MANY * most as f64
-        {
+        let is_crowded = match self.params.radius {
+            Radius::Fixed { radius_m } => {
+                let around = work.parts.most_around(reach(&self.params) * f64::from(radius_m));
+                around > SURELY_TOO_MANY * most as f64
+            }
+            // Half of them are within the radius, unless the extent limits it.
+            Radius::Neighbours { count } => count as usize / 2 > most,
+            Radius::Sensor => false,
+        };
+        if is_crowded {
             return Err(self.crowded().into());
         }
-        let mut tasks: Vec<_> = work.parts.all().map(|part| Task { steps: part.len(), part }).collect();
+        let first_steps = |part: &Part| (FIRST_SHARE * part.len() as f64) as usize;
+        let mut tasks: Vec<_> = work.parts.all().map(|part| Task { steps: first_steps(&part), part }).collect();
+        let mut steps_left = view.len() - tasks.iter().map(|task| task.steps).sum::<usize>();
         work.runs_left = RUNS_A_PART * tasks.len();
         while let Some(mut task) = tasks.pop() {
             if !self.smooth_part(&buffers, &mut work, &mut task, out.reborrow())? {
                 if task.part.len() < 2 {
                     return Err(self.crowded().into());
                 }
-                let steps = |half: &Part| if task.steps == 0 { 0 } else { half.len() };
-                tasks.extend(task.part.halves().map(|half| Task { steps: steps(&half), part: Arc::new(half) }));
+                let [first, second] = task.part.halves().map(Arc::new);
+                let steps = task.steps / 2;
+                tasks.push(Task { part: first, steps });
+                tasks.push(Task { part: second, steps: task.steps - steps });
             }
         }
-        let mut far_records = std::mem::take(&mut work.far_records);
-        far_records.sort_unstable_by_key(|record| record.number);
+        let (far_records, repeated) = work.far_places();
+        let far_count = far_records.len().max(1);
         let mut far = deal(far_records, FAR_TOGETHER.max(usual / FAR_SHARE));
+        let far_steps = steps_left;
         while let Some(part) = far.pop() {
             if self.smooth_far(&buffers, &mut work, &part, out.reborrow())? {
+                let steps = (part.len() * far_steps / far_count).min(steps_left);
+                self.progress.add(steps);
+                steps_left -= steps;
                 continue;
             }
             match part.len() {
@@ -127,6 +167,11 @@ impl GeneralGpu {
                 _ => far.extend(part.halves()),
             }
         }
+        repeat(out, &repeated);
+        if !self.radii.is_empty() {
+            repeated.iter().for_each(|&(from, to)| self.radii[to as usize] = self.radii[from as usize]);
+        }
+        self.progress.add(steps_left);
         self.buffers = Some(buffers);
         Ok(())
     }

@@ -86,6 +86,34 @@ impl<'a> GeneralResults<'a> {
     }
 }
 
+/// Copies the results of points to others at the same place, by pairs of their numbers.
+pub(super) fn repeat(out: SmoothedMut<'_>, pairs: &[(u32, u32)]) {
+    fn copy<T: Copy>(to: &mut [T], pairs: &[(u32, u32)], set: impl Fn(&mut T, T)) {
+        for &(from, number) in pairs {
+            let from = to[from as usize];
+            set(&mut to[number as usize], from);
+        }
+    }
+    for vectors in [out.points, out.normals].into_iter().flatten() {
+        match vectors {
+            VectorsMut::Planes(planes) => {
+                planes.into_iter().for_each(|plane| copy(plane, pairs, |to, from| *to = from));
+            }
+            VectorsMut::Rows(rows) => copy(rows, pairs, |to, from| *to = from),
+            VectorsMut::Rows4(rows) => copy(rows, pairs, |to, [x, y, z, _]| to[..3].copy_from_slice(&[x, y, z])),
+        }
+    }
+    if let Some(curvature) = out.curvature {
+        copy(curvature, pairs, |to, from| *to = from);
+    }
+    if let Some(status) = out.status {
+        copy(status, pairs, |to, from| *to = from);
+    }
+    if let Some(neighbours) = out.neighbours {
+        copy(neighbours, pairs, |to, from| *to = from);
+    }
+}
+
 /// Sets what a slice has for some points, of which it begins with the one of number `first`, in parallel.
 fn put_from<T: Send, U: Copy + Sync>(
     first: usize,
