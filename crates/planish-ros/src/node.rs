@@ -74,9 +74,18 @@ impl Shared {
     }
 }
 
+/// A cloud on its way, whose memory the next one is written to.
+struct SentCloud(Arc<PointCloud2>);
+
+impl serde::Serialize for SentCloud {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.0.serialize(serializer)
+    }
+}
+
 /// Where results go.
 struct Publishers {
-    points: Publisher<PointCloud2>,
+    points: Publisher<SentCloud>,
     depth: Publisher<Image>,
     normals: Publisher<Image>,
     compressed: Option<Publisher<CompressedImage>>,
@@ -116,6 +125,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
         settings,
         node,
         publishers,
+        cloud: Arc::default(),
         statistics: Statistics::new()?,
         warned: BTreeMap::new(),
     };
@@ -313,6 +323,8 @@ struct Work {
     camera_topic: String,
     node: Node,
     publishers: Publishers,
+    /// The last cloud that was published.
+    cloud: Arc<PointCloud2>,
     statistics: Statistics,
     /// When each warning was given last.
     warned: BTreeMap<String, Instant>,
@@ -381,9 +393,9 @@ impl Work {
         let Settings { publish_points, publish_depth, .. } = self.settings;
         if !publish_depth {
             if publish_points {
-                let cloud = self.smoother.smooth_depth_to_cloud(message, camera)?;
-                let sent = self.publishers.points.publish(cloud);
-                self.count(sent);
+                let mut cloud = self.take_cloud();
+                self.smoother.smooth_depth_to_cloud(message, camera, &mut cloud)?;
+                self.publish_cloud(cloud);
             } else {
                 self.smoother.smooth_depth_to_normals(message, camera)?;
             }
@@ -392,9 +404,9 @@ impl Work {
         }
         let depth = self.smoother.smooth_depth(message, camera, publish_points)?;
         if publish_points {
-            let cloud = PointCloud2::of_smoothed(message.header().clone(), self.smoother.smoothed());
-            let sent = self.publishers.points.publish(cloud);
-            self.count(sent);
+            let mut cloud = self.take_cloud();
+            cloud.set_smoothed(message.header().clone(), self.smoother.smoothed());
+            self.publish_cloud(cloud);
         }
         match message.with_pixels(&depth)? {
             DepthMessage::Image(image) => {
@@ -416,11 +428,21 @@ impl Work {
         let header = cloud.header.clone();
         let smoothed = self.smoother.smooth_cloud(cloud)?;
         if self.settings.publish_points {
-            let sent = self.publishers.points.publish(smoothed);
-            self.count(sent);
+            self.publish_cloud(smoothed);
         }
         self.publish_normals(&header);
         Ok(())
+    }
+
+    /// Takes the last cloud, to write the next in its memory.
+    fn take_cloud(&mut self) -> PointCloud2 {
+        Arc::try_unwrap(std::mem::take(&mut self.cloud)).unwrap_or_default()
+    }
+
+    fn publish_cloud(&mut self, cloud: PointCloud2) {
+        self.cloud = Arc::new(cloud);
+        let sent = self.publishers.points.publish(SentCloud(Arc::clone(&self.cloud)));
+        self.count(sent);
     }
 
     /// Publishes the normals of the last message, where they are wanted and there is a grid.

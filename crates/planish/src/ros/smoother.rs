@@ -168,7 +168,7 @@ impl MessageSmoother {
         self.smooth_pixels(message, camera, false, false).map(drop)
     }
 
-    /// Smooths a depth image into a cloud and nothing else.
+    /// Smooths a depth image into a cloud, whose memory is used again, and nothing else.
     ///
     /// # Errors
     /// As [`smooth_depth`](Self::smooth_depth).
@@ -176,9 +176,11 @@ impl MessageSmoother {
         &mut self,
         message: &DepthMessage,
         camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
-    ) -> Result<PointCloud2, MessageError> {
+        cloud: &mut PointCloud2,
+    ) -> Result<(), MessageError> {
         self.smooth_pixels(message, camera, false, true)?;
-        Ok(PointCloud2::of_smoothed(message.header().clone(), &self.smoothed))
+        cloud.set_smoothed(message.header().clone(), &self.smoothed);
+        Ok(())
     }
 
     /// Smooths a depth image; returns it as it came.
