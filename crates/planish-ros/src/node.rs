@@ -74,18 +74,9 @@ impl Shared {
     }
 }
 
-/// A cloud on its way, whose memory the next one is written to.
-struct SentCloud(Arc<PointCloud2>);
-
-impl serde::Serialize for SentCloud {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.0.serialize(serializer)
-    }
-}
-
 /// Where results go.
 struct Publishers {
-    points: Publisher<SentCloud>,
+    points: Publisher<PointCloud2>,
     depth: Publisher<Image>,
     normals: Publisher<Image>,
     compressed: Option<Publisher<CompressedImage>>,
@@ -125,7 +116,6 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
         settings,
         node,
         publishers,
-        cloud: Arc::default(),
         statistics: Statistics::new()?,
         warned: BTreeMap::new(),
     };
@@ -323,8 +313,6 @@ struct Work {
     camera_topic: String,
     node: Node,
     publishers: Publishers,
-    /// The last cloud that was published.
-    cloud: Arc<PointCloud2>,
     statistics: Statistics,
     /// When each warning was given last.
     warned: BTreeMap<String, Instant>,
@@ -393,9 +381,9 @@ impl Work {
         let Settings { publish_points, publish_depth, .. } = self.settings;
         if !publish_depth {
             if publish_points {
-                let mut cloud = self.take_cloud();
-                self.smoother.smooth_depth_to_cloud(message, camera, &mut cloud)?;
-                self.publish_cloud(cloud);
+                let cloud = self.smoother.smooth_depth_to_cloud(message, camera)?;
+                let sent = self.publishers.points.publish(cloud);
+                self.count(sent);
             } else {
                 self.smoother.smooth_depth_to_normals(message, camera)?;
             }
@@ -404,9 +392,9 @@ impl Work {
         }
         let depth = self.smoother.smooth_depth(message, camera, publish_points)?;
         if publish_points {
-            let mut cloud = self.take_cloud();
-            cloud.set_smoothed(message.header().clone(), self.smoother.smoothed());
-            self.publish_cloud(cloud);
+            let cloud = PointCloud2::of_smoothed(message.header().clone(), self.smoother.smoothed());
+            let sent = self.publishers.points.publish(cloud);
+            self.count(sent);
         }
         match message.with_pixels(&depth)? {
             DepthMessage::Image(image) => {
@@ -428,21 +416,11 @@ impl Work {
         let header = cloud.header.clone();
         let smoothed = self.smoother.smooth_cloud(cloud)?;
         if self.settings.publish_points {
-            self.publish_cloud(smoothed);
+            let sent = self.publishers.points.publish(smoothed);
+            self.count(sent);
         }
         self.publish_normals(&header);
         Ok(())
-    }
-
-    /// Takes the last cloud, to write the next in its memory.
-    fn take_cloud(&mut self) -> PointCloud2 {
-        Arc::try_unwrap(std::mem::take(&mut self.cloud)).unwrap_or_default()
-    }
-
-    fn publish_cloud(&mut self, cloud: PointCloud2) {
-        self.cloud = Arc::new(cloud);
-        let sent = self.publishers.points.publish(SentCloud(Arc::clone(&self.cloud)));
-        self.count(sent);
     }
 
     /// Publishes the normals of the last message, where they are wanted and there is a grid.

@@ -238,22 +238,13 @@ impl PointCloud2 {
     /// The cloud of a smoothed frame: x, y, z in 16 bytes a point, with normals and curvature in 32; the fields are float32, as in PCL's
     /// structs.
     pub fn of_smoothed(header: Header, smoothed: &Smoothed) -> Self {
-        let mut cloud = Self::default();
-        cloud.set_smoothed(header, smoothed);
-        cloud
-    }
-
-    /// Makes this the cloud of a smoothed frame, as [`PointCloud2::of_smoothed`] does, in the memory that it has.
-    pub fn set_smoothed(&mut self, header: Header, smoothed: &Smoothed) {
         let with_normals = smoothed.normals.is_some() || smoothed.curvature.is_some();
         let point_step: u32 = if with_normals { 32 } else { 16 };
         let names = ["x", "y", "z"].into_iter().zip([0, 4, 8]);
         let more = NORMALS.into_iter().chain(["curvature"]).zip([16, 20, 24, 28]).filter(|_| with_normals);
         let field = |(name, offset): (&str, u32)| PointField { name: name.into(), offset, datatype: F32, count: 1 };
         let (width, height) = (smoothed.width as u32, smoothed.height as u32);
-        let mut data = std::mem::take(&mut self.data);
-        data.clear();
-        data.reserve(smoothed.points.len() * point_step as usize);
+        let mut data = Vec::with_capacity(smoothed.points.len() * point_step as usize);
         let nan = Xyz::default();
         let normals = smoothed.normals.as_ref().unwrap_or(&nan);
         let curvature = smoothed.curvature.as_deref().unwrap_or_default();
@@ -266,7 +257,7 @@ impl PointCloud2 {
                 data.extend_from_slice(bytemuck::cast_slice(&row));
             }
         }
-        *self = Self {
+        Self {
             header,
             height,
             width,
@@ -276,7 +267,7 @@ impl PointCloud2 {
             row_step: width * point_step,
             data,
             is_dense: (0..smoothed.points.len()).all(|i| smoothed.points.is_finite(i)),
-        };
+        }
     }
 }
 

@@ -168,7 +168,7 @@ impl MessageSmoother {
         self.smooth_pixels(message, camera, false, false).map(drop)
     }
 
-    /// Smooths a depth image into a cloud, whose memory is used again, and nothing else.
+    /// Smooths a depth image into a cloud and nothing else.
     ///
     /// # Errors
     /// As [`smooth_depth`](Self::smooth_depth).
@@ -176,11 +176,9 @@ impl MessageSmoother {
         &mut self,
         message: &DepthMessage,
         camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
-        cloud: &mut PointCloud2,
-    ) -> Result<(), MessageError> {
+    ) -> Result<PointCloud2, MessageError> {
         self.smooth_pixels(message, camera, false, true)?;
-        cloud.set_smoothed(message.header().clone(), &self.smoothed);
-        Ok(())
+        Ok(PointCloud2::of_smoothed(message.header().clone(), &self.smoothed))
     }
 
     /// Smooths a depth image; returns it as it came.
