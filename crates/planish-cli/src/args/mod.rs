@@ -145,7 +145,8 @@ pub struct TopicArgs {
 
 #[derive(clap::Args)]
 pub struct MemoryArgs {
-    /// Refuse files that need more memory than this, and frames that the engine needs more for: bytes, or with K, M, G
+    /// Need no more memory than this: bytes, or with K, M, G. `smooth` and `info` go through larger LAS, LAZ and PLY in parts; other
+    /// files that need more are refused
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     pub max_memory: Option<u64>,
 }

@@ -95,8 +95,12 @@ impl Cloud {
             let is_hole: Vec<bool> = (0..self.points.len()).map(|i| !self.points.positions.is_finite(i)).collect();
             self.remove(&is_hole);
         }
-        let outside = |low, high| move |view: &PointsView<'_>| clean::outside_box(view, low, high);
-        let outside_box = args.crop.map(|crop| self.remove_marked(outside(crop.low, crop.high))).transpose()?;
+        let outside_box = args.crop.map(|crop| {
+            let is_outside = clean::cloud_outside_box(&self.points, crop.low, crop.high)?;
+            self.remove(&is_outside);
+            anyhow::Ok(is_outside.iter().filter(|is_outside| **is_outside).count())
+        });
+        let outside_box = outside_box.transpose()?;
         let merged = args.voxel.map(|size_m| self.thin(args, size_m)).transpose()?;
         let statistical_outliers = args
             .statistical

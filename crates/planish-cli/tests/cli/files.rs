@@ -405,6 +405,22 @@ fn clean_removes_what_was_asked_for_and_keeps_fields_and_grids() {
     assert!(removed.iter().all(|count| *count > 0), "{removed:?}");
     assert!(points.positions.iter().all(|[x, y, _]| x.abs() <= 0.5 && y.abs() <= 0.5));
 
+    // A box is in the frame of the file, however far away that is.
+    let utm = path_of("utm.xyz");
+    let lines = (0..1000).map(|i| format!("{} {} {}\n", 691_000 + i % 100, 5_335_000 + i / 100, 500.25));
+    fs::write(&utm, lines.collect::<String>()).unwrap();
+    let cropped = path_of("cropped.xyz");
+    let report = json_line(&ok(&[
+        "clean",
+        str(&utm),
+        str(&cropped),
+        "--crop",
+        "691010,5335002,500.25,691019,5335004,500.25",
+        "--json",
+    ]));
+    assert_eq!(report["points_out"], 30);
+    assert!(fs::read_to_string(&cropped).unwrap().lines().all(|line| line.starts_with("69101")));
+
     assert!(refused(&["clean", str(&path), str(&cleaned)]).contains("nothing to do"));
     assert!(refused(&["clean", str(&path), str(&path), "--voxel", "0.01"]).contains("the only copy"));
     assert!(refused(&["clean", str(&path), str(&cleaned), "--crop", "9,9,9,10,10,10"]).contains("no point is left"));
