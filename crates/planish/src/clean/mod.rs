@@ -17,7 +17,7 @@ pub use outliers::{radius_outliers, statistical_outliers};
 pub use voxels::voxel_downsample;
 
 /// Marks the points outside the box from `low` to `high`, in metres as the points are; its borders are inside. Points of a
-/// [`PointCloud`](crate::PointCloud) are relative to its origin, for which there is `cloud_outside_box`.
+/// `PointCloud` are relative to its origin, for which there is `cloud_outside_box`.
 ///
 /// # Errors
 /// If the box is empty or not of numbers.
