@@ -97,8 +97,7 @@ impl Cloud {
         }
         let outside_box = args.crop.map(|crop| {
             let is_outside = clean::cloud_outside_box(&self.points, crop.low, crop.high)?;
-            self.remove(&is_outside);
-            anyhow::Ok(is_outside.iter().filter(|is_outside| **is_outside).count())
+            anyhow::Ok(self.remove(&is_outside))
         });
         let outside_box = outside_box.transpose()?;
         let merged = args.voxel.map(|size_m| self.thin(args, size_m)).transpose()?;
@@ -131,12 +130,11 @@ impl Cloud {
         mark: impl FnOnce(&PointsView<'_>) -> Result<Vec<bool>, planish::ParamError>,
     ) -> Result<usize> {
         let is_marked = mark(&PointsView::from_cloud(&self.points).map_err(Error::from)?)?;
-        self.remove(&is_marked);
-        Ok(is_marked.iter().filter(|marked| **marked).count())
+        Ok(self.remove(&is_marked))
     }
 
-    /// Makes holes on a grid, and leaves out points elsewhere.
-    fn remove(&mut self, is_marked: &[bool]) {
+    /// Makes holes of marked points on a grid, and leaves them out elsewhere; returns how many.
+    fn remove(&mut self, is_marked: &[bool]) -> usize {
         if self.grid.is_some() {
             let marked = is_marked.iter().enumerate().filter(|(_, marked)| **marked);
             marked.for_each(|(i, _)| self.points.positions.set(i, [f32::NAN; 3]));
@@ -144,6 +142,7 @@ impl Cloud {
             let kept: Vec<usize> = (0..is_marked.len()).filter(|&i| !is_marked[i]).collect();
             self.points = self.points.select(&kept);
         }
+        is_marked.iter().filter(|marked| **marked).count()
     }
 
     fn thin(&mut self, args: &CleanArgs, size_m: f64) -> Result<usize> {

@@ -2,7 +2,7 @@
 //!
 //! A format is detected from the contents first, then from the file's extension. Every reader checks what a header claims against
 //! the bytes that are there before it allocates. One kind of damage ends the process: GPS times of LAZ (point formats 6 to 10) that
-//! send the decoder, laz 0.13, into a recursion that overflows the stack. Files of strangers are read in a process of their own.
+//! send the decoder, laz 0.13, into a recursion that overflows the stack. Read files of strangers in a process of their own.
 
 mod camera_file;
 mod columns;
