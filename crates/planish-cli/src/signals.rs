@@ -12,6 +12,10 @@ pub const INTERRUPTED: u8 = 130;
 /// Set by the first signal, where a command looks at it.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
+/// SIGXFSZ, on Linux and macOS.
+#[cfg(unix)]
+const FILE_TOO_LARGE: i32 = 25;
+
 /// Handles the signals from here on.
 pub fn install() -> Result<()> {
     let handler = || match STOP.get() {
@@ -25,6 +29,9 @@ pub fn install() -> Result<()> {
     let ignored = ignored_signals();
     ctrlc::set_handler(handler).context("signals cannot be handled")?;
     ignored.into_iter().for_each(ignore);
+    // What is written beyond the limit on a file's size becomes an error then, not the end of the process.
+    #[cfg(unix)]
+    ignore(FILE_TOO_LARGE);
     Ok(())
 }
 

@@ -140,6 +140,13 @@ impl Default for PositionColumns {
     }
 }
 
+/// Lines of the header of a PLY file, without those that state a grid.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Remarks {
+    pub(crate) comments: Vec<String>,
+    pub(crate) obj_infos: Vec<String>,
+}
+
 /// A general point cloud: points in any order, with all their fields.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -156,6 +163,8 @@ pub struct PointCloud {
     pub pose: SensorPose,
     /// The coordinates as the file has them, x, y and z, where f32 loses digits (an axis where it does not may be empty): a point that is not moved is written with all of them.
     pub(crate) exact_m: Option<[Vec<f64>; 3]>,
+    /// What a PLY file says beside its elements, written back to one.
+    pub(crate) remarks: Remarks,
     /// What a LAS file says beside its points: its coordinate system, scales and offsets, and descriptions of extra bytes. It is
     /// written back with the cloud.
     #[cfg(feature = "scans")]
@@ -175,6 +184,7 @@ impl PointCloud {
             position_columns: PositionColumns::default(),
             pose: SensorPose::IDENTITY,
             exact_m: None,
+            remarks: Remarks::default(),
             #[cfg(feature = "scans")]
             las_header: None,
             #[cfg(feature = "scans")]
@@ -282,6 +292,7 @@ impl PointCloud {
             position_columns: self.position_columns,
             pose: self.pose,
             exact_m: None,
+            remarks: self.remarks.clone(),
             #[cfg(feature = "scans")]
             las_header: self.las_header.clone(),
             #[cfg(feature = "scans")]

@@ -24,13 +24,36 @@ impl PointCloud {
         Some((index, packed(&self.attributes[index])?))
     }
 
-    /// Red, green and blue of each point, however the cloud has them; `None` if it has no colour.
+    /// Red, green and blue of each point, packed or apart, if the cloud has them as bytes.
     pub fn rgb(&self) -> Option<Vec<[u8; 3]>> {
         if let Some((_, packed)) = self.packed_colour() {
             return Some(packed.iter().map(|bits| [(bits >> 16) as u8, (bits >> 8) as u8, *bits as u8]).collect());
         }
         let [r, g, b] = [0, 1, 2].map(|channel| self.channel(channel));
         Some(r?.iter().zip(g?).zip(b?).map(|((&r, &g), &b)| [r, g, b]).collect())
+    }
+
+    /// The colours to show, however the cloud has them; `None` if it has none. Of 16 bits, as LAS has them, the upper 8, or the lower where none has
+    /// upper ones; fractions, as Open3D has them, in 255ths.
+    pub fn shown_rgb(&self) -> Option<Vec<[u8; 3]>> {
+        self.rgb().or_else(|| self.wide_rgb())
+    }
+
+    fn wide_rgb(&self) -> Option<Vec<[u8; 3]>> {
+        let channel = |k: usize| self.attribute(CHANNELS[k]).filter(|attribute| attribute.count == 1);
+        let channels = [channel(0)?, channel(1)?, channel(2)?].map(|attribute| &attribute.values);
+        let largest = (0..self.len()).flat_map(|i| channels.map(|values| values.get_f64(i))).fold(0.0, f64::max);
+        let is_fraction =
+            |values: &AttributeValues| matches!(values, AttributeValues::F32(_) | AttributeValues::F64(_));
+        let scale = if channels.into_iter().all(|values| matches!(values, AttributeValues::U16(_))) {
+            if largest > 255.0 { 1.0 / 256.0 } else { 1.0 }
+        } else if channels.into_iter().all(is_fraction) && largest <= 1.0 {
+            255.0
+        } else {
+            return None;
+        };
+        // A cast cuts, and a NaN becomes 0.
+        Some((0..self.len()).map(|i| channels.map(|values| (scale * values.get_f64(i)) as u8)).collect())
     }
 
     fn channel(&self, channel: usize) -> Option<&Vec<u8>> {
@@ -93,5 +116,26 @@ mod tests {
             cloud.pack_colour();
             assert_eq!(cloud, original);
         }
+    }
+
+    #[test]
+    fn colours_of_16_bits_and_fractions_are_seen_and_kept() {
+        let mut cloud = PointCloud::new([[0.0; 3]; 2].into_iter().collect());
+        let mut rgb_of = |channels: [AttributeValues; 3]| {
+            for (name, values) in CHANNELS.iter().zip(channels) {
+                cloud.set_attribute(name, values);
+            }
+            let before = cloud.clone();
+            cloud.pack_colour();
+            assert_eq!(cloud, before);
+            cloud.shown_rgb()
+        };
+        let wide = [vec![0xff00u16, 0x0180].into(), vec![0u16, 0x8000].into(), vec![7u16, 0xffff].into()];
+        assert_eq!(rgb_of(wide), Some(vec![[255, 0, 0], [1, 128, 255]]));
+        let narrow = [vec![255u16, 1].into(), vec![0u16, 128].into(), vec![7u16, 255].into()];
+        assert_eq!(rgb_of(narrow), Some(vec![[255, 0, 7], [1, 128, 255]]));
+        let fractions = [vec![1f32, 0.0].into(), vec![0.5f32, 1.0].into(), vec![0f32, f32::NAN].into()];
+        assert_eq!(rgb_of(fractions), Some(vec![[255, 127, 0], [0, 255, 0]]));
+        assert_eq!(rgb_of([vec![1f32, 2.0].into(), vec![0f32; 2].into(), vec![0f32; 2].into()]), None);
     }
 }

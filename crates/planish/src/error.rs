@@ -27,6 +27,16 @@ fn shortened(value: &str) -> String {
     }
 }
 
+/// Bytes in MiB, of small amounts in KiB, rounded up.
+#[cfg(feature = "io")]
+pub(crate) fn memory(bytes: u64) -> String {
+    if bytes < 10 << 20 {
+        format!("{} KiB", bytes.div_ceil(1 << 10))
+    } else {
+        format!("{} MiB", bytes.div_ceil(1 << 20))
+    }
+}
+
 /// A malformed frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -264,7 +274,7 @@ pub enum FormatError {
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// Reading it would take more memory than allowed.
-    #[error("needs {} MiB of memory, and {} MiB are allowed: raise the limit if the file is what it should be", needed >> 20, allowed >> 20)]
+    #[error("needs {} of memory, and {} are allowed: raise the limit if the file is what it should be", memory(*needed), memory(*allowed))]
     TooLarge {
         /// Bytes that would be needed.
         needed: u64,

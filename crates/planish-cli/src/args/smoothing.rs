@@ -4,8 +4,8 @@ use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use planish::rig::{merged_params, merged_params_in_voxels};
 use planish::{
-    Edges, Engine, FleetDevice, Frame, GpuOptions, OrganizedCloud, Outputs, Project, Radius, SensorModel, SmoothParams,
-    SmootherOptions, Strength,
+    Edges, Engine, FleetDevice, Frame, GpuOptions, OrganizedCloud, Outputs, ParamError, Project, Radius, SensorModel,
+    SmoothParams, SmootherOptions, Strength,
 };
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -170,6 +170,21 @@ impl GpusArgs {
     }
 }
 
+/// Names the option in place of the parameter's field.
+fn by_option(error: ParamError) -> ParamError {
+    const OPTIONS: [(&str, &str); 7] = [
+        ("window", "--window"),
+        ("stride", "--stride"),
+        ("degree", "--degree"),
+        ("radius_m", "--radius"),
+        ("neighbours", "--neighbours"),
+        ("ridge", "--ridge"),
+        ("bandwidth_m", "--bandwidth"),
+    ];
+    let option = OPTIONS.iter().find(|(field, _)| *field == error.field);
+    option.map_or(error.clone(), |(_, field)| ParamError { field, ..error })
+}
+
 impl SmoothingArgs {
     /// The options given that change nothing for a general cloud: it has no pixels, and no sensor.
     pub fn unused_by_general_clouds(&self) -> Vec<&'static str> {
@@ -225,7 +240,7 @@ impl SmoothingArgs {
             Some(ProjectArg::Ray) => params.project = Project::Ray,
             Some(ProjectArg::Normal) => params.project = Project::Normal,
         }
-        params.validate()?;
+        params.validate().map_err(by_option)?;
         Ok(params)
     }
 
@@ -236,9 +251,14 @@ impl SmoothingArgs {
             _ => SmoothParams::general(),
         };
         self.override_fit(&mut params);
+        if params.radius == Radius::Sensor {
+            bail!(
+                "--radius sensor is for frames on a grid: a general cloud takes --neighbours or a --radius in metres"
+            );
+        }
         params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
         params.remove_isolated = self.remove_isolated;
-        params.validate()?;
+        params.validate().map_err(by_option)?;
         Ok(params)
     }
 
@@ -247,7 +267,7 @@ impl SmoothingArgs {
         let mut params = params_of_voxels(voxel_m)?;
         self.override_fit(&mut params);
         params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
-        params.validate()?;
+        params.validate().map_err(by_option)?;
         Ok(params)
     }
 

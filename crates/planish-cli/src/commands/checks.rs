@@ -20,6 +20,10 @@ pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
         (None, _) => {
             bail!("{}: cannot tell the format to write: end the name in {}", output.display(), planish::io::WRITTEN)
         }
+        (Some(format @ (Format::Obj | Format::Stl)), _) => {
+            let name = format.name();
+            bail!("{}: {name} is read, not written: end the name in {}", output.display(), planish::io::WRITTEN)
+        }
         (Some(Format::Pcd | Format::Ply), _) | (_, false) => Ok(()),
         (Some(format), true) => {
             bail!("{}: --encoding is for .pcd and .ply; {} has one encoding", output.display(), format.name())
@@ -88,6 +92,13 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
          smaller --radius in the file's unit, or add --force",
         input.display()
     );
+}
+
+/// Reports what was left out of a file, or taken for something that its name does not say.
+pub fn report_notes(input: &Path, notes: &[String]) {
+    for note in notes {
+        errln!("{}: {note}", input.display());
+    }
 }
 
 /// Reports what the columns of lines of text were taken for.

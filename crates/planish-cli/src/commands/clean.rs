@@ -5,11 +5,11 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, FileRead, Format};
-use planish::{Error, OrganizedCloud, PointCloud, PointsView, clean};
+use planish::{Error, OrganizedCloud, ParamError, PointCloud, PointsView, clean};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::checks::{check_not_input, check_output, convert_colour, report_columns, report_losses};
+use super::checks::{check_not_input, check_output, convert_colour, report_columns, report_losses, report_notes};
 use super::{ms_since, organized};
 use crate::args::CleanArgs;
 
@@ -45,7 +45,8 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     }
     check_not_input(input, output, Some(args.overwrite))?;
     let start = Instant::now();
-    let FileRead { format, encoding, contents, .. } = io::read_file(input, &args.memory.read_options())?;
+    let FileRead { format, encoding, contents, notes, .. } = io::read_file(input, &args.memory.read_options())?;
+    report_notes(input, &notes);
     let mut cloud = match contents {
         Contents::General(points) => {
             report_columns(input, format, &points);
@@ -56,12 +57,13 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
             Cloud { grid: Some((cloud.width(), cloud.height())), points: cloud.points }
         }
     };
+    io::check_writable(output, &cloud.points)?;
     let read_ms = ms_since(start);
 
     let start = Instant::now();
     let mut report = cloud.clean(args).with_context(|| input.display().to_string())?;
     (report.read_ms, report.clean_ms) = (read_ms, ms_since(start));
-    if report.points_out == 0 {
+    if report.points_out == 0 && report.points_in > 0 {
         bail!("{}: no point is left, so nothing is written", input.display());
     }
 
@@ -96,18 +98,25 @@ impl Cloud {
             self.remove(&is_hole);
         }
         let outside_box = args.crop.map(|crop| {
-            let is_outside = clean::cloud_outside_box(&self.points, crop.low, crop.high)?;
+            let is_outside = clean::cloud_outside_box(&self.points, crop.low, crop.high);
+            let is_outside = is_outside.map_err(|error| ParamError { field: "--crop", ..error })?;
             anyhow::Ok(self.remove(&is_outside))
         });
         let outside_box = outside_box.transpose()?;
         let merged = args.voxel.map(|size_m| self.thin(args, size_m)).transpose()?;
         let statistical_outliers = args
             .statistical
-            .map(|of| self.remove_marked(|view| clean::statistical_outliers(view, of.neighbours, of.deviations)))
+            .map(|of| {
+                self.remove_marked("--statistical", |view| {
+                    clean::statistical_outliers(view, of.neighbours, of.deviations)
+                })
+            })
             .transpose()?;
         let radius_outliers = args
             .radius
-            .map(|of| self.remove_marked(|view| clean::radius_outliers(view, of.radius_m, of.least)))
+            .map(|of| {
+                self.remove_marked("--radius-outliers", |view| clean::radius_outliers(view, of.radius_m, of.least))
+            })
             .transpose()?;
         let points_out = self.points.valid_points();
         let (read_ms, clean_ms, write_ms) = Default::default();
@@ -124,12 +133,14 @@ impl Cloud {
         })
     }
 
-    /// Removes the points that are marked; returns how many.
+    /// Removes the points that an option marks; returns how many.
     fn remove_marked(
         &mut self,
-        mark: impl FnOnce(&PointsView<'_>) -> Result<Vec<bool>, planish::ParamError>,
+        option: &'static str,
+        mark: impl FnOnce(&PointsView<'_>) -> Result<Vec<bool>, ParamError>,
     ) -> Result<usize> {
-        let is_marked = mark(&PointsView::from_cloud(&self.points).map_err(Error::from)?)?;
+        let is_marked = mark(&PointsView::from_cloud(&self.points).map_err(Error::from)?);
+        let is_marked = is_marked.map_err(|error| ParamError { field: option, ..error })?;
         Ok(self.remove(&is_marked))
     }
 
@@ -150,7 +161,8 @@ impl Cloud {
         if self.grid.take().is_some() {
             errln!("{}: --voxel makes a general cloud of an organized one", args.input.display());
         }
-        self.points = clean::voxel_downsample(&self.points, size_m)?;
+        let thinned = clean::voxel_downsample(&self.points, size_m);
+        self.points = thinned.map_err(|error| ParamError { field: "--voxel", ..error })?;
         Ok(before - self.points.len())
     }
 }

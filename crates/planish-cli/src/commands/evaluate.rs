@@ -139,6 +139,9 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
         raw: patch_planes(cloud, &cloud.positions, normals_field(cloud).as_ref())?,
         smoothed: patch_planes(cloud, &points, normals.as_ref())?,
     };
+    if report.raw.patches == 0 {
+        bail!("{}: no 64 points that lie on one surface, by which it could be judged", report.file);
+    }
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
         return Ok(ExitCode::SUCCESS);

@@ -55,6 +55,9 @@ pub fn run(args: &InfoArgs) -> Result<ExitCode> {
         if planish::bag::is_bag(&file) {
             return bag::show(args, &file);
         }
+        if super::checks::is_mcap(&file) && file.is_file() {
+            anyhow::bail!("{}: no recording in MCAP: it does not begin as one", file.display());
+        }
     }
     if !args.camera.is_given()
         && args.file != Path::new("-")

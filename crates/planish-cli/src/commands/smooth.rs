@@ -8,22 +8,28 @@ mod report;
 mod tiles;
 
 use crate::exit::ExitCode;
+use std::collections::HashSet;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, ReadOptions};
 use planish::{
-    DepthFrame, DepthImage, Engine, EngineError, Error, FleetDevice, Frame, IntoFrame, OrganizedCloud, Outputs,
+    DepthFrame, DepthImage, Edges, Engine, EngineError, Error, FleetDevice, Frame, IntoFrame, OrganizedCloud, Outputs,
     PointCloud, PointsView, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
     SmootherOptions,
 };
 use planish_bench::{errln, outln};
 
 use progress::with_progress;
-use report::{Report, SmoothTimes, StatusCounts, likely_cause, print_report, report_range_rule, summarize};
+use report::{
+    Report, SmoothTimes, StatusCounts, likely_cause, print_report, report_assumed_sensor, report_range_rule, summarize,
+};
 
-use super::checks::{check_not_input, check_output, check_radius, convert_colour, report_columns, report_losses};
+use super::checks::{
+    check_not_input, check_output, check_radius, convert_colour, report_columns, report_losses, report_notes,
+};
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs};
 
@@ -43,6 +49,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         device: 0,
         open: None,
         smoothed: Smoothed::default(),
+        noted: Arc::default(),
     };
     if args.format.as_ref().is_some_and(|extension| extension.contains(['/', '\\'])) {
         bail!("--format takes a file's extension, as ply, not a path");
@@ -97,6 +104,8 @@ struct Worker<'a> {
     device: usize,
     open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
+    /// What was said of the inputs of all workers.
+    noted: Arc<Mutex<HashSet<String>>>,
 }
 
 /// A frame needs more memory than its worker has.
@@ -128,8 +137,16 @@ impl Worker<'_> {
             return Ok(report);
         }
         let start = Instant::now();
-        let FileRead { format, encoding, mut contents, .. } = io::read_file(input, &self.read_options())?;
+        let FileRead { format, encoding, mut contents, mut notes, .. } = io::read_file(input, &self.read_options())?;
         let read_ms = ms_since(start);
+        // Of the frames of a folder each is said once.
+        notes.retain(|note| self.noted.lock().is_ok_and(|mut noted| noted.insert(note.clone())));
+        report_notes(input, &notes);
+        match &contents {
+            Contents::Organized(cloud) if !is_depth(output) => io::check_writable(output, cloud)?,
+            Contents::General(cloud) => io::check_writable(output, cloud)?,
+            _ => {}
+        }
         let (width, height) = contents.shape();
         self.set_pose(input, &mut contents)?;
 
@@ -200,11 +217,7 @@ impl Worker<'_> {
     ) -> Result<(Output, PointCounts, SmoothTimes)> {
         let shape = contents.shape();
         let in_metres = matches!(contents, Contents::DepthMetres { .. });
-        let depth_out = match Format::of_extension(output) {
-            Some(Format::DepthPng | Format::DepthTiff) => true,
-            Some(Format::Npy) => contents.is_depth(),
-            _ => false,
-        };
+        let depth_out = is_depth(output) || (Format::of_extension(output) == Some(Format::Npy) && contents.is_depth());
         if in_metres && self.args.camera.depth_scale.is_some() {
             bail!("{}: depth as floats is in metres; --depth-scale is for 16-bit images", input.display());
         }
@@ -283,7 +296,11 @@ impl Worker<'_> {
         }
         let outputs = self.args.outputs().with_status(true);
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
-        self.smooth(output, cloud.into_frame().map_err(of_input)?, outputs, params)
+        let frame = cloud.into_frame().map_err(of_input)?;
+        if outputs.normals {
+            report_assumed_sensor(input, frame);
+        }
+        self.smooth(output, frame, outputs, params)
     }
 
     /// The parameters for a general cloud; says what is assumed, and what changes nothing.
@@ -294,8 +311,9 @@ impl Worker<'_> {
         }
         if let (Radius::Neighbours { count }, None) = (params.radius, self.args.smoothing.neighbours) {
             errln!(
-                "{}: a general cloud, smoothed with about {count} neighbours of each point (--neighbours or --radius to change that)",
-                input.display()
+                "{}: a general cloud, smoothed with about {count} neighbours of each point (--neighbours or --radius to change that{})",
+                input.display(),
+                if params.edges == Edges::Robust { "" } else { "; --edges robust keeps edges sharp" }
             );
         }
         let unused = self.args.smoothing.unused_by_general_clouds();
@@ -382,8 +400,8 @@ impl Worker<'_> {
         if needed > allowed {
             let text = format!(
                 "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
-                needed >> 20,
-                allowed >> 20
+                needed.div_ceil(1 << 20),
+                allowed.div_ceil(1 << 20)
             );
             return Err(NeedsMemory(text).into());
         }
@@ -426,6 +444,11 @@ impl Worker<'_> {
     fn status_counts(&self) -> StatusCounts {
         StatusCounts::of(self.smoothed.status_counts().unwrap_or_default())
     }
+}
+
+/// Whether a file is an image of depth by its name.
+fn is_depth(path: &Path) -> bool {
+    matches!(Format::of_extension(path), Some(Format::DepthPng | Format::DepthTiff))
 }
 
 /// What an engine and its results take at most for each point (the default setting and all outputs: 130 to 150 bytes).

@@ -42,6 +42,10 @@ const MAX_ASSUMED_RANGE_M: f64 = 5.0;
 const SMALL_SPREAD: f64 = 0.5;
 /// An unknown sensor may be assumed at the origin of coordinates that is at most so many extents of the cloud away.
 const MAX_EXTENTS: f64 = 1000.0;
+/// That of a general cloud also at most so far: beyond, coordinates are those of a map.
+const MAX_ORIGIN_M: f64 = 20_000.0;
+/// General clouds are judged by no more points than this.
+const GENERAL_SAMPLE: usize = 4096;
 
 impl RangeRule {
     /// Metres between neighbouring pixels at a range of 1 m; that of a Kinect v1 where it is not known.
@@ -70,15 +74,20 @@ pub(crate) struct FrameGeometry {
 impl FrameGeometry {
     /// Of a frame for an engine that needs to know ranges, or not.
     pub(crate) fn of(frame: Frame<'_>, needs_range: bool, scratch: &mut GeometryScratch) -> Self {
-        let unknown = RangeRule::Depth { pitch_at_1m: None };
         match frame {
             Frame::Depth(depth) => {
                 let rule = RangeRule::Depth { pitch_at_1m: Some(1.0 / depth.camera().fx) };
                 Self { cloud_from_sensor: None, rule }
             }
-            Frame::Points(points) if points.grid().is_none() => Self::new(points.transform(), unknown),
+            Frame::Points(points) if points.grid().is_none() => Self::of_general(&points, scratch),
             Frame::Points(points) => Self::of_points(&points, needs_range, scratch),
         }
+    }
+
+    /// Of points without a grid.
+    fn of_general(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Self {
+        let transform = assumed_transform(points, scratch).unwrap_or_else(|| points.transform());
+        Self::new(transform, RangeRule::Depth { pitch_at_1m: None })
     }
 
     /// Of points on a grid.
@@ -125,7 +134,7 @@ impl FrameGeometry {
         let pairs = if horizontal.is_empty() { vertical } else { horizontal };
         let of_angle = spread(pairs.iter().map(|pair| pair.angle), pitches);
         let of_spacing = spread(pairs.iter().map(|pair| pair.spacing_m), pitches);
-        let Some(extent) = Extent::of(&sample, extent) else { return distance };
+        let Some(extent) = Extent::of_grid(&sample, extent) else { return distance };
         let to_origin_m = (extent.centre - assumed.sensor_position()).length();
         let has_even_angles = of_angle < SMALL_SPREAD || of_angle < CLEARLY_LESS * of_spacing;
         // It sees every surface from the front: corners of pixels all turn the same way.
@@ -166,6 +175,42 @@ impl FrameGeometry {
             RangeRule::Constant { .. } => f64::NAN,
         }
     }
+}
+
+/// Where the sensor is taken to have stood whose pose a general cloud does not state, if it cannot have been the origin of coordinates.
+pub(super) fn assumed_transform(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Option<RigidTransform> {
+    if !points.pose().is_identity() {
+        return None;
+    }
+    let sample = &mut scratch.extent;
+    sample.clear();
+    sample.extend(
+        (0..points.len())
+            .step_by(sampling_step(points.len()))
+            .map(|i| points.point(i))
+            .filter(|point| point.is_finite()),
+    );
+    assumed_sensor(sample, points.origin_transform().translation)
+}
+
+/// The same by a sample of the points; `origin` is that of the coordinates.
+fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransform> {
+    let extent = Extent::of(sample)?;
+    let to_origin_m = (extent.centre - origin).length();
+    let is_near = to_origin_m <= MAX_EXTENTS * extent.radius_m && to_origin_m <= MAX_ORIGIN_M;
+    (!is_near).then(|| extent.sensor_beside(None))
+}
+
+/// A general cloud of so many points is judged by each of them whose index is a multiple of this.
+pub(crate) fn sampling_step(points: usize) -> usize {
+    points.div_ceil(GENERAL_SAMPLE).max(1)
+}
+
+/// What [`PointsView::assumed_sensor_m`] is for a file by the sample of its points.
+#[cfg(feature = "scans")]
+pub(crate) fn assumed_sensor_of_sample(sample: &[[f64; 3]]) -> Option<[f64; 3]> {
+    let mut sample: Vec<DVec3> = sample.iter().copied().map(DVec3::from_array).collect();
+    assumed_sensor(&mut sample, DVec3::ZERO).map(|transform| transform.translation.to_array())
 }
 
 /// The range at which sensor models are evaluated where it is not known.
@@ -313,5 +358,34 @@ mod tests {
             let (rule, _) = rule_of(points, SensorPose::IDENTITY);
             assert_eq!(rule, RangeRule::Depth { pitch_at_1m: None });
         }
+    }
+    #[test]
+    fn general_clouds_on_a_map_are_seen_from_above_and_others_from_the_origin() {
+        // A slope of 400 m, and a wall of 40 m.
+        let slope = |i: usize| DVec3::new(20.0 * (i % 20) as f64, 20.0 * (i / 20) as f64, 3.0 * (i % 20) as f64);
+        let wall = |i: usize| DVec3::new(2.0 * (i % 20) as f64, 0.1 * (i % 7) as f64, (i / 20) as f64);
+        let seen_from = |at: &dyn Fn(usize) -> DVec3, moved: DVec3, pose: SensorPose| {
+            let points: Vec<[f64; 3]> = (0..400).map(|i| (at(i) + moved).to_array()).collect();
+            let view = PointsView::from_rows_f64(&points).unwrap().with_pose(pose).unwrap();
+            let view = view.with_origin((moved + DVec3::ONE).to_array()).unwrap();
+            let geometry = FrameGeometry::of(Frame::Points(view), true, &mut GeometryScratch::default());
+            let position = geometry.sensor_position() + moved + DVec3::ONE;
+            let assumed = view.assumed_sensor_m().map(DVec3::from_array);
+            assert!(assumed.is_none_or(|assumed| assumed.distance(position) < 1e-6), "{assumed:?} {position}");
+            (position, assumed.is_some())
+        };
+        let map = DVec3::new(532_000.0, 5_263_000.0, 812.0);
+        let (above, is_assumed) = seen_from(&slope, map, SensorPose::IDENTITY);
+        assert!(is_assumed && above.z > map.z + 400.0 && above.distance(map) < 1500.0, "{above}");
+        let (beside, _) = seen_from(&wall, map, SensorPose::IDENTITY);
+        let off = beside - map - DVec3::new(19.0, 0.3, 9.5);
+        assert!(off.y.abs() > 0.95 * off.length(), "{off}");
+        for near in [DVec3::ZERO, DVec3::new(900.0, -2500.0, 10.0)] {
+            let (position, is_assumed) = seen_from(&slope, near, SensorPose::IDENTITY);
+            assert!(!is_assumed && position.length() < 1e-6, "{position}");
+        }
+        let stated = SensorPose { position_m: map.to_array(), ..SensorPose::IDENTITY };
+        let (position, is_assumed) = seen_from(&slope, map, stated);
+        assert!(!is_assumed && position.distance(map) < 1e-6, "{position}");
     }
 }

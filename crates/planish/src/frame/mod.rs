@@ -14,6 +14,8 @@ pub(crate) use depth_view::DepthSamples;
 pub use depth_view::DepthView;
 pub use geometry::RangeRule;
 pub(crate) use geometry::{FrameGeometry, assumed_range_m};
+#[cfg(feature = "scans")]
+pub(crate) use geometry::{assumed_sensor_of_sample, sampling_step};
 pub use points_view::{PointLayout, PointsView, Scalar};
 pub(crate) use sample::GeometryScratch;
 

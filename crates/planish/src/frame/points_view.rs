@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::check_rows;
-use super::geometry::{FrameGeometry, RangeRule};
+use super::geometry::{FrameGeometry, RangeRule, assumed_transform};
 use super::sample::GeometryScratch;
 use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
@@ -268,6 +268,14 @@ impl<'a> PointsView<'a> {
     /// How ranges are measured in this frame, and how far apart its pixels are (docs/method.md, section 11).
     pub fn range_rule(&self) -> RangeRule {
         self.geometry(&mut GeometryScratch::default()).rule
+    }
+
+    /// Where the sensor of a general cloud is taken to have stood, in the frame of the file, if the cloud does not state it and the origin of
+    /// coordinates is too far away; else `None` (docs/method.md, section 11). Normals face it.
+    pub fn assumed_sensor_m(&self) -> Option<[f64; 3]> {
+        let is_general = self.grid.is_none();
+        let assumed = is_general.then(|| assumed_transform(self, &mut GeometryScratch::default())).flatten();
+        assumed.map(|transform| (transform.translation + self.origin_m).to_array())
     }
 
     /// The range of every point in metres, NaN for holes.

@@ -217,11 +217,16 @@ const MAX_MEDIAN_DISTANCES: f64 = 5.0;
 const CLEARLY_BESIDE: f64 = 0.2;
 
 impl Extent {
-    pub(super) fn of(sample: &Sample<'_, '_>, points: &mut Vec<DVec3>) -> Option<Self> {
+    pub(super) fn of_grid(sample: &Sample<'_, '_>, points: &mut Vec<DVec3>) -> Option<Self> {
         let columns = (0..sample.width).step_by(sample.width.div_ceil(SAMPLED_COLUMNS));
         let pixels = sample.rows().flat_map(|row| columns.clone().map(move |column| row * sample.width + column));
         points.clear();
         points.extend(pixels.filter(|&i| sample.point(i).is_some()).map(|i| sample.points.point(i)));
+        Self::of(points)
+    }
+
+    /// By some finite points, of which stray ones are removed.
+    pub(super) fn of(points: &mut Vec<DVec3>) -> Option<Self> {
         let median_of = |points: &mut [DVec3], value: &dyn Fn(&DVec3) -> f64| {
             let middle = points.len() / 2;
             let median = points.select_nth_unstable_by(middle, |a, b| value(a).total_cmp(&value(b))).1;

@@ -3,10 +3,13 @@
 //! What a scan is beside its points (name, pose, sensor, times) is kept with the cloud and written back. Spherical coordinates become Cartesian
 //! ones; images and the sections of other programs' extensions, their point fields apart, are not kept.
 
-use std::io::Cursor;
+use std::io::{Cursor, Read, Seek, Write};
 use std::sync::Arc;
 
-use e57::{E57Reader, E57Writer, Extension, Quaternion, Record, RecordDataType, RecordName, RecordValue};
+use e57::{
+    ColorLimits, DateTime, E57Reader, E57Writer, Extension, IntensityLimits, PointCloudWriter, Quaternion, Record,
+    RecordDataType, RecordName, RecordValue,
+};
 use glam::{DQuat, DVec3};
 
 use super::columns::cloud_from_columns;
@@ -39,12 +42,17 @@ const OWN: (&str, &str) = ("planish", "https://github.com/planish/planish");
 
 /// What a file says beside its points.
 #[derive(Debug, Clone)]
-pub(crate) struct Scans(Vec<e57::PointCloud>);
+pub(crate) struct Scans {
+    scans: Vec<e57::PointCloud>,
+    creation: Option<DateTime>,
+    /// The coordinate system, as well-known text.
+    coordinate_metadata: Option<String>,
+}
 
 impl PartialEq for Scans {
     fn eq(&self, other: &Self) -> bool {
         let key = |scan: &e57::PointCloud| (scan.guid.clone(), scan.name.clone(), scan.records);
-        self.0.iter().map(key).eq(other.0.iter().map(key))
+        self.scans.iter().map(key).eq(other.scans.iter().map(key))
     }
 }
 
@@ -156,9 +164,14 @@ fn name_of(name: &RecordName) -> Option<String> {
     })
 }
 
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
     let mut reader = E57Reader::new(Cursor::new(bytes)).map_err(damaged)?;
     let scans = reader.pointclouds();
+    match reader.images().len() {
+        0 => {}
+        1 => notes.push("an image is left out".into()),
+        images => notes.push(format!("{images} images are left out")),
+    }
     let count = scans.iter().try_fold(0u64, |sum, scan| sum.checked_add(scan.records));
     // A bit a point at least, or a header of some bytes could announce anything.
     let count = count.filter(|count| *count <= 8 * bytes.len() as u64).ok_or_else(|| {
@@ -221,7 +234,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
         cloud.pose.position_m = translation.to_array();
         cloud.pose.orientation = [rotation.w, rotation.x, rotation.y, rotation.z];
     }
-    cloud.e57_scans = Some(Arc::new(Scans(scans)));
+    let (creation, coordinate_metadata) = (reader.creation(), reader.coordinate_metadata().map(str::to_owned));
+    cloud.e57_scans = Some(Arc::new(Scans { scans, creation, coordinate_metadata }));
     Ok(cloud)
 }
 
@@ -292,6 +306,49 @@ fn value_of(attribute: &Attribute, i: usize) -> RecordValue {
     }
 }
 
+/// A limit of a field's values in the type that the field is written with.
+fn limit(value: Option<&RecordValue>, read: &Record, written: &Record) -> Option<RecordValue> {
+    let value = value?.to_f64(&read.data_type).ok()?;
+    Some(match written.data_type {
+        RecordDataType::Single { .. } => RecordValue::Single(value as f32),
+        RecordDataType::Integer { .. } => RecordValue::Integer(value as i64),
+        _ => RecordValue::Double(value),
+    })
+}
+
+/// The range of intensities and colours that a scan's sensor has, where the scan says so; without, the writer states that of the type.
+fn set_limits<T: Read + Write + Seek>(
+    points: &mut PointCloudWriter<'_, T>,
+    scan: &e57::PointCloud,
+    prototype: &[Record],
+) {
+    let of = |name: RecordName, value: &Option<RecordValue>| {
+        let named = |records: &[Record]| records.iter().find(|record| record.name == name).cloned();
+        limit(value.as_ref(), &named(&scan.prototype)?, &named(prototype)?)
+    };
+    if let Some(IntensityLimits { intensity_min, intensity_max }) = &scan.intensity_limits {
+        let of_intensity = |value| of(RecordName::Intensity, value);
+        let limits = [of_intensity(intensity_min), of_intensity(intensity_max)];
+        if let [intensity_min @ Some(_), intensity_max @ Some(_)] = limits {
+            points.set_intensity_limits(Some(IntensityLimits { intensity_min, intensity_max }));
+        }
+    }
+    if let Some(limits) = &scan.color_limits {
+        let [red, green, blue] = [RecordName::ColorRed, RecordName::ColorGreen, RecordName::ColorBlue];
+        let limits = ColorLimits {
+            red_min: of(red.clone(), &limits.red_min),
+            red_max: of(red, &limits.red_max),
+            green_min: of(green.clone(), &limits.green_min),
+            green_max: of(green, &limits.green_max),
+            blue_min: of(blue.clone(), &limits.blue_min),
+            blue_max: of(blue, &limits.blue_max),
+        };
+        if limits.red_max.is_some() && limits.green_max.is_some() && limits.blue_max.is_some() {
+            points.set_color_limits(Some(limits));
+        }
+    }
+}
+
 /// Writes each scan that the cloud came from, in its own frame, or one with everything.
 pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     let cannot =
@@ -299,7 +356,8 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     let mut cloud = cloud.clone();
     cloud.unpack_colour();
     cloud.attributes.retain(|attribute| attribute.name != "_");
-    let scans = cloud.e57_scans.take().map(|scans| scans.0.clone());
+    let of_file = cloud.e57_scans.take();
+    let scans = of_file.as_ref().map(|file| file.scans.clone());
     let number = cloud.attributes.iter().position(|attribute| attribute.name == SCAN && attribute.count == 1);
     let several = scans.filter(|scans| scans.len() == 1 || number.is_some());
     let scans = several.unwrap_or_else(|| vec![e57::PointCloud::default()]);
@@ -312,6 +370,10 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     let has_holes = cloud.valid_points() < cloud.len();
     let mut bytes = Cursor::new(Vec::new());
     let mut writer = E57Writer::new(&mut bytes, &guid(&cloud, usize::MAX)).map_err(cannot)?;
+    if let Some(file) = of_file {
+        writer.set_creation(file.creation.clone());
+        writer.set_coordinate_metadata(file.coordinate_metadata.clone());
+    }
     for (namespace, url) in [OF_NORMALS, OWN] {
         let is_used =
             |record: &Record| matches!(&record.name, RecordName::Unknown { namespace: of, .. } if of == namespace);
@@ -337,6 +399,8 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
         let mut points = writer.add_pointcloud(&own_guid, prototype.clone()).map_err(cannot)?;
         points.set_name(scan.name.clone());
         points.set_description(scan.description.clone());
+        points.set_original_guids(scan.original_guids.clone());
+        set_limits(&mut points, scan, &prototype);
         points.set_transform(scan.transform.clone());
         points.set_acquisition_start(scan.acquisition_start.clone());
         points.set_acquisition_end(scan.acquisition_end.clone());

@@ -66,7 +66,7 @@ pub(crate) use whole::WholeFile;
 #[cfg(feature = "scans")]
 pub(crate) use whole::{Temporary, folder_of};
 pub use whole::{remove_temporaries, write_whole};
-pub use write::{CloudRef, encode_cloud, encode_depth, write_cloud, write_depth, write_depth_metres};
+pub use write::{CloudRef, check_writable, encode_cloud, encode_depth, write_cloud, write_depth, write_depth_metres};
 
 /// The name that stands for standard input.
 const STANDARD_INPUT: &str = "-";
@@ -290,6 +290,8 @@ pub struct FileRead {
     pub encoding: Option<Encoding>,
     /// What it holds.
     pub contents: Contents,
+    /// What of it was left out, or taken for something that its name does not say: one clause each, for a user to read.
+    pub notes: Vec<String>,
 }
 
 /// [`read_with`], with how the file stores its points.
@@ -301,13 +303,14 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError
         {
             return Err(FormatError::Unsupported(what.into()));
         }
-        let (format, contents) = decode_with(&bytes, Format::of_extension(path), options)?;
+        let mut notes = Vec::new();
+        let (format, contents) = decode_noting(&bytes, Format::of_extension(path), options, &mut notes)?;
         let encoding = match format {
             Format::Pcd => pcd::encoding(&bytes),
             Format::Ply => ply::encoding(&bytes),
             _ => None,
         };
-        Ok(FileRead { format, encoding, contents })
+        Ok(FileRead { format, encoding, contents, notes })
     };
     read().map_err(IoError::at(path))
 }
@@ -343,6 +346,16 @@ pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, 
 
 /// [`decode`] with other options than the default.
 pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOptions) -> FormatResult<(Format, Contents)> {
+    decode_noting(bytes, announced, options, &mut Vec::new())
+}
+
+/// The same, with [`FileRead::notes`].
+fn decode_noting(
+    bytes: &[u8],
+    announced: Option<Format>,
+    options: &ReadOptions,
+    notes: &mut Vec<String>,
+) -> FormatResult<(Format, Contents)> {
     if bytes.is_empty() {
         return Err(FormatError::Malformed("the file is empty".into()));
     }
@@ -353,18 +366,18 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
     })?;
     let contents = match format {
         Format::Pcd => organized_if_grid(pcd::decode(bytes, options)?),
-        Format::Ply => organized_if_grid(ply::decode(bytes, options)?),
+        Format::Ply => organized_if_grid(ply::decode(bytes, options, notes)?),
         Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
         #[cfg(feature = "tiff")]
         Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
         Format::Npy => npy::decode(bytes, options),
         #[cfg(feature = "scans")]
         Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options)?)),
-        Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options)?)),
+        Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options, notes)?)),
         #[cfg(feature = "npz")]
-        Format::Npz => npz::decode(bytes, options),
+        Format::Npz => npz::decode(bytes, options, notes),
         #[cfg(feature = "scans")]
-        Format::E57 => Ok(Contents::General(self::e57::decode(bytes, options)?)),
+        Format::E57 => Ok(Contents::General(self::e57::decode(bytes, options, notes)?)),
         Format::KittiBin => Ok(Contents::General(kitti::decode(bytes, false, options)?)),
         Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options)?)),
         Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options)?)),

@@ -18,7 +18,7 @@ fn damaged(error: impl std::fmt::Display) -> FormatError {
     FormatError::Malformed(format!("damaged NPZ: {}", brief(&error.to_string())))
 }
 
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<Contents> {
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<Contents> {
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
     if archive.len() > MOST_ARRAYS {
         return Err(FormatError::Unsupported(format!("an archive of {} files, which is no cloud", archive.len())));
@@ -71,30 +71,39 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<Conten
         )));
     };
     let rows = contents.shape().0 * contents.shape().1;
+    let others = arrays.iter().filter(|(name, _)| *name != used);
+    let wanted = if contents.is_depth() { &DEPTH[..] } else { &POSITIONS[..] };
+    if !wanted.contains(&used.as_str()) {
+        let what = if contents.is_depth() { "depth" } else { "the positions" };
+        notes.push(format!("{what} taken from the array {}, the only one of a shape for that", brief(&used)));
+    }
     let cloud = match &mut contents {
         Contents::Organized(cloud) => &mut cloud.points,
         Contents::General(cloud) => cloud,
-        _ => return Ok(contents),
+        _ => {
+            notes.extend(others.map(|(name, _)| format!("the array {} is left out: depth has no fields", brief(name))));
+            return Ok(contents);
+        }
     };
-    for (name, array) in arrays.iter().filter(|(name, _)| *name != used) {
-        if let Some(attribute) = field(name, array, rows)? {
-            cloud.attributes.extend(components(attribute, rows));
+    for (name, array) in others {
+        match field(name, array, rows)? {
+            Ok(attribute) => cloud.attributes.extend(components(attribute, rows)),
+            Err(reason) => notes.push(format!("the array {} is left out: {reason}", brief(name))),
         }
     }
     Ok(contents)
 }
 
-/// An array as a field of so many points; `None` if it has another number of values, as a matrix beside the points.
-fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Option<Attribute>> {
+/// An array as a field of so many points, or why it is none: it may be a matrix beside the points.
+fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute, String>> {
     let array = match npy::Array::parse(array) {
         Ok(array) => array,
-        // Texts and records are no fields.
-        Err(FormatError::Unsupported(_)) => return Ok(None),
+        Err(FormatError::Unsupported(reason)) => return Ok(Err(reason)),
         Err(error) => return Err(FormatError::Malformed(format!("the array {name}: {error}"))),
     };
     let len = array.header.len().unwrap_or(0);
     if rows == 0 || len % rows != 0 || len == 0 {
-        return Ok(None);
+        return Ok(Err(format!("it is {:?}, and there are {rows} points", array.header.shape)));
     }
     let values: AttributeValues = match (array.header.kind, array.header.size) {
         ('i', 1) => array.values::<i8>().into(),
@@ -115,7 +124,7 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Option<Attribute
         }
     };
     let count = values.len() / rows;
-    Ok(Some(Attribute { name: name.to_owned(), count, values }))
+    Ok(Ok(Attribute { name: name.to_owned(), count, values }))
 }
 
 /// Names of vectors, and of their components here.

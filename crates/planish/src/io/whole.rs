@@ -58,18 +58,8 @@ pub(crate) struct WholeFile {
 impl WholeFile {
     pub(crate) fn new(path: &Path) -> FormatResult<Self> {
         let path = behind_links(path)?;
-        let folder = folder_of(&path);
-        if !folder.is_dir() {
-            return Err(FormatError::Unsupported(format!("the folder {} does not exist", folder.display())));
-        }
-        let replaced = fs::metadata(&path).ok();
-        if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
-            return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
-        }
-        if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
-            return Err(FormatError::Unsupported("a pipe or a device has this name; give a file's name".into()));
-        }
-        let temporary = Temporary::new(folder)?;
+        let replaced = check_place(&path)?;
+        let temporary = Temporary::new(folder_of(&path))?;
         if let Some(metadata) = &replaced {
             temporary.file().set_permissions(metadata.permissions())?;
         }
@@ -138,6 +128,29 @@ impl Drop for Noted {
             temporaries.remove(&self.0);
         }
     }
+}
+
+/// Refuses a place where no file can be; returns what is there.
+fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
+    let folder = folder_of(path);
+    if !folder.is_dir() {
+        return Err(FormatError::Unsupported(format!("the folder {} does not exist", folder.display())));
+    }
+    let replaced = fs::metadata(path).ok();
+    if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
+        return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
+    }
+    if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
+        return Err(FormatError::Unsupported("a pipe or a device has this name; give a file's name".into()));
+    }
+    Ok(replaced)
+}
+
+/// Refuses a name under which no file can be written: in a folder that is not there or may not be written to, or taken by what is no file.
+pub(super) fn check_target(path: &Path) -> FormatResult<()> {
+    let path = behind_links(path)?;
+    check_place(&path)?;
+    Temporary::new(folder_of(&path)).map(drop)
 }
 
 /// The folder that a file is in.

@@ -8,6 +8,7 @@ use super::depth_tiff;
 use super::left_out;
 #[cfg(feature = "npz")]
 use super::npz;
+use super::whole::check_target;
 use super::xyz_text::Heading;
 use super::{Encoding, Format, depth_png, kitti, npy, pcd, ply, write_whole, xyz_text};
 #[cfg(feature = "scans")]
@@ -89,6 +90,18 @@ pub fn encode_cloud<'a>(
         #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),
     }
+}
+
+/// Refuses, before any work is done for it, an output that cannot be: in a folder that is not there or may not be written to, or in a format
+/// that has no place for what the cloud is. Of the cloud's points it looks at the first.
+///
+/// # Errors
+/// Those of [`write_cloud`], but for what single values are at fault for.
+pub fn check_writable<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>) -> Result<(), IoError> {
+    let points = cloud.into().points();
+    let first = points.select(&[0][..points.len().min(1)]);
+    let encode = || encode_cloud(Format::of_output(path)?, &first, Encoding::Binary);
+    encode().and_then(|_| check_target(path)).map_err(IoError::at(path))
 }
 
 /// Encodes a depth image as the bytes of a file: 16-bit PNG, TIFF or NPY.

@@ -55,7 +55,7 @@ fn number_of(cell: &str) -> Option<f64> {
     if cell.is_empty() { Some(f64::NAN) } else { cell.parse().ok() }
 }
 
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
     let text = std::str::from_utf8(bytes).map_err(|_| {
         FormatError::Malformed(
             "not text in UTF-8: it is binary, or in another encoding such as UTF-16 or Latin-1".into(),
@@ -67,6 +67,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     let mut names: Option<Vec<String>> = None;
     // Comments, names, and the number of points with which PTS begins.
     let mut stated: Option<usize> = None;
+    let mut comments = 0;
     while let Some(&(_, line)) = lines.peek() {
         if names.is_some() && !is_comment(line) {
             break;
@@ -77,7 +78,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
             let found: Vec<String> = cells.into_iter().map(name_of).collect();
             if ["x", "y", "z"].iter().all(|axis| found.iter().any(|name| name == axis)) {
                 names = Some(found);
-            } else if !is_comment(line) {
+            } else if is_comment(line) {
+                comments += 1;
+            } else {
                 return Err(FormatError::Malformed(format!(
                     "its first line, {}, is neither numbers nor names of columns with x, y and z",
                     quoted(line)
@@ -101,6 +104,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
         }
         (Some(names), _) => names.len(),
         (None, Some(first @ 3..=MOST_UNNAMED)) => first,
+        (None, None) if stated == Some(0) => 3,
         (None, Some(first)) if first > MOST_UNNAMED => {
             return Err(FormatError::Malformed(format!(
                 "a line of {first} numbers without names: are its line ends missing?"
@@ -110,7 +114,11 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     };
     options.check(bytes.len() / (2 * count) + 1, 8 * count)?;
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); count];
-    for (number, line) in lines.filter(|(_, line)| !is_comment(line)) {
+    for (number, line) in lines {
+        if is_comment(line) {
+            comments += 1;
+            continue;
+        }
         let cells = separator.cells(line);
         // An empty cell at the end is one where others have a number.
         if cells.len() != count && cells.len() + 1 != count {
@@ -132,6 +140,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
             })?;
             column.push(value);
         }
+    }
+    if comments > 0 {
+        notes.push(format!("{comments} {} left out", if comments == 1 { "comment is" } else { "comments are" }));
     }
     if let Some(stated) = stated.filter(|stated| *stated > columns[0].len()) {
         let found = columns[0].len();

@@ -66,7 +66,7 @@ pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
 
 /// Renders the colours of a cloud; `None` if it has none.
 pub fn colours(cloud: &OrganizedCloud) -> Option<RgbImage> {
-    let rgb = cloud.points.rgb()?.into_iter().flatten().collect();
+    let rgb = cloud.points.shown_rgb()?.into_iter().flatten().collect();
     Some(RgbImage { width: cloud.width(), height: cloud.height(), rgb })
 }
 

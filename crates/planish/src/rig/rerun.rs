@@ -85,7 +85,7 @@ impl RigSink for RigRerunSink {
             let points = points.with_colors([colour_of(i)]).with_radii([POINT_M]);
             recording.with(|to| to.log(format!("rig/each/{}", placed.name), &points))?;
         }
-        let colours = fused.rgb().unwrap_or_else(|| {
+        let colours = fused.shown_rgb().unwrap_or_else(|| {
             let of_point = |camera: Option<&u8>| colour_of(camera.copied().unwrap_or(0).into());
             (0..fused.len()).map(|i| of_point(cameras_of(fused).get(i))).collect()
         });

@@ -193,7 +193,7 @@ fn layout() -> Blueprint {
 
 /// Returns the valid points, with the cloud's colours or shaded as relief. Their radius is half the pixel spacing.
 fn points(cloud: &OrganizedCloud, positions: &Xyz) -> Points3D {
-    let colours = cloud.points.rgb().unwrap_or_else(|| {
+    let colours = cloud.points.shown_rgb().unwrap_or_else(|| {
         let (width, height) = (cloud.width(), cloud.height());
         let shades = relief(width, height, &difference_normals(width, height, positions)).rgb;
         shades.chunks_exact(3).map(|rgb| [rgb[0], rgb[1], rgb[2]]).collect()

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use super::bytes_a_point;
 use super::plan::{Cells, Tile};
 
-use crate::error::FormatError;
+use crate::error::{FormatError, memory};
+use crate::frame::{assumed_sensor_of_sample, sampling_step};
 use crate::io::{RecordEncoder, RecordReader, Temporary, WholeFile};
 use crate::neighbours::halo::OWN_SHARE;
 use crate::neighbours::middle;
@@ -27,6 +28,8 @@ pub(super) struct Dealt<R: RecordReader> {
     pub(super) points: usize,
     pub(super) most_in_memory: u64,
     pub(super) extent_m: f64,
+    /// Where the sensor is taken to have stood, if the origin of coordinates is too far away.
+    pub(super) assumed_sensor_m: Option<[f64; 3]>,
     /// Of the format.
     needs_latest_version: bool,
     pub(super) cells: Cells,
@@ -46,9 +49,9 @@ pub(super) struct TileFiles {
 
 /// What a user is told whose memory does not hold the tiles of a file.
 pub(super) fn too_large(points: usize, record: usize, max_memory_bytes: u64) -> FormatError {
-    let (allowed, whole) = (max_memory_bytes >> 20, (points as u64 * bytes_a_point(record)).div_ceil(1 << 20));
+    let (allowed, whole) = (memory(max_memory_bytes), memory(points as u64 * bytes_a_point(record)));
     FormatError::Unsupported(format!(
-        "its tiles, with the points around them, do not fit the {allowed} MiB that are allowed: raise the limit (the whole needs {whole} MiB)"
+        "its tiles, with the points around them, do not fit the {allowed} that are allowed: raise the limit (the whole needs {whole})"
     ))
 }
 
@@ -64,15 +67,19 @@ impl<R: RecordReader> Dealt<R> {
         let mut sample: [Vec<f64>; 3] = Default::default();
         let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
         let step = points.div_ceil(SAMPLE).max(1);
+        let mut of_sensor: Vec<[f64; 3]> = Vec::new();
         let mut to = BufWriter::with_capacity(1 << 20, spool.file());
         let (mut read, mut finite) = (0, 0usize);
         while read < points {
             let records = reader.next_records(BATCH)?;
             to.write_all(records)?;
-            for point in records.chunks_exact(record) {
+            for (i, point) in (read..).zip(records.chunks_exact(record)) {
                 let position = R::position_m(&header, point);
                 if !is_finite(position) {
                     continue;
+                }
+                if i.is_multiple_of(sampling_step(points)) {
+                    of_sensor.push(position);
                 }
                 for axis in 0..2 {
                     bounds[0][axis] = bounds[0][axis].min(position[axis]);
@@ -143,6 +150,7 @@ impl<R: RecordReader> Dealt<R> {
             points,
             most_in_memory,
             extent_m,
+            assumed_sensor_m: assumed_sensor_of_sample(&of_sensor),
             needs_latest_version,
             cells,
             tiles,

@@ -280,7 +280,10 @@ impl<R: RecordReader> Tiler<'_, R> {
             }
         };
         let mut smoothed = Smoothed::default();
-        let part = PointsView::from_cloud(cloud)?.as_part_of(dealt.points, dealt.extent_m);
+        let mut part = PointsView::from_cloud(cloud)?.as_part_of(dealt.points, dealt.extent_m);
+        if let (true, Some(position_m)) = (cloud.pose.is_identity(), dealt.assumed_sensor_m) {
+            part = part.with_pose(SensorPose { position_m, ..SensorPose::IDENTITY })?;
+        }
         smoother.smooth(part.into_frame()?, &mut smoothed)?;
         Ok(smoothed)
     }

@@ -6,7 +6,7 @@ use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -182,7 +182,7 @@ fn beside_each_other(
 ) {
     let next = AtomicUsize::new(0);
     let results = Mutex::new(done);
-    let Worker { args, params, sensor_known, floating_sensor, pose, ref devices, .. } = *like;
+    let Worker { args, params, sensor_known, floating_sensor, pose, ref devices, ref noted, .. } = *like;
     let work = |number: usize| {
         let mut worker = Worker {
             args,
@@ -195,6 +195,7 @@ fn beside_each_other(
             device: number % devices.len().max(1),
             open: None,
             smoothed: Smoothed::default(),
+            noted: Arc::clone(noted),
         };
         while !stop.load(Ordering::Relaxed) {
             let at = next.fetch_add(1, Ordering::Relaxed);

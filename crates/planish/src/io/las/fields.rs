@@ -16,6 +16,13 @@ const DESCRIPTION: usize = 192;
 const TYPE_AT: usize = 2;
 const OPTIONS_AT: usize = 3;
 const NAME_AT: std::ops::Range<usize> = 4..36;
+/// Scales and offsets of three values, and the bits of the options that say they are there.
+const SCALES_AT: usize = 112;
+const OFFSETS_AT: usize = 136;
+const HAS_SCALE: u8 = 8;
+const HAS_OFFSET: u8 = 16;
+/// Integers up to this are all f64.
+const EXACT_INTEGERS: f64 = 9_007_199_254_740_992.0;
 /// What is left of the extra bytes where no description says what they are.
 const UNDESCRIBED: &str = "extra_bytes";
 
@@ -97,6 +104,47 @@ pub(super) struct Field {
     stored: Stored,
     /// Values one after another.
     count: usize,
+    /// How integers stand for numbers, where the file says so: one for each value.
+    scales: Option<[Scale; 3]>,
+}
+
+/// A stored integer stands for itself times the scale, plus the offset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Scale {
+    scale: f64,
+    offset: f64,
+}
+
+impl Scale {
+    /// Those of an extra field; `None` where there are none, or they make no sense.
+    fn of_extra(description: &[u8], stored: Stored) -> Option<[Self; 3]> {
+        let options = description[OPTIONS_AT];
+        let is_integer = !matches!(stored, Stored::F32 | Stored::F64 | Stored::Bytes(_));
+        if options & (HAS_SCALE | HAS_OFFSET) == 0 || !is_integer {
+            return None;
+        }
+        let number = |has: u8, at: usize, k: usize, without: f64| {
+            let bytes = std::array::from_fn(|byte| description[at + 8 * k + byte]);
+            if options & has == 0 { without } else { f64::from_le_bytes(bytes) }
+        };
+        let of_value =
+            |k| Self { scale: number(HAS_SCALE, SCALES_AT, k, 1.0), offset: number(HAS_OFFSET, OFFSETS_AT, k, 0.0) };
+        let all = [0, 1, 2].map(of_value);
+        let is_useful = |of: &Self| of.scale.is_normal() && of.offset.is_finite();
+        // What is not there may be zeros.
+        is_useful(&all[0]).then(|| all.map(|of| if is_useful(&of) { of } else { all[0] }))
+    }
+
+    fn number(&self, stored: f64) -> f64 {
+        // A division by 100 gives 535.06 where a multiplication by 0.01 gives 535.0600000000001.
+        let inverse = (1.0 / self.scale).round();
+        let is_inverse = inverse.abs() >= 1.0 && inverse.is_finite() && 1.0 / inverse == self.scale;
+        self.offset + if is_inverse { stored / inverse } else { stored * self.scale }
+    }
+
+    fn stored(&self, number: f64) -> f64 {
+        ((number - self.offset) / self.scale).round()
+    }
 }
 
 /// The fields of a point format, but for x, y and z.
@@ -104,7 +152,7 @@ pub(super) fn fields_of(format: &point::Format) -> Vec<Field> {
     let mut fields = Vec::new();
     let mut at = 12;
     let mut add = |name: &str, stored: Stored, last_of_byte: bool| {
-        fields.push(Field { name: name.to_owned(), at, stored, count: 1 });
+        fields.push(Field { name: name.to_owned(), at, stored, count: 1, scales: None });
         if last_of_byte {
             at += stored.size();
         }
@@ -176,11 +224,12 @@ pub(super) fn extra_fields(header: &Header) -> Vec<Field> {
         let numbered = (0..).map(|number| format!("extra_{number}"));
         // There are more numbers than names.
         let name = [name].into_iter().chain(numbered).find(|name| !is_taken(name)).unwrap_or_default();
-        fields.push(Field { name, at, stored, count });
+        fields.push(Field { name, at, stored, count, scales: Scale::of_extra(description, stored) });
         at += count * stored.size();
     }
     if at < end {
-        fields.push(Field { name: UNDESCRIBED.to_owned(), at, stored: Stored::Bytes(end - at), count: 1 });
+        let stored = Stored::Bytes(end - at);
+        fields.push(Field { name: UNDESCRIBED.to_owned(), at, stored, count: 1, scales: None });
     }
     fields
 }
@@ -190,7 +239,7 @@ fn is_extra_bytes(vlr: &Vlr) -> bool {
 }
 
 pub(super) fn decode_field(field: &Field, raw: &[u8], record: usize) -> Attribute {
-    let &Field { ref name, at, stored, count } = field;
+    let &Field { ref name, at, stored, count, scales } = field;
     let size = stored.size();
     let values = raw.chunks_exact(record).flat_map(move |point| point[at..at + count * size].chunks_exact(size));
     macro_rules! numbers {
@@ -217,7 +266,18 @@ pub(super) fn decode_field(field: &Field, raw: &[u8], record: usize) -> Attribut
         }
         Stored::Bytes(size) => (size, values.flatten().copied().collect::<Vec<u8>>().into()),
     };
+    let values = scales.and_then(|scales| scaled(&values, &scales[..count])).unwrap_or(values);
     Attribute { name: name.clone(), count, values }
+}
+
+/// The numbers that integers stand for; `None` if one would not be written as it was.
+fn scaled(values: &AttributeValues, scales: &[Scale]) -> Option<AttributeValues> {
+    let number = |i: usize| {
+        let (stored, scale) = (values.get_f64(i), scales[i % scales.len()]);
+        let number = scale.number(stored);
+        (stored.abs() < EXACT_INTEGERS && scale.stored(number) == stored).then_some(number)
+    };
+    (0..values.len()).map(number).collect::<Option<Vec<f64>>>().map(Into::into)
 }
 
 /// Describes what is left of the extra bytes, so that descriptions may follow of what comes behind them.
@@ -277,7 +337,7 @@ pub(super) fn add_extra_field(builder: &mut Builder, all: &mut Vec<Field>, attri
     push_description(builder, &attribute.name, number, 0);
     let at = usize::from(builder.point_format.len());
     builder.point_format.extra_bytes += stored.size() as u16;
-    all.push(Field { name: attribute.name.clone(), at, stored, count });
+    all.push(Field { name: attribute.name.clone(), at, stored, count, scales: None });
     Ok(())
 }
 
@@ -290,7 +350,7 @@ pub(super) fn encode_field(
     raw: &mut [u8],
     record: usize,
 ) -> FormatResult<()> {
-    let &Field { at, stored, count, .. } = field;
+    let &Field { at, stored, count, scales, .. } = field;
     let values_a_point = if let Stored::Bytes(size) = stored { size } else { count };
     let out_of_range = || {
         FormatError::Unsupported(format!(
@@ -301,7 +361,15 @@ pub(super) fn encode_field(
     if attribute.count != values_a_point {
         return Err(out_of_range());
     }
-    with_values!(&attribute.values, values => {
+    // Whole numbers of a scaled field are as they are stored.
+    let unscaled = match (scales, &attribute.values) {
+        (Some(scales), AttributeValues::F64(values)) => {
+            let stored = |(i, &value): (usize, &f64)| scales[i % count].stored(value);
+            Some(AttributeValues::F64(values.iter().enumerate().map(stored).collect()))
+        }
+        _ => None,
+    };
+    with_values!(unscaled.as_ref().unwrap_or(&attribute.values), values => {
         for (point, &i) in raw.chunks_exact_mut(record).zip(kept) {
             for k in 0..values_a_point {
                 let value = values[i * values_a_point + k];

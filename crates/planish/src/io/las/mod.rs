@@ -51,7 +51,10 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     }));
     let (header, found) = decoded.map_err(|_| unreadable())?.map_err(damaged)?;
     if found.len() != points {
-        return Err(FormatError::Malformed(format!("cut off: {} of {points} points", found.len())));
+        return Err(FormatError::Malformed(format!(
+            "the file is cut short: it has {} of {points} points",
+            found.len()
+        )));
     }
     cloud_of(Arc::new(header), found.raw_bytes())
 }
@@ -70,13 +73,22 @@ struct Checked {
 
 impl Checked {
     fn of(bytes: &(impl FileBytes + ?Sized), format: Format) -> FormatResult<Self> {
-        let cut_off = || FormatError::Malformed("cut off".into());
-        check_header(bytes).ok_or_else(cut_off)??;
-        let Claims { points, record, extended } = claims(bytes).ok_or_else(cut_off)?;
+        let size = bytes.size();
+        if bytes.read(0, 4).is_none_or(|head| head != b"LASF") {
+            return Err(FormatError::Malformed("no LAS or LAZ: it does not begin with LASF, whatever its name".into()));
+        }
+        let short_header =
+            || FormatError::Malformed(format!("the file is cut short: no whole LAS header in {size} bytes"));
+        check_header(bytes).ok_or_else(short_header)??;
+        let Claims { points, record, extended } = claims(bytes).ok_or_else(short_header)?;
         let count = usize::try_from(points).unwrap_or(usize::MAX);
+        let cut_off = || {
+            let claimed = format!("{points} points of {record} bytes are announced in {size} bytes");
+            FormatError::Malformed(format!("the file is cut short: {claimed}"))
+        };
         match format {
             Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
-            _ if count.saturating_mul(record) > bytes.size() => return Err(cut_off()),
+            _ if count.saturating_mul(record) > size => return Err(cut_off()),
             _ => {}
         }
         let extended = extended.map_or(Some(Vec::new()), |extended| extended_records(bytes, extended));

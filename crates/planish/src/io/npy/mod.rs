@@ -13,7 +13,7 @@ use crate::io::Gridded;
 use crate::io::columns::cloud_from_columns;
 use crate::xyz::validate_shape;
 
-const LAYOUTS: &str = "depth is [H, W] of u16 or f32 (metres), points are [H, W, 3] or [N, 3] of f32";
+const LAYOUTS: &str = "depth is [H, W] of u16 or f32 (metres), points are [H, W, 3] or [N, 3] of f32 or f64";
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, FormatError> {
     let array = Array::parse(bytes)?;
@@ -26,7 +26,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
         }
         (&[n, 3], 'f', 8) => points_f64(n, 1, array.values()),
         (&[n, 3], 'f', 4) => points(n, 1, array.values()),
-        (&[height, width], 'f', 4 | 8) => {
+        (&[height, width], 'f', 4 | 8) if !is_table(height, width) => {
             validate_shape(width, height)?;
             let depth_m = match array.header.size {
                 4 => array.values(),
@@ -43,9 +43,21 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
         }
         (shape, ..) => {
             let descr = &array.header.descr;
-            Err(FormatError::Unsupported(format!("an array of shape {shape:?} and type {descr}: {LAYOUTS}")))
+            let advice = match shape {
+                [_, 4..=16] | [_, _, 4..=16] => {
+                    "; of points with fields save [..., :3], or .npz with the fields as arrays of their own"
+                }
+                [.., 3] => "; integers become metres as array.astype('f4') times their unit",
+                _ => "",
+            };
+            Err(FormatError::Unsupported(format!("an array of shape {shape:?} and type {descr}: {LAYOUTS}{advice}")))
         }
     }
+}
+
+/// Whether an array is a line of numbers for each of many points, not an image.
+fn is_table(rows: usize, columns: usize) -> bool {
+    columns <= 16 && rows >= 16 * columns
 }
 
 fn points(width: usize, height: usize, values: Vec<f32>) -> Result<Contents, FormatError> {

@@ -23,7 +23,7 @@ use records::{Layout, take_records};
 
 use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
 use super::{CloudRef, Encoding, Gridded, ReadOptions, brief, quoted, text};
-use crate::cloud::{Attribute, AttributeValues, PointCloud};
+use crate::cloud::{Attribute, AttributeValues, PointCloud, Remarks};
 use crate::error::FormatError;
 use crate::pose::SensorPose;
 use crate::xyz::MAX_PIXELS;
@@ -47,7 +47,7 @@ fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
     Err(FormatError::Malformed(text.into()))
 }
 
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Gridded, FormatError> {
     let Some(lines) = header_lines(bytes) else {
         return malformed("the PLY header has no end: a line \"end_header\" is missing in its first 64 KiB");
     };
@@ -72,7 +72,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
         PlyEncoding::Ascii => read_text(&header, reader.into_inner(), &mut columns)?,
         _ => read_binary(&header, reader.into_inner(), &mut columns)?,
     };
-    let (width, height) = match (info(&header, "num_cols"), info(&header, "num_rows"), cells) {
+    let (width, height) = match (info(&header, GRID_INFOS[0]), info(&header, GRID_INFOS[1]), cells) {
         (Some(width), Some(height), _) if width.checked_mul(height) == Some(vertex.count) => (width, height),
         (Some(width), Some(height), Some(cells)) => {
             if width.checked_mul(height) != Some(cells.len()) {
@@ -95,11 +95,21 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
     rename_normals(&mut columns);
     let mut points = cloud_from_columns(columns)?;
     points.pose = camera.pose.unwrap_or_default();
+    points.remarks = remarks_of(&header);
+    let others = header.elements.values().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
+    let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
+    if !others.is_empty() {
+        notes.push(format!("elements beside the vertices are left out: {}", others.join(", ")));
+    }
     Ok(Gridded { width, height, points })
 }
 
 fn damaged(error: impl Into<std::io::Error>) -> FormatError {
-    FormatError::Malformed(format!("damaged PLY: {}", brief(&error.into().to_string())))
+    // Behind that, the library prints its parser's state.
+    const STATE: &str = " Error: ";
+    let message = error.into().to_string();
+    let message = message.split_once(STATE).map_or(message.as_str(), |(message, _)| message);
+    FormatError::Malformed(format!("damaged PLY: {}", brief(message.trim())))
 }
 
 /// The vertex of each pixel, if there is an element `range_grid`.
@@ -237,6 +247,17 @@ fn info(header: &Header, key: &str) -> Option<usize> {
     header.obj_infos.iter().find_map(number)
 }
 
+/// What is read of a file, or stated anew.
+const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
+const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
+
+/// What the header says in free text.
+fn remarks_of(header: &Header) -> Remarks {
+    let is_of_grid = |line: &&String| GRID_INFOS.iter().any(|key| line.trim().starts_with(key));
+    let obj_infos = header.obj_infos.iter().filter(|line| !is_of_grid(line)).cloned().collect();
+    Remarks { comments: header.comments.clone(), obj_infos }
+}
+
 /// The largest header accepted, in bytes; real ones have a few hundred.
 const MAX_HEADER_BYTES: usize = 64 * 1024;
 
@@ -336,9 +357,10 @@ fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, Forma
 
 pub(super) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
     let columns = columns_of(cloud.points())?;
-    let grid = matches!(cloud, CloudRef::Organized(_)).then(|| cloud.grid());
+    let PointCloud { pose, remarks, .. } = cloud.points();
     let points = cloud.points().len();
-    let [mut bytes, behind] = encode_around(&columns, points, grid, &cloud.points().pose, encoding)?;
+    let grid = matches!(cloud, CloudRef::Organized(_)).then(|| cloud.grid());
+    let [mut bytes, behind] = Around { grid, pose, remarks, encoding }.encode(&columns, points)?;
     bytes.extend(encode_rows(&columns, points, encoding)?);
     bytes.extend(behind);
     Ok(bytes)
@@ -363,31 +385,40 @@ fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatError> {
     Ok(columns)
 }
 
-/// What stands before and behind so many vertices with these columns, on a grid or not: the header, and the camera where it has a pose.
-fn encode_around(
-    columns: &[Attribute],
-    points: usize,
+/// What stands before and behind the vertices of a file.
+struct Around<'a> {
     grid: Option<(usize, usize)>,
-    pose: &SensorPose,
+    pose: &'a SensorPose,
+    remarks: &'a Remarks,
     encoding: Encoding,
-) -> Result<[Vec<u8>; 2], FormatError> {
-    let camera = if pose.is_identity() { Vec::new() } else { PlyCamera::columns(pose, grid.unwrap_or((points, 1))) };
-    let mut header = Header::new();
-    header.encoding = match encoding {
-        Encoding::Ascii => PlyEncoding::Ascii,
-        Encoding::Binary | Encoding::BinaryCompressed => PlyEncoding::BinaryLittleEndian,
-    };
-    if let Some((width, height)) = grid {
-        header.obj_infos = vec![format!("num_cols {width}"), format!("num_rows {height}")];
+}
+
+impl Around<'_> {
+    /// The header, and the camera where there is a pose, around so many vertices with these columns.
+    fn encode(&self, columns: &[Attribute], points: usize) -> Result<[Vec<u8>; 2], FormatError> {
+        let &Self { grid, pose, remarks, encoding } = self;
+        let camera =
+            if pose.is_identity() { Vec::new() } else { PlyCamera::columns(pose, grid.unwrap_or((points, 1))) };
+        let mut header = Header::new();
+        header.encoding = match encoding {
+            Encoding::Ascii => PlyEncoding::Ascii,
+            Encoding::Binary | Encoding::BinaryCompressed => PlyEncoding::BinaryLittleEndian,
+        };
+        header.comments = remarks.comments.clone();
+        header.obj_infos = remarks.obj_infos.clone();
+        if let Some((width, height)) = grid {
+            let stated = GRID_INFOS.iter().zip([width, height]).map(|(key, number)| format!("{key} {number}"));
+            header.obj_infos.extend(stated);
+        }
+        header.elements.add(element_of("vertex", points, columns));
+        if !camera.is_empty() {
+            header.elements.add(element_of("camera", 1, &camera));
+        }
+        let mut before = Vec::new();
+        Writer::<Record>::new().write_header(&mut before, &header)?;
+        let behind = if camera.is_empty() { Vec::new() } else { encode_rows(&camera, 1, encoding)? };
+        Ok([before, behind])
     }
-    header.elements.add(element_of("vertex", points, columns));
-    if !camera.is_empty() {
-        header.elements.add(element_of("camera", 1, &camera));
-    }
-    let mut before = Vec::new();
-    Writer::<Record>::new().write_header(&mut before, &header)?;
-    let behind = if camera.is_empty() { Vec::new() } else { encode_rows(&camera, 1, encoding)? };
-    Ok([before, behind])
 }
 
 /// The lines or records of the columns.

@@ -14,10 +14,10 @@ use super::super::{Encoding, FormatResult, text};
 use super::camera::PlyCamera;
 use super::records::Layout;
 use super::{
-    MAX_HEADER_BYTES, Record, check_properties, check_size, columns_of, damaged, empty_columns, encode_around, info,
-    malformed, read_camera, rename_normals, stated_properties,
+    Around, GRID_INFOS, MAX_HEADER_BYTES, Record, check_properties, check_size, columns_of, damaged, empty_columns,
+    info, malformed, read_camera, remarks_of, rename_normals, stated_properties,
 };
-use crate::cloud::{Attribute, PointCloud};
+use crate::cloud::{Attribute, PointCloud, Remarks};
 use crate::error::FormatError;
 use crate::pose::SensorPose;
 
@@ -30,6 +30,7 @@ pub(crate) struct VertexHeader {
     /// Which fields are x, y and z.
     axes: [usize; 3],
     pose: SensorPose,
+    remarks: Remarks,
 }
 
 /// Reads the vertices of a general cloud some at a time.
@@ -138,13 +139,14 @@ impl RecordReader for PlyReader {
             }
             Some(_) => return unsupported("a PLY with other elements before its camera"),
         };
-        if info(&header, "num_cols").is_some() || header.elements.contains_key("range_grid") {
+        if info(&header, GRID_INFOS[0]).is_some() || header.elements.contains_key("range_grid") {
             return unsupported("an organized cloud");
         }
         if header.encoding != PlyEncoding::Ascii && points.saturating_mul(layout.record) > bytes - at {
             return malformed(format!("the file is cut short: {points} vertices are announced in {bytes} bytes"));
         }
-        let header = VertexHeader { encoding: header.encoding, layout, columns, axes: [x, y, z], pose };
+        let remarks = remarks_of(&header);
+        let header = VertexHeader { encoding: header.encoding, layout, columns, axes: [x, y, z], pose, remarks };
         let mut body = BufReader::with_capacity(1 << 20, File::open(path)?);
         body.seek(SeekFrom::Start(at as u64))?;
         Ok(Self { header: Arc::new(header), body, points, read: 0, buffer: Vec::new() })
@@ -225,6 +227,7 @@ pub(crate) struct PlyEncoder {
     /// Columns without values.
     columns: Vec<Attribute>,
     pose: SensorPose,
+    remarks: Remarks,
 }
 
 impl RecordEncoder for PlyEncoder {
@@ -245,7 +248,8 @@ impl RecordEncoder for PlyEncoder {
         }
         let element = super::element_of("vertex", 0, &columns);
         let Some(layout) = Layout::of(&element) else { return malformed("vertices have no lists") };
-        Ok(Self { encoding: encoding.unwrap_or(own), layout, columns, pose: cloud.pose })
+        let (pose, remarks) = (cloud.pose, header.remarks.clone());
+        Ok(Self { encoding: encoding.unwrap_or(own), layout, columns, pose, remarks })
     }
 
     fn in_latest_version(self) -> FormatResult<Self> {
@@ -266,7 +270,9 @@ impl RecordEncoder for PlyEncoder {
         points: usize,
         mut next: impl FnMut() -> FormatResult<Vec<u8>>,
     ) -> FormatResult<()> {
-        let [head, behind] = encode_around(&self.columns, points, None, &self.pose, self.encoding)?;
+        let Self { pose, remarks, encoding, .. } = &self;
+        let around = Around { grid: None, pose, remarks, encoding: *encoding };
+        let [head, behind] = around.encode(&self.columns, points)?;
         to.write_all(&head)?;
         loop {
             let records = next()?;
