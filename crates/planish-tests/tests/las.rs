@@ -147,6 +147,52 @@ fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
 }
 
 #[test]
+fn scaled_extra_bytes_are_numbers_everywhere_and_the_same_bytes_in_las() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scaled.las");
+    let mut builder = las::Builder::from((1, 4));
+    builder.point_format = las::point::Format::new(6).unwrap();
+    // An i32 in hundredths; two u16, the second in halves from 100 on; an i64 that no f64 holds.
+    builder.point_format.extra_bytes = 4 + 4 + 8;
+    let mut data = Vec::new();
+    let fields: [(&[u8], u8, u8, [[f64; 3]; 2]); 3] = [
+        (b"temperature", 6, 8, [[0.01, 0.0, 0.0], [0.0; 3]]),
+        (b"pair", 13, 8 | 16, [[1.0, 0.5, 0.0], [0.0, 100.0, 0.0]]),
+        (b"time", 8, 8, [[0.1, 0.0, 0.0], [0.0; 3]]),
+    ];
+    for (name, number, options, [scales, offsets]) in fields {
+        let mut description = vec![0u8; 192];
+        (description[2], description[3]) = (number, options);
+        description[4..4 + name.len()].copy_from_slice(name);
+        for (k, value) in scales.into_iter().chain(offsets).enumerate() {
+            description[112 + 8 * k..120 + 8 * k].copy_from_slice(&value.to_le_bytes());
+        }
+        data.extend(description);
+    }
+    builder.vlrs.push(las::Vlr { user_id: "LASF_Spec".into(), record_id: 4, description: String::new(), data });
+    let mut writer = las::Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
+    for (i, temperature) in [53506i32, -1, i32::MAX].into_iter().enumerate() {
+        let pair = [7u16, 3].map(u16::to_le_bytes).concat();
+        let extra_bytes = [&temperature.to_le_bytes()[..], &pair, &(i64::MAX - 1).to_le_bytes()].concat();
+        let point = las::Point { x: i as f64, gps_time: Some(0.0), extra_bytes, ..Default::default() };
+        writer.write_point(point).unwrap();
+    }
+    writer.close().unwrap();
+    let Contents::General(cloud) = io::read(&path).unwrap().1 else { panic!("points") };
+    let values = |name: &str| cloud.attribute(name).unwrap().values.clone();
+    assert_eq!(values("temperature"), vec![535.06, -0.01, 21_474_836.47].into());
+    assert_eq!(values("pair"), vec![7.0, 101.5, 7.0, 101.5, 7.0, 101.5].into());
+    assert_eq!(values("time"), vec![i64::MAX - 1; 3].into());
+    let csv = folder.path().join("scaled.csv");
+    io::write_cloud(&csv, &cloud, Encoding::Ascii).unwrap();
+    let text = std::fs::read_to_string(&csv).unwrap();
+    assert!(text.lines().nth(1).unwrap().ends_with("535.06,7,101.5,9223372036854775806"), "{text}");
+    let copy = folder.path().join("copy.las");
+    io::write_cloud(&copy, &cloud, Encoding::Binary).unwrap();
+    assert_eq!(las_records(&copy).1, las_records(&path).1);
+}
+
+#[test]
 fn damaged_las_files_are_refused() {
     let Some(data) = folder("damaged LAS") else { return };
     for name in ["readers/simple.las", "unorganized/simple.laz"] {

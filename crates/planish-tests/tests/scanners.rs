@@ -39,6 +39,8 @@ fn decode(bytes: &[u8], format: Format) -> Result<PointCloud, String> {
 fn two_scans() -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();
+    writer.set_coordinate_metadata(Some("EPSG:25832".into()));
+    writer.set_creation(Some(e57::DateTime { gps_time: 1234.5, atomic_reference: false }));
     let double = RecordDataType::Double { min: None, max: None };
     let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
     let position = || axes.clone().map(|name| Record { name, data_type: double.clone() }).to_vec();
@@ -60,9 +62,15 @@ fn two_scans() -> Vec<u8> {
     scan.finalize().unwrap();
     let channels = [RecordName::ColorRed, RecordName::ColorGreen, RecordName::ColorBlue];
     let channel = |name| Record { name, data_type: RecordDataType::Integer { min: 0, max: 255 } };
-    let second = [position(), channels.map(channel).to_vec()].concat();
+    let intensity = RecordDataType::ScaledInteger { min: 0, max: 4095, scale: 0.5, offset: 10.0 };
+    let intensity = Record { name: RecordName::Intensity, data_type: intensity };
+    let second = [position(), channels.map(channel).to_vec(), vec![intensity]].concat();
     let mut scan = writer.add_pointcloud("{second}", second).unwrap();
-    let colour = [7, 8, 9].map(RecordValue::Integer);
+    let limit = |value| Some(RecordValue::ScaledInteger(value));
+    scan.set_intensity_limits(Some(e57::IntensityLimits { intensity_min: limit(2), intensity_max: limit(4000) }));
+    scan.set_original_guids(Some(vec!["{raw}".into()]));
+    let colour = [7, 8, 9].map(RecordValue::Integer).into_iter().chain([RecordValue::ScaledInteger(80)]);
+    let colour: Vec<RecordValue> = colour.collect();
     scan.add_point([&[500_003.0, 5_000_001.0, 121.0].map(RecordValue::Double)[..], &colour].concat()).unwrap();
     scan.finalize().unwrap();
     writer.finalize().unwrap();
@@ -89,12 +97,48 @@ fn scans_of_an_e57_are_one_cloud_in_the_frame_of_the_file_and_are_written_back_e
     io::write_cloud(&output, &cloud, Encoding::Binary).unwrap();
     let again = read(&output).1;
     assert_eq!((again.len(), again.valid_points(), again.origin_m), (4, 3, cloud.origin_m));
-    assert_eq!(again.attributes, cloud.attributes);
+    // A NaN does not equal itself.
+    assert_eq!(format!("{:?}", again.attributes), format!("{:?}", cloud.attributes));
     let reader = e57::E57Reader::from_file(&output).unwrap();
     let scans = reader.pointclouds();
     assert_eq!(scans.iter().map(|scan| scan.records).collect::<Vec<_>>(), [3, 1]);
     assert_eq!(scans[0].name.as_deref(), Some("cellar"));
     assert_eq!(scans[0].transform.as_ref().unwrap().translation.y, 5_000_000.0);
+    assert_eq!(reader.coordinate_metadata(), Some("EPSG:25832"));
+    assert_eq!(reader.creation().unwrap().gps_time, 1234.5);
+    let limits = scans[1].intensity_limits.as_ref().unwrap();
+    assert_eq!(limits.intensity_min, Some(RecordValue::Double(11.0)));
+    assert_eq!(limits.intensity_max, Some(RecordValue::Double(2010.0)));
+    assert_eq!(scans[1].original_guids.as_deref(), Some(&["{raw}".to_owned()][..]));
+}
+
+#[test]
+fn what_is_left_out_of_a_file_is_noted() {
+    let folder = tempfile::tempdir().unwrap();
+    let notes = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        io::read_file(&path, &io::ReadOptions::default()).unwrap().notes
+    };
+    let mut bytes = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();
+    let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+    let axis = |name| Record { name, data_type: RecordDataType::Double { min: None, max: None } };
+    let mut scan = writer.add_pointcloud("{scan}", axes.map(axis).to_vec()).unwrap();
+    scan.add_point([1.0, 2.0, 3.0].map(RecordValue::Double).to_vec()).unwrap();
+    scan.finalize().unwrap();
+    let mut image = writer.add_image("{image}").unwrap();
+    let properties = e57::VisualReferenceImageProperties { width: 1, height: 1 };
+    image.add_visual_reference(e57::ImageFormat::Png, &mut &[1u8, 2, 3, 4][..], properties, None).unwrap();
+    image.finalize().unwrap();
+    writer.finalize().unwrap();
+    drop(writer);
+    assert_eq!(notes("a.e57", &bytes.into_inner()), ["an image is left out"]);
+    assert_eq!(notes("a.xyz", b"# by hand\n1 2 3\n4 5 6 # here\n# end\n"), ["2 comments are left out"]);
+    assert_eq!(notes("a.csv", b"x,y,z\n1,2,3\n"), Vec::<String>::new());
+    let mesh = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+                property list uchar int vertex_indices\nend_header\n0 0 1\n1 0\n";
+    assert_eq!(notes("a.ply", mesh.as_bytes()), ["elements beside the vertices are left out: face (1)"]);
 }
 
 #[test]

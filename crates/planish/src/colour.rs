@@ -125,9 +125,8 @@ mod tests {
             for (name, values) in CHANNELS.iter().zip(channels) {
                 cloud.set_attribute(name, values);
             }
-            let before = cloud.clone();
             cloud.pack_colour();
-            assert_eq!(cloud, before);
+            assert!(cloud.attribute("rgb").is_none(), "digits would be lost");
             cloud.shown_rgb()
         };
         let wide = [vec![0xff00u16, 0x0180].into(), vec![0u16, 0x8000].into(), vec![7u16, 0xffff].into()];

@@ -146,8 +146,8 @@ fn bad_arguments_and_bad_input_are_refused_with_exit_code_2() {
     let (folder, _, path) = with_frame();
     let output = folder.path().join("never.pcd");
     let smooth = |more: &[&str]| refused(&[&["smooth", str(&path), str(&output)], more].concat());
-    assert!(smooth(&["--window", "9"]).contains("window = 9 is not allowed: 1 to 7"));
-    assert!(smooth(&["--radius", "-1"]).contains("radius"));
+    assert!(smooth(&["--window", "9"]).contains("--window = 9 is not allowed: 1 to 7"));
+    assert!(smooth(&["--radius", "-1"]).contains("--radius = -1"));
     assert!(smooth(&["--degree", "5"]).contains("degree = 5"));
     assert!(smooth(&["--threads", "0"]).contains("threads = 0"));
     assert!(smooth(&["--camera", "1,2,3"]).contains("FX,FY,CX,CY"));
@@ -161,6 +161,47 @@ fn bad_arguments_and_bad_input_are_refused_with_exit_code_2() {
     assert!(refused(&["smooth", str(&path), str(&folder.path().join("none/x.pcd"))]).contains("does not exist"));
     assert!(refused(&["smooth", str(&path), str(&folder.path().join("x.png"))]).contains("--camera"));
     assert!(!output.exists());
+}
+
+#[test]
+fn what_cannot_be_written_is_refused_before_anything_is_smoothed() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = folder.path().join("cloud.csv");
+    let line = |i: usize| format!("{},{},0,20.5\n", i % 30, i / 30);
+    fs::write(&cloud, format!("x,y,z,temperature\n{}", (0..900).map(line).collect::<String>())).unwrap();
+    for (name, said) in [
+        ("a.bin", "temperature"),
+        ("a.png", "an image holds depth"),
+        ("a.obj", "is read, not written"),
+        ("none/a.ply", "does not exist"),
+    ] {
+        let output = folder.path().join(name);
+        for command in [&["smooth"][..], &["clean", "--voxel", "0.5"]] {
+            let message = refused(&[command, &[str(&cloud), str(&output)]].concat());
+            assert!(message.contains(name.rsplit('/').next().unwrap()) && message.contains(said), "{message}");
+            assert!(!message.contains("neighbours of each point"), "before it is smoothed: {message}");
+        }
+        assert!(!output.exists());
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_limit_on_the_size_of_files_leaves_no_half_of_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = folder.path().join("cloud.xyz");
+    let line = |i: usize| format!("{} {} 0\n", i % 100, i / 100);
+    fs::write(&cloud, (0..10_000).map(line).collect::<String>()).unwrap();
+    // In blocks of 512 or 1024 bytes.
+    let limited = "ulimit -f 8; exec \"$0\" smooth \"$1\" \"$2\"";
+    let output = folder.path().join("out.ply");
+    let ended = std::process::Command::new("sh")
+        .args(["-c", limited, env!("CARGO_BIN_EXE_planish"), str(&cloud), str(&output)])
+        .output()
+        .unwrap();
+    let message = String::from_utf8_lossy(&ended.stderr);
+    assert!(ended.status.code() == Some(2) && message.contains("out.ply"), "{:?} {message}", ended.status);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "the cloud alone");
 }
 
 #[test]

@@ -99,6 +99,23 @@ fn ply_normals_have_its_own_names_and_an_inputs_are_replaced() {
 }
 
 #[test]
+fn comments_and_object_information_of_a_ply_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("c.ply");
+    let text = "ply\nformat ascii 1.0\ncomment made by hand\nobj_info is_mesh 0\nobj_info num_cols 2\nobj_info num_rows 2\nelement vertex 4\n\
+                property float x\nproperty float y\nproperty float z\nend_header\n0 0 1\n1 0 1\n0 1 1\n1 1 1\n";
+    fs::write(&path, text).unwrap();
+    let (_, Contents::Organized(cloud)) = io::read(&path).unwrap() else { panic!("a grid") };
+    io::write_cloud(&path, &cloud, Encoding::Ascii).unwrap();
+    let written = fs::read_to_string(&path).unwrap();
+    let count = |line: &str| written.lines().filter(|found| *found == line).count();
+    for line in ["comment made by hand", "obj_info is_mesh 0", "obj_info num_cols 2", "obj_info num_rows 2"] {
+        assert_eq!(count(line), 1, "{line} in {written}");
+    }
+    assert_eq!(OrganizedCloud::read(&path).unwrap(), cloud);
+}
+
+#[test]
 fn ply_refuses_integers_that_it_would_round() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("i.ply");

@@ -207,14 +207,21 @@ mod tests {
             ("units.npy", array("'<U1'", "()")),
             ("names.npy", array("[('a', '<f4')]", "(2,)")),
             ("label.npy", array("'|u1'", "(2,)")),
+            ("other.npy", array("'|u1'", "(3,)")),
         ];
         for (name, bytes) in arrays {
             writer.start_file(name, SimpleFileOptions::default()).unwrap();
             writer.write_all(&bytes).unwrap();
         }
         let bytes = writer.finish().unwrap().into_inner();
-        let Contents::General(read) = decode(&bytes, &ReadOptions::default()).unwrap() else { panic!("a cloud") };
+        let mut notes = Vec::new();
+        let read = decode(&bytes, &ReadOptions::default(), &mut notes).unwrap();
+        let Contents::General(read) = read else { panic!("a cloud") };
         let names: Vec<&str> = read.attributes.iter().map(|attribute| attribute.name.as_str()).collect();
         assert_eq!((read.positions, names), (cloud.positions, vec!["label"]));
+        let left_out: Vec<bool> =
+            ["units", "names", "other"].iter().zip(&notes).map(|(name, note)| note.contains(name)).collect();
+        assert_eq!((left_out, notes.len()), (vec![true; 3], 3), "{notes:?}");
+        assert!(notes[2].contains("[3]") && notes[2].contains("2 points"), "{notes:?}");
     }
 }
