@@ -45,21 +45,46 @@ pub struct Statistics {
     pub unsent: u64,
     /// Why the last message could not be smoothed, until one can.
     pub problem: Option<String>,
+    /// From arrival to publication, since the last report.
     latency_us: Histogram<u64>,
+    /// From the message's stamp to publication, since the start.
+    since_stamp_us: Histogram<u64>,
 }
+
+/// A longer time since a stamp is no latency: the stamp is of another clock.
+const LONGEST: Duration = Duration::from_secs(60);
 
 impl Statistics {
     pub fn new() -> Result<Self> {
-        // Three digits.
-        let latency_us = Histogram::new(3)?;
-        Ok(Self { received: 0, published: 0, dropped: 0, failed: 0, unsent: 0, problem: None, latency_us })
+        // Three digits, and longer ones count as the longest.
+        let histogram = || Histogram::new_with_bounds(1, LONGEST.as_micros() as u64, 3);
+        let (latency_us, since_stamp_us) = (histogram()?, histogram()?);
+        let [received, published, dropped, failed, unsent] = [0; 5];
+        Ok(Self { received, published, dropped, failed, unsent, problem: None, latency_us, since_stamp_us })
     }
 
-    /// Counts a result, so long after its message arrived.
-    pub fn add(&mut self, latency: Duration) {
+    /// Counts a result, so long after its message arrived, and after its stamp where that is not later.
+    pub fn add(&mut self, latency: Duration, since_stamp: Option<Duration>) {
         self.published += 1;
         self.problem = None;
         self.latency_us.saturating_record(latency.as_micros() as u64);
+        if let Some(since_stamp) = since_stamp.filter(|since| *since < LONGEST) {
+            self.since_stamp_us.saturating_record(since_stamp.as_micros() as u64);
+        }
+    }
+
+    /// What there was since the start, in a line.
+    pub fn summary(&self) -> String {
+        let Self { received, published, dropped, failed, unsent, since_stamp_us, .. } = self;
+        let ms = |quantile: f64| 1e-3 * since_stamp_us.value_at_quantile(quantile) as f64;
+        let latency = match since_stamp_us.len() {
+            0 => String::new(),
+            _ => format!("; from stamp to publication 50 % within {:.1} ms, 99 % within {:.1} ms", ms(0.5), ms(0.99)),
+        };
+        format!(
+            "{received} messages received, {published} smoothed and published, {dropped} dropped for newer ones, {failed} failed, {unsent} not \
+             taken by subscribers{latency}"
+        )
     }
 
     /// The report for the time since the last one.
@@ -86,5 +111,32 @@ impl Statistics {
         let status =
             DiagnosticStatus { level, name: format!("{node}: smoothing"), message, hardware_id: String::new(), values };
         DiagnosticArray { header, status: vec![status] }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn latencies_are_reported_as_they_were() {
+        let mut statistics = Statistics::new().unwrap();
+        for ms in 1..=100 {
+            statistics.add(Duration::from_millis(ms), Some(Duration::from_millis(2 * ms)));
+        }
+        // Its stamp is of another clock.
+        statistics.add(Duration::from_millis(50), Some(Duration::from_secs(1_000_000)));
+        let summary = statistics.summary();
+        assert!(
+            summary.contains("101 smoothed") && summary.contains("50 % within 100.0 ms, 99 % within 198."),
+            "{summary}"
+        );
+        let report = statistics.report(Header::default(), "/planish", Some("cpu"));
+        let value = |key: &str| {
+            let found = report.status[0].values.iter().find(|value| value.key == key);
+            found.unwrap().value.parse::<f64>().unwrap()
+        };
+        assert!((value("latency p50 ms") - 50.0).abs() < 0.1 && (value("latency p99 ms") - 99.0).abs() < 1.1);
+        assert_eq!(value("rate"), 101.0);
     }
 }

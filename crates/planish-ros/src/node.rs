@@ -132,6 +132,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
             work.report();
         }
     }
+    eprintln!("{}", work.statistics.summary());
     Ok(())
 }
 
@@ -351,13 +352,14 @@ impl Work {
         if !self.settings.publishes() {
             return Ok(());
         }
-        let result = match message {
-            Arrived::Depth(message) => self.smooth_depth(&message, camera),
-            Arrived::Cloud(cloud) => self.smooth_cloud(cloud),
+        let (stamp, result) = match message {
+            Arrived::Depth(message) => (message.header().stamp, self.smooth_depth(&message, camera)),
+            Arrived::Cloud(cloud) => (cloud.header.stamp, self.smooth_cloud(cloud)),
         };
         match result {
             Ok(()) => {
-                self.statistics.add(since.elapsed());
+                let stamp = SystemTime::UNIX_EPOCH + Duration::from_nanos(stamp.nanoseconds());
+                self.statistics.add(since.elapsed(), SystemTime::now().duration_since(stamp).ok());
                 if let Some(warning) = self.smoother.take_warning() {
                     self.warn(warning);
                 }

@@ -289,6 +289,27 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
 }
 
 #[test]
+fn what_a_file_in_tiles_says_is_kept_or_noted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (folder.path().join("mesh.ply"), folder.path().join("out.ply"));
+    io::write_cloud(&input, &field(5000), Encoding::Ascii).unwrap();
+    let text = fs::read_to_string(&input).unwrap();
+    let face = "element face 1\nproperty list uchar int vertex_indices\nend_header";
+    let text = text.replace("element vertex", "comment by hand\nelement vertex").replace("end_header", face);
+    fs::write(&input, text + "3 0 1 2\n").unwrap();
+    let report = in_tiles(&input, &out, SmoothParams::general(), 3);
+    assert!(report.tiles > 1, "{report:?}");
+    assert_eq!(report.notes, ["elements beside the vertices are left out: face (1)"]);
+    // Above the field, on a map.
+    let sensor = report.assumed_sensor_m.unwrap();
+    assert!(sensor[2] > 150.0 && (sensor[0] - 637_030.0).abs() < 50.0, "{sensor:?}");
+    assert!(fs::read_to_string(&out).unwrap().contains("comment by hand\n"));
+    let smoothed = read(&out);
+    let AttributeValues::F32(normals) = &smoothed.attribute("normal_z").unwrap().values else { panic!("f32") };
+    assert!(normals.iter().all(|z| z.is_nan() || *z > 0.0));
+}
+
+#[test]
 fn a_file_in_parts_has_every_point_once() {
     let folder = tempfile::tempdir().unwrap();
     let input = folder.path().join("a.laz");

@@ -74,8 +74,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let others = arrays.iter().filter(|(name, _)| *name != used);
     let wanted = if contents.is_depth() { &DEPTH[..] } else { &POSITIONS[..] };
     if !wanted.contains(&used.as_str()) {
-        let what = if contents.is_depth() { "depth" } else { "the positions" };
-        notes.push(format!("{what} taken from the array {}, the only one of a shape for that", brief(&used)));
+        let what = if contents.is_depth() { "depth" } else { "positions" };
+        notes.push(format!("{what} taken from the array {}, the only one whose shape fits", brief(&used)));
     }
     let cloud = match &mut contents {
         Contents::Organized(cloud) => &mut cloud.points,

@@ -24,6 +24,11 @@ pub(crate) trait RecordReader: Sized {
     /// Bytes of a record.
     fn record(&self) -> usize;
 
+    /// What of the file its records leave out: one clause each, for a user to read.
+    fn notes(&self) -> Vec<String> {
+        Vec::new()
+    }
+
     /// The next records, at most so many; none after the last.
     fn next_records(&mut self, most: usize) -> FormatResult<&[u8]>;
 

@@ -77,7 +77,7 @@ impl TileOptions {
 }
 
 /// What became of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct TilesReport {
     /// How many points there were.
@@ -90,6 +90,10 @@ pub struct TilesReport {
     pub status_counts: [usize; 7],
     /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
     pub reaching_beyond: usize,
+    /// Where the sensor is taken to have stood, if neither the file nor the options say it and the origin of coordinates is too far away.
+    pub assumed_sensor_m: Option<[f64; 3]>,
+    /// What of the file was left out: one clause each, for a user to read.
+    pub notes: Vec<String>,
 }
 
 /// Whether a file is smoothed in tiles into another: two LAS or LAZ files, or two PLY files.
@@ -158,13 +162,14 @@ fn smooth_records<R: RecordReader>(
     let whole = WholeFile::new(output).map_err(IoError::at(output))?;
     let reader = R::open(input).map_err(IoError::at(input))?;
     progress.begin(3 * reader.points());
+    let notes = reader.notes();
     // Of the files that go on the way, those that are written are at fault for what the system says.
     let at_either = |problem: FormatError| match problem {
         FormatError::Os(_) => Error::from(IoError::at(output)(problem)),
         _ => IoError::at(input)(problem).into(),
     };
     let mut dealt = Dealt::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
-    let report = TilesReport::default();
+    let report = TilesReport { notes, ..TilesReport::default() };
     let mut tiler = Tiler::<R> { options, smoother: None, halo_share: 1.0, report, encoder: None };
     for number in 0..dealt.tiles.len() {
         tiler.smooth(&mut dealt, number, output).map_err(|error| match error {
@@ -283,6 +288,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         let mut part = PointsView::from_cloud(cloud)?.as_part_of(dealt.points, dealt.extent_m);
         if let (true, Some(position_m)) = (cloud.pose.is_identity(), dealt.assumed_sensor_m) {
             part = part.with_pose(SensorPose { position_m, ..SensorPose::IDENTITY })?;
+            self.report.assumed_sensor_m = Some(position_m);
         }
         smoother.smooth(part.into_frame()?, &mut smoothed)?;
         Ok(smoothed)

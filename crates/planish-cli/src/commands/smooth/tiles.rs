@@ -9,9 +9,10 @@ use planish::tiles::{self, TileOptions};
 use planish::{Outputs, Progress, Radius};
 use planish_bench::errln;
 
+use super::super::checks::report_notes;
 use super::super::ms_since;
 use super::progress::with_progress;
-use super::report::{Report, StatusCounts, summarize};
+use super::report::{Report, StatusCounts, report_assumed_sensor, summarize};
 use super::{LOST_SHARE_TOLD, NeedsMemory, Worker};
 
 impl Worker<'_> {
@@ -39,6 +40,10 @@ impl Worker<'_> {
         let start = Instant::now();
         let report =
             with_progress(Some(Arc::clone(&progress)), || tiles::smooth_tiles(input, output, &options, &progress))?;
+        report_notes(input, &report.notes);
+        if let (Some(position_m), true) = (report.assumed_sensor_m, self.args.outputs().normals) {
+            report_assumed_sensor(input, position_m);
+        }
         if report.reaching_beyond > 0 {
             errln!(
                 "{}: {} of {} points reach beyond what their tile holds, being far from others; with more memory they may come out a little different",

@@ -96,11 +96,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let mut points = cloud_from_columns(columns)?;
     points.pose = camera.pose.unwrap_or_default();
     points.remarks = remarks_of(&header);
-    let others = header.elements.values().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
-    let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
-    if !others.is_empty() {
-        notes.push(format!("elements beside the vertices are left out: {}", others.join(", ")));
-    }
+    notes.extend(left_out(&header));
     Ok(Gridded { width, height, points })
 }
 
@@ -250,6 +246,13 @@ fn info(header: &Header, key: &str) -> Option<usize> {
 /// What is read of a file, or stated anew.
 const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
 const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
+
+/// What is said of elements that are not kept.
+fn left_out(header: &Header) -> Option<String> {
+    let others = header.elements.values().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
+    let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
+    (!others.is_empty()).then(|| format!("elements beside the vertices are left out: {}", others.join(", ")))
+}
 
 /// What the header says in free text.
 fn remarks_of(header: &Header) -> Remarks {

@@ -15,7 +15,7 @@ use super::camera::PlyCamera;
 use super::records::Layout;
 use super::{
     Around, GRID_INFOS, MAX_HEADER_BYTES, Record, check_properties, check_size, columns_of, damaged, empty_columns,
-    info, malformed, read_camera, remarks_of, rename_normals, stated_properties,
+    info, left_out, malformed, read_camera, remarks_of, rename_normals, stated_properties,
 };
 use crate::cloud::{Attribute, PointCloud, Remarks};
 use crate::error::FormatError;
@@ -31,6 +31,7 @@ pub(crate) struct VertexHeader {
     axes: [usize; 3],
     pose: SensorPose,
     remarks: Remarks,
+    left_out: Option<String>,
 }
 
 /// Reads the vertices of a general cloud some at a time.
@@ -145,8 +146,9 @@ impl RecordReader for PlyReader {
         if header.encoding != PlyEncoding::Ascii && points.saturating_mul(layout.record) > bytes - at {
             return malformed(format!("the file is cut short: {points} vertices are announced in {bytes} bytes"));
         }
-        let remarks = remarks_of(&header);
-        let header = VertexHeader { encoding: header.encoding, layout, columns, axes: [x, y, z], pose, remarks };
+        let (remarks, left_out) = (remarks_of(&header), left_out(&header));
+        let header =
+            VertexHeader { encoding: header.encoding, layout, columns, axes: [x, y, z], pose, remarks, left_out };
         let mut body = BufReader::with_capacity(1 << 20, File::open(path)?);
         body.seek(SeekFrom::Start(at as u64))?;
         Ok(Self { header: Arc::new(header), body, points, read: 0, buffer: Vec::new() })
@@ -154,6 +156,10 @@ impl RecordReader for PlyReader {
 
     fn header(&self) -> &Self::Header {
         &self.header
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.header.left_out.iter().cloned().collect()
     }
 
     fn points(&self) -> usize {
