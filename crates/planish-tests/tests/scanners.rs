@@ -113,6 +113,92 @@ fn scans_of_an_e57_are_one_cloud_in_the_frame_of_the_file_and_are_written_back_e
 }
 
 #[test]
+fn normals_of_an_e57_are_in_the_frame_of_the_points_and_face_their_scanner() {
+    // Two scanners, one turned by a quarter about x, each with a floor 1.5 m below it in the file's frame, 100 m apart.
+    let half = 0.5f64.sqrt();
+    let scanners = [[0.0, 0.0, 1.5], [100.0, 0.0, 1.5]];
+    let mut bytes = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();
+    for (number, [x, y, z]) in scanners.into_iter().enumerate() {
+        let turn = if number == 0 { [1.0, 0.0] } else { [half, half] };
+        let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+        let axis = |name| Record { name, data_type: RecordDataType::Double { min: None, max: None } };
+        let mut scan = writer.add_pointcloud(&format!("{{{number}}}"), axes.map(axis).to_vec()).unwrap();
+        scan.set_transform(Some(Transform {
+            rotation: Quaternion { w: turn[0], x: turn[1], y: 0.0, z: 0.0 },
+            translation: Translation { x, y, z },
+        }));
+        for i in 0..900 {
+            let (u, v) = (0.1 * f64::from(i % 30) - 1.5, 0.1 * f64::from(i / 30) - 1.5);
+            // Of the second, (u, v, -1.5) turned back by a quarter.
+            let p = if number == 0 { [u, v, -1.5] } else { [u, -1.5, -v] };
+            scan.add_point(p.map(RecordValue::Double).to_vec()).unwrap();
+        }
+        scan.finalize().unwrap();
+    }
+    writer.finalize().unwrap();
+    drop(writer);
+    let mut cloud = decode(&bytes.into_inner(), Format::E57).unwrap();
+    assert_eq!(cloud.scanners_m().unwrap(), scanners);
+    let mut smoothed = planish::Smoothed::default();
+    let outputs = planish::Outputs::POINTS.with_normals(true);
+    let options = planish::SmootherOptions::new(planish::Engine::Cpu, outputs);
+    let mut smoother = planish::Smoother::open_with(planish::SmoothParams::general(), &options, None).unwrap();
+    smoother.smooth(planish::IntoFrame::into_frame(&cloud).unwrap(), &mut smoothed).unwrap();
+    // A result that faces away everywhere is turned.
+    let normals = smoothed.normals.as_mut().unwrap();
+    for i in 0..normals.len() {
+        let n = normals.get(i);
+        normals.set(i, if n[2] > 0.0 { n.map(|value| -value) } else { n });
+    }
+    cloud.apply(&smoothed, outputs).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("n.e57");
+    io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+    let again = read(&path).1;
+    for cloud in [&cloud, &again] {
+        let AttributeValues::F32(up) = &cloud.attribute("normal_z").unwrap().values else { panic!("f32") };
+        assert!(up.iter().all(|z| *z > 0.999), "up in the file's frame");
+    }
+    // In the file they are in the frames of the scans, as the points are.
+    let mut reader = e57::E57Reader::from_file(&path).unwrap();
+    let scans = reader.pointclouds();
+    let place = scans[1]
+        .prototype
+        .iter()
+        .position(|record| matches!(&record.name, RecordName::Unknown { name, .. } if name == "normalY"));
+    let first = reader.pointcloud_raw(&scans[1]).unwrap().next().unwrap().unwrap();
+    let RecordValue::Single(y) = first[place.unwrap()] else { panic!("single") };
+    assert!(y > 0.999, "{y}");
+}
+
+#[test]
+fn arrays_that_name_the_same_are_all_kept() {
+    let mut cloud = cloud(3);
+    let vector = |name: &str, first: u8| planish::Attribute {
+        name: name.into(),
+        count: 3,
+        values: (first..first + 9).collect::<Vec<u8>>().into(),
+    };
+    cloud.attributes = vec![vector("rgb", 1), vector("colors", 20)];
+    cloud.set_attribute("red", vec![7.5f32, 8.5, 9.5]);
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["a.npz", "b.npz"].map(|name| folder.path().join(name));
+    io::write_cloud(&first, &cloud, Encoding::Binary).unwrap();
+    let read_once = read(&first).1;
+    assert_eq!(read_once.attributes.len(), 3, "{:?}", read_once.attributes);
+    assert_eq!(read_once.attribute("red"), cloud.attribute("red"));
+    cloud.attributes.truncate(2);
+    io::write_cloud(&first, &cloud, Encoding::Binary).unwrap();
+    let read_once = read(&first).1;
+    io::write_cloud(&second, &read_once, Encoding::Binary).unwrap();
+    let twice = read(&second).1;
+    assert_eq!(twice.attributes, read_once.attributes);
+    assert_eq!(twice.attribute("blue").unwrap().values, vec![3u8, 6, 9].into());
+    assert_eq!(twice.attribute("colors"), cloud.attribute("colors"));
+}
+
+#[test]
 fn what_is_left_out_of_a_file_is_noted() {
     let folder = tempfile::tempdir().unwrap();
     let notes = |name: &str, bytes: &[u8]| {

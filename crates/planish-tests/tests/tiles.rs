@@ -292,7 +292,7 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
 fn what_a_file_in_tiles_says_is_kept_or_noted() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (folder.path().join("mesh.ply"), folder.path().join("out.ply"));
-    io::write_cloud(&input, &field(5000), Encoding::Ascii).unwrap();
+    io::write_cloud(&input, &field(40_000), Encoding::Ascii).unwrap();
     let text = fs::read_to_string(&input).unwrap();
     let face = "element face 1\nproperty list uchar int vertex_indices\nend_header";
     let text = text.replace("element vertex", "comment by hand\nelement vertex").replace("end_header", face);

@@ -252,8 +252,20 @@ impl PointCloud {
     #[cfg(feature = "io")]
     pub(crate) fn coordinate(&self, axis: usize, i: usize) -> f64 {
         let (origin, here) = (self.origin_m[axis], [&self.positions.x, &self.positions.y, &self.positions.z][axis][i]);
+        self.exact(axis, i).unwrap_or(origin + f64::from(here))
+    }
+
+    /// Whether that coordinate is known as the file had it.
+    #[cfg(feature = "io")]
+    pub(crate) fn is_unmoved(&self, axis: usize, i: usize) -> bool {
+        self.exact(axis, i).is_some()
+    }
+
+    #[cfg(feature = "io")]
+    fn exact(&self, axis: usize, i: usize) -> Option<f64> {
+        let (origin, here) = (self.origin_m[axis], [&self.positions.x, &self.positions.y, &self.positions.z][axis][i]);
         let exact = self.exact_m.as_ref().and_then(|axes| axes[axis].get(i)).copied();
-        exact.filter(|exact| (exact - origin) as f32 == here).unwrap_or(origin + f64::from(here))
+        exact.filter(|exact| (exact - origin) as f32 == here)
     }
 
     /// Keeps the coordinates of a file, if f32 loses digits of them.

@@ -185,12 +185,17 @@ pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [
 
 impl PointCloud {
     /// Puts the result in place of the positions and adds those of `fields` that the result has: `normal_x`, `normal_y`,
-    /// `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields stay as they are.
+    /// `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields stay as they are. Normals of a file of several scans face the
+    /// scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         self.positions.clone_from(&smoothed.points);
         for (name, values) in smoothed.fields(fields) {
             self.set_attribute(name, values);
+        }
+        #[cfg(feature = "scans")]
+        if smoothed.normals.is_some() && fields.normals {
+            self.face_scanners();
         }
         Ok(())
     }

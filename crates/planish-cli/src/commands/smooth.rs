@@ -297,7 +297,7 @@ impl Worker<'_> {
         let outputs = self.args.outputs().with_status(true);
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
         let frame = cloud.into_frame().map_err(of_input)?;
-        if let (Frame::Points(points), true) = (frame, outputs.normals) {
+        if let (Frame::Points(points), true) = (frame, outputs.normals && cloud.scanners_m().is_none()) {
             points.assumed_sensor_m().into_iter().for_each(|position_m| report_assumed_sensor(input, position_m));
         }
         self.smooth(output, frame, outputs, params)

@@ -388,7 +388,14 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
     assert_eq!(names("# made by hand\n1 2 3 9 0 1\n4 5 6 0 1 0\n", Text).1, "red green blue");
     assert_eq!(names("1 2 3 0 0.6 0.8\n4 5 6 0 1 0\n", Text).1, "normal_x normal_y normal_z");
     assert_eq!(names("2\n1 2 3 -700 255 0 7\n4 5 6 -650.5 1 2 3\n", Text).1, "intensity red green blue");
+    // As PTS has them, whatever the values.
+    assert_eq!(names("2\n1 2 3 182 26 100 238\n4 5 6 7 1 2 3\n", Text).1, "intensity red green blue");
+    assert_eq!(names("1 2 3 26 100 238 182\n4 5 6 7 1 2 3\n", Text).1, "red green blue intensity");
     assert_eq!(names("1 2 3 9 8\n", Text).1, "column_4 column_5");
+    // A last cell may be empty, and each line end with a separator; a line that is short is an error.
+    let (blank, found) = names("x,y,z,class\n1,2,3,\n2,3,4,5\n", Csv);
+    assert_eq!((blank.len(), found.as_str()), (2, "class"));
+    assert_eq!((names("x,y,z,\n1,2,3,\n2,3,4,\n", Csv).0.len(), names("1,2,3,\n2,3,4,\n", Csv).0.len()), (2, 2));
     assert_eq!(names("//X;Y;Z;Nx;Ny;Nz\n1;2;3;0;0;1\n", Text).1, "normal_x normal_y normal_z");
     let (cloud, found) = names("id,Z,\"Y\",x\n16777217,3,2,1e0\n5,-3,-2.5,nan\n", Csv);
     assert_eq!((cloud.positions.get(0), found.as_str()), ([1.0, 2.0, 3.0], "id"));
@@ -416,6 +423,7 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
     assert_eq!(names("x,y,z\n", Csv).0.len(), 0);
     for (text, what) in [
         ("1 2 3\n4 5\n", "line 2"),
+        ("x,y,z,class\n1,2,3,4\n7,8,2\n", "line 3: 3 values instead of 4"),
         ("1 2 3\n\n4 five 6\n", "line 3"),
         ("alpha beta\n1 2\n", "names of columns"),
         ("1 2\n3 4\n", "three numbers"),
@@ -427,5 +435,10 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
         let error = io::decode(text.as_bytes(), Some(Text)).unwrap_err().to_string();
         assert!(error.contains(what), "{text:?}: {error}");
     }
+    // Of no known ending, as from standard input.
+    for text in ["1 2 3\n4 5 6\n", "x,y,z\n1,2,3\n", &"0.25 0.5 0.125\n".repeat(1000)] {
+        assert_eq!(io::decode(text.as_bytes(), None).unwrap().0, Text);
+    }
+    assert!(io::decode(b"some words\n1 2 3\n", None).is_err());
     assert!(io::decode(b"1 2 3\n\xff\xfe 4", Some(Text)).unwrap_err().to_string().contains("UTF-8"));
 }

@@ -44,6 +44,13 @@ const SMALL_SPREAD: f64 = 0.5;
 const MAX_EXTENTS: f64 = 1000.0;
 /// That of a general cloud also at most so far: beyond, coordinates are those of a map.
 const MAX_ORIGIN_M: f64 = 20_000.0;
+/// Nor can that be an origin so many extents away beside the cloud.
+const BESIDE_EXTENTS: f64 = 5.0;
+/// Nor one on the surface: of the sampled points around it the 60th is so many times as far as the 6th, where on a surface it is 3.2 times as far.
+const SURFACE_RATIO: f64 = 2.4;
+const NEAR_NEIGHBOUR: usize = 5;
+const FAR_NEIGHBOUR: usize = 59;
+const LEAST_SAMPLE: usize = 240;
 /// General clouds are judged by no more points than this.
 const GENERAL_SAMPLE: usize = 4096;
 
@@ -195,10 +202,25 @@ pub(super) fn assumed_transform(points: &PointsView<'_>, scratch: &mut GeometryS
 
 /// The same by a sample of the points; `origin` is that of the coordinates.
 fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransform> {
+    let is_on_surface = is_on_surface(sample, origin);
     let extent = Extent::of(sample)?;
     let to_origin_m = (extent.centre - origin).length();
     let is_near = to_origin_m <= MAX_EXTENTS * extent.radius_m && to_origin_m <= MAX_ORIGIN_M;
-    (!is_near).then(|| extent.sensor_beside(None))
+    let is_far_beside = to_origin_m > BESIDE_EXTENTS * extent.radius_m && !extent.is_clearly_off(origin);
+    let may_be_sensor = is_near && !is_far_beside && !is_on_surface;
+    (!may_be_sensor).then(|| extent.sensor_beside(None))
+}
+
+/// Whether a place is in the midst of points as they lie on a surface: the number of those around it grows with the square of the distance, where
+/// a sensor has all at some distance.
+fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
+    if sample.len() < LEAST_SAMPLE {
+        return false;
+    }
+    let mut squares: Vec<f64> = sample.iter().map(|point| point.distance_squared(place)).collect();
+    let mut nth = |n: usize| *squares.select_nth_unstable_by(n, f64::total_cmp).1;
+    let (far, near) = (nth(FAR_NEIGHBOUR), nth(NEAR_NEIGHBOUR));
+    far > SURFACE_RATIO * SURFACE_RATIO * near
 }
 
 /// A general cloud of so many points is judged by each of them whose index is a multiple of this.
@@ -360,7 +382,7 @@ mod tests {
         }
     }
     #[test]
-    fn general_clouds_on_a_map_are_seen_from_above_and_others_from_the_origin() {
+    fn general_clouds_are_seen_from_above_where_the_origin_cannot_be_the_sensor() {
         // A slope of 400 m, and a wall of 40 m.
         let slope = |i: usize| DVec3::new(20.0 * (i % 20) as f64, 20.0 * (i / 20) as f64, 3.0 * (i % 20) as f64);
         let wall = |i: usize| DVec3::new(2.0 * (i % 20) as f64, 0.1 * (i % 7) as f64, (i / 20) as f64);
@@ -380,8 +402,15 @@ mod tests {
         let (beside, _) = seen_from(&wall, map, SensorPose::IDENTITY);
         let off = beside - map - DVec3::new(19.0, 0.3, 9.5);
         assert!(off.y.abs() > 0.95 * off.length(), "{off}");
-        for near in [DVec3::ZERO, DVec3::new(900.0, -2500.0, 10.0)] {
-            let (position, is_assumed) = seen_from(&slope, near, SensorPose::IDENTITY);
+        // In the coordinates of a site, and about the middle of the slope.
+        for moved in [DVec3::new(900.0, -2500.0, 10.0), DVec3::new(-200.0, -200.0, -30.0)] {
+            let (position, is_assumed) = seen_from(&slope, moved, SensorPose::IDENTITY);
+            assert!(is_assumed && position.z > moved.z + 400.0, "{position}");
+        }
+        // Beside and before a sensor.
+        let steep = DVec3::new(-200.0, -200.0, -150.0);
+        for (at, moved) in [(&slope as &dyn Fn(usize) -> DVec3, steep), (&wall, DVec3::new(-19.0, 15.0, -9.0))] {
+            let (position, is_assumed) = seen_from(at, moved, SensorPose::IDENTITY);
             assert!(!is_assumed && position.length() < 1e-6, "{position}");
         }
         let stated = SensorPose { position_m: map.to_array(), ..SensorPose::IDENTITY };

@@ -270,8 +270,8 @@ impl<'a> PointsView<'a> {
         self.geometry(&mut GeometryScratch::default()).rule
     }
 
-    /// Where the sensor of a general cloud is taken to have stood, in the frame of the file, if the cloud does not state it and the origin of
-    /// coordinates is too far away; else `None` (docs/method.md, section 11). Normals face it.
+    /// Where the sensor of a general cloud is taken to have stood, in the frame of the file, if the cloud does not state it and it cannot have been
+    /// the origin of coordinates; else `None` (docs/method.md, section 11). Normals face it.
     pub fn assumed_sensor_m(&self) -> Option<[f64; 3]> {
         let is_general = self.grid.is_none();
         let assumed = is_general.then(|| assumed_transform(self, &mut GeometryScratch::default())).flatten();

@@ -250,6 +250,12 @@ impl Extent {
         (radius_m > 0.0).then_some(Self { centre, radius_m, normal })
     }
 
+    /// Whether a place is clearly on one side of the cloud's plane.
+    pub(super) fn is_clearly_off(&self, place: DVec3) -> bool {
+        let to_place = place - self.centre;
+        to_place.dot(self.normal).abs() > CLEARLY_BESIDE * to_place.length()
+    }
+
     /// A sensor that looks along the cloud's normal, from the side of the origin if that is clearly on one, else from above; not so
     /// far away that f32 would lose the coordinates.
     pub(super) fn sensor_beside(&self, origin: Option<DVec3>) -> RigidTransform {

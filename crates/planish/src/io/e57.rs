@@ -49,6 +49,46 @@ pub(crate) struct Scans {
     coordinate_metadata: Option<String>,
 }
 
+impl Scans {
+    /// Where the scanners stood, if there are several scans with poses.
+    fn scanners_m(&self) -> Option<Vec<[f64; 3]>> {
+        let has_pose = self.scans.len() > 1 && self.scans.iter().any(|scan| scan.transform.is_some());
+        has_pose.then(|| self.scans.iter().map(|scan| pose_of(scan).1.to_array()).collect())
+    }
+}
+
+impl PointCloud {
+    /// Where the scanners of a file of several scans stood, in its frame, by the numbers in the field `scan`; `None` if it does not say so, or
+    /// the cloud's own pose is stated.
+    pub fn scanners_m(&self) -> Option<Vec<[f64; 3]>> {
+        self.attribute(SCAN).filter(|_| self.pose.is_identity())?;
+        self.e57_scans.as_ref()?.scanners_m()
+    }
+
+    /// Turns normals to the scanners, where those are known.
+    pub(crate) fn face_scanners(&mut self) {
+        let Some(scanners) = self.scanners_m() else { return };
+        let Some(AttributeValues::U16(scan_of)) = self.attribute(SCAN).map(|scan| &scan.values) else { return };
+        let normals = NORMALS.map(|(name, _)| match self.attribute(name).map(|normal| &normal.values) {
+            Some(AttributeValues::F32(values)) => values.clone(),
+            _ => Vec::new(),
+        });
+        let faces_away = |i: usize| {
+            let Some(scanner) = scanners.get(usize::from(scan_of[i])) else { return false };
+            let along = |axis: usize| f64::from(normals[axis][i]) * (self.coordinate(axis, i) - scanner[axis]);
+            along(0) + along(1) + along(2) > 0.0
+        };
+        if normals.iter().any(|values| values.len() != self.len()) || scan_of.len() != self.len() {
+            return;
+        }
+        let away: Vec<bool> = (0..self.len()).map(faces_away).collect();
+        for ((name, _), values) in NORMALS.into_iter().zip(&normals) {
+            let turned = values.iter().zip(&away).map(|(&value, &away)| if away { -value } else { value });
+            self.set_attribute(name, turned.collect::<Vec<f32>>());
+        }
+    }
+}
+
 impl PartialEq for Scans {
     fn eq(&self, other: &Self) -> bool {
         let key = |scan: &e57::PointCloud| (scan.guid.clone(), scan.name.clone(), scan.records);
@@ -186,6 +226,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         }
     }
     options.check(usize::try_from(count).unwrap_or(usize::MAX), 16 * (columns.len() + 4))?;
+    let normals = NORMALS.map(|(name, _)| columns.iter().position(|column| column.0 == name));
     let mut positions: [Vec<f64>; 3] = Default::default();
     let mut scan_of: Vec<u16> = Vec::new();
     for (number, scan) in scans.iter().enumerate() {
@@ -213,6 +254,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             }
             for ((_, kind, column), source) in columns.iter_mut().zip(&sources) {
                 column.push(source.map_or(kind.missing(), |source| values[source]));
+            }
+            // Like the positions, they are in the scan's frame.
+            if let [Some(x), Some(y), Some(z)] = normals {
+                let last = |column: usize| columns[column].2.last().copied().unwrap_or(f64::NAN);
+                let turned = rotation * DVec3::new(last(x), last(y), last(z));
+                for (column, value) in [x, y, z].into_iter().zip(turned.to_array()) {
+                    columns[column].2.last_mut().into_iter().for_each(|last| *last = value);
+                }
             }
             scan_of.push(u16::try_from(number).unwrap_or(u16::MAX));
         }
@@ -389,6 +438,7 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
         prototype.push(Record { name: RecordName::CartesianInvalidState, data_type });
     }
     prototype.extend(records);
+    let normals = NORMALS.map(|(name, _)| cloud.attributes.iter().position(|attribute| attribute.name == name));
     for (scan_number, scan) in scans.iter().enumerate() {
         let is_of_scan = |i: &usize| number.as_ref().is_none_or(|of| of.values.get_f64(*i) as usize == scan_number);
         // Other readers fail on scans without points.
@@ -422,7 +472,19 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
             if has_holes {
                 values.push(RecordValue::Integer(if is_hole { 2 } else { 0 }));
             }
+            let first_field = values.len();
             values.extend(cloud.attributes.iter().map(|attribute| value_of(attribute, i)));
+            if let [Some(x), Some(y), Some(z)] = normals {
+                let of = |field: usize| cloud.attributes[field].values.get_f64(i);
+                let turned = rotation.conjugate() * DVec3::new(of(x), of(y), of(z));
+                for (field, component) in [x, y, z].into_iter().zip(turned.to_array()) {
+                    match &mut values[first_field + field] {
+                        RecordValue::Single(value) => *value = component as f32,
+                        RecordValue::Double(value) => *value = component,
+                        _ => {}
+                    }
+                }
+            }
             points.add_point(values).map_err(cannot)?;
         }
         points.finalize().map_err(cannot)?;

@@ -359,7 +359,8 @@ fn decode_noting(
     if bytes.is_empty() {
         return Err(FormatError::Malformed("the file is empty".into()));
     }
-    let format = Format::of_contents(bytes).or(announced).ok_or_else(|| {
+    let likely = || xyz_text::is_likely(bytes).then_some(Format::Text);
+    let format = Format::of_contents(bytes).or(announced).or_else(likely).ok_or_else(|| {
         FormatError::Unsupported(
             "not a point cloud or depth image: it is none of PCD, PLY, LAS, LAZ, E57, XYZ text, CSV, NPY, NPZ, lidar .bin, OBJ, STL, 16-bit PNG or TIFF".into(),
         )

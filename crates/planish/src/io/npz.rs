@@ -87,7 +87,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     };
     for (name, array) in others {
         match field(name, array, rows)? {
-            Ok(attribute) => cloud.attributes.extend(components(attribute, rows)),
+            Ok(attribute) => {
+                let is_taken = |name: &str| {
+                    cloud.attributes.iter().any(|other| other.name == name)
+                        || arrays.iter().any(|(other, _)| other == name)
+                };
+                let fields = components(attribute, rows, is_taken);
+                cloud.attributes.extend(fields);
+            }
             Err(reason) => notes.push(format!("the array {} is left out: {reason}", brief(name))),
         }
     }
@@ -116,12 +123,7 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute
         ('u', 8) => array.values::<u64>().into(),
         ('f', 4) => array.values::<f32>().into(),
         ('f', 8) => array.values::<f64>().into(),
-        _ => {
-            return Err(FormatError::Unsupported(format!(
-                "the array {name} is of the type {}: save it as integers, f32 or f64, or leave it out",
-                array.header.descr
-            )));
-        }
+        _ => return Ok(Err(format!("its type is {}: save it as integers, f32 or f64", array.header.descr))),
     };
     let count = values.len() / rows;
     Ok(Ok(Attribute { name: name.to_owned(), count, values }))
@@ -133,12 +135,15 @@ const VECTORS: [(&[&str], [&str; 3]); 2] = [
     (&["rgb", "colors", "colours", "color"], ["red", "green", "blue"]),
 ];
 
-/// Normals and colours as the fields that every other format has; any other field as it is.
-fn components(attribute: Attribute, rows: usize) -> Vec<Attribute> {
+/// Normals and colours as the fields that every other format has, if no other array has their names; any other field as it is.
+fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool) -> Vec<Attribute> {
     let is_colour = |names: &[&str; 3]| names[0] == "red";
     let is_bytes = matches!(attribute.values, AttributeValues::U8(_));
     let vector = VECTORS.iter().find(|(names, components)| {
-        names.contains(&attribute.name.as_str()) && attribute.count == 3 && (is_bytes || !is_colour(components))
+        names.contains(&attribute.name.as_str())
+            && attribute.count == 3
+            && (is_bytes || !is_colour(components))
+            && !components.iter().any(|name| is_taken(name))
     });
     let Some((_, names)) = vector else { return vec![attribute] };
     let component = |k: usize| {
@@ -155,6 +160,10 @@ fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
         let place = |name: &str| all.iter().position(|attribute| attribute.name == name && attribute.count == 1);
         let [Some(x), Some(y), Some(z)] = components.map(place) else { continue };
         let kinds = [x, y, z].map(|k| std::mem::discriminant(&all[k].values));
+        // What has the array's name already stays beside its components.
+        if all.iter().any(|attribute| attribute.name == names[0]) {
+            continue;
+        }
         if kinds[0] != kinds[1] || kinds[0] != kinds[2] || (names[0] == "rgb" && all[x].values.scalar_size() > 1) {
             continue;
         }

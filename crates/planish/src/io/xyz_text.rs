@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
-use super::{CloudRef, FormatResult, ReadOptions, quoted};
+use super::{CloudRef, FormatResult, ReadOptions, brief, quoted};
 use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::FormatError;
 
@@ -13,6 +13,9 @@ const FAR_M: f64 = 1000.0;
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 /// Digits behind the point of far coordinates: a hundredth of a millimetre.
 const FAR_DIGITS: usize = 5;
+
+/// Every integer up to this is an f64.
+const EXACT_INTEGERS: f64 = 9_007_199_254_740_992.0;
 
 /// More columns than that are named.
 const MOST_UNNAMED: usize = 64;
@@ -36,15 +39,30 @@ impl Separator {
             Self::Space => line.split_whitespace().collect(),
             Self::Mark(mark) => line.split(mark).map(|cell| cell.trim().trim_matches('"').trim()).collect(),
         };
-        // Behind the last cell there may be a comment, or one more separator.
+        // Behind the last cell there may be a comment.
         if let Some(end) = cells.iter().position(|cell| is_comment(cell)) {
             cells.truncate(end);
         }
-        if cells.last().is_some_and(|last| last.is_empty()) {
-            cells.pop();
-        }
         cells
     }
+}
+
+/// The cells without one that is empty behind the last separator.
+fn without_empty_end(mut cells: Vec<&str>) -> Vec<&str> {
+    if cells.last().is_some_and(|last| last.is_empty()) {
+        cells.pop();
+    }
+    cells
+}
+
+/// Whether a file of no known ending is lines of numbers, by its beginning.
+pub(super) fn is_likely(bytes: &[u8]) -> bool {
+    const LOOKED_AT: usize = 4096;
+    let head = &bytes[..bytes.len().min(LOOKED_AT)];
+    // A line that is cut may have any number of cells.
+    let end =
+        if bytes.len() <= LOOKED_AT { head.len() } else { head.iter().rposition(|&byte| byte == b'\n').unwrap_or(0) };
+    decode(&head[..end], &ReadOptions::default(), &mut Vec::new()).is_ok_and(|cloud| !cloud.is_empty())
 }
 
 fn is_comment(line: &str) -> bool {
@@ -75,7 +93,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         let heading = line.trim_start_matches(['#', '/', '%']);
         let cells = Separator::of(heading).cells(heading);
         if is_comment(line) || cells.iter().any(|cell| number_of(cell).is_none()) {
-            let found: Vec<String> = cells.into_iter().map(name_of).collect();
+            let found: Vec<String> = without_empty_end(cells).into_iter().map(name_of).collect();
             if ["x", "y", "z"].iter().all(|axis| found.iter().any(|name| name == axis)) {
                 names = Some(found);
             } else if is_comment(line) {
@@ -94,7 +112,15 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         lines.next();
     }
     let separator = lines.peek().map_or(Separator::Space, |(_, line)| Separator::of(line));
-    let first = lines.peek().map(|(_, line)| separator.cells(line).len());
+    let first = lines.peek().map(|(_, line)| {
+        let cells = separator.cells(line);
+        // An empty cell at the end has a name, or is none: each line ends with a separator.
+        if names.as_ref().is_some_and(|names| names.len() == cells.len()) {
+            cells.len()
+        } else {
+            without_empty_end(cells).len()
+        }
+    });
     let count = match (&names, first) {
         (Some(names), Some(first)) if names.len() != first => {
             return Err(FormatError::Malformed(format!(
@@ -119,21 +145,15 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             comments += 1;
             continue;
         }
-        let cells = separator.cells(line);
-        // An empty cell at the end is one where others have a number.
-        if cells.len() != count && cells.len() + 1 != count {
+        let mut cells = separator.cells(line);
+        if cells.len() == count + 1 {
+            cells = without_empty_end(cells);
+        }
+        if cells.len() != count {
             let found = cells.len();
             return Err(FormatError::Malformed(format!("line {number}: {found} values instead of {count}")));
         }
-        for (i, column) in columns.iter_mut().enumerate() {
-            let cell = match (cells.get(i), separator) {
-                (Some(cell), _) => cell,
-                (None, Separator::Mark(_)) => "",
-                (None, Separator::Space) => {
-                    let found = cells.len();
-                    return Err(FormatError::Malformed(format!("line {number}: {found} values instead of {count}")));
-                }
-            };
+        for (column, cell) in columns.iter_mut().zip(cells) {
             let hint = if cell.contains(',') { " (decimals need a point)" } else { "" };
             let value = number_of(cell).ok_or_else(|| {
                 FormatError::Malformed(format!("line {number}: {} is not a number{hint}", quoted(cell)))
@@ -156,7 +176,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     {
         return Err(FormatError::Malformed(format!("two columns are called {}", quoted(name))));
     }
-    let names = names.unwrap_or_else(|| guessed_names(&columns));
+    let names = names.unwrap_or_else(|| guessed_names(&columns, stated.is_some()));
+    for (name, _) in names
+        .iter()
+        .zip(&columns)
+        .filter(|(_, values)| values.iter().any(|v| v.abs() > EXACT_INTEGERS && v.is_finite()))
+    {
+        notes.push(format!("the column {} has numbers beyond 2^53, which are rounded", brief(name)));
+    }
     let is_far = (0..count)
         .filter(|&i| ["x", "y", "z"].contains(&names[i].as_str()))
         .any(|i| columns[i].iter().any(|value| value.is_finite() && value.abs() > FAR_M));
@@ -196,8 +223,9 @@ fn is_byte(value: f64) -> bool {
     (0.0..=255.0).contains(&value) && value.fract() == 0.0
 }
 
-/// What the columns are likely to be, by their number and values.
-fn guessed_names(columns: &[Vec<f64>]) -> Vec<String> {
+/// What the columns are likely to be, by their number and values; of a file that states the number of its points, as PTS does, intensity stands
+/// before colours.
+fn guessed_names(columns: &[Vec<f64>], is_pts: bool) -> Vec<String> {
     let colours = |from: usize| columns[from..from + 3].iter().flatten().all(|&value| is_byte(value));
     let normals = |from: usize| {
         let [x, y, z] = [&columns[from], &columns[from + 1], &columns[from + 2]];
@@ -208,6 +236,10 @@ fn guessed_names(columns: &[Vec<f64>]) -> Vec<String> {
     while names.len() < columns.len() {
         let at = names.len();
         let left = columns.len() - at;
+        if is_pts && at == 3 && left >= 4 && colours(4) && !normals(at) {
+            names.push("intensity");
+            continue;
+        }
         // First normals, since those along an axis might be colours too.
         if left >= 3 && !names.contains(&"normal_x") && normals(at) {
             names.extend(normal);
@@ -221,6 +253,11 @@ fn guessed_names(columns: &[Vec<f64>]) -> Vec<String> {
     }
     let named = names.iter().map(|name| (*name).to_owned());
     named.chain((names.len() + 1..=columns.len()).map(|number| format!("column_{number}"))).collect()
+}
+
+/// Which coordinate a column is.
+fn axis_of(name: &str) -> Option<usize> {
+    ["x", "y", "z"].iter().position(|axis| *axis == name)
 }
 
 /// What stands above the points.
@@ -262,7 +299,9 @@ pub(super) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<
                 let at = i * count + k;
                 // Writing to a string does not fail.
                 let _ = match values {
-                    AttributeValues::F64(values) if is_far && ["x", "y", "z"].contains(&name.as_str()) => {
+                    AttributeValues::F64(values)
+                        if is_far && axis_of(name).is_some_and(|axis| !points.is_unmoved(axis, i)) =>
+                    {
                         write!(text, "{:.FAR_DIGITS$}", values[at])
                     }
                     values => with_values!(values, values => write!(text, "{}", values[at])),

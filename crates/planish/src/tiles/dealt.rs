@@ -28,7 +28,7 @@ pub(super) struct Dealt<R: RecordReader> {
     pub(super) points: usize,
     pub(super) most_in_memory: u64,
     pub(super) extent_m: f64,
-    /// Where the sensor is taken to have stood, if the origin of coordinates is too far away.
+    /// Where the sensor is taken to have stood, if that cannot be the origin of coordinates.
     pub(super) assumed_sensor_m: Option<[f64; 3]>,
     /// Of the format.
     needs_latest_version: bool,

@@ -90,7 +90,7 @@ pub struct TilesReport {
     pub status_counts: [usize; 7],
     /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
     pub reaching_beyond: usize,
-    /// Where the sensor is taken to have stood, if neither the file nor the options say it and the origin of coordinates is too far away.
+    /// Where the sensor is taken to have stood, if neither the file nor the options say it and it cannot have been the origin of coordinates.
     pub assumed_sensor_m: Option<[f64; 3]>,
     /// What of the file was left out: one clause each, for a user to read.
     pub notes: Vec<String>,

@@ -130,7 +130,7 @@ pub fn report_range_rule(input: &Path, frame: Frame<'_>, pose_is_given: bool) {
 /// Reports where the sensor of a general cloud is taken to have stood whose file does not tell.
 pub fn report_assumed_sensor(input: &Path, [x, y, z]: [f64; 3]) {
     errln!(
-        "{}: where the sensor stood is unknown, and the origin of the coordinates is too far away; normals face ({x:.1}, {y:.1}, {z:.1}) \
+        "{}: where the sensor stood is unknown, not at the origin of the coordinates as it seems; normals face ({x:.1}, {y:.1}, {z:.1}) \
          (give the sensor's place with --sensor-pose)",
         input.display()
     );
