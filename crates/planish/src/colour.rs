@@ -63,6 +63,21 @@ impl PointCloud {
         }
     }
 
+    /// Makes 16-bit integers of intensities that are fractions, from 0 to 1, as LAS needs them, and 0 of those that are none; returns whether there
+    /// were such.
+    pub fn scale_intensity(&mut self) -> bool {
+        let Some(Attribute { count: 1, values, .. }) = self.attribute("intensity") else { return false };
+        let is_float = matches!(values, AttributeValues::F32(_) | AttributeValues::F64(_));
+        let all = || (0..values.len()).map(|i| values.get_f64(i));
+        let is_allowed = |value: f64| value.is_nan() || (0.0..=1.0).contains(&value);
+        if !is_float || !all().all(is_allowed) || !all().any(|value| value.fract() > 0.0) {
+            return false;
+        }
+        let scaled: Vec<u16> = all().map(|value| (value * f64::from(u16::MAX)).round() as u16).collect();
+        self.set_attribute("intensity", scaled);
+        true
+    }
+
     /// Replaces a packed colour by the fields `red`, `green`, `blue`, as PLY files have them; `rgba` gives `alpha` too.
     pub fn unpack_colour(&mut self) {
         let Some((index, packed)) = self.packed_colour() else { return };
@@ -136,5 +151,18 @@ mod tests {
         let fractions = [vec![1f32, 0.0].into(), vec![0.5f32, 1.0].into(), vec![0f32, f32::NAN].into()];
         assert_eq!(rgb_of(fractions), Some(vec![[255, 127, 0], [0, 255, 0]]));
         assert_eq!(rgb_of([vec![1f32, 2.0].into(), vec![0f32; 2].into(), vec![0f32; 2].into()]), None);
+    }
+
+    #[test]
+    fn intensities_from_0_to_1_become_integers_and_others_stay() {
+        let mut cloud = PointCloud::new([[0.0; 3]; 3].into_iter().collect());
+        let mut scaled = |values: AttributeValues| {
+            cloud.set_attribute("intensity", values);
+            (cloud.scale_intensity(), cloud.attribute("intensity").unwrap().values.clone())
+        };
+        assert_eq!(scaled(vec![f32::NAN, 0.5, 1.0].into()), (true, vec![0u16, 32768, 65535].into()));
+        for other in [vec![0.0f32, 1.0, 1.0].into(), vec![0.5f64, 2.0, 0.0].into(), vec![7u16, 0, 1].into()] {
+            assert_eq!(scaled(other.clone()), (false, other));
+        }
     }
 }

@@ -145,8 +145,8 @@ pub struct TopicArgs {
 
 #[derive(clap::Args)]
 pub struct MemoryArgs {
-    /// Need no more memory than this: bytes, or with K, M, G. `smooth` and `info` go through larger LAS, LAZ and PLY in parts; other
-    /// files that need more are refused
+    /// Need no more memory for files and points than this: bytes, or with K, M, G; the program itself takes some 50 MB, LAZ 100 MB besides. `smooth` and `info`
+    /// go through larger LAS, LAZ and PLY in parts; other files that need more are refused
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     pub max_memory: Option<u64>,
 }

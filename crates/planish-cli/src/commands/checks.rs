@@ -128,11 +128,14 @@ pub fn report_losses(output: &Path, cloud: &PointCloud) {
     }
 }
 
-/// Puts colours as the format to write has them.
-pub fn convert_colour(cloud: &mut PointCloud, read: Format, output: &Path) {
+/// Puts colours, and intensities, as the format to write has them.
+pub fn convert_fields(cloud: &mut PointCloud, read: Format, output: &Path) {
     match Format::of_extension(output) {
         Some(Format::Ply) if read != Format::Ply => cloud.unpack_colour(),
         Some(Format::Pcd) if read == Format::Ply => cloud.pack_colour(),
+        Some(Format::Las | Format::Laz) if !matches!(read, Format::Las | Format::Laz) && cloud.scale_intensity() => {
+            errln!("{}: intensities from 0 to 1 become 0 to 65535, as LAS has them", output.display());
+        }
         _ => {}
     }
 }

@@ -9,7 +9,7 @@ use planish::{Error, OrganizedCloud, ParamError, PointCloud, PointsView, clean};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::checks::{check_not_input, check_output, convert_colour, report_columns, report_losses, report_notes};
+use super::checks::{check_not_input, check_output, convert_fields, report_columns, report_losses, report_notes};
 use super::{ms_since, organized};
 use crate::args::CleanArgs;
 
@@ -57,6 +57,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
             Cloud { grid: Some((cloud.width(), cloud.height())), points: cloud.points }
         }
     };
+    convert_fields(&mut cloud.points, format, output);
     io::check_writable(output, &cloud.points)?;
     let read_ms = ms_since(start);
 
@@ -68,7 +69,6 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     }
 
     let start = Instant::now();
-    convert_colour(&mut cloud.points, format, output);
     report_losses(output, &cloud.points);
     let encoding = args.encoding.map(Into::into).or(encoding).unwrap_or_default();
     match cloud.grid {

@@ -2,10 +2,11 @@
 
 use crate::exit::ExitCode;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use planish::internal::write_rgb_png;
 use planish::io::{self, Contents};
 use planish::render::{colours, normals_of, relief, seen_from, side_by_side};
+use planish::{FrameError, ParamError};
 
 use super::checks::check_not_input;
 use super::organized;
@@ -21,8 +22,12 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     check_not_input(&args.file, &args.output, None)?;
     let (_, contents) = io::read_with(&args.file, &args.memory.read_options())?;
     let cloud = match contents {
-        Contents::General(points) => seen_from(&points, args.from.unwrap_or_default().0, LONGEST_SIDE)
-            .with_context(|| args.file.display().to_string())?,
+        Contents::General(points) => {
+            seen_from(&points, args.from.unwrap_or_default().0, LONGEST_SIDE).map_err(|error| match error {
+                FrameError::BadPose(problem) => anyhow::Error::from(ParamError { field: "--from", ..problem }),
+                error => anyhow::Error::from(error).context(args.file.display().to_string()),
+            })?
+        }
         _ if args.from.is_some() => {
             bail!("{}: is drawn as its sensor saw it; --from is for general clouds", args.file.display());
         }

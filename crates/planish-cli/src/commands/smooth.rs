@@ -28,7 +28,7 @@ use report::{
 };
 
 use super::checks::{
-    check_not_input, check_output, check_radius, convert_colour, report_columns, report_losses, report_notes,
+    check_not_input, check_output, check_radius, convert_fields, report_columns, report_losses, report_notes,
 };
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs};
@@ -142,9 +142,15 @@ impl Worker<'_> {
         // Of the frames of a folder each is said once.
         notes.retain(|note| self.noted.lock().is_ok_and(|mut noted| noted.insert(note.clone())));
         report_notes(input, &notes);
-        match &contents {
-            Contents::Organized(cloud) if !is_depth(output) => io::check_writable(output, cloud)?,
-            Contents::General(cloud) => io::check_writable(output, cloud)?,
+        match &mut contents {
+            Contents::Organized(cloud) if !is_depth(output) => {
+                convert_fields(&mut cloud.points, format, output);
+                io::check_writable(output, &*cloud)?;
+            }
+            Contents::General(cloud) => {
+                convert_fields(cloud, format, output);
+                io::check_writable(output, &*cloud)?;
+            }
             _ => {}
         }
         let (width, height) = contents.shape();
@@ -159,8 +165,8 @@ impl Worker<'_> {
             contents => self.smooth_organized(input, output, contents)?,
         };
         match &mut result {
-            Output::Organized(cloud) => self.apply(&mut cloud.points, format, output)?,
-            Output::General(cloud) => self.apply(cloud, format, output)?,
+            Output::Organized(cloud) => self.apply(&mut cloud.points)?,
+            Output::General(cloud) => self.apply(cloud)?,
             Output::Depth { .. } => {}
         }
 
@@ -297,8 +303,9 @@ impl Worker<'_> {
         let outputs = self.args.outputs().with_status(true);
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
         let frame = cloud.into_frame().map_err(of_input)?;
-        if let (Frame::Points(points), true) = (frame, outputs.normals && cloud.scanners_m().is_none()) {
-            points.assumed_sensor_m().into_iter().for_each(|position_m| report_assumed_sensor(input, position_m));
+        let is_stated = !cloud.pose.is_identity() || cloud.scanners_m().is_some();
+        if let (Frame::Points(points), true) = (frame, outputs.normals && !is_stated) {
+            report_assumed_sensor(input, points.assumed_sensor_m());
         }
         self.smooth(output, frame, outputs, params)
     }
@@ -316,7 +323,13 @@ impl Worker<'_> {
                 if params.edges == Edges::Robust { "" } else { "; --edges robust keeps edges sharp" }
             );
         }
-        let unused = self.args.smoothing.unused_by_general_clouds();
+        let mut unused = self.args.smoothing.unused_by_general_clouds();
+        let given = [
+            ("--camera", self.args.camera.camera.is_some() || self.args.camera.camera_file.is_some()),
+            ("--depth-scale", self.args.camera.depth_scale.is_some()),
+            ("--format", self.args.format.is_some() && self.beside == 1 && !self.args.input.is_dir()),
+        ];
+        unused.extend(given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name));
         if !unused.is_empty() {
             let verb = if unused.len() == 1 { "changes" } else { "change" };
             errln!("{}: a general cloud, for which {} {verb} nothing", input.display(), unused.join(", "));
@@ -412,11 +425,9 @@ impl Worker<'_> {
         Ok(())
     }
 
-    /// Puts the result into the cloud, with its colour as the format to write has it.
-    fn apply(&self, cloud: &mut PointCloud, read: Format, output: &Path) -> Result<()> {
-        cloud.apply(&self.smoothed, self.args.outputs()).map_err(Error::from)?;
-        convert_colour(cloud, read, output);
-        Ok(())
+    /// Puts the result into the cloud.
+    fn apply(&self, cloud: &mut PointCloud) -> Result<()> {
+        Ok(cloud.apply(&self.smoothed, self.args.outputs()).map_err(Error::from)?)
     }
 
     fn write(&self, output: &Path, result: &Output, encoding: Encoding) -> Result<()> {

@@ -90,6 +90,8 @@ pub struct TilesReport {
     pub status_counts: [usize; 7],
     /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
     pub reaching_beyond: usize,
+    /// Whether the file states its sensor's pose, or the options do.
+    pub has_pose: bool,
     /// Where the sensor is taken to have stood, if neither the file nor the options say it and it cannot have been the origin of coordinates.
     pub assumed_sensor_m: Option<[f64; 3]>,
     /// What of the file was left out: one clause each, for a user to read.
@@ -286,6 +288,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         };
         let mut smoothed = Smoothed::default();
         let mut part = PointsView::from_cloud(cloud)?.as_part_of(dealt.points, dealt.extent_m);
+        self.report.has_pose = !cloud.pose.is_identity();
         if let (true, Some(position_m)) = (cloud.pose.is_identity(), dealt.assumed_sensor_m) {
             part = part.with_pose(SensorPose { position_m, ..SensorPose::IDENTITY })?;
             self.report.assumed_sensor_m = Some(position_m);

@@ -127,13 +127,18 @@ pub fn report_range_rule(input: &Path, frame: Frame<'_>, pose_is_given: bool) {
     }
 }
 
-/// Reports where the sensor of a general cloud is taken to have stood whose file does not tell.
-pub fn report_assumed_sensor(input: &Path, [x, y, z]: [f64; 3]) {
-    errln!(
-        "{}: where the sensor stood is unknown, not at the origin of the coordinates as it seems; normals face ({x:.1}, {y:.1}, {z:.1}) \
-         (give the sensor's place with --sensor-pose)",
-        input.display()
-    );
+/// Reports where the sensor of a general cloud is taken to have stood whose file does not tell; `None` for the origin of the coordinates.
+pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
+    let (input, what) = (input.display(), "(give the sensor's place with --sensor-pose)");
+    match position_m {
+        Some([x, y, z]) => errln!(
+            "{input}: where the sensor stood is unknown, not at the origin of the coordinates as it seems; normals face \
+             ({x:.1}, {y:.1}, {z:.1}) {what}"
+        ),
+        None => {
+            errln!("{input}: where the sensor stood is not stated; normals face the origin of the coordinates {what}")
+        }
+    }
 }
 
 /// Why points have too few neighbours, as far as the parameters tell, and what would help.

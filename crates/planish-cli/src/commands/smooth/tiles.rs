@@ -41,8 +41,8 @@ impl Worker<'_> {
         let report =
             with_progress(Some(Arc::clone(&progress)), || tiles::smooth_tiles(input, output, &options, &progress))?;
         report_notes(input, &report.notes);
-        if let (Some(position_m), true) = (report.assumed_sensor_m, self.args.outputs().normals) {
-            report_assumed_sensor(input, position_m);
+        if self.args.outputs().normals && self.pose.is_none() && !report.has_pose {
+            report_assumed_sensor(input, report.assumed_sensor_m);
         }
         if report.reaching_beyond > 0 {
             errln!(
