@@ -190,6 +190,12 @@ fn scaled_extra_bytes_are_numbers_everywhere_and_the_same_bytes_in_las() {
     let copy = folder.path().join("copy.las");
     io::write_cloud(&copy, &cloud, Encoding::Binary).unwrap();
     assert_eq!(las_records(&copy).1, las_records(&path).1);
+    // Numbers of another type are numbers as well.
+    let mut cloud = cloud;
+    cloud.set_attribute("temperature", vec![535.0625f32, -1.0, 2.0]);
+    io::write_cloud(&copy, &cloud, Encoding::Binary).unwrap();
+    let Contents::General(again) = io::read(&copy).unwrap().1 else { panic!("points") };
+    assert_eq!(again.attribute("temperature").unwrap().values, vec![535.06, -1.0, 2.0].into());
 }
 
 #[test]

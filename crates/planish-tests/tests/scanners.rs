@@ -139,7 +139,7 @@ fn normals_of_an_e57_are_in_the_frame_of_the_points_and_face_their_scanner() {
     writer.finalize().unwrap();
     drop(writer);
     let mut cloud = decode(&bytes.into_inner(), Format::E57).unwrap();
-    assert_eq!(cloud.scanners_m().unwrap(), scanners);
+    assert_eq!(cloud.scanners_m().unwrap(), scanners.map(Some));
     let mut smoothed = planish::Smoothed::default();
     let outputs = planish::Outputs::POINTS.with_normals(true);
     let options = planish::SmootherOptions::new(planish::Engine::Cpu, outputs);
@@ -196,6 +196,12 @@ fn arrays_that_name_the_same_are_all_kept() {
     assert_eq!(twice.attributes, read_once.attributes);
     assert_eq!(twice.attribute("blue").unwrap().values, vec![3u8, 6, 9].into());
     assert_eq!(twice.attribute("colors"), cloud.attribute("colors"));
+    // In any order, however often.
+    cloud.attributes.reverse();
+    io::write_cloud(&first, &cloud, Encoding::Binary).unwrap();
+    let other_order = read(&first).1;
+    assert_eq!(other_order.attribute("blue"), twice.attribute("blue"));
+    assert_eq!(other_order.attribute("colors"), twice.attribute("colors"));
 }
 
 #[test]
@@ -220,7 +226,9 @@ fn what_is_left_out_of_a_file_is_noted() {
     writer.finalize().unwrap();
     drop(writer);
     assert_eq!(notes("a.e57", &bytes.into_inner()), ["an image is left out"]);
-    assert_eq!(notes("a.xyz", b"# by hand\n1 2 3\n4 5 6 # here\n# end\n"), ["2 comments are left out"]);
+    assert_eq!(notes("a.xyz", b"# by hand\n1 2 3\n4 5 6 # here\n# end\n"), ["3 comments are left out"]);
+    let rounded = "the column id has integers beyond 2^53, which are rounded";
+    assert_eq!(notes("id.csv", b"x,y,z,id,far\n1,2,3,9007199254740993,1e20\n"), [rounded]);
     assert_eq!(notes("a.csv", b"x,y,z\n1,2,3\n"), Vec::<String>::new());
     let mesh = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
                 property list uchar int vertex_indices\nend_header\n0 0 1\n1 0\n";

@@ -270,7 +270,8 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
     let options =
         |engine, bytes| TileOptions::new(SmoothParams::general(), SmootherOptions::new(engine, Outputs::ALL), bytes);
     let found = smooth(&input, &options(Engine::Cpu, 10_000));
-    assert!(found.contains("a.las") && found.contains("raise the limit (the whole needs 1"), "{found}");
+    let whole = format!("raise the limit (the whole needs {} KiB)", needed.div_ceil(1 << 10));
+    assert!(found.contains("a.las") && found.contains(&whole), "{found}");
     let found = smooth(&input, &options(Engine::Reference, needed / 3));
     assert!(found.contains("the CPU or the GPU engine"), "{found}");
     let whole = fs::read(&input).unwrap();
@@ -286,6 +287,26 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
     io::write_cloud(&input, &PointCloud::new(Default::default()), Encoding::Binary).unwrap();
     smooth_tiles(&input, &out, &options(Engine::Cpu, needed), &Progress::default()).unwrap();
     assert_eq!(read(&out).len(), 0);
+}
+
+#[test]
+fn normals_in_tiles_face_the_sensor_of_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (folder.path().join("hall.las"), folder.path().join("out.las"));
+    // The floor and the ceiling of a hall around the origin: a far tile alone would be seen from above.
+    let spread = |i: usize, k: f64| 200.0 * ((i as f64 + 0.5) * k).fract() - 100.0;
+    let position = |i: usize| {
+        let z = if i.is_multiple_of(2) { -5.0 } else { 6.0 };
+        [spread(i, 0.754_877_666), spread(i, 0.569_840_291), z].map(|value| value as f32)
+    };
+    let cloud = PointCloud::new((0..40_000).map(position).collect());
+    io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
+    let report = in_tiles(&input, &out, SmoothParams::general(), 6);
+    assert!(report.tiles > 4 && report.assumed_sensor_m.is_none() && !report.has_pose, "{report:?}");
+    let smoothed = read(&out);
+    let AttributeValues::F32(normals) = &smoothed.attribute("normal_z").unwrap().values else { panic!("f32") };
+    let faces = |i: usize| if i.is_multiple_of(2) { normals[i] > 0.9 } else { normals[i] < -0.9 };
+    assert!((0..cloud.len()).all(faces));
 }
 
 #[test]

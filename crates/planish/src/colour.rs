@@ -34,7 +34,7 @@ impl PointCloud {
     }
 
     /// The colours to show, however the cloud has them; `None` if it has none. Of 16 bits, as LAS has them, the upper 8, or the lower where none has
-    /// upper ones; fractions, as Open3D has them, in 255ths.
+    /// upper ones; fractions, as Open3D has them, times 255.
     pub fn shown_rgb(&self) -> Option<Vec<[u8; 3]>> {
         self.rgb().or_else(|| self.wide_rgb())
     }
@@ -63,8 +63,7 @@ impl PointCloud {
         }
     }
 
-    /// Makes 16-bit integers of intensities that are fractions, from 0 to 1, as LAS needs them, and 0 of those that are none; returns whether there
-    /// were such.
+    /// Makes 16-bit integers, as LAS has them, of intensities that are fractions from 0 to 1; NaN becomes 0. Returns whether any were converted.
     pub fn scale_intensity(&mut self) -> bool {
         let Some(Attribute { count: 1, values, .. }) = self.attribute("intensity") else { return false };
         let is_float = matches!(values, AttributeValues::F32(_) | AttributeValues::F64(_));
@@ -161,7 +160,9 @@ mod tests {
             (cloud.scale_intensity(), cloud.attribute("intensity").unwrap().values.clone())
         };
         assert_eq!(scaled(vec![f32::NAN, 0.5, 1.0].into()), (true, vec![0u16, 32768, 65535].into()));
-        for other in [vec![0.0f32, 1.0, 1.0].into(), vec![0.5f64, 2.0, 0.0].into(), vec![7u16, 0, 1].into()] {
+        let others: [AttributeValues; 3] =
+            [vec![0.0f32, 1.0, 1.0].into(), vec![0.5f64, 2.0, 0.0].into(), vec![7u16, 0, 1].into()];
+        for other in others {
             assert_eq!(scaled(other.clone()), (false, other));
         }
     }

@@ -27,14 +27,14 @@ fn shortened(value: &str) -> String {
     }
 }
 
-/// Bytes in MiB, of small amounts in KiB, rounded up.
+#[cfg(feature = "io")]
+pub(crate) const KIB: u64 = 1 << 10;
+
+/// Bytes in whole KiB, or in MiB with a digit where they are many.
 #[cfg(feature = "io")]
 pub(crate) fn memory(bytes: u64) -> String {
-    if bytes < 10 << 20 {
-        format!("{} KiB", bytes.div_ceil(1 << 10))
-    } else {
-        format!("{} MiB", bytes.div_ceil(1 << 20))
-    }
+    let kib = bytes / KIB;
+    if kib < 10 * KIB { format!("{kib} KiB") } else { format!("{:.1} MiB", kib as f64 / KIB as f64) }
 }
 
 /// A malformed frame.
@@ -274,7 +274,7 @@ pub enum FormatError {
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// Reading it would take more memory than allowed.
-    #[error("needs {} of memory, and {} are allowed: raise the limit if the file is what it should be", memory(*needed), memory(*allowed))]
+    #[error("needs {} of memory, and {} are allowed: raise the limit if the file is what it should be", memory(needed.saturating_add(KIB - 1)), memory(*allowed))]
     TooLarge {
         /// Bytes that would be needed.
         needed: u64,

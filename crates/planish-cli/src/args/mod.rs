@@ -145,7 +145,7 @@ pub struct TopicArgs {
 
 #[derive(clap::Args)]
 pub struct MemoryArgs {
-    /// Need no more memory for files and points than this: bytes, or with K, M, G; the program itself takes some 50 MB, LAZ 100 MB besides. `smooth` and `info`
+    /// Need no more memory for files and points than this: bytes, or with K, M, G; the program itself takes some 50 MB, and LAZ another 100 MB. `smooth` and `info`
     /// go through larger LAS, LAZ and PLY in parts; other files that need more are refused
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     pub max_memory: Option<u64>,

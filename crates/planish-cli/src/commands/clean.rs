@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, FileRead, Format};
-use planish::{Error, OrganizedCloud, ParamError, PointCloud, PointsView, clean};
+use planish::{Error, OrganizedCloud, Outputs, ParamError, PointCloud, PointsView, clean};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
@@ -58,7 +58,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
         }
     };
     convert_fields(&mut cloud.points, format, output);
-    io::check_writable(output, &cloud.points)?;
+    io::check_writable(output, &cloud.points, Outputs::POINTS)?;
     let read_ms = ms_since(start);
 
     let start = Instant::now();
@@ -107,7 +107,7 @@ impl Cloud {
         let statistical_outliers = args
             .statistical
             .map(|of| {
-                self.remove_marked("--statistical", |view| {
+                self.remove_marked("K of --statistical", "R of --statistical", |view| {
                     clean::statistical_outliers(view, of.neighbours, of.deviations)
                 })
             })
@@ -115,7 +115,9 @@ impl Cloud {
         let radius_outliers = args
             .radius
             .map(|of| {
-                self.remove_marked("--radius-outliers", |view| clean::radius_outliers(view, of.radius_m, of.least))
+                self.remove_marked("N of --radius-outliers", "METRES of --radius-outliers", |view| {
+                    clean::radius_outliers(view, of.radius_m, of.least)
+                })
             })
             .transpose()?;
         let points_out = self.points.valid_points();
@@ -133,14 +135,16 @@ impl Cloud {
         })
     }
 
-    /// Removes the points that an option marks; returns how many.
+    /// Removes the points that an option marks; returns how many. Errors name the option's number of neighbours or its other value.
     fn remove_marked(
         &mut self,
-        option: &'static str,
+        neighbours: &'static str,
+        other: &'static str,
         mark: impl FnOnce(&PointsView<'_>) -> Result<Vec<bool>, ParamError>,
     ) -> Result<usize> {
         let is_marked = mark(&PointsView::from_cloud(&self.points).map_err(Error::from)?);
-        let is_marked = is_marked.map_err(|error| ParamError { field: option, ..error })?;
+        let option = |field: &str| if field == "neighbours" { neighbours } else { other };
+        let is_marked = is_marked.map_err(|error| ParamError { field: option(error.field), ..error })?;
         Ok(self.remove(&is_marked))
     }
 

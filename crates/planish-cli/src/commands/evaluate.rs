@@ -140,7 +140,7 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
         smoothed: patch_planes(cloud, &points, normals.as_ref())?,
     };
     if report.raw.patches == 0 {
-        bail!("{}: no 64 points that lie on one surface, by which it could be judged", report.file);
+        bail!("{}: nowhere do 64 points lie on one surface, so it cannot be judged", report.file);
     }
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);

@@ -73,6 +73,9 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     if args.input.is_dir() {
         return folder::run(&mut worker);
     }
+    if args.format.is_some() {
+        errln!("{}: one file, for which --format changes nothing: the output's name says it", args.input.display());
+    }
     check_output(&args.output, args.encoding.is_some())?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;
     let report = worker.smooth_file(&args.input, &args.output)?;
@@ -145,11 +148,11 @@ impl Worker<'_> {
         match &mut contents {
             Contents::Organized(cloud) if !is_depth(output) => {
                 convert_fields(&mut cloud.points, format, output);
-                io::check_writable(output, &*cloud)?;
+                io::check_writable(output, &*cloud, self.args.outputs())?;
             }
             Contents::General(cloud) => {
                 convert_fields(cloud, format, output);
-                io::check_writable(output, &*cloud)?;
+                io::check_writable(output, &*cloud, self.args.outputs())?;
             }
             _ => {}
         }
@@ -327,7 +330,6 @@ impl Worker<'_> {
         let given = [
             ("--camera", self.args.camera.camera.is_some() || self.args.camera.camera_file.is_some()),
             ("--depth-scale", self.args.camera.depth_scale.is_some()),
-            ("--format", self.args.format.is_some() && self.beside == 1 && !self.args.input.is_dir()),
         ];
         unused.extend(given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name));
         if !unused.is_empty() {
@@ -414,7 +416,7 @@ impl Worker<'_> {
             let text = format!(
                 "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
                 needed.div_ceil(1 << 20),
-                allowed.div_ceil(1 << 20)
+                allowed >> 20
             );
             return Err(NeedsMemory(text).into());
         }

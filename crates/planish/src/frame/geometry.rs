@@ -46,11 +46,10 @@ const MAX_EXTENTS: f64 = 1000.0;
 const MAX_ORIGIN_M: f64 = 20_000.0;
 /// Nor can that be an origin so many extents away beside the cloud.
 const BESIDE_EXTENTS: f64 = 5.0;
-/// Nor one on the surface: of the sampled points around it the 60th is so many times as far as the 6th, where on a surface it is 3.2 times as far.
-const SURFACE_RATIO: f64 = 2.4;
-const NEAR_NEIGHBOUR: usize = 5;
-const FAR_NEIGHBOUR: usize = 59;
-const LEAST_SAMPLE: usize = 240;
+/// Nor one on the surface: of the sampled points around it the 60th is about 3.2 times as far as the 6th there, and so on; these are the limits.
+const SURFACE_RATIOS: [f64; 2] = [2.4, 4.2];
+/// Compared with ten times as many, as far as that is at most a quarter of the sample.
+const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
 /// General clouds are judged by no more points than this.
 const GENERAL_SAMPLE: usize = 4096;
 
@@ -93,7 +92,9 @@ impl FrameGeometry {
 
     /// Of points without a grid.
     fn of_general(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Self {
-        let transform = assumed_transform(points, scratch).unwrap_or_else(|| points.transform());
+        // Of a part it was decided by the whole.
+        let assumed = points.extent_m().is_none().then(|| assumed_transform(points, scratch)).flatten();
+        let transform = assumed.unwrap_or_else(|| points.transform());
         Self::new(transform, RangeRule::Depth { pitch_at_1m: None })
     }
 
@@ -214,13 +215,15 @@ fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransfo
 /// Whether a place is in the midst of points as they lie on a surface: the number of those around it grows with the square of the distance, where
 /// a sensor has all at some distance.
 fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
-    if sample.len() < LEAST_SAMPLE {
-        return false;
-    }
-    let mut squares: Vec<f64> = sample.iter().map(|point| point.distance_squared(place)).collect();
-    let mut nth = |n: usize| *squares.select_nth_unstable_by(n, f64::total_cmp).1;
-    let (far, near) = (nth(FAR_NEIGHBOUR), nth(NEAR_NEIGHBOUR));
-    far > SURFACE_RATIO * SURFACE_RATIO * near
+    // Zeros stand for no data.
+    let squares = sample.iter().map(|point| point.distance_squared(place)).filter(|square| *square > 0.0);
+    let mut squares: Vec<f64> = squares.collect();
+    squares.sort_by(f64::total_cmp);
+    let ratio = |near: usize| squares[10 * near - 1] / squares[near - 1];
+    let (low, high) = (SURFACE_RATIOS[0].powi(2), SURFACE_RATIOS[1].powi(2));
+    // Strays near a sensor reach up to one of these numbers, and no further.
+    let reached = NEAR_NEIGHBOURS.into_iter().filter(|near| 40 * near <= squares.len());
+    squares.len() >= 40 * NEAR_NEIGHBOURS[0] && reached.map(ratio).all(|ratio| (low..high).contains(&ratio))
 }
 
 /// A general cloud of so many points is judged by each of them whose index is a multiple of this.
@@ -407,6 +410,17 @@ mod tests {
             let (position, is_assumed) = seen_from(&slope, moved, SensorPose::IDENTITY);
             assert!(is_assumed && position.z > moved.z + 400.0, "{position}");
         }
+        // Around a sensor, with strays close to it and zeros for what it did not see.
+        let room = |i: usize| match i % 100 {
+            0 => DVec3::ZERO,
+            1 => DVec3::new(0.3, 0.1, 0.01 * i as f64),
+            _ => {
+                let turn = 2.4 * i as f64;
+                DVec3::new(4.0 * turn.cos(), 4.0 * turn.sin(), 0.015 * (i % 200) as f64 - 1.5)
+            }
+        };
+        let (position, is_assumed) = seen_from(&room, DVec3::ZERO, SensorPose::IDENTITY);
+        assert!(!is_assumed && position.length() < 1e-6, "{position}");
         // Beside and before a sensor.
         let steep = DVec3::new(-200.0, -200.0, -150.0);
         for (at, moved) in [(&slope as &dyn Fn(usize) -> DVec3, steep), (&wall, DVec3::new(-19.0, 15.0, -9.0))] {

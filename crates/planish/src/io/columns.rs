@@ -26,6 +26,9 @@ macro_rules! with_values {
 }
 pub(crate) use with_values;
 
+/// Every integer up to this is an f64.
+pub(crate) const EXACT_INTEGERS: u64 = 1 << 53;
+
 /// Coordinates in f64 beyond this lose more than 0.1 mm as f32; such a cloud is kept relative to its first point.
 const FAR_M: f64 = 1000.0;
 

@@ -50,17 +50,21 @@ pub(crate) struct Scans {
 }
 
 impl Scans {
-    /// Where the scanners stood, if there are several scans with poses.
-    fn scanners_m(&self) -> Option<Vec<[f64; 3]>> {
-        let has_pose = self.scans.len() > 1 && self.scans.iter().any(|scan| scan.transform.is_some());
-        has_pose.then(|| self.scans.iter().map(|scan| pose_of(scan).1.to_array()).collect())
+    /// Where the scanner of each scan stood, if there are several and one has a pose; the identity is none.
+    fn scanners_m(&self) -> Option<Vec<Option<[f64; 3]>>> {
+        let scanner = |scan: &e57::PointCloud| {
+            let (rotation, position) = pose_of(scan);
+            (rotation != DQuat::IDENTITY || position != DVec3::ZERO).then(|| position.to_array())
+        };
+        let scanners: Vec<_> = self.scans.iter().map(scanner).collect();
+        (scanners.len() > 1 && scanners.iter().any(Option::is_some)).then_some(scanners)
     }
 }
 
 impl PointCloud {
-    /// Where the scanners of a file of several scans stood, in its frame, by the numbers in the field `scan`; `None` if it does not say so, or
+    /// Where the scanners of a file of several scans stood, in its frame, by the numbers in the field `scan`, as far as it says so; `None` if it does not, or
     /// the cloud's own pose is stated.
-    pub fn scanners_m(&self) -> Option<Vec<[f64; 3]>> {
+    pub fn scanners_m(&self) -> Option<Vec<Option<[f64; 3]>>> {
         self.attribute(SCAN).filter(|_| self.pose.is_identity())?;
         self.e57_scans.as_ref()?.scanners_m()
     }
@@ -74,7 +78,7 @@ impl PointCloud {
             _ => Vec::new(),
         });
         let faces_away = |i: usize| {
-            let Some(scanner) = scanners.get(usize::from(scan_of[i])) else { return false };
+            let Some(Some(scanner)) = scanners.get(usize::from(scan_of[i])) else { return false };
             let along = |axis: usize| f64::from(normals[axis][i]) * (self.coordinate(axis, i) - scanner[axis]);
             along(0) + along(1) + along(2) > 0.0
         };

@@ -144,6 +144,8 @@ fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool
             && attribute.count == 3
             && (is_bytes || !is_colour(components))
             && !components.iter().any(|name| is_taken(name))
+            // The names of a vector, first the one that is written.
+            && !names.iter().take_while(|name| **name != attribute.name).any(|name| is_taken(name))
     });
     let Some((_, names)) = vector else { return vec![attribute] };
     let component = |k: usize| {

@@ -16,6 +16,8 @@ use super::{e57, las};
 use crate::cloud::{OrganizedCloud, PointCloud};
 use crate::error::{FormatError, IoError};
 use crate::frame::DepthImage;
+use crate::outputs::Outputs;
+use crate::smoothed::Smoothed;
 
 /// A cloud to write: on a grid or not.
 #[derive(Debug, Clone, Copy)]
@@ -92,15 +94,19 @@ pub fn encode_cloud<'a>(
     }
 }
 
-/// Refuses, before any work is done for it, an output that cannot be: in a folder that is not there or may not be written to, or in a format
-/// that has no place for what the cloud is. Of the cloud's points it looks at the first.
+/// Refuses, before any work is done for it, an output that cannot be written: in a folder that is not there or may not be written to, or in a format
+/// that has no place for the cloud's fields and those that a result adds.
 ///
 /// # Errors
-/// Those of [`write_cloud`], but for what single values are at fault for.
-pub fn check_writable<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>) -> Result<(), IoError> {
-    let points = cloud.into().points();
-    let first = points.select(&[0][..points.len().min(1)]);
-    let encode = || encode_cloud(Format::of_output(path)?, &first, Encoding::Binary);
+/// Those of [`write_cloud`], except errors caused by single values.
+pub fn check_writable<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, added: Outputs) -> Result<(), IoError> {
+    let mut none = cloud.into().points().select(&[]);
+    let mut result = Smoothed::default();
+    result.prepare(0, 1, added);
+    for (name, values) in result.fields(added) {
+        none.set_attribute(name, values);
+    }
+    let encode = || encode_cloud(Format::of_output(path)?, &none, Encoding::Binary);
     encode().and_then(|_| check_target(path)).map_err(IoError::at(path))
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
+use super::columns::{EXACT_INTEGERS, cloud_from_columns, columns_from_cloud, with_values};
 use super::{CloudRef, FormatResult, ReadOptions, brief, quoted};
 use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::FormatError;
@@ -13,10 +13,11 @@ const FAR_M: f64 = 1000.0;
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 /// Digits behind the point of far coordinates: a hundredth of a millimetre.
 const FAR_DIGITS: usize = 5;
+/// And of those of points that have not moved.
+const UNMOVED_DIGITS: usize = 9;
 
-/// Every integer up to this is an f64.
-const EXACT_INTEGERS: f64 = 9_007_199_254_740_992.0;
-
+/// What begins a comment.
+const COMMENTS: [char; 3] = ['#', '/', '%'];
 /// More columns than that are named.
 const MOST_UNNAMED: usize = 64;
 
@@ -45,6 +46,14 @@ impl Separator {
         }
         cells
     }
+
+    /// Whether a line has a comment behind its cells.
+    fn ends_in_comment(self, line: &str) -> bool {
+        match self {
+            Self::Space => line.split_whitespace().any(is_comment),
+            Self::Mark(mark) => line.split(mark).any(|cell| is_comment(cell.trim())),
+        }
+    }
 }
 
 /// The cells without one that is empty behind the last separator.
@@ -58,15 +67,22 @@ fn without_empty_end(mut cells: Vec<&str>) -> Vec<&str> {
 /// Whether a file of no known ending is lines of numbers, by its beginning.
 pub(super) fn is_likely(bytes: &[u8]) -> bool {
     const LOOKED_AT: usize = 4096;
-    let head = &bytes[..bytes.len().min(LOOKED_AT)];
-    // A line that is cut may have any number of cells.
-    let end =
-        if bytes.len() <= LOOKED_AT { head.len() } else { head.iter().rposition(|&byte| byte == b'\n').unwrap_or(0) };
-    decode(&head[..end], &ReadOptions::default(), &mut Vec::new()).is_ok_and(|cloud| !cloud.is_empty())
+    let mut head = &bytes[..bytes.len().min(LOOKED_AT)];
+    if bytes.len() > LOOKED_AT {
+        let is_end = |byte: &u8| *byte == b'\n';
+        // A line that is cut may have any number of cells.
+        head = &head[..head.iter().rposition(is_end).unwrap_or(0)];
+        // PTS states how many points there are in all.
+        let first = head.iter().position(is_end).unwrap_or(0);
+        if std::str::from_utf8(&head[..first]).is_ok_and(|line| line.trim().parse::<usize>().is_ok()) {
+            head = &head[first..];
+        }
+    }
+    decode(head, &ReadOptions::default(), &mut Vec::new()).is_ok_and(|cloud| !cloud.is_empty())
 }
 
 fn is_comment(line: &str) -> bool {
-    line.starts_with(['#', '/', '%'])
+    line.starts_with(COMMENTS)
 }
 
 fn number_of(cell: &str) -> Option<f64> {
@@ -90,7 +106,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         if names.is_some() && !is_comment(line) {
             break;
         }
-        let heading = line.trim_start_matches(['#', '/', '%']);
+        let heading = line.trim_start_matches(COMMENTS);
         let cells = Separator::of(heading).cells(heading);
         if is_comment(line) || cells.iter().any(|cell| number_of(cell).is_none()) {
             let found: Vec<String> = without_empty_end(cells).into_iter().map(name_of).collect();
@@ -140,12 +156,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     };
     options.check(bytes.len() / (2 * count) + 1, 8 * count)?;
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); count];
+    let mut is_rounded = vec![false; count];
     for (number, line) in lines {
         if is_comment(line) {
             comments += 1;
             continue;
         }
         let mut cells = separator.cells(line);
+        comments += usize::from(line.contains(COMMENTS) && separator.ends_in_comment(line));
         if cells.len() == count + 1 {
             cells = without_empty_end(cells);
         }
@@ -153,11 +171,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             let found = cells.len();
             return Err(FormatError::Malformed(format!("line {number}: {found} values instead of {count}")));
         }
-        for (column, cell) in columns.iter_mut().zip(cells) {
+        for ((column, is_rounded), cell) in columns.iter_mut().zip(&mut is_rounded).zip(cells) {
             let hint = if cell.contains(',') { " (decimals need a point)" } else { "" };
             let value = number_of(cell).ok_or_else(|| {
                 FormatError::Malformed(format!("line {number}: {} is not a number{hint}", quoted(cell)))
             })?;
+            // Numbers with a point or an exponent are rounded by nature.
+            *is_rounded |= value.abs() >= EXACT_INTEGERS as f64
+                && cell.trim_start_matches(['-', '+']).bytes().all(|byte| byte.is_ascii_digit());
             column.push(value);
         }
     }
@@ -177,12 +198,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         return Err(FormatError::Malformed(format!("two columns are called {}", quoted(name))));
     }
     let names = names.unwrap_or_else(|| guessed_names(&columns, stated.is_some()));
-    for (name, _) in names
-        .iter()
-        .zip(&columns)
-        .filter(|(_, values)| values.iter().any(|v| v.abs() > EXACT_INTEGERS && v.is_finite()))
-    {
-        notes.push(format!("the column {} has numbers beyond 2^53, which are rounded", brief(name)));
+    for (name, _) in names.iter().zip(is_rounded).filter(|(_, is_rounded)| *is_rounded) {
+        notes.push(format!("the column {} has integers beyond 2^53, which are rounded", brief(name)));
     }
     let is_far = (0..count)
         .filter(|&i| ["x", "y", "z"].contains(&names[i].as_str()))
@@ -255,6 +272,17 @@ fn guessed_names(columns: &[Vec<f64>], is_pts: bool) -> Vec<String> {
     named.chain((names.len() + 1..=columns.len()).map(|number| format!("column_{number}"))).collect()
 }
 
+/// Writes a far coordinate: all digits of one that has not moved, but for what is only the rounding of f64, as of a LAS file's integer times its scale.
+fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Result {
+    if !is_unmoved {
+        return write!(text, "{value:.FAR_DIGITS$}");
+    }
+    let short = format!("{value:.UNMOVED_DIGITS$}");
+    let is_rounding = short.parse().is_ok_and(|short: f64| (short - value).abs() <= f64::EPSILON * value.abs());
+    let digits = short.trim_end_matches('0').trim_end_matches('.');
+    if is_rounding { text.write_str(digits) } else { write!(text, "{value}") }
+}
+
 /// Which coordinate a column is.
 fn axis_of(name: &str) -> Option<usize> {
     ["x", "y", "z"].iter().position(|axis| *axis == name)
@@ -299,10 +327,9 @@ pub(super) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<
                 let at = i * count + k;
                 // Writing to a string does not fail.
                 let _ = match values {
-                    AttributeValues::F64(values)
-                        if is_far && axis_of(name).is_some_and(|axis| !points.is_unmoved(axis, i)) =>
-                    {
-                        write!(text, "{:.FAR_DIGITS$}", values[at])
+                    AttributeValues::F64(values) if is_far && axis_of(name).is_some() => {
+                        let is_unmoved = axis_of(name).is_some_and(|axis| points.is_unmoved(axis, i));
+                        write_far(&mut text, values[at], is_unmoved)
                     }
                     values => with_values!(values, values => write!(text, "{}", values[at])),
                 };

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::bytes_a_point;
 use super::plan::{Cells, Tile};
 
-use crate::error::{FormatError, memory};
+use crate::error::{FormatError, KIB, memory};
 use crate::frame::{assumed_sensor_of_sample, sampling_step};
 use crate::io::{RecordEncoder, RecordReader, Temporary, WholeFile};
 use crate::neighbours::halo::OWN_SHARE;
@@ -49,7 +49,7 @@ pub(super) struct TileFiles {
 
 /// What a user is told whose memory does not hold the tiles of a file.
 pub(super) fn too_large(points: usize, record: usize, max_memory_bytes: u64) -> FormatError {
-    let (allowed, whole) = (memory(max_memory_bytes), memory(points as u64 * bytes_a_point(record)));
+    let (allowed, whole) = (memory(max_memory_bytes), memory(points as u64 * bytes_a_point(record) + KIB - 1));
     FormatError::Unsupported(format!(
         "its tiles, with the points around them, do not fit the {allowed} that are allowed: raise the limit (the whole needs {whole})"
     ))

@@ -132,7 +132,7 @@ pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
     let (input, what) = (input.display(), "(give the sensor's place with --sensor-pose)");
     match position_m {
         Some([x, y, z]) => errln!(
-            "{input}: where the sensor stood is unknown, not at the origin of the coordinates as it seems; normals face \
+            "{input}: where the sensor stood is unknown, and apparently not at the origin of the coordinates; normals face \
              ({x:.1}, {y:.1}, {z:.1}) {what}"
         ),
         None => {

@@ -3,7 +3,7 @@
 use las::{Builder, Header, Vlr, point};
 
 use super::super::FormatResult;
-use super::super::columns::with_values;
+use super::super::columns::{EXACT_INTEGERS, with_values};
 use super::super::quoted;
 use crate::cloud::{Attribute, AttributeValues};
 use crate::error::FormatError;
@@ -21,8 +21,6 @@ const SCALES_AT: usize = 112;
 const OFFSETS_AT: usize = 136;
 const HAS_SCALE: u8 = 8;
 const HAS_OFFSET: u8 = 16;
-/// Integers up to this are all f64.
-const EXACT_INTEGERS: f64 = 9_007_199_254_740_992.0;
 /// What is left of the extra bytes where no description says what they are.
 const UNDESCRIBED: &str = "extra_bytes";
 
@@ -92,6 +90,13 @@ impl Stored {
             AttributeValues::F32(_) => 9,
             AttributeValues::F64(_) => 10,
         }
+    }
+}
+
+impl Stored {
+    /// Whether a column of this type is what the field stores.
+    fn is_type_of(self, values: &AttributeValues) -> bool {
+        Self::of_extra(Self::number_of(values), 0).is_some_and(|(own, _)| own == self)
     }
 }
 
@@ -275,7 +280,7 @@ fn scaled(values: &AttributeValues, scales: &[Scale]) -> Option<AttributeValues>
     let number = |i: usize| {
         let (stored, scale) = (values.get_f64(i), scales[i % scales.len()]);
         let number = scale.number(stored);
-        (stored.abs() < EXACT_INTEGERS && scale.stored(number) == stored).then_some(number)
+        (stored.abs() < EXACT_INTEGERS as f64 && scale.stored(number) == stored).then_some(number)
     };
     (0..values.len()).map(number).collect::<Option<Vec<f64>>>().map(Into::into)
 }
@@ -361,14 +366,11 @@ pub(super) fn encode_field(
     if attribute.count != values_a_point {
         return Err(out_of_range());
     }
-    // Whole numbers of a scaled field are as they are stored.
-    let unscaled = match (scales, &attribute.values) {
-        (Some(scales), AttributeValues::F64(values)) => {
-            let stored = |(i, &value): (usize, &f64)| scales[i % count].stored(value);
-            Some(AttributeValues::F64(values.iter().enumerate().map(stored).collect()))
-        }
-        _ => None,
-    };
+    // Values of the stored type itself were read so, since numbers would not have been exact.
+    let unscaled = scales.filter(|_| !stored.is_type_of(&attribute.values)).map(|scales| {
+        let of_value = |i: usize| scales[i % count].stored(attribute.values.get_f64(i));
+        AttributeValues::F64((0..attribute.values.len()).map(of_value).collect())
+    });
     with_values!(unscaled.as_ref().unwrap_or(&attribute.values), values => {
         for (point, &i) in raw.chunks_exact_mut(record).zip(kept) {
             for k in 0..values_a_point {

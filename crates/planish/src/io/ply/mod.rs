@@ -21,7 +21,7 @@ use camera::PlyCamera;
 pub(crate) use parts::PlyReader;
 use records::{Layout, take_records};
 
-use super::columns::{cloud_from_columns, columns_from_cloud, with_values};
+use super::columns::{EXACT_INTEGERS, cloud_from_columns, columns_from_cloud, with_values};
 use super::{CloudRef, Encoding, Gridded, ReadOptions, brief, quoted, text};
 use crate::cloud::{Attribute, AttributeValues, PointCloud, Remarks};
 use crate::error::FormatError;
@@ -436,9 +436,6 @@ fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result
         None => malformed("a field is a list"),
     }
 }
-
-/// Every integer up to this is an f64.
-const EXACT_INTEGERS: u64 = 1 << 53;
 
 /// The definition of an element with these columns.
 fn element_of(name: &str, count: usize, columns: &[Attribute]) -> ElementDef {
