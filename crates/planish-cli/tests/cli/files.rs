@@ -192,7 +192,8 @@ fn what_cannot_be_written_is_refused_before_anything_is_smoothed() {
     fs::write(&outlier, "x,y,z,intensity\n9,9,9,1000000000\n0,0,0,5\n0,1,0,6\n").unwrap();
     ok(&["clean", str(&outlier), str(&folder.path().join("o.las")), "--crop=-1,-1,-1,2,2,2"]);
     // What is wrong of an option with two values.
-    let wrong = |value: &str| refused(&["clean", str(&cloud), str(&lidar), "--statistical", value]);
+    let output = folder.path().join("o.ply");
+    let wrong = |value: &str| refused(&["clean", str(&cloud), str(&output), "--statistical", value]);
     assert!(wrong("0,2").contains("K of --statistical = 0") && wrong("5,-1").contains("R of --statistical = -1"));
 }
 
