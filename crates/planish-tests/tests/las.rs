@@ -155,20 +155,18 @@ fn scaled_extra_bytes_are_numbers_everywhere_and_the_same_bytes_in_las() {
     // An i32 in hundredths; two u16, the second in halves from 100 on; an i64 that no f64 holds.
     builder.point_format.extra_bytes = 4 + 4 + 8;
     let mut data = Vec::new();
-    let fields: [(&[u8], u8, u8, [[f64; 3]; 2]); 3] = [
-        (b"temperature", 6, 8, [[0.01, 0.0, 0.0], [0.0; 3]]),
-        (b"pair", 13, 8 | 16, [[1.0, 0.5, 0.0], [0.0, 100.0, 0.0]]),
-        (b"time", 8, 8, [[0.1, 0.0, 0.0], [0.0; 3]]),
-    ];
-    for (name, number, options, [scales, offsets]) in fields {
+    let mut describe = |name: &[u8], number: u8, options: u8, scales_and_offsets: [f64; 6]| {
         let mut description = vec![0u8; 192];
         (description[2], description[3]) = (number, options);
         description[4..4 + name.len()].copy_from_slice(name);
-        for (k, value) in scales.into_iter().chain(offsets).enumerate() {
+        for (k, value) in scales_and_offsets.into_iter().enumerate() {
             description[112 + 8 * k..120 + 8 * k].copy_from_slice(&value.to_le_bytes());
         }
         data.extend(description);
-    }
+    };
+    describe(b"temperature", 6, 8, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    describe(b"pair", 13, 8 | 16, [1.0, 0.5, 0.0, 0.0, 100.0, 0.0]);
+    describe(b"time", 8, 8, [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]);
     builder.vlrs.push(las::Vlr { user_id: "LASF_Spec".into(), record_id: 4, description: String::new(), data });
     let mut writer = las::Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
     for (i, temperature) in [53506i32, -1, i32::MAX].into_iter().enumerate() {
