@@ -27,11 +27,9 @@ fn shortened(value: &str) -> String {
     }
 }
 
-#[cfg(feature = "io")]
 pub(crate) const KIB: u64 = 1 << 10;
 
 /// Bytes in whole KiB, or in MiB with a digit where they are many.
-#[cfg(feature = "io")]
 pub(crate) fn memory(bytes: u64) -> String {
     let kib = bytes / KIB;
     if kib < 10 * KIB { format!("{kib} KiB") } else { format!("{:.1} MiB", kib as f64 / KIB as f64) }
