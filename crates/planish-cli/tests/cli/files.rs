@@ -164,59 +164,6 @@ fn bad_arguments_and_bad_input_are_refused_with_exit_code_2() {
 }
 
 #[test]
-fn what_cannot_be_written_is_refused_before_anything_is_smoothed() {
-    let folder = tempfile::tempdir().unwrap();
-    let cloud = folder.path().join("cloud.csv");
-    let line = |i: usize| format!("{},{},0,20.5\n", i % 30, i / 30);
-    fs::write(&cloud, format!("x,y,z,temperature\n{}", (0..900).map(line).collect::<String>())).unwrap();
-    for (name, said) in [
-        ("a.bin", "temperature"),
-        ("a.png", "an image holds depth"),
-        ("a.obj", "is read, not written"),
-        ("none/a.ply", "does not exist"),
-    ] {
-        let output = folder.path().join(name);
-        let message = refused(&["smooth", str(&cloud), str(&output)]);
-        assert!(message.contains(name.rsplit('/').next().unwrap()) && message.contains(said), "{message}");
-        assert!(!message.contains("neighbours of each point"), "before it is smoothed: {message}");
-        let message = refused(&["clean", "--voxel", "0.5", str(&cloud), str(&output)]);
-        assert!(message.contains(name.rsplit('/').next().unwrap()) && message.contains(said), "{message}");
-        assert!(!output.exists());
-    }
-    // Fields that are to be added have no place there; a value that is to be removed is no matter.
-    let lidar = folder.path().join("lidar.bin");
-    fs::write(&lidar, [1.0f32, 2.0, 3.0, 0.5].map(f32::to_le_bytes).concat().repeat(100)).unwrap();
-    let message = refused(&["smooth", str(&lidar), str(&folder.path().join("n.bin")), "--fields", "normals"]);
-    assert!(message.contains("normal_x") && !message.contains("neighbours of each point"), "{message}");
-    let outlier = folder.path().join("outlier.csv");
-    fs::write(&outlier, "x,y,z,intensity\n9,9,9,1000000000\n0,0,0,5\n0,1,0,6\n").unwrap();
-    ok(&["clean", str(&outlier), str(&folder.path().join("o.las")), "--crop=-1,-1,-1,2,2,2"]);
-    // What is wrong of an option with two values.
-    let output = folder.path().join("o.ply");
-    let wrong = |value: &str| refused(&["clean", str(&cloud), str(&output), "--statistical", value]);
-    assert!(wrong("0,2").contains("K of --statistical = 0") && wrong("5,-1").contains("R of --statistical = -1"));
-}
-
-#[cfg(unix)]
-#[test]
-fn a_limit_on_the_size_of_files_leaves_no_half_of_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let cloud = folder.path().join("cloud.xyz");
-    let line = |i: usize| format!("{} {} 0\n", i % 100, i / 100);
-    fs::write(&cloud, (0..10_000).map(line).collect::<String>()).unwrap();
-    // In blocks of 512 or 1024 bytes.
-    let limited = "ulimit -f 8; exec \"$0\" smooth \"$1\" \"$2\"";
-    let output = folder.path().join("out.ply");
-    let ended = std::process::Command::new("sh")
-        .args(["-c", limited, env!("CARGO_BIN_EXE_planish"), str(&cloud), str(&output)])
-        .output()
-        .unwrap();
-    let message = String::from_utf8_lossy(&ended.stderr);
-    assert!(ended.status.code() == Some(2) && message.contains("out.ply"), "{:?} {message}", ended.status);
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "the cloud alone");
-}
-
-#[test]
 fn engines_agree_and_threads_change_no_byte() {
     let (folder, _, path) = with_frame();
     let run = |name: &str, more: &[&str]| {

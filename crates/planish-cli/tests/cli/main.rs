@@ -7,6 +7,7 @@ mod live;
 mod measure;
 #[cfg(target_os = "linux")]
 mod mutation;
+mod outputs;
 mod rigs;
 
 use std::path::{Path, PathBuf};

@@ -8,6 +8,7 @@ mod camera;
 #[cfg(feature = "scans")]
 mod parts;
 mod records;
+mod remarks;
 
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
@@ -20,6 +21,7 @@ use camera::PlyCamera;
 #[cfg(feature = "scans")]
 pub(crate) use parts::PlyReader;
 use records::{Layout, take_records};
+use remarks::{GRID_INFOS, left_out, remarks_of};
 
 use super::columns::{EXACT_INTEGERS, cloud_from_columns, columns_from_cloud, with_values};
 use super::{CloudRef, Encoding, Gridded, ReadOptions, brief, quoted, text};
@@ -241,24 +243,6 @@ fn cell_of(indices: Option<&[usize]>) -> Result<Option<usize>, FormatError> {
 fn info(header: &Header, key: &str) -> Option<usize> {
     let number = |line: &String| line.trim().strip_prefix(key)?.trim().parse().ok();
     header.obj_infos.iter().find_map(number)
-}
-
-/// What is read of a file, or stated anew.
-const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
-const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
-
-/// What is said of elements that are not kept.
-fn left_out(header: &Header) -> Option<String> {
-    let others = header.elements.values().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
-    let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
-    (!others.is_empty()).then(|| format!("elements beside the vertices are left out: {}", others.join(", ")))
-}
-
-/// What the header says in free text.
-fn remarks_of(header: &Header) -> Remarks {
-    let is_of_grid = |line: &&String| GRID_INFOS.iter().any(|key| line.trim().starts_with(key));
-    let obj_infos = header.obj_infos.iter().filter(|line| !is_of_grid(line)).cloned().collect();
-    Remarks { comments: header.comments.clone(), obj_infos }
 }
 
 /// The largest header accepted, in bytes; real ones have a few hundred.

@@ -3,15 +3,16 @@
 //! What a scan is beside its points (name, pose, sensor, times) is kept with the cloud and written back. Spherical coordinates become Cartesian
 //! ones; images and the sections of other programs' extensions, their point fields apart, are not kept.
 
-use std::io::{Cursor, Read, Seek, Write};
+mod scans;
+
+use std::io::Cursor;
 use std::sync::Arc;
 
-use e57::{
-    ColorLimits, DateTime, E57Reader, E57Writer, Extension, IntensityLimits, PointCloudWriter, Quaternion, Record,
-    RecordDataType, RecordName, RecordValue,
-};
-use glam::{DQuat, DVec3};
+use e57::{E57Reader, E57Writer, Extension, Record, RecordDataType, RecordName, RecordValue};
+use glam::DVec3;
 
+pub(crate) use self::scans::Scans;
+use self::scans::{pose_of, set_limits};
 use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, brief};
 use crate::cloud::{Attribute, AttributeValues, PointCloud};
@@ -39,66 +40,6 @@ const NORMALS: [(&str, &str); 3] = [("normal_x", "normalX"), ("normal_y", "norma
 const OF_NORMALS: (&str, &str) = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt");
 /// Every other field.
 const OWN: (&str, &str) = ("planish", "https://github.com/planish/planish");
-
-/// What a file says beside its points.
-#[derive(Debug, Clone)]
-pub(crate) struct Scans {
-    scans: Vec<e57::PointCloud>,
-    creation: Option<DateTime>,
-    /// The coordinate system, as well-known text.
-    coordinate_metadata: Option<String>,
-}
-
-impl Scans {
-    /// Where the scanner of each scan stood, if there are several and one has a pose; the identity is none.
-    fn scanners_m(&self) -> Option<Vec<Option<[f64; 3]>>> {
-        let scanner = |scan: &e57::PointCloud| {
-            let (rotation, position) = pose_of(scan);
-            (rotation != DQuat::IDENTITY || position != DVec3::ZERO).then(|| position.to_array())
-        };
-        let scanners: Vec<_> = self.scans.iter().map(scanner).collect();
-        (scanners.len() > 1 && scanners.iter().any(Option::is_some)).then_some(scanners)
-    }
-}
-
-impl PointCloud {
-    /// Where the scanners of a file of several scans stood, in its frame, by the numbers in the field `scan`, as far as it says so; `None` if it does not, or
-    /// the cloud's own pose is stated.
-    pub fn scanners_m(&self) -> Option<Vec<Option<[f64; 3]>>> {
-        self.attribute(SCAN).filter(|_| self.pose.is_identity())?;
-        self.e57_scans.as_ref()?.scanners_m()
-    }
-
-    /// Turns normals to the scanners, where those are known.
-    pub(crate) fn face_scanners(&mut self) {
-        let Some(scanners) = self.scanners_m() else { return };
-        let Some(AttributeValues::U16(scan_of)) = self.attribute(SCAN).map(|scan| &scan.values) else { return };
-        let normals = NORMALS.map(|(name, _)| match self.attribute(name).map(|normal| &normal.values) {
-            Some(AttributeValues::F32(values)) => values.clone(),
-            _ => Vec::new(),
-        });
-        let faces_away = |i: usize| {
-            let Some(Some(scanner)) = scanners.get(usize::from(scan_of[i])) else { return false };
-            let along = |axis: usize| f64::from(normals[axis][i]) * (self.coordinate(axis, i) - scanner[axis]);
-            along(0) + along(1) + along(2) > 0.0
-        };
-        if normals.iter().any(|values| values.len() != self.len()) || scan_of.len() != self.len() {
-            return;
-        }
-        let away: Vec<bool> = (0..self.len()).map(faces_away).collect();
-        for ((name, _), values) in NORMALS.into_iter().zip(&normals) {
-            let turned = values.iter().zip(&away).map(|(&value, &away)| if away { -value } else { value });
-            self.set_attribute(name, turned.collect::<Vec<f32>>());
-        }
-    }
-}
-
-impl PartialEq for Scans {
-    fn eq(&self, other: &Self) -> bool {
-        let key = |scan: &e57::PointCloud| (scan.guid.clone(), scan.name.clone(), scan.records);
-        self.scans.iter().map(key).eq(other.scans.iter().map(key))
-    }
-}
 
 fn damaged(error: e57::Error) -> FormatError {
     FormatError::Malformed(format!("damaged E57: {}", brief(&error.to_string())))
@@ -182,16 +123,6 @@ impl Position {
             }
         }
     }
-}
-
-/// The transform from a scan's frame to the file's.
-fn pose_of(scan: &e57::PointCloud) -> (DQuat, DVec3) {
-    scan.transform.as_ref().map_or((DQuat::IDENTITY, DVec3::ZERO), |transform| {
-        let Quaternion { w, x, y, z } = transform.rotation;
-        let rotation = DQuat::from_xyzw(x, y, z, w);
-        let rotation = if rotation.length() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
-        (rotation, DVec3::new(transform.translation.x, transform.translation.y, transform.translation.z))
-    })
 }
 
 /// Our name of a field; `None` for what becomes the position.
@@ -356,49 +287,6 @@ fn value_of(attribute: &Attribute, i: usize) -> RecordValue {
         AttributeValues::I64(values) => RecordValue::Integer(values[i]),
         AttributeValues::U64(values) => RecordValue::Integer(i64::try_from(values[i]).unwrap_or(i64::MAX)),
         values => RecordValue::Integer(values.get_f64(i) as i64),
-    }
-}
-
-/// A limit of a field's values in the type that the field is written with.
-fn limit(value: Option<&RecordValue>, read: &Record, written: &Record) -> Option<RecordValue> {
-    let value = value?.to_f64(&read.data_type).ok()?;
-    Some(match written.data_type {
-        RecordDataType::Single { .. } => RecordValue::Single(value as f32),
-        RecordDataType::Integer { .. } => RecordValue::Integer(value as i64),
-        _ => RecordValue::Double(value),
-    })
-}
-
-/// The range of intensities and colours that a scan's sensor has, where the scan says so; without, the writer states that of the type.
-fn set_limits<T: Read + Write + Seek>(
-    points: &mut PointCloudWriter<'_, T>,
-    scan: &e57::PointCloud,
-    prototype: &[Record],
-) {
-    let of = |name: RecordName, value: &Option<RecordValue>| {
-        let named = |records: &[Record]| records.iter().find(|record| record.name == name).cloned();
-        limit(value.as_ref(), &named(&scan.prototype)?, &named(prototype)?)
-    };
-    if let Some(IntensityLimits { intensity_min, intensity_max }) = &scan.intensity_limits {
-        let of_intensity = |value| of(RecordName::Intensity, value);
-        let limits = [of_intensity(intensity_min), of_intensity(intensity_max)];
-        if let [intensity_min @ Some(_), intensity_max @ Some(_)] = limits {
-            points.set_intensity_limits(Some(IntensityLimits { intensity_min, intensity_max }));
-        }
-    }
-    if let Some(limits) = &scan.color_limits {
-        let [red, green, blue] = [RecordName::ColorRed, RecordName::ColorGreen, RecordName::ColorBlue];
-        let limits = ColorLimits {
-            red_min: of(red.clone(), &limits.red_min),
-            red_max: of(red, &limits.red_max),
-            green_min: of(green.clone(), &limits.green_min),
-            green_max: of(green, &limits.green_max),
-            blue_min: of(blue.clone(), &limits.blue_min),
-            blue_max: of(blue, &limits.blue_max),
-        };
-        if limits.red_max.is_some() && limits.green_max.is_some() && limits.blue_max.is_some() {
-            points.set_color_limits(Some(limits));
-        }
     }
 }
 
