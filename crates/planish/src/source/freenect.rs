@@ -201,7 +201,7 @@ mod tests {
         // The colour camera's picture: red its column, green its row, both halved or so to fit a byte.
         let rgb: Vec<u8> = (0..640 * 480).flat_map(|i| [((i % 640) / 4) as u8, ((i / 640) / 4) as u8, 77]).collect();
         let disparity = depth_disparity(1.0);
-        let mut bytes: Vec<u8> = [disparity; 640 * 480].into_iter().flat_map(u16::to_le_bytes).collect();
+        let mut bytes = disparity.to_le_bytes().repeat(640 * 480);
         bytes[..2].copy_from_slice(&HOLE_DISPARITY.to_le_bytes());
         let frame = frame_of_disparities(&bytes, Some(&rgb), None, None);
         let colours = frame.rgb.unwrap();
