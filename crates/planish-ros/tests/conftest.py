@@ -13,12 +13,11 @@ WIDTH, HEIGHT, FOCAL = 160, 120, 131.25
 
 
 def program(name):
-    """A program of this project: the release build, else the one of development."""
-    for profile in ("release", "debug"):
-        path = TARGET / profile / name
-        if path.exists():
-            return str(path)
-    pytest.fail(f"{name} is not built: cargo build --release -p planish-cli -p planish-ros")
+    """A program of this project, from the newest build."""
+    built = [path for profile in ("release", "debug") if (path := TARGET / profile / name).exists()]
+    if not built:
+        pytest.fail(f"{name} is not built: cargo build --workspace")
+    return str(max(built, key=lambda path: path.stat().st_mtime))
 
 
 def smooth(*arguments, code=0):
