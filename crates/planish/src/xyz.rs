@@ -54,16 +54,19 @@ impl Xyz {
     }
 
     /// Vector `i`.
+    #[inline]
     pub fn get(&self, i: usize) -> [f32; 3] {
         [self.x[i], self.y[i], self.z[i]]
     }
 
     /// Sets vector `i`.
+    #[inline]
     pub fn set(&mut self, i: usize, value: [f32; 3]) {
         [self.x[i], self.y[i], self.z[i]] = value;
     }
 
     /// Whether all components of vector `i` are finite.
+    #[inline]
     pub fn is_finite(&self, i: usize) -> bool {
         self.x[i].is_finite() && self.y[i].is_finite() && self.z[i].is_finite()
     }

@@ -60,6 +60,7 @@ pub(super) struct Moments<S: Simd> {
 }
 
 /// Index of M_ij for i + j up to `degree`: for every i a run over j.
+#[inline(always)]
 const fn place(degree: usize, i: usize, j: usize) -> usize {
     i * (2 * degree + 3 - i) / 2 + j
 }

@@ -189,11 +189,13 @@ impl PointIndex {
         self.len.div_ceil(LEAF)
     }
 
+    #[inline]
     pub(crate) fn point(&self, place: usize) -> [f32; 3] {
         point_of(&self.positions, place)
     }
 
     /// The place of point `i` of the cloud; `None` for a hole.
+    #[inline]
     pub(crate) fn place(&self, i: usize) -> Option<usize> {
         let place = self.places[i].load(Ordering::Relaxed);
         (place != HOLE).then_some(place as usize)
