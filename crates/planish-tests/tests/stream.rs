@@ -285,6 +285,20 @@ fn a_stream_ends_when_it_is_told_to() {
 }
 
 #[test]
+fn a_simulated_source_repeats_the_frames_that_it_rendered() {
+    use planish::source::{SourceFrame, SyntheticSource};
+    let take = |mut source: SyntheticSource| -> Vec<_> {
+        let frames = (0..3).map(|_| source.next_frame().unwrap().unwrap());
+        let depth = frames.map(|frame| if let SourceFrame::Depth(frame) = frame { frame } else { panic!("no depth") });
+        depth.map(|frame| (frame.timestamp_s, frame.raw)).collect()
+    };
+    let whole = take(SyntheticSource::new(1, small_camera()).unwrap());
+    let two = take(SyntheticSource::of_frames(1, small_camera(), 2).unwrap());
+    assert!(whole[..2] == two[..2] && whole[0].1 != whole[1].1);
+    assert!(two[2].0 == whole[2].0 && two[2].1 == two[0].1);
+}
+
+#[test]
 fn a_source_that_panics_ends_the_stream_and_not_the_process() {
     let mut given = Given::frames(3);
     given.1 = Box::new(|number| assert!(number < 2, "a defect of this source"));

@@ -48,6 +48,14 @@ impl Recorder {
         Ok(Self::Tum(TumRecorder::create(output)?))
     }
 
+    /// Refuses what [`Self::create`] would, and creates nothing.
+    fn check(output: &std::path::Path) -> Result<()> {
+        if super::checks::is_mcap(output) {
+            return super::checks::check_is_new(output);
+        }
+        Ok(TumRecorder::create(output).map(drop)?)
+    }
+
     fn add(&mut self, source: &str, frame: &SourceFrame) -> Result<()> {
         match (self, frame) {
             (Self::Tum(recorder), SourceFrame::Depth(frame)) => Ok(recorder.add(frame)?),
@@ -92,12 +100,13 @@ impl Recorder {
 
 pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.source.limits.max_duration()?;
+    super::checks::check_not_input(std::path::Path::new(args.source.name()), &args.folder, None)?;
+    Recorder::check(&args.folder)?;
     // Opening may take seconds: until then a signal ends the command at once.
     let stop = Arc::default();
     let mut source = open_source(&args.source, &stop)?;
     stop_by(&stop);
     source.end_with(Arc::clone(&stop));
-    super::checks::check_not_input(std::path::Path::new(args.source.name()), &args.folder, None)?;
     let mut recorder = Recorder::create(&args.folder)?;
     let start = Instant::now();
     let mut frames = 0;

@@ -305,7 +305,7 @@ fn open_sources(rig: &Rig, limits: &LimitArgs, stop: &Arc<AtomicBool>) -> Result
             format!("camera {}: no source; \"source\" says where its frames come from", camera.name)
         })?;
         let is_camera = source::is_camera(name);
-        let options = camera.source_options().with_fps(limits.fps.filter(|_| !is_camera));
+        let options = camera.source_options().with_fps(limits.fps.filter(|_| !is_camera)).with_frames(limits.frames);
         let limits = LimitArgs { reconnect: limits.reconnect && is_camera, ..*limits };
         if has_camera && !is_camera && limits.fps.is_none() {
             bail!("camera {}: a recording beside live cameras: --fps says at what pace it plays", camera.name);

@@ -158,7 +158,8 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
         .with_tum_units_per_metre(camera.depth_scale)
         .with_alignment(align.map(Into::into))
         .with_mode(*mode)
-        .with_fps(limits.fps);
+        .with_fps(limits.fps)
+        .with_frames(limits.frames);
     if limits.reconnect && !source::is_camera(args.name()) {
         bail!("--reconnect waits for a camera; {} is none", args.name());
     }

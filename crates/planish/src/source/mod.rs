@@ -184,6 +184,8 @@ pub struct SourceOptions {
     pub alignment: Option<Alignment>,
     /// The mode of a RealSense or an OpenNI2 camera; without it its default.
     pub mode: Option<StreamMode>,
+    /// How many frames will be taken, if that is known. A source that prepares its frames prepares no more.
+    pub frames: Option<u64>,
 }
 
 impl SourceOptions {
@@ -212,6 +214,11 @@ impl SourceOptions {
         Self { mode, ..self }
     }
 
+    /// The same for so many frames, or any number of them.
+    pub fn with_frames(self, frames: Option<u64>) -> Self {
+        Self { frames, ..self }
+    }
+
     /// The same paced as live, or not.
     pub fn with_fps(self, fps: Option<f64>) -> Self {
         Self { fps, ..self }
@@ -223,7 +230,7 @@ impl SourceOptions {
 /// repeated without end.
 pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
     let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
-    let &SourceOptions { camera, alignment, mode, fps, .. } = options;
+    let &SourceOptions { camera, alignment, mode, fps, frames, .. } = options;
     if matches!(kind, "kinect" | "synthetic" | "realsense" | "openni2") {
         refuse_topics(options)?;
         refuse_units(options)?;
@@ -239,7 +246,10 @@ pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Erro
             let allowed = "none for the simulator, which has its own";
             return Err(ParamError { field: "camera", value: "given".into(), allowed }.into());
         }
-        "synthetic" => Box::new(SyntheticSource::new(parse_number(name, rest, 1)?, Camera::kinect_v1())?),
+        "synthetic" => {
+            let (seed, frames) = (parse_number(name, rest, 1)?, frames.unwrap_or(u64::MAX));
+            Box::new(SyntheticSource::of_frames(seed, Camera::kinect_v1(), frames)?)
+        }
         _ => open_path(Path::new(name), options)?,
     };
     match fps {

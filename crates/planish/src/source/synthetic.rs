@@ -28,15 +28,21 @@ impl SyntheticSource {
 
     /// Renders a round of the scene with this seed.
     pub fn new(seed: u64, camera: Camera) -> Result<Self, Error> {
+        Self::of_frames(seed, camera, ROUND)
+    }
+
+    /// Renders the first frames only, for who takes no more; further ones repeat them.
+    pub fn of_frames(seed: u64, camera: Camera, frames: u64) -> Result<Self, Error> {
         camera.validate()?;
         let (scene, start) = Scene::tabletop(seed);
         let mut source = Self { scene, start, camera, round: Vec::new(), next: 0 };
         let simulator = DepthSimulator::new(DepthNoise::default(), camera, seed);
-        source.round = (0..ROUND).map(|i| simulator.frame(&source.truth(i), i)).collect::<Result<_, _>>()?;
+        source.round =
+            (0..frames.clamp(1, ROUND)).map(|i| simulator.frame(&source.truth(i), i)).collect::<Result<_, _>>()?;
         Ok(source)
     }
 
-    /// Returns what a perfect camera sees in frame `index`.
+    /// Returns what a perfect camera sees in frame `index` of a whole round.
     pub fn truth(&self, index: u64) -> Truth {
         let turn = TAU * (index % ROUND) as f64 / ROUND as f64;
         let mut pose = self.start;
@@ -48,7 +54,7 @@ impl SyntheticSource {
 
 impl Source for SyntheticSource {
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        let mut frame = self.round[(self.next % ROUND) as usize].clone();
+        let mut frame = self.round[(self.next % self.round.len() as u64) as usize].clone();
         frame.timestamp_s = Some(self.next as f64 / Self::FPS);
         self.next += 1;
         Ok(Some(SourceFrame::Depth(frame)))
