@@ -124,8 +124,9 @@ impl Arguments {
             let Value::Mapping(parameters) = entry else { bail!("{name}: ros__parameters has no parameters") };
             for (parameter_name, value) in parameters {
                 let parameter_name = parameter_name.as_str().context("a parameter's name is expected")?;
-                let value = parameter(value).with_context(|| parameter_name.to_owned())?;
-                if self.is_meant(name) {
+                // Of other nodes and of middleware that is not this node's, values may be anything.
+                if self.is_meant(name) && parameter_name != "qos_overrides" {
+                    let value = parameter(value).with_context(|| parameter_name.to_owned())?;
                     self.parameters.insert(parameter_name.to_owned(), value);
                 }
             }
@@ -194,7 +195,9 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("planish-ros-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let file = folder.join("params.yaml");
-        let text = "/**:\n  ros__parameters:\n    strength: 0.25\n    sensor: d435\nother:\n  ros__parameters:\n    sensor: l515\n";
+        // What other nodes and their middleware are told may be anything.
+        let text = "/**:\n  ros__parameters:\n    strength: 0.25\n    sensor: d435\n    qos_overrides: {/tf: {depth: 1}}\n\
+                    other:\n  ros__parameters:\n    sensor: l515\n    roi: [1, 2]\n    nothing:\n";
         std::fs::write(&file, text).unwrap();
         let nested = folder.join("nested.yaml");
         let text = "arm:\n  planish:\n    ros__parameters:\n      strength: 0.75\n/leg/**:\n  ros__parameters:\n    strength: 0.0\n/*/planish:\n  \

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import CAMERA, FOCAL, HEIGHT, PROJECTION, WIDTH, depth_mm, program, roughness, smooth
 from mcap.reader import make_reader
-from mcap.writer import Writer as McapWriter
+from mcap.writer import CompressionType, Writer as McapWriter
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -169,8 +169,13 @@ def test_what_is_wrong_is_said(bag, tmp_path):
     assert "--topic" in smooth(bag, out, code=2)
     assert "/nowhere" in smooth(bag, out, "--topic", "/nowhere", code=2)
     assert "--overwrite" in smooth(bag, bag, "--topic", IMAGE, code=2)
-    for name, kind in [("a.bag", "ROS 1"), ("a.db3", "SQLite")]:
-        (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n")
+    assert "/chatter already" in smooth(bag, out, "--topic", IMAGE, "--points-topic", "/chatter", code=2)
+    folder = tmp_path / "sqlite"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    for name, kind in [("a.bag", "ROS 1"), ("a.db3", "SQLite"), ("sqlite/a.db3", "SQLite"), ("sqlite", "SQLite")]:
+        if name != "sqlite":
+            (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n")
         text = smooth(tmp_path / name, out, code=2)
         assert kind in text and "rosbags-convert" in text
     assert not out.exists()
@@ -179,6 +184,43 @@ def test_what_is_wrong_is_said(bag, tmp_path):
 def test_a_folder_of_rosbag2_is_its_recording(bag, tmp_path):
     smooth(bag.parent, tmp_path / "out.mcap", "--topic", IMAGE)
     assert len(decoded(tmp_path / "out.mcap", IMAGE)) == FRAMES
+
+
+def copy(source, path, leave_out=(), **options):
+    """The same messages in a recording written another way."""
+    with open(source, "rb") as old, open(path, "wb") as new:
+        writer, channels = McapWriter(new, **options), {}
+        writer.start("ros2")
+        for schema, channel, sent in make_reader(old).iter_messages(log_time_order=False):
+            if channel.topic in leave_out:
+                continue
+            if channel.id not in channels:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            writer.add_message(channels[channel.id], sent.log_time, sent.data, sent.publish_time, sent.sequence)
+        writer.finish()
+
+
+def test_a_summary_need_not_repeat_channels_and_schemas(bag, tmp_path):
+    smooth(bag, tmp_path / "whole.mcap", "--topic", IMAGE)
+    for parts in ({"repeat_channels": False}, {"repeat_schemas": False}):
+        copy(bag, tmp_path / "in.mcap", **parts)
+        smooth(tmp_path / "in.mcap", tmp_path / "out.mcap", "--topic", IMAGE, "--overwrite")
+        assert raw_messages(tmp_path / "out.mcap") == raw_messages(tmp_path / "whole.mcap")
+
+
+def test_topics_with_depth_that_are_not_smoothed_are_named(bag, tmp_path):
+    copy(bag, tmp_path / "in.mcap", leave_out=[FLOAT])
+    text = smooth(tmp_path / "in.mcap", tmp_path / "out.mcap", "--fields", "normals")
+    assert f"depth on {COMPRESSED}, {CLOUD} was copied" in text.replace(f"{CLOUD}, {COMPRESSED}", f"{COMPRESSED}, {CLOUD}")
+    assert "--points-topic adds clouds" in text
+    assert "was copied" not in smooth(bag, tmp_path / "two.mcap", "--topic", IMAGE, "--topic", CLOUD)
+
+
+def test_info_lists_all_topics(bag):
+    run = subprocess.run([program("planish"), "info", "--json", bag], capture_output=True, text=True, check=True)
+    others = json.loads(run.stdout)["other_topics"]
+    assert others == [{"topic": "/chatter", "type": "std_msgs/msg/String", "messages": FRAMES}]
 
 
 def test_options_that_recordings_cannot_have_are_refused(bag, tmp_path):
@@ -225,6 +267,13 @@ def test_a_recording_that_was_cut_off_is_smoothed_up_to_there(bag, tmp_path):
     with open(out, "rb") as file:
         # Complete, with a summary.
         assert make_reader(file).get_summary().statistics.message_count > 0
+    # Chunks stay as they were, though what says so was cut off.
+    copy(bag, tmp_path / "plain.mcap", chunk_size=100_000, compression=CompressionType.NONE)
+    plain = (tmp_path / "plain.mcap").read_bytes()
+    cut.write_bytes(plain[: len(plain) * 2 // 3])
+    smooth(cut, out, "--topic", IMAGE, "--overwrite", code=1)
+    with open(out, "rb") as file:
+        assert {chunk.compression for chunk in make_reader(file).get_summary().chunk_indexes} == {""}
     for length in (0, 7, 20, 60):
         cut.write_bytes(data[:length])
         smooth(cut, tmp_path / "none.mcap", "--topic", IMAGE, code=2)

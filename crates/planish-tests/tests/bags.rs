@@ -159,9 +159,25 @@ fn record(opcode: u8, content: &[u8]) -> Vec<u8> {
     [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat()
 }
 
+const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+#[test]
+fn an_attachment_that_ends_before_its_checksum_is_damage() {
+    let folder = TempDir::new().unwrap();
+    let (whole, _) = recording(&folder, small_camera());
+    let path = folder.path().join("attached.mcap");
+    // Both times, a name and a media type of no letters, and the length of the data.
+    for data in [&[][..], &[0; 8], &[0; 11], &[255; 8], &[3, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3]] {
+        let attachment = record(9, &[&[0; 24], data].concat());
+        let rest = &std::fs::read(&whole).unwrap()[MAGIC.len()..];
+        std::fs::write(&path, [MAGIC, &record(1, &[0; 8]), &attachment, rest].concat()).unwrap();
+        let said = BagSource::open(&path, None, None, None).map(drop).unwrap_err().to_string();
+        assert!(said.contains("attached.mcap") && said.contains("damaged"), "{said}");
+    }
+}
+
 #[test]
 fn a_record_that_reaches_beyond_its_chunk_is_damage() {
-    const MAGIC: &[u8] = b"\x89MCAP0\r\n";
     let folder = TempDir::new().unwrap();
     let (whole, _) = recording(&folder, small_camera());
     // A schema that says it is longer than the chunk around it, which is not compressed.

@@ -18,7 +18,7 @@ use crate::io::brief;
 
 pub use smooth::{SmoothBagOptions, SmoothBagReport, TopicReport, smooth_bag};
 pub use source::BagSource;
-pub use survey::{MessageKind, Survey, Topic};
+pub use survey::{MessageKind, OtherTopic, Survey, Topic};
 pub use writer::{BagSink, BagWriter};
 
 /// The bytes that a recording in MCAP begins with.
@@ -36,7 +36,7 @@ pub fn is_bag(path: &Path) -> bool {
 /// The recording that a name stands for: itself, or the only .mcap in a folder as rosbag2 makes one.
 ///
 /// # Errors
-/// If a folder of rosbag2 has several.
+/// If a folder of rosbag2 has several, or one of another kind.
 pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
     if !path.join("metadata.yaml").is_file() {
         return Ok(path.to_path_buf());
@@ -46,7 +46,10 @@ pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
     let mut bags: Vec<PathBuf> = files.filter(|file| is_bag(file)).collect();
     bags.sort();
     match &bags[..] {
-        [] => Ok(path.to_path_buf()),
+        [] => {
+            let mut files = std::fs::read_dir(path).map_err(at)?.flatten().map(|entry| entry.path());
+            files.find_map(|file| refuse_other_bags(&file).err()).map_or_else(|| Ok(path.to_path_buf()), Err)
+        }
         [only] => Ok(only.clone()),
         [first, ..] => Err(IoError {
             path: path.to_path_buf(),
@@ -84,6 +87,9 @@ fn of_mcap(error: mcap::McapError) -> FormatError {
         mcap::McapError::RecordTooLarge { len, .. } | mcap::McapError::ChunkTooLarge(len) => {
             FormatError::Malformed(format!("a record of {len} bytes, more than --max-memory allows or the file holds"))
         }
+        mcap::McapError::BadChunkCrc { .. } => FormatError::Malformed(
+            "damaged: the checksum of a chunk is wrong; messages of that chunk are among those before, and may be damaged".into(),
+        ),
         error => FormatError::Malformed(brief(&format!("damaged: {error}"))),
     }
 }

@@ -80,7 +80,7 @@ impl Records {
                 Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. }) => return Err(beyond_its_chunk()),
                 Ok(LinearReadEvent::Record { opcode, data }) => {
                     if !lengths_fit(opcode, data) {
-                        return Err(FormatError::Malformed("damaged: a text is longer than its record".into()));
+                        return Err(FormatError::Malformed("damaged: a part of a record is longer than it".into()));
                     }
                     return Ok(Next::Record(mcap::parse_record(opcode, data).map_err(of_mcap)?.into_owned()));
                 }
@@ -109,7 +109,7 @@ fn read_some(file: &mut impl Read, to: &mut [u8]) -> std::io::Result<usize> {
     }
 }
 
-/// Whether the texts and tables of a record lie in it: the parser would allocate whatever they are said to take.
+/// Whether the texts, tables and data of a record lie in it: the parser would allocate whatever they are said to take, or panic.
 fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
     /// Skips what has its length in four bytes before it.
     fn skip(data: &[u8]) -> Option<&[u8]> {
@@ -125,11 +125,16 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
         }
         Some(after)
     }
+    /// Skips the data of an attachment, whose length is in eight bytes before it and whose checksum is in four behind it.
+    fn skip_attached(data: &[u8]) -> Option<&[u8]> {
+        let (length, rest) = data.split_first_chunk::<8>()?;
+        rest.get(usize::try_from(u64::from_le_bytes(*length)).ok()?.checked_add(4)?..)
+    }
     let fits = || match opcode {
         op::HEADER => skip(skip(data)?),
         op::SCHEMA => skip(skip(skip(data.get(2..)?)?)?),
         op::CHANNEL => skip_texts(skip(skip(data.get(4..)?)?)?),
-        op::ATTACHMENT => skip(skip(data.get(16..)?)?),
+        op::ATTACHMENT => skip_attached(skip(skip(data.get(16..)?)?)?),
         op::METADATA => skip_texts(skip(data)?),
         op::STATISTICS => skip(data.get(42..)?),
         op::CHUNK_INDEX => skip(skip(data.get(32..)?)?.get(8..)?),
@@ -151,6 +156,8 @@ pub(super) struct Summary {
     pub(super) messages: Option<(BTreeMap<u16, u64>, u64)>,
     /// Of its first chunk.
     pub(super) compression: Option<String>,
+    /// Whether a schema or a channel of the data is not repeated here.
+    pub(super) is_partial: bool,
 }
 
 impl Summary {
@@ -164,7 +171,9 @@ impl Summary {
                     summary.schemas.insert(header.id, header.name);
                 }
                 Next::Record(Record::Channel(channel)) => {
-                    let kind = summary.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+                    let schema = summary.schemas.get(&channel.schema_id);
+                    summary.is_partial |= schema.is_none() && channel.schema_id != 0;
+                    let kind = schema.cloned().unwrap_or_default();
                     summary.channels.insert(channel.id, (channel.topic, kind));
                 }
                 Next::Record(Record::Statistics(statistics)) => {
@@ -174,9 +183,41 @@ impl Summary {
                     summary.compression.get_or_insert(index.compression);
                 }
                 Next::Record(_) => {}
-                Next::End => return Some(summary),
+                Next::End => {
+                    let of_channels = summary.messages.iter().flat_map(|(of_channels, _)| of_channels.keys());
+                    summary.is_partial |= of_channels.into_iter().any(|id| !summary.channels.contains_key(id));
+                    return Some(summary);
+                }
                 Next::CutOff => return None,
             }
+        }
+    }
+}
+
+/// How the first chunk of a recording is compressed; nothing where a message comes before any chunk, `None` where neither comes.
+pub(super) fn first_compression(path: &Path) -> Option<String> {
+    /// Both times, the size without compression and the checksum of a chunk.
+    const BEFORE_COMPRESSION: i64 = 8 + 8 + 8 + 4;
+    let mut file = BufReader::new(File::open(path).ok()?);
+    file.seek(SeekFrom::Start(super::MAGIC.len() as u64)).ok()?;
+    loop {
+        let mut start = [0; 9];
+        file.read_exact(&mut start).ok()?;
+        let [opcode, length @ ..] = start;
+        match opcode {
+            op::MESSAGE => return Some(String::new()),
+            op::CHUNK => {
+                file.seek_relative(BEFORE_COMPRESSION).ok()?;
+                let mut length = [0; 4];
+                file.read_exact(&mut length).ok()?;
+                // Names are short.
+                let mut name =
+                    vec![0; usize::try_from(u32::from_le_bytes(length)).ok().filter(|length| *length < 100)?];
+                file.read_exact(&mut name).ok()?;
+                return String::from_utf8(name).ok();
+            }
+            op::DATA_END | op::FOOTER => return None,
+            _ => file.seek_relative(i64::try_from(u64::from_le_bytes(length)).ok()?).ok()?,
         }
     }
 }

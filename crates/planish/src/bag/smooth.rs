@@ -90,6 +90,8 @@ pub struct SmoothBagReport {
     pub copied: u64,
     /// Why the recording ends before it should; everything before that was written.
     pub cut_off: Option<String>,
+    /// Other topics with depth or points, copied too, where none was named.
+    pub not_chosen: Vec<String>,
 }
 
 /// Smooths the depth images and clouds of a recording. All else is copied bit for bit: other topics, stamps, log times, sequence numbers,
@@ -116,7 +118,8 @@ pub fn smooth_bag(
         let allowed = "a name that begins with a slash, of letters, digits, _ and /";
         return Err(ParamError { field: "points_topic", value: format!("{name:?}"), allowed }.into());
     }
-    if let Some(taken) = options.points_topic.as_ref().filter(|topic| survey.topics.iter().any(|t| t.name == **topic)) {
+    let names = || survey.topics.iter().map(|topic| &topic.name).chain(survey.others.iter().map(|topic| &topic.name));
+    if let Some(taken) = options.points_topic.as_ref().filter(|topic| names().any(|name| name == *topic)) {
         let problem = FormatError::Unsupported(format!("has a topic {taken} already; name another for the clouds"));
         return Err(IoError { path: input.to_path_buf(), problem }.into());
     }
@@ -126,6 +129,7 @@ pub fn smooth_bag(
     let whole = WholeFile::new(output).map_err(at_output)?;
     let mut records = Records::open(input, &options.read)?;
     let taken = survey.taken.clone();
+    let not_chosen = if options.topics.is_empty() { survey.left(&chosen) } else { Vec::new() };
     let mut copy = Copy {
         chosen,
         options,
@@ -200,7 +204,7 @@ pub fn smooth_bag(
     let empty = |chosen: &Chosen| empty_report(chosen);
     let topics =
         chosen.iter().map(|chosen| reports.get(&chosen.topic).cloned().unwrap_or_else(|| empty(chosen))).collect();
-    Ok(SmoothBagReport { topics, warning, copied, cut_off })
+    Ok(SmoothBagReport { topics, warning, copied, cut_off, not_chosen })
 }
 
 /// Whether a topic may have this name.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use mcap::records::Record;
 
-use super::records::{Next, Records, Summary};
+use super::records::{Next, Records, Summary, first_compression};
 use super::refuse_other_bags;
 use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE, MESSAGE_ENCODING};
 use crate::camera::Camera;
@@ -71,12 +71,26 @@ pub struct Topic {
     pub(super) camera_info: Option<CameraInfo>,
 }
 
+/// A topic that planish copies as it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct OtherTopic {
+    /// Its name.
+    pub name: String,
+    /// The type of its messages; empty if the recording has none for it.
+    pub type_name: String,
+    /// How many messages there are, where the recording says so.
+    pub messages: Option<u64>,
+}
+
 /// The topics of a recording.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Survey {
     /// Those with images, clouds and cameras, by name.
     pub topics: Vec<Topic>,
+    /// The others, by name, as far as its summary has them.
+    pub others: Vec<OtherTopic>,
     /// How many messages the recording has, where it says so.
     pub messages: Option<u64>,
     /// How its chunks are compressed: `zstd`, `lz4` or nothing; `None` where that is not known.
@@ -143,19 +157,27 @@ impl Survey {
         chosen.into_iter().map(with_camera).collect()
     }
 
+    /// Images come before compressed ones, which may be the same, and both before clouds, which may be made of them.
     fn only_topic(&self) -> Result<&Topic, String> {
+        let found = || self.topics.iter().filter(|topic| topic.is_depth);
         for kind in [MessageKind::Image, MessageKind::CompressedImage, MessageKind::PointCloud2] {
-            let found: Vec<_> = self.topics.iter().filter(|topic| topic.kind == kind && topic.is_depth).collect();
-            match found[..] {
-                [] => {}
-                [only] => return Ok(only),
-                _ => {
-                    let names: Vec<_> = found.iter().map(|topic| topic.name.as_str()).collect();
+            let mut of_kind = found().filter(|topic| topic.kind == kind);
+            match (of_kind.next(), of_kind.next()) {
+                (None, _) => {}
+                (Some(only), None) => return Ok(only),
+                (Some(_), Some(_)) => {
+                    let names: Vec<_> = found().map(|topic| topic.name.as_str()).collect();
                     return Err(format!("has depth on several topics: choose with --topic among {}", names.join(", ")));
                 }
             }
         }
         Err(format!("has no depth images and no clouds; {}", self.told()))
+    }
+
+    /// The topics with depth beside those chosen, which are copied as they are.
+    pub(super) fn left(&self, chosen: &[Chosen]) -> Vec<String> {
+        let is_chosen = |topic: &&Topic| chosen.iter().any(|chosen| chosen.is(&topic.name, topic.kind));
+        self.topics.iter().filter(|topic| topic.is_depth && !is_chosen(topic)).map(|topic| topic.name.clone()).collect()
     }
 
     fn told(&self) -> String {
@@ -257,7 +279,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
     let mut counts = BTreeMap::<String, u64>::new();
     // Topics with messages that are still to be found; not known without a summary.
     let mut awaited = None;
-    if let Some(Summary { channels, messages: Some((of_channels, _)), .. }) = &summary {
+    if let Some(Summary { channels, messages: Some((of_channels, _)), is_partial: false, .. }) = &summary {
         let mut topics = BTreeSet::new();
         for (id, (topic, kind)) in channels {
             let count = of_channels.get(id).copied().unwrap_or(0);
@@ -297,9 +319,16 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
     if is_cut_off && topics.is_empty() {
         return Err(FormatError::Malformed("ends before its first messages of images, clouds or cameras".into()));
     }
-    let Summary { channels, schemas, messages, compression } = summary.unwrap_or_default();
-    let taken = channels.into_keys().chain(schemas.into_keys()).collect();
-    Ok(Survey { topics: topics.into_values().collect(), messages: messages.map(|(_, all)| all), compression, taken })
+    let Summary { channels, schemas, messages, compression, .. } = summary.unwrap_or_default();
+    let others: BTreeMap<_, _> = channels.values().filter(|(name, _)| !topics.contains_key(name)).cloned().collect();
+    let other = |(name, type_name)| OtherTopic { messages: counts.get(&name).copied(), name, type_name };
+    Ok(Survey {
+        topics: topics.into_values().collect(),
+        others: others.into_iter().map(other).collect(),
+        messages: messages.map(|(_, all)| all),
+        compression: compression.or_else(|| first_compression(path)),
+        taken: channels.into_keys().chain(schemas.into_keys()).collect(),
+    })
 }
 
 /// What the first message of a topic says; one that cannot be read is no depth.

@@ -17,6 +17,16 @@ struct Info<'a> {
     messages: Option<u64>,
     compression: Option<&'a str>,
     topics: Vec<TopicInfo<'a>>,
+    /// Those of other types.
+    other_topics: Vec<OtherInfo<'a>>,
+}
+
+#[derive(Serialize)]
+struct OtherInfo<'a> {
+    topic: &'a str,
+    #[serde(rename = "type")]
+    type_name: &'a str,
+    messages: Option<u64>,
 }
 
 /// A topic with images, clouds or cameras.
@@ -41,11 +51,17 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
         frame_id: &topic.frame_id,
         is_depth: topic.is_depth,
     });
+    let others = survey.others.iter().map(|topic| OtherInfo {
+        topic: &topic.name,
+        type_name: &topic.type_name,
+        messages: topic.messages,
+    });
     let info = Info {
         format: "MCAP",
         messages: survey.messages,
         compression: survey.compression.as_deref(),
         topics: topics.collect(),
+        other_topics: others.collect(),
     };
     if args.json {
         outln!("{}", serde_json::to_string(&info)?);
@@ -61,6 +77,10 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
     for topic in &info.topics {
         let TopicInfo { topic, type_name, messages, encoding, frame_id, .. } = topic;
         outln!("  {topic}: {} of {type_name}, {encoding}, frame {frame_id:?}", count(*messages));
+    }
+    for OtherInfo { topic, type_name, messages } in &info.other_topics {
+        let type_name = if type_name.is_empty() { "an unknown type" } else { type_name };
+        outln!("  {topic}: {} of {type_name}", count(*messages));
     }
     if info.topics.is_empty() {
         outln!("  no images, clouds or cameras that are messages of ROS 2 in CDR");

@@ -115,6 +115,10 @@ fn between_recordings(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
         other => other?,
     };
     let engine = smoother.engine().map(|engine| engine.name());
+    let has_clouds = report.topics.iter().any(|topic| topic.kind == planish::bag::MessageKind::PointCloud2);
+    if !args.fields.is_empty() && !has_clouds && args.points_topic.is_none() {
+        errln!("warning: --fields is for clouds, and depth images were smoothed: --points-topic adds clouds of them");
+    }
     show(args, &report, engine, start.elapsed().as_secs_f64())
 }
 
@@ -153,6 +157,13 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
         let first = topic.first_failure.as_deref().unwrap_or_default();
         errln!("{}: copied as they were: {}; the first: {first}", topic.topic, count(topic.failed, "message"));
+    }
+    if !report.not_chosen.is_empty() {
+        let topics = report.not_chosen.join(", ");
+        errln!(
+            "{}: depth on {topics} was copied as it is; --topic chooses, more than once for several",
+            args.input.display()
+        );
     }
     if let Some(warning) = &report.warning {
         errln!("warning: {warning}");
