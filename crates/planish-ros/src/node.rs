@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
-use anyhow::{Context as _, Result, anyhow};
+use anyhow::{Context as _, Result, anyhow, bail};
 use futures::executor::block_on;
 use futures::{StreamExt, future, stream};
 use planish::ros::{
@@ -98,6 +98,9 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
 
     let shared = Arc::new(Shared::default());
     let (image_topic, camera_topic) = input_topics(arguments, settings.input);
+    if settings.input == Input::Points && image_topic == arguments.topic("points") {
+        bail!("{image_topic}: is what the node publishes on: remap input or points, -r points:=/another");
+    }
     let receiver = subscribe(&mut node, &settings, &image_topic, &camera_topic, &shared)?;
     let publishers = publish(&mut node, &settings, arguments)?;
     let spinner = node.spinner().map_err(|error| anyhow!("no discovery: {error}"))?;

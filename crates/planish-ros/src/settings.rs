@@ -120,7 +120,9 @@ impl Settings {
         let input = match (text("input")?.as_str(), text("image_transport")?.as_str()) {
             ("depth", "raw") => Input::Image,
             ("depth", "compressedDepth") => Input::CompressedDepth,
-            ("points", _) => Input::Points,
+            ("points", "raw") if truth("publish_depth")? => bail!("publish_depth: clouds have no depth images"),
+            ("points", "raw") => Input::Points,
+            ("points", _) => bail!("image_transport: is for images, and input is points"),
             ("depth", other) => bail!("image_transport: {other:?} is neither raw nor compressedDepth"),
             (other, _) => bail!("input: {other:?} is neither depth nor points"),
         };
@@ -138,9 +140,9 @@ impl Settings {
         })
     }
 
-    /// Whether anything is published: clouds have no depth images.
+    /// Whether anything is published.
     pub fn publishes(&self) -> bool {
-        self.publish_points || self.publish_normals || self.publish_depth && self.input != Input::Points
+        self.publish_points || self.publish_normals || self.publish_depth
     }
 
     /// What the engine is opened with.
@@ -208,5 +210,14 @@ mod tests {
             let error = format!("{:#}", of(&[(name, value)]).unwrap_err());
             assert!(error.contains(name), "{error}");
         }
+        // What clouds have no use for.
+        let points = ("input", text("points"));
+        for (name, value) in
+            [("publish_depth", ParameterValue::Boolean(true)), ("image_transport", text("compressedDepth"))]
+        {
+            let error = format!("{:#}", of(&[points.clone(), (name, value)]).unwrap_err());
+            assert!(error.contains(name), "{error}");
+        }
+        assert_eq!(of(&[points]).unwrap().input, Input::Points);
     }
 }

@@ -142,7 +142,11 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     }
     let note = recorder.note();
     if frames > 0 || result.is_ok() {
-        recorder.finish()?;
+        let finished = recorder.finish();
+        // After a failed write this one fails too, and does not know why.
+        if result.is_ok() {
+            result = finished;
+        }
     }
     if let Some(note) = note {
         errln!("{note}");

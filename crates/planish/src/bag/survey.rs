@@ -171,7 +171,9 @@ impl Survey {
                 }
             }
         }
-        Err(format!("has no depth images and no clouds; {}", self.told()))
+        let is_damaged = self.topics.iter().any(|topic| topic.encoding == DAMAGED);
+        let hint = if is_damaged { "; name a topic with --topic to look beyond its first message" } else { "" };
+        Err(format!("has no depth images and no clouds; {}{hint}", self.told()))
     }
 
     /// The topics with depth beside those chosen, which are copied as they are.
@@ -302,7 +304,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
                 break;
             }
             // What was found until here can be read.
-            Err(_) if !topics.is_empty() => break,
+            Err(_) if topics.values().any(|topic| topic.is_depth) => break,
             Err(error) => return Err(error),
         };
         channels.add(&record);
@@ -331,13 +333,16 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
     })
 }
 
+/// What is said of a topic whose first message cannot be read.
+const DAMAGED: &str = "damaged";
+
 /// What the first message of a topic says; one that cannot be read is no depth.
 fn first_message(name: &str, kind: MessageKind, data: &[u8]) -> Topic {
     let mut topic = Topic {
         name: name.to_owned(),
         kind,
         messages: None,
-        encoding: "damaged".into(),
+        encoding: DAMAGED.into(),
         frame_id: String::new(),
         is_depth: false,
         camera_info: None,

@@ -282,6 +282,9 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
             let (topic, camera_info) = (options.topic.as_deref(), options.camera_info_topic.as_deref());
             return Ok(Box::new(crate::bag::BagSource::open(&file, topic, camera_info, options.camera)?));
         }
+        if file.is_file() && file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+            return Err(malformed(&file, "no recording in MCAP: it does not begin as one").into());
+        }
     }
     refuse_topics(options)?;
     if path.is_file() {
