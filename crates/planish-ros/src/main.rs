@@ -24,6 +24,7 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     set_up_memory();
+    quiet_the_window_system();
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let run = || {
@@ -57,6 +58,15 @@ fn set_up_memory() {
     }
 }
 
+/// Where there is no session of a desktop, as on a robot, Mesa's Vulkan drivers look for one nevertheless and complain on standard error.
+/// Any folder quiets them.
+fn quiet_the_window_system() {
+    if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // SAFETY: the process has no other thread yet that could read the environment.
+        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
+    }
+}
+
 fn print_help() -> io::Result<()> {
     let mut out = io::stdout().lock();
     writeln!(
@@ -71,6 +81,7 @@ Topics, all of which can be remapped (-r); the node is /{NODE_NAME} (-r __node:=
   input            in: clouds, with -p input:=points
   points           out: smoothed clouds
   image_smoothed   out: smoothed depth, with -p publish_depth:=true
+  normals          out: an image of normals, with -p publish_normals:=true
   /diagnostics     out: rates, drops and latencies
 
 Parameters (-p, * can be changed while the node runs):"

@@ -159,6 +159,18 @@ fn record(opcode: u8, content: &[u8]) -> Vec<u8> {
     [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat()
 }
 
+#[test]
+fn a_message_takes_no_more_than_the_limit_to_memory() {
+    let folder = TempDir::new().unwrap();
+    let (path, frames) = recording(&folder, small_camera());
+    let survey = |bytes| Survey::of(&path, &ReadOptions::default().with_max_memory_bytes(bytes));
+    // It is there twice while it is read.
+    let message = 2 * frames[0].raw.len() as u64;
+    let said = survey(2 * message).unwrap_err().to_string();
+    assert!(said.contains("--max-memory"), "{said}");
+    assert_eq!(survey(2 * message + 1000).unwrap().topics.len(), 2);
+}
+
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 #[test]

@@ -95,8 +95,9 @@ fn beyond_its_chunk() -> FormatError {
     FormatError::Malformed("damaged: a record reaches beyond its chunk".into())
 }
 
+/// A record is held twice: by the reader, and as what it says.
 fn reader_options(options: &ReadOptions) -> LinearReaderOptions {
-    let limit = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
+    let limit = usize::try_from(options.max_memory_bytes / 2).unwrap_or(usize::MAX);
     LinearReaderOptions::default().with_record_length_limit(limit)
 }
 
