@@ -217,6 +217,19 @@ def test_topics_with_depth_that_are_not_smoothed_are_named(bag, tmp_path):
     assert "was copied" not in smooth(bag, tmp_path / "two.mcap", "--topic", IMAGE, "--topic", CLOUD)
 
 
+def test_a_chunk_with_a_wrong_checksum_is_said_and_the_next_ones_are_smoothed(bag, tmp_path):
+    damaged, out = tmp_path / "in.mcap", tmp_path / "out.mcap"
+    copy(bag, damaged, leave_out=[FLOAT, CLOUD, COMPRESSED], chunk_size=100, compression=CompressionType.NONE)
+    data, pixels = bytearray(damaged.read_bytes()), decoded(damaged, IMAGE)[0].data
+    data[data.index(bytes(pixels[-1000:])) + 500] ^= 1
+    damaged.write_bytes(data)
+    text = smooth(damaged, out, code=1)
+    assert "1 chunk with a wrong checksum" in text and f"{FRAMES} messages smoothed" in text
+    assert len(raw_messages(out)) == 4 * FRAMES
+    run = subprocess.run([program("planish"), "stream", "--json", damaged], capture_output=True, text=True)
+    assert run.returncode == 1 and json.loads(run.stdout)["frames_out"] == FRAMES and "checksum" in run.stderr
+
+
 def test_info_lists_all_topics(bag):
     run = subprocess.run([program("planish"), "info", "--json", bag], capture_output=True, text=True, check=True)
     others = json.loads(run.stdout)["other_topics"]

@@ -87,9 +87,6 @@ fn of_mcap(error: mcap::McapError) -> FormatError {
         mcap::McapError::RecordTooLarge { len, .. } | mcap::McapError::ChunkTooLarge(len) => {
             FormatError::Malformed(format!("a record of {len} bytes, more than --max-memory allows or the file holds"))
         }
-        mcap::McapError::BadChunkCrc { .. } => FormatError::Malformed(
-            "damaged: the checksum of a chunk is wrong; messages of that chunk are among those before, and may be damaged".into(),
-        ),
         error => FormatError::Malformed(brief(&format!("damaged: {error}"))),
     }
 }

@@ -21,6 +21,8 @@ const READ_BYTES: usize = 1 << 20;
 pub(super) enum Next {
     /// A record.
     Record(Record<'static>),
+    /// The end of a chunk whose checksum is wrong: records of it, which came before, may be damaged.
+    DamagedChunk,
     /// The end of the section.
     End,
     /// The file ends in the middle of it.
@@ -85,6 +87,7 @@ impl Records {
                     return Ok(Next::Record(mcap::parse_record(opcode, data).map_err(of_mcap)?.into_owned()));
                 }
                 Err(McapError::UnexpectedEof) => return Ok(Next::CutOff),
+                Err(McapError::BadChunkCrc { .. }) => return Ok(Next::DamagedChunk),
                 Err(error) => return Err(of_mcap(error)),
             }
         }
@@ -183,7 +186,7 @@ impl Summary {
                 Next::Record(Record::ChunkIndex(index)) => {
                     summary.compression.get_or_insert(index.compression);
                 }
-                Next::Record(_) => {}
+                Next::Record(_) | Next::DamagedChunk => {}
                 Next::End => {
                     let of_channels = summary.messages.iter().flat_map(|(of_channels, _)| of_channels.keys());
                     summary.is_partial |= of_channels.into_iter().any(|id| !summary.channels.contains_key(id));

@@ -88,6 +88,8 @@ pub struct SmoothBagReport {
     pub warning: Option<String>,
     /// Messages of other topics, copied bit for bit.
     pub copied: u64,
+    /// Chunks whose checksum is wrong; their messages were smoothed and copied like all others, and may be damaged.
+    pub damaged_chunks: u64,
     /// Why the recording ends before it should; everything before that was written.
     pub cut_off: Option<String>,
     /// Other topics with depth or points, copied too, where none was named.
@@ -142,7 +144,7 @@ pub fn smooth_bag(
         done: 0,
     };
     let mut writer = None;
-    let mut cut_off = None;
+    let (mut cut_off, mut damaged_chunks) = (None, 0);
     loop {
         if stop.load(Ordering::Relaxed) {
             return Err(EngineError::Stopped.into());
@@ -175,6 +177,7 @@ pub fn smooth_bag(
                     tell(copy.done, total);
                 }
             }
+            Ok(Next::DamagedChunk) => damaged_chunks += 1,
             Ok(Next::End) => break,
             Ok(Next::CutOff) if copy.done + copy.copied == 0 => {
                 let problem = FormatError::Malformed("ends before its first message".into());
@@ -204,7 +207,7 @@ pub fn smooth_bag(
     let empty = |chosen: &Chosen| empty_report(chosen);
     let topics =
         chosen.iter().map(|chosen| reports.get(&chosen.topic).cloned().unwrap_or_else(|| empty(chosen))).collect();
-    Ok(SmoothBagReport { topics, warning, copied, cut_off, not_chosen })
+    Ok(SmoothBagReport { topics, warning, copied, damaged_chunks, cut_off, not_chosen })
 }
 
 /// Whether a topic may have this name.

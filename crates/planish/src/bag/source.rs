@@ -60,6 +60,11 @@ impl BagSource {
         loop {
             let record = match self.records.next() {
                 Ok(Next::Record(record)) => record,
+                Ok(Next::DamagedChunk) => {
+                    let problem =
+                        "damaged: the checksum of a chunk is wrong; frames of it, which came before, may be damaged";
+                    return Err(FormatError::Malformed(problem.into()));
+                }
                 Ok(Next::End) => return Ok(None),
                 // Told once: there is nothing more to read.
                 Ok(Next::CutOff) => {

@@ -298,6 +298,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
     while awaited.as_ref().is_none_or(|awaited| !awaited.is_empty()) {
         let record = match records.next() {
             Ok(Next::Record(record)) => record,
+            Ok(Next::DamagedChunk) => continue,
             Ok(Next::End) => break,
             Ok(Next::CutOff) => {
                 is_cut_off = true;

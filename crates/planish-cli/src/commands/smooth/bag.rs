@@ -29,6 +29,8 @@ struct Report<'a> {
     /// Messages of other topics.
     copied: u64,
     /// Why the recording ends before it should.
+    /// Chunks whose checksum is wrong.
+    damaged_chunks: u64,
     cut_off: Option<&'a str>,
     seconds: f64,
 }
@@ -138,6 +140,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
             engine,
             topics: topics.collect(),
             copied: report.copied,
+            damaged_chunks: report.damaged_chunks,
             cut_off: report.cut_off.as_deref(),
             seconds,
         };
@@ -168,10 +171,14 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     if let Some(warning) = &report.warning {
         errln!("warning: {warning}");
     }
+    if report.damaged_chunks > 0 {
+        let chunks = count(report.damaged_chunks, "chunk");
+        errln!("{}: {chunks} with a wrong checksum; messages of theirs may be damaged", args.input.display());
+    }
     if let Some(why) = &report.cut_off {
         errln!("{}: {why}; everything before that was written", args.input.display());
     }
-    let is_clean = failed == 0 && report.cut_off.is_none();
+    let is_clean = failed == 0 && report.damaged_chunks == 0 && report.cut_off.is_none();
     Ok(if is_clean { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
