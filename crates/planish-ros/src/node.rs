@@ -247,8 +247,10 @@ fn receive<M: serde::de::DeserializeOwned + Send + 'static>(
         });
         let cameras = cameras.as_ref().map(|cameras| {
             cameras.async_stream().map(|result| {
-                if let Ok((camera, _)) = result {
-                    shared.lock().camera = Some(camera);
+                let mut inbox = shared.lock();
+                match result {
+                    Ok((camera, _)) => inbox.camera = Some(camera),
+                    Err(_) => inbox.damaged += 1,
                 }
             })
         });

@@ -178,6 +178,8 @@ def test_what_is_wrong_is_said(bag, tmp_path):
             (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n")
         text = smooth(tmp_path / name, out, code=2)
         assert kind in text and "rosbags-convert" in text
+    (tmp_path / "a.mcap.zstd").write_bytes(bag.read_bytes())
+    assert "zstd -d" in smooth(tmp_path / "a.mcap.zstd", out, code=2)
     assert not out.exists()
 
 

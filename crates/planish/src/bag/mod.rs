@@ -62,13 +62,18 @@ pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
     }
 }
 
-/// Refuses recordings of other kinds by name: those of ROS 1 and of ROS 2 in SQLite, with the line that converts them.
+/// Refuses recordings of other kinds by name: those of ROS 1, of ROS 2 in SQLite and in compressed files, with the line that converts them.
 pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
     let name = path.display();
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let is_compressed = extension == "zstd" && path.file_stem().is_some_and(|stem| is_named_mcap(Path::new(stem)));
     let kind = match extension.as_str() {
         "bag" => "a recording of ROS 1",
         "db3" => "a recording of ROS 2 in SQLite",
+        _ if is_compressed => {
+            let problem = format!("a recording in a compressed file: decompress it with `zstd -d {name}`");
+            return Err(IoError { path: path.to_path_buf(), problem: FormatError::Unsupported(problem) });
+        }
         _ => return Ok(()),
     };
     Err(IoError {
@@ -78,6 +83,11 @@ pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
              of a RealSense is the source realsense:{name}"
         )),
     })
+}
+
+/// Whether a file is a recording in MCAP by its name.
+pub(crate) fn is_named_mcap(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
 /// Where a recording ends that was cut off; any other error.

@@ -282,7 +282,7 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
             let (topic, camera_info) = (options.topic.as_deref(), options.camera_info_topic.as_deref());
             return Ok(Box::new(crate::bag::BagSource::open(&file, topic, camera_info, options.camera)?));
         }
-        if file.is_file() && file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+        if file.is_file() && crate::bag::is_named_mcap(&file) {
             return Err(malformed(&file, "no recording in MCAP: it does not begin as one").into());
         }
     }
