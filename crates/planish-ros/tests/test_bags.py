@@ -209,6 +209,8 @@ def test_a_summary_need_not_repeat_channels_and_schemas(bag, tmp_path):
         copy(bag, tmp_path / "in.mcap", **parts)
         smooth(tmp_path / "in.mcap", tmp_path / "out.mcap", "--topic", IMAGE, "--overwrite")
         assert raw_messages(tmp_path / "out.mcap") == raw_messages(tmp_path / "whole.mcap")
+        taken = smooth(tmp_path / "in.mcap", tmp_path / "no.mcap", "--topic", IMAGE, "--points-topic", "/chatter", code=2)
+        assert "/chatter already" in taken
 
 
 def test_topics_with_depth_that_are_not_smoothed_are_named(bag, tmp_path):

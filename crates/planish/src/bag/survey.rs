@@ -89,7 +89,7 @@ pub struct OtherTopic {
 pub struct Survey {
     /// Those with images, clouds and cameras, by name.
     pub topics: Vec<Topic>,
-    /// The others, by name, as far as its summary has them.
+    /// The others, by name: of the summary, and of what was read without one.
     pub others: Vec<OtherTopic>,
     /// How many messages the recording has, where it says so.
     pub messages: Option<u64>,
@@ -244,8 +244,8 @@ pub(super) struct Channels {
     types: BTreeMap<u16, String>,
     /// Topic and kind.
     known: BTreeMap<u16, (String, MessageKind)>,
-    /// The numbers of all.
-    numbers: BTreeSet<u16>,
+    /// Topic and type of all.
+    all: BTreeMap<u16, (String, String)>,
 }
 
 impl Channels {
@@ -256,8 +256,9 @@ impl Channels {
                 self.types.insert(header.id, header.name.clone());
             }
             Record::Channel(channel) => {
-                self.numbers.insert(channel.id);
-                let kind = self.types.get(&channel.schema_id).and_then(|name| MessageKind::of_type(name));
+                let type_name = self.types.get(&channel.schema_id).cloned().unwrap_or_default();
+                let kind = MessageKind::of_type(&type_name);
+                self.all.insert(channel.id, (channel.topic.clone(), type_name));
                 if let Some(kind) = kind.filter(|_| channel.message_encoding == MESSAGE_ENCODING) {
                     self.known.insert(channel.id, (channel.topic.clone(), kind));
                 }
@@ -268,7 +269,7 @@ impl Channels {
 
     /// Whether a schema or a channel has this number.
     pub(super) fn has(&self, id: u16) -> bool {
-        self.types.contains_key(&id) || self.numbers.contains(&id)
+        self.types.contains_key(&id) || self.all.contains_key(&id)
     }
 
     pub(super) fn get(&self, id: u16) -> Option<&(String, MessageKind)> {
@@ -322,15 +323,16 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
     if is_cut_off && topics.is_empty() {
         return Err(FormatError::Malformed("ends before its first messages of images, clouds or cameras".into()));
     }
-    let Summary { channels, schemas, messages, compression, .. } = summary.unwrap_or_default();
-    let others: BTreeMap<_, _> = channels.values().filter(|(name, _)| !topics.contains_key(name)).cloned().collect();
+    let Summary { channels: of_summary, schemas, messages, compression, .. } = summary.unwrap_or_default();
+    let all = of_summary.values().chain(channels.all.values());
+    let others: BTreeMap<_, _> = all.filter(|(name, _)| !topics.contains_key(name)).cloned().collect();
     let other = |(name, type_name)| OtherTopic { messages: counts.get(&name).copied(), name, type_name };
     Ok(Survey {
         topics: topics.into_values().collect(),
         others: others.into_iter().map(other).collect(),
         messages: messages.map(|(_, all)| all),
         compression: compression.or_else(|| first_compression(path)),
-        taken: channels.into_keys().chain(schemas.into_keys()).collect(),
+        taken: of_summary.into_keys().chain(schemas.into_keys()).collect(),
     })
 }
 
