@@ -141,6 +141,7 @@ pub use xyz::{MAX_PIXELS, Xyz};
 #[cfg(feature = "internal")]
 pub mod internal {
     pub use crate::agreement;
+    pub use crate::fleet::lose_device as lose_fleet_device;
     #[cfg(feature = "gpu")]
     pub use crate::gpu::lose_devices as lose_gpu_devices;
     #[cfg(feature = "io")]

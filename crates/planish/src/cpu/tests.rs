@@ -170,39 +170,40 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
             .map(|_| (random.between(-1.0, 1.0), random.between(-1.0, 1.0)))
             .map(|(a, b)| (a, b, height(a, b)))
             .collect();
-        let n = lanes(simd, 49.0);
-        let found = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &spread), one, RIDGE, n);
-        for (found, expected) in found.iter().zip([0.3, -0.2, 0.5]) {
-            assert!((found[0] - expected).abs() < 1e-4, "{level}: {} {expected}", found[0]);
-        }
-        // All on the line b = 0: everything with b is 0, the rest is exact.
+        // All on the line b = 0.
         let line: Vec<_> =
             (0..20).map(|i| f64::from(i) / 10.0 - 1.0).map(|a| (a, 0.0, 0.3 - 0.2 * a + 0.7 * a * a)).collect();
-        let [value, slope_a, slope_b] =
-            solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &line), one, RIDGE, lanes(simd, 20.0));
-        assert!(
-            (value[0] - 0.3).abs() < 1e-4 && (slope_a[0] + 0.2).abs() < 1e-3,
-            "{level}: {} {}",
-            value[0],
-            slope_a[0]
-        );
-        assert_eq!(slope_b[0], 0.0, "{level}");
-        // With 9 neighbours a cubic is not carried: the result is that of degree 2.
         let nine: Vec<_> = (0..9)
             .map(|i| (f64::from(i % 3) - 1.0, f64::from(i / 3) - 1.0))
             .map(|(a, b)| (a, b, height(a, b)))
             .collect();
-        let cubic = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &nine), one, RIDGE, lanes(simd, 9.0));
+
+        // In a loop, since every call of the solver is compiled into its caller at every level.
+        let cases = [(&spread[..], RIDGE), (&line, RIDGE), (&nine, RIDGE), (&spread, 1e4), (&[], RIDGE)];
+        let mut found = [[0.0; 3]; 5];
+        for (found, (points, ridge)) in found.iter_mut().zip(cases) {
+            let count = lanes(simd, points.len() as f64);
+            let [value, slope_a, slope_b] = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, points), one, ridge, count);
+            *found = [value[0], slope_a[0], slope_b[0]];
+        }
+        let [of_spread, of_line, of_nine, stiff, of_nothing] = found;
+
+        for (found, expected) in of_spread.iter().zip([0.3, -0.2, 0.5]) {
+            assert!((found - expected).abs() < 1e-4, "{level}: {found} {expected}");
+        }
+        // Everything with b is 0, the rest is exact.
+        let [value, slope_a, slope_b] = of_line;
+        assert!((value - 0.3).abs() < 1e-4 && (slope_a + 0.2).abs() < 1e-3, "{level}: {value} {slope_a}");
+        assert_eq!(slope_b, 0.0, "{level}");
+        // With 9 neighbours a cubic is not carried: the result is that of degree 2.
         let quadratic = solve::<S, 2>(simd, &moments_of::<S, 2>(simd, &nine), one, RIDGE, lanes(simd, 9.0));
-        for (cubic, quadratic) in cubic.iter().zip(quadratic) {
-            assert!((cubic[0] - quadratic[0]).abs() < 1e-6, "{level}: {} {}", cubic[0], quadratic[0]);
+        for (cubic, quadratic) in of_nine.iter().zip(quadratic) {
+            assert!((cubic - quadratic[0]).abs() < 1e-6, "{level}: {cubic} {}", quadratic[0]);
         }
         // A large ridge leaves the plane: height alone, no slopes.
-        let [_, slope_a, slope_b] = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, &spread), one, 1e4, n);
-        assert!(slope_a[0].abs() < 1e-3 && slope_b[0].abs() < 1e-3, "{level}");
+        assert!(stiff[1].abs() < 1e-3 && stiff[2].abs() < 1e-3, "{level}");
         // No weight at all: nothing is supported, nothing is NaN.
-        let nothing = moments_of::<S, 3>(simd, &[]);
-        assert!(solve::<S, 3>(simd, &nothing, one, RIDGE, n).iter().all(|c| c[0] == 0.0), "{level}");
+        assert_eq!(of_nothing, [0.0; 3], "{level}");
     }
     at_every_level!(test);
 }

@@ -1,6 +1,6 @@
 //! Eight live cameras for ten minutes, one of them unplugged for a while: too long for the gate, and more than a few cores can smooth.
 //!
-//! `cargo test --release -p planish-tests --test rig_endurance -- --ignored --nocapture`; `PLANISH_ENDURANCE_S` is how long, `PLANISH_ENDURANCE_PX` the
+//! `cargo test --release -p planish-tests --test streams -- --ignored --nocapture`; `PLANISH_ENDURANCE_S` is how long, `PLANISH_ENDURANCE_PX` the
 //! width of the frames.
 
 use std::sync::Arc;

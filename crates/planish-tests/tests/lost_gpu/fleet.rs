@@ -1,4 +1,4 @@
-//! Fleets over a GPU and the CPU, and what becomes of frames when the GPU is lost. Alone in its process: every device of it is destroyed.
+//! Fleets over a GPU and the CPU, and what becomes of frames when the GPU is lost.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -88,6 +88,7 @@ impl Sink for Kept {
 
 #[test]
 fn a_gpu_and_the_cpu_share_frames_and_a_lost_gpu_leaves_its_own_to_the_cpu() {
+    let _alone = crate::alone();
     let Some(adapter) = test_adapter() else {
         skip("a fleet with a GPU: no adapter");
         return;

@@ -1,4 +1,4 @@
-//! A rig on a GPU, and one whose GPU is lost. Alone in its process: every device of it is destroyed.
+//! A rig on a GPU, and one whose GPU is lost.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -32,6 +32,7 @@ impl RigSink for Kept {
 
 #[test]
 fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_frame() {
+    let _alone = crate::alone();
     let Some(adapter) = test_adapter() else {
         skip("a rig whose GPU is lost: no adapter");
         return;

@@ -1,7 +1,5 @@
 //! Every format there and back, and PCD against another implementation both ways.
 
-mod ply;
-
 use std::fs;
 use std::path::Path;
 

@@ -1,0 +1,11 @@
+//! The engines: what they compute, and that they agree.
+
+mod analytic;
+mod clean;
+mod cpu_parity;
+mod edges;
+mod general;
+mod gpu_engine;
+mod gpu_parity;
+mod poses;
+mod reference;

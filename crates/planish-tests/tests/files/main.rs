@@ -1,0 +1,9 @@
+//! Files of every format, hostile ones among them, and clouds larger than memory.
+
+mod bags;
+mod formats;
+mod hostile;
+mod las;
+mod ply;
+mod scanners;
+mod tiles;

@@ -1,0 +1,13 @@
+//! What becomes of frames when a GPU is lost. Alone in its process, one test at a time: every device of it is destroyed.
+
+mod fleet;
+mod rig;
+mod stream;
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Keeps the other tests away from the devices for as long as it is held.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}

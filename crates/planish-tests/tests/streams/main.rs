@@ -1,0 +1,10 @@
+//! Streams of frames, fleets of devices, and rigs of several cameras.
+
+mod fleet;
+mod rig;
+mod rig_endurance;
+mod rig_stop;
+mod rig_stream;
+mod rig_viewpoints;
+mod rig_voxels;
+mod stream;
