@@ -30,6 +30,9 @@ fn compare_in_frame(name: &str, clouds: &[OrganizedCloud], grid: &[SmoothParams]
     for &params in grid {
         let references: Vec<Smoothed> =
             clouds.iter().map(|cloud| TestEngine::REFERENCE.smooth(cloud, params)).collect();
+        for (cloud, reference) in clouds.iter().zip(&references) {
+            assert_invariants(cloud, reference, &radii_m(cloud, params), &format!("{name}, reference, {params:?}"));
+        }
         for (subject, engine) in subjects {
             let what = format!("{name}, {subject}, {params:?}");
             let mut agreement = Agreement::default();
@@ -77,8 +80,8 @@ pub fn real_frames_agree(subjects: &[Subject], test: &str) {
     assert_none(&misses);
 }
 
-/// One of the quarters of a cloud.
-fn quarter(cloud: &OrganizedCloud, k: usize) -> OrganizedCloud {
+/// One of the four quarters of a cloud.
+pub fn quarter(cloud: &OrganizedCloud, k: usize) -> OrganizedCloud {
     let (width, height) = (cloud.width() / 2, cloud.height() / 2);
     let (left, top) = (k % 2 * width, k / 2 * height);
     grid(width, height, |u, v| cloud.positions().get((top + v) * cloud.width() + left + u))

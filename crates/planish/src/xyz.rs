@@ -1,5 +1,7 @@
 //! Vectors as a structure of arrays, and how many of them a frame may have.
 
+#[cfg(feature = "simulate")]
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::error::FrameError;
@@ -57,6 +59,13 @@ impl Xyz {
     #[inline]
     pub fn get(&self, i: usize) -> [f32; 3] {
         [self.x[i], self.y[i], self.z[i]]
+    }
+
+    /// Vector `i` in f64. Written out, since builds for tests do not inline `map` of arrays.
+    #[cfg(feature = "simulate")]
+    #[inline]
+    pub(crate) fn vector(&self, i: usize) -> DVec3 {
+        DVec3::new(self.x[i].into(), self.y[i].into(), self.z[i].into())
     }
 
     /// Sets vector `i`.

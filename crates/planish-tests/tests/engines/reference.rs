@@ -4,6 +4,7 @@ use planish::agreement::radii_m;
 use planish::{Engine, Project, Radius, SmoothParams, Smoothed, Smoother};
 use planish_tests::data::{bunny, real_frames};
 use planish_tests::engines::TestEngine;
+use planish_tests::parity::quarter;
 use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
 use planish_tests::tolerances::assert_invariants;
 
@@ -61,10 +62,12 @@ fn invariants_hold_on_simulated_frames() {
 
 #[test]
 fn invariants_hold_on_real_frames() {
-    for frame in real_frames("reference on real frames") {
+    // Of whole frames they are tested where the other engines are held against it.
+    for (i, frame) in real_frames("reference on real frames").into_iter().enumerate() {
+        let cloud = quarter(&frame.cloud, i % 4);
         for params in [SmoothParams::paper(), SmoothParams::default()] {
-            let smoothed = smooth(&frame.cloud, params, 2);
-            assert_invariants(&frame.cloud, &smoothed, &radii_m(&frame.cloud, params), frame.name);
+            let smoothed = smooth(&cloud, params, 2);
+            assert_invariants(&cloud, &smoothed, &radii_m(&cloud, params), frame.name);
         }
     }
 }

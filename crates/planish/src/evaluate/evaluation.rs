@@ -226,10 +226,10 @@ impl Evaluation {
     fn add_flat(&mut self, truth: &Truth, points: &Xyz, normals: &Xyz) {
         let flat = flat_pixels(truth, FLAT_MARGIN_PX);
         for i in (0..flat.len()).filter(|&i| flat[i] && points.is_finite(i)) {
-            let n = vector(&truth.normals, i);
-            let normal_deg = normals.is_finite(i).then(|| angle_deg(n, vector(normals, i)));
+            let n = truth.normals.vector(i);
+            let normal_deg = normals.is_finite(i).then(|| angle_deg(n, normals.vector(i)));
             let z = f64::from(truth.points.z[i]);
-            let off_m = (vector(points, i) - vector(&truth.points, i)).dot(n);
+            let off_m = (points.vector(i) - truth.points.vector(i)).dot(n);
             let facet_deg = facet(points, &flat, i, truth.camera.width).map(|facet| angle_deg(n, facet));
             let error = PixelError { off_m, step_m: step_m(z), normal_deg, facet_deg };
             self.second_differences.extend(second_difference(points, &flat, i, truth.camera.width));
@@ -253,7 +253,7 @@ impl Evaluation {
     fn add_edges(&mut self, truth: &Truth, points: &Xyz) {
         let band = edge_band(truth, EDGE_MARGIN_PX);
         for i in (0..band.len()).filter(|&i| band[i] && points.is_finite(i)) {
-            let p = vector(points, i);
+            let p = points.vector(i);
             self.edge_m.add(distance_to_surface(truth, i, p));
             self.flying += usize::from(floats(truth, i, p));
         }
@@ -266,7 +266,7 @@ impl Evaluation {
             if truth.incidence_cosine(i) < 0.5 {
                 continue;
             }
-            let p = vector(points, i);
+            let p = points.vector(i);
             if truth.objects[i] == gauge.sphere {
                 self.sphere.add((p - gauge.sphere_centre).length() / gauge.sphere_radius_m - 1.0);
             } else if truth.objects[i] == gauge.cylinder {
@@ -287,7 +287,7 @@ impl Evaluation {
             (CREASE_PX..width.saturating_sub(CREASE_PX)).find(|&u| {
                 let (left, right) = (row + u - 1, row + u);
                 (u - CREASE_PX..u + CREASE_PX).all(|u| truth.objects[row + u] == gauge.wedge)
-                    && angle_deg(vector(&truth.normals, left), vector(&truth.normals, right)) > 80.0
+                    && angle_deg(truth.normals.vector(left), truth.normals.vector(right)) > 80.0
             })
         };
         for first in (0..(height + 1).saturating_sub(CREASE_ROWS)).step_by(CREASE_ROWS) {
@@ -296,7 +296,7 @@ impl Evaluation {
             let Some(rows) = rows else { continue };
             let face = |columns: fn(usize) -> std::ops::Range<usize>| {
                 let pixels = rows.iter().flat_map(|&(u, v)| columns(u).map(move |u| v * width + u));
-                plane(pixels.filter(|&i| points.is_finite(i)).map(|i| vector(points, i)).collect())
+                plane(pixels.filter(|&i| points.is_finite(i)).map(|i| points.vector(i)).collect())
             };
             let (left, right) = (face(|u| u - CREASE_PX..u), face(|u| u..u + CREASE_PX));
             if let (Some(left), Some(right)) = (left, right) {
@@ -356,10 +356,10 @@ pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     let flat = flat_pixels(truth, FLAT_MARGIN_PX);
     let mut stir = Sum::default();
     for i in (0..flat.len()).filter(|&i| flat[i] && results.iter().all(|points| points.is_finite(i))) {
-        let n = vector(&truth.normals, i);
+        let n = truth.normals.vector(i);
         let mut off = Sum::default();
         for points in results {
-            off.add((vector(points, i) - vector(&truth.points, i)).dot(n));
+            off.add((points.vector(i) - truth.points.vector(i)).dot(n));
         }
         stir.add((off.squares / off.count as f64 - off.mean() * off.mean()).max(0.0).sqrt());
     }
@@ -376,9 +376,9 @@ pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Op
     {
         return None;
     }
-    let p = vector(points, i);
+    let p = points.vector(i);
     // A facet that faces away has flipped: it is not turned back.
-    Some((vector(points, below) - p).cross(vector(points, right) - p).normalize_or_zero())
+    Some((points.vector(below) - p).cross(points.vector(right) - p).normalize_or_zero())
 }
 
 /// |z(u-1) - 2 z(u) + z(u+1)|/z² along a row, where all three pixels are flat and have points.
@@ -389,10 +389,6 @@ fn second_difference(points: &Xyz, flat: &[bool], i: usize, width: usize) -> Opt
     }
     let z = |j: usize| points.z[j];
     Some((z(i - 1) - 2.0 * z(i) + z(i + 1)).abs() / (z(i) * z(i)))
-}
-
-pub(super) fn vector(of: &Xyz, i: usize) -> DVec3 {
-    DVec3::from_array(of.get(i).map(f64::from))
 }
 
 pub(super) fn angle_deg(a: DVec3, b: DVec3) -> f64 {
@@ -427,7 +423,7 @@ pub(super) fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
             if truth.objects[j] == NO_OBJECT {
                 continue;
             }
-            let (off, n) = (p - vector(&truth.points, j), vector(&truth.normals, j));
+            let (off, n) = (p - truth.points.vector(j), truth.normals.vector(j));
             let (along, pitch_m) = (off.dot(n), f64::from(truth.points.z[j]) / truth.camera.fx);
             let beside = ((off.length_squared() - along * along).max(0.0).sqrt() - pitch_m).max(0.0);
             nearest = nearest.min(along * along + beside * beside);

@@ -39,8 +39,7 @@ pub struct PatchReport {
 /// # Errors
 /// [`EngineError::Unavailable`](crate::EngineError::Unavailable) for more points than the search takes.
 pub fn patch_planes(measured: &PointCloud, points: &Xyz, normals: Option<&Xyz>) -> Result<PatchReport, Error> {
-    let at = |of: &Xyz, i: usize| DVec3::from_array(of.get(i).map(f64::from));
-    let all: Vec<DVec3> = (0..measured.len()).map(|i| at(&measured.positions, i)).collect();
+    let all: Vec<DVec3> = (0..measured.len()).map(|i| measured.positions.vector(i)).collect();
     let search = NeighbourSearch::new(&all)?;
     let step = all.len().div_ceil(MOST_PATCHES).max(PATCH_POINTS / 4);
     let (mut rms_m, mut angles_deg) = (Vec::new(), Vec::new());
@@ -50,11 +49,14 @@ pub fn patch_planes(measured: &PointCloud, points: &Xyz, normals: Option<&Xyz>) 
             continue;
         }
         let there = || patch.iter().copied().filter(|&i| points.is_finite(i));
-        let Some((normal, _, rms)) = plane(there().map(|i| at(points, i)).collect()) else { continue };
+        let Some((normal, _, rms)) = plane(there().map(|i| points.vector(i)).collect()) else { continue };
         rms_m.push(rms);
         let of_normals: Vec<f64> = normals.map_or_else(Vec::new, |normals| {
             let either_way = |deg: f64| deg.min(180.0 - deg);
-            there().filter(|&i| normals.is_finite(i)).map(|i| either_way(angle_deg(at(normals, i), normal))).collect()
+            there()
+                .filter(|&i| normals.is_finite(i))
+                .map(|i| either_way(angle_deg(normals.vector(i), normal)))
+                .collect()
         });
         if !of_normals.is_empty() {
             angles_deg.push(of_normals.iter().sum::<f64>() / of_normals.len() as f64);

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use super::evaluation::{EDGE_MARGIN_PX, FLAT_MARGIN_PX, Sum, angle_deg, distance_to_surface, facet, vector};
+use super::evaluation::{EDGE_MARGIN_PX, FLAT_MARGIN_PX, Sum, angle_deg, distance_to_surface, facet};
 use super::{edge_band, flat_pixels};
 use crate::camera::Camera;
 use crate::error::FrameError;
@@ -132,8 +132,8 @@ impl RigEvaluation {
             let in_range = |p: usize| RANGE_M.contains(&truth.points.z[p]);
             let seen_by = seen_by(case, i);
             for p in (0..is_flat.len()).filter(|&p| is_flat[p] && in_range(p) && points.is_finite(p)) {
-                let n = vector(&truth.normals, p);
-                let off_m = (placed(vector(points, p)) - vector(&truth.points, p)).dot(n);
+                let n = truth.normals.vector(p);
+                let off_m = (placed(points.vector(p)) - truth.points.vector(p)).dot(n);
                 let facet = facet(points, is_flat, p, truth.camera.width).map(|facet| angle_deg(n, facet));
                 let is_overlap = seen_by[p].iter().any(|seen| seen.is_some());
                 let (off, facets) = match is_overlap {
@@ -145,7 +145,7 @@ impl RigEvaluation {
             }
             let band = edge_band(truth, EDGE_MARGIN_PX);
             for p in (0..band.len()).filter(|&p| band[p] && in_range(p) && points.is_finite(p)) {
-                self.edge_m.add(distance_to_surface(truth, p, placed(vector(points, p))));
+                self.edge_m.add(distance_to_surface(truth, p, placed(points.vector(p))));
             }
             for (p, &raw) in camera.frame.raw.iter().enumerate() {
                 let is_measured = camera.frame.camera.depth_m(raw).is_finite();
@@ -172,9 +172,9 @@ impl RigEvaluation {
         let apart_m = |p: usize| -> Option<f64> {
             let q = seen_by[p][j].filter(|&q| flat[j][q] && results[j].is_finite(q))?;
             let usable = flat[i][p] && results[i].is_finite(p) && RANGE_M.contains(&camera.truth.points.z[p]);
-            let n = camera.pose.world_from_camera * vector(&camera.truth.normals, p);
-            let mine = to_world(&camera.stated, vector(&results[i], p));
-            let others = to_world(&other.stated, vector(&results[j], q));
+            let n = camera.pose.world_from_camera * camera.truth.normals.vector(p);
+            let mine = to_world(&camera.stated, results[i].vector(p));
+            let others = to_world(&other.stated, results[j].vector(q));
             usable.then(|| (others - mine).dot(n))
         };
         for block_v in (0..height).step_by(BLOCK_PX) {
@@ -214,7 +214,7 @@ fn seen_by(case: &RigCase, i: usize) -> Vec<Vec<Option<usize>>> {
             return None;
         }
         let other = &case.cameras[j];
-        let there = to_camera(&other.pose, to_world(&camera.pose, vector(&camera.truth.points, p)));
+        let there = to_camera(&other.pose, to_world(&camera.pose, camera.truth.points.vector(p)));
         let q = other.truth.camera.pixel_of(there.to_array())?;
         let is_seen = (f64::from(other.truth.points.z[q]) - there.z).abs() < SEEN_WITHIN_M;
         let is_measured = other.frame.camera.depth_m(other.frame.raw[q]).is_finite();

@@ -44,11 +44,11 @@ pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> Ti
             if !pixels.iter().all(|&i| measured.positions().is_finite(i)) || far - near > 0.05 * near {
                 continue;
             }
-            let at = |of: &Xyz, i: usize| DVec3::from_array(of.get(i).map(f64::from));
             let there = || pixels.iter().copied().filter(|&i| points.is_finite(i));
-            let Some((normal, _, rms)) = plane(there().map(|i| at(points, i)).collect()) else { continue };
+            let Some((normal, _, rms)) = plane(there().map(|i| points.vector(i)).collect()) else { continue };
             rms_m.push(rms);
-            let angles = there().filter(|&i| normals.is_finite(i)).map(|i| at(normals, i).dot(normal).clamp(-1.0, 1.0));
+            let angles =
+                there().filter(|&i| normals.is_finite(i)).map(|i| normals.vector(i).dot(normal).clamp(-1.0, 1.0));
             let (sum, count) = angles.fold((0.0, 0usize), |(sum, count), cosine| (sum + cosine.acos(), count + 1));
             if count > 0 {
                 angles_deg.push((sum / count as f64).to_degrees());
@@ -104,7 +104,7 @@ impl LargestPlane {
     /// Returns the variance in m² of the points of its pixels about their best-fitting plane; NaN for too few.
     pub fn variance_m2(&self, points: &Xyz) -> f64 {
         let there = self.pixels.iter().copied().filter(|&i| points.is_finite(i));
-        let points = there.map(|i| DVec3::from_array(points.get(i).map(f64::from))).collect();
+        let points = there.map(|i| points.vector(i)).collect();
         plane(points).map_or(f64::NAN, |(.., rms_m)| rms_m * rms_m)
     }
 }
@@ -116,7 +116,7 @@ pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
     if valid.len() < 100 {
         return None;
     }
-    let at = |i: usize| DVec3::from_array(points.get(i).map(f64::from));
+    let at = |i: usize| points.vector(i);
     let on = |p: DVec3, (normal, foot): (DVec3, DVec3)| {
         let noise_m = SensorModel::KINECT_V1.sigma_m(p.z);
         (p - foot).dot(normal).abs() <= ON_PLANE_DEVIATIONS * noise_m

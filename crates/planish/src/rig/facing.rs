@@ -15,7 +15,7 @@ const MIDDLE_DEVIATIONS: f64 = 4.0;
 
 /// Normals by the differences of pixels some way apart, towards the camera; NaN beside holes and steps.
 pub(super) fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &SensorModel) -> Xyz {
-    let at = |u: usize, v: usize| DVec3::from_array(points.get(v * width + u).map(f64::from));
+    let at = |u: usize, v: usize| points.vector(v * width + u);
     let normal = |i: usize| {
         let (u, v) = (i % width, i / width);
         let (left, right) = (u.saturating_sub(NORMAL_PX), (u + NORMAL_PX).min(width - 1));

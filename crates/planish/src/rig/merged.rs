@@ -240,10 +240,10 @@ impl Measured {
         back.status = all.status.as_ref().map(|_| vec![Status::Hole; pixels]);
         back.neighbours = all.neighbours.as_ref().map(|_| vec![0; pixels]);
         for (i, &pixel) in (first..).zip(its_pixels) {
-            let in_rig = origin + DVec3::from_array(all.points.get(i).map(f64::from));
+            let in_rig = origin + all.points.vector(i);
             back.points.set(pixel, points_from_rig.to_cloud(in_rig).as_vec3().to_array());
             if let (Some(normals), Some(of_all)) = (&mut back.normals, &all.normals) {
-                let normal = DVec3::from_array(of_all.get(i).map(f64::from));
+                let normal = of_all.vector(i);
                 let facing = if normal.dot(in_rig - self.lens) > 0.0 { -normal } else { normal };
                 normals.set(pixel, (points_from_rig.rotation * facing).as_vec3().to_array());
             }

@@ -176,8 +176,8 @@ impl Measured {
             if !other.normals.is_finite(i) {
                 return none;
             }
-            let point = here_from_other.to_cloud(DVec3::from_array(other.points.get(i).map(f64::from)));
-            let normal = here_from_other.rotation * DVec3::from_array(other.normals.get(i).map(f64::from));
+            let point = here_from_other.to_cloud(other.points.vector(i));
+            let normal = here_from_other.rotation * other.normals.vector(i);
             if normal.dot(point) > -FACING_COSINE * point.length() {
                 return none;
             }

@@ -54,8 +54,8 @@ impl InVoxels {
         let normals = smoothed.normals.as_mut().filter(|_| fields.normals);
         if let (Some(normals), Some(field)) = (normals, cloud.attribute(CAMERA_FIELD)) {
             for i in 0..normals.len() {
-                let normal = DVec3::from_array(normals.get(i).map(f64::from));
-                let point = DVec3::from_array(smoothed.points.get(i).map(f64::from));
+                let normal = normals.vector(i);
+                let point = smoothed.points.vector(i);
                 if normal.dot(point - together.lens(field.values.get_f64(i) as usize)) > 0.0 {
                     normals.set(i, (-normal).as_vec3().to_array());
                 }
@@ -156,12 +156,12 @@ impl Surface<'_> {
     }
 
     fn point(&self, voxel: usize) -> DVec3 {
-        DVec3::from_array(self.of_voxels.points.get(voxel).map(f64::from))
+        self.of_voxels.points.vector(voxel)
     }
 
     /// NaN where there is none.
     fn normal(&self, voxel: usize) -> DVec3 {
         let normals: Option<&Xyz> = self.of_voxels.normals.as_ref();
-        normals.map_or(DVec3::NAN, |normals| DVec3::from_array(normals.get(voxel).map(f64::from)))
+        normals.map_or(DVec3::NAN, |normals| normals.vector(voxel))
     }
 }

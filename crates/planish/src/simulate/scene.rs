@@ -190,8 +190,8 @@ impl Scene {
 impl Truth {
     /// Cosine of the angle between the surface's normal and the ray, 0 to 1; NaN where there is no surface.
     pub fn incidence_cosine(&self, i: usize) -> f64 {
-        let p = DVec3::from_array(self.points.get(i).map(f64::from));
-        let n = DVec3::from_array(self.normals.get(i).map(f64::from));
+        let p = self.points.vector(i);
+        let n = self.normals.vector(i);
         -n.dot(p) / p.length()
     }
 
@@ -252,7 +252,7 @@ mod tests {
                 }
                 let cosine = truth.incidence_cosine(i);
                 assert!((0.0..=1.0 + 1e-6).contains(&cosine), "{cosine}");
-                let p = DVec3::from_array(truth.points.get(i).map(f64::from));
+                let p = truth.points.vector(i);
                 let world = pose.world_from_camera * p + pose.position;
                 let distance = match scene.objects[truth.objects[i] as usize] {
                     Shape::Plane { point, normal } => (world - point).dot(normal),
