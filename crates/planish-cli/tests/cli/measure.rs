@@ -79,7 +79,7 @@ fn evaluate_measures_what_others_made_of_the_same_frames_and_files_by_themselves
 
 #[test]
 fn evaluate_measures_simulated_frames_without_their_grid() {
-    let general = ["evaluate", "--seed", "2", "--json", "--general", "--neighbours", "60", "--edges", "robust"];
+    let general = ["evaluate", "--seed", "2", "--json", "--general", "--neighbours", "60"];
     let rows: Value = serde_json::from_str(&ok(&general)).unwrap();
     let of_points = |row: usize| rows[row]["ranges"][1]["rmse_mm"].as_f64().unwrap();
     assert_eq!(rows[1]["name"], "on the grid");

@@ -9,7 +9,7 @@ type Points = Vec<[f32; 3]>;
 
 /// A frame without its grid, an isolated pair, strays, holes and a repeated point.
 fn clouds() -> Vec<(&'static str, Points)> {
-    let mut frame: Points = simulated(3, false, small_camera()).positions().iter().step_by(7).collect();
+    let mut frame: Points = simulated(3, false, small_camera()).positions().iter().step_by(20).collect();
     frame.extend([[5.0, 5.0, 5.0], [5.0, 5.001, 5.0], [-30.0, 2.0, 1.0]]);
     let mut repeated: Points = bunny().positions.iter().collect();
     repeated.extend([[0.1, 0.1, 0.1]; 40]);

@@ -39,7 +39,16 @@ fn real_frames_agree() {
 
 #[test]
 fn nasty_clouds_keep_the_invariants() {
-    parity::nasty_clouds_keep_the_invariants(&both_builds("the GPU engine on nasty clouds"));
+    // As users run it; each build takes a software adapter seconds to compile.
+    let subjects = both_builds("the GPU engine on nasty clouds");
+    parity::nasty_clouds_keep_the_invariants(subjects.get(1..).unwrap_or_default());
+}
+
+#[test]
+#[ignore = "the gate runs it"]
+fn nasty_clouds_keep_the_invariants_with_checks_of_bounds() {
+    let subjects = both_builds("the GPU engine with checks of bounds on nasty clouds");
+    parity::nasty_clouds_keep_the_invariants(subjects.get(..1).unwrap_or_default());
 }
 
 #[test]
