@@ -90,6 +90,16 @@ fn open(file: &Path, alignment: Option<Alignment>) -> Result<RealSenseSource, Er
     RealSenseSource::open(&RealSenseInput::Recording(file.to_path_buf()), None, alignment, None)
 }
 
+/// Runs the same check of several cases at once: recordings play in their own time, so that one alone mostly waits.
+fn side_by_side<T: Copy + Send, const N: usize>(cases: [T; N], check: impl Fn(T) + Sync) {
+    thread::scope(|scope| {
+        for case in cases {
+            let check = &check;
+            scope.spawn(move || check(case));
+        }
+    });
+}
+
 #[test]
 fn depth_of_a_recording_comes_back_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
@@ -98,7 +108,7 @@ fn depth_of_a_recording_comes_back_bit_for_bit() {
         let folder = folder.path().join(color.to_string());
         fs::create_dir(&folder).unwrap();
         let Some(file) = record(&folder, &recorded, color) else { return };
-        for alignment in [None, Some(Alignment::None)] {
+        side_by_side([None, Some(Alignment::None)], |alignment| {
             let mut source = open(&file, alignment).unwrap();
             assert!(!source.is_live() && source.description().unwrap().contains("000123"));
             for (i, expected) in recorded.iter().enumerate() {
@@ -113,7 +123,7 @@ fn depth_of_a_recording_comes_back_bit_for_bit() {
             }
             assert!(next(&mut source).unwrap().is_none());
             assert_eq!(source.dropped(), 0);
-        }
+        });
     }
 }
 
@@ -200,7 +210,7 @@ fn a_recording_that_begins_and_ends_without_colour_plays_whole() {
         let number = |frame: &DepthFrame| recorded.iter().position(|recorded| recorded.raw == frame.raw).unwrap();
         frames.map(|frame| (number(&frame), frame.rgb.is_some())).collect::<Vec<_>>()
     };
-    for alignment in [Some(Alignment::None), Some(Alignment::Depth), None] {
+    side_by_side([Some(Alignment::None), Some(Alignment::Depth), None], |alignment| {
         let played = played(alignment);
         assert!(played.iter().map(|(number, _)| *number).eq(0..20), "{alignment:?}: {played:?}");
         let coloured = played.iter().filter(|(_, has_colour)| *has_colour).map(|(number, _)| *number);
@@ -211,20 +221,24 @@ fn a_recording_that_begins_and_ends_without_colour_plays_whole() {
             assert!(coloured.windows(2).all(|pair| pair[1] == pair[0] + 1), "{coloured:?}");
             assert!(coloured[0] <= 5 && coloured.last() >= Some(&13), "{coloured:?}");
         }
-    }
+    });
 }
 
 #[test]
 fn depth_plays_on_where_colour_stops_and_what_needs_it_ends_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(camera) = software_camera(true) else { return };
+    if library().is_none() {
+        return;
+    }
     let recorded = frames(40);
     // How many images come first, and which frames have one.
-    for (name, at_start, has_image) in [
+    let cases = [
         ("stops", 10, (|i| i < 10) as fn(usize) -> bool),
         ("none", 0, |_| false),
         ("pauses", 10, |i| !(10..30).contains(&i)),
-    ] {
+    ];
+    side_by_side(cases, |(name, at_start, has_image)| {
+        let camera = software_camera(true).unwrap();
         let file = &folder.path().join(name).with_extension("db3");
         camera.record(file, || {
             for (i, frame) in recorded.iter().enumerate() {
@@ -251,7 +265,7 @@ fn depth_plays_on_where_colour_stops_and_what_needs_it_ends_with_the_reason() {
         };
         assert!(found + 1 >= at_start && (said.contains("--align none") || found == 40), "{name}: {found}, {said}");
         assert!(next(&mut source).unwrap().is_none());
-    }
+    });
 }
 
 #[test]
