@@ -87,14 +87,17 @@ fn settings() -> Vec<SmoothParams> {
     ]
 }
 
+fn assert_near(found: &Smoothed, expected: &Smoothed, what: &str) {
+    let mut agreement = Agreement::default();
+    agreement.add(found, expected, |_| 0.0);
+    let misses = agreement.misses();
+    assert!(misses.is_empty(), "{what}: {misses:?}");
+}
+
 fn assert_agree(engines: &[(String, TestEngine)], name: &str, points: &[[f32; 3]], params: SmoothParams) {
     let expected = smooth(TestEngine::REFERENCE, points, params);
     for (engine_name, engine) in engines {
-        let found = smooth(*engine, points, params);
-        let mut agreement = Agreement::default();
-        agreement.add(&found, &expected, |_| 0.0);
-        let misses = agreement.misses();
-        assert!(misses.is_empty(), "{name}, {engine_name}, {params:?}: {misses:?}");
+        assert_near(&smooth(*engine, points, params), &expected, &format!("{name}, {engine_name}, {params:?}"));
     }
 }
 
@@ -228,9 +231,9 @@ fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
 #[test]
 fn small_clouds_agree_and_lose_nothing() {
     let all = uneven_sphere(40, 5);
-    let general = SmoothParams::general();
-    let robust = general.with_edges(Edges::Robust);
-    for params in [general, robust, robust.with_radius_m(0.4), SmoothParams::paper().with_radius_m(0.5)] {
+    let robust = SmoothParams::general().with_edges(Edges::Robust);
+    let fixed = [robust.with_radius_m(0.4), SmoothParams::paper().with_radius_m(0.5)];
+    for params in [SmoothParams::general(), robust].into_iter().chain(fixed) {
         // One smoother takes clouds of every size, one after the other.
         let open = |engine: TestEngine| Smoother::open_with(params, &engine.options(Outputs::ALL), None).unwrap();
         let mut reference = open(TestEngine::REFERENCE);
@@ -243,12 +246,9 @@ fn small_clouds_agree_and_lose_nothing() {
             };
             let expected = smooth(&mut reference);
             for (name, smoother) in &mut smoothers {
-                let found = smooth(smoother);
-                let mut agreement = Agreement::default();
-                agreement.add(&found, &expected, |_| 0.0);
-                let misses = agreement.misses();
-                assert!(misses.is_empty(), "{count} points, {name}, {params:?}: {misses:?}");
-                assert!(found.status.unwrap().into_iter().all(Status::has_point), "{count} points, {name}");
+                let (found, what) = (smooth(smoother), format!("{count} points, {name}, {params:?}"));
+                assert_near(&found, &expected, &what);
+                assert!(found.status.unwrap().into_iter().all(Status::has_point), "{what}");
             }
         }
     }
@@ -410,8 +410,7 @@ fn a_driver_that_ends_loops_early_is_an_error() {
     let mut points: Points = (0..70_000).map(|_| on_surface(&mut random)).collect();
     points.push([0.0; 3]);
     let params = SmoothParams::general().with_radius_m(1.01).with_degree(1);
-    let engine = TestEngine::gpu(false);
-    let mut smoother = Smoother::open_with(params, &engine.options(Outputs::ALL), None).unwrap();
+    let mut smoother = Smoother::open_with(params, &TestEngine::gpu(false).options(Outputs::ALL), None).unwrap();
     let mut found = Smoothed::default();
     match smoother.smooth(PointsView::from_rows(&points).unwrap(), &mut found) {
         Ok(()) => assert_eq!(found.neighbours.unwrap()[70_000], 70_001),
@@ -444,11 +443,10 @@ fn a_moved_sensor_turns_normals_and_moves_no_point() {
 #[test]
 fn only_what_is_asked_for_is_there() {
     let points = frame_points(1);
-    let engine = TestEngine::cpu(SimdLevel::best());
+    let (engine, params) = (TestEngine::cpu(SimdLevel::best()), SmoothParams::general());
     let view = PointsView::from_rows(&points).unwrap();
-    let all = engine.smooth(view, SmoothParams::general());
-    let normals =
-        engine.smooth_to(view, SmoothParams::general(), Outputs::POINTS.with_points(false).with_normals(true));
+    let all = engine.smooth(view, params);
+    let normals = engine.smooth_to(view, params, Outputs::POINTS.with_points(false).with_normals(true));
     assert!(normals.points.is_empty() && normals.status.is_none());
     assert_eq!(format!("{:?}", normals.normals), format!("{:?}", all.normals));
 }
