@@ -124,7 +124,7 @@ impl<'a> Bench<'a> {
     pub fn measure(&self, patience: Patience, mut one: impl FnMut() -> Result<f64>) -> Result<Timing> {
         // A GPU that was idle takes a third of a second to come to its full clock.
         let (fewest, runs, least_ms, most_ms, warm_up_ms) = match patience {
-            _ if self.options.quick => (1, 20, 0, 400, 50),
+            _ if self.options.quick => (1, 20, 0, 400, 100),
             Patience::Long => (3, 100, 3_000, 20_000, 300),
             Patience::Short => (1, 20, 1_000, 3_000, 300),
         };

@@ -121,6 +121,7 @@ fn every_engine_agrees_with_the_reference_in_every_setting() {
         assert_agree(&engines, "sphere", &uneven_sphere(6000, 3), params);
         let bunny: Points = bunny().positions.iter().collect();
         assert_agree(&engines, "bunny", &bunny, params);
+        [1, 2, 7, 33].into_iter().for_each(|n| assert_agree(&engines, "few", &uneven_sphere(33, 5)[..n], params));
     }
     // With so many neighbours the sphere's stray points reach the pole, where their radii hang on the last digits of sums.
     let wide = SmoothParams::general().with_edges(Edges::Robust).with_degree(3);
@@ -231,9 +232,8 @@ fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
 #[test]
 fn small_clouds_agree_and_lose_nothing() {
     let all = uneven_sphere(40, 5);
-    let robust = SmoothParams::general().with_edges(Edges::Robust);
-    let fixed = [robust.with_radius_m(0.4), SmoothParams::paper().with_radius_m(0.5)];
-    for params in [SmoothParams::general(), robust].into_iter().chain(fixed) {
+    let (general, robust) = (SmoothParams::general(), SmoothParams::general().with_edges(Edges::Robust));
+    for params in [general, robust, robust.with_radius_m(0.4), SmoothParams::paper().with_radius_m(0.5)] {
         // One smoother takes clouds of every size, one after the other.
         let open = |engine: TestEngine| Smoother::open_with(params, &engine.options(Outputs::ALL), None).unwrap();
         let mut reference = open(TestEngine::REFERENCE);
