@@ -286,17 +286,23 @@ pub fn ms(time: Duration) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use planish::Camera;
+
     use super::*;
-    use crate::simulated_inputs;
+    use crate::frames::simulated_by;
 
     fn quick() -> Options {
         Options { quick: true, ..Options::default() }
     }
 
+    fn small_inputs() -> Vec<Input> {
+        simulated_by(Camera::new((160, 120), [131.25; 2], [79.5, 59.5])).unwrap()
+    }
+
     #[test]
     fn a_wrong_result_is_an_error_and_is_not_timed() {
         let (options, stop) = (quick(), AtomicBool::new(false));
-        let bench = Bench::new(&options, simulated_inputs().unwrap(), &stop);
+        let bench = Bench::new(&options, small_inputs(), &stop);
         let (input, params) = (&bench.inputs[1], SmoothParams::paper().with_window(1));
         let subject = engines::subjects(&[Engine::Cpu], false).unwrap().remove(0);
         let mut right = Smoothed::default();
@@ -324,7 +330,7 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_left_out_and_said_and_ctrl_c_ends_quietly() {
         let (options, stop) = (quick(), AtomicBool::new(false));
-        let bench = Bench::new(&options, simulated_inputs().unwrap(), &stop);
+        let bench = Bench::new(&options, small_inputs(), &stop);
         let limit = EngineError::Limit { device: "small".into(), what: "bytes in a buffer", allowed: 1, needed: 2 };
         let result = bench.attempt("32 copies", Err::<(), _>(Error::from(limit).into())).unwrap();
         assert!(result.is_none());

@@ -57,7 +57,10 @@ impl Input {
 /// # Errors
 /// If the simulator fails.
 pub fn simulated_inputs() -> Result<Vec<Input>> {
-    let camera = Camera::kinect_v1();
+    simulated_by(Camera::kinect_v1())
+}
+
+pub(crate) fn simulated_by(camera: Camera) -> Result<Vec<Input>> {
     let of_scene = |(index, (name, (scene, pose))): (usize, (&str, (Scene, _)))| {
         let truth = scene.render(&camera, &pose);
         let depth = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).map_err(Error::from)?;

@@ -1,5 +1,6 @@
 //! What the tests and benchmarks share: scenes written once, named tolerances, and the way to the real frames.
 
+pub mod bits;
 pub mod data;
 pub mod engines;
 pub mod parity;

@@ -28,9 +28,6 @@ use crate::args::{EvaluateArgs, SmoothingArgs};
 
 /// Full colour in the error maps.
 const ERROR_SCALE_M: f32 = 0.01;
-/// Frames of a camera that does not move.
-const STILL_FRAMES: u64 = 30;
-
 /// The method to compare with.
 const PAPER: &str = "paper";
 
@@ -236,10 +233,11 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
 
-    let (truth, frames) = suite.still(first_seed, STILL_FRAMES).map_err(Error::from)?;
+    let (truth, frames) = suite.still(first_seed, args.still_frames).map_err(Error::from)?;
     let stirring = frames.iter().map(|frame| Ok(frame.deproject().map_err(Error::from)?.positions().clone()));
-    let raw_jitter = jitter_mm(&truth, &stirring.collect::<Result<Vec<_>>>()?);
-    let mut rows = vec![Row { name: "raw".into(), report: raw.report(), jitter_mm: Some(raw_jitter), frame_ms: None }];
+    let jitter_mm = |points: &[Xyz]| (args.still_frames > 1).then(|| jitter_mm(&truth, points));
+    let raw_jitter = jitter_mm(&stirring.collect::<Result<Vec<_>>>()?);
+    let mut rows = vec![Row { name: "raw".into(), report: raw.report(), jitter_mm: raw_jitter, frame_ms: None }];
     if let Some(folder) = &args.results {
         let name = folder.display().to_string();
         rows.push(Row { name, report: others.report(), jitter_mm: None, frame_ms: None });
@@ -254,7 +252,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
         rows.push(Row {
             name: method.name.to_owned(),
             report: method.evaluation.report(),
-            jitter_mm: Some(jitter_mm(&truth, &points)),
+            jitter_mm: jitter_mm(&points),
             frame_ms: method.times_ms.get(method.times_ms.len() / 2).copied(),
         });
     }

@@ -101,7 +101,7 @@ fn a_stream_that_is_killed_leaves_only_whole_files() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let mut child = Command::new(env!("CARGO_BIN_EXE_planish"))
-        .args(["stream", "synthetic", "--engine", "cpu", "--save", str(&out)])
+        .args(["stream", "synthetic", "--frames", "20", "--engine", "cpu", "--save", str(&out)])
         .stderr(std::process::Stdio::null())
         .spawn()
         .unwrap();

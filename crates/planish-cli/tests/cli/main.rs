@@ -45,7 +45,10 @@ fn refused(arguments: &[&str]) -> String {
 }
 
 fn small_frame(seed: u64) -> DepthFrame {
-    let camera = Camera::new((160, 120), [131.25, 131.25], [79.5, 59.5]);
+    frame_of(Camera::new((160, 120), [131.25, 131.25], [79.5, 59.5]), seed)
+}
+
+fn frame_of(camera: Camera, seed: u64) -> DepthFrame {
     let (scene, pose) = Scene::tabletop(seed);
     let truth = scene.render(&camera, &pose);
     DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).unwrap()

@@ -7,6 +7,7 @@ use planish::{
     DepthFrame, Edges, OrganizedCloud, Outputs, PointsView, Radius, SensorModel, SimdLevel, SmoothParams, Smoothed,
     Status, Strength, Xyz,
 };
+use planish_tests::bits;
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, height_field, simulated, small_camera};
 
@@ -86,7 +87,7 @@ fn rows_on_a_plane_seen_edge_on_are_smoothed_as_without() {
         [0.003 * u as f32, 0.2 * v as f32 * z, z]
     });
     let (off, robust) = (smooth(&rows, Edges::Off), smooth(&rows, Edges::Robust));
-    assert_eq!(format!("{:?}", off.points), format!("{:?}", robust.points));
+    assert!(bits::of_points(&off.points) == bits::of_points(&robust.points));
     assert!(off.status.unwrap().contains(&Status::Polynomial2));
 }
 
@@ -217,9 +218,11 @@ fn the_suite_says_what_it_is_told() {
 #[test]
 fn general_clouds_keep_edges_as_frames_do() {
     let general = SmoothParams::general().with_radius(Radius::Neighbours { count: 490 }).with_ridge(1e-2);
+    // The room has the edges and the shapes the creases; the table, which is near, is for the command's test.
+    let cases = &CASES[1..];
     let evaluate_general = |params: SmoothParams| {
         let mut smoothed = Evaluation::default();
-        for case in CASES.iter() {
+        for case in cases {
             let points: Vec<[f32; 3]> = case.frame.deproject().unwrap().positions().iter().collect();
             let outputs = Outputs::POINTS.with_normals(true);
             let view = PointsView::from_rows(&points).unwrap();
@@ -228,12 +231,13 @@ fn general_clouds_keep_edges_as_frames_do() {
         }
         smoothed.report()
     };
-    let on_grid = evaluate(SmoothParams::default(), &CASES);
+    let on_grid = evaluate(SmoothParams::default(), cases);
     let [off, robust] = [Edges::Off, Edges::Robust].map(|edges| evaluate_general(general.with_edges(edges)));
     assert!(robust.crease_deg < 1.2 * on_grid.crease_deg, "{} {}", robust.crease_deg, on_grid.crease_deg);
     assert!(robust.edge_mean_mm < 1.2 * on_grid.edge_mean_mm, "{} {}", robust.edge_mean_mm, on_grid.edge_mean_mm);
     assert!(off.crease_deg > 5.0 * robust.crease_deg && off.edge_mean_mm > 1.1 * robust.edge_mean_mm);
-    for (range, of_grid) in robust.ranges.iter().zip(&on_grid.ranges) {
+    assert!(robust.ranges[0].rmse_mm.is_nan());
+    for (range, of_grid) in robust.ranges.iter().zip(&on_grid.ranges).skip(1) {
         assert!(range.rmse_mm < 1.2 * of_grid.rmse_mm && range.normal_mean_deg < of_grid.normal_mean_deg, "{range:?}");
     }
 }

@@ -5,6 +5,7 @@ use planish::{
     Edges, Engine, EngineError, Error, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother,
     Status,
 };
+use planish_tests::bits::{bits, of_points};
 use planish_tests::data::{bunny, folder, general_cloud};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{simulated, small_camera};
@@ -65,6 +66,11 @@ fn frame_points(seed: u64) -> Points {
     simulated(seed, seed.is_multiple_of(2), small_camera()).positions().iter().collect()
 }
 
+/// A third of them: enough for what does not depend on how many there are.
+fn few_frame_points(seed: u64) -> Points {
+    frame_points(seed).into_iter().step_by(3).collect()
+}
+
 fn settings() -> Vec<SmoothParams> {
     let general = SmoothParams::general();
     let fixed = general.with_radius_m(0.06);
@@ -104,10 +110,13 @@ fn assert_agree(engines: &[(String, TestEngine)], name: &str, points: &[[f32; 3]
 #[test]
 fn every_engine_agrees_with_the_reference() {
     let engines = engines();
-    let room: Points = frame_points(2).into_iter().step_by(2).collect();
+    let room = few_frame_points(2);
     for params in settings().into_iter().step_by(4) {
         assert_agree(&engines, "room", &room, params);
-        assert_agree(&engines, "sphere", &uneven_sphere(6000, 3), params);
+        // Many of its points lie within one fixed radius: with those it is for the gate.
+        if matches!(params.radius, planish::Radius::Neighbours { .. }) {
+            assert_agree(&engines, "sphere", &uneven_sphere(6000, 3), params);
+        }
     }
 }
 
@@ -173,10 +182,10 @@ fn clouds_in_parts_are_as_those_at_once() {
         return;
     }
     // A point may miss that reaches more of the cloud than the device takes, and one whose neighbours' radii are much larger than its own.
-    let room: Points = frame_points(2).into_iter().step_by(3).collect();
+    let room = few_frame_points(2);
     let general = SmoothParams::general();
     let robust = general.with_edges(Edges::Robust);
-    for params in [general, general.with_radius_m(0.1), robust.with_radius_m(0.06)] {
+    for params in [general, robust.with_radius_m(0.06)] {
         let differing = differing_in_parts(&room, params, 3500);
         assert!(differing.is_some_and(|differing| differing <= 2), "{differing:?} of the room, {params:?}");
     }
@@ -256,10 +265,10 @@ fn small_clouds_agree_and_lose_nothing() {
 
 #[test]
 fn holes_stay_holes_at_their_index_and_stray_points_stay_where_they_are() {
-    let mut points = frame_points(1);
+    let mut points = few_frame_points(1);
     let stray = [0.3, 0.2, -7.0];
     points[100] = stray;
-    let holes: Vec<usize> = (0..points.len()).filter(|&i| points[i][2].is_nan()).chain([7, 9000]).collect();
+    let holes: Vec<usize> = (0..points.len()).filter(|&i| points[i][2].is_nan()).chain([7, 5000]).collect();
     holes.iter().for_each(|&i| points[i] = [f32::NAN, 0.0, 1.0]);
     for (name, engine) in engines().into_iter().chain([("reference".to_owned(), TestEngine::REFERENCE)]) {
         let found = smooth(engine, &points, SmoothParams::general());
@@ -280,7 +289,7 @@ fn holes_stay_holes_at_their_index_and_stray_points_stay_where_they_are() {
 
 #[test]
 fn points_farther_than_the_engines_see_are_isolated_and_change_no_other() {
-    let near = frame_points(1);
+    let near = few_frame_points(1);
     let mut points = near.clone();
     points.extend([[2e18, 1.0, 0.0]; 40]);
     points.extend([[3e18, 1.0, 1.0], [1.0, -2e18, 0.0], [0.0, 0.0, f32::MAX]]);
@@ -307,7 +316,7 @@ fn neither_threads_nor_the_order_of_the_points_change_a_bit() {
     for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(0.05)] {
         let expected = smooth(engine(1), &points, params);
         for threads in [2, 3, 8] {
-            assert_eq!(format!("{:?}", smooth(engine(threads), &points, params)), format!("{expected:?}"));
+            assert!(bits(&smooth(engine(threads), &points, params)) == bits(&expected), "{threads} threads");
         }
         let reversed: Points = points.iter().rev().copied().collect();
         let found = smooth(engine(2), &reversed, params);
@@ -398,6 +407,7 @@ fn clouds_of_any_size_and_place_come_out_smoother() {
 }
 
 #[test]
+#[ignore = "takes seconds; the gate runs it"]
 fn a_driver_that_ends_loops_early_is_an_error() {
     // The centre of a ball has more neighbours than lavapipe has rounds for; a GPU takes them all. The others, on its surface, reach a
     // quarter of each other.
@@ -420,7 +430,7 @@ fn a_driver_that_ends_loops_early_is_an_error() {
 
 #[test]
 fn a_moved_sensor_turns_normals_and_moves_no_point() {
-    let points = frame_points(1);
+    let points = few_frame_points(1);
     let view = PointsView::from_rows(&points).unwrap();
     let behind = SensorPose { position_m: [0.0, 0.0, 50.0], ..SensorPose::IDENTITY };
     for (name, engine) in engines().into_iter().chain([("reference".to_owned(), TestEngine::REFERENCE)]) {
@@ -442,18 +452,18 @@ fn a_moved_sensor_turns_normals_and_moves_no_point() {
 
 #[test]
 fn only_what_is_asked_for_is_there() {
-    let points = frame_points(1);
+    let points = few_frame_points(1);
     let (engine, params) = (TestEngine::cpu(SimdLevel::best()), SmoothParams::general());
     let view = PointsView::from_rows(&points).unwrap();
     let all = engine.smooth(view, params);
     let normals = engine.smooth_to(view, params, Outputs::POINTS.with_points(false).with_normals(true));
     assert!(normals.points.is_empty() && normals.status.is_none());
-    assert_eq!(format!("{:?}", normals.normals), format!("{:?}", all.normals));
+    assert!(normals.normals.as_ref().map(of_points) == all.normals.as_ref().map(of_points));
 }
 
 #[test]
 fn progress_of_another_thread_grows_to_the_whole() {
-    let points = uneven_sphere(30_000, 3);
+    let points = uneven_sphere(12_000, 3);
     for engine in [Engine::Cpu, Engine::Reference] {
         let mut smoother = Smoother::open(SmoothParams::general(), engine, None).unwrap();
         let progress = smoother.progress().unwrap();
@@ -477,7 +487,7 @@ fn progress_of_another_thread_grows_to_the_whole() {
 
 #[test]
 fn a_frame_that_is_stopped_is_an_error_and_the_next_is_whole() {
-    let points = uneven_sphere(30_000, 3);
+    let points = uneven_sphere(12_000, 3);
     for engine in [Engine::Cpu, Engine::Reference] {
         let mut smoother = Smoother::open(SmoothParams::general(), engine, None).unwrap();
         let progress = smoother.progress().unwrap();

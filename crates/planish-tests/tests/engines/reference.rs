@@ -64,7 +64,8 @@ fn invariants_hold_on_simulated_frames() {
 fn invariants_hold_on_real_frames() {
     // Of whole frames, with every setting, they are tested where the other engines are held against it.
     for (i, frame) in real_frames("reference on real frames").into_iter().enumerate() {
-        let cloud = quarter(&frame.cloud, i % 4);
+        // A sixteenth, from its middle.
+        let cloud = quarter(&quarter(&frame.cloud, i % 4), 3 - i % 4);
         let params = [SmoothParams::paper(), SmoothParams::default()][i % 2];
         let smoothed = smooth(&cloud, params, 2);
         assert_invariants(&cloud, &smoothed, &radii_m(&cloud, params), frame.name);

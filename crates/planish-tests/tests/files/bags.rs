@@ -7,7 +7,7 @@ use planish::bag::{BagSource, BagWriter, SmoothBagOptions, SmoothBagReport, Surv
 use planish::io::ReadOptions;
 use planish::ros::MessageSmoother;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::source::{self, Source, SourceFrame, SourceOptions};
+use planish::source::{Source, SourceFrame};
 use planish::{
     Camera, DepthFrame, Distortion, Engine, EngineError, Error, Outputs, SmoothParams, Smoothed, Smoother,
     SmootherOptions,
@@ -80,11 +80,12 @@ fn other_units_become_metres() {
 fn clouds_come_back_with_all_their_fields() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("clouds.mcap");
-    let mut cloud = frames(small_camera())[0].deproject().unwrap();
+    let depth = frames(small_camera()).swap_remove(0);
+    let mut cloud = depth.deproject().unwrap();
     cloud.camera = None;
     cloud.points.set_attribute("label", (0..cloud.points.len()).map(|i| i as u16).collect::<Vec<_>>());
     let mut writer = BagWriter::create(&path).unwrap();
-    writer.add(&source::open("synthetic", &SourceOptions::default()).unwrap().next_frame().unwrap().unwrap()).unwrap();
+    writer.add(&SourceFrame::Depth(depth)).unwrap();
     writer.add_cloud(&cloud.points, Some((cloud.width(), cloud.height())), Some(3.5)).unwrap();
     writer.finish().unwrap();
     let mut source = BagSource::open(&path, Some("/camera/depth/points"), None, None).unwrap();

@@ -239,11 +239,11 @@ fn tiles_on_a_gpu_give_what_the_whole_cloud_gives_there() {
     }
     let folder = tempfile::tempdir().unwrap();
     let (las, out) = (folder.path().join("a.las"), folder.path().join("out.las"));
-    let cloud = field(40_000);
+    let cloud = field(16_000);
     io::write_cloud(&las, &cloud, Encoding::Binary).unwrap();
     let gpu = TestEngine::gpu(false).options(Outputs::ALL);
     // The smaller one takes no tile at once.
-    let in_parts = TestEngine { bounds_checks: false, ..TestEngine::in_parts(6000) }.options(Outputs::ALL);
+    let in_parts = TestEngine { bounds_checks: false, ..TestEngine::in_parts(2500) }.options(Outputs::ALL);
     let general = SmoothParams::general();
     for (params, smoother) in [(general, &gpu), (general.with_radius_m(0.6), &gpu), (general, &in_parts)] {
         let report = in_tiles_by(smoother.clone(), &las, &out, params, 3);

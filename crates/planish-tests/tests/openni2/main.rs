@@ -82,6 +82,7 @@ fn cameras_stream_and_recordings_play() {
     let Some(installed) = installed() else { return };
     let folder = tempfile::tempdir().unwrap();
     let library = set_up(folder.path(), &installed);
+    planish::internal::set_longest_silence_s(2);
     // SAFETY: no other thread runs that reads the environment.
     unsafe { std::env::set_var("PLANISH_LIBOPENNI2", &library) };
 

@@ -193,7 +193,7 @@ fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_sa
     // The second camera gives smaller frames from the third moment on, and the first one none in the second.
     let small: Vec<DepthFrame> = cases.iter().map(|case| half(&case.cameras[1].frame)).collect();
     let moments = || {
-        (0..8).map(|i| {
+        (0..6).map(|i| {
             let mut frames = frames_of(&cases[i % 4]);
             if i >= 3 {
                 frames[1] = Some((&small[i % 4]).into_frame().unwrap());

@@ -14,10 +14,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use super::driver::{self, c_functions};
 use super::freenect::frame_of_disparities;
+use super::silence::longest_silence;
 use super::{Source, SourceFrame, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{DeviceError, Error};
@@ -25,9 +26,6 @@ use crate::frame::DepthFrame;
 
 /// Pixels of a frame: both cameras run at their medium resolution.
 const PIXELS: usize = 640 * 480;
-
-/// A device that delivers nothing for this long counts as gone.
-const SILENCE: Duration = Duration::from_secs(5);
 
 // From libfreenect.h, version 0.5.
 const RESOLUTION_MEDIUM: c_int = 1;
@@ -215,7 +213,7 @@ impl KinectSource {
 
 impl Source for KinectSource {
     fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        let deadline = Instant::now() + SILENCE;
+        let deadline = Instant::now() + longest_silence();
         loop {
             if let Some(frame) = self.take() {
                 return Ok(Some(frame));
@@ -223,7 +221,7 @@ impl Source for KinectSource {
             match self.arrived.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(()) => {}
                 Err(RecvTimeoutError::Timeout) => {
-                    let what = format!("the Kinect gave no depth for {} s", SILENCE.as_secs());
+                    let what = format!("the Kinect gave no depth for {} s", longest_silence().as_secs());
                     return Err(DeviceError::Gone { what }.into());
                 }
                 Err(RecvTimeoutError::Disconnected) => {

@@ -10,6 +10,7 @@ mod kinect;
 mod openni2;
 mod paced;
 mod realsense;
+mod silence;
 mod synthetic;
 mod tum;
 
@@ -32,6 +33,7 @@ pub use freenect::FreenectRecording;
 pub(crate) mod internal {
     pub use super::freenect::{disparity_depth_m, write_freenect_recording};
     pub use super::realsense::start_realsense;
+    pub use super::silence::set_longest_silence_s;
 }
 pub use kinect::KinectSource;
 pub use openni2::OpenNi2Source;

@@ -14,17 +14,15 @@ use std::ffi::c_int;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
+use super::silence::longest_silence;
 use super::{Alignment, Source, SourceFrame, StreamMode, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{DeviceError, Error, IoError, ParamError};
 use crate::frame::DepthFrame;
 use api::{Frame, Functions, Handle, Holder, VideoMode};
 use device::{Device, Stream, Watch};
-
-/// A device that delivers nothing for this long counts as gone.
-const SILENCE: Duration = Duration::from_secs(5);
 
 /// How often a wait looks at whether a frame is still wanted.
 const PATIENCE_MS: c_int = 100;
@@ -234,7 +232,7 @@ impl OpenNi2Source {
 
 impl OpenNi2Source {
     fn wait_for_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        let deadline = Instant::now() + SILENCE;
+        let deadline = Instant::now() + longest_silence();
         while !self.ended.load(Ordering::Relaxed) {
             // Asked before the wait: what comes after the end of the recording is its last.
             let is_over = self.watch.is_over();
@@ -260,7 +258,7 @@ impl OpenNi2Source {
 
     /// The error of a source that has been silent for long.
     fn silent(&self) -> Error {
-        let what = format!("{} gave no depth for {} s", self.description, SILENCE.as_secs());
+        let what = format!("{} gave no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
             Some(file) => malformed(file, format!("{what}: it is cut off")).into(),
             None => DeviceError::Gone { what }.into(),

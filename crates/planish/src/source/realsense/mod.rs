@@ -17,6 +17,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use super::silence::longest_silence;
 use super::{Alignment, Source, SourceFrame, StreamMode, malformed, with_shape};
 use crate::camera::Camera;
 use crate::error::{DeviceError, Error, IoError, ParamError};
@@ -25,9 +26,6 @@ use all_depth::AllDepth;
 use api::{Functions, Intrinsics, Owned, STREAM_COLOR, STREAM_DEPTH};
 use camera::camera_of;
 use start::{Colour, Started, check_device, start};
-
-/// A device that delivers nothing for this long counts as gone.
-const SILENCE: Duration = Duration::from_secs(5);
 
 /// How often a wait looks at whether a frame is still wanted.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -276,7 +274,7 @@ impl RealSenseSource {
 
 impl RealSenseSource {
     fn wait_for_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        let deadline = Instant::now() + SILENCE;
+        let deadline = Instant::now() + longest_silence();
         let mut quiet = 0;
         while !self.ended.load(Ordering::Relaxed) {
             // Asked before the wait: what comes after the end of the recording is its last.
@@ -329,7 +327,7 @@ impl RealSenseSource {
 
     /// The error of a source that has been silent for long.
     fn silent(&self) -> Error {
-        let what = format!("{} gave no depth for {} s", self.description, SILENCE.as_secs());
+        let what = format!("{} gave no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
             Some(file) => {
                 malformed(file, format!("{what}: it is cut off, or one of its streams is{}", self.advice())).into()

@@ -1,0 +1,27 @@
+//! Results compared bit by bit, so that NaN equals NaN.
+
+use planish::{Smoothed, Xyz};
+
+/// A result as numbers: its shape, which fields there are and how long, and the bits of their values.
+pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
+    let Smoothed { width, height, points, depth, depth_m, normals, curvature, status, neighbours, .. } = smoothed;
+    let mut all = vec![*width as u32, *height as u32];
+    all.extend(of_points(points));
+    let mut field = |len: Option<usize>, values: &mut dyn Iterator<Item = u32>| {
+        all.push(len.map_or(u32::MAX, |len| len as u32));
+        all.extend(values);
+    };
+    field(depth.as_ref().map(Vec::len), &mut depth.iter().flatten().map(|&raw| u32::from(raw)));
+    field(depth_m.as_ref().map(Vec::len), &mut depth_m.iter().flatten().map(|m| m.to_bits()));
+    field(normals.as_ref().map(Xyz::len), &mut normals.iter().flat_map(of_points));
+    field(curvature.as_ref().map(Vec::len), &mut curvature.iter().flatten().map(|value| value.to_bits()));
+    field(status.as_ref().map(Vec::len), &mut status.iter().flatten().map(|&status| status as u32));
+    field(neighbours.as_ref().map(Vec::len), &mut neighbours.iter().flatten().copied());
+    all
+}
+
+/// The bits of all x, all y and all z.
+pub fn of_points(points: &Xyz) -> Vec<u32> {
+    let Xyz { x, y, z } = points;
+    [x, y, z].into_iter().flatten().map(|value| value.to_bits()).collect()
+}
