@@ -1,8 +1,11 @@
 //! LAS and LAZ: nothing but the positions changes, and what lies is refused.
 
 use std::fs;
+use std::io::Cursor;
 use std::path::Path;
 
+use laz::LazVlr;
+use laz::laszip::{ChunkTable, ChunkTableEntry};
 use planish::PointCloud;
 use planish::io::{self, Contents, Encoding, Format};
 use planish_tests::data::{folder, general_cloud};
@@ -238,4 +241,60 @@ fn layers_larger_than_their_chunk_are_refused_before_anything_is_allocated() {
         let error = io::read_in_parts(&file, 1 << 20, |_| ()).unwrap_err().to_string();
         assert!(error.contains("a.laz") && error.contains("whose layers need"), "{error}");
     }
+}
+
+fn refused(bytes: &[u8], format: Format) -> String {
+    io::decode(bytes, Some(format)).expect_err("an error").to_string()
+}
+
+#[test]
+fn headers_shorter_than_their_versions_are_refused() {
+    let cloud = PointCloud::new((0..10).map(|i| [1.0, 2.0, i as f32]).collect());
+    for format in [Format::Las, Format::Laz] {
+        let mut bytes = io::encode_cloud(format, &cloud, Encoding::Binary).unwrap();
+        io::decode(&bytes, Some(format)).unwrap();
+        bytes[94] -= 1;
+        let error = refused(&bytes, format);
+        assert!(error.contains("a header of"), "{error}");
+    }
+}
+
+/// A thousand points in LAZ.
+fn compressed() -> Vec<u8> {
+    let cloud = PointCloud::new((0..1000).map(|i| [i as f32, 0.5 * i as f32, (i % 7) as f32]).collect());
+    io::encode_cloud(Format::Laz, &cloud, Encoding::Binary).unwrap()
+}
+
+#[test]
+fn points_compressed_as_others_are_refused() {
+    let mut bytes = compressed();
+    bytes[105] -= 1;
+    let error = refused(&bytes, Format::Laz);
+    assert!(error.contains("which are compressed as"), "{error}");
+}
+
+#[test]
+fn a_chunk_that_ends_beyond_the_file_is_refused_though_its_layers_fill_it() {
+    let mut bytes = compressed();
+    io::decode(&bytes, Some(Format::Laz)).unwrap();
+    let number = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    let points_at = number(96) as usize;
+    let user_at = bytes.windows(14).position(|window| window == b"laszip encoded").unwrap();
+    let description = LazVlr::from_buffer(&bytes[user_at + 52..points_at]).unwrap();
+    let table_at = number(points_at) as usize;
+    let mut reader = Cursor::new(&bytes);
+    reader.set_position(points_at as u64);
+    let chunk = ChunkTable::read_from(reader, &description).unwrap()[0];
+    // The first layer and the chunk claim as much more.
+    let more = 0x7000_0000u32;
+    let layer_at = points_at + 8 + usize::from(u16::from_le_bytes([bytes[105], bytes[106]])) + 4;
+    let layer = number(layer_at) + more;
+    let mut table = ChunkTable::default();
+    table.push(ChunkTableEntry { byte_count: chunk.byte_count + u64::from(more), ..chunk });
+    bytes[layer_at..layer_at + 4].copy_from_slice(&layer.to_le_bytes());
+    bytes.truncate(table_at);
+    table.write_to(&mut bytes, &description).unwrap();
+    bytes.extend([0; 64]);
+    let error = refused(&bytes, Format::Laz);
+    assert!(error.contains("cut short"), "{error}");
 }

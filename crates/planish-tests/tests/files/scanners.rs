@@ -1,6 +1,6 @@
 //! Formats of scanners, lidars, meshes and NumPy archives.
 
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::path::Path;
 
 use e57::{E57Writer, Quaternion, Record, RecordDataType, RecordName, RecordValue, Transform, Translation};
@@ -403,4 +403,35 @@ fn arrays_of_numpy_users_become_normals_colours_and_points_in_any_order() {
     let mut npy = [b"\x93NUMPY\x01\x00", &(118u16).to_le_bytes()[..], format!("{header:<117}\n").as_bytes()].concat();
     npy.extend([1.0f32, 2.0, 10.0, 20.0, 100.0, 200.0].into_iter().flat_map(f32::to_le_bytes));
     assert_eq!(decode(&npy, Format::Npy).unwrap().positions, Xyz::from_iter([[1.0, 10.0, 100.0], [2.0, 20.0, 200.0]]));
+}
+
+#[test]
+fn texts_and_records_beside_the_points_of_an_npz_are_left_out_and_said() {
+    let cloud = PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
+    let array = |descr: &str, shape: &str| {
+        let dict = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n");
+        [b"\x93NUMPY\x01\x00", &(dict.len() as u16).to_le_bytes()[..], dict.as_bytes(), &[0; 64]].concat()
+    };
+    let arrays = [
+        ("points.npy", io::encode_cloud(Format::Npy, &cloud, Encoding::Binary).unwrap()),
+        ("units.npy", array("'<U1'", "()")),
+        ("names.npy", array("[('a', '<f4')]", "(2,)")),
+        ("label.npy", array("'|u1'", "(2,)")),
+        ("other.npy", array("'|u1'", "(3,)")),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.npz");
+    let mut writer = zip::ZipWriter::new(std::fs::File::create(&path).unwrap());
+    for (name, bytes) in arrays {
+        writer.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        writer.write_all(&bytes).unwrap();
+    }
+    writer.finish().unwrap();
+    let io::FileRead { contents, notes, .. } = io::read_file(&path, &io::ReadOptions::default()).unwrap();
+    let Contents::General(read) = contents else { panic!("a cloud") };
+    let names: Vec<&str> = read.attributes.iter().map(|attribute| attribute.name.as_str()).collect();
+    assert_eq!((read.positions, names), (cloud.positions, vec!["label"]));
+    let left_out = ["units", "names", "other"].iter().zip(&notes).all(|(name, note)| note.contains(name));
+    assert!(left_out && notes.len() == 3, "{notes:?}");
+    assert!(notes[2].contains("[3]") && notes[2].contains("2 points"), "{notes:?}");
 }

@@ -200,39 +200,3 @@ pub(super) fn encode(cloud: CloudRef<'_>) -> FormatResult<Vec<u8>> {
     }
     Ok(writer.finish().map_err(|error| FormatError::Os(error.into()))?.into_inner())
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn texts_and_records_beside_the_points_are_left_out() {
-        let cloud = crate::cloud::PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
-        let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
-        let array = |descr: &str, shape: &str| {
-            let dict = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n");
-            [b"\x93NUMPY\x01\x00", &(dict.len() as u16).to_le_bytes()[..], dict.as_bytes(), &[0; 64]].concat()
-        };
-        let arrays = [
-            ("points.npy", npy::encode_points(CloudRef::General(&cloud))),
-            ("units.npy", array("'<U1'", "()")),
-            ("names.npy", array("[('a', '<f4')]", "(2,)")),
-            ("label.npy", array("'|u1'", "(2,)")),
-            ("other.npy", array("'|u1'", "(3,)")),
-        ];
-        for (name, bytes) in arrays {
-            writer.start_file(name, SimpleFileOptions::default()).unwrap();
-            writer.write_all(&bytes).unwrap();
-        }
-        let bytes = writer.finish().unwrap().into_inner();
-        let mut notes = Vec::new();
-        let read = decode(&bytes, &ReadOptions::default(), &mut notes).unwrap();
-        let Contents::General(read) = read else { panic!("a cloud") };
-        let names: Vec<&str> = read.attributes.iter().map(|attribute| attribute.name.as_str()).collect();
-        assert_eq!((read.positions, names), (cloud.positions, vec!["label"]));
-        let left_out: Vec<bool> =
-            ["units", "names", "other"].iter().zip(&notes).map(|(name, note)| note.contains(name)).collect();
-        assert_eq!((left_out, notes.len()), (vec![true; 3], 3), "{notes:?}");
-        assert!(notes[2].contains("[3]") && notes[2].contains("2 points"), "{notes:?}");
-    }
-}
