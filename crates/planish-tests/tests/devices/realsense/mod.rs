@@ -105,7 +105,7 @@ fn side_by_side<T: Copy + Send, const N: usize>(cases: [T; N], check: impl Fn(T)
 fn depth_of_a_recording_comes_back_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let recorded = frames(20);
-    for color in [false, true] {
+    side_by_side([false, true], |color| {
         let folder = folder.path().join(color.to_string());
         fs::create_dir(&folder).unwrap();
         let Some(file) = record(&folder, &recorded, color) else { return };
@@ -125,7 +125,7 @@ fn depth_of_a_recording_comes_back_bit_for_bit() {
             assert!(next(&mut source).unwrap().is_none());
             assert_eq!(source.dropped(), 0);
         });
-    }
+    });
 }
 
 /// A wall at 1 m.

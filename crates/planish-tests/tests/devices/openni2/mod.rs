@@ -33,7 +33,7 @@ fn set_up(folder: &Path, installed: &Path) -> PathBuf {
     fs::copy(installed.join("libOpenNI2.so.0"), &library).unwrap();
     fs::copy(installed.join("OpenNI2/Drivers/libOniFile.so.0"), drivers.join("libOniFile.so.0")).unwrap();
     let compiler = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/openni2/driver.rs");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/devices/openni2/driver.rs");
     let driver = drivers.join("libPlanishTest.so.0");
     let compiled = Command::new(compiler)
         .args(["--edition", "2024", "--crate-type", "cdylib", "-O", "-o"])
@@ -76,21 +76,39 @@ fn mode(width: usize, height: usize, fps: Option<u32>) -> Option<StreamMode> {
     Some(StreamMode { width, height, fps })
 }
 
-// The library's devices are those of the whole process, and so is its environment: one test has them to itself.
+/// The folder of the process that is told by its environment where OpenNI2 is.
+const FOLDER: &str = "PLANISH_TEST_OPENNI2";
+
+/// After how many frames the driver unplugs its camera, in the folder.
+const UNPLUG: &str = "unplug";
+
 #[test]
 fn cameras_stream_and_recordings_play() {
     let Some(installed) = installed() else { return };
     let folder = tempfile::tempdir().unwrap();
     let library = set_up(folder.path(), &installed);
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "openni2::in_a_process_of_its_own", "--ignored", "--nocapture"])
+        .envs([(FOLDER, folder.path()), ("PLANISH_LIBOPENNI2", &library)])
+        .env("PLANISH_TEST_UNPLUG", folder.path().join(UNPLUG))
+        .output()
+        .unwrap();
+    let [said, failed] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
+    assert!(output.status.success() && said.contains("1 passed"), "{said}{failed}");
+}
+
+#[test]
+#[ignore = "the test above runs it: the library's devices are those of the whole process"]
+fn in_a_process_of_its_own() {
+    let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else { return };
+    let library = folder.join("libOpenNI2.so.0");
     planish::internal::set_longest_silence_s(2);
-    // SAFETY: no other thread runs that reads the environment.
-    unsafe { std::env::set_var("PLANISH_LIBOPENNI2", &library) };
 
     a_camera_streams_in_its_mode();
     colour_comes_with_depth_that_is_mapped_to_it();
     what_it_lacks_is_refused();
-    recordings_play(&library, folder.path());
-    one_that_is_unplugged_is_gone_and_comes_back();
+    recordings_play(&library, &folder);
+    one_that_is_unplugged_is_gone_and_comes_back(&folder);
 }
 
 fn a_camera_streams_in_its_mode() {
@@ -148,15 +166,13 @@ fn what_it_lacks_is_refused() {
     assert!(refused(planish::source::open("openni2", &options)).contains("own pace"));
 }
 
-fn one_that_is_unplugged_is_gone_and_comes_back() {
-    // SAFETY: streams that read it are started after this.
-    unsafe { std::env::set_var("PLANISH_TEST_UNPLUG", "5") };
+fn one_that_is_unplugged_is_gone_and_comes_back(folder: &Path) {
+    fs::write(folder.join(UNPLUG), "5").unwrap();
     let mut source = open("", Some(Alignment::None), None).unwrap();
     let gone = (0..20).find_map(|_| next(&mut source).err()).expect("an error");
     assert!(matches!(gone, Error::Device(DeviceError::Gone { .. })), "{gone}");
     drop(source);
-    // SAFETY: as above.
-    unsafe { std::env::remove_var("PLANISH_TEST_UNPLUG") };
+    fs::remove_file(folder.join(UNPLUG)).unwrap();
     let back = (0..50).find_map(|_| {
         std::thread::sleep(Duration::from_millis(20));
         open("planish-test", Some(Alignment::None), None).ok()

@@ -1,7 +1,7 @@
 //! A driver of OpenNI2 for the tests, which compile it: a camera in software, as a PrimeSense sensor behaves (OniDriverAPI.h).
 //!
 //! The device `planish-test` mirrors its images unless told otherwise, maps depth to colour if asked to, and starts at 320x240. It is
-//! unplugged after a number of frames if PLANISH_TEST_UNPLUG is set when its depth starts, and plugged in again 0.3 s later.
+//! unplugged after a number of frames if the file PLANISH_TEST_UNPLUG has it when its depth starts, and plugged in again 0.3 s later.
 
 #![allow(non_snake_case, clippy::missing_safety_doc)]
 
@@ -106,7 +106,8 @@ fn run(stream: Pointer) {
     // SAFETY: the stream lives until its thread was joined, and its mode does not change meanwhile.
     let stream = unsafe { &*at };
     let VideoMode { width, height, .. } = stream.mode;
-    let unplug = std::env::var("PLANISH_TEST_UNPLUG").ok().and_then(|frames| frames.parse::<c_int>().ok());
+    let file = std::env::var_os("PLANISH_TEST_UNPLUG");
+    let unplug = file.and_then(|file| std::fs::read_to_string(file).ok()).and_then(|frames| frames.parse::<c_int>().ok());
     let start = Instant::now();
     for index in 1.. {
         if !stream.running.load(Ordering::Relaxed) {
