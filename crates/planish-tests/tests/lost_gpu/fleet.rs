@@ -88,7 +88,7 @@ impl Sink for Kept {
 
 #[test]
 fn a_gpu_and_the_cpu_share_frames_and_a_lost_gpu_leaves_its_own_to_the_cpu() {
-    let _alone = super::alone();
+    let _alone = crate::alone();
     let Some(adapter) = test_adapter() else {
         skip("a fleet with a GPU: no adapter");
         return;

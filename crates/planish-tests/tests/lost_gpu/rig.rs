@@ -32,7 +32,7 @@ impl RigSink for Kept {
 
 #[test]
 fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_frame() {
-    let _alone = super::alone();
+    let _alone = crate::alone();
     let Some(adapter) = test_adapter() else {
         skip("a rig whose GPU is lost: no adapter");
         return;

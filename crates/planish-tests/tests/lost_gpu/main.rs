@@ -1,4 +1,4 @@
-//! What becomes of frames when a GPU is lost. One test at a time: every device of the process is destroyed.
+//! What becomes of frames when a GPU is lost. Alone in its process, one test at a time: every device of it is destroyed.
 
 mod fleet;
 mod rig;

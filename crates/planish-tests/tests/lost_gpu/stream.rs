@@ -29,7 +29,7 @@ impl Sink for Seen {
 
 #[test]
 fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
-    let _alone = super::alone();
+    let _alone = crate::alone();
     let Some(adapter) = test_adapter() else {
         skip("a stream whose GPU is lost: no adapter");
         return;

@@ -226,7 +226,7 @@ fn a_recording_that_begins_and_ends_without_colour_plays_whole() {
 }
 
 #[test]
-fn depth_plays_on_where_colour_stops_and_what_needs_it_ends_with_the_reason() {
+fn a_recording_whose_colour_stops_plays_on_and_what_needs_colour_ends_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     if library().is_none() {
         return;

@@ -33,7 +33,7 @@ fn set_up(folder: &Path, installed: &Path) -> PathBuf {
     fs::copy(installed.join("libOpenNI2.so.0"), &library).unwrap();
     fs::copy(installed.join("OpenNI2/Drivers/libOniFile.so.0"), drivers.join("libOniFile.so.0")).unwrap();
     let compiler = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/devices/openni2/driver.rs");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cameras/openni2/driver.rs");
     let driver = drivers.join("libPlanishTest.so.0");
     let compiled = Command::new(compiler)
         .args(["--edition", "2024", "--crate-type", "cdylib", "-O", "-o"])
