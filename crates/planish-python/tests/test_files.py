@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pypcd4 import Encoding, PointCloud
 
 import planish
 from planish.data import SmoothFrames
@@ -27,6 +28,39 @@ def test_points_come_back_with_their_fields(tmp_path):
     far = points.astype(np.float64) + [637_000.0, 4_849_000.0, 0.0]
     planish.write(tmp_path / "map.laz", far)
     assert np.abs(planish.read(tmp_path / "map.laz").points - far).max() < 1e-3
+
+
+def test_another_implementation_of_pcd_reads_and_writes_the_same(tmp_path):
+    points = np.arange(36, dtype=np.float32).reshape(3, 4, 3) / 7
+    points[1, 2] = np.nan
+    scalars = {
+        "intensity": np.arange(12, dtype=np.float32).reshape(3, 4),
+        "ring": np.arange(12, dtype=np.uint16).reshape(3, 4),
+        "t": np.arange(12).reshape(3, 4) / 8,
+    }
+    several = {"h": (np.arange(36, dtype=np.int32) - 9).reshape(3, 4, 3)}
+    ours, theirs = tmp_path / "ours.pcd", tmp_path / "theirs.pcd"
+    for encoding, their_encoding, fields in [
+        ("ascii", Encoding.ASCII, scalars | several),
+        ("binary", Encoding.BINARY, scalars | several),
+        # It takes compressed fields of several values apart, where PCL keeps those of a point together.
+        ("compressed", Encoding.BINARY_COMPRESSED, scalars),
+    ]:
+        planish.write(ours, points, fields=fields, encoding=encoding)
+        found = PointCloud.from_path(ours)
+        header = found.metadata
+        assert (header.width, header.height, header.data) == (4, 3, their_encoding)
+        assert (*header.fields,) == ("x", "y", "z", *fields)
+        columns = dict(zip("xyz", points.reshape(-1, 3).T)) | {name: values.ravel() for name, values in scalars.items()}
+        if "h" in fields:
+            columns |= {f"h__{i:04d}": fields["h"].reshape(-1, 3)[:, i] for i in range(3)}
+        for name, values in columns.items():
+            column = found.pc_data[name]
+            assert column.dtype == values.dtype and np.array_equal(column, values, equal_nan=values.dtype.kind == "f"), (encoding, name)
+        found.save(theirs, their_encoding)
+        again = planish.read(theirs)
+        assert np.array_equal(again.points, points, equal_nan=True)
+        assert all(np.array_equal(again.fields[name], values) for name, values in fields.items()), encoding
 
 
 def test_grids_and_depth_come_back(tmp_path):

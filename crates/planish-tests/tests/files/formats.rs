@@ -3,7 +3,6 @@
 use std::fs;
 use std::path::Path;
 
-use pcd_rs::{DataKind, DynReader, DynRecord, Field as OracleField, WriterInit};
 use planish::io::{self, Contents, Encoding, Format};
 use planish::{
     Attribute, AttributeValues, Camera, DepthFrame, DepthImage, DepthView, OrganizedCloud, PointCloud, PositionColumns,
@@ -240,101 +239,19 @@ fn numpys_own_files_are_read() {
     assert!(io::decode(&npy("<i4", "(2, 2)", vec![0; 16]), None).is_err());
 }
 
-/// The record as the other implementation has it, for comparison by bits.
-fn oracle_bits(record: &DynRecord) -> Vec<u64> {
-    let field = |field: &OracleField| -> Vec<u64> {
-        match field {
-            OracleField::I8(v) => v.iter().map(|&x| x as u64).collect(),
-            OracleField::I16(v) => v.iter().map(|&x| x as u64).collect(),
-            OracleField::I32(v) => v.iter().map(|&x| x as u64).collect(),
-            OracleField::U8(v) => v.iter().map(|&x| u64::from(x)).collect(),
-            OracleField::U16(v) => v.iter().map(|&x| u64::from(x)).collect(),
-            OracleField::U32(v) => v.iter().map(|&x| u64::from(x)).collect(),
-            OracleField::F32(v) => v.iter().map(|x| u64::from(x.to_bits())).collect(),
-            OracleField::F64(v) => v.iter().map(|x| x.to_bits()).collect(),
-            other => panic!("a field type the test does not write: {other:?}"),
-        }
-    };
-    record.0.iter().flat_map(field).collect()
-}
-
-fn sample_cloud() -> OrganizedCloud {
-    let n = 12;
-    let mut points = PointCloud::new((0..n).map(|i| [i as f32 * 0.1, -0.5, f32::from_bits(0x3f80_0000 + i)]).collect());
-    points.positions.set(5, [f32::NAN; 3]);
-    points.set_attribute("intensity", (0..n).map(|i| i as f32).collect::<Vec<_>>());
-    points.set_attribute("ring", (0..n).map(|i| i as u16).collect::<Vec<_>>());
-    points.set_attribute("t", (0..n).map(|i| f64::from(i) * 1e-3).collect::<Vec<_>>());
-    let histogram =
-        Attribute { name: "h".into(), count: 3, values: (0..3 * n).map(|i| i as i32 - 9).collect::<Vec<_>>().into() };
-    points.attributes.push(histogram);
-    OrganizedCloud::new(4, 3, points).unwrap()
-}
-
+/// PCL has one field after the other, and in each all values of a point together.
 #[test]
-fn another_implementation_reads_what_planish_writes() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("ours.pcd");
-    let cloud = sample_cloud();
-    for encoding in [Encoding::Ascii, Encoding::Binary, Encoding::BinaryCompressed] {
-        io::write_cloud(&path, &cloud, encoding).unwrap();
-        let reader = DynReader::open(&path).unwrap();
-        assert_eq!((reader.meta().width, reader.meta().height), (4, 3));
-        let names: Vec<_> = reader.meta().field_defs.iter().map(|def| def.name.clone()).collect();
-        assert_eq!(names, ["x", "y", "z", "intensity", "ring", "t", "h"]);
-        for (i, record) in reader.enumerate() {
-            let bits = oracle_bits(&record.unwrap());
-            let p = cloud.positions().get(i);
-            let (ring, h) = (i as u64, 3 * i as i64 - 9);
-            let mut expected: Vec<u64> = p.iter().map(|v| u64::from(v.to_bits())).collect();
-            expected.extend([u64::from((i as f32).to_bits()), ring, (i as f64 * 1e-3).to_bits()]);
-            expected.extend([h, h + 1, h + 2].map(|v| v as u64));
-            assert_eq!(bits, expected, "{encoding:?}, point {i}");
-        }
-    }
-}
-
-#[test]
-fn planish_reads_what_another_implementation_writes() {
-    use pcd_rs::{Schema, ValueKind};
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("theirs.pcd");
-    for data_kind in [DataKind::Ascii, DataKind::Binary] {
-        let schema = Schema::from_iter([
-            ("x", ValueKind::F32, 1),
-            ("y", ValueKind::F32, 1),
-            ("z", ValueKind::F32, 1),
-            ("ring", ValueKind::U16, 1),
-            ("h", ValueKind::I32, 3),
-        ]);
-        let init = WriterInit {
-            width: 3,
-            height: 2,
-            viewpoint: Default::default(),
-            data_kind,
-            schema: Some(schema),
-            version: None,
-        };
-        let mut writer = init.create::<DynRecord, _>(&path).unwrap();
-        for i in 0..6 {
-            let point = DynRecord(vec![
-                OracleField::F32(vec![i as f32 * 0.1]),
-                OracleField::F32(vec![0.5]),
-                OracleField::F32(vec![if i == 4 { f32::NAN } else { 1.0 }]),
-                OracleField::U16(vec![i as u16]),
-                OracleField::I32(vec![i, -i, 7]),
-            ]);
-            writer.push(&point).unwrap();
-        }
-        writer.finish().unwrap();
-        let cloud = organized(&path);
-        assert_eq!((cloud.width(), cloud.height(), cloud.points.valid_points()), (3, 2, 5));
-        assert_eq!(cloud.positions().get(3), [0.3f32.max(3.0 * 0.1), 0.5, 1.0]);
-        assert_eq!(cloud.points.attribute("ring").unwrap().values, AttributeValues::U16((0..6).collect()));
-        let h = cloud.points.attribute("h").unwrap();
-        assert_eq!(h.count, 3);
-        assert_eq!(h.values, AttributeValues::I32((0..6).flat_map(|i| [i, -i, 7]).collect()));
-    }
+fn compressed_fields_of_several_values_are_laid_out_as_by_pcl() {
+    let mut points = PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
+    points.attributes.push(Attribute { name: "h".into(), count: 3, values: vec![7i32, 8, 9, 10, 11, 12].into() });
+    let file = io::encode_cloud(io::Format::Pcd, &points, Encoding::BinaryCompressed).unwrap();
+    let header = b"DATA binary_compressed\n";
+    let at = file.windows(header.len()).position(|window| window == header).unwrap() + header.len();
+    let size = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
+    let raw = planish::internal::lzf::decompress(&file[at + 8..at + 8 + size(at)], size(at + 4)).unwrap();
+    let floats = [1f32, 4.0, 2.0, 5.0, 3.0, 6.0].map(f32::to_le_bytes);
+    let integers = [7i32, 8, 9, 10, 11, 12].map(i32::to_le_bytes);
+    assert_eq!(raw, [floats, integers].concat().concat());
 }
 
 #[test]
