@@ -1,22 +1,19 @@
 //! General clouds: the fast engines against the reference, and what holds for any cloud.
 
 use planish::agreement::Agreement;
-use planish::{
-    Edges, Engine, EngineError, Error, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother,
-    Status,
-};
+use planish::{Edges, Engine, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother, Status};
 use planish_tests::bits::{bits, of_points};
 use planish_tests::data::{bunny, folder, general_cloud};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{simulated, small_camera};
 
-type Points = Vec<[f32; 3]>;
+pub(super) type Points = Vec<[f32; 3]>;
 
 /// Numbers that are the same in every run.
-struct Random(u64);
+pub(super) struct Random(pub(super) u64);
 
 impl Random {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         low + (high - low) * (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
@@ -32,17 +29,22 @@ fn engines() -> Vec<(String, TestEngine)> {
     cpu.chain([("gpu".to_owned(), TestEngine::gpu(false))]).collect()
 }
 
+/// One of each kind, for what does not depend on how many values a register holds.
+fn kinds() -> [(&'static str, TestEngine); 3] {
+    [("cpu", TestEngine::cpu(SimdLevel::best())), ("gpu", TestEngine::gpu(false)), ("reference", TestEngine::REFERENCE)]
+}
+
 /// The same, and the shader with its checks of bounds, which takes a software adapter as long again to compile.
 fn all_engines() -> Vec<(String, TestEngine)> {
     engines().into_iter().chain([("gpu with checks".to_owned(), TestEngine::gpu(true))]).collect()
 }
 
-fn smooth(engine: TestEngine, points: &[[f32; 3]], params: SmoothParams) -> Smoothed {
+pub(super) fn smooth(engine: TestEngine, points: &[[f32; 3]], params: SmoothParams) -> Smoothed {
     engine.smooth(PointsView::from_rows(points).unwrap(), params)
 }
 
 /// A noisy sphere, denser towards one pole by a factor of thousands as a scanner's view is, with stray points and repeated ones.
-fn uneven_sphere(count: usize, seed: u64) -> Points {
+pub(super) fn uneven_sphere(count: usize, seed: u64) -> Points {
     let mut random = Random(seed);
     let mut points: Points = (0..count)
         .map(|_| {
@@ -62,16 +64,16 @@ fn uneven_sphere(count: usize, seed: u64) -> Points {
 }
 
 /// A simulated frame of a camera without its grid.
-fn frame_points(seed: u64) -> Points {
+pub(super) fn frame_points(seed: u64) -> Points {
     simulated(seed, seed.is_multiple_of(2), small_camera()).positions().iter().collect()
 }
 
 /// A third of them: enough for what does not depend on how many there are.
-fn few_frame_points(seed: u64) -> Points {
+pub(super) fn few_frame_points(seed: u64) -> Points {
     frame_points(seed).into_iter().step_by(3).collect()
 }
 
-fn settings() -> Vec<SmoothParams> {
+pub(super) fn settings() -> Vec<SmoothParams> {
     let general = SmoothParams::general();
     let fixed = general.with_radius_m(0.06);
     let robust = general.with_edges(Edges::Robust);
@@ -153,87 +155,6 @@ fn real_clouds_agree() {
     }
 }
 
-/// How many points differ by more than rounding between a cloud smoothed on the GPU in parts and at once; `None` if its points reach too
-/// many others for parts.
-fn differing_in_parts(points: &[[f32; 3]], params: SmoothParams, points_at_once: usize) -> Option<usize> {
-    let whole = smooth(TestEngine::gpu(false), points, params);
-    let options = TestEngine { bounds_checks: false, ..TestEngine::in_parts(points_at_once) }.options(Outputs::ALL);
-    let mut parts = Smoothed::default();
-    let mut smoother = Smoother::open_with(params, &options, None).unwrap();
-    match smoother.smooth(PointsView::from_rows(points).unwrap(), &mut parts) {
-        Err(Error::Engine(EngineError::Crowded { .. })) => return None,
-        result => result.unwrap(),
-    }
-    let status = |smoothed: &Smoothed, i: usize| smoothed.status.as_ref().map(|status| status[i]);
-    let is_same = |i: usize| {
-        let [found, expected] = [parts.points.get(i), whole.points.get(i)];
-        let is_near = |axis: usize| {
-            let close = (found[axis] - expected[axis]).abs() < 1e-5;
-            close || (found[axis].is_nan() && expected[axis].is_nan())
-        };
-        status(&parts, i) == status(&whole, i) && (0..3).all(is_near)
-    };
-    Some((0..points.len()).filter(|&i| !is_same(i)).count())
-}
-
-#[test]
-fn clouds_in_parts_are_as_those_at_once() {
-    if planish_tests::engines::test_adapter().is_none() {
-        return;
-    }
-    // A point may miss that reaches more of the cloud than the device takes, and one whose neighbours' radii are much larger than its own.
-    let room = few_frame_points(2);
-    let general = SmoothParams::general();
-    let robust = general.with_edges(Edges::Robust);
-    for params in [general, robust.with_radius_m(0.06)] {
-        let differing = differing_in_parts(&room, params, 3500);
-        assert!(differing.is_some_and(|differing| differing <= 2), "{differing:?} of the room, {params:?}");
-    }
-    // What a scanner gives where nothing came back, all at one place and far from the rest: one run, not one for each.
-    let mut with_zeros = room.clone();
-    (0..with_zeros.len()).step_by(40).for_each(|i| with_zeros[i] = [0.0; 3]);
-    let differing = differing_in_parts(&with_zeros, general, 6000);
-    assert!(differing.is_some_and(|differing| differing <= 2), "{differing:?} with zeros");
-}
-
-#[test]
-#[ignore = "takes a minute; the gate runs it"]
-fn clouds_in_parts_are_as_those_at_once_in_every_setting() {
-    if planish_tests::engines::test_adapter().is_none() {
-        return;
-    }
-    let room = frame_points(2);
-    let (mut done, all) = (0, settings().len());
-    for params in settings() {
-        let Some(differing) = differing_in_parts(&room, params, 9000) else { continue };
-        assert!(differing <= room.len() / 5000, "{differing} of the room, {params:?}");
-        done += 1;
-    }
-    // With many neighbours, or edges kept, points reach much of so small a cloud.
-    assert!(2 * done > all, "{done} of {all}");
-}
-
-#[test]
-fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
-    if planish_tests::engines::test_adapter().is_none() {
-        return;
-    }
-    let sphere = uneven_sphere(6000, 3);
-    let mut one_place = sphere.clone();
-    one_place[..4500].fill(sphere[0]);
-    let general = SmoothParams::general();
-    let options = TestEngine::in_parts(4000).options(Outputs::POINTS);
-    for (points, params) in [(&sphere, general.with_radius_m(0.2)), (&one_place, general)] {
-        let mut smoother = Smoother::open_with(params, &options, None).unwrap();
-        let smooth = |smoother: &mut Smoother, points| {
-            smoother.smooth(PointsView::from_rows(points).unwrap(), &mut Smoothed::default())
-        };
-        let error = smooth(&mut smoother, points).unwrap_err().to_string();
-        assert!(error.contains("takes 4000 points of a cloud at once"), "{error}");
-        smooth(&mut smoother, &sphere[..100]).unwrap();
-    }
-}
-
 #[test]
 fn small_clouds_agree_and_lose_nothing() {
     let all = uneven_sphere(40, 5);
@@ -266,7 +187,7 @@ fn holes_stay_holes_at_their_index_and_stray_points_stay_where_they_are() {
     points[100] = stray;
     let holes: Vec<usize> = (0..points.len()).filter(|&i| points[i][2].is_nan()).chain([7, 5000]).collect();
     holes.iter().for_each(|&i| points[i] = [f32::NAN, 0.0, 1.0]);
-    for (name, engine) in engines().into_iter().chain([("reference".to_owned(), TestEngine::REFERENCE)]) {
+    for (name, engine) in kinds() {
         let found = smooth(engine, &points, SmoothParams::general());
         let status = found.status.as_ref().unwrap();
         assert!(holes.iter().all(|&i| status[i] == Status::Hole && found.points.get(i)[0].is_nan()), "{name}");
@@ -292,8 +213,8 @@ fn points_farther_than_the_engines_see_are_isolated_and_change_no_other() {
     let far = near.len()..points.len();
     let all = [SmoothParams::general(), SmoothParams::general().with_edges(Edges::Robust)];
     for params in all.into_iter().chain([SmoothParams::general().with_radius_m(0.05)]) {
-        for (name, engine) in engines() {
-            let [alone, found] = [&near, &points].map(|points| smooth(engine, points, params));
+        for (name, engine) in &kinds()[..2] {
+            let [alone, found] = [&near, &points].map(|points| smooth(*engine, points, params));
             let status = found.status.as_ref().unwrap();
             assert!(far.clone().all(|i| status[i] == Status::Isolated && found.points.get(i) == points[i]), "{name}");
             assert_eq!(status[..near.len()], alone.status.as_ref().unwrap()[..], "{name}");
@@ -381,8 +302,8 @@ fn clouds_of_any_size_and_place_come_out_smoother() {
     for spacing_m in [1e-8, 1e-6, 1.0, 1e5] {
         let mut random = Random(4);
         let points: Points = (0..3600).map(|i| plane(i, &mut random).map(|value| (value * spacing_m) as f32)).collect();
-        for (name, engine) in engines() {
-            let found = smooth(engine, &points, SmoothParams::general());
+        for (name, engine) in &kinds()[..2] {
+            let found = smooth(*engine, &points, SmoothParams::general());
             let rms = |points: &mut dyn Iterator<Item = [f32; 3]>| {
                 let (sum, count) = points.fold((0.0, 0), |(sum, n), p| (sum + f64::from(p[2]).powi(2), n + 1));
                 (sum / f64::from(count)).sqrt()
@@ -394,33 +315,11 @@ fn clouds_of_any_size_and_place_come_out_smoother() {
     // At the ends of f32, and beyond what squares hold.
     let mut wild = uneven_sphere(500, 6);
     (wild[3], wild[4], wild[5]) = ([3e38, 0.0, 0.0], [-3e38, 1e30, 0.0], [1e-40, 0.0, 1e-42]);
-    for (name, engine) in engines() {
+    for (name, engine) in &kinds()[..2] {
         for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(1e3)] {
-            let found = smooth(engine, &wild, params);
+            let found = smooth(*engine, &wild, params);
             assert!(found.points.iter().all(|p| p.iter().all(|value| value.is_finite())), "{name}, {params:?}");
         }
-    }
-}
-
-#[test]
-#[ignore = "takes seconds; the gate runs it"]
-fn a_driver_that_ends_loops_early_is_an_error() {
-    // The centre of a ball has more neighbours than lavapipe has rounds for; a GPU takes them all. The others, on its surface, reach a
-    // quarter of each other.
-    let mut random = Random(3);
-    let on_surface = |random: &mut Random| {
-        let (turn, z) = (random.between(0.0, std::f64::consts::TAU), random.between(-1.0, 1.0));
-        let across = (1.0 - z * z).sqrt();
-        [across * turn.cos(), across * turn.sin(), z].map(|value| value as f32)
-    };
-    let mut points: Points = (0..70_000).map(|_| on_surface(&mut random)).collect();
-    points.push([0.0; 3]);
-    let params = SmoothParams::general().with_radius_m(1.01).with_degree(1);
-    let mut smoother = Smoother::open_with(params, &TestEngine::gpu(false).options(Outputs::ALL), None).unwrap();
-    let mut found = Smoothed::default();
-    match smoother.smooth(PointsView::from_rows(&points).unwrap(), &mut found) {
-        Ok(()) => assert_eq!(found.neighbours.unwrap()[70_000], 70_001),
-        Err(error) => assert!(error.to_string().contains("ended a loop early"), "{error}"),
     }
 }
 
@@ -429,7 +328,7 @@ fn a_moved_sensor_turns_normals_and_moves_no_point() {
     let points = few_frame_points(1);
     let view = PointsView::from_rows(&points).unwrap();
     let behind = SensorPose { position_m: [0.0, 0.0, 50.0], ..SensorPose::IDENTITY };
-    for (name, engine) in engines().into_iter().chain([("reference".to_owned(), TestEngine::REFERENCE)]) {
+    for (name, engine) in kinds() {
         let own = engine.smooth(view, SmoothParams::general());
         let turned = engine.smooth(view.with_pose(behind).unwrap(), SmoothParams::general());
         assert_eq!(

@@ -5,6 +5,7 @@ mod clean;
 mod cpu_parity;
 mod edges;
 mod general;
+mod general_on_gpu;
 mod gpu_engine;
 mod gpu_parity;
 mod poses;
