@@ -1,4 +1,4 @@
-//! Results compared bit by bit, so that NaN equals NaN.
+//! Results compared bit by bit, but for NaN, which is NaN whatever its bits.
 
 use planish::{Smoothed, Xyz};
 
@@ -12,9 +12,9 @@ pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
         all.extend(values);
     };
     field(depth.as_ref().map(Vec::len), &mut depth.iter().flatten().map(|&raw| u32::from(raw)));
-    field(depth_m.as_ref().map(Vec::len), &mut depth_m.iter().flatten().map(|m| m.to_bits()));
+    field(depth_m.as_ref().map(Vec::len), &mut depth_m.iter().flatten().map(bits_of));
     field(normals.as_ref().map(Xyz::len), &mut normals.iter().flat_map(of_points));
-    field(curvature.as_ref().map(Vec::len), &mut curvature.iter().flatten().map(|value| value.to_bits()));
+    field(curvature.as_ref().map(Vec::len), &mut curvature.iter().flatten().map(bits_of));
     field(status.as_ref().map(Vec::len), &mut status.iter().flatten().map(|&status| status as u32));
     field(neighbours.as_ref().map(Vec::len), &mut neighbours.iter().flatten().copied());
     all
@@ -23,5 +23,9 @@ pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
 /// The bits of all x, all y and all z.
 pub fn of_points(points: &Xyz) -> Vec<u32> {
     let Xyz { x, y, z } = points;
-    [x, y, z].into_iter().flatten().map(|value| value.to_bits()).collect()
+    [x, y, z].into_iter().flatten().map(bits_of).collect()
+}
+
+fn bits_of(value: &f32) -> u32 {
+    if value.is_nan() { f32::NAN.to_bits() } else { value.to_bits() }
 }

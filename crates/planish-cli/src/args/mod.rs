@@ -349,9 +349,9 @@ pub struct EvaluateArgs {
     /// A real cloud, or a depth image with --camera: its flatness tile by tile before and after, of general clouds patch by patch
     #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "out"])]
     pub input: Option<PathBuf>,
-    /// Frames of a camera that stands still, over which it is measured how much points stir; fewer than 2 leave that out (of general clouds it
-    /// takes most of the time)
-    #[arg(long, value_name = "N", default_value_t = 30, conflicts_with_all = ["input", "rig", "export"])]
+    /// Frames of a camera that stands still, over which the jitter of points is measured; fewer than 2 leave it out (with --general it takes
+    /// most of the time)
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(..=300), conflicts_with_all = ["input", "rig", "export"])]
     pub still_frames: u64,
     /// Smooth the simulated frames as general clouds, without their grid; the default setting on the grid stands beside
     #[arg(long, conflicts_with_all = ["input", "export", "results"])]

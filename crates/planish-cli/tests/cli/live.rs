@@ -110,6 +110,7 @@ fn a_stream_that_is_killed_leaves_only_whole_files() {
         entries.filter(|path| path.extension().is_some_and(|extension| extension == "pcd")).collect::<Vec<_>>()
     };
     while saved().len() < 5 {
+        assert!(child.try_wait().unwrap().is_none_or(|status| status.success()), "it ended early");
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
     child.kill().unwrap();

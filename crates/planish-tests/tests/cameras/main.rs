@@ -1,4 +1,4 @@
-//! Cameras in software, for which the tests mostly wait. No other test is here: librealsense has threads to the end of the process.
+//! Cameras in software, for which these tests mostly wait. No others should be here: librealsense has threads until the process ends.
 
 mod openni2;
 mod realsense;

@@ -1,7 +1,7 @@
 //! General clouds on a GPU: in parts where they are larger than it takes at once, and drivers that do not do all they were asked.
 
 use planish::{Edges, EngineError, Error, Outputs, PointsView, SmoothParams, Smoothed, Smoother};
-use planish_tests::engines::TestEngine;
+use planish_tests::engines::{TestEngine, test_adapter};
 
 use super::general::{Points, Random, few_frame_points, frame_points, settings, smooth, uneven_sphere};
 
@@ -30,7 +30,7 @@ fn differing_in_parts(points: &[[f32; 3]], params: SmoothParams, points_at_once:
 
 #[test]
 fn clouds_in_parts_are_as_those_at_once() {
-    if planish_tests::engines::test_adapter().is_none() {
+    if test_adapter().is_none() {
         return;
     }
     // A point may miss that reaches more of the cloud than the device takes, and one whose neighbours' radii are much larger than its own.
@@ -51,7 +51,7 @@ fn clouds_in_parts_are_as_those_at_once() {
 #[test]
 #[ignore = "takes a minute; the gate runs it"]
 fn clouds_in_parts_are_as_those_at_once_in_every_setting() {
-    if planish_tests::engines::test_adapter().is_none() {
+    if test_adapter().is_none() {
         return;
     }
     let room = frame_points(2);
@@ -67,7 +67,7 @@ fn clouds_in_parts_are_as_those_at_once_in_every_setting() {
 
 #[test]
 fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
-    if planish_tests::engines::test_adapter().is_none() {
+    if test_adapter().is_none() {
         return;
     }
     let sphere = uneven_sphere(6000, 3);

@@ -5,12 +5,12 @@ use std::time::Duration;
 
 static SECONDS: AtomicU64 = AtomicU64::new(5);
 
-/// After so long a silence, which is whole seconds, a device counts as gone.
+/// Returns how long a device may be silent before it counts as gone, in whole seconds.
 pub(super) fn longest_silence() -> Duration {
     Duration::from_secs(SECONDS.load(Ordering::Relaxed))
 }
 
-/// Has the sources of this process wait less, or longer: tests wait for nothing else.
+/// Sets that for all sources of this process, so that tests need not wait for so long.
 #[cfg(feature = "internal")]
 pub fn set_longest_silence_s(seconds: u64) {
     SECONDS.store(seconds, Ordering::Relaxed);

@@ -76,11 +76,14 @@ fn mode(width: usize, height: usize, fps: Option<u32>) -> Option<StreamMode> {
     Some(StreamMode { width, height, fps })
 }
 
-/// The folder of the process that is told by its environment where OpenNI2 is.
+/// The environment variable that names the folder of the process that this test starts.
 const FOLDER: &str = "PLANISH_TEST_OPENNI2";
 
-/// After how many frames the driver unplugs its camera, in the folder.
+/// The file in it that says after how many frames the driver unplugs its camera.
 const UNPLUG: &str = "unplug";
+
+/// What the process says when it has come to its end.
+const DONE: &str = "OpenNI2: all done";
 
 #[test]
 fn cameras_stream_and_recordings_play() {
@@ -94,21 +97,25 @@ fn cameras_stream_and_recordings_play() {
         .output()
         .unwrap();
     let [said, failed] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
-    assert!(output.status.success() && said.contains("1 passed"), "{said}{failed}");
+    assert!(output.status.success() && said.contains(DONE), "{said}{failed}");
 }
 
 #[test]
 #[ignore = "the test above runs it: the library's devices are those of the whole process"]
 fn in_a_process_of_its_own() {
-    let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else { return };
+    let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else {
+        eprintln!("SKIP OpenNI2: {FOLDER} names no folder");
+        return;
+    };
     let library = folder.join("libOpenNI2.so.0");
-    planish::internal::set_longest_silence_s(2);
+    planish::internal::set_longest_silence_s(3);
 
     a_camera_streams_in_its_mode();
     colour_comes_with_depth_that_is_mapped_to_it();
     what_it_lacks_is_refused();
     recordings_play(&library, &folder);
     one_that_is_unplugged_is_gone_and_comes_back(&folder);
+    println!("{DONE}");
 }
 
 fn a_camera_streams_in_its_mode() {
@@ -152,7 +159,7 @@ fn colour_comes_with_depth_that_is_mapped_to_it() {
         let (number, rgb) = (number_of(&frame), frame.rgb.unwrap());
         let expected = (0..640 * 480).map(|i| [(i % 640) as u8, (i / 640) as u8, rgb[2]]);
         assert!(rgb.iter().copied().eq(expected.flatten()));
-        assert!(rgb[2].abs_diff(number as u8) <= 3, "{} {number}", rgb[2]);
+        assert!(rgb[2].abs_diff(number as u8) <= 8, "{} {number}", rgb[2]);
     }
 }
 

@@ -22,7 +22,7 @@ const SHAPE: (usize, usize) = (848, 480);
 const COLOR_SHAPE: (usize, usize) = (640, 480);
 
 fn library() -> Option<&'static RealSense> {
-    planish::internal::set_longest_silence_s(2);
+    planish::internal::set_longest_silence_s(3);
     let library = RealSense::load();
     if let Err(reason) = &library {
         assert!(std::env::var_os("PLANISH_REQUIRE_REALSENSE").is_none(), "{reason}");
