@@ -152,10 +152,21 @@ fn every_engine_agrees_with_the_reference_in_every_setting() {
 
 #[test]
 fn real_clouds_agree() {
+    assert_real_clouds_agree(5);
+}
+
+#[test]
+#[ignore = "takes seconds; the gate runs it"]
+fn denser_real_clouds_agree() {
+    assert_real_clouds_agree(3);
+}
+
+/// One of so many points of each.
+fn assert_real_clouds_agree(one_of: usize) {
     let engines = engines();
     let Some(data) = folder("general clouds") else { return };
     for name in ["unorganized/milk_color.pcd", "unorganized/room_scan1.pcd"] {
-        let points: Points = general_cloud(&data, name).positions.iter().step_by(5).collect();
+        let points: Points = general_cloud(&data, name).positions.iter().step_by(one_of).collect();
         assert_agree(&engines, name, &points, SmoothParams::general());
         // The scanner's foot has so many points that lavapipe ends a loop there, and says so.
         if name.contains("milk") {

@@ -89,6 +89,9 @@ fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
 #[test]
 #[ignore = "takes seconds; the gate runs it"]
 fn a_driver_that_ends_loops_early_is_an_error() {
+    if test_adapter().is_none() {
+        return;
+    }
     // The centre of a ball has more neighbours than lavapipe has rounds for; a GPU takes them all. The others, on its surface, reach a
     // quarter of each other.
     let mut random = Random(3);

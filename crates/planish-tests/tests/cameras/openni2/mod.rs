@@ -159,7 +159,7 @@ fn colour_comes_with_depth_that_is_mapped_to_it() {
         let (number, rgb) = (number_of(&frame), frame.rgb.unwrap());
         let expected = (0..640 * 480).map(|i| [(i % 640) as u8, (i / 640) as u8, rgb[2]]);
         assert!(rgb.iter().copied().eq(expected.flatten()));
-        assert!(rgb[2].abs_diff(number as u8) <= 8, "{} {number}", rgb[2]);
+        assert!(rgb[2].abs_diff(number as u8) <= 3, "{} {number}", rgb[2]);
     }
 }
 
