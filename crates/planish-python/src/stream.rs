@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use numpy::{PyArray1, PyArrayMethods};
-use planish::source::{self, Alignment, SourceFrame, SourceOptions, StreamMode};
+use planish::source::{self, Alignment, OwnedFrame, SourceOptions, StreamMode};
 use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
 use planish::{Error, Outputs, Xyz};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -58,10 +58,10 @@ impl Delivered {
         let smoothed = &frame.smoothed;
         Self {
             frame: match &frame.source {
-                SourceFrame::Depth(depth) => {
+                OwnedFrame::Depth(depth) => {
                     Frame::Depth { raw: depth.raw.clone(), rgb: depth.rgb.clone(), camera: PyCamera(depth.camera) }
                 }
-                SourceFrame::Cloud { cloud, .. } => Frame::Points(rows(&cloud.points.positions)),
+                OwnedFrame::Cloud { cloud, .. } => Frame::Points(rows(&cloud.points.positions)),
                 _ => Frame::Points(Vec::new()),
             },
             shape: (smoothed.width, smoothed.height),

@@ -68,10 +68,12 @@ pub fn real_frames(test: &str) -> Vec<RealFrame> {
         ("icl/depth_1.png", icl),
         ("realsense/0.png", realsense),
     ];
-    let cloud =
-        |name: &'static str| RealFrame { name, cloud: OrganizedCloud::read(&folder.join(name)).expect("a whole file") };
+    let cloud = |name: &'static str| RealFrame {
+        name,
+        cloud: planish::io::read_organized(&folder.join(name)).expect("a whole file"),
+    };
     let depth = |(name, camera): (&'static str, Camera)| {
-        let frame = DepthFrame::read(&folder.join(name), camera).expect("a whole file");
+        let frame = planish::io::read_depth_frame(&folder.join(name), camera).expect("a whole file");
         RealFrame { name, cloud: frame.deproject().expect("a valid frame") }
     };
     clouds.map(cloud).into_iter().chain(depths.map(depth)).collect()

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use planish::internal::lose_gpu_devices;
-use planish::source::{Source, SourceFrame};
+use planish::source::{OwnedFrame, Source};
 use planish::{DepthFrame, Error};
 
 /// Gives one frame, stamped 0, 1, 2 and so on, for each result, so that GPUs are lost between frames.
@@ -29,7 +29,7 @@ impl OneByOne {
 }
 
 impl Source for OneByOne {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         while self.results.load(Ordering::Relaxed) < self.next {
             std::thread::yield_now();
         }
@@ -41,6 +41,6 @@ impl Source for OneByOne {
         }
         let frame = self.frame.clone().with_timestamp_s(self.next as f64);
         self.next += 1;
-        Ok(Some(SourceFrame::Depth(frame)))
+        Ok(Some(OwnedFrame::Depth(frame)))
     }
 }

@@ -9,7 +9,7 @@ fn main() -> Result<(), Error> {
         eprintln!("usage: 01_one_frame FRAME.pcd SMOOTH.pcd");
         std::process::exit(2);
     };
-    let mut cloud = OrganizedCloud::read(input.as_ref())?;
+    let mut cloud = planish::io::read_organized(input.as_ref())?;
     let params = SmoothParams::default().at_resolution_of(&cloud);
     let mut smoother = Smoother::open(params, Engine::Auto, (cloud.width(), cloud.height()))?;
     let mut smoothed = Smoothed::default();

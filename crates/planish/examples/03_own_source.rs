@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use planish::source::{Source, SourceFrame};
+use planish::source::{OwnedFrame, Source};
 use planish::stream::{self, StreamOptions};
 use planish::{Camera, DepthFrame, Error, SmoothParams, SmootherOptions};
 
@@ -13,7 +13,7 @@ struct MyCamera {
 }
 
 impl Source for MyCamera {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         if self.frames == 90 {
             return Ok(None);
         }
@@ -24,7 +24,7 @@ impl Source for MyCamera {
         let raw = vec![wall as u16; width * height];
         let mut frame = DepthFrame::new(self.camera, raw)?;
         frame.timestamp_s = Some(f64::from(self.frames) / 30.0);
-        Ok(Some(SourceFrame::Depth(frame)))
+        Ok(Some(OwnedFrame::Depth(frame)))
     }
 
     /// True for a camera that goes on whether or not its frames are taken.

@@ -50,102 +50,37 @@
     clippy::print_stdout,
     clippy::print_stderr
 )]
+#![cfg_attr(docsrs, feature(doc_cfg))]
 
-#[cfg(feature = "internal")]
-#[doc(hidden)]
-pub mod agreement;
-#[cfg(feature = "mcap")]
-pub mod bag;
-mod camera;
-pub mod clean;
-mod cloud;
-mod colour;
-mod cpu;
-mod devices;
-mod eigen;
-mod engine;
-mod engines;
-mod error;
-#[cfg(feature = "evaluate")]
-pub mod evaluate;
-mod fleet;
-mod floating;
-mod frame;
-#[cfg(any(feature = "gpu", feature = "webgpu"))]
-mod gpu;
-#[cfg(feature = "io")]
-pub mod io;
-mod method;
-mod neighbours;
-mod outputs;
-mod params;
-mod pose;
-mod progress;
-mod range;
-#[cfg(feature = "reference")]
-mod reference;
-#[cfg(feature = "evaluate")]
-pub mod render;
-#[cfg(feature = "stream")]
-pub mod rig;
-#[cfg(feature = "ros")]
-pub mod ros;
-mod sensor;
-mod simd_level;
+pub use planish_core::*;
 #[cfg(feature = "simulate")]
-pub mod simulate;
-mod smoothed;
-mod smoother;
-#[cfg(feature = "stream")]
-pub mod source;
-mod status;
-#[cfg(feature = "stream")]
-pub mod stream;
-mod threads;
+pub use planish_eval::simulate;
+#[cfg(feature = "evaluate")]
+pub use planish_eval::{evaluate, render};
+#[cfg(feature = "io")]
+pub use planish_io as io;
 #[cfg(feature = "scans")]
-pub mod tiles;
-mod timings;
-mod view;
-mod xyz;
+pub use planish_io::tiles;
+#[cfg(feature = "stream")]
+pub use planish_live::{rig, source, stream};
+#[cfg(feature = "ros")]
+pub use planish_ros2::ros;
 
-/// The GPU engine as data, for hosts of WebGPU that are not wgpu.
-#[cfg(feature = "webgpu")]
-pub mod webgpu {
-    pub use crate::gpu::plan::{Plan, PlannedPass, WebGpuLimits};
+/// ROS 2 recordings in MCAP.
+#[cfg(feature = "mcap")]
+pub mod bag {
+    pub use planish_live::stream::BagSink;
+    pub use planish_ros2::bag::*;
 }
-
-pub use camera::{Camera, Distortion, SATURATED_DEPTH};
-pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns};
-pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
-pub use engines::{Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters};
-pub use error::{DeviceError, EngineError, Error, FormatError, FrameError, IoError, ParamError};
-pub use fleet::{Fleet, FleetDevice, FleetMember, SharedFrame};
-pub use frame::{DepthFrame, DepthImage, DepthView, Frame, IntoFrame, PointLayout, PointsView, RangeRule, Scalar};
-pub use outputs::{Outputs, SmoothedMut, VectorsMut};
-pub use params::{Edges, Project, Radius, SmoothParams, Strength};
-pub use pose::SensorPose;
-pub use progress::Progress;
-pub use sensor::SensorModel;
-pub use simd_level::SimdLevel;
-pub use smoothed::Smoothed;
-pub use smoother::Smoother;
-pub use status::Status;
-pub use timings::FrameTimings;
-pub use view::SmoothedView;
-#[cfg(feature = "wgpu-interop")]
-pub use wgpu;
-pub use xyz::{MAX_PIXELS, Xyz};
 
 /// What the project's own tests and experiments need and its users do not; it may change with every version.
 #[doc(hidden)]
 #[cfg(feature = "internal")]
 pub mod internal {
-    pub use crate::agreement;
-    pub use crate::fleet::lose_device as lose_fleet_device;
-    #[cfg(feature = "gpu")]
-    pub use crate::gpu::lose_devices as lose_gpu_devices;
+    pub use planish_core::agreement;
+    pub use planish_core::internal::*;
     #[cfg(feature = "io")]
-    pub use crate::io::internal::*;
+    pub use planish_io::internal::*;
     #[cfg(feature = "stream")]
-    pub use crate::source::internal::*;
+    pub use planish_live::internal::*;
 }

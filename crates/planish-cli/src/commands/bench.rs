@@ -44,7 +44,7 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
 }
 
 fn run_gpu(args: &BenchGpuArgs) -> Result<ExitCode> {
-    let cloud = args.input.as_ref().map(|path| OrganizedCloud::read(path)).transpose().map_err(Error::from)?;
+    let cloud = args.input.as_ref().map(|path| planish::io::read_organized(path)).transpose().map_err(Error::from)?;
     let input = cloud.zip(args.input.as_ref()).map(|(cloud, path)| (path.display().to_string(), cloud));
     let devices = args.gpus.devices(Engine::Gpu)?;
     let first = devices.iter().find_map(|device| match device {

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use planish::Error;
-use planish::source::{SourceFrame, TumRecorder};
+use planish::source::{OwnedFrame, TumRecorder};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
@@ -56,9 +56,9 @@ impl Recorder {
         Ok(TumRecorder::create(output).map(drop)?)
     }
 
-    fn add(&mut self, source: &str, frame: &SourceFrame) -> Result<()> {
+    fn add(&mut self, source: &str, frame: &OwnedFrame) -> Result<()> {
         match (self, frame) {
-            (Self::Tum(recorder), SourceFrame::Depth(frame)) => Ok(recorder.add(frame)?),
+            (Self::Tum(recorder), OwnedFrame::Depth(frame)) => Ok(recorder.add(frame)?),
             (Self::Tum(_), _) => {
                 bail!(
                     "{source}: gives clouds; a data set in TUM layout has depth images (a recording, .mcap, takes clouds)"

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use planish::source::{self, Source, SourceFrame, SourceOptions};
+use planish::source::{self, OwnedFrame, Source, SourceOptions};
 use planish::stream::{self, FolderSink, Latency, Sink, SinkFormat, StreamEvent, StreamOptions, StreamStatistics};
 use planish::{DeviceError, Error, Outputs, SensorModel};
 use planish_bench::{errln, outln};
@@ -217,13 +217,13 @@ impl Source for WithoutFloating {
         self.source.end_with(ended);
     }
 
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         let mut frame = self.source.next_frame()?;
         match &mut frame {
-            Some(SourceFrame::Depth(depth)) => {
+            Some(OwnedFrame::Depth(depth)) => {
                 depth.remove_floating(&self.sensor);
             }
-            Some(SourceFrame::Cloud { cloud, .. }) => {
+            Some(OwnedFrame::Cloud { cloud, .. }) => {
                 cloud.remove_floating(&self.sensor);
             }
             _ => {}
@@ -268,7 +268,7 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
         self.ended = ended;
     }
 
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         let is_set = |flag: &AtomicBool| flag.load(Ordering::Relaxed);
         while !is_set(&self.stop) && !is_set(&self.ended) && self.until.is_none_or(|until| Instant::now() < until) {
             if let Some(source) = &mut self.source {
@@ -418,13 +418,13 @@ mod tests {
     }
 
     impl Source for Unplugged {
-        fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+        fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
             if self.frames == 0 {
                 return Err(DeviceError::Gone { what: "the test's camera".into() }.into());
             }
             self.frames -= 1;
             let camera = Camera::kinect_v1().with_shape((4, 3));
-            Ok(Some(SourceFrame::Depth(DepthFrame::new(camera, vec![1000; 12]).unwrap())))
+            Ok(Some(OwnedFrame::Depth(DepthFrame::new(camera, vec![1000; 12]).unwrap())))
         }
     }
 

@@ -47,7 +47,7 @@ fn smooth_keeps_grid_holes_and_colour_and_reports_in_json() {
     assert_eq!(sum, 160 * 120);
     assert!(["auto", ""].iter().all(|name| report["engine"] != *name));
 
-    let smoothed = OrganizedCloud::read(&output).unwrap();
+    let smoothed = planish::io::read_organized(&output).unwrap();
     assert_eq!((smoothed.width(), smoothed.height()), (160, 120));
     assert_eq!(smoothed.points.rgb(), input.points.rgb());
     assert_eq!(smoothed.points.attributes.len(), 1, "no fields but those of the input");
@@ -65,7 +65,7 @@ fn fields_are_added_when_asked_for() {
     let (folder, _, path) = with_frame();
     let output = folder.path().join("fields.pcd");
     ok(&["smooth", str(&path), str(&output), "--fields", "normals,curvature,status"]);
-    let cloud = OrganizedCloud::read(&output).unwrap();
+    let cloud = planish::io::read_organized(&output).unwrap();
     let names: Vec<&str> = cloud.points.attributes.iter().map(|a| a.name.as_str()).collect();
     assert_eq!(names, ["rgb", "normal_x", "normal_y", "normal_z", "curvature", "status"]);
     let AttributeValues::U8(status) = &cloud.points.attribute("status").unwrap().values else { panic!("status") };
@@ -91,9 +91,9 @@ fn depth_in_gives_depth_out_and_points_when_the_name_says_so() {
     fs::write(path("camera.json"), r#"{"fx":131.25,"fy":131.25,"cx":79.5,"cy":59.5,"width":160,"height":120}"#)
         .unwrap();
     ok(&["smooth", str(&path("in.png")), str(&path("points.ply")), "--camera-file", str(&path("camera.json"))]);
-    assert_eq!(OrganizedCloud::read(&path("points.ply")).unwrap().width(), 160);
+    assert_eq!(planish::io::read_organized(&path("points.ply")).unwrap().width(), 160);
     ok(&["smooth", str(&path("points.ply")), str(&path("points.npy"))]);
-    assert_eq!(OrganizedCloud::read(&path("points.npy")).unwrap().height(), 120);
+    assert_eq!(planish::io::read_organized(&path("points.npy")).unwrap().height(), 120);
     assert!(refused(&["smooth", str(&path("in.png")), str(&path("x.pcd"))]).contains("--camera"));
 }
 
@@ -179,7 +179,8 @@ fn engines_agree_and_threads_change_no_byte() {
     assert!(one == three && one == auto_bytes);
     let (reference, _, reference_path) = run("reference.pcd", &["--engine", "reference"]);
     assert_eq!(reference, "reference");
-    let (fast, slow) = (OrganizedCloud::read(&cpu_path).unwrap(), OrganizedCloud::read(&reference_path).unwrap());
+    let (fast, slow) =
+        (planish::io::read_organized(&cpu_path).unwrap(), planish::io::read_organized(&reference_path).unwrap());
     let far = fast.positions().iter().zip(slow.positions().iter()).filter(|(p, q)| {
         let off = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f32>().sqrt();
         p[2].is_nan() != q[2].is_nan() || off > 2e-5
@@ -390,7 +391,7 @@ fn clean_removes_what_was_asked_for_and_keeps_fields_and_grids() {
     let path_of = |name: &str| folder.path().join(name);
     let cleaned = path_of("clean.pcd");
     let report = json_line(&ok(&["clean", str(&path), str(&cleaned), "--statistical", "20,2", "--json"]));
-    let organized = OrganizedCloud::read(&cleaned).unwrap();
+    let organized = planish::io::read_organized(&cleaned).unwrap();
     assert_eq!((organized.width(), organized.height()), (cloud.width(), cloud.height()));
     let removed = report["statistical_outliers"].as_u64().unwrap() as usize;
     assert!(removed > 0 && organized.points.valid_points() == cloud.points.valid_points() - removed);

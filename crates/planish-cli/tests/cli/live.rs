@@ -19,7 +19,7 @@ fn a_stream_is_saved_and_counted() {
     assert_eq!((report["frames_out"].as_u64(), report["dropped"].as_u64()), (Some(5), Some(0)));
     assert!(report["latency_ms"]["p99"].as_f64().unwrap() > 0.0 && report["engine"] == "cpu");
     for i in 0..5 {
-        let cloud = OrganizedCloud::read(&out.join(format!("{i:06}.pcd"))).unwrap();
+        let cloud = planish::io::read_organized(&out.join(format!("{i:06}.pcd"))).unwrap();
         assert!(cloud.points.attribute("rgb").is_some() && cloud.points.valid_points() > 200_000);
     }
     if !cfg!(feature = "rerun") {
@@ -116,7 +116,7 @@ fn a_stream_that_is_killed_leaves_only_whole_files() {
     child.kill().unwrap();
     child.wait().unwrap();
     for file in saved() {
-        assert_eq!(OrganizedCloud::read(&file).unwrap().points.len(), 640 * 480);
+        assert_eq!(planish::io::read_organized(&file).unwrap().points.len(), 640 * 480);
     }
 }
 
@@ -158,7 +158,7 @@ fn a_kinect_that_plays_a_recording_is_recorded_and_streams_back() {
     let mut source = planish::source::TumSource::open(&recorded, None, None).unwrap();
     let mut count = 0;
     while let Some(frame) = planish::source::Source::next_frame(&mut source).unwrap() {
-        let planish::source::SourceFrame::Depth(found) = frame else { panic!("a depth frame") };
+        let planish::source::OwnedFrame::Depth(found) = frame else { panic!("a depth frame") };
         // A frame may be missed on a machine that is busy; what comes is one of those played.
         let number = (found.timestamp_s.unwrap() * 30.0).round() as usize;
         for (found, expected) in found.raw.iter().zip(&frames[number].raw) {

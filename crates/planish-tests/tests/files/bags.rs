@@ -7,7 +7,7 @@ use planish::bag::{BagSource, BagWriter, SmoothBagOptions, SmoothBagReport, Surv
 use planish::io::ReadOptions;
 use planish::ros::MessageSmoother;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::source::{Source, SourceFrame};
+use planish::source::{OwnedFrame, Source};
 use planish::{
     Camera, DepthFrame, Distortion, Engine, EngineError, Error, Outputs, SmoothParams, Smoothed, Smoother,
     SmootherOptions,
@@ -33,12 +33,12 @@ fn frames(camera: Camera) -> Vec<DepthFrame> {
 fn recording(folder: &TempDir, camera: Camera) -> (PathBuf, Vec<DepthFrame>) {
     let (path, frames) = (folder.path().join("depth.mcap"), frames(camera));
     let mut writer = BagWriter::create(&path).unwrap();
-    frames.iter().for_each(|frame| writer.add(&SourceFrame::Depth(frame.clone())).unwrap());
+    frames.iter().for_each(|frame| writer.add(&OwnedFrame::Depth(frame.clone())).unwrap());
     writer.finish().unwrap();
     (path, frames)
 }
 
-fn read_all(path: &Path) -> Vec<SourceFrame> {
+fn read_all(path: &Path) -> Vec<OwnedFrame> {
     let mut source = BagSource::open(path, None, None, None).unwrap();
     std::iter::from_fn(|| source.next_frame().unwrap()).collect()
 }
@@ -60,7 +60,7 @@ fn depth_comes_back_with_camera_and_time_stamps() {
         let (path, frames) = recording(&folder, camera);
         assert!(is_bag(&path) && !is_bag(folder.path()));
         let back = read_all(&path);
-        assert!(back == frames.into_iter().map(SourceFrame::Depth).collect::<Vec<_>>());
+        assert!(back == frames.into_iter().map(OwnedFrame::Depth).collect::<Vec<_>>());
     }
 }
 
@@ -69,7 +69,7 @@ fn other_units_become_metres() {
     let folder = TempDir::new().unwrap();
     let camera = small_camera().with_depth_units_per_metre(5000.0);
     let (path, frames) = recording(&folder, camera);
-    let SourceFrame::Cloud { cloud, .. } = &read_all(&path)[0] else { panic!("a cloud") };
+    let OwnedFrame::Cloud { cloud, .. } = &read_all(&path)[0] else { panic!("a cloud") };
     assert_eq!(cloud.camera.map(|camera| camera.fx), Some(camera.fx));
     for (raw, z) in frames[0].raw.iter().zip(&cloud.points.positions.z) {
         assert!(camera.depth_m(*raw).to_bits() == z.to_bits() || (z.is_nan() && camera.depth_m(*raw).is_nan()));
@@ -85,11 +85,11 @@ fn clouds_come_back_with_all_their_fields() {
     cloud.camera = None;
     cloud.points.set_attribute("label", (0..cloud.points.len()).map(|i| i as u16).collect::<Vec<_>>());
     let mut writer = BagWriter::create(&path).unwrap();
-    writer.add(&SourceFrame::Depth(depth)).unwrap();
+    writer.add(&OwnedFrame::Depth(depth)).unwrap();
     writer.add_cloud(&cloud.points, Some((cloud.width(), cloud.height())), Some(3.5)).unwrap();
     writer.finish().unwrap();
     let mut source = BagSource::open(&path, Some("/camera/depth/points"), None, None).unwrap();
-    let Some(SourceFrame::Cloud { cloud: back, timestamp_s, .. }) = source.next_frame().unwrap() else {
+    let Some(OwnedFrame::Cloud { cloud: back, timestamp_s, .. }) = source.next_frame().unwrap() else {
         panic!("a cloud")
     };
     assert_eq!(timestamp_s, Some(3.5));
@@ -111,7 +111,7 @@ fn smoothing_a_recording_is_smoothing_its_frames() {
     for (frame, smoothed) in frames.iter().zip(read_all(&output)) {
         let mut expected = Smoothed::default();
         alone.smooth(frame, &mut expected).unwrap();
-        let SourceFrame::Depth(smoothed) = smoothed else { panic!("depth") };
+        let OwnedFrame::Depth(smoothed) = smoothed else { panic!("depth") };
         assert!(Some(&smoothed.raw) == expected.depth.as_ref() && smoothed.raw != frame.raw);
         assert_eq!(smoothed.timestamp_s, frame.timestamp_s);
     }

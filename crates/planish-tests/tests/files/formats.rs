@@ -260,7 +260,7 @@ fn real_pcd_files_survive_the_way_there_and_back() {
     let temporary = tempfile::tempdir().unwrap();
     let path = temporary.path().join("copy.pcd");
     for name in ["kinect/office1.pcd", "kinect/milk_cartoon_all_small_clorox.pcd", "kinect/capture0001.pcd"] {
-        let cloud = OrganizedCloud::read(&data.join(name)).unwrap();
+        let cloud = planish::io::read_organized(&data.join(name)).unwrap();
         for encoding in [Encoding::Binary, Encoding::BinaryCompressed] {
             io::write_cloud(&path, &cloud, encoding).unwrap();
             let copy = organized(&path);
@@ -278,9 +278,9 @@ fn real_pcd_files_survive_the_way_there_and_back() {
 #[test]
 fn the_same_kinect_frame_as_tiff_and_as_pcd_is_the_same_cloud() {
     let Some(data) = folder("TIFF against PCD") else { return };
-    let cloud = OrganizedCloud::read(&data.join("kinect/frame_20121214T142255.814212.pcd")).unwrap();
+    let cloud = planish::io::read_organized(&data.join("kinect/frame_20121214T142255.814212.pcd")).unwrap();
     let tiff = data.join("kinect/frame_20121214T142255.814212_depth.tiff");
-    let depth = DepthFrame::read(&tiff, Camera::kinect_v1()).unwrap().deproject().unwrap();
+    let depth = planish::io::read_depth_frame(&tiff, Camera::kinect_v1()).unwrap().deproject().unwrap();
     for (i, (p, q)) in cloud.positions().iter().zip(depth.positions().iter()).enumerate() {
         assert_eq!(cloud.positions().is_finite(i), depth.positions().is_finite(i));
         // The driver has its own principal point; z is the same.

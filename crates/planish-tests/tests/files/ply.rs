@@ -24,7 +24,7 @@ fn a_ply_states_pose_and_grid_as_pcl_does() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("pcl.ply");
     fs::write(&path, &text).unwrap();
-    let mut cloud = OrganizedCloud::read(&path).unwrap();
+    let mut cloud = planish::io::read_organized(&path).unwrap();
     assert_eq!((cloud.width(), cloud.height(), cloud.points.valid_points()), (2, 2, 3));
     let pose = SensorPose::from_viewpoint([f64::from(0.1f32), 0.0, f64::from(0.6f32), 0.5, -0.5, 0.5, -0.5]);
     let near = |a: &SensorPose, b: &SensorPose, tolerance: f64| {
@@ -36,14 +36,14 @@ fn a_ply_states_pose_and_grid_as_pcl_does() {
         cloud.points.pose.position_m = position_m;
         for encoding in [Encoding::Ascii, Encoding::Binary] {
             io::write_cloud(&path, &cloud, encoding).unwrap();
-            let again = OrganizedCloud::read(&path).unwrap();
+            let again = planish::io::read_organized(&path).unwrap();
             assert!(near(&again.points.pose, &cloud.points.pose, 1e-6), "{encoding:?}: {:?}", again.points.pose);
         }
     }
     // MeshLab means other axes by the same names, and has a focal length; a damaged camera harms no vertex.
     let replaced = |from: &str, to: &str| {
         fs::write(&path, text.replace(from, to)).unwrap();
-        OrganizedCloud::read(&path).map(|cloud| cloud.points.pose)
+        planish::io::read_organized(&path).map(|cloud| cloud.points.pose)
     };
     assert_eq!(replaced(" 0 0 0 0 0 2 2 0 0", " 8.5 0 0 0 0 2 2 0 0").unwrap(), SensorPose::IDENTITY);
     assert!(near(&replaced("nothing", "").unwrap(), &pose, 1e-6));
@@ -112,7 +112,7 @@ fn comments_and_object_information_of_a_ply_are_kept() {
     for line in ["comment made by hand", "obj_info is_mesh 0", "obj_info num_cols 2", "obj_info num_rows 2"] {
         assert_eq!(count(line), 1, "{line} in {written}");
     }
-    assert_eq!(OrganizedCloud::read(&path).unwrap(), cloud);
+    assert_eq!(planish::io::read_organized(&path).unwrap(), cloud);
 }
 
 #[test]

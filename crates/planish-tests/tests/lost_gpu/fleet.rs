@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use planish::internal::lose_gpu_devices;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::source::{Source, SourceFrame};
+use planish::source::{OwnedFrame, Source};
 use planish::stream::{Sink, StreamEvent, StreamFrame, StreamOptions, run};
 use planish::{
     DepthFrame, Engine, Error, Fleet, FleetDevice, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
@@ -55,7 +55,7 @@ struct Recorded {
 }
 
 impl Source for Recorded {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         let is_over = self.told.load(Ordering::Relaxed) || self.start.elapsed() > Duration::from_secs(30);
         if is_over {
             self.last.get_or_insert(self.next.next_multiple_of(FRAMES) + FRAMES);
@@ -65,7 +65,7 @@ impl Source for Recorded {
         }
         let frame = &self.frames[self.next % FRAMES];
         self.next += 1;
-        Ok(Some(SourceFrame::Depth(DepthFrame::clone(frame))))
+        Ok(Some(OwnedFrame::Depth(DepthFrame::clone(frame))))
     }
 }
 

@@ -3,7 +3,7 @@
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{RigSmoother, RigWay, merged_params};
 use planish::simulate::PoseErrors;
-use planish::source::SourceFrame;
+use planish::source::OwnedFrame;
 use planish::{
     AttributeValues, Camera, DepthFrame, Engine, FleetDevice, GpuOptions, IntoFrame, Outputs, PointCloud, SmoothParams,
     Smoothed, Smoother, SmootherOptions, Xyz,
@@ -148,10 +148,10 @@ fn organized_clouds_in_another_frame_than_their_camera_s_fuse_to_the_same() {
     let rig = rig_of(&case);
     let params = vec![SmoothParams::default().at_resolution_of(&case.cameras[0].frame); 2];
     for way in [RigWay::Each, RigWay::Views] {
-        let depth: Vec<SourceFrame> =
-            case.cameras.iter().map(|camera| SourceFrame::Depth(camera.frame.clone())).collect();
+        let depth: Vec<OwnedFrame> =
+            case.cameras.iter().map(|camera| OwnedFrame::Depth(camera.frame.clone())).collect();
         // The same points in the rig's frame, with the pose of their sensor.
-        let clouds: Vec<SourceFrame> = case
+        let clouds: Vec<OwnedFrame> = case
             .cameras
             .iter()
             .zip(&rig.cameras)
@@ -164,7 +164,7 @@ fn organized_clouds_in_another_frame_than_their_camera_s_fuse_to_the_same() {
                 };
                 cloud.points.positions = cloud.points.positions.iter().map(place).collect();
                 cloud.points.pose = placed.pose;
-                SourceFrame::Cloud { cloud, timestamp_s: None }
+                OwnedFrame::Cloud { cloud, timestamp_s: None }
             })
             .collect();
         let fused = [depth, clouds].map(|sources| {

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use planish::rig::{Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigWay, run};
 use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
-use planish::source::{Source, SourceFrame};
+use planish::source::{OwnedFrame, Source};
 use planish::{Camera, DepthFrame, Engine, Error, Outputs, SensorPose, SmootherOptions};
 
 const CAMERAS: usize = 8;
@@ -28,7 +28,7 @@ struct Live {
 }
 
 impl Source for Live {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         loop {
             let due = self.next * INTERVAL;
             let late = self.start.elapsed().saturating_sub(due);
@@ -47,7 +47,7 @@ impl Source for Live {
             thread::sleep(due.saturating_sub(self.start.elapsed()));
             let frame = self.frames[self.next as usize % self.frames.len()].clone();
             self.next += 1;
-            return Ok(Some(SourceFrame::Depth(frame.with_timestamp_s(due.as_secs_f64()))));
+            return Ok(Some(OwnedFrame::Depth(frame.with_timestamp_s(due.as_secs_f64()))));
         }
     }
 

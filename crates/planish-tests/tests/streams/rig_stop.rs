@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use planish::evaluate::RigSuite;
 use planish::rig::{RigOptions, RigWay, merged_params, run};
-use planish::source::{Source, SourceFrame};
+use planish::source::{OwnedFrame, Source};
 use planish::{Camera, DepthFrame, Engine, Error, Outputs, SmootherOptions};
 use planish_tests::rigs::rig_of;
 
@@ -18,9 +18,9 @@ struct Once {
 }
 
 impl Source for Once {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         self.has_given.store(true, Ordering::Relaxed);
-        Ok(self.frame.take().map(SourceFrame::Depth))
+        Ok(self.frame.take().map(OwnedFrame::Depth))
     }
 
     fn is_live(&self) -> bool {

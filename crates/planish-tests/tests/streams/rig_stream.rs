@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use planish::rig::{
     CamerasSink, Clock, FusedSink, Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigStatistics, RigWay, run,
 };
-use planish::source::{Source, SourceFrame};
+use planish::source::{OwnedFrame, Source};
 use planish::stream::SinkFormat;
 use planish::{AttributeValues, Camera, DepthFrame, DeviceError, Engine, Error, Outputs, SensorPose, SmootherOptions};
 
@@ -34,7 +34,7 @@ fn small() -> Camera {
 }
 
 impl Source for Script {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         let start = *self.start.get_or_insert_with(Instant::now);
         match self.steps.pop_front() {
             Some(Step::Frame(time_s, after)) => {
@@ -42,7 +42,7 @@ impl Source for Script {
                     thread::sleep((start + after).saturating_duration_since(Instant::now()));
                 }
                 let frame = DepthFrame::new(small(), vec![1000; 32 * 24]).unwrap();
-                Ok(Some(SourceFrame::Depth(frame.with_timestamp_s(time_s))))
+                Ok(Some(OwnedFrame::Depth(frame.with_timestamp_s(time_s))))
             }
             Some(Step::Unreadable) => Err(planish::FrameError::NoPoints.into()),
             Some(Step::Gone) => Err(DeviceError::Gone { what: "the test's camera".into() }.into()),

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use planish::internal::{disparity_depth_m, write_freenect_recording};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::source::{FileSource, FreenectRecording, Paced, Source, SourceFrame, TumRecorder, TumSource};
+use planish::source::{FileSource, FreenectRecording, OwnedFrame, Paced, Source, TumRecorder, TumSource};
 use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
 use planish::{
     Camera, DepthFrame, Engine, Error, OrganizedCloud, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
@@ -36,12 +36,12 @@ impl Given {
 }
 
 impl Source for Given {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         (self.1)(self.2);
         self.2 += 1;
         match self.0.next() {
             None => Ok(None),
-            Some(Ok(frame)) => Ok(Some(SourceFrame::Depth(frame))),
+            Some(Ok(frame)) => Ok(Some(OwnedFrame::Depth(frame))),
             Some(Err(missing)) => Err(planish::io::read(Path::new(missing)).unwrap_err().into()),
         }
     }
@@ -142,8 +142,8 @@ fn a_frame_that_cannot_be_read_is_told_and_the_stream_goes_on() {
 struct Clouds(std::vec::IntoIter<OrganizedCloud>);
 
 impl Source for Clouds {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        Ok(self.0.next().map(|cloud| SourceFrame::Cloud { cloud, timestamp_s: None }))
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        Ok(self.0.next().map(|cloud| OwnedFrame::Cloud { cloud, timestamp_s: None }))
     }
 }
 
@@ -214,8 +214,8 @@ fn a_sink_that_fails_is_told_once_and_the_others_go_on() {
 struct Still(DepthFrame);
 
 impl Source for Still {
-    fn next_frame(&mut self) -> Result<Option<SourceFrame>, Error> {
-        Ok(Some(SourceFrame::Depth(self.0.clone())))
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        Ok(Some(OwnedFrame::Depth(self.0.clone())))
     }
 
     fn is_live(&self) -> bool {
@@ -286,10 +286,10 @@ fn a_stream_ends_when_it_is_told_to() {
 
 #[test]
 fn a_simulated_source_repeats_the_frames_that_it_rendered() {
-    use planish::source::{SourceFrame, SyntheticSource};
+    use planish::source::{OwnedFrame, SyntheticSource};
     let take = |mut source: SyntheticSource| -> Vec<_> {
         let frames = (0..3).map(|_| source.next_frame().unwrap().unwrap());
-        let depth = frames.map(|frame| if let SourceFrame::Depth(frame) = frame { frame } else { panic!("no depth") });
+        let depth = frames.map(|frame| if let OwnedFrame::Depth(frame) = frame { frame } else { panic!("no depth") });
         depth.map(|frame| (frame.timestamp_s, frame.raw)).collect()
     };
     let whole = take(SyntheticSource::new(1, small_camera()).unwrap());
@@ -328,7 +328,7 @@ fn a_recording_in_tum_layout_comes_back_identical() {
     assert!(TumRecorder::create(folder.path()).is_err());
     let mut source = TumSource::open(folder.path(), None, None).unwrap();
     for expected in &frames {
-        let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
+        let Some(OwnedFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
         assert_eq!((found.timestamp_s, &found.rgb), (expected.timestamp_s, &expected.rgb));
         assert_eq!((found.camera.fx, found.camera.depth_units_per_metre), (expected.camera.fx, 5000.0));
         assert!(found.raw.iter().zip(&expected.raw).all(|(found, raw)| *found == 5 * raw));
@@ -337,7 +337,7 @@ fn a_recording_in_tum_layout_comes_back_identical() {
     // A camera without a unit leaves the layout's own.
     let other = Camera::new((0, 0), [500.0, 525.0], [319.5, 239.5]);
     let mut source = TumSource::open(folder.path(), Some(other), None).unwrap();
-    let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
+    let Some(OwnedFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
     assert_eq!((found.camera.fx, found.camera.depth_units_per_metre), (500.0, 5000.0));
 }
 
@@ -352,7 +352,7 @@ fn a_recording_in_tum_layout_keeps_finer_units_and_counts_what_is_too_far() {
         let other = DepthFrame::new(camera.with_depth_units_per_metre(2.0 * units), vec![raw; 160 * 120]).unwrap();
         assert!(recorder.add(&other).unwrap_err().to_string().contains("units a metre, and had"));
         let mut source = TumSource::open(folder.path(), None, None).unwrap();
-        let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
+        let Some(OwnedFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
         assert_eq!(recorder.depth_units_per_metre(), Some(found.camera.depth_units_per_metre));
         (found.camera.depth_units_per_metre, found.raw[0], recorder.too_far())
     };
@@ -371,7 +371,7 @@ fn a_recording_of_libfreenect_comes_back_to_a_disparity_step() {
     write_freenect_recording(folder.path(), &frames).unwrap();
     let mut source = FreenectRecording::open(folder.path(), None).unwrap();
     for expected in &frames {
-        let Some(SourceFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
+        let Some(OwnedFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
         assert_eq!(found.timestamp_s, expected.timestamp_s);
         assert_disparity_steps(&found, expected);
     }
@@ -409,7 +409,7 @@ fn a_folder_gives_its_frames_by_name_and_keeps_results_whole() {
     options.smoother.outputs = Outputs::DEPTH;
     stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), |_| ()).unwrap();
     for i in 0..3 {
-        let found = DepthFrame::read(&out.join(format!("{i}.png")), small_camera()).unwrap();
+        let found = planish::io::read_depth_frame(&out.join(format!("{i}.png")), small_camera()).unwrap();
         let expected = TestEngine::cpu(planish::SimdLevel::best()).smooth_to(
             &frame(small_camera(), i),
             options.params,

@@ -9,7 +9,7 @@ use anyhow::{Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::bag::{BagSink, SmoothBagOptions, SmoothBagReport, file_of, is_bag, refuse_other_bags, smooth_bag};
 use planish::ros::MessageSmoother;
-use planish::source::{self, SourceFrame, SourceOptions};
+use planish::source::{self, OwnedFrame, SourceOptions};
 use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamOptions};
 use planish::{EngineError, Error, Outputs};
 use planish_bench::{errln, outln};
@@ -261,8 +261,8 @@ fn holds_depth(name: &str, options: &SourceOptions, wants_depth: bool) -> Result
     for _ in 0..FRAMES_TRIED {
         match source.next_frame() {
             Ok(None) => break,
-            Ok(Some(SourceFrame::Depth(_))) => return Ok(true),
-            Ok(Some(SourceFrame::Cloud { cloud, .. })) => return Ok(wants_depth && cloud.camera.is_some()),
+            Ok(Some(OwnedFrame::Depth(_))) => return Ok(true),
+            Ok(Some(OwnedFrame::Cloud { cloud, .. })) => return Ok(wants_depth && cloud.camera.is_some()),
             Ok(Some(_)) => return Ok(false),
             Err(error) => failure = failure.or(Some(error)),
         }

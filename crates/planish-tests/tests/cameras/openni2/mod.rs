@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use planish::source::{Alignment, OpenNi2Source, Source, SourceFrame, SourceOptions, StreamMode};
+use planish::source::{Alignment, OpenNi2Source, OwnedFrame, Source, SourceOptions, StreamMode};
 use planish::{Camera, DepthFrame, DeviceError, Error};
 use recorder::OpenNi2;
 
@@ -54,7 +54,7 @@ fn refused<T>(result: Result<T, Error>) -> String {
 
 fn next(source: &mut OpenNi2Source) -> Result<Option<DepthFrame>, Error> {
     Ok(source.next_frame()?.map(|frame| match frame {
-        SourceFrame::Depth(frame) => frame,
+        OwnedFrame::Depth(frame) => frame,
         _ => panic!("a frame of depth"),
     }))
 }

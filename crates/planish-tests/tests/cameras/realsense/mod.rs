@@ -12,7 +12,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::source::{Alignment, RealSenseInput, RealSenseSource, Source, SourceFrame, SourceOptions, StreamMode};
+use planish::source::{Alignment, OwnedFrame, RealSenseInput, RealSenseSource, Source, SourceOptions, StreamMode};
 use planish::stream::{self, StreamOptions};
 use planish::{Camera, DepthFrame, DeviceError, Engine, Error, SmoothParams, SmootherOptions};
 
@@ -33,7 +33,7 @@ fn library() -> Option<&'static RealSense> {
 
 fn next(source: &mut RealSenseSource) -> Result<Option<DepthFrame>, Error> {
     Ok(source.next_frame()?.map(|frame| match frame {
-        SourceFrame::Depth(frame) => frame,
+        OwnedFrame::Depth(frame) => frame,
         _ => panic!("a frame of depth"),
     }))
 }

@@ -1,0 +1,204 @@
+//! The camera: intrinsics, lens distortion, and deprojection.
+//!
+//! Axes: x right, y down, z forward, in metres. Pixel (u, v) has its centre at integer coordinates.
+//! Deprojection (docs/method.md, section 1): z = raw * metres_per_unit, X = z * ray_x, Y = z * ray_y. Without distortion the
+//! rays are (u - cx)/fx and (v - cy)/fy. They are computed in f64 and rounded once to f32, so that every engine gets the same
+//! bits from one multiplication each.
+
+mod distortion;
+mod rays;
+
+use crate::error::{FrameError, ParamError};
+use crate::xyz::validate_shape;
+
+pub use distortion::Distortion;
+pub use rays::Rays;
+pub(crate) use rays::{RowRays, RowRaysY};
+
+/// The largest raw depth value; sensors use it for "saturated". It is a hole, as 0 is.
+pub const SATURATED_DEPTH: u16 = u16::MAX;
+
+/// Intrinsics of a depth camera, its lens distortion, and the unit of its depth values.
+///
+/// ```
+/// use planish::Camera;
+///
+/// let camera = Camera::new((640, 480), [525.0, 525.0], [319.5, 239.5]).with_depth_units_per_metre(5000.0);
+/// assert!(camera.validate().is_ok());
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Camera {
+    /// Image width in pixels.
+    pub width: usize,
+    /// Image height in pixels.
+    pub height: usize,
+    /// Focal length in pixels along x.
+    pub fx: f64,
+    /// Focal length in pixels along y.
+    pub fy: f64,
+    /// Principal point in pixels, x.
+    pub cx: f64,
+    /// Principal point in pixels, y.
+    pub cy: f64,
+    /// Depth units in a metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM data sets.
+    pub depth_units_per_metre: f64,
+    /// Lens distortion; none for images that were rectified.
+    pub distortion: Distortion,
+}
+
+impl Camera {
+    /// A pinhole camera: (width, height), [fx, fy] and [cx, cy] in pixels, depth in millimetres.
+    pub const fn new(shape: (usize, usize), [fx, fy]: [f64; 2], [cx, cy]: [f64; 2]) -> Self {
+        let (width, height) = shape;
+        Self { width, height, fx, fy, cx, cy, depth_units_per_metre: 1000.0, distortion: Distortion::NONE }
+    }
+
+    /// A Kinect v1 registered to its colour camera, as the ROS and TUM default has it: 640x480, f = 525, millimetres.
+    pub const fn kinect_v1() -> Self {
+        Self::new((640, 480), [525.0, 525.0], [319.5, 239.5])
+    }
+
+    /// The same camera with depth in other units.
+    pub const fn with_depth_units_per_metre(self, depth_units_per_metre: f64) -> Self {
+        Self { depth_units_per_metre, ..self }
+    }
+
+    /// The same camera with lens distortion.
+    pub const fn with_distortion(self, distortion: Distortion) -> Self {
+        Self { distortion, ..self }
+    }
+
+    /// The same intrinsics for images of another size.
+    pub const fn with_shape(self, (width, height): (usize, usize)) -> Self {
+        Self { width, height, ..self }
+    }
+
+    /// Refuses intrinsics that describe no camera, among them all with which a depth value would become a point that is not
+    /// finite in f32.
+    pub fn validate(&self) -> Result<(), FrameError> {
+        validate_shape(self.width, self.height)?;
+        let within = |field, value: f64, range: std::ops::RangeInclusive<f64>, allowed| {
+            // False for a NaN.
+            if range.contains(&value) {
+                Ok(())
+            } else {
+                Err(FrameError::BadCamera(ParamError { field, value: value.to_string(), allowed }))
+            }
+        };
+        let focal_length = "0.001 to 1e12 pixels (if y points up in the data set, give its absolute value)";
+        within("fx", self.fx, 1e-3..=1e12, focal_length)?;
+        within("fy", self.fy, 1e-3..=1e12, focal_length)?;
+        within("depth_units_per_metre", self.depth_units_per_metre, 1e-6..=1e12, "1e-6 to 1e12, 1000 for millimetres")?;
+        within("cx", self.cx, -1e9..=1e9, "a principal point in pixels, -1e9 to 1e9")?;
+        within("cy", self.cy, -1e9..=1e9, "a principal point in pixels, -1e9 to 1e9")?;
+        self.distortion.validate()
+    }
+
+    /// Refuses frames of another shape.
+    pub fn check_shape(&self, (frame_width, frame_height): (usize, usize)) -> Result<(), FrameError> {
+        let Self { width, height, .. } = *self;
+        if (width, height) == (frame_width, frame_height) {
+            return Ok(());
+        }
+        Err(FrameError::CameraShapeMismatch { frame_width, frame_height, width, height })
+    }
+
+    /// Metres in one raw depth unit, as every engine multiplies by it.
+    pub fn metres_per_unit(&self) -> f32 {
+        (1.0 / self.depth_units_per_metre) as f32
+    }
+
+    /// A raw depth value in metres; NaN for a hole (0 or saturated).
+    pub fn depth_m(&self, raw: u16) -> f32 {
+        depth_m(raw, self.metres_per_unit())
+    }
+
+    /// The raw value nearest to a depth in metres; 0 (a hole) where it is not finite or not representable.
+    pub fn raw_depth(&self, depth_m: f32) -> u16 {
+        let raw = (f64::from(depth_m) * self.depth_units_per_metre + 0.5).floor();
+        if raw >= 1.0 && raw < f64::from(SATURATED_DEPTH) { raw as u16 } else { 0 }
+    }
+
+    /// The image coordinates (u, v) at which a point of the camera's frame is seen; `None` behind the camera.
+    pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
+        // False for a NaN.
+        (z > 0.0).then(|| {
+            let [x, y] =
+                if self.distortion.is_none() { [x / z, y / z] } else { self.distortion.distort(x / z, y / z).0 };
+            [self.fx * x + self.cx, self.fy * y + self.cy]
+        })
+    }
+
+    /// The index of the pixel at which a point of the camera's frame is seen; `None` outside of the image.
+    pub fn pixel_of(&self, point: [f64; 3]) -> Option<usize> {
+        let [u, v] = self.project(point)?.map(f64::round);
+        let is_inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
+        is_inside.then(|| v as usize * self.width + u as usize)
+    }
+
+    /// Deprojects depth in metres, row by row, into x, y and z; what is not finite or not positive becomes NaN in all three.
+    #[doc(hidden)]
+    pub fn deproject_m(&self, depth_m: impl Iterator<Item = f32>) -> crate::xyz::Xyz {
+        let mut rays = Rays::default();
+        rays.set(self);
+        let point = |(i, z): (usize, f32)| {
+            let z = if z > 0.0 && z.is_finite() { z } else { f32::NAN };
+            let [ray_x, ray_y] = rays.at(i % self.width, (i / self.width) % self.height);
+            [ray_x * z, ray_y * z, z]
+        };
+        depth_m.enumerate().map(point).collect()
+    }
+}
+
+/// A raw depth value in metres; NaN for a hole.
+#[inline(always)]
+pub(crate) fn depth_m(raw: u16, metres_per_unit: f32) -> f32 {
+    if raw == 0 || raw == SATURATED_DEPTH { f32::NAN } else { f32::from(raw) * metres_per_unit }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depth_survives_conversion_to_metres_and_back() {
+        let camera = Camera::kinect_v1().with_depth_units_per_metre(5000.0);
+        for raw in 1..SATURATED_DEPTH {
+            assert_eq!(camera.raw_depth(camera.depth_m(raw)), raw);
+        }
+        assert!(camera.depth_m(0).is_nan() && camera.depth_m(SATURATED_DEPTH).is_nan());
+        assert_eq!(camera.raw_depth(f32::NAN), 0);
+        assert_eq!(camera.raw_depth(20.0), 0);
+    }
+
+    #[test]
+    fn points_are_seen_at_the_pixels_that_they_came_from() {
+        let plain = Camera::kinect_v1();
+        let distorted = plain.with_distortion(Distortion::from_opencv(&[0.1, -0.2, 0.001, 0.002, 0.03]).unwrap());
+        for camera in [plain, distorted] {
+            let points = camera.deproject_m((0..640 * 480).map(|i| 0.5 + 1e-6 * i as f32));
+            for i in [0, 639, 640 * 240 + 320, 640 * 479 + 17] {
+                let [u, v] = camera.project(points.get(i).map(f64::from)).unwrap();
+                assert!((u - (i % 640) as f64).abs() < 1e-3 && (v - (i / 640) as f64).abs() < 1e-3, "{u} {v}");
+            }
+            assert_eq!(camera.project([0.0, 0.0, -1.0]), None);
+            assert_eq!(camera.project([f64::NAN; 3]), None);
+        }
+    }
+
+    #[test]
+    fn impossible_intrinsics_are_refused_by_name() {
+        let camera = Camera { fy: -480.0, ..Camera::kinect_v1() };
+        assert!(camera.validate().unwrap_err().to_string().contains("fy"));
+        for mistaken in [1e-40, f64::NAN, f64::INFINITY] {
+            assert!(Camera { fx: mistaken, ..Camera::kinect_v1() }.validate().is_err());
+            assert!(Camera::kinect_v1().with_depth_units_per_metre(mistaken).validate().is_err());
+        }
+        // The widest camera that is allowed still gives finite points.
+        let widest = Camera { fx: 1e-3, cx: -1e9, depth_units_per_metre: 1e-6, ..Camera::kinect_v1() };
+        assert!(widest.validate().is_ok());
+        let points = widest.deproject_m(std::iter::repeat_n(widest.depth_m(65534), 640));
+        assert!(points.is_finite(639));
+    }
+}

@@ -1,0 +1,80 @@
+//! The rays of a camera's pixels: X/Z and Y/Z, made once for a camera.
+
+use super::Camera;
+
+/// The factors of deprojection, kept while the camera stays the same.
+#[derive(Debug, Clone, Default)]
+pub struct Rays {
+    camera: Option<Camera>,
+    /// X/Z of each column, or with lens distortion of each pixel.
+    pub x: Vec<f32>,
+    /// Y/Z of each row, or with lens distortion of each pixel. NaN in both where the lens shows nothing.
+    pub y: Vec<f32>,
+}
+
+/// The rays of one row of pixels.
+#[derive(Clone, Copy)]
+pub struct RowRays<'a> {
+    pub x: &'a [f32],
+    pub y: RowRaysY<'a>,
+}
+
+/// Y/Z along a row.
+#[derive(Clone, Copy)]
+pub enum RowRaysY<'a> {
+    /// The same for every pixel.
+    Same(f32),
+    Each(&'a [f32]),
+}
+
+impl Rays {
+    /// Takes a camera; does nothing if it is the last one.
+    pub fn set(&mut self, camera: &Camera) {
+        if self.camera.as_ref() == Some(camera) {
+            return;
+        }
+        let Camera { width, height, fx, fy, cx, cy, distortion, .. } = *camera;
+        let (column, row) = (|u: usize| (u as f64 - cx) / fx, |v: usize| (v as f64 - cy) / fy);
+        self.camera = Some(*camera);
+        if distortion.is_none() {
+            self.x = (0..width).map(|u| column(u) as f32).collect();
+            self.y = (0..height).map(|v| row(v) as f32).collect();
+            return;
+        }
+        let pixels = (0..width * height).map(|i| {
+            let [x, y] = distortion.undistort([column(i % width), row(i / width)]).unwrap_or([f64::NAN; 2]);
+            (x as f32, y as f32)
+        });
+        (self.x, self.y) = pixels.unzip();
+    }
+
+    /// Whether there is a ray for each pixel, rather than one for each column and row.
+    pub fn are_distorted(&self) -> bool {
+        self.camera.is_some_and(|camera| !camera.distortion.is_none())
+    }
+
+    pub fn row(&self, v: usize) -> RowRays<'_> {
+        if !self.are_distorted() {
+            return RowRays { x: &self.x, y: RowRaysY::Same(self.y[v]) };
+        }
+        let width = self.camera.map_or(0, |camera| camera.width);
+        let pixels = v * width..(v + 1) * width;
+        RowRays { x: &self.x[pixels.clone()], y: RowRaysY::Each(&self.y[pixels]) }
+    }
+
+    /// [X/Z, Y/Z] of a pixel.
+    pub fn at(&self, u: usize, v: usize) -> [f32; 2] {
+        self.row(v).at(u)
+    }
+}
+
+impl RowRays<'_> {
+    #[inline(always)]
+    pub fn at(&self, u: usize) -> [f32; 2] {
+        let y = match self.y {
+            RowRaysY::Same(y) => y,
+            RowRaysY::Each(y) => y[u],
+        };
+        [self.x[u], y]
+    }
+}

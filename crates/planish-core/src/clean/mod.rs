@@ -1,0 +1,50 @@
+//! What people run before smoothing: outliers found, clouds thinned to voxels, a box cut out.
+//!
+//! Nothing here needs a grid. Holes are never outliers: they stay what they are.
+
+mod outliers;
+pub(crate) mod voxel_grid;
+pub(crate) mod voxels;
+
+use rayon::prelude::*;
+
+use crate::cloud::PointCloud;
+use crate::error::ParamError;
+use crate::frame::PointsView;
+
+pub use outliers::{radius_outliers, statistical_outliers};
+pub use voxels::voxel_downsample;
+
+/// Marks the points outside the box from `low` to `high`, in metres as the points are; its borders are inside. Points of a
+/// `PointCloud` are relative to its origin, for which there is `cloud_outside_box`.
+///
+/// # Errors
+/// If the box is empty or not of numbers.
+pub fn outside_box(points: &PointsView<'_>, low: [f64; 3], high: [f64; 3]) -> Result<Vec<bool>, ParamError> {
+    outside(points.len(), |i| points.get(i), low, high)
+}
+
+/// Marks the points outside the box from `low` to `high`, in metres in the cloud's frame, as its file has them; its borders are inside.
+///
+/// # Errors
+/// If the box is empty or not of numbers.
+pub fn cloud_outside_box(cloud: &PointCloud, low: [f64; 3], high: [f64; 3]) -> Result<Vec<bool>, ParamError> {
+    outside(cloud.len(), |i| [0, 1, 2].map(|axis| cloud.coordinate(axis, i)), low, high)
+}
+
+fn outside(
+    count: usize,
+    point: impl Fn(usize) -> [f64; 3] + Sync,
+    low: [f64; 3],
+    high: [f64; 3],
+) -> Result<Vec<bool>, ParamError> {
+    if !(0..3).all(|axis| low[axis] <= high[axis]) {
+        let allowed = "the least x, y, z and then the largest";
+        return Err(ParamError { field: "box", value: format!("{low:?} to {high:?}"), allowed });
+    }
+    let is_outside = |i: usize| {
+        let p = point(i);
+        p.iter().all(|value| value.is_finite()) && (0..3).any(|axis| !(low[axis]..=high[axis]).contains(&p[axis]))
+    };
+    Ok((0..count).into_par_iter().map(is_outside).collect())
+}

@@ -1,0 +1,352 @@
+//! Which points lie in which voxel.
+
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::cloud::PointCloud;
+use crate::error::ParamError;
+use crate::neighbours::Bounds;
+
+/// Voxels along an axis, as 21 bits count them.
+const MOST_ALONG_AXIS: f64 = (1u32 << 21) as f64;
+
+/// Points that one task looks at.
+const POINTS_OF_A_TASK: usize = 1 << 14;
+
+/// The key of holes; those of voxels begin at 1.
+const NO_VOXEL: u64 = 0;
+
+/// As many as a voxel has in clouds that are worth thinning: tables begin with room for so many voxels, and grow where there are more.
+const POINTS_OF_A_VOXEL: usize = 8;
+
+/// More shards than this would each look at all keys for few points.
+const MOST_SHARDS: usize = 64;
+
+/// The points of each voxel that has any.
+///
+/// A voxel's points ascend, and voxels are in the order of their first points, so that neither depends on the number of threads.
+pub struct Voxels {
+    grid: Grid,
+    shards: Vec<Shard>,
+    /// Of each voxel its shard, and which of that shard's voxels it is.
+    order: Vec<(u8, u32)>,
+}
+
+/// Cubes that begin at multiples of their size in a cloud's frame.
+struct Grid {
+    size_m: f64,
+    origin_m: [f64; 3],
+    /// The voxel with the least coordinates, in multiples of the size.
+    first: [f64; 3],
+    /// How many voxels the cloud is wide.
+    along: [u64; 3],
+}
+
+/// The voxels of one share of the keys, found by one task.
+#[derive(Default)]
+struct Shard {
+    found: HashMap<u64, u32, BuildHasherDefault<KeyHasher>>,
+    /// The points' indices, voxel by voxel.
+    points: Vec<u32>,
+    /// Where in `points` each voxel begins, and the end of the last.
+    starts: Vec<u32>,
+}
+
+impl Voxels {
+    /// Finds the voxels, of `size_m` metres, of a cloud.
+    ///
+    /// # Errors
+    /// If the size is no positive number, or so small that the cloud is over 2 million voxels wide.
+    pub fn of(cloud: &PointCloud, size_m: f64) -> Result<Self, ParamError> {
+        let grid = Grid::of(cloud, size_m)?;
+        let count = rayon::current_num_threads().next_power_of_two().min(MOST_SHARDS);
+        let mut keys = vec![NO_VOXEL; cloud.len()];
+        let mut owners = vec![0u8; cloud.len()];
+        let chunks = cloud.positions.par_chunks(POINTS_OF_A_TASK);
+        let places = keys.par_chunks_mut(POINTS_OF_A_TASK).zip(owners.par_chunks_mut(POINTS_OF_A_TASK));
+        places.zip(chunks).for_each(|((keys, owners), [x, y, z])| {
+            let points = x.iter().zip(y).zip(z);
+            keys.iter_mut().zip(points).for_each(|(key, ((&x, &y), &z))| *key = grid.key([x, y, z]));
+            owners.iter_mut().zip(keys).for_each(|(owner, &mut key)| *owner = shard_of(key, count));
+        });
+        let share = cloud.len() / count;
+        let shards: Vec<Shard> =
+            (0..count).into_par_iter().map(|shard| Shard::of(&keys, &owners, shard as u8, share)).collect();
+        let in_order = (0..cloud.len()).into_par_iter().step_by(POINTS_OF_A_TASK).map(|first| {
+            let mut found: Vec<(u32, u8, u32)> = Vec::new();
+            for (i, shard) in shards.iter().enumerate() {
+                let begun = shard.begun_within(first..first + POINTS_OF_A_TASK);
+                found.extend(begun.map(|voxel| (shard.points_of(voxel)[0], i as u8, voxel)));
+            }
+            found.sort_unstable();
+            found.into_iter().map(|(_, shard, voxel)| (shard, voxel)).collect::<Vec<_>>()
+        });
+        let order = in_order.collect::<Vec<_>>().concat();
+        Ok(Self { grid, shards, order })
+    }
+
+    /// The points of each, in parallel.
+    pub fn iter(&self) -> impl IndexedParallelIterator<Item = &[u32]> {
+        self.order.par_iter().map(|&(shard, voxel)| self.shards[usize::from(shard)].points_of(voxel))
+    }
+}
+
+/// Which voxel is where.
+pub struct VoxelMap<'a> {
+    voxels: &'a Voxels,
+    /// Of each shard's voxels which of all they are.
+    ranks: Vec<Vec<u32>>,
+}
+
+impl<'a> VoxelMap<'a> {
+    pub fn of(voxels: &'a Voxels) -> Self {
+        let mut ranks: Vec<Vec<u32>> = voxels.shards.iter().map(|shard| vec![0; shard.len()]).collect();
+        for (rank, &(shard, voxel)) in (0..).zip(&voxels.order) {
+            ranks[usize::from(shard)][voxel as usize] = rank;
+        }
+        Self { voxels, ranks }
+    }
+
+    /// The voxel in which a point lies, if it has points.
+    pub fn at(&self, p: [f32; 3]) -> Option<usize> {
+        self.at_place(self.voxels.grid.place(p).map(f64::floor))
+    }
+
+    /// The voxels with points among the eight whose centres are round a point, and the weight of each: that of linear interpolation between
+    /// the centres.
+    pub fn around(&self, p: [f32; 3]) -> impl Iterator<Item = (usize, f64)> {
+        let place = self.voxels.grid.place(p).map(|at| at - 0.5);
+        let low = place.map(f64::floor);
+        (0..8).filter_map(move |corner: usize| {
+            let upper: [bool; 3] = std::array::from_fn(|axis| corner >> axis & 1 == 1);
+            let at = std::array::from_fn(|axis| low[axis] + f64::from(u8::from(upper[axis])));
+            let share = |axis: usize| (place[axis] - low[axis] - f64::from(u8::from(!upper[axis]))).abs();
+            Some((self.at_place(at)?, share(0) * share(1) * share(2)))
+        })
+    }
+
+    fn at_place(&self, at: [f64; 3]) -> Option<usize> {
+        let Voxels { grid, shards, .. } = self.voxels;
+        let is_within = at.iter().zip(grid.along).all(|(&at, along)| at >= 0.0 && at < along as f64);
+        let key = is_within.then(|| grid.key_at(at))?;
+        let shard = usize::from(shard_of(key, shards.len()));
+        let voxel = *shards[shard].found.get(&key)?;
+        Some(self.ranks[shard][voxel as usize] as usize)
+    }
+}
+
+/// Which of the shards, a power of two, a key belongs to: by other bits of its hash than tables use.
+fn shard_of(key: u64, shards: usize) -> u8 {
+    ((hash(key) >> 40) as usize & (shards - 1)) as u8
+}
+
+/// The upper half of the product depends on all bits, the lower on the lower ones only.
+fn hash(key: u64) -> u64 {
+    let product = key.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    product ^ (product >> 32)
+}
+
+/// The box around points; holes are left out.
+fn bounds_of([x, y, z]: [&[f32]; 3]) -> Bounds {
+    let Bounds { mut low, mut high } = Bounds::EMPTY;
+    for ((&x, &y), &z) in x.iter().zip(y).zip(z) {
+        // Written so that it is compiled to vectors: times 0 is 0 for what is finite.
+        let is_point = x * 0.0 + y * 0.0 + z * 0.0 == 0.0;
+        for (axis, value) in [x, y, z].into_iter().enumerate() {
+            low[axis] = if is_point && value < low[axis] { value } else { low[axis] };
+            high[axis] = if is_point && value > high[axis] { value } else { high[axis] };
+        }
+    }
+    Bounds { low, high }
+}
+
+impl Grid {
+    fn of(cloud: &PointCloud, size_m: f64) -> Result<Self, ParamError> {
+        let refuse = |allowed| Err(ParamError { field: "voxel", value: size_m.to_string(), allowed });
+        if !(size_m > 0.0 && size_m.is_finite()) {
+            return refuse("a size in metres above 0");
+        }
+        let chunks = cloud.positions.par_chunks(POINTS_OF_A_TASK);
+        let bounds = chunks.map(bounds_of).reduce(|| Bounds::EMPTY, Bounds::union);
+        if bounds.low[0] > bounds.high[0] {
+            return Ok(Self { size_m, origin_m: cloud.origin_m, first: [0.0; 3], along: [0; 3] });
+        }
+        let along = |axis: usize, value: f32| ((cloud.origin_m[axis] + f64::from(value)) / size_m).floor();
+        let first: [f64; 3] = std::array::from_fn(|axis| along(axis, bounds.low[axis]));
+        let last: [f64; 3] = std::array::from_fn(|axis| along(axis, bounds.high[axis]) - first[axis]);
+        if last.iter().any(|&last| last >= MOST_ALONG_AXIS) {
+            return refuse("a size in metres of which the cloud is at most 2 million wide");
+        }
+        Ok(Self { size_m, origin_m: cloud.origin_m, first, along: last.map(|last| last as u64 + 1) })
+    }
+
+    /// Where a point is, in voxels from the first.
+    fn place(&self, p: [f32; 3]) -> [f64; 3] {
+        std::array::from_fn(|axis| (self.origin_m[axis] + f64::from(p[axis])) / self.size_m - self.first[axis])
+    }
+
+    fn key(&self, p: [f32; 3]) -> u64 {
+        match p.iter().all(|value| value.is_finite()) {
+            true => self.key_at(self.place(p)),
+            false => NO_VOXEL,
+        }
+    }
+
+    /// Of a place within the grid, where a cast rounds down.
+    fn key_at(&self, place: [f64; 3]) -> u64 {
+        1 + place.iter().zip(self.along).fold(0, |key, (&at, along)| key * along + at as u64)
+    }
+}
+
+impl Shard {
+    /// The voxels of those keys that it owns, of about as many points.
+    fn of(keys: &[u64], owners: &[u8], own: u8, points: usize) -> Self {
+        let mut found = HashMap::with_capacity_and_hasher(points / POINTS_OF_A_VOXEL, BuildHasherDefault::default());
+        let mut counts: Vec<u32> = Vec::with_capacity(points / POINTS_OF_A_VOXEL);
+        let mut members: Vec<(u32, u32)> = Vec::with_capacity(points + points / 4);
+        let mut last = (NO_VOXEL, 0);
+        let own = keys.iter().zip(owners).enumerate().filter(|(_, (_, owner))| **owner == own);
+        for (i, (&key, _)) in own.filter(|(_, (key, _))| **key != NO_VOXEL) {
+            // Points that follow each other are often in one voxel.
+            if key != last.0 {
+                let next = counts.len() as u32;
+                last = (key, *found.entry(key).or_insert(next));
+                if last.1 == next {
+                    counts.push(0);
+                }
+            }
+            counts[last.1 as usize] += 1;
+            members.push((i as u32, last.1));
+        }
+        // Of each where its next point goes: where it begins at first, where it ends when all are there.
+        let mut starts = Vec::with_capacity(counts.len() + 1);
+        starts.push(0);
+        let mut total = 0;
+        starts.extend(counts.iter().map(|count| {
+            total += count;
+            total - count
+        }));
+        let mut points = vec![0; members.len()];
+        for (point, voxel) in members {
+            let next = &mut starts[voxel as usize + 1];
+            points[*next as usize] = point;
+            *next += 1;
+        }
+        Self { found, points, starts }
+    }
+
+    fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Its voxels whose first points are within a range.
+    fn begun_within(&self, points: Range<usize>) -> Range<u32> {
+        // First points ascend.
+        let begun_before = |point: usize| {
+            let starts = &self.starts[..self.starts.len() - 1];
+            starts.partition_point(|&start| (self.points[start as usize] as usize) < point) as u32
+        };
+        begun_before(points.start)..begun_before(points.end)
+    }
+
+    fn points_of(&self, voxel: u32) -> &[u32] {
+        let at = voxel as usize;
+        &self.points[self.starts[at] as usize..self.starts[at + 1] as usize]
+    }
+}
+
+/// Of keys alone.
+#[derive(Default)]
+struct KeyHasher(u64);
+
+impl Hasher for KeyHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write_u64(&mut self, key: u64) {
+        self.0 = hash(key);
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.0 = hash(self.0 ^ u64::from(byte));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use rayon::ThreadPoolBuilder;
+
+    use super::*;
+    use crate::xyz::Xyz;
+
+    /// Points on a wavy sheet, holes among them, of which some have numbers that would be far away.
+    fn sheet() -> PointCloud {
+        let point = |i: usize| {
+            let (u, v) = ((i % 97) as f32 / 97.0, (i / 97) as f32 / 150.0);
+            match i % 50 {
+                7 => [f32::NAN; 3],
+                8 => [1e30, f32::NAN, f32::INFINITY],
+                _ => [u - 0.5, 0.1 * (9.0 * u).sin(), v],
+            }
+        };
+        let positions: Xyz = (0..40_000).map(point).collect();
+        PointCloud { origin_m: [1000.25, -3.0, 0.0], ..PointCloud::new(positions) }
+    }
+
+    #[test]
+    fn voxels_are_those_of_the_definition_on_any_number_of_threads() {
+        let (cloud, size_m) = (sheet(), 0.013);
+        let mut expected: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
+        for i in (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)) {
+            let p = cloud.positions.get(i);
+            let at = |axis: usize| ((cloud.origin_m[axis] + f64::from(p[axis])) / size_m).floor() as i64;
+            expected.entry([at(0), at(1), at(2)]).or_default().push(i as u32);
+        }
+        let mut expected: Vec<Vec<u32>> = expected.into_values().collect();
+        expected.sort_by_key(|points| points[0]);
+        for threads in [1, 2, 7] {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let voxels = pool.install(|| Voxels::of(&cloud, size_m).unwrap());
+            let found: Vec<Vec<u32>> = voxels.iter().map(<[u32]>::to_vec).collect();
+            assert!(found == expected, "{threads} threads");
+        }
+    }
+
+    #[test]
+    fn clouds_of_holes_have_no_voxels() {
+        let cloud = PointCloud::new(Xyz::filled(5, f32::NAN));
+        assert_eq!(Voxels::of(&cloud, 0.01).unwrap().iter().count(), 0);
+    }
+
+    #[test]
+    fn a_point_is_in_its_voxel_and_between_the_centres_of_eight() {
+        // All 27 voxels round the origin.
+        let centres = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9].map(|at| at as f32 - 0.5));
+        let cloud = PointCloud::new(centres.collect());
+        let voxels = Voxels::of(&cloud, 1.0).unwrap();
+        let map = VoxelMap::of(&voxels);
+        for i in 0..27 {
+            assert_eq!(map.at(cloud.positions.get(i)), Some(i));
+        }
+        // Linear interpolation of the centres is the point itself.
+        let p = [0.3, -0.2, 1.1f32];
+        let around: Vec<(usize, f64)> = map.around(p).collect();
+        assert_eq!(around.len(), 8);
+        for (axis, value) in p.into_iter().enumerate() {
+            let mean: f64 = around.iter().map(|&(i, weight)| weight * f64::from(cloud.positions.get(i)[axis])).sum();
+            assert!((mean - f64::from(value)).abs() < 1e-6, "{mean}");
+        }
+        // At a corner of the grid one of the eight is there, outside none.
+        assert_eq!(map.around([-0.9; 3]).count(), 1);
+        assert_eq!(map.at([-1.1, 0.0, 0.0]), None);
+        assert_eq!(map.around([5.0, 0.0, 0.0]).count(), 0);
+    }
+}

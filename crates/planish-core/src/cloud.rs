@@ -1,0 +1,392 @@
+//! Point clouds: positions as a structure of arrays, and every other field of the input carried through untouched.
+//!
+//! Positions are f32 metres. A hole (a pixel without a measurement) is a non-finite position. An organized cloud is
+//! row-major: pixel (u, v) is index v * width + u.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::camera::Camera;
+use crate::error::FrameError;
+use crate::pose::SensorPose;
+use crate::provenance::Provenance;
+use crate::xyz::{Xyz, validate_shape};
+
+macro_rules! attribute_values {
+    ($($variant:ident($scalar:ty), $doc:literal;)*) => {
+        /// The values of a field, in the type the file has them in.
+        #[derive(Debug, Clone, PartialEq)]
+        pub enum AttributeValues {
+            $(#[doc = $doc] $variant(Vec<$scalar>),)*
+        }
+
+        impl AttributeValues {
+            /// How many values there are: points times values a point.
+            pub fn len(&self) -> usize {
+                match self { $(Self::$variant(values) => values.len(),)* }
+            }
+
+            /// Bytes of one value.
+            pub fn scalar_size(&self) -> usize {
+                match self { $(Self::$variant(_) => size_of::<$scalar>(),)* }
+            }
+
+            /// Value `i` as f64: 64-bit integers beyond 2^53 are rounded.
+            pub fn get_f64(&self, i: usize) -> f64 {
+                match self { $(Self::$variant(values) => values[i] as f64,)* }
+            }
+
+            /// Other values in the same type; integers are rounded and kept within their range.
+            pub fn of_f64(&self, new: Vec<f64>) -> Self {
+                match self { $(Self::$variant(_) => {
+                    let convert = |value: f64| if 0.5 as $scalar == 0 as $scalar { value.round() as $scalar } else { value as $scalar };
+                    Self::$variant(new.into_iter().map(convert).collect())
+                })* }
+            }
+
+            /// Adds so many zeros.
+            pub fn push_zeros(&mut self, count: usize) {
+                match self { $(Self::$variant(values) => values.resize(values.len() + count, 0 as $scalar),)* }
+            }
+
+            /// No values, of the same type.
+            pub fn emptied(&self) -> Self {
+                match self { $(Self::$variant(_) => Self::$variant(Vec::new()),)* }
+            }
+
+            /// Adds the values of some points of another cloud, `count` each; of another type they are converted.
+            pub fn extend_from(&mut self, other: &Self, points: &[usize], count: usize) {
+                match (self, other) {
+                    $((Self::$variant(values), Self::$variant(other)) => {
+                        let of_point = |&i: &usize| other[count * i..count * (i + 1)].iter().copied();
+                        values.extend(points.iter().flat_map(of_point));
+                    })*
+                    (this, other) => {
+                        let value = |i: usize| other.get_f64(i);
+                        let wanted = points.iter().flat_map(|&i| count * i..count * (i + 1)).map(value).collect();
+                        let all: Vec<usize> = (0..points.len()).collect();
+                        let converted = this.of_f64(wanted);
+                        this.extend_from(&converted, &all, count);
+                    }
+                }
+            }
+
+            /// The values of some points, `count` each.
+            fn select(&self, points: &[usize], count: usize) -> Self {
+                match self { $(Self::$variant(values) => {
+                    let of_point = |&i: &usize| values[count * i..count * (i + 1)].iter().copied();
+                    Self::$variant(points.iter().flat_map(of_point).collect())
+                })* }
+            }
+        }
+
+        $(impl From<Vec<$scalar>> for AttributeValues {
+            fn from(values: Vec<$scalar>) -> Self { Self::$variant(values) }
+        })*
+    };
+}
+
+attribute_values! {
+    I8(i8), "Signed, 8 bits.";
+    U8(u8), "Unsigned, 8 bits.";
+    I16(i16), "Signed, 16 bits.";
+    U16(u16), "Unsigned, 16 bits.";
+    I32(i32), "Signed, 32 bits.";
+    U32(u32), "Unsigned, 32 bits.";
+    I64(i64), "Signed, 64 bits.";
+    U64(u64), "Unsigned, 64 bits.";
+    F32(f32), "IEEE 754, 32 bits. Packed colours stored as F32 keep their bits.";
+    F64(f64), "IEEE 754, 64 bits.";
+}
+
+impl AttributeValues {
+    /// Whether there are no values.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// One field of a cloud beside its positions: colour, intensity, ring, label, padding.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Attribute {
+    /// The field's name in the file. Padding is called `_`, as in PCD.
+    pub name: String,
+    /// Values a point; 1 for a scalar field.
+    pub count: usize,
+    /// `count` values for each point, point after point.
+    pub values: AttributeValues,
+}
+
+impl Attribute {
+    /// The field of some points.
+    pub fn select(&self, points: &[usize]) -> Self {
+        Self { name: self.name.clone(), count: self.count, values: self.values.select(points, self.count) }
+    }
+}
+
+/// Where a file has its columns x, y and z, and how wide, so that it is written as it was read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PositionColumns {
+    /// Indices of x, y and z among all columns; the attributes fill the others in order.
+    pub index: [usize; 3],
+    /// Whether they are f64 in the file.
+    pub double: bool,
+}
+
+impl Default for PositionColumns {
+    fn default() -> Self {
+        Self { index: [0, 1, 2], double: false }
+    }
+}
+
+/// A general point cloud: points in any order, with all their fields.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct PointCloud {
+    /// Positions in metres, relative to `origin_m`. A non-finite one is a hole.
+    pub positions: Xyz,
+    /// What to add to every position, in f64, so that georeferenced clouds lose nothing to f32. Zero for a camera.
+    pub origin_m: [f64; 3],
+    /// Every field beside x, y, z, in the order of the file.
+    pub attributes: Vec<Attribute>,
+    /// Where x, y, z stand among the fields of the file.
+    pub position_columns: PositionColumns,
+    /// Where the sensor stood, in the frame of the file (not relative to `origin_m`); the identity where that is not known.
+    pub pose: SensorPose,
+    /// The coordinates as the file has them, x, y and z, where f32 loses digits (an axis where it does not may be empty): a point that is not moved is written with all of them.
+    pub exact_m: Option<[Vec<f64>; 3]>,
+    /// What the cloud's file states beside its points; written back to a file of the same format.
+    pub provenance: Provenance,
+    /// Where each scanner stood, in metres in the frame of the file, indexed by the field `scan`.
+    pub(crate) scanners_m: Option<Arc<[Option<[f64; 3]>]>>,
+}
+
+impl PointCloud {
+    /// A cloud of positions alone.
+    pub fn new(positions: Xyz) -> Self {
+        Self {
+            positions,
+            origin_m: [0.0; 3],
+            attributes: Vec::new(),
+            position_columns: PositionColumns::default(),
+            pose: SensorPose::IDENTITY,
+            exact_m: None,
+            provenance: Provenance::default(),
+            scanners_m: None,
+        }
+    }
+
+    /// Sets where each scanner stood; see [`scanners_m`](Self::scanners_m).
+    pub fn set_scanners_m(&mut self, scanners_m: Vec<Option<[f64; 3]>>) {
+        self.scanners_m = Some(scanners_m.into());
+    }
+
+    /// How many points there are, holes included.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are no points at all.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// How many points are finite.
+    pub fn valid_points(&self) -> usize {
+        (0..self.len()).filter(|&i| self.positions.is_finite(i)).count()
+    }
+
+    /// The field of that name.
+    pub fn attribute(&self, name: &str) -> Option<&Attribute> {
+        self.attributes.iter().find(|attribute| attribute.name == name)
+    }
+
+    /// Replaces the scalar field of that name where it stands, or adds it at the end.
+    pub fn set_attribute(&mut self, name: &str, values: impl Into<AttributeValues>) {
+        let attribute = Attribute { name: name.to_owned(), count: 1, values: values.into() };
+        match self.attributes.iter_mut().find(|a| a.name == name) {
+            Some(existing) => *existing = attribute,
+            None => self.attributes.push(attribute),
+        }
+    }
+
+    /// Refuses a cloud whose fields differ in length.
+    pub fn validate(&self) -> Result<(), FrameError> {
+        self.positions.check_len("positions", self.len())?;
+        for attribute in &self.attributes {
+            let expected = self.len() * attribute.count;
+            let len = attribute.values.len();
+            if len != expected {
+                return Err(FrameError::LengthMismatch { what: format!("field {}", attribute.name), len, expected });
+            }
+        }
+        Ok(())
+    }
+
+    /// Some of the points, with all their fields, in the order given.
+    ///
+    /// # Panics
+    /// If an index is not less than [`len`](Self::len).
+    pub fn select(&self, points: &[usize]) -> Self {
+        let positions = points.iter().map(|&i| self.positions.get(i)).collect();
+        let attributes = self.attributes.par_iter().map(|attribute| attribute.select(points)).collect();
+        let exact_m = self
+            .exact_m
+            .as_ref()
+            .map(|axes| axes.each_ref().map(|values| points.iter().filter_map(|&i| values.get(i)).copied().collect()));
+        Self { positions, attributes, exact_m, ..self.without_points() }
+    }
+
+    /// Coordinate `axis` of point `i` in the cloud's frame: as the file had it where the point has not moved.
+    pub fn coordinate(&self, axis: usize, i: usize) -> f64 {
+        let (origin, here) = (self.origin_m[axis], [&self.positions.x, &self.positions.y, &self.positions.z][axis][i]);
+        self.exact(axis, i).unwrap_or(origin + f64::from(here))
+    }
+
+    /// Whether that coordinate is known as the file had it.
+    pub fn is_unmoved(&self, axis: usize, i: usize) -> bool {
+        self.exact(axis, i).is_some()
+    }
+
+    fn exact(&self, axis: usize, i: usize) -> Option<f64> {
+        let (origin, here) = (self.origin_m[axis], [&self.positions.x, &self.positions.y, &self.positions.z][axis][i]);
+        let exact = self.exact_m.as_ref().and_then(|axes| axes[axis].get(i)).copied();
+        exact.filter(|exact| (exact - origin) as f32 == here)
+    }
+
+    /// Keeps the coordinates of a file, if f32 loses digits of them.
+    pub fn keep_exact(&mut self, coordinates_m: [Vec<f64>; 3]) {
+        let loses = |axis: usize| {
+            let values = [&self.positions.x, &self.positions.y, &self.positions.z][axis];
+            let origin = self.origin_m[axis];
+            coordinates_m[axis]
+                .iter()
+                .zip(values)
+                .any(|(exact, &value)| origin + f64::from(value) != *exact && !exact.is_nan())
+        };
+        if (0..3).any(loses) {
+            self.exact_m = Some(coordinates_m);
+        }
+    }
+
+    /// The same with a hole at the end, all of whose fields are 0.
+    pub fn with_an_empty_point(&self) -> Self {
+        let mut cloud = self.clone();
+        let Xyz { x, y, z } = &mut cloud.positions;
+        [x, y, z].into_iter().for_each(|values| values.push(f32::NAN));
+        cloud.exact_m = None;
+        cloud.attributes.iter_mut().for_each(|attribute| attribute.values.push_zeros(attribute.count));
+        cloud
+    }
+
+    /// What a cloud is beside its points: origin, pose, columns, header.
+    pub fn without_points(&self) -> Self {
+        Self {
+            positions: Xyz::default(),
+            origin_m: self.origin_m,
+            attributes: Vec::new(),
+            position_columns: self.position_columns,
+            pose: self.pose,
+            exact_m: None,
+            provenance: self.provenance.clone(),
+            scanners_m: self.scanners_m.clone(),
+        }
+    }
+
+    /// The sides of the box around all finite points, in metres; zeros without any.
+    pub fn extent_m(&self) -> [f32; 3] {
+        let finite = |values: &[f32]| {
+            let finite = values.iter().filter(|value| value.is_finite());
+            finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], &value| [low.min(value), high.max(value)])
+        };
+        let Xyz { x, y, z } = &self.positions;
+        [x, y, z].map(|values| finite(values)).map(|[low, high]| (high - low).max(0.0))
+    }
+
+    /// Estimates how many points lie within `radius_m` of a point, from every n-th of them.
+    pub fn mean_neighbours(&self, radius_m: f32) -> f64 {
+        const QUERIES: usize = 32;
+        let Xyz { x, y, z } = &self.positions;
+        let finite: Vec<usize> = (0..self.len()).filter(|&i| self.positions.is_finite(i)).collect();
+        let queries: Vec<usize> =
+            finite.iter().copied().step_by((finite.len() / QUERIES).max(1)).take(QUERIES).collect();
+        let square = f64::from(radius_m) * f64::from(radius_m);
+        let within = |&query: &usize| {
+            let p = self.positions.get(query).map(f64::from);
+            let points = x.iter().zip(y).zip(z);
+            let distance = |((&x, &y), &z): ((&f32, &f32), &f32)| {
+                let offset = [f64::from(x) - p[0], f64::from(y) - p[1], f64::from(z) - p[2]];
+                offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]
+            };
+            points.map(distance).filter(|distance| *distance <= square).count()
+        };
+        let total: usize = queries.par_iter().map(within).sum();
+        total as f64 / queries.len().max(1) as f64
+    }
+}
+
+/// A cloud on the pixel grid of the camera that took it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OrganizedCloud {
+    width: usize,
+    height: usize,
+    /// The points, row by row; `points.len()` is width * height.
+    pub points: PointCloud,
+    /// The camera, where it is known. The sensor radius needs its fx; without one it is estimated.
+    pub camera: Option<Camera>,
+}
+
+impl OrganizedCloud {
+    /// Puts `points` on a grid; refuses a grid that they do not fill exactly.
+    pub fn new(width: usize, height: usize, points: PointCloud) -> Result<Self, FrameError> {
+        validate_shape(width, height)?;
+        points.validate()?;
+        if points.len() != width * height {
+            return Err(FrameError::LengthMismatch {
+                what: format!("an organized cloud of {width}x{height}"),
+                len: points.len(),
+                expected: width * height,
+            });
+        }
+        Ok(Self { width, height, points, camera: None })
+    }
+
+    /// A cloud of positions alone on a grid.
+    pub fn from_positions(width: usize, height: usize, positions: Xyz) -> Result<Self, FrameError> {
+        Self::new(width, height, PointCloud::new(positions))
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The positions, row by row.
+    pub fn positions(&self) -> &Xyz {
+        &self.points.positions
+    }
+
+    /// The same cloud with the camera that took it.
+    pub fn with_camera(self, camera: Camera) -> Self {
+        Self { camera: Some(camera), ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shapes_that_do_not_fit_are_refused() {
+        let error = OrganizedCloud::from_positions(4, 3, Xyz::filled(11, 0.0)).unwrap_err();
+        assert!(error.to_string().contains("11 values where 12"), "{error}");
+        assert!(OrganizedCloud::from_positions(0, 3, Xyz::default()).is_err());
+        assert!(OrganizedCloud::from_positions(usize::MAX, 2, Xyz::default()).is_err());
+    }
+}

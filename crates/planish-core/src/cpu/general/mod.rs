@@ -1,0 +1,311 @@
+//! General clouds (docs/method.md, section 8): a vector of points that lie together at a time.
+//!
+//! The points are sorted by [`PointIndex`]; the neighbours of a vector's points are gathered once for all of them ([`gather`]), and
+//! the stages are those of frames on a grid. Results are computed in the order of the index, each by itself, and put into the order
+//! of the cloud at the end, so threads do not change a bit.
+
+mod edges;
+mod gather;
+mod radius;
+
+use std::sync::Arc;
+
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
+
+use super::output::OutputRows;
+use super::polynomial::{Source, Terms};
+use super::row_tasks::{SplitRows, halve};
+use super::sensor::Sensor;
+use super::vector::{Mask, Vec3, splat};
+use super::window::Candidates;
+use super::{Fitting, plane};
+use crate::engine::{AdmittedFrame, ImmediateEngine};
+use crate::error::{EngineError, Error};
+use crate::frame::Frame;
+use crate::method::{GATE_FADE, MAX_RADIUS_RATIO};
+use crate::neighbours::{LEAF, PointIndex};
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::params::{Edges, Radius, SmoothParams};
+use crate::progress::Progress;
+use crate::range::{MAX_RANGE_M, MIN_GATE_M};
+use crate::simd_level::SimdLevel;
+use crate::smoothed::Smoothed;
+use crate::threads::Threads;
+use edges::{FirstPlaneRows, FirstPlanes};
+use gather::{Gathered, Reach};
+use radius::{Density, RadiusRows};
+
+/// Leaves of a task: enough that what a task begins with costs nothing beside them.
+const LEAVES_PER_TASK: usize = 64;
+
+/// The CPU engine for general clouds, with its buffers.
+pub(crate) struct GeneralCpu {
+    params: SmoothParams,
+    level: Level,
+    threads: Threads,
+    outputs: Outputs,
+    index: PointIndex,
+    /// In the order of the index, where radii differ.
+    radii: Vec<f32>,
+    /// With their radii; of use where edges are kept.
+    first_planes: FirstPlanes,
+    sorted: Smoothed,
+    progress: Arc<Progress>,
+}
+
+/// What a kernel needs to know beside the points.
+#[derive(Clone, Copy)]
+struct Kernel<'a> {
+    fitting: Fitting,
+    sensor: Sensor,
+    index: &'a PointIndex,
+    radii: Radii<'a>,
+    /// `None` where edges are not kept, or these are about to be fitted.
+    first_planes: Option<&'a FirstPlanes>,
+}
+
+#[derive(Clone, Copy)]
+enum Radii<'a> {
+    Fixed(f32),
+    /// By the density around each point, before those around it limit it.
+    Of(&'a [f32]),
+    /// After that limit.
+    Known(&'a [f32]),
+}
+
+impl GeneralCpu {
+    pub(crate) fn open(
+        params: SmoothParams,
+        outputs: Outputs,
+        threads: Option<usize>,
+        simd: Option<SimdLevel>,
+    ) -> Result<Self, EngineError> {
+        let (level, threads) = (super::level(simd)?, Threads::open(threads)?);
+        let (index, radii, first_planes, sorted, progress) = Default::default();
+        Ok(Self { params, level, threads, outputs, index, radii, first_planes, sorted, progress })
+    }
+
+    fn smooth_points(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) {
+        let Frame::Points(view) = frame.frame else { return };
+        let Self { params, level, outputs, index, radii, first_planes, sorted, progress, .. } = self;
+        let level = *level;
+        progress.reset();
+        index.fill(&view);
+        // Radii take about a tenth as long as the fits, first planes half.
+        let of_radius = if matches!(params.radius, Radius::Neighbours { .. }) { 1 } else { 0 };
+        let of_fit = 9;
+        let keeps_edges = params.edges != Edges::Off;
+        let of_first_plane = if keeps_edges { 5 } else { 0 };
+        progress.begin((of_radius + of_first_plane + of_fit) * index.leaves());
+        let radii = match params.radius {
+            Radius::Fixed { radius_m } => Radii::Fixed(radius_m),
+            // `Smoother::open` refuses any other.
+            Radius::Neighbours { count } => {
+                let density =
+                    Density { half: count as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
+                radii.resize(LEAF * index.leaves(), f32::NAN);
+                let solve = |mut rows: RadiusRows<'_>| {
+                    if progress.is_stopped() {
+                        return;
+                    }
+                    dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
+                    progress.add(of_radius * rows.count());
+                };
+                halve(LEAVES_PER_TASK, RadiusRows { first: 0, radii }, &solve);
+                Radii::Of(radii)
+            }
+            Radius::Sensor => return,
+        };
+        let mut kernel = Kernel {
+            fitting: Fitting {
+                bandwidth_m: params.bandwidth_m,
+                ridge: params.ridge,
+                keeps_isolated: !params.remove_isolated,
+                least_neighbours: params.least_neighbours(&view) as f32,
+            },
+            sensor: Sensor::new(&frame.geometry),
+            index,
+            radii,
+            first_planes: None,
+        };
+        if keeps_edges {
+            let fit = |mut rows: FirstPlaneRows<'_>| {
+                if progress.is_stopped() {
+                    return;
+                }
+                dispatch!(level, simd => edges::fit_first_planes(simd, &kernel, &mut rows));
+                progress.add(of_first_plane * rows.count());
+            };
+            halve(LEAVES_PER_TASK, first_planes.rows(index.leaves()), &fit);
+            kernel.first_planes = Some(first_planes);
+        }
+        sorted.prepare(LEAF, index.leaves(), *outputs);
+        let smooth = |mut rows: OutputRows<'_>| {
+            if progress.is_stopped() {
+                return;
+            }
+            match params.degree {
+                1 => dispatch!(level, simd => smooth_leaves::<_, 1>(simd, &kernel, &mut rows)),
+                2 => dispatch!(level, simd => smooth_leaves::<_, 2>(simd, &kernel, &mut rows)),
+                _ => dispatch!(level, simd => smooth_leaves::<_, 3>(simd, &kernel, &mut rows)),
+            }
+            progress.add(of_fit * rows.count());
+        };
+        halve(LEAVES_PER_TASK, OutputRows::of_grid((LEAF, index.leaves()), sorted.as_mut()), &smooth);
+        if progress.is_stopped() {
+            return;
+        }
+        let unsort = |mut rows: OutputRows<'_>| rows.take_from(sorted, |i| index.place(i));
+        halve(LEAF * LEAVES_PER_TASK, OutputRows::of_grid((1, view.len()), out), &unsort);
+    }
+}
+
+impl ImmediateEngine for GeneralCpu {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let threads = self.threads.clone();
+        threads.install(|| self.smooth_points(frame, out));
+        Ok(self.progress.check()?)
+    }
+
+    fn progress(&self) -> Option<Arc<Progress>> {
+        Some(Arc::clone(&self.progress))
+    }
+
+    fn own_radius_m(&self, i: usize) -> Option<f32> {
+        let place = self.index.place(i)?;
+        matches!(self.params.radius, Radius::Neighbours { .. }).then(|| self.radii[place])
+    }
+
+    /// Of the sorted points, their radii and results.
+    fn buffer_bytes(&self) -> u64 {
+        (self.index.bytes() + 4 * self.radii.capacity() + self.first_planes.bytes() + self.sorted.bytes()) as u64
+    }
+}
+
+/// The points from a place on; NaN after the last.
+#[inline(always)]
+fn load<S: Simd>(simd: S, index: &PointIndex, place: usize) -> Vec3<S> {
+    let [x, y, z] = &index.positions;
+    let lanes = place..place + S::f32s::LEN;
+    Vec3::new(
+        S::f32s::from_slice(simd, &x[lanes.clone()]),
+        S::f32s::from_slice(simd, &y[lanes.clone()]),
+        S::f32s::from_slice(simd, &z[lanes]),
+    )
+}
+
+#[inline(always)]
+fn smooth_leaves<S: Simd, const D: usize>(simd: S, kernel: &Kernel<'_>, rows: &mut OutputRows<'_>) {
+    let mut terms = Terms::new(simd);
+    let mut gathered = Gathered::default();
+    for row in 0..rows.count() {
+        for u in (0..LEAF).step_by(S::f32s::LEN) {
+            smooth_vector::<S, D>(simd, kernel, &mut gathered, &mut terms, rows, row, u);
+        }
+    }
+}
+
+#[inline(always)]
+fn smooth_vector<S: Simd, const D: usize>(
+    simd: S,
+    kernel: &Kernel<'_>,
+    gathered: &mut Gathered,
+    terms: &mut Terms<S>,
+    rows: &mut OutputRows<'_>,
+    row: usize,
+    u: usize,
+) {
+    let place = LEAF * (rows.first + row) + u;
+    let p = load(simd, kernel.index, place);
+    let valid: Mask<S> = p.x.simd_eq(p.x);
+    if !valid.any_true() {
+        rows.store_holes(row, u, S::f32s::LEN);
+        return;
+    }
+    let (plane, n, width, radius) = match kernel.first_planes {
+        None => {
+            let radius = kernel.gather(simd, gathered, p, valid, place);
+            let sums = (&*gathered).sums(simd, p, radius);
+            (plane::fit(simd, kernel.sensor.ray(simd, p), &sums), sums.n, None, radius)
+        }
+        Some(first_planes) => {
+            let surface = edges::find_surfaces(simd, kernel, first_planes, gathered, p, valid, place);
+            let radii = Radii::Known(first_planes.radii());
+            let radius = Kernel { radii, ..*kernel }.gather(simd, gathered, p, valid, place);
+            (surface.plane, surface.n, Some(surface.width), radius)
+        }
+    };
+    // Farther away than squares can say.
+    let is_far = p.x.abs().max(p.y.abs()).max(p.z.abs()).simd_gt(splat(simd, MAX_RANGE_M));
+    let n = valid.select(is_far.select(splat(simd, 1.0), n), splat(simd, 0.0));
+    let ray = kernel.sensor.ray(simd, p);
+    let projection = rows.projection(false);
+    let projected = kernel.fitting.fit::<S, _, D>(
+        simd,
+        Source::Of(&*gathered),
+        p,
+        ray,
+        &plane,
+        width,
+        radius,
+        n,
+        valid,
+        projection,
+        terms,
+    );
+    rows.store(row, u, splat(simd, 0.0), &projected, &plane, n);
+}
+
+impl Kernel<'_> {
+    /// Gathers the candidates of the points p from a place on, and gives their radii.
+    #[inline(always)]
+    fn gather<S: Simd>(&self, simd: S, gathered: &mut Gathered, p: Vec3<S>, valid: Mask<S>, place: usize) -> S::f32s {
+        let radius = load_radius(simd, self.radii, place);
+        // Where the gate has faded out; and where it begins to, a little within.
+        let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), splat(simd, f32::NAN));
+        let inner = match self.radii {
+            Radii::Fixed(_) | Radii::Known(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
+            // The radius that counts is known only when its candidates are.
+            Radii::Of(_) => splat(simd, 0.0),
+        };
+        gathered.fill(simd, self.index, p, Reach { outer, inner });
+        let radius = match self.radii {
+            Radii::Fixed(_) | Radii::Known(_) => radius,
+            Radii::Of(radii) => {
+                radius.min(mean_radius(simd, gathered, radii, p, radius) * splat(simd, MAX_RADIUS_RATIO))
+            }
+        };
+        valid.select(radius, splat(simd, 1.0)).max(splat(simd, MIN_GATE_M))
+    }
+}
+
+/// The radii of the points from a place on.
+#[inline(always)]
+fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S::f32s {
+    match radii {
+        Radii::Fixed(radius_m) => splat(simd, radius_m),
+        Radii::Of(radii) | Radii::Known(radii) => S::f32s::from_slice(simd, &radii[place..place + S::f32s::LEN]),
+    }
+}
+
+/// The mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without neighbours.
+#[inline(always)]
+fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {
+    let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+    let (mut total, mut sum) = (zero, zero);
+    let slope = -one / (radius * radius).max(splat(simd, f32::MIN_POSITIVE));
+    gathered.for_each_square(
+        simd,
+        p,
+        #[inline(always)]
+        |square, place| {
+            // The point itself does not count.
+            let other: Mask<S> = square.simd_gt(zero);
+            let weight = other.select(square.mul_add(slope, one).max(zero), zero);
+            total += weight;
+            sum = weight.mul_add(splat(simd, radii[place]), sum);
+        },
+    );
+    let alone: Mask<S> = total.simd_le(zero);
+    alone.select(splat(simd, f32::INFINITY), sum / total.max(splat(simd, f32::MIN_POSITIVE)))
+}

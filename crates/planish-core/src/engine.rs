@@ -1,0 +1,192 @@
+//! What every engine implements: the one interface between the front door and an implementation of the method.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use crate::error::{EngineError, Error};
+use crate::frame::{Frame, FrameGeometry};
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::progress::Progress;
+use crate::smoothed::Smoothed;
+use crate::timings::FrameTimings;
+use crate::view::SmoothedView;
+
+/// A frame that was checked against what the smoother was opened for, and its geometry.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct AdmittedFrame<'a> {
+    pub(crate) frame: Frame<'a>,
+    pub(crate) geometry: FrameGeometry,
+}
+
+/// An open engine with its buffers. Frames have the shape that it was opened for; buffers have the lengths of the frame, and
+/// are among the outputs.
+pub(crate) trait SmoothingEngine: Send {
+    /// Smooths one frame.
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error>;
+
+    /// Smooths several frames.
+    fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error>;
+
+    /// Takes a frame; its result is received in the order of submission, in the buffer if there is one.
+    fn submit(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error>;
+
+    /// Waits for the result of the oldest frame in flight.
+    fn receive(&mut self) -> Result<Option<SmoothedView>, Error>;
+
+    /// Does what else the second frame in flight would wait for.
+    fn prepare_in_flight(&mut self) {}
+
+    fn in_flight(&self) -> usize;
+
+    fn max_in_flight(&self) -> usize;
+
+    /// Where the time of the last call of `smooth` or `smooth_batch` went, if that was asked for.
+    fn timings(&self) -> Option<FrameTimings>;
+
+    /// Bytes that it keeps from frame to frame.
+    fn buffer_bytes(&self) -> u64;
+
+    /// The device it computes on, where that has a name.
+    fn device_name(&self) -> Option<&str> {
+        None
+    }
+
+    /// How far a frame has come, of an engine that may take long.
+    fn progress(&self) -> Option<Arc<Progress>> {
+        None
+    }
+
+    /// Keeps the radii by density of the next clouds, where the engine would not.
+    fn keep_radii(&mut self) {}
+
+    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was kept.
+    fn own_radius_m(&self, _: usize) -> Option<f32> {
+        None
+    }
+}
+
+/// An engine that computes a frame where it is called.
+pub(crate) trait ImmediateEngine: Send {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error>;
+
+    /// Where the time of the last frame went, if it knows.
+    fn timings(&self) -> Option<FrameTimings> {
+        None
+    }
+
+    fn buffer_bytes(&self) -> u64 {
+        0
+    }
+
+    /// How far a frame has come, where that may take long.
+    fn progress(&self) -> Option<Arc<Progress>> {
+        None
+    }
+
+    /// The device it computes on, where that has a name.
+    fn device_name(&self) -> Option<&str> {
+        None
+    }
+
+    /// Keeps the radii by density of the next clouds, where the engine would not.
+    fn keep_radii(&mut self) {}
+
+    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was kept.
+    fn own_radius_m(&self, _: usize) -> Option<f32> {
+        None
+    }
+}
+
+/// Makes an [`SmoothingEngine`] of an immediate one: frames in flight are results that wait.
+pub(crate) struct Immediate<E> {
+    engine: E,
+    outputs: Outputs,
+    submitted: VecDeque<(Smoothed, Option<FrameTimings>)>,
+    slots: usize,
+    /// Of the last call, where times are wanted.
+    timings: Option<FrameTimings>,
+    wants_timings: bool,
+}
+
+impl<E: ImmediateEngine> Immediate<E> {
+    pub(crate) fn new(engine: E, outputs: Outputs, slots: usize, wants_timings: bool) -> Self {
+        Self { engine, outputs, submitted: VecDeque::new(), slots, timings: None, wants_timings }
+    }
+
+    /// Gives the times of the frame, where they are wanted.
+    fn smooth_to(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<Option<FrameTimings>, Error> {
+        self.engine.smooth(frame, out)?;
+        Ok(self.engine.timings().filter(|_| self.wants_timings))
+    }
+
+    fn smooth_owned(&mut self, frame: &AdmittedFrame<'_>, out: &mut Smoothed) -> Result<Option<FrameTimings>, Error> {
+        let (width, height) = frame.frame.shape();
+        out.prepare(width, height, self.outputs);
+        self.smooth_to(frame, out.as_mut())
+    }
+}
+
+impl<E: ImmediateEngine> SmoothingEngine for Immediate<E> {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        self.timings = self.smooth_to(frame, out)?;
+        Ok(())
+    }
+
+    fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
+        let mut timings = None::<FrameTimings>;
+        for (frame, out) in frames.iter().zip(out) {
+            if let Some(more) = self.smooth_owned(frame, out)? {
+                *timings.get_or_insert_default() += more;
+            }
+        }
+        self.timings = timings;
+        Ok(())
+    }
+
+    fn submit(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
+        let in_flight = self.submitted.len();
+        if in_flight >= self.slots {
+            return Err(EngineError::Full { in_flight }.into());
+        }
+        let mut smoothed = buffer.unwrap_or_default();
+        let timings = self.smooth_owned(frame, &mut smoothed)?;
+        self.submitted.push_back((smoothed, timings));
+        Ok(())
+    }
+
+    fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        Ok(self.submitted.pop_front().map(|(smoothed, timings)| SmoothedView::owned(smoothed, timings)))
+    }
+
+    fn in_flight(&self) -> usize {
+        self.submitted.len()
+    }
+
+    fn max_in_flight(&self) -> usize {
+        self.slots
+    }
+
+    fn timings(&self) -> Option<FrameTimings> {
+        self.timings
+    }
+
+    fn buffer_bytes(&self) -> u64 {
+        self.engine.buffer_bytes()
+    }
+
+    fn progress(&self) -> Option<Arc<Progress>> {
+        self.engine.progress()
+    }
+
+    fn device_name(&self) -> Option<&str> {
+        self.engine.device_name()
+    }
+
+    fn keep_radii(&mut self) {
+        self.engine.keep_radii();
+    }
+
+    fn own_radius_m(&self, i: usize) -> Option<f32> {
+        self.engine.own_radius_m(i)
+    }
+}

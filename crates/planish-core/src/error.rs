@@ -1,0 +1,318 @@
+//! The errors, by whose fault they are: the caller's parameters, the frame's shape, the machine's engine, or a file.
+//!
+//! A pixel that cannot be smoothed is never an error: it has a [`Status`](crate::Status).
+
+use std::path::Path;
+use std::path::PathBuf;
+
+/// A parameter outside its range.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{field} = {} is not allowed: {allowed}", shortened(value))]
+pub struct ParamError {
+    /// The field of the parameter struct, as it is spelled in code.
+    pub field: &'static str,
+    /// The value it was given.
+    pub value: String,
+    /// What it may be.
+    pub allowed: &'static str,
+}
+
+/// Returns a number with very many digits in exponent form.
+fn shortened(value: &str) -> String {
+    const LONGEST: usize = 40;
+    match value.parse::<f64>() {
+        Ok(number) if value.len() > LONGEST => format!("{number:e}"),
+        _ => value.to_owned(),
+    }
+}
+
+pub const KIB: u64 = 1 << 10;
+
+/// Bytes in whole KiB, or in MiB with a digit where they are many.
+pub fn memory(bytes: u64) -> String {
+    let kib = bytes / KIB;
+    if kib < 10 * KIB { format!("{kib} KiB") } else { format!("{:.1} MiB", kib as f64 / KIB as f64) }
+}
+
+/// A malformed frame.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// A frame has other dimensions than the smoother was opened for.
+    #[error(
+        "the frame is {frame_width}x{frame_height}, but the smoother was opened for {width}x{height}: open another one"
+    )]
+    ShapeMismatch {
+        /// Width of the frame in pixels.
+        frame_width: usize,
+        /// Height of the frame in pixels.
+        frame_height: usize,
+        /// Width the smoother was opened for.
+        width: usize,
+        /// Height the smoother was opened for.
+        height: usize,
+    },
+    /// A width or height of zero, or more pixels than can be addressed.
+    #[error("a frame of {width}x{height} pixels is not allowed: {allowed}")]
+    BadShape {
+        /// Width in pixels.
+        width: usize,
+        /// Height in pixels.
+        height: usize,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// A camera of another shape than the frame.
+    #[error("the camera is {width}x{height}, the frame {frame_width}x{frame_height}: give the camera of this frame")]
+    CameraShapeMismatch {
+        /// Width of the frame in pixels.
+        frame_width: usize,
+        /// Height of the frame in pixels.
+        frame_height: usize,
+        /// Width of the camera's images in pixels.
+        width: usize,
+        /// Height of the camera's images in pixels.
+        height: usize,
+    },
+    /// A frame with a grid for a smoother of general clouds, or a general cloud for one of frames.
+    #[error(
+        "the frame {found}, but the smoother was opened for {expected}: open another one, or give the view its grid"
+    )]
+    GridMismatch {
+        /// What the frame is.
+        found: String,
+        /// What the smoother takes.
+        expected: String,
+    },
+    /// Strides that would make rows or points overlap.
+    #[error("a {what} of {stride} is not allowed: {least} or more")]
+    BadStride {
+        /// Which stride.
+        what: &'static str,
+        /// The stride.
+        stride: usize,
+        /// The smallest that is allowed.
+        least: usize,
+    },
+    /// A buffer for an output that the smoother was not opened for.
+    #[error("the smoother was opened without {output}: ask for it in the outputs")]
+    OutputNotOpened {
+        /// Which output.
+        output: &'static str,
+    },
+    /// A cloud without any finite point, where there must be one.
+    #[error("the cloud has no points")]
+    NoPoints,
+    /// A sensor pose that is none.
+    #[error("sensor pose: {0}")]
+    BadPose(ParamError),
+    /// Voxels of a size that a cloud cannot have.
+    #[error(transparent)]
+    BadVoxel(ParamError),
+    /// A buffer whose length does not follow from the shape.
+    #[error("{what} has {len} values where {expected} are needed")]
+    LengthMismatch {
+        /// Which buffer.
+        what: String,
+        /// The length it has.
+        len: usize,
+        /// The length it should have.
+        expected: usize,
+    },
+    /// Something needs a camera and there is none.
+    #[error("{what} needs the camera's intrinsics (fx, fy, cx, cy), and none are known")]
+    MissingCamera {
+        /// What needs it.
+        what: &'static str,
+    },
+    /// Camera intrinsics that describe no camera.
+    #[error("camera: {0}")]
+    BadCamera(ParamError),
+}
+
+/// An engine that is unavailable, or that failed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EngineError {
+    /// The engine is not in this build or not on this machine.
+    #[error("engine {engine} is not available: {reason}")]
+    Unavailable {
+        /// The name of the engine that was asked for.
+        engine: &'static str,
+        /// Why it is not there, and what would help.
+        reason: String,
+    },
+    /// A frame, or a batch of them, that is larger than the device can take.
+    #[error(
+        "the GPU {device} allows {what} of {allowed}, and this needs {needed}: smooth smaller frames or use the CPU engine"
+    )]
+    Limit {
+        /// The device's name.
+        device: String,
+        /// Which limit.
+        what: &'static str,
+        /// What the device allows.
+        allowed: u64,
+        /// What is needed.
+        needed: u64,
+    },
+    /// A general cloud of which some points reach more others than the device takes at once, or so many reach far that it would take too
+    /// long in parts.
+    #[error(
+        "the GPU {device} takes {points_at_once} points of a cloud at once, and too many points of this one reach far: \
+         use a smaller radius, fewer neighbours or the CPU engine"
+    )]
+    Crowded {
+        /// The device's name.
+        device: String,
+        /// Points that the device takes at once.
+        points_at_once: u64,
+    },
+    /// The device is out of memory.
+    #[error("the GPU {device} could not allocate {bytes} bytes: {reason}")]
+    OutOfMemory {
+        /// The device's name.
+        device: String,
+        /// How many bytes were asked for.
+        bytes: u64,
+        /// What the driver said.
+        reason: String,
+    },
+    /// The device is gone: reset, unplugged or hung. Frames in flight are lost; open another smoother.
+    #[error("the GPU {device} was lost: {reason}; open the smoother again")]
+    Lost {
+        /// The device's name.
+        device: String,
+        /// What the driver said.
+        reason: String,
+    },
+    /// The driver reported an error.
+    #[error("the GPU {device} failed: {reason}")]
+    Device {
+        /// The device's name.
+        device: String,
+        /// What the driver said.
+        reason: String,
+    },
+    /// The maximum number of frames is in flight: receive one first.
+    #[error("{in_flight} frames are in flight, the maximum: receive one before submitting the next")]
+    Full {
+        /// How many are in flight.
+        in_flight: usize,
+    },
+    /// The frame was stopped by [`Progress::stop`](crate::Progress::stop); its result is not there.
+    #[error("smoothing was stopped")]
+    Stopped,
+    /// The pool of threads could not be started.
+    #[error("cannot start {threads} threads: {reason}")]
+    Threads {
+        /// How many were asked for.
+        threads: usize,
+        /// What the system said.
+        reason: String,
+    },
+}
+
+impl EngineError {
+    /// Returns whether the frame was too large for the device, and not for every engine.
+    pub fn is_too_large(&self) -> bool {
+        matches!(self, Self::Limit { .. } | Self::Crowded { .. } | Self::OutOfMemory { .. })
+    }
+}
+
+/// A camera or a viewer that is unavailable, or that is gone.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DeviceError {
+    /// The camera is not there; it may come.
+    #[error("{what}; {help}")]
+    NotFound {
+        /// Which camera.
+        what: String,
+        /// What would help.
+        help: &'static str,
+    },
+    /// Its driver is not there, or cannot use it.
+    #[error("{what}; {help}")]
+    Driver {
+        /// What is missing.
+        what: String,
+        /// What would help.
+        help: &'static str,
+    },
+    /// It does not do what it should.
+    #[error("{what}")]
+    Failed {
+        /// What failed.
+        what: String,
+    },
+    /// It worked, and is gone: unplugged or hung. It may come back.
+    #[error("{what}: unplugged?")]
+    Gone {
+        /// What happened.
+        what: String,
+    },
+}
+
+/// What is wrong with a file, without its name.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FormatError {
+    /// The operating system could not read or write it.
+    #[error(transparent)]
+    Os(#[from] std::io::Error),
+    /// The contents contradict the format. The text says what is wrong and what would be right.
+    #[error("{0}")]
+    Malformed(String),
+    /// A legitimate file that planish cannot use. The text says why and what can be used.
+    #[error("{0}")]
+    Unsupported(String),
+    /// The contents make no frame.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// Reading it would take more memory than allowed.
+    #[error("needs {} of memory, and {} are allowed: raise the limit if the file is what it should be", memory(needed.saturating_add(KIB - 1)), memory(*allowed))]
+    TooLarge {
+        /// Bytes that would be needed.
+        needed: u64,
+        /// Bytes that are allowed.
+        allowed: u64,
+    },
+}
+
+/// A file that could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {problem}", path.display())]
+pub struct IoError {
+    /// The file.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub problem: FormatError,
+}
+
+impl IoError {
+    pub fn at(path: &Path) -> impl FnOnce(FormatError) -> Self + '_ {
+        move |problem| Self { path: path.to_path_buf(), problem }
+    }
+}
+
+/// Any error of planish.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A parameter outside its range.
+    #[error(transparent)]
+    Param(#[from] ParamError),
+    /// A frame that cannot be used.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// An engine that is unavailable, or that failed.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// A camera or a viewer that is unavailable, or that is gone.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// A file that could not be read or written.
+    #[error(transparent)]
+    Io(#[from] IoError),
+}

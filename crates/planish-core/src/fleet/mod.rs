@@ -1,0 +1,225 @@
+//! Fleets: frames dealt to several devices, results in the order of submission.
+//!
+//! Each device has a [`Smoother`](crate::Smoother) and a thread of its own ([`worker`]). A frame goes to the device that is expected to
+//! have its result first ([`dealing`]). A device that fails for good hands its frames to the others.
+
+mod dealing;
+mod devices;
+mod worker;
+
+use std::sync::Arc;
+use std::thread;
+
+use crate::engines::{Engine, SmootherOptions};
+use crate::error::{EngineError, Error, FrameError};
+use crate::frame::{Frame, IntoFrame};
+use crate::params::SmoothParams;
+use crate::smoothed::Smoothed;
+use crate::smoother::{Smoother, check_grid};
+use crate::view::SmoothedView;
+pub use devices::FleetDevice;
+use worker::{Job, Shared, Worker};
+
+/// Frames that wait at a device beside those in its slots, for each slot: its thread never waits for the caller's.
+const WAITING_PER_SLOT: usize = 1;
+
+/// Threads that a GPU keeps busy beside the CPU engine's: its own, and those that copy results.
+const THREADS_OF_A_GPU: usize = 4;
+
+/// How many threads the CPU engine has beside GPUs; `None` is one for each core, where there are no GPUs.
+fn threads_beside(devices: &[FleetDevice]) -> Option<usize> {
+    let gpus = devices.iter().filter(|device| matches!(device, FleetDevice::Gpu(_))).count();
+    let cores = thread::available_parallelism().map_or(1, usize::from);
+    (gpus > 0).then(|| cores.saturating_sub(gpus * THREADS_OF_A_GPU).max(1))
+}
+
+/// A frame that several threads own: what [`Fleet`] takes in an [`Arc`]. Every type that a reference converts to a [`Frame`] of is one.
+pub trait SharedFrame: Send + Sync + 'static {
+    /// The frame.
+    ///
+    /// # Errors
+    /// If buffers contradict the shape, or the camera or the pose is none.
+    fn frame(&self) -> Result<Frame<'_>, FrameError>;
+}
+
+impl<T: Send + Sync + 'static> SharedFrame for T
+where
+    for<'a> &'a T: IntoFrame<'a>,
+{
+    fn frame(&self) -> Result<Frame<'_>, FrameError> {
+        self.into_frame()
+    }
+}
+
+/// Smoothers on several devices, for frames of one grid, or for general clouds.
+///
+/// Used as a [`Smoother`] with frames in flight is: submit while there is room, receive in the same order.
+///
+/// ```
+/// use std::sync::Arc;
+/// use planish::{Fleet, FleetDevice, OrganizedCloud, SmoothParams, Smoothed, SmootherOptions, Xyz};
+///
+/// # fn main() -> Result<(), planish::Error> {
+/// # let plane: Xyz = (0..64 * 48).map(|i| [0.002 * (i % 64) as f32, 0.002 * (i / 64) as f32, 1.0]).collect();
+/// # let frame = Arc::new(OrganizedCloud::from_positions(64, 48, plane)?);
+/// # let frames = vec![frame; 5];
+/// // Every GPU of this machine, or if it has none the CPU.
+/// let devices = FleetDevice::parse_list("all").unwrap_or_else(|_| vec![FleetDevice::Cpu]);
+/// let mut fleet = Fleet::open(SmoothParams::paper(), &SmootherOptions::default(), &devices, (64, 48))?;
+/// let mut received = 0;
+/// for frame in &frames {
+///     if fleet.in_flight() == fleet.max_in_flight() {
+///         received += usize::from(fleet.receive()?.is_some());
+///     }
+///     fleet.submit(Arc::clone(frame), Smoothed::default())?;
+/// }
+/// while let Some(view) = fleet.receive()? {
+///     assert_eq!(view.shape(), (64, 48));
+///     received += 1;
+/// }
+/// assert_eq!(received, frames.len());
+/// # Ok(())
+/// # }
+/// ```
+pub struct Fleet {
+    shared: Arc<Shared>,
+    workers: Vec<Worker>,
+    grid: Option<(usize, usize)>,
+    window: usize,
+    /// Numbers of the frame that is submitted next, and of the one that is received next.
+    next_in: u64,
+    next_out: u64,
+}
+
+/// What a device of a fleet is, and what it has done.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct FleetMember {
+    /// Its name: that of the GPU, or of the engine.
+    pub name: String,
+    /// Its engine.
+    pub engine: Engine,
+    /// How many frames it has computed.
+    pub frames: u64,
+    /// Why it is out; `None` while it works.
+    pub lost: Option<EngineError>,
+}
+
+impl Fleet {
+    /// Opens a smoother on each device, as [`Smoother::open_with`] does with the options, of which the devices replace engine and adapter.
+    ///
+    /// # Errors
+    /// If there are no devices, one does not open, or the parameters are not allowed.
+    pub fn open(
+        params: SmoothParams,
+        options: &SmootherOptions,
+        devices: &[FleetDevice],
+        grid: impl Into<Option<(usize, usize)>>,
+    ) -> Result<Self, Error> {
+        let grid = grid.into();
+        if devices.is_empty() {
+            let reason = "a fleet needs one device or more".to_owned();
+            return Err(EngineError::Unavailable { engine: "fleet", reason }.into());
+        }
+        let cpu = options.clone().with_threads(options.threads.or_else(|| threads_beside(devices)));
+        let options_of = |device: &FleetDevice| match device {
+            FleetDevice::Cpu => device.options(&cpu),
+            FleetDevice::Gpu(_) => device.options(options),
+        };
+        let open = |device: &FleetDevice| {
+            let mut smoother = Smoother::open_with(params, &options_of(device), grid)?;
+            smoother.prepare_in_flight();
+            Ok(smoother)
+        };
+        let smoothers: Result<Vec<Smoother>, Error> = thread::scope(|scope| {
+            let opening: Vec<_> = devices.iter().map(|device| scope.spawn(move || open(device))).collect();
+            let panicked = || EngineError::Unavailable { engine: "fleet", reason: "opening it panicked".to_owned() };
+            opening.into_iter().map(|thread| thread.join().unwrap_or_else(|_| Err(panicked().into()))).collect()
+        });
+        let smoothers = smoothers?;
+        let window = smoothers.len() * options.gpu.slots * (1 + WAITING_PER_SLOT);
+        let shared = Arc::new(Shared::new(&smoothers, window));
+        let start = |(device, smoother)| Worker::start(Arc::clone(&shared), device, smoother);
+        let workers = smoothers.into_iter().enumerate().map(start).collect::<Result<_, _>>();
+        // Those that have started would wait for ever.
+        let workers = workers.inspect_err(|_| shared.close())?;
+        Ok(Self { shared, workers, grid, window, next_in: 0, next_out: 0 })
+    }
+
+    /// Submits a frame, and a buffer for its result. Returns at once: other threads compute it.
+    ///
+    /// # Errors
+    /// If as many are in flight as can be, the frame is of another grid, or every device is lost. What else is wrong with a frame is
+    /// received in its place.
+    pub fn submit<F: SharedFrame>(&mut self, frame: Arc<F>, buffer: Smoothed) -> Result<(), Error> {
+        self.deal(frame, Some(buffer))
+    }
+
+    /// The same with the result left where the device puts it, to be read there: nothing is copied.
+    pub fn submit_in_place<F: SharedFrame>(&mut self, frame: Arc<F>) -> Result<(), Error> {
+        self.deal(frame, None)
+    }
+
+    fn deal(&mut self, frame: Arc<dyn SharedFrame>, buffer: Option<Smoothed>) -> Result<(), Error> {
+        let in_flight = self.in_flight();
+        if in_flight >= self.max_in_flight() {
+            return match self.shared.last_loss() {
+                Some(lost) if self.max_in_flight() == 0 => Err(lost.into()),
+                _ => Err(EngineError::Full { in_flight }.into()),
+            };
+        }
+        check_grid(frame.frame()?.grid(), self.grid)?;
+        self.shared.deal(Job::new(self.next_in, frame, buffer))?;
+        self.next_in += 1;
+        Ok(())
+    }
+
+    /// Waits for the oldest frame in flight; `None` if there is none.
+    ///
+    /// # Errors
+    /// If something is wrong with that frame, or every device is lost.
+    pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        if self.in_flight() == 0 {
+            return Ok(None);
+        }
+        let result = self.shared.wait_for(self.next_out);
+        self.next_out += 1;
+        result.map(Some)
+    }
+
+    /// How many frames were submitted and not received.
+    pub fn in_flight(&self) -> usize {
+        (self.next_in - self.next_out) as usize
+    }
+
+    /// How many frames can be; one more is an [`EngineError::Full`]. 0 once every device is lost.
+    pub fn max_in_flight(&self) -> usize {
+        // That of all devices while one works: it does not fall under the caller's hands.
+        if self.shared.works() { self.window } else { 0 }
+    }
+
+    /// Its devices, in the order given.
+    pub fn members(&self) -> Vec<FleetMember> {
+        self.shared.members()
+    }
+
+    /// Its engine: the GPU's while one works.
+    pub fn engine(&self) -> Engine {
+        let members = self.members();
+        let mut working = members.iter().filter(|member| member.lost.is_none()).map(|member| member.engine);
+        let first = working.clone().next().or(members.first().map(|member| member.engine)).unwrap_or_default();
+        working.find(|&engine| engine == Engine::Gpu).unwrap_or(first)
+    }
+}
+
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        self.shared.close();
+        self.workers.iter_mut().for_each(Worker::join);
+    }
+}
+
+/// Takes a device out of a fleet, as if it were lost.
+pub fn lose_device(fleet: &Fleet, device: usize, error: &EngineError) {
+    fleet.shared.lose(device, error);
+}

@@ -1,0 +1,208 @@
+//! What a smoother takes: borrowed views of depth images and points, and the owned types that convert into them.
+
+mod depth_view;
+mod geometry;
+mod owned;
+mod points_view;
+mod sample;
+
+use crate::camera::Camera;
+use crate::cloud::{Attribute, OrganizedCloud, PointCloud};
+use crate::error::FrameError;
+use crate::xyz::validate_shape;
+
+pub(crate) use depth_view::DepthSamples;
+pub use depth_view::DepthView;
+pub use geometry::RangeRule;
+pub(crate) use geometry::{FrameGeometry, assumed_range_m};
+pub use geometry::{assumed_sensor_of_sample, sampling_step};
+pub use owned::OwnedFrame;
+pub use points_view::{PointLayout, PointsView, Scalar};
+pub(crate) use sample::GeometryScratch;
+
+/// A 16-bit depth image, row by row, without the camera that took it. 0 and 65535 are holes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DepthImage {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Raw depth values, width * height of them.
+    pub raw: Vec<u16>,
+}
+
+/// A depth image with its camera: what a depth sensor delivers. [`DepthView`] is the same without a copy.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct DepthFrame {
+    /// The camera; its width and height are the image's.
+    pub camera: Camera,
+    /// Raw depth values, row by row. 0 and 65535 are holes.
+    pub raw: Vec<u16>,
+    /// Colour registered to the depth image, 3 bytes (red, green, blue) a pixel.
+    pub rgb: Option<Vec<u8>>,
+    /// When the frame was taken, in seconds of the source's clock.
+    pub timestamp_s: Option<f64>,
+}
+
+impl DepthFrame {
+    /// Puts raw depth values and their camera together; refuses a camera of another shape.
+    pub fn new(camera: Camera, raw: Vec<u16>) -> Result<Self, FrameError> {
+        let frame = Self { camera, raw, rgb: None, timestamp_s: None };
+        frame.validate()?;
+        Ok(frame)
+    }
+
+    /// Puts depth values and their camera together that are known to fit; [`validate`](Self::validate) checks it.
+    #[doc(hidden)]
+    pub fn unchecked(camera: Camera, raw: Vec<u16>) -> Self {
+        Self { camera, raw, rgb: None, timestamp_s: None }
+    }
+
+    /// The same of a depth image.
+    pub fn from_image(camera: Camera, image: DepthImage) -> Result<Self, FrameError> {
+        camera.check_shape((image.width, image.height))?;
+        Self::new(camera, image.raw)
+    }
+
+    /// The same frame with colour registered to it, 3 bytes a pixel.
+    pub fn with_rgb(self, rgb: Vec<u8>) -> Self {
+        Self { rgb: Some(rgb), ..self }
+    }
+
+    /// The same frame with a time stamp in seconds of the source's clock.
+    pub fn with_timestamp_s(self, timestamp_s: f64) -> Self {
+        Self { timestamp_s: Some(timestamp_s), ..self }
+    }
+
+    /// Refuses buffers whose lengths do not follow from the camera.
+    pub fn validate(&self) -> Result<(), FrameError> {
+        DepthView::new(&self.raw, &self.camera)?;
+        let expected = 3 * self.raw.len();
+        match &self.rgb {
+            Some(rgb) if rgb.len() != expected => {
+                Err(FrameError::LengthMismatch { what: "rgb".into(), len: rgb.len(), expected })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The organized cloud of this frame (docs/method.md, section 1), with colour as PCL's packed `rgb` if there is any.
+    pub fn deproject(&self) -> Result<OrganizedCloud, FrameError> {
+        self.validate()?;
+        let mut cloud = DepthView::new(&self.raw, &self.camera)?.deproject()?;
+        cloud.points.attributes.extend(self.packed_rgb());
+        Ok(cloud)
+    }
+
+    /// Its colour as PCL packs it.
+    pub fn packed_rgb(&self) -> Option<Attribute> {
+        let packed = self.rgb.as_ref()?.chunks_exact(3).map(|c| u32::from_be_bytes([0, c[0], c[1], c[2]]));
+        let values = packed.map(f32::from_bits).collect::<Vec<_>>().into();
+        Some(Attribute { name: "rgb".into(), count: 1, values })
+    }
+}
+
+/// A frame of either kind, borrowed and well formed.
+#[derive(Debug, Clone, Copy)]
+pub enum Frame<'a> {
+    /// A depth image with its camera.
+    Depth(DepthView<'a>),
+    /// Points, on a grid or not.
+    Points(PointsView<'a>),
+}
+
+impl<'a> Frame<'a> {
+    /// Width and height in pixels; `None` for a general cloud.
+    pub fn grid(&self) -> Option<(usize, usize)> {
+        match self {
+            Self::Depth(depth) => Some(depth.shape()),
+            Self::Points(points) => points.grid(),
+        }
+    }
+
+    /// Width and height as results state them: a general cloud is as wide as it has points, and 1 high.
+    pub fn shape(&self) -> (usize, usize) {
+        match self {
+            Self::Depth(depth) => depth.shape(),
+            Self::Points(points) => points.grid().unwrap_or((points.len(), 1)),
+        }
+    }
+
+    /// How many pixels or points are no holes.
+    pub fn valid_points(&self) -> usize {
+        match self {
+            Self::Depth(depth) => depth.valid_pixels(),
+            Self::Points(points) => points.valid_points(),
+        }
+    }
+
+    /// The camera, where it is known.
+    pub fn camera(&self) -> Option<&'a Camera> {
+        match self {
+            Self::Depth(depth) => Some(depth.camera()),
+            Self::Points(points) => points.camera(),
+        }
+    }
+}
+
+/// What converts into a well-formed [`Frame`] without copying: views, [`DepthFrame`], [`OrganizedCloud`], [`PointCloud`].
+///
+/// The owned types have public fields, so the conversion checks them: lengths, the camera, the pose.
+pub trait IntoFrame<'a> {
+    /// The frame.
+    ///
+    /// # Errors
+    /// If buffers contradict the shape, or the camera or the pose is none.
+    fn into_frame(self) -> Result<Frame<'a>, FrameError>;
+}
+
+impl<'a> IntoFrame<'a> for Frame<'a> {
+    fn into_frame(self) -> Result<Frame<'a>, FrameError> {
+        Ok(self)
+    }
+}
+
+impl<'a> IntoFrame<'a> for DepthView<'a> {
+    fn into_frame(self) -> Result<Frame<'a>, FrameError> {
+        Ok(Frame::Depth(self))
+    }
+}
+
+impl<'a> IntoFrame<'a> for PointsView<'a> {
+    fn into_frame(self) -> Result<Frame<'a>, FrameError> {
+        Ok(Frame::Points(self))
+    }
+}
+
+impl<'a> IntoFrame<'a> for &'a DepthFrame {
+    fn into_frame(self) -> Result<Frame<'a>, FrameError> {
+        self.validate()?;
+        Ok(Frame::Depth(DepthView::new(&self.raw, &self.camera)?))
+    }
+}
+
+impl<'a> IntoFrame<'a> for &'a OrganizedCloud {
+    fn into_frame(self) -> Result<Frame<'a>, FrameError> {
+        Ok(Frame::Points(PointsView::from_organized(self)?))
+    }
+}
+
+impl<'a> IntoFrame<'a> for &'a PointCloud {
+    fn into_frame(self) -> Result<Frame<'a>, FrameError> {
+        Ok(Frame::Points(PointsView::from_cloud(self)?))
+    }
+}
+
+/// Refuses a buffer that is shorter than its shape and stride need.
+fn check_rows(what: &str, len: usize, (width, height): (usize, usize), row_stride: usize) -> Result<(), FrameError> {
+    validate_shape(width, height)?;
+    if row_stride < width {
+        return Err(FrameError::BadStride { what: "row stride", stride: row_stride, least: width });
+    }
+    let expected = row_stride.checked_mul(height - 1).and_then(|rows| rows.checked_add(width));
+    match expected {
+        Some(expected) if len >= expected => Ok(()),
+        _ => Err(FrameError::LengthMismatch { what: what.into(), len, expected: expected.unwrap_or(usize::MAX) }),
+    }
+}

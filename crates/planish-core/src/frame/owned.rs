@@ -1,0 +1,47 @@
+//! A frame of either kind that owns its data.
+
+use super::{DepthFrame, Frame, IntoFrame};
+use crate::cloud::OrganizedCloud;
+use crate::error::FrameError;
+
+/// A frame that owns its data.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "a few hundred bytes beside the megabytes of a frame")]
+pub enum OwnedFrame {
+    /// A depth image with its camera, time stamp and optional colour.
+    Depth(DepthFrame),
+    /// An organized cloud.
+    Cloud {
+        /// The points.
+        cloud: OrganizedCloud,
+        /// When it was taken, in seconds of the source's clock.
+        timestamp_s: Option<f64>,
+    },
+}
+
+impl OwnedFrame {
+    /// Width and height in pixels.
+    pub fn shape(&self) -> (usize, usize) {
+        match self {
+            Self::Depth(depth) => (depth.camera.width, depth.camera.height),
+            Self::Cloud { cloud, .. } => (cloud.width(), cloud.height()),
+        }
+    }
+
+    /// When it was taken, in seconds of the source's clock.
+    pub fn timestamp_s(&self) -> Option<f64> {
+        match self {
+            Self::Depth(depth) => depth.timestamp_s,
+            Self::Cloud { timestamp_s, .. } => *timestamp_s,
+        }
+    }
+}
+
+impl<'a> IntoFrame<'a> for &'a OwnedFrame {
+    fn into_frame(self) -> Result<Frame<'a>, FrameError> {
+        match self {
+            OwnedFrame::Depth(depth) => depth.into_frame(),
+            OwnedFrame::Cloud { cloud, .. } => cloud.into_frame(),
+        }
+    }
+}

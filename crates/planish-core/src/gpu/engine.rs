@@ -1,0 +1,409 @@
+//! The engine: slots, frames in flight, batches.
+
+use std::collections::{HashSet, VecDeque};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use rayon::prelude::*;
+
+use super::copier::{Copied, Copier};
+use super::device::{self, GpuDevice, OpenAdapter, Purpose, lock};
+use super::kernel::{KernelKey, Pass};
+use super::layout::{InputKind, Layout};
+use super::slot::Slot;
+use super::upload::Uploader;
+use super::view::MappedView;
+use crate::devices::{GpuAdapter, GpuOptions, Transfer, choose};
+use crate::engine::{AdmittedFrame, SmoothingEngine};
+use crate::error::{EngineError, Error, FrameError};
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::params::{Edges, SmoothParams};
+use crate::smoothed::Smoothed;
+use crate::timings::FrameTimings;
+use crate::view::SmoothedView;
+
+/// Lists the adapters of this machine.
+pub(crate) fn adapters() -> Vec<GpuAdapter> {
+    device::list()
+}
+
+/// Destroys the open devices, as a driver reset does, to test recovery.
+
+pub fn lose_devices() {
+    device::lose_open();
+}
+
+/// Free slots; views return theirs from any thread.
+pub(super) type FreeSlots = Arc<Mutex<Vec<Slot>>>;
+
+/// A submission in progress, or whose result has not been received.
+pub(super) struct Flight {
+    pub(super) slot: Slot,
+    submission: wgpu::SubmissionIndex,
+    pub(super) free: FreeSlots,
+}
+
+impl Flight {
+    /// Waits for the result.
+    pub(super) fn land(self) -> Result<MappedView, EngineError> {
+        self.slot.gpu.wait(self.submission.clone())?;
+        self.slot.wait_mapped()?;
+        MappedView::new(self)
+    }
+}
+
+/// A submitted frame, by how its result is delivered.
+enum Pending {
+    InPlace(Box<Flight>),
+    Copied(Copied),
+}
+
+/// Opens an adapter with all its queues.
+type OpenSeveral = Box<dyn FnOnce() -> Result<Arc<OpenAdapter>, EngineError> + Send>;
+
+/// Limits of a submission of several frames: bytes per buffer, and frames.
+const MAX_BATCH_BYTES: u64 = 256 << 20;
+const MAX_BATCH_FRAMES: u64 = 64;
+
+/// The GPU engine with its buffers.
+pub(crate) struct Gpu {
+    /// Where slots are: one device until frames overlap, then one for each queue.
+    pub(super) adapter: Arc<OpenAdapter>,
+    /// The adapter with all its queues, until that has been tried; `None` for a device of the host program's.
+    pub(super) several: Option<OpenSeveral>,
+    params: SmoothParams,
+    outputs: Outputs,
+    options: GpuOptions,
+    shape: (usize, usize),
+    pub(super) free: FreeSlots,
+    /// Slots allocated so far: they are dealt to the queues in turns.
+    allocated: usize,
+    uploader: Uploader,
+    pending: VecDeque<Pending>,
+    /// At least one, if possible one for each device.
+    copiers: Vec<Copier>,
+    timings: Option<FrameTimings>,
+    /// Bytes of all slots, wherever they are.
+    bytes: Arc<AtomicU64>,
+}
+
+impl Gpu {
+    /// Opens an adapter by the options.
+    pub(crate) fn open(
+        params: SmoothParams,
+        outputs: Outputs,
+        options: &GpuOptions,
+        shape: (usize, usize),
+    ) -> Result<Self, EngineError> {
+        let adapters = adapters();
+        let chosen = choose(&adapters, options.adapter.as_deref())?.clone();
+        let adapter = OpenAdapter::open(&chosen, Purpose::OneAtATime)?;
+        let mut engine = Self::open_in(adapter, params, outputs, options, shape)?;
+        engine.several = Some(Box::new(move || OpenAdapter::open(&chosen, Purpose::InFlight)));
+        Ok(engine)
+    }
+
+    /// Opens on a device of the host program's.
+    #[cfg(feature = "wgpu-interop")]
+    pub(crate) fn open_on(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        params: SmoothParams,
+        outputs: Outputs,
+        options: &GpuOptions,
+        shape: (usize, usize),
+    ) -> Result<Self, EngineError> {
+        let device = Arc::new(GpuDevice::of_host(device.clone(), queue.clone()));
+        Self::open_in(Arc::new(OpenAdapter { devices: vec![device] }), params, outputs, options, shape)
+    }
+
+    pub(super) fn open_in(
+        adapter: Arc<OpenAdapter>,
+        params: SmoothParams,
+        outputs: Outputs,
+        options: &GpuOptions,
+        shape: (usize, usize),
+    ) -> Result<Self, EngineError> {
+        let mut options = options.clone();
+        let gpu = &adapter.devices[0];
+        let lacks = |reason: &str| EngineError::Unavailable {
+            engine: "gpu",
+            reason: format!("the adapter {} {reason}", gpu.name),
+        };
+        gpu.check_timestamps(&options)?;
+        let direct = gpu.features.contains(wgpu::Features::MAPPABLE_PRIMARY_BUFFERS);
+        options.transfer = match options.transfer {
+            Transfer::Direct if !direct => return Err(lacks("cannot compute in the host's memory")),
+            Transfer::Auto if direct => Transfer::Direct,
+            Transfer::Auto => Transfer::Staged,
+            chosen => chosen,
+        };
+        let mut engine = Self {
+            adapter,
+            several: None,
+            params,
+            outputs,
+            options,
+            shape,
+            free: Arc::default(),
+            allocated: 0,
+            uploader: Uploader::new(params),
+            pending: VecDeque::new(),
+            copiers: Vec::new(),
+            timings: None,
+            bytes: Arc::default(),
+        };
+        // Errors and slow work happen here rather than with the first frame.
+        for kind in InputKind::ALL {
+            engine.check_limits(engine.layout(kind), 1)?;
+        }
+        engine.compile(&engine.adapter)?;
+        engine.warm_up()?;
+        Ok(engine)
+    }
+
+    /// Deals frames to several queues from now on, where the adapter has them and unless that has been tried; else frames in flight
+    /// take turns on the one that is open.
+    fn open_several(&mut self) {
+        let Some(open) = self.several.take().filter(|_| self.options.slots > 1) else { return };
+        let Ok(several) = open() else { return };
+        if self.compile(&several).is_ok() {
+            self.adapter = several;
+            lock(&self.free).clear();
+            // What fails here fails again with the next frame.
+            let _ = self.warm_up();
+        }
+    }
+
+    /// Stands for all devices where they are alike: limits, features, faults.
+    fn gpu(&self) -> &GpuDevice {
+        &self.adapter.devices[0]
+    }
+
+    /// Compiles the kernels of all kinds of input, in parallel: drivers compile on the calling thread.
+    fn compile(&self, adapter: &OpenAdapter) -> Result<(), EngineError> {
+        let keys: HashSet<KernelKey> = InputKind::ALL.into_iter().flat_map(|kind| self.kernel_keys(kind)).collect();
+        let all = adapter.devices.iter().flat_map(|gpu| keys.iter().map(move |&key| (gpu, key)));
+        thread::scope(|scope| {
+            let compiling: Vec<_> = all.map(|(gpu, key)| scope.spawn(move || gpu.kernel(key).map(drop))).collect();
+            let failed = || Err(self.gpu().failed("a kernel was not compiled"));
+            compiling.into_iter().try_for_each(|thread| thread.join().unwrap_or_else(|_| failed()))
+        })
+    }
+
+    /// Computes a frame of holes in every slot and starts the copiers, so that the driver's one-time work per buffer and kernel
+    /// does not delay the first frames of a camera.
+    fn warm_up(&mut self) -> Result<(), EngineError> {
+        while self.copiers.len() < self.adapter.devices.len() {
+            self.copiers.push(Copier::start()?);
+        }
+        let layout = self.layout(InputKind::Depth);
+        let mut landed = Vec::new();
+        for _ in 0..self.options.slots {
+            let slot = self.slot(layout, 1)?;
+            landed.push(self.submit_slot(slot)?.land()?);
+        }
+        Ok(())
+    }
+
+    fn layout(&self, kind: InputKind) -> Layout {
+        let (width, height) = self.shape;
+        let keeps_planes = self.params.edges != Edges::Off;
+        let keeps_points = keeps_planes || self.params.averages_blocks();
+        Layout { width, height, kind, outputs: self.outputs, keeps_points, keeps_planes }
+    }
+
+    /// The kernels of a frame's passes, in order.
+    fn kernel_keys(&self, kind: InputKind) -> impl Iterator<Item = KernelKey> {
+        let workgroup_bytes = self.gpu().limits.max_compute_workgroup_storage_size as usize;
+        let key = move |&pass| {
+            KernelKey::new(&self.params, pass, kind, self.outputs, self.options.bounds_checks, workgroup_bytes)
+        };
+        Pass::of(&self.params).iter().map(key)
+    }
+
+    /// The kernels of a frame's passes in order, each with its workgroups across and down.
+    fn kernels(
+        &self,
+        gpu: &GpuDevice,
+        kind: InputKind,
+    ) -> Result<Vec<(wgpu::ComputePipeline, [usize; 2])>, EngineError> {
+        self.kernel_keys(kind).map(|key| Ok((gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
+    }
+
+    /// The most workgroups of a frame, across or down.
+    fn most_workgroups(&self, kind: InputKind) -> usize {
+        self.kernel_keys(kind).flat_map(|key| key.workgroups(self.shape)).max().unwrap_or(0)
+    }
+
+    /// Returns the device's limit of bytes per buffer.
+    fn buffer_limit(&self) -> u64 {
+        let limits = &self.gpu().limits;
+        limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
+    }
+
+    /// Returns the bytes of a frame's largest buffer.
+    fn frame_bytes(layout: Layout) -> u64 {
+        let [points, planes] = layout.kept_words();
+        4 * layout.input_words().max(layout.output_words()).max(points).max(planes) as u64
+    }
+
+    /// Returns how many frames of a batch one submission holds: within the device's limits, and short enough for its other users
+    /// and for desktop watchdogs.
+    fn frames_at_once(&self, layout: Layout) -> usize {
+        let bytes = self.buffer_limit().min(MAX_BATCH_BYTES);
+        (bytes / Self::frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize
+    }
+
+    /// Refuses frames of a layout that the device cannot take.
+    fn check_limits(&self, layout: Layout, frames: usize) -> Result<(), EngineError> {
+        let limits = [
+            ("bytes in a buffer", self.buffer_limit(), Self::frame_bytes(layout) * frames as u64),
+            (
+                "workgroups across or down",
+                u64::from(self.gpu().limits.max_compute_workgroups_per_dimension),
+                self.most_workgroups(layout.kind) as u64,
+            ),
+        ];
+        match limits.into_iter().find(|(_, allowed, needed)| needed > allowed) {
+            None => Ok(()),
+            Some((what, allowed, needed)) => {
+                Err(EngineError::Limit { device: self.gpu().name.clone(), what, allowed, needed })
+            }
+        }
+    }
+
+    /// Returns the slot for this many frames of a layout that has been free for longest, or a new one.
+    fn slot(&mut self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
+        {
+            let mut free = lock(&self.free);
+            // Views return slots of the device before, too.
+            free.retain(|slot| self.adapter.devices.iter().any(|gpu| Arc::ptr_eq(gpu, &slot.gpu)));
+            if let Some(at) = free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
+                return Ok(free.remove(at));
+            }
+            // One batch at a time: slots of other sizes are not kept.
+            free.retain(|slot| slot.frames == 1);
+        }
+        let devices = &self.adapter.devices;
+        let gpu = Arc::clone(&devices[self.allocated % devices.len()]);
+        let slot = Slot::new(gpu, layout, frames, self.options.transfer, self.options.timestamps, &self.bytes)?;
+        self.allocated += 1;
+        Ok(slot)
+    }
+
+    /// Writes frames of one kind into a slot and submits it.
+    fn launch(&mut self, frames: &[AdmittedFrame<'_>]) -> Result<Flight, Error> {
+        let Some(first) = frames.first() else {
+            return Err(FrameError::LengthMismatch { what: "a batch".into(), len: 0, expected: 1 }.into());
+        };
+        self.gpu().check()?;
+        let layout = self.layout(InputKind::of(&first.frame));
+        self.check_limits(layout, frames.len())?;
+        let mut slot = self.slot(layout, frames.len())?;
+        slot.write(frames, &mut self.uploader)?;
+        Ok(self.submit_slot(slot)?)
+    }
+
+    /// Submits a slot whose frames are written.
+    fn submit_slot(&self, slot: Slot) -> Result<Flight, EngineError> {
+        let kind = slot.layout.kind;
+        let kernels = self.kernels(&slot.gpu, kind)?;
+        let submission = slot.submit(&kernels);
+        self.gpu().check()?;
+        Ok(Flight { slot, submission, free: Arc::clone(&self.free) })
+    }
+}
+
+impl SmoothingEngine for Gpu {
+    fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let view = self.launch(std::slice::from_ref(frame))?.land()?;
+        self.timings = view.timings();
+        view.copy_frame_into(0, out);
+        Ok(())
+    }
+
+    /// Smooths a batch, with as many frames per submission as the device takes.
+    fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
+        let (mut done, mut timings) = (0, None::<FrameTimings>);
+        while let Some(first) = frames.get(done) {
+            let kind = InputKind::of(&first.frame);
+            let most = self.frames_at_once(self.layout(kind));
+            let alike = frames[done..].iter().take_while(|frame| InputKind::of(&frame.frame) == kind).count();
+            // Submissions of one size use one slot.
+            let count = alike.div_ceil(alike.div_ceil(most));
+            let view = self.launch(&frames[done..done + count])?.land()?;
+            out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_frame_to(i, out));
+            if let Some(more) = view.timings() {
+                *timings.get_or_insert_default() += more;
+            }
+            done += count;
+        }
+        self.timings = timings;
+        Ok(())
+    }
+
+    /// With a buffer, the result is copied there by another thread once ready; without one it stays in mapped memory.
+    fn submit(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
+        let in_flight = self.pending.len();
+        if in_flight >= self.options.slots {
+            return Err(EngineError::Full { in_flight }.into());
+        }
+        if in_flight > 0 {
+            self.open_several();
+        }
+        let flight = self.launch(std::slice::from_ref(frame))?;
+        self.pending.push_back(match buffer {
+            None => Pending::InPlace(Box::new(flight)),
+            Some(buffer) => {
+                let queue = self.adapter.devices.iter().position(|gpu| Arc::ptr_eq(gpu, &flight.slot.gpu)).unwrap_or(0);
+                // There may be fewer, where the system had no more threads.
+                let copier = &self.copiers[queue.min(self.copiers.len() - 1)];
+                Pending::Copied(copier.copy(flight, buffer))
+            }
+        });
+        Ok(())
+    }
+
+    fn prepare_in_flight(&mut self) {
+        self.open_several();
+    }
+
+    fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        match self.pending.pop_front() {
+            None => Ok(None),
+            Some(Pending::InPlace(flight)) => {
+                let view = flight.land()?;
+                let timings = view.timings();
+                Ok(Some(SmoothedView::in_place(Box::new(view), timings)))
+            }
+            Some(Pending::Copied(copied)) => {
+                let (smoothed, timings) = copied.wait(self.gpu())?;
+                Ok(Some(SmoothedView::owned(smoothed, timings)))
+            }
+        }
+    }
+
+    fn in_flight(&self) -> usize {
+        self.pending.len()
+    }
+
+    fn max_in_flight(&self) -> usize {
+        self.options.slots
+    }
+
+    /// On the device.
+    fn timings(&self) -> Option<FrameTimings> {
+        self.timings
+    }
+
+    /// Of all slots.
+    fn buffer_bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    fn device_name(&self) -> Option<&str> {
+        Some(&self.gpu().name)
+    }
+}

@@ -1,0 +1,108 @@
+//! The types and engines of planish: everything between depth or points in memory and smoothed points in memory.
+//!
+//! Most programs depend on the crate `planish`, which re-exports this one and adds files, cameras and ROS 2.
+//! The method is defined in the project's `docs/method.md`; comments that name a section refer to that page.
+
+#![cfg_attr(docsrs, feature(doc_cfg))]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::todo,
+    clippy::print_stdout,
+    clippy::print_stderr
+)]
+
+#[doc(hidden)]
+pub mod agreement;
+mod camera;
+pub mod clean;
+mod cloud;
+mod colour;
+mod cpu;
+mod devices;
+mod eigen;
+mod engine;
+mod engines;
+mod error;
+mod fleet;
+mod floating;
+mod frame;
+#[cfg(any(feature = "gpu", feature = "webgpu"))]
+mod gpu;
+mod method;
+mod neighbours;
+mod outputs;
+mod params;
+mod pose;
+mod progress;
+mod provenance;
+mod range;
+#[cfg(feature = "reference")]
+mod reference;
+mod scanners;
+mod sensor;
+mod simd_level;
+mod smoothed;
+mod smoother;
+mod status;
+#[cfg(test)]
+mod testing;
+mod threads;
+mod timings;
+mod view;
+mod xyz;
+
+/// The GPU engine as data, for WebGPU hosts other than wgpu.
+#[cfg(feature = "webgpu")]
+pub mod webgpu {
+    pub use crate::gpu::plan::{Plan, PlannedPass, WebGpuLimits};
+}
+
+pub use camera::{Camera, Distortion, SATURATED_DEPTH};
+pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns};
+pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
+pub use engines::{Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters};
+pub use error::{DeviceError, EngineError, Error, FormatError, FrameError, IoError, ParamError};
+pub use fleet::{Fleet, FleetDevice, FleetMember, SharedFrame};
+pub use frame::{
+    DepthFrame, DepthImage, DepthView, Frame, IntoFrame, OwnedFrame, PointLayout, PointsView, RangeRule, Scalar,
+};
+pub use outputs::{Outputs, SmoothedMut, VectorsMut};
+pub use params::{Edges, Project, Radius, SmoothParams, Strength};
+pub use pose::SensorPose;
+pub use progress::Progress;
+pub use provenance::Provenance;
+pub use sensor::SensorModel;
+pub use simd_level::SimdLevel;
+pub use smoothed::Smoothed;
+pub use smoother::Smoother;
+pub use status::Status;
+pub use timings::FrameTimings;
+pub use view::SmoothedView;
+#[cfg(feature = "wgpu-interop")]
+pub use wgpu;
+pub use xyz::{MAX_PIXELS, Xyz};
+
+/// What planish's other crates need and its users do not; it may change with every version.
+#[doc(hidden)]
+pub mod internal {
+    pub use crate::camera::Rays;
+    pub use crate::clean::voxel_grid::{VoxelMap, Voxels};
+    pub use crate::clean::voxels::downsample;
+    pub use crate::eigen::symmetric_eigen;
+    pub use crate::error::{KIB, memory};
+    pub use crate::fleet::lose_device as lose_fleet_device;
+    pub use crate::frame::{assumed_sensor_of_sample, sampling_step};
+    #[cfg(feature = "gpu")]
+    pub use crate::gpu::lose_devices as lose_gpu_devices;
+    pub use crate::method::GRAZING_COSINE;
+    #[cfg(feature = "kd-tree")]
+    pub use crate::neighbours::NeighbourSearch;
+    pub use crate::neighbours::halo::{self, NeededHalo, OWN_SHARE};
+    pub use crate::neighbours::middle;
+    pub use crate::pose::RigidTransform;
+    pub use crate::smoothed::named_fields;
+    pub use crate::threads::Threads;
+    pub use crate::xyz::validate_shape;
+}

@@ -1,0 +1,72 @@
+//! Constants of the method for the f32 engines, once for CPU and GPU; the reference has its own (docs/method.md).
+
+/// With fewer neighbours there is no plane (section 7).
+pub(crate) const LEAST_NEIGHBOURS: f32 = 3.0;
+
+/// A neighbourhood whose second extent is below this share of its first (as variances) is a line (section 4).
+pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
+/// Lengths are measured in units of B/sqrt(log2 e), in which the weight is a power of two: exp(-x²) = 2^(-x² log2 e).
+pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
+
+/// The gate fades out (section 2): a neighbour at a distance d counts 0.5 + 16 (1 - d²/r²), from 0 to 1.
+pub(crate) const GATE_FADE: f32 = 16.0;
+
+/// Below this cosine of the angle of incidence a point moves less and less along its ray (section 7).
+pub const GRAZING_COSINE: f32 = 0.2;
+/// No point moves along its ray by more than this share of its distance (section 7).
+pub(crate) const MAX_ALONG: f32 = 0.5;
+
+/// No radius of a general cloud is more than so many times the mean of those around it (section 8).
+pub(crate) const MAX_RADIUS_RATIO: f32 = 1.5;
+
+// Section 10.
+
+/// More doubt than this makes no difference, and its square is far from the end of f32.
+pub(crate) const MAX_DOUBT: f32 = 1e6;
+/// A plane whose points count less than this together says too little; it counts wholly from one more on.
+pub(crate) const MIN_TOTAL: f32 = 5.0;
+/// The noise is at least this share of the radius.
+pub(crate) const MIN_NOISE: f32 = 0.01;
+/// How much a plane's distance from p weighs beside its own residual, both squared.
+pub(crate) const DISTANCE_WEIGHT: f32 = 0.3;
+/// Planes of points up to so many radii away are considered: on oblique surfaces those of a window's reach are as far.
+pub(crate) const PLANE_REACH: f32 = 2.0;
+/// Neighbours count up to so many deviations of the noise from the surface.
+pub(crate) const NARROW_WIDTH: f32 = 1.0;
+/// The points of a block count up to so many times that width from the surface...
+pub(crate) const BLOCK_WIDTH: f32 = 1.5;
+/// ...with the root of at least this weight.
+pub(crate) const MIN_BLOCK_WEIGHT: f32 = 0.02;
+/// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a disc.
+pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
+/// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
+pub(crate) const MIN_INCIDENCE_COSINE: f32 = 0.05;
+/// From this much more on, the plane counts wholly.
+pub(crate) const COSINE_FADE: f32 = 0.01;
+/// What it weighs that a point stays where it was measured, beside the planes around it.
+pub(crate) const STAY_WEIGHT: f32 = 1e-3;
+/// What the normal of a pixel's own window weighs besides.
+pub(crate) const OWN_NORMAL_WEIGHT: f32 = 1e-12;
+/// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
+pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
+
+// Section 10 in general clouds.
+
+/// The mean of the positions up to this share of the radius away stands for p where its distance from a plane is asked.
+pub(crate) const GENERAL_MEAN_REACH: f32 = 0.4;
+/// The weight of that distance, squared, beside the plane's own residual.
+pub(crate) const GENERAL_DISTANCE_WEIGHT: f32 = 0.2;
+/// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they face.
+pub(crate) const FACING_COSINE: f32 = 0.1;
+
+/// The exponents (i, j) of the monomials a^i b^j, ordered by degree (section 5).
+pub(crate) const MONOMIALS: [(usize, usize); 10] =
+    [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
+
+/// The weights of the monomials in the ridge, the same in every frame (section 6).
+pub(crate) const RIDGE_WEIGHTS: [f32; 10] = [0.0, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 1.0];
+
+/// Number of coefficients of a polynomial of a degree in two variables: 3, 6, 10.
+pub(crate) const fn coefficient_count(degree: usize) -> usize {
+    (degree + 1) * (degree + 2) / 2
+}

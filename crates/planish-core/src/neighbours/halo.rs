@@ -1,0 +1,89 @@
+//! The halo of a part of a cloud: the points around the part that its own points need, to get what they get in the whole cloud.
+//!
+//! With a fixed radius its width is known. Radii by density are known only when they have been computed, and those of points whose
+//! neighbours are missing come out too large: a part of which too many points reach beyond the halo is computed again with a wider one.
+
+use rayon::prelude::*;
+
+use crate::method::PLANE_REACH;
+use crate::params::{Edges, Radius, SmoothParams};
+
+/// The share of a part's points with its halo that are its own, when parts are planned.
+pub const OWN_SHARE: f64 = 0.6;
+/// How far the gate reaches, in radii.
+const GATE_REACH: f64 = 1.02;
+
+/// How wide a halo has to be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NeededHalo {
+    /// Enough for all points but the few that reach farthest.
+    pub halo_m: f64,
+    /// How many points reach beyond the halo that there is.
+    pub beyond: usize,
+    /// Whether those are more than allowed, so that it has to be wider.
+    pub is_wider: bool,
+}
+
+/// Returns how far away, in its radii, other points influence what a point gets: radii by density follow those of the neighbours, and
+/// where edges are kept, the planes of points twice as far away count, whose own radii may be larger by the same factor.
+pub fn reach(params: &SmoothParams) -> f64 {
+    let by_density = matches!(params.radius, Radius::Neighbours { .. });
+    let growth = if by_density { 2.0 } else { 1.0 };
+    let of_planes = if params.edges == Edges::Off { 0.0 } else { growth * f64::from(PLANE_REACH) };
+    GATE_REACH * (growth + of_planes)
+}
+
+/// Returns a width to begin with, for a part of so many points over an area: exact for a fixed radius, else about twice what points
+/// reach at that density.
+pub fn first_halo_m(params: &SmoothParams, points: u64, area_m2: f64) -> f64 {
+    match params.radius {
+        Radius::Fixed { radius_m } => reach(params) * f64::from(radius_m),
+        Radius::Neighbours { count } => {
+            let radius_m = (f64::from(count) * area_m2 / (std::f64::consts::PI * points.max(1) as f64)).sqrt();
+            2.0 * reach(params) * radius_m
+        }
+        // `Smoother::open` refuses it.
+        Radius::Sensor => 1.0,
+    }
+}
+
+/// Returns the halo that a part needs, from how wide each of its points needs it. So many may reach beyond it.
+pub fn needed_halo(halo_m: f64, needed_m: &[f64], may_reach_beyond: f64) -> NeededHalo {
+    let beyond = needed_m.par_iter().filter(|needed_m| **needed_m > halo_m).count();
+    let above = |least_m: f64| -> Vec<f64> {
+        needed_m.par_iter().copied().filter(|needed_m| needed_m.is_finite() && *needed_m > least_m).collect()
+    };
+    // Of the points far from the border, which are most, none counts.
+    let may_be_farther = (may_reach_beyond / 2.0) as usize;
+    let mut farthest_m = above(0.0);
+    if farthest_m.len() <= may_be_farther {
+        farthest_m = above(f64::NEG_INFINITY);
+    }
+    if farthest_m.is_empty() {
+        return NeededHalo { halo_m, beyond, is_wider: false };
+    }
+    let farthest = farthest_m.len().saturating_sub(1 + may_be_farther);
+    let (_, wider_m, _) = farthest_m.select_nth_unstable_by(farthest, f64::total_cmp);
+    NeededHalo { halo_m: 1.05 * *wider_m, beyond, is_wider: beyond as f64 > may_reach_beyond }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_halo_is_wider_where_more_than_a_few_points_reach_beyond_it() {
+        let params = SmoothParams::general().with_edges(Edges::Off);
+        let needed_m = |far: usize| -> Vec<f64> {
+            (0..1000).map(|i| reach(&params) * if i < far { 0.5 } else { 0.1 } - 0.05).collect()
+        };
+        let needed = needed_halo(0.3, &needed_m(0), 10.0);
+        assert_eq!((needed.beyond, needed.is_wider), (0, false));
+        assert!((needed.halo_m / (1.05 * (0.204 - 0.05)) - 1.0).abs() < 1e-6, "{needed:?}");
+        let few = needed_halo(0.3, &needed_m(10), 10.0);
+        assert_eq!((few.beyond, few.is_wider), (10, false));
+        let many = needed_halo(0.3, &needed_m(11), 10.0);
+        assert!(many.is_wider && (many.halo_m / (1.05 * (1.02 - 0.05)) - 1.0).abs() < 1e-6, "{many:?}");
+        assert!(!needed_halo(0.3, &[], 0.0).is_wider);
+    }
+}

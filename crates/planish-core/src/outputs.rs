@@ -1,0 +1,310 @@
+//! Which results are wanted, and the caller's buffers that they are written into.
+
+use crate::error::{FrameError, ParamError};
+use crate::status::Status;
+use crate::xyz::Xyz;
+
+/// Which results are wanted; each costs a little time and memory, and on a GPU its share of the readback.
+///
+/// ```
+/// use planish::Outputs;
+///
+/// let outputs = Outputs::POINTS.with_normals(true);
+/// assert!(outputs.points && outputs.normals && !outputs.depth);
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub struct Outputs {
+    /// The smoothed points.
+    pub points: bool,
+    /// The smoothed surface as raw depth values (docs/method.md, section 7); the frame's camera must be known.
+    pub depth: bool,
+    /// The same in metres, as precise as the points.
+    pub depth_m: bool,
+    /// Unit normals, towards the sensor.
+    pub normals: bool,
+    /// Surface variation l0/(l0+l1+l2), as PCL defines it.
+    pub curvature: bool,
+    /// What became of each pixel.
+    pub status: bool,
+    /// How many neighbours each pixel had.
+    pub neighbours: bool,
+}
+
+impl Outputs {
+    /// Nothing: what others are made from.
+    const NONE: Self = Self {
+        points: false,
+        depth: false,
+        depth_m: false,
+        normals: false,
+        curvature: false,
+        status: false,
+        neighbours: false,
+    };
+    /// Points and nothing else.
+    pub const POINTS: Self = Self { points: true, ..Self::NONE };
+    /// Depth and nothing else.
+    pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
+    /// Everything that every frame has: all but depth, which needs a camera.
+    pub const ALL: Self =
+        Self { points: true, normals: true, curvature: true, status: true, neighbours: true, ..Self::NONE };
+
+    /// The same with points or without.
+    pub const fn with_points(self, points: bool) -> Self {
+        Self { points, ..self }
+    }
+
+    /// The same with depth or without.
+    pub const fn with_depth(self, depth: bool) -> Self {
+        Self { depth, ..self }
+    }
+
+    /// The same with depth in metres or without.
+    pub const fn with_depth_m(self, depth_m: bool) -> Self {
+        Self { depth_m, ..self }
+    }
+
+    /// Whether a camera must be known.
+    pub fn needs_camera(self) -> bool {
+        self.depth || self.depth_m
+    }
+
+    /// The same with normals or without.
+    pub const fn with_normals(self, normals: bool) -> Self {
+        Self { normals, ..self }
+    }
+
+    /// The same with curvature or without.
+    pub const fn with_curvature(self, curvature: bool) -> Self {
+        Self { curvature, ..self }
+    }
+
+    /// The same with status or without.
+    pub const fn with_status(self, status: bool) -> Self {
+        Self { status, ..self }
+    }
+
+    /// The same with the number of neighbours or without.
+    pub const fn with_neighbours(self, neighbours: bool) -> Self {
+        Self { neighbours, ..self }
+    }
+
+    pub(crate) fn validate(&self) -> Result<(), ParamError> {
+        if *self == Self::NONE {
+            return Err(ParamError { field: "outputs", value: "none".into(), allowed: "one or more" });
+        }
+        Ok(())
+    }
+}
+
+impl Default for Outputs {
+    /// Points and nothing else.
+    fn default() -> Self {
+        Self::POINTS
+    }
+}
+
+/// A buffer of the caller's for vectors, one for each pixel.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum VectorsMut<'a> {
+    /// x, y and z in slices of their own.
+    Planes([&'a mut [f32]; 3]),
+    /// x, y and z of each vector together.
+    Rows(&'a mut [[f32; 3]]),
+    /// The same with a fourth value, which is left as it is.
+    Rows4(&'a mut [[f32; 4]]),
+}
+
+impl<'a> VectorsMut<'a> {
+    pub(crate) fn reborrow(&mut self) -> VectorsMut<'_> {
+        match self {
+            Self::Planes([x, y, z]) => VectorsMut::Planes([x, y, z]),
+            Self::Rows(rows) => VectorsMut::Rows(rows),
+            Self::Rows4(rows) => VectorsMut::Rows4(rows),
+        }
+    }
+
+    /// The first so many vectors, and the rest.
+    pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
+        match self {
+            Self::Planes([x, y, z]) => {
+                let ((x, x_rest), (y, y_rest), (z, z_rest)) =
+                    (x.split_at_mut(at), y.split_at_mut(at), z.split_at_mut(at));
+                (Self::Planes([x, y, z]), Self::Planes([x_rest, y_rest, z_rest]))
+            }
+            Self::Rows(rows) => {
+                let (rows, rest) = rows.split_at_mut(at);
+                (Self::Rows(rows), Self::Rows(rest))
+            }
+            Self::Rows4(rows) => {
+                let (rows, rest) = rows.split_at_mut(at);
+                (Self::Rows4(rows), Self::Rows4(rest))
+            }
+        }
+    }
+
+    /// Sets vector `i`.
+    #[inline(always)]
+    pub(crate) fn set(&mut self, i: usize, value: [f32; 3]) {
+        match self {
+            Self::Planes([x, y, z]) => [x[i], y[i], z[i]] = value,
+            Self::Rows(rows) => rows[i] = value,
+            Self::Rows4(rows) => rows[i][..3].copy_from_slice(&value),
+        }
+    }
+
+    fn check_len(&self, what: &str, expected: usize) -> Result<(), FrameError> {
+        let lengths = match self {
+            Self::Planes([x, y, z]) => [x.len(), y.len(), z.len()],
+            Self::Rows(rows) => [rows.len(); 3],
+            Self::Rows4(rows) => [rows.len(); 3],
+        };
+        check_len(what, lengths.into_iter().find(|&len| len != expected).unwrap_or(expected), expected)
+    }
+}
+
+impl<'a> From<&'a mut Xyz> for VectorsMut<'a> {
+    fn from(vectors: &'a mut Xyz) -> Self {
+        Self::Planes([&mut vectors.x, &mut vectors.y, &mut vectors.z])
+    }
+}
+
+impl<'a> From<[&'a mut [f32]; 3]> for VectorsMut<'a> {
+    fn from(planes: [&'a mut [f32]; 3]) -> Self {
+        Self::Planes(planes)
+    }
+}
+
+impl<'a> From<&'a mut [[f32; 3]]> for VectorsMut<'a> {
+    fn from(rows: &'a mut [[f32; 3]]) -> Self {
+        Self::Rows(rows)
+    }
+}
+
+impl<'a> From<&'a mut Vec<[f32; 3]>> for VectorsMut<'a> {
+    fn from(rows: &'a mut Vec<[f32; 3]>) -> Self {
+        Self::Rows(rows)
+    }
+}
+
+impl<'a> From<&'a mut [[f32; 4]]> for VectorsMut<'a> {
+    fn from(rows: &'a mut [[f32; 4]]) -> Self {
+        Self::Rows4(rows)
+    }
+}
+
+impl<'a> From<&'a mut Vec<[f32; 4]>> for VectorsMut<'a> {
+    fn from(rows: &'a mut Vec<[f32; 4]>) -> Self {
+        Self::Rows4(rows)
+    }
+}
+
+/// The caller's buffers for a result: what is given is written, once, in the order of the input. Each has one entry for each
+/// pixel or point, and must be among the outputs that the smoother was opened for.
+///
+/// The values are those of [`Smoothed`](crate::Smoothed), which is the same with buffers of its own.
+#[derive(Debug, Default)]
+#[non_exhaustive]
+pub struct SmoothedMut<'a> {
+    /// The points in metres, NaN for holes.
+    pub points: Option<VectorsMut<'a>>,
+    /// Unit normals towards the sensor; NaN where there is none.
+    pub normals: Option<VectorsMut<'a>>,
+    /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
+    pub curvature: Option<&'a mut [f32]>,
+    /// What became of each pixel.
+    pub status: Option<&'a mut [Status]>,
+    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes.
+    pub neighbours: Option<&'a mut [u32]>,
+    /// Raw depth values of the smoothed surface, 0 for holes.
+    pub depth: Option<&'a mut [u16]>,
+    /// Depth of the smoothed surface in metres, NaN for holes.
+    pub depth_m: Option<&'a mut [f32]>,
+}
+
+impl<'a> SmoothedMut<'a> {
+    /// Without buffers.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The same with a buffer for points.
+    pub fn with_points(self, points: impl Into<VectorsMut<'a>>) -> Self {
+        Self { points: Some(points.into()), ..self }
+    }
+
+    /// The same with a buffer for normals.
+    pub fn with_normals(self, normals: impl Into<VectorsMut<'a>>) -> Self {
+        Self { normals: Some(normals.into()), ..self }
+    }
+
+    /// The same with a buffer for curvature.
+    pub fn with_curvature(self, curvature: &'a mut [f32]) -> Self {
+        Self { curvature: Some(curvature), ..self }
+    }
+
+    /// The same with a buffer for status.
+    pub fn with_status(self, status: &'a mut [Status]) -> Self {
+        Self { status: Some(status), ..self }
+    }
+
+    /// The same with a buffer for the number of neighbours.
+    pub fn with_neighbours(self, neighbours: &'a mut [u32]) -> Self {
+        Self { neighbours: Some(neighbours), ..self }
+    }
+
+    /// The same with a buffer for raw depth values.
+    pub fn with_depth(self, depth: &'a mut [u16]) -> Self {
+        Self { depth: Some(depth), ..self }
+    }
+
+    /// The same with a buffer for depth in metres.
+    pub fn with_depth_m(self, depth_m: &'a mut [f32]) -> Self {
+        Self { depth_m: Some(depth_m), ..self }
+    }
+
+    /// Borrows the buffers for a shorter time.
+    pub fn reborrow(&mut self) -> SmoothedMut<'_> {
+        SmoothedMut {
+            points: self.points.as_mut().map(VectorsMut::reborrow),
+            normals: self.normals.as_mut().map(VectorsMut::reborrow),
+            curvature: self.curvature.as_deref_mut(),
+            status: self.status.as_deref_mut(),
+            neighbours: self.neighbours.as_deref_mut(),
+            depth: self.depth.as_deref_mut(),
+            depth_m: self.depth_m.as_deref_mut(),
+        }
+    }
+
+    /// Refuses buffers of other lengths, and such that the smoother was not opened for.
+    pub(crate) fn check(&self, len: usize, outputs: Outputs) -> Result<(), FrameError> {
+        let opened = [
+            ("points", self.points.is_some(), outputs.points),
+            ("normals", self.normals.is_some(), outputs.normals),
+            ("curvature", self.curvature.is_some(), outputs.curvature),
+            ("status", self.status.is_some(), outputs.status),
+            ("neighbours", self.neighbours.is_some(), outputs.neighbours),
+            ("depth", self.depth.is_some(), outputs.depth),
+            ("depth in metres", self.depth_m.is_some(), outputs.depth_m),
+        ];
+        if let Some((output, ..)) = opened.into_iter().find(|(_, given, opened)| *given && !opened) {
+            return Err(FrameError::OutputNotOpened { output });
+        }
+        self.points.as_ref().map_or(Ok(()), |points| points.check_len("the buffer for points", len))?;
+        self.normals.as_ref().map_or(Ok(()), |normals| normals.check_len("the buffer for normals", len))?;
+        let lengths = [
+            ("the buffer for curvature", self.curvature.as_ref().map(|buffer| buffer.len())),
+            ("the buffer for status", self.status.as_ref().map(|buffer| buffer.len())),
+            ("the buffer for neighbours", self.neighbours.as_ref().map(|buffer| buffer.len())),
+            ("the buffer for depth", self.depth.as_ref().map(|buffer| buffer.len())),
+            ("the buffer for depth in metres", self.depth_m.as_ref().map(|buffer| buffer.len())),
+        ];
+        lengths.into_iter().try_for_each(|(what, found)| check_len(what, found.unwrap_or(len), len))
+    }
+}
+
+fn check_len(what: &str, len: usize, expected: usize) -> Result<(), FrameError> {
+    if len == expected { Ok(()) } else { Err(FrameError::LengthMismatch { what: what.into(), len, expected }) }
+}

@@ -1,0 +1,191 @@
+//! Where the sensor stands that took a cloud: its position and orientation in the frame of the cloud's points.
+
+use glam::{DMat3, DQuat, DVec3};
+
+use crate::error::{FrameError, ParamError};
+
+/// How far from 1 the length of a quaternion may be: files round to a few digits.
+const LENGTH_TOLERANCE: f64 = 0.01;
+
+/// No sensor stands farther from the origin of its coordinates.
+const MAX_POSITION_M: f64 = 1e9;
+
+/// Position and orientation of a sensor, as PCD's VIEWPOINT states them: cloud_from_sensor.
+///
+/// The sensor looks along its own +z, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the origin that
+/// looks along +z; since files state it where nothing is known, a cloud with that pose is checked against it (docs/method.md,
+/// section 11).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SensorPose {
+    /// Position of the sensor in metres.
+    pub position_m: [f64; 3],
+    /// Orientation as a unit quaternion (w, x, y, z): turns directions in the sensor's frame into the cloud's.
+    pub orientation: [f64; 4],
+}
+
+impl SensorPose {
+    /// A sensor at the origin that is not turned.
+    pub const IDENTITY: Self = Self { position_m: [0.0; 3], orientation: [1.0, 0.0, 0.0, 0.0] };
+
+    /// The pose of a PCD VIEWPOINT: x, y, z, then the quaternion w, x, y, z.
+    pub fn from_viewpoint([x, y, z, qw, qx, qy, qz]: [f64; 7]) -> Self {
+        Self { position_m: [x, y, z], orientation: [qw, qx, qy, qz] }
+    }
+
+    /// The pose of a position and a quaternion in the order x, y, z, w, as ROS and Eigen store it.
+    pub fn from_xyzw(position_m: [f64; 3], [x, y, z, w]: [f64; 4]) -> Self {
+        Self { position_m, orientation: [w, x, y, z] }
+    }
+
+    /// The pose of a position in metres and a rotation matrix (cloud_from_sensor, row by row); `None` if the matrix is no rotation
+    /// within 1 %, or the position is not allowed.
+    pub fn from_rotation(position_m: [f64; 3], rows: [[f64; 3]; 3]) -> Option<Self> {
+        let rotation = DMat3::from_cols_array_2d(&rows).transpose();
+        let off = rotation * rotation.transpose() - DMat3::IDENTITY;
+        // False for a NaN.
+        let is_rotation =
+            off.to_cols_array().iter().all(|value| value.abs() <= LENGTH_TOLERANCE) && rotation.determinant() > 0.0;
+        let [x, y, z, w] = DQuat::from_mat3(&rotation).normalize().to_array();
+        let pose = Self::from_xyzw(position_m, [x, y, z, w]);
+        (is_rotation && pose.validate().is_ok()).then_some(pose)
+    }
+
+    /// The rotation from the sensor's frame to the cloud's, row by row.
+    pub fn rotation(&self) -> [[f64; 3]; 3] {
+        let rotation = self.transform().unwrap_or(RigidTransform::IDENTITY).rotation;
+        rotation.transpose().to_cols_array_2d()
+    }
+
+    /// The seven numbers of a PCD VIEWPOINT.
+    pub fn viewpoint(&self) -> [f64; 7] {
+        let ([x, y, z], [qw, qx, qy, qz]) = (self.position_m, self.orientation);
+        [x, y, z, qw, qx, qy, qz]
+    }
+
+    /// Whether it says no more than a file without a pose: the identity, or nothing but zeros, as some writers leave it.
+    pub fn is_identity(&self) -> bool {
+        self.position_m == [0.0; 3] && (self.orientation == [1.0, 0.0, 0.0, 0.0] || self.orientation == [0.0; 4])
+    }
+
+    /// Refuses positions that are not finite and quaternions that are not of unit length.
+    pub fn validate(&self) -> Result<(), FrameError> {
+        self.transform().map(drop)
+    }
+
+    /// The pose of a transform from the sensor's frame to the cloud's.
+    pub fn from_transform(transform: &RigidTransform) -> Self {
+        let quaternion = DQuat::from_mat3(&transform.rotation).normalize();
+        Self::from_xyzw(transform.translation.to_array(), quaternion.to_array())
+    }
+
+    /// The transform from the sensor's frame to the cloud's.
+    pub fn transform(&self) -> Result<RigidTransform, FrameError> {
+        let bad = |field, value: String, allowed| Err(FrameError::BadPose(ParamError { field, value, allowed }));
+        if self.is_identity() {
+            return Ok(RigidTransform::IDENTITY);
+        }
+        let [w, x, y, z] = self.orientation;
+        // Some writers leave zeros where they know the position alone.
+        let is_unknown = self.orientation == [0.0; 4];
+        let quaternion = if is_unknown { DQuat::IDENTITY } else { DQuat::from_xyzw(x, y, z, w) };
+        // False for a NaN.
+        let is_unit = (quaternion.length() - 1.0).abs() <= LENGTH_TOLERANCE;
+        if !is_unit {
+            let allowed = "a quaternion w, x, y, z of length 1";
+            return bad("orientation", format!("{:?}", self.orientation), allowed);
+        }
+        let translation = DVec3::from_array(self.position_m);
+        let is_within = self.position_m.iter().all(|coordinate| coordinate.abs() <= MAX_POSITION_M);
+        if !is_within {
+            return bad("position_m", format!("{:?}", self.position_m), "three numbers in metres, at most 1e9 each");
+        }
+        Ok(RigidTransform { rotation: DMat3::from_quat(quaternion.normalize()), translation })
+    }
+}
+
+impl Default for SensorPose {
+    fn default() -> Self {
+        Self::IDENTITY
+    }
+}
+
+/// cloud_from_sensor: p_cloud = rotation p_sensor + translation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RigidTransform {
+    pub rotation: DMat3,
+    pub translation: DVec3,
+}
+
+impl RigidTransform {
+    pub const IDENTITY: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+
+    pub fn is_identity(&self) -> bool {
+        *self == Self::IDENTITY
+    }
+
+    /// A point of the sensor's frame in the cloud's.
+    pub fn to_cloud(self, point_in_sensor: DVec3) -> DVec3 {
+        self.rotation * point_in_sensor + self.translation
+    }
+
+    /// The transform that adds an origin.
+    pub fn shift(origin_m: [f64; 3]) -> Self {
+        Self { rotation: DMat3::IDENTITY, translation: DVec3::from_array(origin_m) }
+    }
+
+    /// The transform that does first `other`, then this one.
+    pub fn after(self, other: Self) -> Self {
+        let translation = self.rotation * other.translation + self.translation;
+        Self { rotation: self.rotation * other.rotation, translation }
+    }
+
+    /// The transform the other way.
+    pub fn inverse(self) -> Self {
+        let rotation = self.rotation.transpose();
+        Self { rotation, translation: -(rotation * self.translation) }
+    }
+
+    /// A point of the cloud in the sensor's frame.
+    pub fn to_sensor(self, point_in_cloud: DVec3) -> DVec3 {
+        self.rotation.transpose() * (point_in_cloud - self.translation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_looks_forward() {
+        // The usual optical frame of a camera that looks along the robot's +x.
+        let pose = SensorPose::from_viewpoint([0.1, 0.0, 0.6, 0.5, -0.5, 0.5, -0.5]);
+        let ahead = pose.transform().unwrap().to_sensor(DVec3::new(2.1, 0.0, 0.6));
+        assert!((ahead - DVec3::new(0.0, 0.0, 2.0)).length() < 1e-12, "{ahead}");
+        assert_eq!(SensorPose::from_viewpoint(pose.viewpoint()), pose);
+    }
+
+    #[test]
+    fn a_rotation_matrix_is_a_pose_and_back() {
+        let pose = SensorPose::from_viewpoint([1.0, 2.0, 3.0, 0.5, -0.5, 0.5, -0.5]);
+        let again = SensorPose::from_rotation(pose.position_m, pose.rotation()).unwrap();
+        let off = |k: usize| (again.viewpoint()[k].abs() - pose.viewpoint()[k].abs()).abs();
+        assert!((0..7).all(|k| off(k) < 1e-12), "{again:?}");
+        assert_eq!(pose.rotation()[0], [0.0, 0.0, 1.0], "the robot's x is the camera's z");
+        for none in [[[0.0; 3]; 3], [[f64::NAN; 3]; 3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]] {
+            assert_eq!(SensorPose::from_rotation([0.0; 3], none), None);
+        }
+    }
+
+    #[test]
+    fn poses_that_are_none_are_refused_and_zeros_are_the_identity() {
+        let pose = |viewpoint| SensorPose::from_viewpoint(viewpoint);
+        assert!(pose([0.0; 7]).transform().unwrap().is_identity());
+        let unturned = pose([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0]).transform().unwrap();
+        assert_eq!(unturned.rotation, DMat3::IDENTITY);
+        for bad in [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0]] {
+            assert!(pose(bad).validate().unwrap_err().to_string().contains("length 1"));
+        }
+        assert!(pose([f64::NAN, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]).validate().is_err());
+        assert!(pose([0.0, 1e39, 0.0, 1.0, 0.0, 0.0, 0.0]).validate().is_err());
+    }
+}

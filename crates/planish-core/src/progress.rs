@@ -1,0 +1,52 @@
+//! How far the smoothing of a large cloud has come, for another thread to show; and a way for that thread to stop it.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use crate::error::EngineError;
+
+/// The share of a frame that is done, read while another thread smooths. That thread can be stopped.
+#[derive(Debug, Default)]
+pub struct Progress {
+    done: AtomicU64,
+    total: AtomicU64,
+    stopped: AtomicBool,
+}
+
+impl Progress {
+    /// From 0 to 1; 0 before the first frame.
+    pub fn share(&self) -> f32 {
+        let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
+        if total == 0 { 0.0 } else { (done as f32 / total as f32).min(1.0) }
+    }
+
+    /// Ends the work on the frame that is being smoothed, soon: it returns [`EngineError::Stopped`]. Has no effect on the next frame.
+    pub fn stop(&self) {
+        self.stopped.store(true, Ordering::Relaxed);
+    }
+
+    pub fn is_stopped(&self) -> bool {
+        self.stopped.load(Ordering::Relaxed)
+    }
+
+    /// An error if the frame was stopped.
+    pub fn check(&self) -> Result<(), EngineError> {
+        if self.is_stopped() { Err(EngineError::Stopped) } else { Ok(()) }
+    }
+
+    /// Forgets that the frame before was stopped.
+    pub fn reset(&self) {
+        self.stopped.store(false, Ordering::Relaxed);
+        self.begin(0);
+    }
+
+    /// Begins a frame of so many steps.
+    pub fn begin(&self, steps: usize) {
+        self.done.store(0, Ordering::Relaxed);
+        self.total.store(steps as u64, Ordering::Relaxed);
+    }
+
+    /// So many steps more are done.
+    pub fn add(&self, steps: usize) {
+        self.done.fetch_add(steps as u64, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,212 @@
+//! The result of smoothing: one entry for each pixel or point of the input, in its order.
+
+use crate::camera::{Camera, Rays};
+use crate::cloud::{AttributeValues, PointCloud};
+use crate::error::FrameError;
+use crate::frame::{DepthImage, Frame};
+use crate::method::GRAZING_COSINE;
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::status::Status;
+use crate::xyz::Xyz;
+
+/// Smoothed points and what was asked for beside them. Reuse one for all frames: its buffers are kept.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Smoothed {
+    /// Width in pixels; the number of points for a general cloud.
+    pub width: usize,
+    /// Height in pixels; 1 for a general cloud.
+    pub height: usize,
+    /// The points in metres, NaN for holes; empty if they were not asked for.
+    pub points: Xyz,
+    /// Raw depth values of the smoothed surface, 0 for holes.
+    pub depth: Option<Vec<u16>>,
+    /// Depth of the smoothed surface in metres, NaN for holes.
+    pub depth_m: Option<Vec<f32>>,
+    /// Unit normals towards the sensor; NaN where there is none.
+    pub normals: Option<Xyz>,
+    /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
+    pub curvature: Option<Vec<f32>>,
+    /// What became of each pixel.
+    pub status: Option<Vec<Status>>,
+    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes.
+    pub neighbours: Option<Vec<u32>>,
+}
+
+/// A frame that loses a larger share of its points than this is reported.
+const LOST_SHARE_TOLD: f64 = 0.01;
+
+impl Smoothed {
+    /// Returns what to say of a frame that lost more than a hundredth of its points.
+    pub fn lost_points_warning(&self, frame: Frame<'_>) -> Option<String> {
+        let (lost, valid) = (self.lost_points(frame), frame.valid_points());
+        (lost as f64 > LOST_SHARE_TOLD * valid as f64).then(|| {
+            format!(
+                "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the radius; \
+                 a larger radius keeps them, or the sensor's pose where it is missing"
+            )
+        })
+    }
+
+    /// Gives every buffer its length, allocating only if the shape or the outputs changed.
+    pub fn prepare(&mut self, width: usize, height: usize, outputs: Outputs) {
+        let len = width * height;
+        (self.width, self.height) = (width, height);
+        resize(&mut self.points, if outputs.points { len } else { 0 });
+        keep(&mut self.depth, outputs.depth, |values| values.resize(len, 0));
+        keep(&mut self.depth_m, outputs.depth_m, |values| values.resize(len, 0.0));
+        keep(&mut self.normals, outputs.normals, |normals| resize(normals, len));
+        keep(&mut self.curvature, outputs.curvature, |values| values.resize(len, 0.0));
+        keep(&mut self.status, outputs.status, |values| values.resize(len, Status::Hole));
+        keep(&mut self.neighbours, outputs.neighbours, |values| values.resize(len, 0));
+    }
+
+    /// Bytes of its buffers.
+    pub fn bytes(&self) -> usize {
+        let vectors = |vectors: &Xyz| 4 * (vectors.x.capacity() + vectors.y.capacity() + vectors.z.capacity());
+        vectors(&self.points)
+            + self.normals.as_ref().map_or(0, vectors)
+            + 4 * self.curvature.as_ref().map_or(0, Vec::capacity)
+            + self.status.as_ref().map_or(0, Vec::capacity)
+            + 4 * self.neighbours.as_ref().map_or(0, Vec::capacity)
+            + 2 * self.depth.as_ref().map_or(0, Vec::capacity)
+            + 4 * self.depth_m.as_ref().map_or(0, Vec::capacity)
+    }
+
+    /// The buffers, to be written into.
+    pub(crate) fn as_mut(&mut self) -> SmoothedMut<'_> {
+        SmoothedMut {
+            points: (!self.points.is_empty()).then(|| (&mut self.points).into()),
+            normals: self.normals.as_mut().map(Into::into),
+            curvature: self.curvature.as_deref_mut(),
+            status: self.status.as_deref_mut(),
+            neighbours: self.neighbours.as_deref_mut(),
+            depth: self.depth.as_deref_mut(),
+            depth_m: self.depth_m.as_deref_mut(),
+        }
+    }
+
+    /// How many valid points of its frame became holes, as far as the outputs tell.
+    pub fn lost_points(&self, frame: Frame<'_>) -> usize {
+        if let Some(counts) = self.status_counts() {
+            return counts[Status::TooFew as usize];
+        }
+        let finite = |values: &[f32]| values.iter().filter(|value| value.is_finite()).count();
+        let left = match (&self.depth, &self.depth_m) {
+            // Points are holes in all coordinates or in none.
+            _ if !self.points.is_empty() => finite(&self.points.z),
+            (_, Some(depth_m)) => finite(depth_m),
+            (Some(depth), None) => depth.iter().filter(|raw| **raw != 0).count(),
+            (None, None) => return 0,
+        };
+        frame.valid_points().saturating_sub(left)
+    }
+
+    /// How many pixels have each status, in the order of [`Status::ALL`]; `None` if the status was not asked for.
+    pub fn status_counts(&self) -> Option<[usize; Status::ALL.len()]> {
+        let mut counts = [0; Status::ALL.len()];
+        for &status in self.status.as_ref()? {
+            counts[status as usize] += 1;
+        }
+        Some(counts)
+    }
+
+    /// The smoothed surface as a depth image: what the camera would have measured (docs/method.md, section 7).
+    ///
+    /// Ask for normals: without them the depths are the points' own, which are off on slanted surfaces. The result must be in the
+    /// camera's frame: of a cloud with another pose, ask the smoother for depth instead.
+    pub fn to_depth(&self, camera: &Camera) -> Result<DepthImage, FrameError> {
+        let raw = self.to_depth_m(camera)?.into_iter().map(|depth_m| camera.raw_depth(depth_m)).collect();
+        Ok(DepthImage { width: self.width, height: self.height, raw })
+    }
+
+    /// [`Smoothed::to_depth`] in metres, NaN for holes.
+    ///
+    /// With [`Project::Normal`](crate::Project::Normal) a smoothed point leaves the ray of its pixel. The depth is taken where that ray meets
+    /// the tangent plane of the point; where the ray grazes the plane, or the normal is missing, it is the point's own z.
+    pub fn to_depth_m(&self, camera: &Camera) -> Result<Vec<f32>, FrameError> {
+        camera.check_shape((self.width, self.height))?;
+        self.points.check_len("the smoothed points", self.width * self.height)?;
+        let mut rays = Rays::default();
+        rays.set(camera);
+        let depth_m = |i: usize| {
+            let point = self.points.get(i);
+            match &self.normals {
+                Some(normals) => depth_along_ray_m(rays.at(i % self.width, i / self.width), point, normals.get(i)),
+                None => point[2],
+            }
+        };
+        Ok((0..self.points.len()).map(depth_m).collect())
+    }
+}
+
+impl Smoothed {
+    /// Those of `fields` that it has, by the names that clouds have for them.
+    pub fn fields(&self, fields: Outputs) -> Vec<(&'static str, AttributeValues)> {
+        let normals = self.normals.as_ref().map(Xyz::as_slices);
+        named_fields(fields, normals, self.curvature.as_deref(), self.status.as_deref(), self.neighbours.as_deref())
+    }
+}
+
+/// Those of `fields` that there are, by the names that clouds have for them.
+pub fn named_fields(
+    fields: Outputs,
+    normals: Option<[&[f32]; 3]>,
+    curvature: Option<&[f32]>,
+    status: Option<&[Status]>,
+    neighbours: Option<&[u32]>,
+) -> Vec<(&'static str, AttributeValues)> {
+    let mut found: Vec<(&'static str, AttributeValues)> = Vec::new();
+    if let Some(normals) = normals.filter(|_| fields.normals) {
+        found.extend(["normal_x", "normal_y", "normal_z"].into_iter().zip(normals.map(|axis| axis.to_vec().into())));
+    }
+    if let Some(curvature) = curvature.filter(|_| fields.curvature) {
+        found.push(("curvature", curvature.to_vec().into()));
+    }
+    if let Some(status) = status.filter(|_| fields.status) {
+        found.push(("status", status.iter().map(|&s| s as u8).collect::<Vec<u8>>().into()));
+    }
+    if let Some(neighbours) = neighbours.filter(|_| fields.neighbours) {
+        found.push(("neighbours", neighbours.to_vec().into()));
+    }
+    found
+}
+
+/// Where a ray meets the tangent plane of a point; the point's own depth where the ray grazes that, or it has no normal.
+#[inline(always)]
+pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [nx, ny, nz]: [f32; 3]) -> f32 {
+    let along = ray_x * nx + ray_y * ny + nz;
+    let ray_length = (ray_x * ray_x + ray_y * ray_y + 1.0).sqrt();
+    // Also false for a NaN normal.
+    if along.abs() > GRAZING_COSINE * ray_length { (x * nx + y * ny + z * nz) / along } else { z }
+}
+
+impl PointCloud {
+    /// Puts the result in place of the positions and adds those of `fields` that the result has: `normal_x`, `normal_y`,
+    /// `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields stay as they are. Normals of a file of several scans face the
+    /// scanner of each point.
+    pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
+        smoothed.points.check_len("the smoothed points", self.len())?;
+        self.positions.clone_from(&smoothed.points);
+        for (name, values) in smoothed.fields(fields) {
+            self.set_attribute(name, values);
+        }
+        if smoothed.normals.is_some() && fields.normals {
+            self.face_scanners();
+        }
+        Ok(())
+    }
+}
+
+fn resize(vectors: &mut Xyz, len: usize) {
+    for values in [&mut vectors.x, &mut vectors.y, &mut vectors.z] {
+        values.resize(len, 0.0);
+    }
+}
+
+fn keep<T: Default>(output: &mut Option<T>, wanted: bool, resize: impl FnOnce(&mut T)) {
+    if wanted {
+        resize(output.get_or_insert_default());
+    } else {
+        *output = None;
+    }
+}

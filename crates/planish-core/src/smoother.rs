@@ -1,0 +1,315 @@
+//! The front door: open an engine once for a grid or for general clouds, then smooth any number of frames.
+
+use std::sync::Arc;
+
+use crate::engine::{AdmittedFrame, SmoothingEngine};
+use crate::engines::{self, Capabilities, ChoiceReason, Engine, SmootherOptions};
+use crate::error::{Error, FrameError, ParamError};
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::params::{Edges, Radius, SmoothParams};
+use crate::progress::Progress;
+use crate::smoothed::Smoothed;
+use crate::timings::FrameTimings;
+use crate::view::SmoothedView;
+use crate::xyz::validate_shape;
+
+/// An open engine with its buffers, for frames of one grid, or for general clouds.
+///
+/// One frame at a time:
+///
+/// ```
+/// use planish::{Engine, OrganizedCloud, SmoothParams, Smoothed, Smoother, Xyz};
+///
+/// # fn main() -> Result<(), planish::Error> {
+/// let plane: Xyz = (0..64 * 48).map(|i| [0.002 * (i % 64) as f32, 0.002 * (i / 64) as f32, 1.0]).collect();
+/// let cloud = OrganizedCloud::from_positions(64, 48, plane)?;
+/// let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Auto, (64, 48))?;
+/// let mut smoothed = Smoothed::default();
+/// smoother.smooth(&cloud, &mut smoothed)?;
+/// assert!((smoothed.points.z[1000] - 1.0).abs() < 1e-6);
+/// # Ok(())
+/// # }
+/// ```
+///
+/// Frames in flight, so that a GPU computes one while the next goes up and the last comes back; results are received in the
+/// order of submission:
+///
+/// ```
+/// # use planish::{Engine, OrganizedCloud, SmoothParams, Smoothed, Smoother, Xyz};
+/// # fn main() -> Result<(), planish::Error> {
+/// # let plane: Xyz = (0..64 * 48).map(|i| [0.002 * (i % 64) as f32, 0.002 * (i / 64) as f32, 1.0]).collect();
+/// # let frames = vec![OrganizedCloud::from_positions(64, 48, plane)?; 5];
+/// # let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Auto, (64, 48))?;
+/// let mut spare = Vec::new();
+/// let mut use_result = |smoothed: &Smoothed| assert_eq!(smoothed.points.len(), 64 * 48);
+/// for frame in &frames {
+///     if smoother.in_flight() == smoother.max_in_flight() {
+///         if let Some(result) = smoother.receive()? {
+///             let smoothed = result.into_smoothed();
+///             use_result(&smoothed);
+///             spare.push(smoothed);
+///         }
+///     }
+///     smoother.submit(frame, spare.pop().unwrap_or_default())?;
+/// }
+/// while let Some(result) = smoother.receive()? {
+///     use_result(&result.into_smoothed());
+/// }
+/// # Ok(())
+/// # }
+/// ```
+pub struct Smoother {
+    params: SmoothParams,
+    grid: Option<(usize, usize)>,
+    outputs: Outputs,
+    engine: Engine,
+    opened: Box<dyn SmoothingEngine>,
+    chosen_because: Option<ChoiceReason>,
+    scratch: GeometryScratch,
+}
+
+impl Smoother {
+    /// Validates the parameters and opens an engine with points as its only output: for frames of a grid (width, height), or
+    /// with `None` for general clouds.
+    pub fn open(params: SmoothParams, engine: Engine, grid: impl Into<Option<(usize, usize)>>) -> Result<Self, Error> {
+        Self::open_with(params, &SmootherOptions::new(engine, Outputs::POINTS), grid)
+    }
+
+    /// The same with everything chosen by the caller.
+    ///
+    /// Limits are checked, kernels compiled and for grids a first frame computed here. `Auto` chooses here and never later; a GPU that
+    /// cannot be opened for these frames leaves it with the CPU. General clouds need [`Radius::Neighbours`] or
+    /// [`Radius::Fixed`]: without a grid there is no pixel spacing to derive a radius from ([`SmoothParams::general`]).
+    pub fn open_with(
+        params: SmoothParams,
+        options: &SmootherOptions,
+        grid: impl Into<Option<(usize, usize)>>,
+    ) -> Result<Self, Error> {
+        let grid = grid.into();
+        check_options(params, options, grid)?;
+        let (opened, engine, chosen_because) = engines::open(params, options, grid)?;
+        Ok(Self::of(params, options.outputs, grid, engine, opened, chosen_because))
+    }
+
+    /// Opens the GPU engine on a device that the host program owns, with its queue.
+    ///
+    /// The device must not be polled by another thread while this smoother is in use. Its error callbacks are left alone:
+    /// errors of validation reach the host's. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`] frames need no copies, with
+    /// [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS` they can be timed. This function follows the
+    /// versions of wgpu, and so breaks with them.
+    #[cfg(feature = "wgpu-interop")]
+    pub fn open_on(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        params: SmoothParams,
+        options: &SmootherOptions,
+        shape: (usize, usize),
+    ) -> Result<Self, Error> {
+        check_options(params, options, Some(shape))?;
+        let gpu = crate::gpu::Gpu::open_on(device, queue, params, options.outputs, &options.gpu, shape)?;
+        Ok(Self::of(params, options.outputs, Some(shape), Engine::Gpu, Box::new(gpu), None))
+    }
+
+    fn of(
+        params: SmoothParams,
+        outputs: Outputs,
+        grid: Option<(usize, usize)>,
+        engine: Engine,
+        opened: Box<dyn SmoothingEngine>,
+        chosen_because: Option<ChoiceReason>,
+    ) -> Self {
+        Self { params, grid, outputs, engine, opened, chosen_because, scratch: GeometryScratch::default() }
+    }
+
+    /// The engine that is open: what `Auto` chose.
+    pub fn engine(&self) -> Engine {
+        self.engine
+    }
+
+    /// What the open engine can do.
+    pub fn capabilities(&self) -> Capabilities {
+        self.engine.capabilities()
+    }
+
+    /// The name of the GPU, if this is the GPU engine.
+    pub fn gpu_name(&self) -> Option<&str> {
+        self.opened.device_name()
+    }
+
+    /// Why `Auto` chose as it did; `None` if the engine was asked for by name.
+    pub fn chosen_because(&self) -> Option<&ChoiceReason> {
+        self.chosen_because.as_ref()
+    }
+
+    /// Smooths one frame into `out`, whose buffers are reused. Refuses a frame of another grid than the one opened for.
+    pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
+        let frame = self.admit(frame.into_frame()?)?;
+        let (width, height) = frame.frame.shape();
+        out.prepare(width, height, self.outputs);
+        self.opened.smooth(&frame, out.as_mut())
+    }
+
+    /// Smooths one frame into buffers of the caller's. Refuses buffers of another length than the frame, and for outputs that
+    /// the smoother was not opened for.
+    pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let frame = self.admit(frame.into_frame()?)?;
+        let (width, height) = frame.frame.shape();
+        out.check(width * height, self.outputs)?;
+        self.opened.smooth(&frame, out)
+    }
+
+    /// Smooths several frames, of one camera or of several with the same shape: on a GPU up to 64 in one submission.
+    ///
+    /// `out` has a result for each frame, whose buffers are reused.
+    pub fn smooth_batch(&mut self, frames: &[Frame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
+        if frames.len() != out.len() {
+            let (len, expected) = (out.len(), frames.len());
+            return Err(FrameError::LengthMismatch { what: "the results of a batch".into(), len, expected }.into());
+        }
+        let frames = frames.iter().map(|&frame| self.admit(frame)).collect::<Result<Vec<_>, _>>()?;
+        self.opened.smooth_batch(&frames, out)
+    }
+
+    /// Where the time of the last [`smooth`](Self::smooth) or [`smooth_batch`](Self::smooth_batch) went on a GPU or in the CPU
+    /// engine, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.
+    pub fn timings(&self) -> Option<FrameTimings> {
+        self.opened.timings()
+    }
+
+    /// How far the frame has come that another thread smooths, of an engine that may take long: those for general clouds, and the
+    /// reference.
+    pub fn progress(&self) -> Option<Arc<Progress>> {
+        self.opened.progress()
+    }
+
+    /// Keeps the radii by density of the next clouds, for [`own_radius_m`](Self::own_radius_m).
+    pub fn keep_radii(&mut self) {
+        self.opened.keep_radii();
+    }
+
+    /// The radius by density that point `i` of the last cloud had before its limit, if radii are kept.
+    pub fn own_radius_m(&self, i: usize) -> Option<f32> {
+        self.opened.own_radius_m(i)
+    }
+
+    /// Bytes that the engine keeps for its samples from frame to frame, beside frames and results: the padded frame of the CPU
+    /// engine; the buffers of all slots of the GPU engine, on the device and in memory that both see. The reference keeps none.
+    pub fn buffer_bytes(&self) -> u64 {
+        self.opened.buffer_bytes()
+    }
+
+    /// Submits a frame, and a buffer for its result; [`receive`](Self::receive) returns the buffer filled.
+    ///
+    /// On a GPU the frame has been copied when this returns, and the result is copied out by another thread. The engines of the
+    /// CPU compute the frame here.
+    pub fn submit<'a>(&mut self, frame: impl IntoFrame<'a>, buffer: Smoothed) -> Result<(), Error> {
+        let frame = self.admit(frame.into_frame()?)?;
+        self.opened.submit(&frame, Some(buffer))
+    }
+
+    /// The same with the result left where the device puts it, to be read there: nothing is copied.
+    pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
+        let frame = self.admit(frame.into_frame()?)?;
+        self.opened.submit(&frame, None)
+    }
+
+    /// Waits for the oldest frame in flight; `None` if there is none.
+    pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        self.opened.receive()
+    }
+
+    /// Prepares for several frames in flight, which the second of them waits for otherwise: some 0.1 s on a GPU with several queues,
+    /// on which frames overlap. Who smooths one at a time needs neither the time nor the memory.
+    pub fn prepare_in_flight(&mut self) {
+        self.opened.prepare_in_flight();
+    }
+
+    /// How many frames were submitted and not received.
+    pub fn in_flight(&self) -> usize {
+        self.opened.in_flight()
+    }
+
+    /// How many frames can be; one more is an [`EngineError::Full`](crate::EngineError::Full).
+    pub fn max_in_flight(&self) -> usize {
+        self.opened.max_in_flight()
+    }
+
+    /// Refuses a frame of another grid, and finds out how its ranges are measured.
+    fn admit<'a>(&mut self, frame: Frame<'a>) -> Result<AdmittedFrame<'a>, FrameError> {
+        admit(frame, &self.params, self.outputs, self.grid, &mut self.scratch)
+    }
+}
+
+/// Refuses a frame of another grid, or without the camera that outputs need, and finds out how its ranges are measured.
+pub(crate) fn admit<'a>(
+    frame: Frame<'a>,
+    params: &SmoothParams,
+    outputs: Outputs,
+    grid: Option<(usize, usize)>,
+    scratch: &mut GeometryScratch,
+) -> Result<AdmittedFrame<'a>, FrameError> {
+    check_grid(frame.grid(), grid)?;
+    if outputs.needs_camera() && frame.camera().is_none() {
+        return Err(FrameError::MissingCamera { what: "depth as an output" });
+    }
+    let needs_range = params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks();
+    Ok(AdmittedFrame { frame, geometry: FrameGeometry::of(frame, needs_range, scratch) })
+}
+
+/// Refuses a frame of another grid than that which was opened for.
+pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize, usize)>) -> Result<(), FrameError> {
+    match (found, expected) {
+        (found, expected) if found == expected => Ok(()),
+        (Some((frame_width, frame_height)), Some((width, height))) => {
+            Err(FrameError::ShapeMismatch { frame_width, frame_height, width, height })
+        }
+        (found, expected) => {
+            let describe = |grid: Option<(usize, usize)>| match grid {
+                Some((width, height)) => format!("a grid of {width}x{height}"),
+                None => "general clouds (no grid)".to_owned(),
+            };
+            let found = match found {
+                Some(_) => format!("has {}", describe(found)),
+                None => "is a general cloud".to_owned(),
+            };
+            Err(FrameError::GridMismatch { found, expected: describe(expected) })
+        }
+    }
+}
+
+pub(crate) fn check_options(
+    params: SmoothParams,
+    options: &SmootherOptions,
+    grid: Option<(usize, usize)>,
+) -> Result<(), Error> {
+    params.validate()?;
+    options.outputs.validate()?;
+    match grid {
+        Some((width, height)) => {
+            validate_shape(width, height)?;
+            if let Radius::Neighbours { count } = params.radius {
+                let (value, allowed) = (
+                    format!("{count} neighbours"),
+                    "frames on a grid take a radius; neighbours are for general clouds",
+                );
+                return Err(ParamError { field: "radius", value, allowed }.into());
+            }
+        }
+        None if params.radius == Radius::Sensor => {
+            let allowed = "general clouds take neighbours or a radius in metres";
+            return Err(ParamError { field: "radius", value: "sensor".into(), allowed }.into());
+        }
+        None if options.outputs.needs_camera() => {
+            return Err(FrameError::MissingCamera { what: "depth as an output" }.into());
+        }
+        None => {}
+    }
+    let positive = |field, value| match value {
+        0 => Err(ParamError { field, value: "0".into(), allowed: "1 or more" }),
+        _ => Ok(()),
+    };
+    positive("threads", options.threads.unwrap_or(1))?;
+    positive("slots", options.gpu.slots)?;
+    Ok(())
+}

@@ -1,0 +1,54 @@
+//! Where parallel work runs: the process's own pool, or one of a given size.
+
+use std::sync::Arc;
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::error::EngineError;
+
+/// More threads than any machine has cores take minutes to start.
+const MAX_THREADS: usize = 1024;
+
+/// A pool of threads, or rayon's global one.
+#[derive(Clone)]
+pub struct Threads(Option<Arc<ThreadPool>>);
+
+impl Threads {
+    /// `None` is one thread for each core, shared by the whole process.
+    pub fn open(threads: Option<usize>) -> Result<Self, EngineError> {
+        let Some(threads) = threads else { return Ok(Self(None)) };
+        // WebAssembly has the calling thread alone, on which rayon's global pool then works.
+        if cfg!(target_family = "wasm") {
+            return Ok(Self(None));
+        }
+        if threads > MAX_THREADS {
+            return Err(EngineError::Threads { threads, reason: format!("{MAX_THREADS} are the most allowed") });
+        }
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|i| format!("planish-{i}"))
+            .build()
+            .map_err(|error| EngineError::Threads { threads, reason: error.to_string() })?;
+        Ok(Self(Some(Arc::new(pool))))
+    }
+
+    /// Runs `work` on this pool while the calling thread runs `here`.
+    pub fn beside<'w, T>(&self, work: impl FnOnce() + Send + 'w, here: impl FnOnce() -> T) -> T {
+        let both = |scope: &rayon::Scope<'w>| {
+            scope.spawn(|_| work());
+            here()
+        };
+        match &self.0 {
+            Some(pool) => pool.in_place_scope(both),
+            None => rayon::in_place_scope(both),
+        }
+    }
+
+    /// Runs `work` with its parallel iterators on this pool.
+    pub fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        match &self.0 {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
+    }
+}

@@ -1,0 +1,448 @@
+//! The scores of a method on the suite.
+
+use glam::{DMat3, DVec3};
+use serde::Serialize;
+
+use super::suite::{Case, Gauges};
+use super::{edge_band, flat_pixels};
+use crate::simulate::{Gauge, NO_OBJECT, Truth};
+use planish_core::{DepthFrame, SensorModel, Xyz};
+
+/// Only pixels further than this from every discontinuity count as flat, in pixels.
+pub(super) const FLAT_MARGIN_PX: usize = 6;
+/// Pixels up to this far from a step form its band.
+pub(super) const EDGE_MARGIN_PX: usize = 3;
+/// The true surface is searched this many pixels around a pixel.
+const NEAREST_PX: usize = 4;
+/// A point of the band further than this and three depth steps from every surface floats between two.
+const FLYING_M: f64 = 0.01;
+/// The faces of a crease are measured up to this many pixels from it, in pieces of this many rows.
+const CREASE_PX: usize = 6;
+const CREASE_ROWS: usize = 24;
+
+/// A facet that is off by more is a speck.
+pub(super) const SPECK_DEG: f32 = 30.0;
+
+/// The ranges of z in metres.
+const RANGES_M: [(f64, f64); 3] = [(0.5, 1.5), (1.5, 2.5), (2.5, 4.2)];
+/// The ranges of the angle of incidence in degrees.
+const ANGLES_DEG: [(f64, f64); 3] = [(0.0, 30.0), (30.0, 60.0), (60.0, 75.0)];
+
+/// Flat surfaces in a range of z.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct RangeReport {
+    /// Nearest z in metres.
+    pub near_m: f64,
+    /// Farthest z in metres.
+    pub far_m: f64,
+    /// Pixels with a point.
+    pub pixels: usize,
+    /// Root of the mean squared distance to the true surface along its normal, in millimetres.
+    pub rmse_mm: f64,
+    /// Mean of that distance, positive towards the camera, in millimetres.
+    pub bias_mm: f64,
+    /// The same in depth steps of a Kinect v1.
+    pub bias_steps: f64,
+    /// Mean angle between the normal and the true one, in degrees.
+    pub normal_mean_deg: f64,
+    /// Median of the same.
+    pub normal_median_deg: f64,
+    /// Share of normals off by less than 10°.
+    pub normal_under_10_deg: f64,
+    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees: what a mesh or a shader shows.
+    pub facet_mean_deg: f64,
+    /// Angle that 95 % of the facets keep below.
+    pub facet_95_deg: f64,
+}
+
+/// Flat surfaces in a range of the angle between normal and ray.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct AngleReport {
+    /// Smallest angle in degrees.
+    pub from_deg: f64,
+    /// Largest angle in degrees.
+    pub to_deg: f64,
+    /// Pixels with a point.
+    pub pixels: usize,
+    /// Root of the mean squared distance to the true surface along its normal, in depth steps of a Kinect v1 at that range.
+    pub rmse_steps: f64,
+    /// Mean angle between the normal and the true one, in degrees.
+    pub normal_mean_deg: f64,
+    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees.
+    pub facet_mean_deg: f64,
+}
+
+/// The scores of a method on the suite. What could not be measured is NaN (null in JSON).
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Report {
+    /// Flat surfaces by z.
+    pub ranges: Vec<RangeReport>,
+    /// Flat surfaces by angle of incidence.
+    pub angles: Vec<AngleReport>,
+    /// Share of the facets of flat surfaces from 0.5 to 2.5 m that are off by more than 30°: specks.
+    pub speck_share: f64,
+    /// Median over flat pixels of the second difference of z along a row, over z², in 1e-3/m: lattices and gravel.
+    pub lattice: f64,
+    /// Root mean square error of flat surfaces over z, in bins of 0.2 m: the middle of the bin in metres, millimetres.
+    pub over_z: Vec<(f64, f64)>,
+    /// Within 3 pixels of a step: mean distance to the nearest true surface, in millimetres.
+    pub edge_mean_mm: f64,
+    /// Share of the points there that float between two surfaces: more than 1 cm and three depth steps from either.
+    pub flying_share: f64,
+    /// Mean error of the angle of a 90° edge at 1 m, between planes through the points up to 6 pixels from it, in degrees.
+    pub crease_deg: f64,
+    /// Mean distance of a sphere's points from its centre over its radius, less 1.
+    pub sphere_radius_bias: f64,
+    /// Mean distance of a cylinder's points from its axis over its radius, less 1.
+    pub cylinder_radius_bias: f64,
+    /// Share of the measured pixels that have no point.
+    pub lost_share: f64,
+    /// Share of the measured pixels on a surface (not floating) that have no point.
+    pub lost_true_share: f64,
+    /// Pixels with a point that were not measured.
+    pub invented: usize,
+}
+
+/// The bins of z for the curve.
+const BIN_M: f64 = 0.2;
+const BINS: usize = 22;
+
+/// A mean, a mean of squares, a count.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Sum {
+    pub(super) count: usize,
+    sum: f64,
+    squares: f64,
+}
+
+impl Sum {
+    pub(super) fn add(&mut self, value: f64) {
+        self.count += 1;
+        self.sum += value;
+        self.squares += value * value;
+    }
+
+    pub(super) fn mean(&self) -> f64 {
+        self.sum / self.count as f64
+    }
+
+    pub(super) fn rms(&self) -> f64 {
+        (self.squares / self.count as f64).sqrt()
+    }
+}
+
+/// The errors of some flat pixels.
+#[derive(Debug, Clone, Default)]
+struct Flat {
+    off_m: Sum,
+    off_steps: Sum,
+    normals_deg: Vec<f32>,
+    facets_deg: Vec<f32>,
+}
+
+impl Flat {
+    fn add(&mut self, error: &PixelError) {
+        self.off_m.add(error.off_m);
+        self.off_steps.add(error.off_m / error.step_m);
+        self.normals_deg.extend(error.normal_deg.map(|deg| deg as f32));
+        self.facets_deg.extend(error.facet_deg.map(|deg| deg as f32));
+    }
+
+    fn normals_under(&self, limit_deg: f32) -> f64 {
+        let under = self.normals_deg.iter().filter(|&&deg| deg < limit_deg).count();
+        under as f64 / self.normals_deg.len() as f64
+    }
+}
+
+fn mean_deg(angles: &[f32]) -> f64 {
+    angles.iter().map(|&deg| f64::from(deg)).sum::<f64>() / angles.len() as f64
+}
+
+/// The value that a share of the values lie below; NaN for none.
+fn quantile(values: &[f32], share: f64) -> f64 {
+    let mut values = values.to_vec();
+    let at = (values.len() as f64 * share) as usize;
+    match values.get(at) {
+        None => f64::NAN,
+        Some(_) => f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1),
+    }
+}
+
+/// The errors of a pixel's point and normal.
+struct PixelError {
+    /// Distance to the true tangent plane, positive towards the camera.
+    off_m: f64,
+    step_m: f64,
+    normal_deg: Option<f64>,
+    facet_deg: Option<f64>,
+}
+
+/// Accumulates the scores of a method over cases.
+#[derive(Debug, Clone, Default)]
+pub struct Evaluation {
+    ranges: [Flat; 3],
+    angles: [Flat; 3],
+    /// Second differences of z along rows, over z².
+    second_differences: Vec<f32>,
+    over_z: [Sum; BINS],
+    edge_m: Sum,
+    flying: usize,
+    crease_deg: Sum,
+    sphere: Sum,
+    cylinder: Sum,
+    measured: usize,
+    lost: usize,
+    lost_true: usize,
+    invented: usize,
+}
+
+impl Evaluation {
+    /// Adds a result: points in camera coordinates, one per pixel of the case's frame, and their normals.
+    pub fn add(&mut self, case: &Case, points: &Xyz, normals: &Xyz) {
+        let truth = &case.truth;
+        for (i, &raw) in case.frame.raw.iter().enumerate() {
+            let (measured, there) = (case.frame.camera.depth_m(raw).is_finite(), points.is_finite(i));
+            self.measured += usize::from(measured);
+            if measured && !there {
+                self.lost += 1;
+                self.lost_true += usize::from(!floats(truth, i, measured_point(&case.frame, i, raw)));
+            }
+            self.invented += usize::from(there && !measured);
+        }
+        match case.gauges {
+            Gauges::Surfaces => {
+                self.add_flat(truth, points, normals);
+                self.add_edges(truth, points);
+            }
+            Gauges::Shapes(gauge) => self.add_shapes(truth, &gauge, points),
+        }
+    }
+
+    fn add_flat(&mut self, truth: &Truth, points: &Xyz, normals: &Xyz) {
+        let flat = flat_pixels(truth, FLAT_MARGIN_PX);
+        for i in (0..flat.len()).filter(|&i| flat[i] && points.is_finite(i)) {
+            let n = truth.normals.vector(i);
+            let normal_deg = normals.is_finite(i).then(|| angle_deg(n, normals.vector(i)));
+            let z = f64::from(truth.points.z[i]);
+            let off_m = (points.vector(i) - truth.points.vector(i)).dot(n);
+            let facet_deg = facet(points, &flat, i, truth.camera.width).map(|facet| angle_deg(n, facet));
+            let error = PixelError { off_m, step_m: step_m(z), normal_deg, facet_deg };
+            self.second_differences.extend(second_difference(points, &flat, i, truth.camera.width));
+            if let Some(bin) = self.over_z.get_mut((z / BIN_M) as usize) {
+                bin.add(off_m);
+            }
+            let incidence_deg = truth.incidence_cosine(i).clamp(-1.0, 1.0).acos().to_degrees();
+            for (flat, (from, to)) in self.ranges.iter_mut().zip(RANGES_M) {
+                if (from..to).contains(&z) {
+                    flat.add(&error);
+                }
+            }
+            for (flat, (from, to)) in self.angles.iter_mut().zip(ANGLES_DEG) {
+                if (from..to).contains(&incidence_deg) {
+                    flat.add(&error);
+                }
+            }
+        }
+    }
+
+    fn add_edges(&mut self, truth: &Truth, points: &Xyz) {
+        let band = edge_band(truth, EDGE_MARGIN_PX);
+        for i in (0..band.len()).filter(|&i| band[i] && points.is_finite(i)) {
+            let p = points.vector(i);
+            self.edge_m.add(distance_to_surface(truth, i, p));
+            self.flying += usize::from(floats(truth, i, p));
+        }
+    }
+
+    fn add_shapes(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz) {
+        let flat = flat_pixels(truth, FLAT_MARGIN_PX);
+        for i in (0..flat.len()).filter(|&i| flat[i] && points.is_finite(i)) {
+            // On steeper surfaces the sensor itself loses and shifts points.
+            if truth.incidence_cosine(i) < 0.5 {
+                continue;
+            }
+            let p = points.vector(i);
+            if truth.objects[i] == gauge.sphere {
+                self.sphere.add((p - gauge.sphere_centre).length() / gauge.sphere_radius_m - 1.0);
+            } else if truth.objects[i] == gauge.cylinder {
+                let off = p - gauge.cylinder_centre;
+                let from_axis = (off - off.dot(gauge.cylinder_axis) * gauge.cylinder_axis).length();
+                self.cylinder.add(from_axis / gauge.cylinder_radius_m - 1.0);
+            }
+        }
+        self.add_crease(truth, gauge, points);
+    }
+
+    /// The angle between planes through the points on either side of the edge, piece by piece along it.
+    fn add_crease(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz) {
+        let (width, height) = (truth.camera.width, truth.camera.height);
+        // Where a row passes from the left face to the right one.
+        let edge = |v: usize| -> Option<usize> {
+            let row = v * width;
+            (CREASE_PX..width.saturating_sub(CREASE_PX)).find(|&u| {
+                let (left, right) = (row + u - 1, row + u);
+                (u - CREASE_PX..u + CREASE_PX).all(|u| truth.objects[row + u] == gauge.wedge)
+                    && angle_deg(truth.normals.vector(left), truth.normals.vector(right)) > 80.0
+            })
+        };
+        for first in (0..(height + 1).saturating_sub(CREASE_ROWS)).step_by(CREASE_ROWS) {
+            let rows: Option<Vec<(usize, usize)>> =
+                (first..first + CREASE_ROWS).map(|v| edge(v).map(|u| (u, v))).collect();
+            let Some(rows) = rows else { continue };
+            let face = |columns: fn(usize) -> std::ops::Range<usize>| {
+                let pixels = rows.iter().flat_map(|&(u, v)| columns(u).map(move |u| v * width + u));
+                plane(pixels.filter(|&i| points.is_finite(i)).map(|i| points.vector(i)).collect())
+            };
+            let (left, right) = (face(|u| u - CREASE_PX..u), face(|u| u..u + CREASE_PX));
+            if let (Some(left), Some(right)) = (left, right) {
+                self.crease_deg.add((angle_deg(left.0, right.0) - 90.0).abs());
+            }
+        }
+    }
+
+    /// Returns the scores so far.
+    pub fn report(&self) -> Report {
+        let range = |(flat, (near_m, far_m)): (&Flat, (f64, f64))| RangeReport {
+            near_m,
+            far_m,
+            pixels: flat.off_m.count,
+            rmse_mm: 1e3 * flat.off_m.rms(),
+            bias_mm: 1e3 * flat.off_m.mean(),
+            bias_steps: flat.off_steps.mean(),
+            normal_mean_deg: mean_deg(&flat.normals_deg),
+            normal_median_deg: quantile(&flat.normals_deg, 0.5),
+            normal_under_10_deg: flat.normals_under(10.0),
+            facet_mean_deg: mean_deg(&flat.facets_deg),
+            facet_95_deg: quantile(&flat.facets_deg, 0.95),
+        };
+        let angle = |(flat, (from_deg, to_deg)): (&Flat, (f64, f64))| AngleReport {
+            from_deg,
+            to_deg,
+            pixels: flat.off_steps.count,
+            rmse_steps: flat.off_steps.rms(),
+            normal_mean_deg: mean_deg(&flat.normals_deg),
+            facet_mean_deg: mean_deg(&flat.facets_deg),
+        };
+        let near = || self.ranges[..2].iter().flat_map(|flat| &flat.facets_deg);
+        Report {
+            ranges: self.ranges.iter().zip(RANGES_M).map(range).collect(),
+            angles: self.angles.iter().zip(ANGLES_DEG).map(angle).collect(),
+            speck_share: near().filter(|&&deg| deg > SPECK_DEG).count() as f64 / near().count() as f64,
+            lattice: 1e3 * quantile(&self.second_differences, 0.5),
+            over_z: (0..BINS)
+                .filter(|&bin| self.over_z[bin].count >= 1000)
+                .map(|bin| ((bin as f64 + 0.5) * BIN_M, 1e3 * self.over_z[bin].rms()))
+                .collect(),
+            edge_mean_mm: 1e3 * self.edge_m.mean(),
+            flying_share: self.flying as f64 / self.edge_m.count as f64,
+            crease_deg: self.crease_deg.mean(),
+            sphere_radius_bias: self.sphere.mean(),
+            cylinder_radius_bias: self.cylinder.mean(),
+            lost_share: self.lost as f64 / self.measured as f64,
+            lost_true_share: self.lost_true as f64 / self.measured as f64,
+            invented: self.invented,
+        }
+    }
+}
+
+/// Returns the temporal noise of a static camera before a static scene: the root mean square, over flat pixels and `results`, of
+/// the deviation along the true normal from its mean, in millimetres. Pixels that are not in every result are left out.
+pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
+    let flat = flat_pixels(truth, FLAT_MARGIN_PX);
+    let mut stir = Sum::default();
+    for i in (0..flat.len()).filter(|&i| flat[i] && results.iter().all(|points| points.is_finite(i))) {
+        let n = truth.normals.vector(i);
+        let mut off = Sum::default();
+        for points in results {
+            off.add((points.vector(i) - truth.points.vector(i)).dot(n));
+        }
+        stir.add((off.squares / off.count as f64 - off.mean() * off.mean()).max(0.0).sqrt());
+    }
+    if results.is_empty() { f64::NAN } else { 1e3 * stir.rms() }
+}
+
+/// The unit normal of the triangle between pixel i and its right and lower neighbours, where all three are `usable` and have points;
+/// zero for one without an area, which counts as edge-on.
+pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Option<DVec3> {
+    let [right, below] = [i + 1, i + width];
+    if right % width == 0
+        || below >= usable.len()
+        || ![i, right, below].iter().all(|&j| usable[j] && points.is_finite(j))
+    {
+        return None;
+    }
+    let p = points.vector(i);
+    // A facet that faces away has flipped: it is not turned back.
+    Some((points.vector(below) - p).cross(points.vector(right) - p).normalize_or_zero())
+}
+
+/// |z(u-1) - 2 z(u) + z(u+1)|/z² along a row, where all three pixels are flat and have points.
+fn second_difference(points: &Xyz, flat: &[bool], i: usize, width: usize) -> Option<f32> {
+    let at_border = i.is_multiple_of(width) || (i + 1).is_multiple_of(width);
+    if at_border || ![i - 1, i, i + 1].iter().all(|&j| flat[j] && points.is_finite(j)) {
+        return None;
+    }
+    let z = |j: usize| points.z[j];
+    Some((z(i - 1) - 2.0 * z(i) + z(i + 1)).abs() / (z(i) * z(i)))
+}
+
+pub(super) fn angle_deg(a: DVec3, b: DVec3) -> f64 {
+    a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()
+}
+
+/// The depth step of a Kinect v1.
+fn step_m(z: f64) -> f64 {
+    SensorModel::KINECT_V1.step_m(z)
+}
+
+/// Whether the point of pixel i is on no surface.
+fn floats(truth: &Truth, i: usize, p: DVec3) -> bool {
+    distance_to_surface(truth, i, p) > FLYING_M.max(3.0 * step_m(p.z))
+}
+
+/// Returns what the camera measured at pixel i.
+fn measured_point(frame: &DepthFrame, i: usize, raw: u16) -> DVec3 {
+    let camera = &frame.camera;
+    let (u, v, z) = ((i % camera.width) as f64, (i / camera.width) as f64, f64::from(camera.depth_m(raw)));
+    DVec3::new((u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy, z)
+}
+
+/// Returns the distance of a point to the true surface around pixel i; each pixel's surface is a disc in its tangent plane, as
+/// wide as a pixel.
+pub(super) fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
+    let (width, height) = (truth.camera.width, truth.camera.height);
+    let (u, v) = (i % width, i / width);
+    let mut nearest = f64::INFINITY;
+    for v in v.saturating_sub(NEAREST_PX)..(v + NEAREST_PX + 1).min(height) {
+        for j in (u.saturating_sub(NEAREST_PX)..(u + NEAREST_PX + 1).min(width)).map(|u| v * width + u) {
+            if truth.objects[j] == NO_OBJECT {
+                continue;
+            }
+            let (off, n) = (p - truth.points.vector(j), truth.normals.vector(j));
+            let (along, pitch_m) = (off.dot(n), f64::from(truth.points.z[j]) / truth.camera.fx);
+            let beside = ((off.length_squared() - along * along).max(0.0).sqrt() - pitch_m).max(0.0);
+            nearest = nearest.min(along * along + beside * beside);
+        }
+    }
+    nearest.sqrt()
+}
+
+/// Fits a plane to points: its normal, towards the camera, their centroid on it, and their RMS distance from it. `None` for too
+/// few.
+pub(super) fn plane(points: Vec<DVec3>) -> Option<(DVec3, DVec3, f64)> {
+    if points.len() < 12 {
+        return None;
+    }
+    let centre = points.iter().sum::<DVec3>() / points.len() as f64;
+    let mut covariance = DMat3::ZERO;
+    for d in points.iter().map(|&p| p - centre) {
+        covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+    }
+    covariance *= 1.0 / points.len() as f64;
+    let ([smallest, ..], [normal, ..]) = planish_core::internal::symmetric_eigen(covariance);
+    let normal = if normal.dot(centre) > 0.0 { -normal } else { normal };
+    Some((normal, centre, smallest.max(0.0).sqrt()))
+}

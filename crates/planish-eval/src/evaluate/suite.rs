@@ -1,0 +1,70 @@
+//! The frames that methods are evaluated on: seeded scenes with the noise of a Kinect v1, and the gauges in them.
+
+use crate::simulate::{DepthNoise, DepthSimulator, Gauge, Scene, Truth};
+use planish_core::{Camera, DepthFrame, FrameError};
+
+/// Three frames per seed: a table, a room, and shapes of known size.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Suite {
+    /// The camera; it has the field of view of a Kinect v1 at any resolution.
+    pub camera: Camera,
+    /// The sensor's noise.
+    pub noise: DepthNoise,
+}
+
+impl Default for Suite {
+    fn default() -> Self {
+        Self { camera: Camera::kinect_v1(), noise: DepthNoise::default() }
+    }
+}
+
+/// What is measured on a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Gauges {
+    /// Surfaces and edges, by range and angle.
+    Surfaces,
+    /// Sizes and angles.
+    Shapes(Gauge),
+}
+
+/// A frame with its truth.
+#[derive(Debug, Clone)]
+pub struct Case {
+    /// A name for files: scene and seed.
+    pub name: String,
+    /// What a perfect camera would see.
+    pub truth: Truth,
+    /// What the camera sees.
+    pub frame: DepthFrame,
+    /// What is measured.
+    pub gauges: Gauges,
+}
+
+impl Suite {
+    /// Returns the cases of a seed.
+    pub fn cases(&self, seed: u64) -> Result<Vec<Case>, FrameError> {
+        let (table, room, shapes) = (Scene::tabletop(seed), Scene::room(seed), Scene::gauges(seed));
+        let gauge = shapes.2;
+        let scenes = [
+            ("table", (table.0, table.1), Gauges::Surfaces),
+            ("room", (room.0, room.1), Gauges::Surfaces),
+            ("shapes", (shapes.0, shapes.1), Gauges::Shapes(gauge)),
+        ];
+        let simulator = DepthSimulator::new(self.noise, self.camera, seed);
+        let case = |(name, (scene, pose), gauges): (&str, (Scene, _), _)| {
+            let truth = scene.render(&self.camera, &pose);
+            let frame = simulator.frame(&truth, 0)?;
+            Ok(Case { name: format!("{name}-{seed}"), truth, frame, gauges })
+        };
+        scenes.into_iter().map(case).collect()
+    }
+
+    /// Returns frames of a static camera before a table.
+    pub fn still(&self, seed: u64, frames: u64) -> Result<(Truth, Vec<DepthFrame>), FrameError> {
+        let (scene, pose) = Scene::tabletop(seed);
+        let truth = scene.render(&self.camera, &pose);
+        let simulator = DepthSimulator::new(self.noise, self.camera, seed);
+        let frames = (0..frames).map(|index| simulator.frame(&truth, index)).collect::<Result<_, _>>()?;
+        Ok((truth, frames))
+    }
+}

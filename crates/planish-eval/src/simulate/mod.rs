@@ -1,0 +1,33 @@
+//! Frames with known truth: seeded scenes, ray-cast without noise, and a model of a sensor's noise on top: a Kinect v1,
+//! a stereo or a time-of-flight camera.
+//!
+//! As with real sensors, the noise is correlated between pixels, quantized, and grows with range: on independent noise, filters
+//! look far better than they are.
+//!
+//! ```
+//! use planish::Camera;
+//! use planish::simulate::{DepthNoise, DepthSimulator, Scene};
+//!
+//! let camera = Camera::new((160, 120), [131.0; 2], [79.5, 59.5]);
+//! let (scene, pose) = Scene::tabletop(1);
+//! let truth = scene.render(&camera, &pose);
+//! let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).unwrap();
+//! assert_eq!(frame.raw.len(), 160 * 120);
+//! ```
+
+mod random;
+mod rig;
+mod scene;
+mod scenes;
+mod sensor;
+
+/// The linear algebra of scenes and poses.
+pub use glam::{DMat3, DVec3};
+#[doc(hidden)]
+pub use planish_core::Camera;
+#[doc(hidden)]
+pub use random::Random;
+pub use rig::{PoseErrors, RigScene};
+pub use scene::{NO_OBJECT, Pose, Scene, Shape, Truth};
+pub use scenes::Gauge;
+pub use sensor::{DepthNoise, DepthSimulator, ErrorUnit};

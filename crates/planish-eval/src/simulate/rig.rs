@@ -1,0 +1,120 @@
+//! Simulated rigs: cameras round a table, and the poses that a calibration with errors would state.
+
+use std::f64::consts::TAU;
+
+use glam::{DMat3, DVec3};
+
+use super::random::Random;
+use super::scene::{Pose, Scene};
+
+/// Where the cameras look, and how far from there and how high above it they stand, in metres.
+const CENTRE: DVec3 = DVec3::new(0.0, 0.40, 1.05);
+const DISTANCE_M: f64 = 1.0;
+/// Cameras are at most this far apart, seen from the table.
+const MOST_APART_DEG: f64 = 50.0;
+/// The object of [`Scene::tabletop`] that is its wall, behind which cameras stand.
+const WALL: usize = 1;
+const STREAM_POSES: u64 = 1 << 40;
+
+/// A scene with cameras round it.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct RigScene {
+    /// The scene.
+    pub scene: Scene,
+    /// Where each camera stands: world_from_camera.
+    pub poses: Vec<Pose>,
+}
+
+/// How far poses are off.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub struct PoseErrors {
+    /// The angle of a turn about any axis, in degrees.
+    pub angle_deg: f64,
+    /// The length of a shift in any direction, in metres.
+    pub shift_m: f64,
+}
+
+impl PoseErrors {
+    /// Errors of this angle and this length.
+    pub const fn new(angle_deg: f64, shift_m: f64) -> Self {
+        Self { angle_deg, shift_m }
+    }
+}
+
+impl RigScene {
+    /// The table of [`Scene::tabletop`] without its wall, seen by so many cameras on an arc round it, up to 50° apart.
+    pub fn tabletop(seed: u64, cameras: usize) -> Self {
+        let (mut scene, _) = Scene::tabletop(seed);
+        scene.objects.remove(WALL);
+        let apart = MOST_APART_DEG.to_radians().min(TAU / cameras.max(1) as f64);
+        let pose = |i: usize| {
+            let angle = apart * (i as f64 - (cameras.max(1) - 1) as f64 / 2.0);
+            let position =
+                DVec3::new(angle.sin(), 0.0, -angle.cos()) * DISTANCE_M + DVec3::new(CENTRE.x, 0.0, CENTRE.z);
+            let down = (CENTRE.y - position.y).atan2(DISTANCE_M);
+            Pose::looking(position, -angle, down)
+        };
+        Self { scene, poses: (0..cameras).map(pose).collect() }
+    }
+
+    /// The poses that a calibration with such errors states: the first camera's is right, each other is turned about an axis and shifted
+    /// in a direction of its own.
+    pub fn poses_with_errors(&self, errors: PoseErrors, seed: u64) -> Vec<Pose> {
+        let mut random = Random::new(seed, STREAM_POSES);
+        let mut direction = || {
+            let vector = DVec3::new(random.normal(), random.normal(), random.normal());
+            vector.try_normalize().unwrap_or(DVec3::X)
+        };
+        let with_errors = |(i, pose): (usize, &Pose)| {
+            let (axis, towards) = (direction(), direction());
+            if i == 0 {
+                return *pose;
+            }
+            let turn = DMat3::from_axis_angle(axis, errors.angle_deg.to_radians());
+            Pose {
+                position: pose.position + errors.shift_m * towards,
+                world_from_camera: turn * pose.world_from_camera,
+            }
+        };
+        self.poses.iter().enumerate().map(with_errors).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_core::Camera;
+
+    #[test]
+    fn every_camera_looks_at_the_table() {
+        let camera = Camera { width: 80, height: 60, fx: 66.0, fy: 66.0, cx: 39.5, cy: 29.5, ..Camera::kinect_v1() };
+        for cameras in [2, 4, 8] {
+            let rig = RigScene::tabletop(1, cameras);
+            assert_eq!(rig.poses.len(), cameras);
+            for pose in &rig.poses {
+                let truth = rig.scene.render(&camera, pose);
+                // The table is the second object without the wall, things on it come after.
+                let on_table = truth.objects.iter().filter(|&&object| object != super::super::NO_OBJECT && object >= 1);
+                assert!(on_table.count() > truth.objects.len() / 3);
+                let z = truth.points.z[30 * 80 + 40];
+                assert!((0.7..1.3).contains(&z), "{z}");
+            }
+        }
+    }
+
+    #[test]
+    fn errors_of_poses_are_as_large_as_asked_for() {
+        let rig = RigScene::tabletop(1, 4);
+        let stated = rig.poses_with_errors(PoseErrors::new(0.2, 0.002), 7);
+        assert_eq!(stated[0], rig.poses[0]);
+        for (stated, pose) in stated.iter().zip(&rig.poses).skip(1) {
+            assert!(((stated.position - pose.position).length() - 0.002).abs() < 1e-12);
+            let turn = stated.world_from_camera * pose.world_from_camera.transpose();
+            let trace = turn.x_axis.x + turn.y_axis.y + turn.z_axis.z;
+            let angle_deg = ((trace - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees();
+            assert!((angle_deg - 0.2).abs() < 1e-6, "{angle_deg}");
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! Scenes of simple shapes and their noise-free images. Metres; world and camera axes are x right, y down, z forward.
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use planish_core::{Camera, FrameError, ParamError, SensorPose, Xyz};
+
+/// The object id of a pixel whose ray hits nothing.
+pub const NO_OBJECT: u16 = u16::MAX;
+
+/// A solid or a plane, in world coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// An infinite plane through a point.
+    Plane {
+        /// Any point on it.
+        point: DVec3,
+        /// Its unit normal, either way.
+        normal: DVec3,
+    },
+    /// A sphere.
+    Sphere {
+        /// Its centre.
+        centre: DVec3,
+        /// Its radius in metres.
+        radius_m: f64,
+    },
+    /// A box.
+    Cuboid {
+        /// Its centre.
+        centre: DVec3,
+        /// Half its extent along each of its axes, in metres.
+        half_extent_m: DVec3,
+        /// Columns are its axes.
+        world_from_box: DMat3,
+    },
+    /// A cylinder with flat ends.
+    Cylinder {
+        /// The middle of its axis.
+        centre: DVec3,
+        /// Unit direction of its axis.
+        axis: DVec3,
+        /// Its radius in metres.
+        radius_m: f64,
+        /// Half its length in metres.
+        half_height_m: f64,
+    },
+}
+
+/// Where a ray hits a surface: distance in units of its direction's length, and the surface's normal (either sign).
+type Hit = (f64, DVec3);
+
+impl Shape {
+    /// Returns the first hit of the ray in front of its origin.
+    fn intersect(&self, origin: DVec3, direction: DVec3) -> Option<Hit> {
+        match *self {
+            Self::Plane { point, normal } => {
+                let t = (point - origin).dot(normal) / direction.dot(normal);
+                in_front(t).then_some((t, normal))
+            }
+            Self::Sphere { centre, radius_m } => {
+                let from_centre = origin - centre;
+                let a = direction.length_squared();
+                let b = from_centre.dot(direction);
+                let c = from_centre.length_squared() - radius_m * radius_m;
+                let root = (b * b - a * c).sqrt();
+                let t = (-b - root) / a;
+                in_front(t).then(|| (t, (from_centre + t * direction) / radius_m))
+            }
+            Self::Cuboid { centre, half_extent_m, world_from_box } => {
+                let box_from_world = world_from_box.transpose();
+                let (o, d) = (box_from_world * (origin - centre), box_from_world * direction);
+                let (mut enter, mut leave, mut entered) = (f64::NEG_INFINITY, f64::INFINITY, 0);
+                for axis in 0..3 {
+                    let t0 = (-half_extent_m[axis] - o[axis]) / d[axis];
+                    let t1 = (half_extent_m[axis] - o[axis]) / d[axis];
+                    if t0.min(t1) > enter {
+                        (enter, entered) = (t0.min(t1), axis);
+                    }
+                    leave = leave.min(t0.max(t1));
+                }
+                (enter <= leave && in_front(enter)).then(|| (enter, world_from_box.col(entered)))
+            }
+            Self::Cylinder { centre, axis, radius_m, half_height_m } => {
+                let from_centre = origin - centre;
+                let across = |x: DVec3| x - x.dot(axis) * axis;
+                let (o, d) = (across(from_centre), across(direction));
+                let (a, b, c) = (d.length_squared(), o.dot(d), o.length_squared() - radius_m * radius_m);
+                let t = (-b - (b * b - a * c).sqrt()) / a;
+                let point = from_centre + t * direction;
+                if in_front(t) && point.dot(axis).abs() <= half_height_m {
+                    return Some((t, across(point) / radius_m));
+                }
+                let end = -half_height_m * direction.dot(axis).signum();
+                let t = (end - from_centre.dot(axis)) / direction.dot(axis);
+                let on_end = across(from_centre + t * direction).length() <= radius_m;
+                (in_front(t) && on_end).then_some((t, axis))
+            }
+        }
+    }
+}
+
+/// False for NaN, a ray that misses.
+fn in_front(t: f64) -> bool {
+    t > 1e-3 && t.is_finite()
+}
+
+/// Where the camera stands in the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Position of the camera in the world, in metres.
+    pub position: DVec3,
+    /// Rotation from camera to world axes.
+    pub world_from_camera: DMat3,
+}
+
+impl Pose {
+    /// A camera at `position`, turned by `yaw_rad` to the right and then by `pitch_rad` downwards.
+    pub fn looking(position: DVec3, yaw_rad: f64, pitch_rad: f64) -> Self {
+        Self { position, world_from_camera: DMat3::from_rotation_y(yaw_rad) * DMat3::from_rotation_x(-pitch_rad) }
+    }
+
+    /// The same as clouds and rigs have it, with the world as their frame.
+    ///
+    /// # Errors
+    /// If its matrix is no rotation, or its position not finite.
+    pub fn sensor_pose(&self) -> Result<SensorPose, FrameError> {
+        let rows = self.world_from_camera.transpose().to_cols_array_2d();
+        SensorPose::from_rotation(self.position.to_array(), rows).ok_or_else(|| {
+            let value = format!("{self:?}");
+            FrameError::BadPose(ParamError { field: "pose", value, allowed: "a rotation and a finite position" })
+        })
+    }
+}
+
+/// Shapes in the world; the id of an object is its index.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Scene {
+    /// The shapes.
+    pub objects: Vec<Shape>,
+}
+
+/// What a perfect camera sees, row by row, in camera coordinates.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Truth {
+    /// The camera.
+    pub camera: Camera,
+    /// Position of the surface at the centre of each pixel, in metres; NaN where there is none.
+    pub points: Xyz,
+    /// Unit normals towards the camera; NaN where there is no surface.
+    pub normals: Xyz,
+    /// Index of the object, or [`NO_OBJECT`].
+    pub objects: Vec<u16>,
+}
+
+impl Scene {
+    /// Ray-casts the scene.
+    pub fn render(&self, camera: &Camera, pose: &Pose) -> Truth {
+        let pixels: Vec<_> = (0..camera.width * camera.height)
+            .into_par_iter()
+            .with_min_len(camera.width)
+            .map(|i| self.cast(camera, pose, i % camera.width, i / camera.width))
+            .collect();
+        Truth {
+            camera: *camera,
+            points: pixels.iter().map(|p| p.0.as_vec3().to_array()).collect(),
+            normals: pixels.iter().map(|p| p.1.as_vec3().to_array()).collect(),
+            objects: pixels.iter().map(|p| p.2).collect(),
+        }
+    }
+
+    /// Returns point, normal and object seen by one pixel.
+    fn cast(&self, camera: &Camera, pose: &Pose, u: usize, v: usize) -> (DVec3, DVec3, u16) {
+        // With z = 1 the distance along the ray is the depth.
+        let ray = DVec3::new((u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy, 1.0);
+        let direction = pose.world_from_camera * ray;
+        let nearest = (0u16..)
+            .zip(&self.objects)
+            .filter_map(|(id, shape)| shape.intersect(pose.position, direction).map(|(t, n)| (t, n, id)))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((depth, normal, id)) = nearest else { return (DVec3::NAN, DVec3::NAN, NO_OBJECT) };
+        let normal = pose.world_from_camera.transpose() * normal;
+        (depth * ray, if normal.dot(ray) > 0.0 { -normal } else { normal }, id)
+    }
+}
+
+impl Truth {
+    /// Cosine of the angle between the surface's normal and the ray, 0 to 1; NaN where there is no surface.
+    pub fn incidence_cosine(&self, i: usize) -> f64 {
+        let p = self.points.vector(i);
+        let n = self.normals.vector(i);
+        -n.dot(p) / p.length()
+    }
+
+    /// Whether the surface jumps between two pixels: each lies off the other's tangent plane by more than a hundredth of their
+    /// distance, or only one of them has a surface.
+    pub fn is_step(&self, i: usize, j: usize) -> bool {
+        let seen = |k: usize| self.objects[k] != NO_OBJECT;
+        if !(seen(i) && seen(j)) {
+            return seen(i) != seen(j);
+        }
+        let off_plane = |a: usize, b: usize| {
+            let (pa, pb, n) = (self.points.get(a), self.points.get(b), self.normals.get(a));
+            (0..3).map(|k| (pb[k] - pa[k]) * n[k]).sum::<f32>().abs()
+        };
+        off_plane(i, j).min(off_plane(j, i)) > 0.01 * self.points.z[i].min(self.points.z[j])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns point and normal where a ray from the origin along z hits.
+    fn probe(shape: Shape, direction: DVec3) -> Option<(DVec3, DVec3)> {
+        shape.intersect(DVec3::ZERO, direction).map(|(t, n)| (t * direction, n))
+    }
+
+    #[test]
+    fn rays_meet_shapes_where_geometry_says() {
+        let centre = DVec3::new(0.0, 0.0, 2.0);
+        let sphere = Shape::Sphere { centre, radius_m: 0.5 };
+        assert_eq!(probe(sphere, DVec3::Z), Some((DVec3::new(0.0, 0.0, 1.5), -DVec3::Z)));
+        assert_eq!(probe(sphere, DVec3::X), None);
+        let cuboid =
+            Shape::Cuboid { centre, half_extent_m: DVec3::new(1.0, 1.0, 0.25), world_from_box: DMat3::IDENTITY };
+        assert_eq!(probe(cuboid, DVec3::Z).map(|hit| hit.0.z), Some(1.75));
+        assert_eq!(probe(cuboid, DVec3::new(1.0, 0.0, 1.0)), None);
+        let cylinder = Shape::Cylinder { centre, axis: DVec3::Y, radius_m: 0.5, half_height_m: 0.1 };
+        assert_eq!(probe(cylinder, DVec3::Z).map(|hit| hit.0.z), Some(1.5));
+        // From above, through the flat end.
+        let end = probe(cylinder, DVec3::new(0.0, 0.1, 1.9));
+        assert!(end.is_none_or(|(p, _)| p.y.abs() <= 0.1 + 1e-12));
+        let plane = Shape::Plane { point: centre, normal: DVec3::Z };
+        assert_eq!(probe(plane, -DVec3::Z), None);
+        assert_eq!(probe(plane, DVec3::new(0.5, 0.0, 1.0)).map(|hit| hit.0), Some(DVec3::new(1.0, 0.0, 2.0)));
+    }
+
+    #[test]
+    fn every_hit_of_a_scene_lies_on_its_object_and_faces_the_camera() {
+        let camera = Camera { width: 80, height: 60, fx: 66.0, fy: 66.0, cx: 39.5, cy: 29.5, ..Camera::kinect_v1() };
+        for seed in 0..4 {
+            let (scene, pose) = Scene::tabletop(seed);
+            let truth = scene.render(&camera, &pose);
+            for i in 0..truth.objects.len() {
+                if truth.objects[i] == NO_OBJECT {
+                    assert!(!truth.points.is_finite(i));
+                    continue;
+                }
+                let cosine = truth.incidence_cosine(i);
+                assert!((0.0..=1.0 + 1e-6).contains(&cosine), "{cosine}");
+                let p = truth.points.vector(i);
+                let world = pose.world_from_camera * p + pose.position;
+                let distance = match scene.objects[truth.objects[i] as usize] {
+                    Shape::Plane { point, normal } => (world - point).dot(normal),
+                    Shape::Sphere { centre, radius_m } => (world - centre).length() - radius_m,
+                    Shape::Cuboid { centre, half_extent_m, world_from_box } => {
+                        let local = (world_from_box.transpose() * (world - centre)).abs() - half_extent_m;
+                        local.max_element()
+                    }
+                    Shape::Cylinder { centre, axis, radius_m, half_height_m } => {
+                        let along = (world - centre).dot(axis);
+                        let across = (world - centre - along * axis).length();
+                        (across - radius_m).max(along.abs() - half_height_m)
+                    }
+                };
+                assert!(distance.abs() < 1e-6, "{distance}");
+            }
+        }
+    }
+}

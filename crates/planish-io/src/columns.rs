@@ -1,0 +1,118 @@
+//! Conversion between a file's columns, x, y and z among them, and a cloud's positions and attributes.
+
+use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, PositionColumns, Xyz};
+
+use super::quoted;
+
+/// Runs the same code on the vector inside, for every type.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! with_values {
+    ($values:expr, $v:ident => $body:expr) => {{
+        use $crate::internal::AttributeValues::*;
+        match $values {
+            I8($v) => $body,
+            U8($v) => $body,
+            I16($v) => $body,
+            U16($v) => $body,
+            I32($v) => $body,
+            U32($v) => $body,
+            I64($v) => $body,
+            U64($v) => $body,
+            F32($v) => $body,
+            F64($v) => $body,
+        }
+    }};
+}
+pub use with_values;
+
+/// Every integer up to this is an f64.
+pub(crate) const EXACT_INTEGERS: u64 = 1 << 53;
+
+/// Coordinates in f64 beyond this lose more than 0.1 mm as f32; such a cloud is kept relative to its first point.
+const FAR_M: f64 = 1000.0;
+
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// Takes x, y and z out of the columns of a file.
+pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
+    let mut index = [0; 3];
+    for (axis, name) in AXES.iter().enumerate() {
+        index[axis] = columns.iter().position(|column| column.name == *name).ok_or_else(|| {
+            let names: Vec<_> = columns.iter().map(|column| column.name.as_str()).collect();
+            FormatError::Malformed(format!(
+                "no field {name}: a point cloud has x, y and z, this one {}",
+                quoted(&names.join(" "))
+            ))
+        })?;
+    }
+    // From the last to the first, so that the remaining indices stay valid.
+    let mut take_order = [0, 1, 2];
+    take_order.sort_by_key(|&axis| std::cmp::Reverse(index[axis]));
+    let mut taken = [const { None }; 3];
+    for axis in take_order {
+        taken[axis] = Some(columns.remove(index[axis]));
+    }
+    let [x, y, z] = taken.map(|column| column.map(|column| (column.count, column.values)));
+    let (positions, origin_m, exact) = match (x, y, z) {
+        (
+            Some((1, AttributeValues::F32(x))),
+            Some((1, AttributeValues::F32(y))),
+            Some((1, AttributeValues::F32(z))),
+        ) => (Xyz { x, y, z }, [0.0; 3], None),
+        (
+            Some((1, AttributeValues::F64(x))),
+            Some((1, AttributeValues::F64(y))),
+            Some((1, AttributeValues::F64(z))),
+        ) => {
+            let origin = [origin_of(&x), origin_of(&y), origin_of(&z)];
+            let relative = |values: &[f64], origin: f64| values.iter().map(|v| (v - origin) as f32).collect();
+            let positions = Xyz { x: relative(&x, origin[0]), y: relative(&y, origin[1]), z: relative(&z, origin[2]) };
+            (positions, origin, Some([x, y, z]))
+        }
+        _ => {
+            return Err(FormatError::Unsupported(
+                "x, y and z must be all 4-byte or all 8-byte floats, one value each".into(),
+            ));
+        }
+    };
+    let mut cloud = PointCloud::new(positions);
+    cloud.origin_m = origin_m;
+    cloud.attributes = columns;
+    cloud.position_columns = PositionColumns { index, double: exact.is_some() };
+    exact.into_iter().for_each(|exact| cloud.keep_exact(exact));
+    Ok(cloud)
+}
+
+/// Returns 0, or for far coordinates the middle one of a sample, in whole metres: no stray point moves it.
+fn origin_of(values: &[f64]) -> f64 {
+    const SAMPLE: usize = 1000;
+    let step = values.len().div_ceil(SAMPLE).max(1);
+    let mut sample: Vec<f64> = values.iter().step_by(step).copied().filter(|value| value.is_finite()).collect();
+    sample.sort_by(f64::total_cmp);
+    let middle = sample
+        .get(sample.len().saturating_sub(1) / 2)
+        .or(values.iter().find(|value| value.is_finite()))
+        .copied()
+        .unwrap_or(0.0);
+    if middle.abs() > FAR_M { middle.trunc() } else { 0.0 }
+}
+
+/// Returns all columns of a cloud in the order of its file; x, y and z in the type they had there.
+pub fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
+    let mut columns = cloud.attributes.clone();
+    let PositionColumns { index, double } = cloud.position_columns;
+    let double = double || cloud.origin_m != [0.0; 3];
+    let mut axes = [(0, &cloud.positions.x), (1, &cloud.positions.y), (2, &cloud.positions.z)];
+    axes.sort_by_key(|&(axis, _)| index[axis]);
+    for (axis, values) in axes {
+        let values = if double {
+            (0..cloud.len()).map(|i| cloud.coordinate(axis, i)).collect::<Vec<f64>>().into()
+        } else {
+            AttributeValues::F32(values.clone())
+        };
+        let at = index[axis].min(columns.len());
+        columns.insert(at, Attribute { name: AXES[axis].to_owned(), count: 1, values });
+    }
+    columns
+}

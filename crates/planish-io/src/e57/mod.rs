@@ -1,0 +1,401 @@
+//! ASTM E57: the scans of one file as one cloud in the file's frame, each point with the number of its scan.
+//!
+//! What a scan is beside its points (name, pose, sensor, times) is kept with the cloud and written back. Spherical coordinates become Cartesian
+//! ones; images and the sections of other programs' extensions, their point fields apart, are not kept.
+
+mod scans;
+
+use std::io::Cursor;
+
+use e57::{E57Reader, E57Writer, Extension, Record, RecordDataType, RecordName, RecordValue};
+use glam::DVec3;
+
+use self::scans::Scans;
+use self::scans::{pose_of, set_limits};
+use super::columns::cloud_from_columns;
+use super::{FormatResult, ReadOptions, brief};
+use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
+
+/// The field that has the number of a point's scan, where there are several.
+const SCAN: &str = "scan";
+/// Standard fields by our names.
+const FIELDS: [(&str, RecordName); 12] = [
+    ("intensity", RecordName::Intensity),
+    ("intensity_invalid", RecordName::IsIntensityInvalid),
+    ("red", RecordName::ColorRed),
+    ("green", RecordName::ColorGreen),
+    ("blue", RecordName::ColorBlue),
+    ("color_invalid", RecordName::IsColorInvalid),
+    ("row", RecordName::RowIndex),
+    ("column", RecordName::ColumnIndex),
+    ("number_of_returns", RecordName::ReturnCount),
+    ("return_index", RecordName::ReturnIndex),
+    ("timestamp", RecordName::TimeStamp),
+    ("timestamp_invalid", RecordName::IsTimeStampInvalid),
+];
+/// Normals by the standard's own extension.
+const NORMALS: [(&str, &str); 3] = [("normal_x", "normalX"), ("normal_y", "normalY"), ("normal_z", "normalZ")];
+const OF_NORMALS: (&str, &str) = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt");
+/// Every other field.
+const OWN: (&str, &str) = ("planish", "https://github.com/planish/planish");
+
+fn damaged(error: e57::Error) -> FormatError {
+    FormatError::Malformed(format!("damaged E57: {}", brief(&error.to_string())))
+}
+
+/// The type of a column, and what it has where a scan lacks it.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Integer { min: i64, max: i64 },
+    Single,
+    Double,
+}
+
+impl Kind {
+    fn of(kind: &RecordDataType) -> Self {
+        match *kind {
+            RecordDataType::Integer { min, max } => Self::Integer { min, max },
+            RecordDataType::Single { .. } => Self::Single,
+            RecordDataType::Double { .. } | RecordDataType::ScaledInteger { .. } => Self::Double,
+        }
+    }
+
+    /// One that has room for the values of both.
+    fn union(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Integer { min: a, max: b }, Self::Integer { min: c, max: d }) => {
+                Self::Integer { min: a.min(c), max: b.max(d) }
+            }
+            (a, b) if a == b => a,
+            _ => Self::Double,
+        }
+    }
+
+    fn missing(self) -> f64 {
+        if matches!(self, Self::Integer { .. }) { 0.0 } else { f64::NAN }
+    }
+
+    fn values(self, values: Vec<f64>) -> AttributeValues {
+        let empty: AttributeValues = match self {
+            Self::Single => Vec::<f32>::new().into(),
+            Self::Double => return values.into(),
+            Self::Integer { min: 0.., max: ..=0xff } => Vec::<u8>::new().into(),
+            Self::Integer { min: 0.., max: ..=0xffff } => Vec::<u16>::new().into(),
+            Self::Integer { min: 0.., max: ..=0xffff_ffff } => Vec::<u32>::new().into(),
+            Self::Integer { min: -0x8000_0000.., max: ..=0x7fff_ffff } => Vec::<i32>::new().into(),
+            Self::Integer { .. } => Vec::<i64>::new().into(),
+        };
+        empty.of_f64(values)
+    }
+}
+
+/// Where a point's position is among its values.
+enum Position {
+    Cartesian([usize; 3]),
+    /// Range, azimuth, elevation.
+    Spherical([usize; 3]),
+}
+
+impl Position {
+    fn of(prototype: &[Record]) -> Option<Self> {
+        let all = |names: [RecordName; 3]| {
+            let found = names.map(|name| prototype.iter().position(|record| record.name == name));
+            Some([found[0]?, found[1]?, found[2]?])
+        };
+        let cartesian = all([RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ]);
+        let spherical = || {
+            all([RecordName::SphericalRange, RecordName::SphericalAzimuth, RecordName::SphericalElevation])
+                .map(Self::Spherical)
+        };
+        cartesian.map(Self::Cartesian).or_else(spherical)
+    }
+
+    fn point(&self, values: &[f64]) -> DVec3 {
+        match self {
+            Self::Cartesian(places) => DVec3::from_array(places.map(|place| values[place])),
+            Self::Spherical(places) => {
+                let [range, azimuth, elevation] = places.map(|place| values[place]);
+                let (sin_a, cos_a) = azimuth.sin_cos();
+                let (sin_e, cos_e) = elevation.sin_cos();
+                range * DVec3::new(cos_e * cos_a, cos_e * sin_a, sin_e)
+            }
+        }
+    }
+}
+
+/// Our name of a field; `None` for what becomes the position.
+fn name_of(name: &RecordName) -> Option<String> {
+    if let Some((own, _)) = FIELDS.iter().find(|(_, standard)| standard == name) {
+        return Some((*own).to_owned());
+    }
+    let RecordName::Unknown { namespace, name } = name else { return None };
+    let normal = NORMALS.iter().find(|(_, standard)| namespace == OF_NORMALS.0 && standard == name);
+    Some(match normal {
+        Some((own, _)) => (*own).to_owned(),
+        None if namespace.is_empty() || namespace == OWN.0 => name.clone(),
+        None => format!("{namespace}_{name}"),
+    })
+}
+
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
+    let mut reader = E57Reader::new(Cursor::new(bytes)).map_err(damaged)?;
+    let scans = reader.pointclouds();
+    match reader.images().len() {
+        0 => {}
+        1 => notes.push("an image is left out".into()),
+        images => notes.push(format!("{images} images are left out")),
+    }
+    let count = scans.iter().try_fold(0u64, |sum, scan| sum.checked_add(scan.records));
+    // A bit a point at least, or a header of some bytes could announce anything.
+    let count = count.filter(|count| *count <= 8 * bytes.len() as u64).ok_or_else(|| {
+        FormatError::Malformed("cut short: its header announces more points than the file has room for".into())
+    })?;
+    let mut columns: Vec<(String, Kind, Vec<f64>)> = Vec::new();
+    for record in scans.iter().flat_map(|scan| &scan.prototype) {
+        let (Some(name), kind) = (name_of(&record.name), Kind::of(&record.data_type)) else { continue };
+        match columns.iter_mut().find(|column| column.0 == name) {
+            Some(column) => column.1 = column.1.union(kind),
+            None => columns.push((name, kind, Vec::new())),
+        }
+    }
+    options.check(usize::try_from(count).unwrap_or(usize::MAX), 16 * (columns.len() + 4))?;
+    let normals = NORMALS.map(|(name, _)| columns.iter().position(|column| column.0 == name));
+    let mut positions: [Vec<f64>; 3] = Default::default();
+    let mut scan_of: Vec<u16> = Vec::new();
+    for (number, scan) in scans.iter().enumerate() {
+        let position = Position::of(&scan.prototype)
+            .ok_or_else(|| FormatError::Unsupported("a scan without positions, Cartesian or spherical".into()))?;
+        let is_invalid = |record: &Record| {
+            matches!(record.name, RecordName::CartesianInvalidState | RecordName::SphericalInvalidState)
+        };
+        let invalid: Vec<usize> = (0..scan.prototype.len()).filter(|&i| is_invalid(&scan.prototype[i])).collect();
+        let (rotation, translation) = pose_of(scan);
+        let sources: Vec<Option<usize>> = columns
+            .iter()
+            .map(|(name, ..)| scan.prototype.iter().position(|record| name_of(&record.name).as_ref() == Some(name)))
+            .collect();
+        let mut values = Vec::with_capacity(scan.prototype.len());
+        for point in reader.pointcloud_raw(scan).map_err(damaged)? {
+            values.clear();
+            for (value, record) in point.map_err(damaged)?.iter().zip(&scan.prototype) {
+                values.push(value.to_f64(&record.data_type).map_err(damaged)?);
+            }
+            let p = rotation * position.point(&values) + translation;
+            let is_hole = invalid.iter().any(|&i| values[i] != 0.0);
+            for (axis, positions) in positions.iter_mut().enumerate() {
+                positions.push(if is_hole { f64::NAN } else { p[axis] });
+            }
+            for ((_, kind, column), source) in columns.iter_mut().zip(&sources) {
+                column.push(source.map_or(kind.missing(), |source| values[source]));
+            }
+            // Like the positions, they are in the scan's frame.
+            if let [Some(x), Some(y), Some(z)] = normals {
+                let last = |column: usize| columns[column].2.last().copied().unwrap_or(f64::NAN);
+                let turned = rotation * DVec3::new(last(x), last(y), last(z));
+                for (column, value) in [x, y, z].into_iter().zip(turned.to_array()) {
+                    columns[column].2.last_mut().into_iter().for_each(|last| *last = value);
+                }
+            }
+            scan_of.push(u16::try_from(number).unwrap_or(u16::MAX));
+        }
+    }
+    let [x, y, z] = positions;
+    let axis = |name: &str, values: Vec<f64>| Attribute { name: name.into(), count: 1, values: values.into() };
+    let mut all = vec![axis("x", x), axis("y", y), axis("z", z)];
+    all.extend(columns.into_iter().map(|(name, kind, values)| Attribute {
+        name,
+        count: 1,
+        values: kind.values(values),
+    }));
+    if scans.len() > 1 {
+        all.push(Attribute { name: SCAN.into(), count: 1, values: scan_of.into() });
+    }
+    let mut cloud = cloud_from_columns(all)?;
+    if let [scan] = &scans[..] {
+        let (rotation, translation) = pose_of(scan);
+        cloud.pose.position_m = translation.to_array();
+        cloud.pose.orientation = [rotation.w, rotation.x, rotation.y, rotation.z];
+    }
+    let (creation, coordinate_metadata) = (reader.creation(), reader.coordinate_metadata().map(str::to_owned));
+    let of_file = Scans { scans, creation, coordinate_metadata };
+    if let Some(scanners_m) = of_file.scanners_m() {
+        cloud.set_scanners_m(scanners_m);
+    }
+    cloud.provenance = Provenance::new(of_file);
+    Ok(cloud)
+}
+
+/// Fields of the standard that must not be without these.
+fn needed_beside(name: &RecordName) -> &'static [&'static str] {
+    match name {
+        RecordName::ColorRed | RecordName::ColorGreen | RecordName::ColorBlue | RecordName::IsColorInvalid => {
+            &["red", "green", "blue"]
+        }
+        RecordName::ReturnCount | RecordName::ReturnIndex => &["number_of_returns", "return_index"],
+        RecordName::IsIntensityInvalid => &["intensity"],
+        RecordName::IsTimeStampInvalid => &["timestamp"],
+        _ => &[],
+    }
+}
+
+/// The record of one of a cloud's fields: the standard's own where it allows that, else one of an extension.
+fn record_of(attribute: &Attribute, all: &[Attribute]) -> FormatResult<Record> {
+    let is_float = matches!(attribute.values, AttributeValues::F32(_) | AttributeValues::F64(_));
+    let is_allowed = |name: &RecordName| {
+        let counts = matches!(
+            name,
+            RecordName::RowIndex | RecordName::ColumnIndex | RecordName::ReturnCount | RecordName::ReturnIndex
+        );
+        !(counts && is_float) && needed_beside(name).iter().all(|needed| all.iter().any(|other| other.name == *needed))
+    };
+    let standard = FIELDS.iter().find(|(own, name)| *own == attribute.name && is_allowed(name));
+    let name = match standard {
+        Some((_, name)) => name.clone(),
+        None => {
+            let normal = NORMALS.iter().find(|(own, _)| *own == attribute.name);
+            let (namespace, name) = normal.map_or((OWN.0, attribute.name.as_str()), |(_, name)| (OF_NORMALS.0, *name));
+            let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+            let name = name.chars().map(|c| if is_allowed(c) { c } else { '_' }).collect();
+            RecordName::Unknown { namespace: namespace.into(), name }
+        }
+    };
+    if attribute.count != 1 {
+        return Err(FormatError::Unsupported(format!(
+            "the field {} has {} values a point, and E57 has place for one: write .pcd",
+            attribute.name, attribute.count
+        )));
+    }
+    let is_flag =
+        matches!(name, RecordName::IsColorInvalid | RecordName::IsIntensityInvalid | RecordName::IsTimeStampInvalid);
+    let data_type = match &attribute.values {
+        AttributeValues::F32(_) => RecordDataType::Single { min: None, max: None },
+        AttributeValues::F64(_) => RecordDataType::Double { min: None, max: None },
+        _ if is_flag => RecordDataType::Integer { min: 0, max: 1 },
+        AttributeValues::U8(_) => RecordDataType::Integer { min: 0, max: 0xff },
+        AttributeValues::U16(_) => RecordDataType::Integer { min: 0, max: 0xffff },
+        AttributeValues::U32(_) => RecordDataType::Integer { min: 0, max: 0xffff_ffff },
+        AttributeValues::I8(_) | AttributeValues::I16(_) | AttributeValues::I32(_) => {
+            RecordDataType::Integer { min: i64::from(i32::MIN), max: i64::from(i32::MAX) }
+        }
+        AttributeValues::I64(_) | AttributeValues::U64(_) => RecordDataType::Integer { min: i64::MIN, max: i64::MAX },
+    };
+    Ok(Record { name, data_type })
+}
+
+fn value_of(attribute: &Attribute, i: usize) -> RecordValue {
+    match &attribute.values {
+        AttributeValues::F32(values) => RecordValue::Single(values[i]),
+        AttributeValues::F64(values) => RecordValue::Double(values[i]),
+        AttributeValues::I64(values) => RecordValue::Integer(values[i]),
+        AttributeValues::U64(values) => RecordValue::Integer(i64::try_from(values[i]).unwrap_or(i64::MAX)),
+        values => RecordValue::Integer(values.get_f64(i) as i64),
+    }
+}
+
+/// Writes each scan that the cloud came from, in its own frame, or one with everything.
+pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
+    let cannot =
+        |error: e57::Error| FormatError::Unsupported(format!("no E57 of this cloud: {}", brief(&error.to_string())));
+    let mut cloud = cloud.clone();
+    cloud.unpack_colour();
+    cloud.attributes.retain(|attribute| attribute.name != "_");
+    let provenance = cloud.provenance.clone();
+    let of_file = provenance.get::<Scans>();
+    let scans = of_file.map(|file| file.scans.clone());
+    let number = cloud.attributes.iter().position(|attribute| attribute.name == SCAN && attribute.count == 1);
+    let several = scans.filter(|scans| scans.len() == 1 || number.is_some());
+    let scans = several.unwrap_or_else(|| vec![e57::PointCloud::default()]);
+    let number = number.filter(|_| scans.len() > 1).map(|place| cloud.attributes.remove(place));
+    let records = cloud
+        .attributes
+        .iter()
+        .map(|field| record_of(field, &cloud.attributes))
+        .collect::<FormatResult<Vec<Record>>>()?;
+    let has_holes = cloud.valid_points() < cloud.len();
+    let mut bytes = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut bytes, &guid(&cloud, usize::MAX)).map_err(cannot)?;
+    if let Some(file) = of_file {
+        writer.set_creation(file.creation.clone());
+        writer.set_coordinate_metadata(file.coordinate_metadata.clone());
+    }
+    for (namespace, url) in [OF_NORMALS, OWN] {
+        let is_used =
+            |record: &Record| matches!(&record.name, RecordName::Unknown { namespace: of, .. } if of == namespace);
+        if records.iter().any(is_used) {
+            writer.register_extension(Extension::new(namespace, url)).map_err(cannot)?;
+        }
+    }
+    let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+    let mut prototype: Vec<Record> =
+        axes.map(|name| Record { name, data_type: RecordDataType::Double { min: None, max: None } }).into();
+    if has_holes {
+        let data_type = RecordDataType::Integer { min: 0, max: 2 };
+        prototype.push(Record { name: RecordName::CartesianInvalidState, data_type });
+    }
+    prototype.extend(records);
+    let normals = NORMALS.map(|(name, _)| cloud.attributes.iter().position(|attribute| attribute.name == name));
+    for (scan_number, scan) in scans.iter().enumerate() {
+        let is_of_scan = |i: &usize| number.as_ref().is_none_or(|of| of.values.get_f64(*i) as usize == scan_number);
+        // Other readers fail on scans without points.
+        if scans.len() > 1 && !(0..cloud.len()).any(|i| is_of_scan(&i)) {
+            continue;
+        }
+        let own_guid = scan.guid.clone().unwrap_or_else(|| guid(&cloud, scan_number));
+        let mut points = writer.add_pointcloud(&own_guid, prototype.clone()).map_err(cannot)?;
+        points.set_name(scan.name.clone());
+        points.set_description(scan.description.clone());
+        points.set_original_guids(scan.original_guids.clone());
+        set_limits(&mut points, scan, &prototype);
+        points.set_transform(scan.transform.clone());
+        points.set_acquisition_start(scan.acquisition_start.clone());
+        points.set_acquisition_end(scan.acquisition_end.clone());
+        points.set_sensor_vendor(scan.sensor_vendor.clone());
+        points.set_sensor_model(scan.sensor_model.clone());
+        points.set_sensor_serial(scan.sensor_serial.clone());
+        points.set_sensor_hw_version(scan.sensor_hw_version.clone());
+        points.set_sensor_sw_version(scan.sensor_sw_version.clone());
+        points.set_sensor_fw_version(scan.sensor_fw_version.clone());
+        points.set_temperature(scan.temperature);
+        points.set_humidity(scan.humidity);
+        points.set_atmospheric_pressure(scan.atmospheric_pressure);
+        let (rotation, translation) = pose_of(scan);
+        for i in (0..cloud.len()).filter(is_of_scan) {
+            let p = DVec3::from_array([0, 1, 2].map(|axis| cloud.coordinate(axis, i)));
+            let is_hole = !p.is_finite();
+            let p = if is_hole { DVec3::ZERO } else { rotation.conjugate() * (p - translation) };
+            let mut values: Vec<RecordValue> = p.to_array().map(RecordValue::Double).into();
+            if has_holes {
+                values.push(RecordValue::Integer(if is_hole { 2 } else { 0 }));
+            }
+            let first_field = values.len();
+            values.extend(cloud.attributes.iter().map(|attribute| value_of(attribute, i)));
+            if let [Some(x), Some(y), Some(z)] = normals {
+                let of = |field: usize| cloud.attributes[field].values.get_f64(i);
+                let turned = rotation.conjugate() * DVec3::new(of(x), of(y), of(z));
+                for (field, component) in [x, y, z].into_iter().zip(turned.to_array()) {
+                    match &mut values[first_field + field] {
+                        RecordValue::Single(value) => *value = component as f32,
+                        RecordValue::Double(value) => *value = component,
+                        _ => {}
+                    }
+                }
+            }
+            points.add_point(values).map_err(cannot)?;
+        }
+        points.finalize().map_err(cannot)?;
+    }
+    writer.finalize().map_err(cannot)?;
+    drop(writer);
+    Ok(bytes.into_inner())
+}
+
+/// An identifier that follows from the points, so that the same cloud gives the same file.
+fn guid(cloud: &PointCloud, number: usize) -> String {
+    let values = cloud.positions.iter().flatten().map(|value| u64::from(value.to_bits()));
+    // FNV-1a, over 64 bits.
+    let hash = values
+        .chain([number as u64])
+        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, value| (hash ^ value).wrapping_mul(0x0100_0000_01b3));
+    let [a, b, c, d] = [hash >> 32, (hash >> 16) & 0xffff, hash & 0xffff, hash.rotate_left(13)];
+    format!("{{{a:08X}-{b:04X}-{c:04X}-8000-{:012X}}}", d & 0xffff_ffff_ffff)
+}

@@ -1,0 +1,167 @@
+//! The formats of files: how they are recognized, and what converts those that are not read.
+
+use std::path::Path;
+
+use super::FormatResult;
+use planish_core::FormatError;
+
+/// The endings of what can be written, for messages.
+pub const WRITTEN: &str = ".pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npz, .bin, .png, .tiff or .npy";
+
+/// Formats of other programs that are not read, and what converts them: endings, and what to do.
+const CONVERTIBLE: [(&[&str], &str); 7] = [
+    (
+        &["fls", "fws", "lsproj", "rcp", "rcs", "zfs", "dp", "imp"],
+        "a scanner maker's own format: export E57 or LAS from its program",
+    ),
+    (
+        &["bag", "db3", "mcap"],
+        "a recording of ROS: MCAP is smoothed and read by `planish smooth` and `planish stream`; convert others with `pip install rosbags` and \
+         `rosbags-convert --src FILE --dst converted --dst-storage mcap`",
+    ),
+    (&["pcap", "pcapng"], "packets of a lidar: extract clouds with its driver (ouster-cli, VeloView, pcap tools)"),
+    (&["oni", "klg", "svo", "svo2"], "a camera's recording: export depth images with its own tool"),
+    (
+        &["vtk", "vtp", "off", "glb", "gltf", "fbx", "3ds", "dae", "wrl", "x3d"],
+        "a mesh: convert it to PLY (MeshLab, or open3d.io)",
+    ),
+    (
+        &["exr", "hdr", "pfm", "dpt", "h5", "hdf5", "mat", "parquet"],
+        "an array of another program: save it as .npy or .npz",
+    ),
+    (&["ptx", "ptg"], "a scanner's text: convert it to E57 (CloudCompare) to keep its poses"),
+];
+
+/// What to do about a file of an ending that is not read, if that is known.
+pub(super) fn what_converts(path: &Path) -> Option<&'static str> {
+    let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+    CONVERTIBLE.iter().find(|(endings, _)| endings.contains(&extension.as_str())).map(|(_, what)| *what)
+}
+
+/// The file formats.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Format {
+    /// The point cloud library's PCD v0.7.
+    Pcd,
+    /// Stanford's PLY.
+    Ply,
+    /// A 16-bit grayscale PNG of depth.
+    DepthPng,
+    /// A 16-bit grayscale TIFF of depth.
+    DepthTiff,
+    /// A NumPy array of depth or points.
+    Npy,
+    /// ASPRS LAS 1.0 to 1.4.
+    Las,
+    /// The same compressed, COPC included.
+    Laz,
+    /// Lines of numbers (XYZ, TXT, ASC, PTS): x, y, z and what else there is.
+    Text,
+    /// The same with commas, and names above.
+    Csv,
+    /// A NumPy archive of points and their fields, or of depth.
+    Npz,
+    /// ASTM E57: scans with their poses.
+    E57,
+    /// KITTI's lidar scans: x, y, z, intensity as f32.
+    KittiBin,
+    /// The same of nuScenes, with a ring.
+    NuScenesBin,
+    /// The vertices of a Wavefront OBJ; read, not written.
+    Obj,
+    /// The vertices of an STL; read, not written.
+    Stl,
+}
+
+impl Format {
+    /// The common name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pcd => "PCD",
+            Self::Ply => "PLY",
+            Self::DepthPng => "PNG",
+            Self::DepthTiff => "TIFF",
+            Self::Npy => "NPY",
+            Self::Las => "LAS",
+            Self::Laz => "LAZ",
+            Self::Text => "text",
+            Self::Csv => "CSV",
+            Self::Npz => "NPZ",
+            Self::E57 => "E57",
+            Self::KittiBin => "KITTI .bin",
+            Self::NuScenesBin => "nuScenes .pcd.bin",
+            Self::Obj => "OBJ",
+            Self::Stl => "STL",
+        }
+    }
+
+    /// The format of a file's extension.
+    pub fn of_extension(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+            "pcd" => Some(Self::Pcd),
+            "ply" => Some(Self::Ply),
+            "png" => Some(Self::DepthPng),
+            "tif" | "tiff" => Some(Self::DepthTiff),
+            "npy" => Some(Self::Npy),
+            "las" => Some(Self::Las),
+            "laz" => Some(Self::Laz),
+            "xyz" | "txt" | "asc" | "pts" => Some(Self::Text),
+            "csv" => Some(Self::Csv),
+            "npz" => Some(Self::Npz),
+            "e57" => Some(Self::E57),
+            "bin" if path.file_stem()?.to_str()?.to_ascii_lowercase().ends_with(".pcd") => Some(Self::NuScenesBin),
+            "bin" => Some(Self::KittiBin),
+            "obj" => Some(Self::Obj),
+            "stl" => Some(Self::Stl),
+            _ => None,
+        }
+    }
+
+    /// Whether a file of this extension in a folder is taken for a frame: .txt, .csv, .obj and .stl may be anything.
+    pub fn is_of_frames(path: &Path) -> bool {
+        let may_be_anything = |extension: &std::ffi::OsStr| {
+            ["txt", "csv", "obj", "stl"].iter().any(|name| extension.eq_ignore_ascii_case(name))
+        };
+        Self::of_extension(path).is_some() && !path.extension().is_some_and(may_be_anything)
+    }
+
+    /// The format that a file's first bytes identify.
+    pub(super) fn of_contents(bytes: &[u8]) -> Option<Self> {
+        let starts = |magic: &[u8]| bytes.starts_with(magic);
+        if starts(b"ply\n") || starts(b"ply\r") {
+            Some(Self::Ply)
+        } else if starts(b"\x89PNG\r\n\x1a\n") {
+            Some(Self::DepthPng)
+        } else if starts(b"II*\0") || starts(b"MM\0*") {
+            Some(Self::DepthTiff)
+        } else if starts(b"\x93NUMPY") {
+            Some(Self::Npy)
+        } else if starts(b"PK\x03\x04") {
+            Some(Self::Npz)
+        } else if starts(b"ASTM-E57") {
+            Some(Self::E57)
+        } else if starts(b"LASF") {
+            Some(las_or_laz(bytes))
+        } else if starts(b"# .PCD") || starts(b"VERSION") || starts(b"FIELDS") {
+            Some(Self::Pcd)
+        } else {
+            None
+        }
+    }
+
+    pub(super) fn of_output(path: &Path) -> FormatResult<Self> {
+        Self::of_extension(path).ok_or_else(|| {
+            FormatError::Unsupported(format!("cannot tell the format to write: end the name in {WRITTEN}"))
+        })
+    }
+}
+
+/// LAS or LAZ, by the bit of the point format that says which.
+pub(super) fn las_or_laz(bytes: &[u8]) -> Format {
+    const POINT_FORMAT_AT: usize = 104;
+    match bytes.get(POINT_FORMAT_AT) {
+        Some(number) if number & 0x80 != 0 => Format::Laz,
+        _ => Format::Las,
+    }
+}

@@ -1,0 +1,198 @@
+//! What a header claims, checked against the file before the decoder believes it.
+
+use std::fs::File;
+use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use las::Vlr;
+use laz::laszip::ChunkTable;
+use laz::{LazItem, LazItemType, LazVlr};
+
+use super::super::FormatResult;
+use planish_core::FormatError;
+
+/// A file's bytes, in memory or on disk.
+pub(super) trait FileBytes {
+    /// How many.
+    fn size(&self) -> usize;
+
+    /// Bytes from a place on; `None` if the file ends before their end, and before anything is allocated.
+    fn read(&self, at: usize, len: usize) -> Option<Vec<u8>>;
+
+    /// All of them from a place on.
+    fn reader(&self, at: u64) -> Option<impl Read + Seek>;
+}
+
+impl FileBytes for [u8] {
+    fn size(&self) -> usize {
+        self.len()
+    }
+
+    fn read(&self, at: usize, len: usize) -> Option<Vec<u8>> {
+        Some(self.get(at..at.checked_add(len)?)?.to_vec())
+    }
+
+    fn reader(&self, at: u64) -> Option<impl Read + Seek> {
+        let mut reader = Cursor::new(self);
+        reader.set_position(at);
+        Some(reader)
+    }
+}
+
+impl FileBytes for File {
+    fn size(&self) -> usize {
+        self.metadata().map_or(0, |metadata| usize::try_from(metadata.len()).unwrap_or(usize::MAX))
+    }
+
+    fn read(&self, at: usize, len: usize) -> Option<Vec<u8>> {
+        if at.checked_add(len)? > self.size() {
+            return None;
+        }
+        let (mut file, mut bytes) = (self, vec![0; len]);
+        file.seek(SeekFrom::Start(at as u64)).ok()?;
+        file.read_exact(&mut bytes).ok()?;
+        Some(bytes)
+    }
+
+    fn reader(&self, at: u64) -> Option<impl Read + Seek> {
+        let mut file = self;
+        file.seek(SeekFrom::Start(at)).ok()?;
+        Some(file)
+    }
+}
+
+/// What a header says that the decoder would believe.
+pub(super) struct Claims {
+    pub(super) points: u64,
+    pub(super) record: usize,
+    /// Where extended records begin, and their number.
+    pub(super) extended: Option<(usize, u32)>,
+}
+
+/// Checks against the file what its header claims; `None` if it ends before that.
+pub(super) fn claims(bytes: &(impl FileBytes + ?Sized)) -> Option<Claims> {
+    let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
+    let legacy = u64::from(u32::from_le_bytes(read_at(bytes, 107)?));
+    if read_at::<1>(bytes, 25)? < [4] {
+        return Some(Claims { points: legacy, record, extended: None });
+    }
+    let extended_at = usize::try_from(u64::from_le_bytes(read_at(bytes, 235)?)).ok()?;
+    let extended = Some((extended_at, u32::from_le_bytes(read_at(bytes, 243)?)));
+    let points = if legacy == 0 { u64::from_le_bytes(read_at(bytes, 247)?) } else { legacy };
+    Some(Claims { points, record, extended })
+}
+
+/// Refuses headers that are shorter than their version's: the decoder would find what follows elsewhere than [`check_chunks`] does.
+pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatResult<()>> {
+    let [major, minor] = read_at(bytes, 24)?;
+    let (size, needed) = (u16::from_le_bytes(read_at(bytes, 94)?), las::Version::new(major, minor).header_size());
+    Some(if size < needed {
+        let text = format!("a header of {size} bytes, where LAS {major}.{minor} has {needed}");
+        Err(FormatError::Malformed(text))
+    } else {
+        Ok(())
+    })
+}
+
+/// Refuses chunks of points that the file cannot hold: the decoder allocates what is claimed. `None` if it is cut off.
+pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Option<FormatResult<()>> {
+    /// More points than that in a chunk are believed only of a file that has them.
+    const LARGEST_CHUNK: u64 = 1 << 20;
+    let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
+    let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
+    let mut descriptions = Vec::new();
+    // Every record ahead of the points has 54 bytes plus the length it states.
+    for _ in 0..u32_at(100)? {
+        let user = bytes.read(at.checked_add(2)?, 16)?;
+        if user.starts_with(b"laszip encoded") {
+            let chunk = u32_at(at + 54 + 12)?;
+            if chunk != u32::MAX && u64::from(chunk) > points.max(LARGEST_CHUNK) {
+                return Some(Err(FormatError::Malformed(format!("chunks of {chunk} points in a file of {points}"))));
+            }
+            let length = usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
+            descriptions.push(LazVlr::from_buffer(bytes.read(at + 54, length)?).ok()?);
+        }
+        at += 54 + usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
+    }
+    let table = i64::from_le_bytes(read_at(bytes, u32_at(96)? as usize)?);
+    // It stands at the end where a writer could not go back.
+    let at_end = || i64::from_le_bytes(read_at(bytes, bytes.size().checked_sub(8)?)?).try_into().ok();
+    let table: usize = table.try_into().ok().or_else(at_end)?;
+    let chunks = u32_at(table.checked_add(4)?)? as usize;
+    let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
+    // Each begins with an uncompressed point.
+    if chunks.saturating_mul(record.max(1)) > bytes.size() {
+        return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.size()))));
+    }
+    // Of several the decoder may believe another.
+    let Ok([description]) = <[LazVlr; 1]>::try_from(descriptions) else {
+        return Some(Err(FormatError::Malformed("not one record says how its points are compressed".into())));
+    };
+    let size: usize = description.items().iter().map(item_bytes).sum();
+    if size != record {
+        return Some(Err(FormatError::Malformed(format!("points of {record} bytes, which are compressed as {size}"))));
+    }
+    check_layers(bytes, &description, record)
+}
+
+/// Bytes of one of the items of which a compressed point consists: what the decoder takes, whatever the file says.
+fn item_bytes(item: &LazItem) -> usize {
+    match item.item_type() {
+        LazItemType::Byte(count) | LazItemType::Byte14(count) => count.into(),
+        LazItemType::GpsTime | LazItemType::RGBNIR14 => 8,
+        LazItemType::Point10 => 20,
+        LazItemType::Point14 => 30,
+        LazItemType::RGB12 | LazItemType::RGB14 => 6,
+        LazItemType::WavePacket13 | LazItemType::WavePacket14 => 29,
+    }
+}
+
+/// Refuses layers that are larger than their chunk: from version 3 on each chunk begins with a point, the number of points, and the
+/// sizes of the layers of which the others consist.
+fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record: usize) -> Option<FormatResult<()>> {
+    if description.items().iter().all(|item| item.version() < 3) {
+        return Some(Ok(()));
+    }
+    let layers = |item: &LazItem| match item.item_type() {
+        LazItemType::Point14 => 9,
+        LazItemType::RGBNIR14 => 2,
+        LazItemType::Byte14(count) => usize::from(count),
+        _ => 1,
+    };
+    let layers: usize = description.items().iter().map(layers).sum();
+    let points_at = u64::from(u32::from_le_bytes(read_at(bytes, 96)?));
+    // Its decoder trusts the table as it does the points.
+    let table = catch_unwind(AssertUnwindSafe(|| ChunkTable::read_from(bytes.reader(points_at)?, description).ok()));
+    let table = table.ok()??;
+    let mut at = points_at + ChunkTable::OFFSET_SIZE as u64;
+    for chunk in &table {
+        if chunk.byte_count > 0 {
+            let sizes_at = usize::try_from(at).ok()?.checked_add(record + 4)?;
+            let sizes = bytes.read(sizes_at, 4 * layers)?;
+            let size = |size: &[u8]| size.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte));
+            let needed = (record + 4 + 4 * layers) as u64 + sizes.chunks_exact(4).map(size).sum::<u64>();
+            if needed != chunk.byte_count {
+                let text = format!("a chunk of {} bytes whose layers need {needed}", chunk.byte_count);
+                return Some(Err(FormatError::Malformed(text)));
+            }
+        }
+        at = at.checked_add(chunk.byte_count).filter(|&end| end <= bytes.size() as u64)?;
+    }
+    Some(Ok(()))
+}
+
+/// The extended records, behind the points. The library reads the first alone.
+pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (mut at, count): (usize, u32)) -> Option<Vec<Vlr>> {
+    let mut records = Vec::new();
+    // Of none it means nothing where they would begin.
+    for _ in 0..count {
+        let length = usize::try_from(u64::from_le_bytes(read_at(bytes, at.checked_add(20)?)?)).ok()?.checked_add(60)?;
+        records.push(Vlr::new(las::raw::Vlr::read_from(&bytes.read(at, length)?[..], true).ok()?));
+        at = at.checked_add(length)?;
+    }
+    Some(records)
+}
+
+fn read_at<const N: usize>(bytes: &(impl FileBytes + ?Sized), at: usize) -> Option<[u8; N]> {
+    bytes.read(at, N)?.try_into().ok()
+}

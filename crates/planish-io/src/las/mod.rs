@@ -1,0 +1,294 @@
+//! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; everything else in the file, such as its
+//! coordinate system, stays with the cloud and is written back.
+
+mod claims;
+mod fields;
+mod stream;
+
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
+
+use super::format::las_or_laz;
+use super::{Format, FormatResult, ReadOptions};
+use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance, Xyz, internal::middle};
+pub(crate) use stream::LasReader;
+use stream::LasWriter;
+
+use claims::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
+use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
+
+/// Coordinates of files that we make are multiples of this, where they fit: finer than any scanner measures.
+const SCALE_M: f64 = 1e-5;
+/// The most that 32 bits hold, with room to move points.
+const LARGEST_INTEGER: f64 = 2e9;
+
+fn damaged(error: las::Error) -> FormatError {
+    let is_cut = |error: &std::io::Error| error.kind() == std::io::ErrorKind::UnexpectedEof;
+    if matches!(&error, las::Error::Io(error) if is_cut(error))
+        || error.to_string().contains("failed to fill whole buffer")
+    {
+        return FormatError::Malformed("damaged LAS: it is cut short, or its sizes are wrong".into());
+    }
+    FormatError::Malformed(format!("damaged LAS: {}", super::brief(&error.to_string())))
+}
+
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
+    let Checked { points, record, extended } = Checked::of(bytes, las_or_laz(bytes))?;
+    // The records, and positions and columns.
+    options.check(points, 2 * record + 12)?;
+    // The decoder of compressed points trusts them: on damaged ones it may divide by zero.
+    let decoded = catch_unwind(AssertUnwindSafe(|| {
+        let mut reader = Reader::new(Cursor::new(bytes.to_vec()))?;
+        let mut builder = Builder::from(reader.header().clone());
+        builder.evlrs = extended;
+        Ok((builder.into_header()?, reader.read_all()?))
+    }));
+    let (header, found) = decoded.map_err(|_| unreadable())?.map_err(damaged)?;
+    if found.len() != points {
+        return Err(FormatError::Malformed(format!(
+            "the file is cut short: it has {} of {points} points",
+            found.len()
+        )));
+    }
+    cloud_of(Arc::new(header), found.raw_bytes())
+}
+
+fn unreadable() -> FormatError {
+    FormatError::Malformed("damaged LAZ: its points cannot be decompressed".into())
+}
+
+/// What a header says, checked against the file.
+struct Checked {
+    points: usize,
+    /// Bytes of a point.
+    record: usize,
+    extended: Vec<Vlr>,
+}
+
+impl Checked {
+    fn of(bytes: &(impl FileBytes + ?Sized), format: Format) -> FormatResult<Self> {
+        let size = bytes.size();
+        if bytes.read(0, 4).is_none_or(|head| head != b"LASF") {
+            return Err(FormatError::Malformed("no LAS or LAZ: it does not begin with LASF, whatever its name".into()));
+        }
+        let short_header =
+            || FormatError::Malformed(format!("the file is cut short: no whole LAS header in {size} bytes"));
+        check_header(bytes).ok_or_else(short_header)??;
+        let Claims { points, record, extended } = claims(bytes).ok_or_else(short_header)?;
+        let count = usize::try_from(points).unwrap_or(usize::MAX);
+        let cut_off = || {
+            let claimed = format!("{points} points of {record} bytes are announced in {size} bytes");
+            FormatError::Malformed(format!("the file is cut short: {claimed}"))
+        };
+        match format {
+            Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
+            _ if count.saturating_mul(record) > size => return Err(cut_off()),
+            _ => {}
+        }
+        let extended = extended.map_or(Some(Vec::new()), |extended| extended_records(bytes, extended));
+        Ok(Self { points: count, record, extended: extended.ok_or_else(cut_off)? })
+    }
+}
+
+/// Refuses scales and offsets by which points are nowhere.
+fn check_transforms(header: &Header) -> FormatResult<()> {
+    let las::Vector { x, y, z } = *header.transforms();
+    let is_usable = |t: &Transform| {
+        t.scale != 0.0 && [i32::MIN, i32::MAX].iter().all(|&end| t.direct(end).abs() < f64::from(f32::MAX))
+    };
+    match [x, y, z].iter().all(is_usable) {
+        true => Ok(()),
+        false => Err(FormatError::Malformed(
+            "the header's scales and offsets are no finite numbers, or far too large".into(),
+        )),
+    }
+}
+
+/// The cloud of some records of a file with this header.
+fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
+    check_transforms(&header)?;
+    let record = usize::from(header.point_format().len());
+    let transforms = *header.transforms();
+    let axis = |at: usize, transform: Transform| -> (Vec<f32>, f64, Vec<f64>) {
+        let integers = raw
+            .chunks_exact(record)
+            .map(|point| i32::from_le_bytes([point[at], point[at + 1], point[at + 2], point[at + 3]]));
+        let (low, high) =
+            integers.clone().fold((i32::MAX, i32::MIN), |(low, high), value| (low.min(value), high.max(value)));
+        // In the middle of most points, on a whole metre, so that as few digits as possible are lost to f32.
+        let integer = |i: usize| {
+            let place = i * record + at;
+            i32::from_le_bytes([raw[place], raw[place + 1], raw[place + 2], raw[place + 3]])
+        };
+        let most = middle(raw.len() / record, |i| transform.direct(integer(i)));
+        let middle = most.map_or(0.0, |[low, high]| low.midpoint(high).round());
+        let values: Vec<f32> = integers.clone().map(|value| (transform.direct(value) - middle) as f32).collect();
+        // Where f32 is too coarse for the file's integers.
+        let widest = (transform.direct(high) - middle).abs().max((transform.direct(low) - middle).abs());
+        let exact = if f64::from(f32::EPSILON) * widest > 0.25 * transform.scale.abs() {
+            integers.map(|value| transform.direct(value)).collect()
+        } else {
+            Vec::new()
+        };
+        (values, middle, exact)
+    };
+    let [(x, origin_x, exact_x), (y, origin_y, exact_y), (z, origin_z, exact_z)] =
+        [(0, transforms.x), (4, transforms.y), (8, transforms.z)].map(|(at, transform)| axis(at, transform));
+    let mut cloud = PointCloud::new(Xyz { x, y, z });
+    cloud.origin_m = [origin_x, origin_y, origin_z];
+    cloud.keep_exact([exact_x, exact_y, exact_z]);
+    cloud.position_columns.double = true;
+    let all = fields_of(header.point_format()).into_iter().chain(extra_fields(&header));
+    cloud.attributes = all.map(|field| decode_field(&field, raw, record)).collect();
+    cloud.provenance = Provenance::new(LasHeader(header));
+    Ok(cloud)
+}
+
+/// The header of the LAS file that a cloud came from: its coordinate system, scales, offsets and extra bytes.
+#[derive(Debug, PartialEq)]
+struct LasHeader(Arc<Header>);
+
+/// Encodes a cloud; without its holes, for which LAS has no place.
+pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u8>> {
+    let kept: Vec<usize> = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
+    let records = Records::new(cloud, &kept, compressed)?;
+    let raw = records.encode(cloud, &kept)?;
+    let mut writer = LasWriter::new(Cursor::new(Vec::new()), records.header)?;
+    writer.write(raw)?;
+    Ok(writer.finish()?.into_inner())
+}
+
+/// Before LAS 1.4 headers count points by their return only up to the fifth.
+const MOST_RETURNS: u8 = 5;
+
+fn cannot(error: las::Error) -> FormatError {
+    FormatError::Unsupported(format!("no LAS of this cloud: {}", super::brief(&error.to_string())))
+}
+
+/// The colour channels of a record.
+const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+
+/// How the points of a cloud become records.
+pub(crate) struct Records {
+    header: Header,
+    fields: Vec<Field>,
+}
+
+impl Records {
+    /// For clouds with the columns of this one, of which some points are kept.
+    fn new(cloud: &PointCloud, kept: &[usize], compressed: bool) -> FormatResult<Self> {
+        let has_colour = cloud.rgb().is_some();
+        let mut builder = match cloud.provenance.get::<LasHeader>() {
+            Some(LasHeader(header)) => Builder::from((**header).clone()),
+            None => new_builder(cloud, kept, has_colour).map_err(cannot)?,
+        };
+        // Records that describe the old compression, and COPC's index.
+        builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
+        builder.evlrs.retain(|vlr| vlr.user_id != "copc");
+        builder.point_format.is_compressed = compressed;
+        if let Some(AttributeValues::U8(returns)) = cloud.attribute("return_number").map(|returns| &returns.values)
+            && returns.iter().any(|&number| number > MOST_RETURNS)
+        {
+            Self::count_all_returns(&mut builder);
+        }
+        let known = builder.clone().into_header().map_err(cannot)?;
+        let mut fields: Vec<Field> = fields_of(&builder.point_format).into_iter().chain(extra_fields(&known)).collect();
+        // Every other column is an extra field.
+        let mut rest_is_described = false;
+        let attributes = cloud.attributes.iter().filter(|attribute| attribute.name != "_");
+        for attribute in attributes.filter(|attribute| !(has_colour && is_colour(&attribute.name))) {
+            if !fields.iter().any(|field| field.name == attribute.name) {
+                if !std::mem::replace(&mut rest_is_described, true) {
+                    describe_rest(&mut builder, &fields)?;
+                }
+                add_extra_field(&mut builder, &mut fields, attribute)?;
+            }
+        }
+        Ok(Self { header: builder.into_header().map_err(cannot)?, fields })
+    }
+
+    /// Makes it the version whose headers count points of every return.
+    fn count_all_returns(builder: &mut Builder) {
+        if builder.version < Version::new(1, 4) {
+            builder.version = Version::new(1, 4);
+        }
+    }
+
+    /// The same for files that have points of a later return than the fifth, wherever they are.
+    fn with_all_returns(self) -> FormatResult<Self> {
+        let mut builder = Builder::from(self.header);
+        Self::count_all_returns(&mut builder);
+        Ok(Self { header: builder.into_header().map_err(cannot)?, fields: self.fields })
+    }
+
+    /// Bytes of a record.
+    fn len(&self) -> usize {
+        usize::from(self.header.point_format().len())
+    }
+
+    /// The records of the kept points, one after another.
+    fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>> {
+        let record = self.len();
+        let mut raw = vec![0u8; record * kept.len()];
+        let transforms = self.header.transforms();
+        for (axis, transform) in [transforms.x, transforms.y, transforms.z].into_iter().enumerate() {
+            let at = 4 * axis;
+            for (point, &i) in raw.chunks_exact_mut(record).zip(kept) {
+                let integer = transform.inverse(cloud.coordinate(axis, i)).map_err(cannot)?;
+                point[at..at + 4].copy_from_slice(&integer.to_le_bytes());
+            }
+        }
+        // Of 8 bits; 16-bit channels are columns like any other.
+        let colour = cloud.rgb();
+        for field in self.fields.iter().filter(|field| colour.is_none() || !is_colour(&field.name)) {
+            if let Some(attribute) = cloud.attribute(&field.name) {
+                encode_field(field, attribute, kept, &mut raw, record)?;
+            }
+        }
+        for (channel, name) in CHANNELS.into_iter().enumerate() {
+            let (Some(colour), Some(field)) = (&colour, self.fields.iter().find(|field| field.name == name)) else {
+                continue;
+            };
+            let values: Vec<u16> = colour.iter().map(|rgb| u16::from(rgb[channel]) * 257).collect();
+            let attribute = Attribute { name: name.to_owned(), count: 1, values: values.into() };
+            encode_field(field, &attribute, kept, &mut raw, record)?;
+        }
+        Ok(raw)
+    }
+}
+
+fn is_colour(name: &str) -> bool {
+    ["rgb", "rgba"].contains(&name) || CHANNELS.contains(&name)
+}
+
+/// A header for a cloud that was not read from LAS.
+fn new_builder(cloud: &PointCloud, kept: &[usize], has_colour: bool) -> Result<Builder, las::Error> {
+    let mut builder = Builder::from(Version::new(1, 4));
+    let has = |name: &str| cloud.attribute(name).is_some();
+    let number = match (has_colour || has("red"), has("nir")) {
+        (_, true) => 8,
+        (true, false) => 7,
+        (false, false) => 6,
+    };
+    builder.point_format = point::Format::new(number)?;
+    builder.generating_software = concat!("planish ", env!("CARGO_PKG_VERSION")).to_owned();
+    let transform = |values: &[f32], origin: f64| {
+        let largest = kept.iter().map(|&i| f64::from(values[i]).abs()).fold(0.0, f64::max);
+        // A millionth of a small cloud, as a power of ten.
+        let small = 10f64.powf((largest * 1e-6).log10().floor());
+        let mut scale = if small > 0.0 { SCALE_M.min(small) } else { SCALE_M };
+        while largest / scale > LARGEST_INTEGER {
+            scale *= 10.0;
+        }
+        Transform { scale, offset: origin }
+    };
+    builder.transforms = las::Vector {
+        x: transform(&cloud.positions.x, cloud.origin_m[0]),
+        y: transform(&cloud.positions.y, cloud.origin_m[1]),
+        z: transform(&cloud.positions.z, cloud.origin_m[2]),
+    };
+    Ok(builder)
+}

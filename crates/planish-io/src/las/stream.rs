@@ -1,0 +1,195 @@
+//! The records of a file some at a time, for clouds that do not fit memory.
+
+use std::fmt;
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Seek, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::Arc;
+
+use las::{Builder, Header, PointData, PointDataBuilder, Reader, Writer};
+
+use super::super::format::las_or_laz;
+use super::super::records::{RecordEncoder, RecordReader};
+use super::super::{Encoding, Format, FormatResult};
+use super::{Checked, MOST_RETURNS, Records, cannot, damaged, unreadable};
+use planish_core::{FormatError, PointCloud};
+
+/// Where a record before LAS 1.4 has the number of its return, in the lowest three bits.
+const RETURNS_AT: usize = 14;
+
+/// Reads records in their order.
+pub(crate) struct LasReader {
+    reader: Reader,
+    header: Arc<Header>,
+    points: usize,
+    read: usize,
+    has_late_returns: bool,
+    buffer: PointData,
+}
+
+impl RecordReader for LasReader {
+    type Header = Arc<Header>;
+    type Encoder = Records;
+
+    fn open(path: &Path) -> FormatResult<Self> {
+        let file = File::open(path)?;
+        // A file without so many bytes is refused whatever it is taken for.
+        let head = super::claims::FileBytes::read(&file, 0, 107).unwrap_or_default();
+        let Checked { points, extended, .. } = Checked::of(&file, las_or_laz(&head))?;
+        let opened = catch_unwind(AssertUnwindSafe(|| {
+            let reader = Reader::new(BufReader::with_capacity(1 << 20, File::open(path)?))?;
+            let mut builder = Builder::from(reader.header().clone());
+            builder.evlrs = extended;
+            Ok((builder.into_header()?, reader))
+        }));
+        let (header, reader) = opened.map_err(|_| unreadable())?.map_err(damaged)?;
+        super::check_transforms(&header)?;
+        let buffer = PointDataBuilder::new().for_header(&header).build();
+        Ok(Self { reader, header: Arc::new(header), points, read: 0, has_late_returns: false, buffer })
+    }
+
+    fn header(&self) -> &Arc<Header> {
+        &self.header
+    }
+
+    fn points(&self) -> usize {
+        self.points
+    }
+
+    fn record(&self) -> usize {
+        usize::from(self.header.point_format().len())
+    }
+
+    fn next_records(&mut self, most: usize) -> FormatResult<&[u8]> {
+        let wanted = most.min(self.points - self.read);
+        let (reader, buffer) = (&mut self.reader, &mut self.buffer);
+        let filled = catch_unwind(AssertUnwindSafe(|| reader.fill_points(wanted as u64, buffer)));
+        let found = filled.map_err(|_| unreadable())?.map_err(damaged)? as usize;
+        self.read += found;
+        if found < wanted {
+            return Err(FormatError::Malformed(format!(
+                "the file is cut short: it has {} of {} points",
+                self.read, self.points
+            )));
+        }
+        let record = self.record();
+        let records = &self.buffer.raw_bytes()[..found * record];
+        let is_late = |point: &[u8]| point.get(RETURNS_AT).is_some_and(|returns| returns & 7 > MOST_RETURNS);
+        self.has_late_returns |= !self.header.point_format().is_extended && records.chunks_exact(record).any(is_late);
+        Ok(records)
+    }
+
+    /// Points of a later return than the fifth, in records that headers before LAS 1.4 do not count.
+    fn needs_latest_version(&self) -> bool {
+        self.has_late_returns
+    }
+
+    fn position_m(header: &Self::Header, record: &[u8]) -> [f64; 3] {
+        let las::Vector { x, y, z } = header.transforms();
+        [(x, 0), (y, 4), (z, 8)].map(|(transform, at)| {
+            transform.direct(i32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]))
+        })
+    }
+
+    fn cloud_of(header: &Self::Header, records: &[u8]) -> FormatResult<PointCloud> {
+        super::cloud_of(Arc::clone(header), records)
+    }
+}
+
+impl RecordEncoder for Records {
+    type Header = Arc<Header>;
+    const KEEPS_HOLES: bool = false;
+
+    fn new(
+        _header: &Self::Header,
+        cloud: &PointCloud,
+        kept: &[usize],
+        output: &Path,
+        _encoding: Option<Encoding>,
+    ) -> FormatResult<Self> {
+        Self::new(cloud, kept, Format::of_extension(output) == Some(Format::Laz))
+    }
+
+    fn in_latest_version(self) -> FormatResult<Self> {
+        self.with_all_returns()
+    }
+
+    fn record(&self) -> usize {
+        self.len()
+    }
+
+    fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>> {
+        self.encode(cloud, kept)
+    }
+
+    fn write(
+        self,
+        to: BufWriter<File>,
+        _points: usize,
+        mut next: impl FnMut() -> FormatResult<Vec<u8>>,
+    ) -> FormatResult<()> {
+        let mut writer = LasWriter::new(to, self.header)?;
+        loop {
+            let records = next()?;
+            if records.is_empty() {
+                break;
+            }
+            writer.write(records)?;
+        }
+        writer.finish()?.into_inner().map_err(|error| FormatError::Os(error.into_error()))?;
+        Ok(())
+    }
+}
+
+/// Writes records in their order.
+pub(super) struct LasWriter<W: Write + Seek + Send + Sync + fmt::Debug + 'static> {
+    /// `None` after an error: the library panics if a writer is dropped that it cannot close.
+    writer: Option<Writer<W>>,
+    header: Header,
+}
+
+impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
+    /// Begins a file with this header, whose count and bounds follow from what is written.
+    pub(super) fn new(to: W, header: Header) -> FormatResult<Self> {
+        let writer = Writer::new(to, header.clone()).map_err(written)?;
+        Ok(Self { writer: Some(writer), header })
+    }
+
+    fn with_writer(&mut self, work: impl FnOnce(&mut Writer<W>) -> las::Result<()>) -> FormatResult<()> {
+        let Some(writer) = &mut self.writer else { return Ok(()) };
+        let result = work(writer).map_err(written);
+        if result.is_err() {
+            std::mem::forget(self.writer.take());
+        }
+        result
+    }
+
+    pub(super) fn write(&mut self, records: Vec<u8>) -> FormatResult<()> {
+        let points = PointDataBuilder::new().for_header(&self.header).build_from_bytes(records).map_err(cannot)?;
+        self.with_writer(|writer| writer.write_points(&points))
+    }
+
+    /// Writes what stands behind the points, and the header again.
+    pub(super) fn finish(mut self) -> FormatResult<W> {
+        self.with_writer(Writer::close)?;
+        let writer = self.writer.take().ok_or_else(|| FormatError::Malformed("nothing was written".into()))?;
+        writer.into_inner().map_err(cannot)
+    }
+}
+
+impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> Drop for LasWriter<W> {
+    fn drop(&mut self) {
+        // What was begun and is not finished is of no use.
+        std::mem::forget(self.writer.take());
+    }
+}
+
+/// A full disk is no fault of the cloud's.
+fn written(error: las::Error) -> FormatError {
+    match error {
+        las::Error::Io(error) => FormatError::Os(error),
+        las::Error::LasZipError(laz::LasZipError::IoError(error)) => FormatError::Os(error),
+        error => cannot(error),
+    }
+}

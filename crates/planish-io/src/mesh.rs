@@ -1,0 +1,107 @@
+//! The vertices of meshes: OBJ and STL. They are read as general clouds; faces are not kept, and neither format is written.
+
+use std::collections::HashMap;
+
+use super::columns::cloud_from_columns;
+use super::{FormatResult, ReadOptions, quoted};
+use planish_core::{Attribute, FormatError, PointCloud};
+
+/// Reads the lines `v x y z` of a Wavefront OBJ, with colours behind them if there are any.
+pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
+    let text = text_of(bytes, "OBJ")?;
+    let lines = (1..).zip(text.lines()).filter_map(|(number, line)| {
+        let line = line.trim();
+        line.strip_prefix("v").filter(|rest| rest.starts_with([' ', '\t'])).map(|rest| (number, rest))
+    });
+    options.check(lines.clone().count(), 8 * 6)?;
+    let mut columns: [Vec<f64>; 6] = Default::default();
+    let mut width = None;
+    for (number, line) in lines {
+        let values: Option<Vec<f64>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
+        let values = values.filter(|values| [3, 4, 6, 7].contains(&values.len())).ok_or_else(|| {
+            FormatError::Malformed(format!(
+                "line {number}: {} is no vertex: v x y z, with r g b or w behind",
+                quoted(line)
+            ))
+        })?;
+        if *width.get_or_insert(values.len()) != values.len() {
+            return Err(FormatError::Malformed(format!("line {number}: vertices with and without colours")));
+        }
+        for (column, value) in columns.iter_mut().zip(&values) {
+            column.push(*value);
+        }
+    }
+    let [x, y, z, red, green, blue] = columns;
+    let mut all = vec![column("x", x), column("y", y), column("z", z)];
+    if width.is_some_and(|width| width >= 6) {
+        let is_share = [&red, &green, &blue].into_iter().flatten().all(|value| (0.0..=1.0).contains(value));
+        let scale = if is_share { 255.0 } else { 1.0 };
+        for (name, values) in [("red", red), ("green", green), ("blue", blue)] {
+            let values: Vec<u8> = values.into_iter().map(|value| (scale * value).round() as u8).collect();
+            all.push(Attribute { name: name.into(), count: 1, values: values.into() });
+        }
+    }
+    with_points(all, "OBJ")
+}
+
+/// Reads the corners of an STL's triangles, each position once.
+pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
+    const HEADER: usize = 84;
+    const TRIANGLE: usize = 50;
+    let stated =
+        bytes.get(80..HEADER).map(|count| u32::from_le_bytes([count[0], count[1], count[2], count[3]]) as usize);
+    let is_binary = stated.is_some_and(|count| Some(bytes.len()) == count.checked_mul(TRIANGLE).map(|n| n + HEADER));
+    let corners: Vec<[f32; 3]> = if is_binary {
+        options.check(stated.unwrap_or(0), 3 * 40)?;
+        let corner = |triangle: &[u8], k: usize| {
+            let at = 12 * (k + 1);
+            std::array::from_fn(|axis| f32::from_le_bytes(std::array::from_fn(|i| triangle[at + 4 * axis + i])))
+        };
+        bytes[HEADER..].chunks_exact(TRIANGLE).flat_map(|triangle| (0..3).map(move |k| corner(triangle, k))).collect()
+    } else if bytes.starts_with(b"solid") {
+        let text = text_of(bytes, "STL")?;
+        let lines =
+            (1..).zip(text.lines().map(str::trim)).filter_map(|(n, line)| Some((n, line.strip_prefix("vertex")?)));
+        options.check(lines.clone().count(), 40)?;
+        let corner = |(number, line): (usize, &str)| {
+            let values: Option<Vec<f32>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
+            let values = values.and_then(|values| <[f32; 3]>::try_from(values).ok());
+            values.ok_or_else(|| FormatError::Malformed(format!("line {number}: a vertex has three numbers")))
+        };
+        lines.map(corner).collect::<Result<_, _>>()?
+    } else {
+        let triangles = stated.unwrap_or(0);
+        return Err(FormatError::Malformed(format!(
+            "no STL: neither text that begins with solid, nor {triangles} triangles in {} bytes",
+            bytes.len()
+        )));
+    };
+    let mut seen = HashMap::with_capacity(corners.len() / 5);
+    let mut distinct = Vec::new();
+    for corner in corners {
+        seen.entry(corner.map(|value| (value + 0.0).to_bits())).or_insert_with(|| distinct.push(corner));
+    }
+    if distinct.is_empty() {
+        return Err(FormatError::Malformed("an STL without triangles".into()));
+    }
+    Ok(PointCloud::new(distinct.into_iter().collect()))
+}
+
+fn text_of<'a>(bytes: &'a [u8], name: &str) -> FormatResult<&'a str> {
+    std::str::from_utf8(bytes).map_err(|_| FormatError::Malformed(format!("the {name} is not text in UTF-8")))
+}
+
+/// Small coordinates as f32, far ones as f64.
+fn column(name: &str, values: Vec<f64>) -> Attribute {
+    Attribute { name: name.into(), count: 1, values: values.into() }
+}
+
+fn with_points(columns: Vec<Attribute>, name: &str) -> FormatResult<PointCloud> {
+    if columns[0].values.is_empty() {
+        return Err(FormatError::Malformed(format!("an {name} without vertices")));
+    }
+    let mut cloud = cloud_from_columns(columns)?;
+    // Text has no type: near coordinates need none of f64's digits.
+    cloud.position_columns.double = cloud.origin_m != [0.0; 3];
+    Ok(cloud)
+}

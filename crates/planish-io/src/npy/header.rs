@@ -1,0 +1,247 @@
+//! The header of an array: `{'descr': '<f4', 'fortran_order': False, 'shape': (480, 640), }`.
+
+use crate::quoted;
+use planish_core::FormatError;
+
+const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// The largest header accepted, in bytes; NumPy's own are about a hundred.
+const MAX_BYTES: usize = 16 * 1024;
+
+/// The most dimensions accepted, which are NumPy's own limit.
+const MAX_DIMENSIONS: usize = 64;
+
+/// Values begin at multiples of so many bytes.
+const ALIGNMENT: usize = 64;
+
+/// What the values of an array are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Header {
+    /// The values' type as NumPy writes it, as `<f4`.
+    pub(crate) descr: String,
+    /// The letter of the kind: `b` a boolean, `i` and `u` integers, `f` floats.
+    pub(crate) kind: char,
+    /// Bytes of a value.
+    pub(crate) size: usize,
+    pub(super) is_big_endian: bool,
+    /// Whether the first index runs fastest instead of the last.
+    pub(super) is_fortran: bool,
+    pub(crate) shape: Vec<usize>,
+}
+
+fn damaged(expected: &str) -> FormatError {
+    FormatError::Malformed(format!("damaged NPY header: expected {expected}"))
+}
+
+fn cut() -> FormatError {
+    FormatError::Malformed("the file is cut short: its NPY header is not whole".into())
+}
+
+impl Header {
+    /// Reads the header; returns it and the bytes after it.
+    pub(super) fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), FormatError> {
+        let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| damaged("\\x93NUMPY at the beginning"))?;
+        let (stated, rest) = match rest {
+            [1, _, a, b, rest @ ..] => (usize::from(u16::from_le_bytes([*a, *b])), rest),
+            [2 | 3, _, a, b, c, d, rest @ ..] => (u32::from_le_bytes([*a, *b, *c, *d]) as usize, rest),
+            [1..=3, ..] | [] => return Err(cut()),
+            _ => return Err(FormatError::Unsupported("an unknown version of NPY; 1, 2 and 3 are supported".into())),
+        };
+        if stated > MAX_BYTES {
+            let problem = format!("an NPY header of {stated} bytes is too long for an array of numbers");
+            return Err(FormatError::Malformed(problem));
+        }
+        let (dict, data) = rest.split_at_checked(stated).ok_or_else(cut)?;
+        Ok((Dict(dict).header()?, data))
+    }
+
+    /// Returns the number of values; `None` if it overflows.
+    pub(crate) fn len(&self) -> Option<usize> {
+        self.shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n))
+    }
+
+    /// Encodes a header of version 1, whose shape has a few numbers.
+    pub(super) fn encode(descr: &str, shape: &[usize]) -> Vec<u8> {
+        let numbers: Vec<String> = shape.iter().map(usize::to_string).collect();
+        let comma = if shape.len() == 1 { "," } else { "" };
+        let shape = format!("({}{comma})", numbers.join(", "));
+        let mut dict = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+        let before = MAGIC.len() + 4;
+        let padded = (before + dict.len() + 1).next_multiple_of(ALIGNMENT);
+        dict.extend(std::iter::repeat_n(' ', padded - before - dict.len() - 1));
+        dict.push('\n');
+        let mut bytes = [MAGIC, &[1, 0]].concat();
+        bytes.extend((dict.len() as u16).to_le_bytes());
+        bytes.extend(dict.bytes());
+        bytes
+    }
+}
+
+/// The rest of the dict.
+struct Dict<'a>(&'a [u8]);
+
+impl<'a> Dict<'a> {
+    fn header(mut self) -> Result<Header, FormatError> {
+        let (mut descr, mut is_fortran, mut shape) = (None, None, None);
+        self.expect(b'{')?;
+        while !self.eat(b'}') {
+            let key = self.text()?;
+            self.expect(b':')?;
+            match key {
+                "descr" if descr.is_none() => descr = Some(self.descr()?),
+                "fortran_order" if is_fortran.is_none() => is_fortran = Some(self.boolean()?),
+                "shape" if shape.is_none() => shape = Some(self.shape()?),
+                _ => return Err(damaged("one each of 'descr', 'fortran_order' and 'shape'")),
+            }
+            if !self.eat(b',') {
+                self.expect(b'}')?;
+                break;
+            }
+        }
+        self.skip_blanks();
+        let (Some(descr), Some(is_fortran), Some(shape), []) = (descr, is_fortran, shape, self.0) else {
+            return Err(damaged("a dict of 'descr', 'fortran_order' and 'shape', and nothing after it"));
+        };
+        let unknown =
+            || FormatError::Unsupported(format!("an array of the type {}, which is not a number type", quoted(descr)));
+        let (order, of_value) = match descr.as_bytes() {
+            [order @ (b'<' | b'>' | b'|' | b'='), rest @ ..] => (*order, rest),
+            rest => (b'|', rest),
+        };
+        let [kind @ (b'b' | b'i' | b'u' | b'f' | b'c'), digits @ ..] = of_value else { return Err(unknown()) };
+        let size = std::str::from_utf8(digits).ok().and_then(|digits| digits.parse().ok());
+        let size = size.filter(|size| (1..=32).contains(size)).ok_or_else(unknown)?;
+        let (descr, kind) = (descr.to_owned(), char::from(*kind));
+        Ok(Header { descr, kind, size, is_big_endian: order == b'>', is_fortran, shape })
+    }
+
+    fn descr(&mut self) -> Result<&'a str, FormatError> {
+        self.skip_blanks();
+        if self.0.first() == Some(&b'[') {
+            return Err(FormatError::Unsupported("an array of records: save its columns as arrays".into()));
+        }
+        self.text()
+    }
+
+    fn boolean(&mut self) -> Result<bool, FormatError> {
+        self.skip_blanks();
+        for (word, value) in [(&b"True"[..], true), (b"False", false)] {
+            if let Some(rest) = self.0.strip_prefix(word) {
+                self.0 = rest;
+                return Ok(value);
+            }
+        }
+        Err(damaged("True or False"))
+    }
+
+    fn shape(&mut self) -> Result<Vec<usize>, FormatError> {
+        let mut shape = Vec::new();
+        self.expect(b'(')?;
+        while !self.eat(b')') {
+            shape.push(self.number()?);
+            if shape.len() > MAX_DIMENSIONS {
+                return Err(damaged("a shape of at most 64 numbers"));
+            }
+            if !self.eat(b',') {
+                self.expect(b')')?;
+                break;
+            }
+        }
+        Ok(shape)
+    }
+
+    /// A number, which Python 2 suffixed with L.
+    fn number(&mut self) -> Result<usize, FormatError> {
+        self.skip_blanks();
+        let digits = self.0.iter().take_while(|byte| byte.is_ascii_digit()).count();
+        let (number, rest) = self.0.split_at(digits);
+        self.0 = rest.strip_prefix(b"L").unwrap_or(rest);
+        let number = std::str::from_utf8(number).ok().filter(|number| !number.is_empty());
+        // No file has a dimension beyond usize.
+        number.map(|number| number.parse().unwrap_or(usize::MAX)).ok_or_else(|| damaged("a shape of numbers"))
+    }
+
+    /// A text between quotes of either kind.
+    fn text(&mut self) -> Result<&'a str, FormatError> {
+        self.skip_blanks();
+        let text = match self.0 {
+            [quote @ (b'\'' | b'"'), rest @ ..] => rest.iter().position(|byte| byte == quote).map(|end| {
+                self.0 = &rest[end + 1..];
+                &rest[..end]
+            }),
+            _ => None,
+        };
+        text.and_then(|text| std::str::from_utf8(text).ok()).ok_or_else(|| damaged("a text between quotes"))
+    }
+
+    fn expect(&mut self, byte: u8) -> Result<(), FormatError> {
+        if self.eat(byte) { Ok(()) } else { Err(damaged(&format!("'{}'", char::from(byte)))) }
+    }
+
+    fn eat(&mut self, byte: u8) -> bool {
+        self.skip_blanks();
+        let rest = self.0.strip_prefix(&[byte]);
+        self.0 = rest.unwrap_or(self.0);
+        rest.is_some()
+    }
+
+    fn skip_blanks(&mut self) {
+        self.0 = self.0.trim_ascii_start();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(dict: &str) -> Result<Header, String> {
+        Dict(dict.as_bytes()).header().map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn headers_come_back_aligned_as_numpy_writes_them() {
+        for (descr, shape) in [("<f4", &[480, 640, 3][..]), ("|u1", &[7]), ("<u2", &[]), ("<f8", &[123_456_789, 3])] {
+            let bytes = Header::encode(descr, shape);
+            assert_eq!((bytes.len() % ALIGNMENT, bytes.last()), (0, Some(&b'\n')));
+            let (header, rest) = Header::parse(&bytes).unwrap();
+            assert_eq!((header.descr.as_str(), &header.shape[..], rest.len()), (descr, shape, 0));
+            assert!(!header.is_fortran && !header.is_big_endian);
+        }
+        let seven = Header::encode("|u1", &[7]);
+        assert!(
+            std::str::from_utf8(&seven[10..])
+                .unwrap()
+                .starts_with("{'descr': '|u1', 'fortran_order': False, 'shape': (7,), }")
+        );
+    }
+
+    #[test]
+    fn any_order_of_keys_quotes_blanks_and_the_numbers_of_python_2_are_read() {
+        let header = parse("{ \"shape\" :(2L,3L),'fortran_order':True , 'descr':'>f8'}  \n").unwrap();
+        assert_eq!((header.kind, header.size, &header.shape[..]), ('f', 8, &[2, 3][..]));
+        assert!(header.is_fortran && header.is_big_endian);
+        assert_eq!(parse("{'descr': '|b1', 'fortran_order': False, 'shape': (), }").unwrap().len(), Some(1));
+    }
+
+    #[test]
+    fn what_is_no_header_of_numbers_says_what_would_be() {
+        let shape = "'fortran_order': False, 'shape': (2,)";
+        for (dict, said) in [
+            (String::new(), "'{'"),
+            ("{".into(), "quotes"),
+            ("{'descr': '<f4'}".into(), "'shape'"),
+            (format!("{{'descr': '<f4', {shape}}} x"), "nothing after"),
+            (format!("{{'descr': '<f4', 'descr': '<f4', {shape}}}"), "one each"),
+            (format!("{{'descr': '|O', {shape}}}"), "not a number type"),
+            (format!("{{'descr': '<f9999999', {shape}}}"), "not a number type"),
+            (format!("{{'descr': [('x', '<f4')], {shape}}}"), "records"),
+            ("{'descr': '<f4', 'fortran_order': Maybe".into(), "True or False"),
+            ("{'descr': '<f4', 'fortran_order': False, 'shape': (-1,)}".into(), "numbers"),
+            (format!("{{'descr': {}", "[".repeat(10_000)), "records"),
+            (format!("{{'descr': '<f4', 'shape': {}", "(".repeat(10_000)), "numbers"),
+        ] {
+            let error = parse(&dict).unwrap_err();
+            assert!(error.contains(said), "{dict:.60}: {error}");
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! NumPy archives: the positions as `points`, `xyz` or `positions`, or the only [N, 3] there is, and other arrays of N rows as fields.
+
+use std::io::{Cursor, Read, Write};
+
+use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
+
+use super::columns::with_values;
+use super::{CloudRef, Contents, FormatResult, ReadOptions, brief, npy};
+use planish_core::{Attribute, AttributeValues, FormatError};
+
+const POSITIONS: [&str; 4] = ["points", "xyz", "positions", "arr_0"];
+const DEPTH: [&str; 2] = ["depth", "arr_0"];
+/// More arrays than that are no cloud.
+const MOST_ARRAYS: usize = 256;
+
+fn damaged(error: impl std::fmt::Display) -> FormatError {
+    FormatError::Malformed(format!("damaged NPZ: {}", brief(&error.to_string())))
+}
+
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<Contents> {
+    let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
+    if archive.len() > MOST_ARRAYS {
+        return Err(FormatError::Unsupported(format!("an archive of {} files, which is no cloud", archive.len())));
+    }
+    let mut arrays: Vec<(String, Vec<u8>)> = Vec::new();
+    let mut left = options.max_memory_bytes;
+    for i in 0..archive.len() {
+        let file = archive.by_index(i).map_err(damaged)?;
+        let name = file.name().map_err(damaged)?.into_owned();
+        let Some(name) = name.strip_suffix(".npy").map(str::to_owned) else { continue };
+        let mut array = Vec::new();
+        // What the archive states may be wrong.
+        file.take(left.saturating_add(1)).read_to_end(&mut array).map_err(damaged)?;
+        left = left.checked_sub(array.len() as u64).ok_or(FormatError::TooLarge {
+            needed: options.max_memory_bytes.saturating_add(1),
+            allowed: options.max_memory_bytes,
+        })?;
+        arrays.push((name, array));
+    }
+    let names = || super::quoted(&arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", "));
+    // By its name, else the only one that can be it.
+    let contents_of = |(name, array): &(String, Vec<u8>)| Some((name.clone(), npy::decode(array, options).ok()?));
+    let of_name = |wanted: &[&str], is_kind: fn(&Contents) -> bool| {
+        let named = wanted.iter().find_map(|name| arrays.iter().find(|(found, _)| found == name));
+        let named = named.and_then(contents_of).filter(|(_, contents)| is_kind(contents));
+        named.or_else(|| {
+            let mut all = arrays.iter().filter_map(contents_of).filter(|(_, contents)| is_kind(contents));
+            all.next().filter(|_| all.next().is_none())
+        })
+    };
+    if let Some((name, array)) = arrays.iter().find(|(name, _)| POSITIONS[..3].contains(&name.as_str())) {
+        // So named, it is no depth image, whatever its shape.
+        let problem = match npy::decode(array, options) {
+            Ok(contents) if !contents.is_depth() => None,
+            Ok(contents) => Some(format!("it is [{1}, {0}]", contents.shape().0, contents.shape().1)),
+            Err(error) => Some(error.to_string()),
+        };
+        if let Some(problem) = problem {
+            return Err(FormatError::Unsupported(format!(
+                "the array {name} must be [N, 3] or [H, W, 3] of f32 or f64: {}",
+                brief(&problem)
+            )));
+        }
+    }
+    let points = of_name(&POSITIONS, |contents| !contents.is_depth());
+    let Some((used, mut contents)) = points.or_else(|| of_name(&DEPTH, Contents::is_depth)) else {
+        return Err(FormatError::Unsupported(format!(
+            "an archive with {}: name the positions points, xyz or positions ([N, 3] or [H, W, 3] of f32 or f64), or a depth image depth",
+            names()
+        )));
+    };
+    let rows = contents.shape().0 * contents.shape().1;
+    let others = arrays.iter().filter(|(name, _)| *name != used);
+    let wanted = if contents.is_depth() { &DEPTH[..] } else { &POSITIONS[..] };
+    if !wanted.contains(&used.as_str()) {
+        let what = if contents.is_depth() { "depth" } else { "positions" };
+        notes.push(format!("{what} taken from the array {}, the only one whose shape fits", brief(&used)));
+    }
+    let cloud = match &mut contents {
+        Contents::Organized(cloud) => &mut cloud.points,
+        Contents::General(cloud) => cloud,
+        _ => {
+            notes.extend(others.map(|(name, _)| format!("the array {} is left out: depth has no fields", brief(name))));
+            return Ok(contents);
+        }
+    };
+    for (name, array) in others {
+        match field(name, array, rows)? {
+            Ok(attribute) => {
+                let is_taken = |name: &str| {
+                    cloud.attributes.iter().any(|other| other.name == name)
+                        || arrays.iter().any(|(other, _)| other == name)
+                };
+                let fields = components(attribute, rows, is_taken);
+                cloud.attributes.extend(fields);
+            }
+            Err(reason) => notes.push(format!("the array {} is left out: {reason}", brief(name))),
+        }
+    }
+    Ok(contents)
+}
+
+/// An array as a field of so many points, or why it is none: it may be a matrix beside the points.
+fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute, String>> {
+    let array = match npy::Array::parse(array) {
+        Ok(array) => array,
+        Err(FormatError::Unsupported(reason)) => return Ok(Err(reason)),
+        Err(error) => return Err(FormatError::Malformed(format!("the array {name}: {error}"))),
+    };
+    let len = array.header.len().unwrap_or(0);
+    if rows == 0 || len % rows != 0 || len == 0 {
+        return Ok(Err(format!("it is {:?}, and there are {rows} points", array.header.shape)));
+    }
+    let values: AttributeValues = match (array.header.kind, array.header.size) {
+        ('i', 1) => array.values::<i8>().into(),
+        ('i', 2) => array.values::<i16>().into(),
+        ('i', 4) => array.values::<i32>().into(),
+        ('i', 8) => array.values::<i64>().into(),
+        ('u' | 'b', 1) => array.values::<u8>().into(),
+        ('u', 2) => array.values::<u16>().into(),
+        ('u', 4) => array.values::<u32>().into(),
+        ('u', 8) => array.values::<u64>().into(),
+        ('f', 4) => array.values::<f32>().into(),
+        ('f', 8) => array.values::<f64>().into(),
+        _ => return Ok(Err(format!("its type is {}: save it as integers, f32 or f64", array.header.descr))),
+    };
+    let count = values.len() / rows;
+    Ok(Ok(Attribute { name: name.to_owned(), count, values }))
+}
+
+/// Names of vectors, and of their components here.
+const VECTORS: [(&[&str], [&str; 3]); 2] = [
+    (&["normals", "normal"], ["normal_x", "normal_y", "normal_z"]),
+    (&["rgb", "colors", "colours", "color"], ["red", "green", "blue"]),
+];
+
+/// Normals and colours as the fields that every other format has, if no other array has their names; any other field as it is.
+fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool) -> Vec<Attribute> {
+    let is_colour = |names: &[&str; 3]| names[0] == "red";
+    let is_bytes = matches!(attribute.values, AttributeValues::U8(_));
+    let vector = VECTORS.iter().find(|(names, components)| {
+        names.contains(&attribute.name.as_str())
+            && attribute.count == 3
+            && (is_bytes || !is_colour(components))
+            && !components.iter().any(|name| is_taken(name))
+            // The names of a vector, first the one that is written.
+            && !names.iter().take_while(|name| **name != attribute.name).any(|name| is_taken(name))
+    });
+    let Some((_, names)) = vector else { return vec![attribute] };
+    let component = |k: usize| {
+        let values: Vec<f64> = (0..rows).map(|i| attribute.values.get_f64(3 * i + k)).collect();
+        Attribute { name: names[k].into(), count: 1, values: attribute.values.of_f64(values) }
+    };
+    (0..3).map(component).collect()
+}
+
+/// Components of normals and colours as one array again.
+fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
+    let mut all = attributes.to_vec();
+    for (names, components) in VECTORS {
+        let place = |name: &str| all.iter().position(|attribute| attribute.name == name && attribute.count == 1);
+        let [Some(x), Some(y), Some(z)] = components.map(place) else { continue };
+        let kinds = [x, y, z].map(|k| std::mem::discriminant(&all[k].values));
+        // What has the array's name already stays beside its components.
+        if all.iter().any(|attribute| attribute.name == names[0]) {
+            continue;
+        }
+        if kinds[0] != kinds[1] || kinds[0] != kinds[2] || (names[0] == "rgb" && all[x].values.scalar_size() > 1) {
+            continue;
+        }
+        let rows = all[x].values.len();
+        let values = (0..rows).flat_map(|i| [x, y, z].map(|k| all[k].values.get_f64(i))).collect();
+        all[x] = Attribute { name: names[0].into(), count: 3, values: all[x].values.of_f64(values) };
+        all.retain(|attribute| !components.contains(&attribute.name.as_str()));
+    }
+    all
+}
+
+/// Encodes positions as `points` and every field as an array of its name.
+pub(super) fn encode(cloud: CloudRef<'_>) -> FormatResult<Vec<u8>> {
+    let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
+    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
+    let mut add = |name: &str, array: &[u8]| -> FormatResult<()> {
+        writer.start_file(format!("{name}.npy"), options).map_err(|error| FormatError::Os(error.into()))?;
+        Ok(writer.write_all(array)?)
+    };
+    add(POSITIONS[0], &npy::encode_points(cloud))?;
+    let (width, height) = cloud.grid();
+    let mut named = cloud.points().clone();
+    named.unpack_colour();
+    for attribute in vectors(&named.attributes).iter().filter(|attribute| attribute.name != "_") {
+        let grid = match cloud {
+            CloudRef::Organized(_) => vec![height, width],
+            CloudRef::General(_) => vec![width],
+        };
+        let shape = if attribute.count == 1 { grid } else { [grid, vec![attribute.count]].concat() };
+        let array = with_values!(&attribute.values, values => npy::encode(&shape, values.iter().copied()));
+        add(&attribute.name, &array)?;
+    }
+    Ok(writer.finish().map_err(|error| FormatError::Os(error.into()))?.into_inner())
+}

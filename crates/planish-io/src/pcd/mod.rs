@@ -1,0 +1,99 @@
+//! PCD v0.7, the format of the Point Cloud Library: ascii, binary, binary_compressed.
+//!
+//! Every field is kept with its size, type and count, padding (`_`) included, and so are the grid and the viewpoint.
+//! Binary values are little-endian, point after point; compressed ones are field after field through LZF.
+//! Like PCL, ascii files store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float: the bits of an
+//! opaque colour are those of a NaN, and would be lost.
+
+mod binary;
+mod header;
+pub mod lzf;
+
+use crate::{
+    CloudRef, Gridded, ReadOptions,
+    columns::{cloud_from_columns, columns_from_cloud},
+    text,
+};
+use header::{Field, Header};
+use planish_core::{Attribute, AttributeValues, FormatError, SensorPose};
+
+/// How the points of a PCD or PLY file are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Encoding {
+    /// Text.
+    Ascii,
+    /// Little-endian binary.
+    #[default]
+    Binary,
+    /// Binary compressed by LZF (PCD only; PLY writes plain binary).
+    BinaryCompressed,
+}
+
+impl Encoding {
+    fn keyword(self) -> &'static str {
+        match self {
+            Self::Ascii => "ascii",
+            Self::Binary => "binary",
+            Self::BinaryCompressed => "binary_compressed",
+        }
+    }
+}
+
+/// Reads a PCD file.
+pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {
+    let (header, body) = Header::parse(bytes)?;
+    // Columns, and what they are decompressed to before. What cannot hold them is cut short, and that is said instead.
+    let (copies, most_bytes) = match header.encoding {
+        Encoding::Ascii => (1, body.len().saturating_mul(8)),
+        Encoding::Binary => (1, body.len()),
+        Encoding::BinaryCompressed => (2, body.len().saturating_mul(lzf::MAX_REFERENCE)),
+    };
+    if header.point_bytes().checked_mul(header.points()).is_some_and(|bytes| bytes <= most_bytes) {
+        options.check(header.points(), copies * header.point_bytes())?;
+    }
+    let columns = match header.encoding {
+        Encoding::Ascii => {
+            let mut columns: Vec<_> = header.fields.iter().map(Field::empty_column).collect();
+            text::Body::new(body)?.read(&mut columns, header.points())?;
+            columns
+        }
+        Encoding::Binary => binary::decode(&header, body)?,
+        Encoding::BinaryCompressed => binary::decode_compressed(&header, body)?,
+    };
+    let mut points = cloud_from_columns(columns)?;
+    points.pose = SensorPose::from_viewpoint(header.viewpoint);
+    Ok(Gridded { width: header.width, height: header.height, points })
+}
+
+/// The encoding that a header states.
+pub(crate) fn encoding(bytes: &[u8]) -> Option<Encoding> {
+    Header::parse(bytes).ok().map(|(header, _)| header.encoding)
+}
+
+/// Writes a PCD file.
+pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
+    let mut columns = columns_from_cloud(cloud.points());
+    if encoding == Encoding::Ascii {
+        float_colours_to_integers(&mut columns);
+    }
+    let (width, height) = cloud.grid();
+    let fields = columns.iter().map(Field::of).collect::<Result<Vec<_>, _>>()?;
+    let header = Header { fields, width, height, viewpoint: cloud.points().pose.viewpoint(), encoding };
+    let mut bytes = header.text().into_bytes();
+    match encoding {
+        Encoding::Ascii => text::write(&columns, header.points(), &mut bytes),
+        Encoding::Binary => binary::encode(&header, &columns, &mut bytes),
+        Encoding::BinaryCompressed => binary::encode_compressed(&columns, &mut bytes)?,
+    }
+    Ok(bytes)
+}
+
+/// Turns packed colours into unsigned integers: as floats in text they could be NaN and lose their bits.
+fn float_colours_to_integers(columns: &mut [Attribute]) {
+    for column in columns.iter_mut().filter(|column| column.name == "rgb" || column.name == "rgba") {
+        if let AttributeValues::F32(values) = &column.values {
+            column.values = values.iter().map(|value| value.to_bits()).collect::<Vec<u32>>().into();
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! The element `camera`: the sensor's pose and the grid, as PCL writes them behind the vertices.
+//!
+//! PCL has the rows of cloud_from_sensor's rotation in `x_axis`, `y_axis` and `z_axis`, and width and height in the viewport. Of the
+//! rest it uses nothing, and writes 0. MeshLab has an element of the same name whose axes mean something else; it is told by its
+//! focal length, and its pose is not taken.
+
+use ply_rs_bw::ply::{ElementDef, Property};
+
+use planish_core::{Attribute, AttributeValues, SensorPose};
+
+/// The properties in PCL's order: position and rotation, what it does not use, width and height, what it does not use.
+const PROPERTIES: [&str; 21] = [
+    "view_px",
+    "view_py",
+    "view_pz",
+    "x_axisx",
+    "x_axisy",
+    "x_axisz",
+    "y_axisx",
+    "y_axisy",
+    "y_axisz",
+    "z_axisx",
+    "z_axisy",
+    "z_axisz",
+    "focal",
+    "scalex",
+    "scaley",
+    "centerx",
+    "centery",
+    "viewportx",
+    "viewporty",
+    "k1",
+    "k2",
+];
+const POSE: usize = 12;
+const FOCAL_AND_SCALES: std::ops::Range<usize> = 12..15;
+const WIDTH: usize = 17;
+const HEIGHT: usize = 18;
+
+/// Positions are written in f32, which PCL reads, unless that moves them farther than this.
+const MAX_ROUNDING_M: f64 = 1e-4;
+
+/// What the element says.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct PlyCamera {
+    /// `None` if it states none, or one that is no rotation.
+    pub(super) pose: Option<SensorPose>,
+    /// Width and height of a grid.
+    pub(super) grid: Option<(usize, usize)>,
+}
+
+impl PlyCamera {
+    /// From the values of the element's properties, in their order. Nothing where they are not PCL's.
+    pub(super) fn of(element: &ElementDef, values: &[f64]) -> Self {
+        if values.len() != element.properties.len() {
+            return Self::default();
+        }
+        let value = |k: usize| values.get(element.properties.get_index_of(PROPERTIES[k])?).copied();
+        let is_pcl = FOCAL_AND_SCALES.into_iter().all(|k| value(k).is_none_or(|value| value == 0.0));
+        let numbers: Option<Vec<f64>> = (0..POSE).map(value).collect();
+        let pose = numbers.filter(|_| is_pcl).and_then(|numbers| {
+            let row = |k: usize| [numbers[k], numbers[k + 1], numbers[k + 2]];
+            SensorPose::from_rotation(row(0), [row(3), row(6), row(9)])
+        });
+        let pixels = |k| value(k).filter(|&count| count > 1.0 && count.fract() == 0.0).map(|count| count as usize);
+        Self { pose, grid: pixels(WIDTH).zip(pixels(HEIGHT)) }
+    }
+
+    /// The element's properties for a pose, one value each.
+    pub(super) fn columns(pose: &SensorPose, (width, height): (usize, usize)) -> Vec<Attribute> {
+        let is_exact = |&coordinate: &f64| (f64::from(coordinate as f32) - coordinate).abs() <= MAX_ROUNDING_M;
+        let fits = pose.position_m.iter().all(is_exact);
+        let numbers: Vec<f64> = pose.position_m.into_iter().chain(pose.rotation().into_iter().flatten()).collect();
+        let column = |(k, name): (usize, &str)| {
+            let number = numbers.get(k).copied().unwrap_or(0.0);
+            let values = match k {
+                WIDTH => AttributeValues::I32(vec![width as i32]),
+                HEIGHT => AttributeValues::I32(vec![height as i32]),
+                0..3 if !fits => AttributeValues::F64(vec![number]),
+                _ => AttributeValues::F32(vec![number as f32]),
+            };
+            Attribute { name: name.into(), count: 1, values }
+        };
+        PROPERTIES.into_iter().enumerate().map(column).collect()
+    }
+}
+
+/// A scalar as a number; NaN for a list.
+pub(super) fn number(property: &Property) -> f64 {
+    match *property {
+        Property::Char(value) => value.into(),
+        Property::UChar(value) => value.into(),
+        Property::Short(value) => value.into(),
+        Property::UShort(value) => value.into(),
+        Property::Int(value) => value.into(),
+        Property::UInt(value) => value.into(),
+        Property::Float(value) => value.into(),
+        Property::Double(value) => value,
+        _ => f64::NAN,
+    }
+}

@@ -1,0 +1,301 @@
+//! PLY files read and written some vertices at a time, for clouds larger than memory.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+use ply_rs_bw::parser::{Parser, Reader};
+use ply_rs_bw::ply::Encoding as PlyEncoding;
+
+use super::super::columns::{cloud_from_columns, with_values};
+use super::super::records::{RecordEncoder, RecordReader};
+use super::super::{Encoding, FormatResult, text};
+use super::camera::PlyCamera;
+use super::records::Layout;
+use super::remarks::Remarks;
+use super::{
+    Around, GRID_INFOS, MAX_HEADER_BYTES, Record, check_properties, check_size, columns_of, damaged, empty_columns,
+    info, left_out, malformed, read_camera, remarks_of, rename_normals, stated_properties,
+};
+use planish_core::{Attribute, FormatError, PointCloud, Provenance, SensorPose};
+
+/// What the header says of the vertices.
+pub(crate) struct VertexHeader {
+    encoding: PlyEncoding,
+    layout: Layout,
+    /// Columns without values.
+    columns: Vec<Attribute>,
+    /// Which fields are x, y and z.
+    axes: [usize; 3],
+    pose: SensorPose,
+    remarks: Remarks,
+    left_out: Option<String>,
+}
+
+/// Reads the vertices of a general cloud some at a time.
+pub(crate) struct PlyReader {
+    header: Arc<VertexHeader>,
+    body: BufReader<File>,
+    points: usize,
+    read: usize,
+    buffer: Vec<u8>,
+}
+
+/// No line of a vertex is longer.
+const MAX_LINE_BYTES: u64 = 64 * 1024;
+
+impl PlyReader {
+    fn next_text(&mut self, wanted: usize) -> FormatResult<()> {
+        let mut lines = Vec::new();
+        let mut found = 0;
+        while found < wanted {
+            let before = lines.len();
+            let length = (&mut self.body).take(MAX_LINE_BYTES).read_until(b'\n', &mut lines)?;
+            if length as u64 == MAX_LINE_BYTES {
+                return malformed(format!(
+                    "vertex {}: its line has more than {MAX_LINE_BYTES} bytes",
+                    self.read + found
+                ));
+            }
+            if length == 0 {
+                return malformed(format!(
+                    "the file is cut short: {} vertices are announced, {} are there",
+                    self.points,
+                    self.read + found
+                ));
+            }
+            if lines[before..].trim_ascii().is_empty() {
+                lines.truncate(before);
+            } else {
+                found += 1;
+            }
+        }
+        let mut columns = self.header.columns.clone();
+        let numbered_from_here = |problem| match problem {
+            FormatError::Malformed(text) if self.read > 0 => {
+                FormatError::Malformed(format!("behind the first {} vertices: {text}", self.read))
+            }
+            problem => problem,
+        };
+        let read = |columns: &mut [Attribute]| text::Body::new(&lines)?.read(columns, wanted);
+        read(&mut columns).map_err(numbered_from_here)?;
+        self.buffer = self.header.layout.encode(&columns, 0..wanted);
+        Ok(())
+    }
+
+    fn next_binary(&mut self, wanted: usize) -> FormatResult<()> {
+        self.buffer.resize(wanted * self.header.layout.record, 0);
+        self.body.read_exact(&mut self.buffer)?;
+        if self.header.encoding == PlyEncoding::BinaryBigEndian {
+            self.header.layout.swap(&mut self.buffer);
+        }
+        Ok(())
+    }
+}
+
+impl RecordReader for PlyReader {
+    type Header = Arc<VertexHeader>;
+    type Encoder = PlyEncoder;
+
+    fn open(path: &Path) -> FormatResult<Self> {
+        let unsupported = |what: &str| Err(FormatError::Unsupported(format!("{what} is not read in parts")));
+        let mut file = File::open(path)?;
+        let bytes = usize::try_from(file.metadata()?.len()).unwrap_or(usize::MAX);
+        let mut head = Vec::new();
+        (&mut file).take(MAX_HEADER_BYTES as u64).read_to_end(&mut head)?;
+        let Some(lines) = super::header_lines(&head) else { return malformed("the PLY header has no end") };
+        let stated = stated_properties(&lines);
+        let mut reader = Reader::new(&head[..]);
+        let header = Parser::<Record>::new().read_header(&mut reader).map_err(damaged)?;
+        let at = head.len() - reader.into_inner().len();
+        let Some((name, vertex)) = header.elements.first() else { return malformed("the PLY has no elements") };
+        if name != "vertex" {
+            return unsupported("a PLY whose vertices do not come first");
+        }
+        if stated.len() != header.elements.len() {
+            return malformed("two elements of the PLY have the same name");
+        }
+        check_size(vertex, bytes)?;
+        check_properties(vertex, stated[0])?;
+        let mut columns = empty_columns(vertex)?;
+        rename_normals(&mut columns);
+        let Some(layout) = Layout::of(vertex) else { return unsupported("a PLY with lists in its vertices") };
+        let axis = |axis| columns.iter().position(|column| column.name == axis);
+        let (Some(x), Some(y), Some(z)) = (axis("x"), axis("y"), axis("z")) else {
+            return malformed("the vertices have no x, y and z");
+        };
+        // Refuses coordinates of other types than floats.
+        cloud_from_columns(columns.clone())?;
+        let points = vertex.count;
+        let pose = match header.elements.get_index_of("camera") {
+            None => SensorPose::default(),
+            Some(1) => {
+                let camera = camera_behind(path, at, &layout, points, &header)?;
+                if camera.grid.is_some_and(|(width, height)| width.checked_mul(height) == Some(points)) {
+                    return unsupported("an organized cloud");
+                }
+                camera.pose.unwrap_or_default()
+            }
+            Some(_) => return unsupported("a PLY with other elements before its camera"),
+        };
+        if info(&header, GRID_INFOS[0]).is_some() || header.elements.contains_key("range_grid") {
+            return unsupported("an organized cloud");
+        }
+        if header.encoding != PlyEncoding::Ascii && points.saturating_mul(layout.record) > bytes - at {
+            return malformed(format!("the file is cut short: {points} vertices are announced in {bytes} bytes"));
+        }
+        let (remarks, left_out) = (remarks_of(&header), left_out(&header));
+        let header =
+            VertexHeader { encoding: header.encoding, layout, columns, axes: [x, y, z], pose, remarks, left_out };
+        let mut body = BufReader::with_capacity(1 << 20, File::open(path)?);
+        body.seek(SeekFrom::Start(at as u64))?;
+        Ok(Self { header: Arc::new(header), body, points, read: 0, buffer: Vec::new() })
+    }
+
+    fn header(&self) -> &Self::Header {
+        &self.header
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.header.left_out.iter().cloned().collect()
+    }
+
+    fn points(&self) -> usize {
+        self.points
+    }
+
+    fn record(&self) -> usize {
+        self.header.layout.record
+    }
+
+    fn next_records(&mut self, most: usize) -> FormatResult<&[u8]> {
+        let wanted = most.min(self.points - self.read);
+        match self.header.encoding {
+            PlyEncoding::Ascii => self.next_text(wanted)?,
+            _ => self.next_binary(wanted)?,
+        }
+        self.read += wanted;
+        Ok(&self.buffer)
+    }
+
+    fn needs_latest_version(&self) -> bool {
+        false
+    }
+
+    fn position_m(header: &Self::Header, record: &[u8]) -> [f64; 3] {
+        header.axes.map(|axis| header.layout.number(record, axis))
+    }
+
+    fn cloud_of(header: &Self::Header, records: &[u8]) -> FormatResult<PointCloud> {
+        let mut columns = header.columns.clone();
+        header.layout.append(&mut columns, records)?;
+        let mut cloud = cloud_from_columns(columns)?;
+        cloud.pose = header.pose;
+        Ok(cloud)
+    }
+}
+
+/// The element `camera` that stands behind the vertices, which begin at a place of the file.
+fn camera_behind(
+    path: &Path,
+    vertices_at: usize,
+    layout: &Layout,
+    points: usize,
+    header: &ply_rs_bw::ply::Header,
+) -> FormatResult<PlyCamera> {
+    let mut body = BufReader::with_capacity(1 << 20, File::open(path)?);
+    if header.encoding == PlyEncoding::Ascii {
+        body.seek(SeekFrom::Start(vertices_at as u64))?;
+        let (mut line, mut found) = (Vec::new(), 0);
+        while found < points {
+            line.clear();
+            if body.read_until(b'\n', &mut line)? == 0 {
+                break;
+            }
+            found += usize::from(!line.trim_ascii().is_empty());
+        }
+    } else {
+        let at = vertices_at as u64 + points as u64 * layout.record as u64;
+        body.seek(SeekFrom::Start(at))?;
+    }
+    let mut behind = Vec::new();
+    body.take(MAX_HEADER_BYTES as u64).read_to_end(&mut behind)?;
+    // As in a file that is read whole, it is no more than a hint.
+    Ok(read_camera(header, &behind).unwrap_or_default())
+}
+
+/// How the points of a cloud become vertices.
+pub(crate) struct PlyEncoder {
+    encoding: Encoding,
+    layout: Layout,
+    /// Columns without values.
+    columns: Vec<Attribute>,
+    pose: SensorPose,
+    remarks: Remarks,
+}
+
+impl RecordEncoder for PlyEncoder {
+    type Header = Arc<VertexHeader>;
+    const KEEPS_HOLES: bool = true;
+
+    fn new(
+        header: &Self::Header,
+        cloud: &PointCloud,
+        _kept: &[usize],
+        _output: &Path,
+        encoding: Option<Encoding>,
+    ) -> FormatResult<Self> {
+        let own = if header.encoding == PlyEncoding::Ascii { Encoding::Ascii } else { Encoding::Binary };
+        let mut columns = columns_of(cloud)?;
+        for column in &mut columns {
+            with_values!(&mut column.values, values => values.clear());
+        }
+        let element = super::element_of("vertex", 0, &columns);
+        let Some(layout) = Layout::of(&element) else { return malformed("vertices have no lists") };
+        let (pose, remarks) = (cloud.pose, header.remarks.clone());
+        Ok(Self { encoding: encoding.unwrap_or(own), layout, columns, pose, remarks })
+    }
+
+    fn in_latest_version(self) -> FormatResult<Self> {
+        Ok(self)
+    }
+
+    fn record(&self) -> usize {
+        self.layout.record
+    }
+
+    fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>> {
+        Ok(self.layout.encode(&columns_of(cloud)?, kept.iter().copied()))
+    }
+
+    fn write(
+        self,
+        mut to: BufWriter<File>,
+        points: usize,
+        mut next: impl FnMut() -> FormatResult<Vec<u8>>,
+    ) -> FormatResult<()> {
+        let Self { pose, remarks, encoding, .. } = &self;
+        let around = Around { grid: None, pose, remarks: Some(remarks), encoding: *encoding };
+        let [head, behind] = around.encode(&self.columns, points)?;
+        to.write_all(&head)?;
+        loop {
+            let records = next()?;
+            if records.is_empty() {
+                break;
+            }
+            if self.encoding == Encoding::Ascii {
+                let mut columns = self.columns.clone();
+                self.layout.append(&mut columns, &records)?;
+                let mut lines = Vec::new();
+                text::write(&columns, records.len() / self.layout.record, &mut lines);
+                to.write_all(&lines)?;
+            } else {
+                to.write_all(&records)?;
+            }
+        }
+        to.write_all(&behind)?;
+        to.flush()?;
+        Ok(())
+    }
+}

@@ -1,0 +1,30 @@
+//! What a PLY header says beside the vertices: free text, which is kept, and elements that are not.
+
+use ply_rs_bw::ply::Header;
+
+use super::super::brief;
+
+/// Lines of the header of a PLY file, without those that state a grid.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Remarks {
+    pub(super) comments: Vec<String>,
+    pub(super) obj_infos: Vec<String>,
+}
+
+/// What is read of a file, or stated anew.
+const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
+pub(super) const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
+
+/// What is said of elements that are not kept.
+pub(super) fn left_out(header: &Header) -> Option<String> {
+    let others = header.elements.values().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
+    let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
+    (!others.is_empty()).then(|| format!("elements beside the vertices are left out: {}", others.join(", ")))
+}
+
+/// What the header says in free text.
+pub(super) fn remarks_of(header: &Header) -> Remarks {
+    let is_of_grid = |line: &&String| GRID_INFOS.iter().any(|key| line.trim().starts_with(key));
+    let obj_infos = header.obj_infos.iter().filter(|line| !is_of_grid(line)).cloned().collect();
+    Remarks { comments: header.comments.clone(), obj_infos }
+}

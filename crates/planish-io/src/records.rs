@@ -1,0 +1,73 @@
+//! Files of points as records of one size, read and written some at a time: clouds that do not fit memory.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use super::{Encoding, FormatResult};
+use planish_core::PointCloud;
+
+/// Reads the records of a file in their order.
+pub(crate) trait RecordReader: Sized {
+    /// What a file's header says of its records. Cheap to clone.
+    type Header: Clone;
+    type Encoder: RecordEncoder<Header = Self::Header>;
+
+    /// Opens a file, and checks its header against it.
+    fn open(path: &Path) -> FormatResult<Self>;
+
+    fn header(&self) -> &Self::Header;
+
+    /// How many points the file has.
+    fn points(&self) -> usize;
+
+    /// Bytes of a record.
+    fn record(&self) -> usize;
+
+    /// What of the file its records leave out: one clause each, for a user to read.
+    fn notes(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// The next records, at most so many; none after the last.
+    fn next_records(&mut self, most: usize) -> FormatResult<&[u8]>;
+
+    /// Whether the records read so far can only be counted by the latest version of the format.
+    fn needs_latest_version(&self) -> bool;
+
+    /// Coordinates of a record in metres; of a hole, not finite.
+    fn position_m(header: &Self::Header, record: &[u8]) -> [f64; 3];
+
+    /// The cloud of some records of a file with this header.
+    fn cloud_of(header: &Self::Header, records: &[u8]) -> FormatResult<PointCloud>;
+}
+
+/// How the points of a cloud become records, and records a file.
+pub(crate) trait RecordEncoder: Sized {
+    type Header;
+
+    /// Whether a hole has a record.
+    const KEEPS_HOLES: bool;
+
+    /// For clouds with the columns of this one, of which some points are kept, on their way from a file with this header to another one.
+    fn new(
+        header: &Self::Header,
+        cloud: &PointCloud,
+        kept: &[usize],
+        output: &Path,
+        encoding: Option<Encoding>,
+    ) -> FormatResult<Self>;
+
+    /// The same in the latest version of the format.
+    fn in_latest_version(self) -> FormatResult<Self>;
+
+    /// Bytes of a record.
+    fn record(&self) -> usize;
+
+    /// The records of the kept points, one after another.
+    fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>>;
+
+    /// Writes a file of so many points; `next` gives their records in batches, the last of them empty.
+    fn write(self, to: BufWriter<File>, points: usize, next: impl FnMut() -> FormatResult<Vec<u8>>)
+    -> FormatResult<()>;
+}

@@ -1,0 +1,49 @@
+//! 8-bit colour PNG, for pictures.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use super::depth_png::encode_png;
+use super::{ReadOptions, RgbImage};
+use planish_core::{FormatError, IoError};
+
+/// Writes a picture; a colourless one as grey, in a third of the bytes.
+pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
+    let (width, height, eight) = (image.width, image.height, png::BitDepth::Eight);
+    let pixels = image.rgb.chunks_exact(3);
+    let encoded = if pixels.clone().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]) {
+        let grey: Vec<u8> = pixels.map(|pixel| pixel[0]).collect();
+        encode_png(width, height, png::ColorType::Grayscale, eight, &grey)
+    } else {
+        encode_png(width, height, png::ColorType::Rgb, eight, &image.rgb)
+    };
+    encoded.and_then(|bytes| super::write_whole(path, &bytes)).map_err(IoError::at(path))
+}
+
+/// Reads an 8-bit colour PNG; alpha is dropped, grey is expanded to colour.
+pub fn read_rgb_png(path: &Path) -> Result<RgbImage, IoError> {
+    let options = ReadOptions::default();
+    let read = || decode(&super::read_bytes(path, &options)?, &options);
+    read().map_err(IoError::at(path))
+}
+
+fn decode(bytes: &[u8], options: &ReadOptions) -> Result<RgbImage, FormatError> {
+    let malformed = |error: png::DecodingError| FormatError::Malformed(format!("damaged PNG: {error}"));
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    decoder.set_transformations(png::Transformations::normalize_to_color8());
+    let mut reader = decoder.read_info().map_err(malformed)?;
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    planish_core::internal::validate_shape(width, height)?;
+    let size = reader.output_buffer_size().unwrap_or(usize::MAX);
+    // Deflate compresses by 1032 at most, and 1-bit pixels become bytes.
+    if size / 8800 > bytes.len() {
+        return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
+    }
+    // The samples, and the colours.
+    options.check(size, 2)?;
+    let mut buffer = vec![0; size];
+    reader.next_frame(&mut buffer).map_err(malformed)?;
+    let channels = size / (width * height);
+    let rgb = |pixel: &[u8]| if channels < 3 { [pixel[0]; 3] } else { [pixel[0], pixel[1], pixel[2]] };
+    Ok(RgbImage { width, height, rgb: buffer.chunks_exact(channels).flat_map(rgb).collect() })
+}

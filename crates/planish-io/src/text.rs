@@ -1,0 +1,99 @@
+//! Points as text, in PCD and PLY: one line per point, values separated by spaces, `nan` for no value.
+
+use std::fmt::{Display, Write};
+use std::str::{FromStr, Lines};
+
+use super::columns::with_values;
+use super::quoted;
+use planish_core::{Attribute, AttributeValues, FormatError};
+
+/// The non-blank lines of a text body, numbered from 1.
+pub(super) struct Body<'a> {
+    lines: std::iter::Enumerate<Lines<'a>>,
+    bytes: usize,
+}
+
+impl<'a> Body<'a> {
+    pub(super) fn new(body: &'a [u8]) -> Result<Self, FormatError> {
+        let text = std::str::from_utf8(body)
+            .map_err(|_| FormatError::Malformed("the header says ascii, but the points are not text".into()))?;
+        Ok(Self { lines: text.lines().enumerate(), bytes: body.len() })
+    }
+
+    /// Returns the next non-blank line.
+    pub(super) fn line(&mut self) -> Option<(usize, &'a str)> {
+        self.lines.find(|(_, line)| !line.trim().is_empty()).map(|(index, line)| (index + 1, line))
+    }
+
+    /// Appends `points` lines to the columns.
+    pub(super) fn read(&mut self, columns: &mut [Attribute], points: usize) -> Result<(), FormatError> {
+        let values: usize = columns.iter().map(|column| column.count).sum();
+        // The shortest value is one digit and a separator.
+        if values.checked_mul(2 * points).is_none_or(|shortest| shortest > self.bytes + 1) {
+            return Err(FormatError::Malformed(format!(
+                "the file is cut short: {points} points of {values} values are announced, {} bytes are there",
+                self.bytes
+            )));
+        }
+        for point in 0..points {
+            let Some((number, line)) = self.line() else {
+                return Err(FormatError::Malformed(format!(
+                    "the file is cut short: {points} points are announced, {point} are there"
+                )));
+            };
+            read_line(columns, values, line)
+                .map_err(|problem| FormatError::Malformed(format!("line {number} of the points: {problem}")))?;
+        }
+        Ok(())
+    }
+}
+
+fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(), String> {
+    let mut words = line.split_ascii_whitespace();
+    for column in columns {
+        for _ in 0..column.count {
+            let word = words.next().ok_or_else(|| format!("{values} values are needed, here are fewer"))?;
+            push(&mut column.values, word)
+                .ok_or_else(|| format!("{} is no value of field {}", quoted(word), quoted(&column.name)))?;
+        }
+    }
+    if words.next().is_some() { Err(format!("{values} values are needed, here are more")) } else { Ok(()) }
+}
+
+/// Appends a value; `None` if the word is not of this type.
+fn push(values: &mut AttributeValues, word: &str) -> Option<()> {
+    fn parsed<T: FromStr>(values: &mut Vec<T>, word: &str) -> Option<()> {
+        values.push(word.parse().ok()?);
+        Some(())
+    }
+    with_values!(values, values => parsed(values, word))
+}
+
+/// Writes a line for each point. Every float gets the shortest text that reads back to the same bits.
+pub(super) fn write(columns: &[Attribute], points: usize, bytes: &mut Vec<u8>) {
+    let mut text = String::new();
+    for point in 0..points {
+        let mut separator = "";
+        for column in columns {
+            for value in 0..column.count {
+                text.push_str(separator);
+                separator = " ";
+                write_value(&mut text, &column.values, point * column.count + value);
+            }
+        }
+        text.push('\n');
+    }
+    bytes.extend_from_slice(text.as_bytes());
+}
+
+fn write_value(text: &mut String, values: &AttributeValues, i: usize) {
+    // Writing to a String cannot fail. PCL reads NaN as "nan" only.
+    let mut write = |value: &dyn Display| {
+        let _ = write!(text, "{value}");
+    };
+    match values {
+        AttributeValues::F32(values) if values[i].is_nan() => write(&"nan"),
+        AttributeValues::F64(values) if values[i].is_nan() => write(&"nan"),
+        values => with_values!(values, values => write(&values[i])),
+    }
+}

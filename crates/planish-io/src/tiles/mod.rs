@@ -1,0 +1,346 @@
+//! Clouds that do not fit memory: LAS, LAZ and PLY files, smoothed tile by tile into another such file.
+//!
+//! The file is read once, and its records are dealt to temporary files, one a tile of cells seen from above. A tile is
+//! smoothed with a halo of the points around it, as wide as its points reach, so that each gets what it gets in the whole cloud; the
+//! records of its own points are kept. At the end they are put together in the order of the input.
+
+mod dealt;
+mod plan;
+
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use crate::{Encoding, Format, LasReader, PlyReader, RecordEncoder, RecordReader, Temporary, WholeFile, folder_of};
+use dealt::{Dealt, too_large};
+use plan::Tile;
+use planish_core::{
+    Engine, EngineError, Error, FormatError, IntoFrame, IoError, Outputs, PointCloud, PointsView, Progress, Radius,
+    SensorPose, SmoothParams, Smoothed, Smoother, SmootherOptions,
+    internal::{NeededHalo, halo},
+};
+
+/// What a point of a tile takes beside its records: positions twice, an engine and its results.
+const ENGINE_BYTES_A_POINT: u64 = 250;
+/// A tile's records take so many times their size: as read, in columns, and as written.
+const COPIES: u64 = 3;
+/// More of a tile's points than this share, whose radius reaches beyond the halo, ask for a wider one.
+const MAY_REACH_BEYOND: f64 = 1e-4;
+/// Where memory does not hold a wider one, no more than this share of a tile's points, or of those of a usual tile.
+const MAY_BE_INEXACT: f64 = 0.01;
+/// No halo is narrower than this share of that by density.
+const NARROWEST: f64 = 0.01;
+
+/// How to smooth in tiles.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct TileOptions {
+    /// The parameters, as for any general cloud.
+    pub params: SmoothParams,
+    /// The engine and its options; with radii by density not the reference.
+    pub smoother: SmootherOptions,
+    /// What is written beside the points.
+    pub fields: Outputs,
+    /// Where the sensor stood, if normals are to face it.
+    pub pose: Option<SensorPose>,
+    /// How a PLY file is to store its points; `None` for as the input does.
+    pub encoding: Option<Encoding>,
+    /// Bytes that may be used; LAZ takes some 100 MB besides.
+    pub max_memory_bytes: u64,
+}
+
+impl TileOptions {
+    /// With so many bytes of memory.
+    pub fn new(params: SmoothParams, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
+        Self { params, smoother, fields: Outputs::POINTS, pose: None, encoding: None, max_memory_bytes }
+    }
+
+    /// The same with other fields written.
+    pub fn with_fields(self, fields: Outputs) -> Self {
+        Self { fields, ..self }
+    }
+
+    /// The same with another encoding of PLY files.
+    pub fn with_encoding(self, encoding: Option<Encoding>) -> Self {
+        Self { encoding, ..self }
+    }
+
+    /// The same with the sensor's pose.
+    pub fn with_pose(self, pose: Option<SensorPose>) -> Self {
+        Self { pose, ..self }
+    }
+}
+
+/// What became of a file.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct TilesReport {
+    /// How many points there were.
+    pub points: usize,
+    /// In how many tiles.
+    pub tiles: usize,
+    /// By which engine; what was asked for where there was no point.
+    pub engine: Engine,
+    /// Points of each status, by its code.
+    pub status_counts: [usize; 7],
+    /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
+    pub reaching_beyond: usize,
+    /// Whether the file states its sensor's pose, or the options do.
+    pub has_pose: bool,
+    /// Where the sensor is taken to have stood, if neither the file nor the options say it and it cannot have been the origin of coordinates.
+    pub assumed_sensor_m: Option<[f64; 3]>,
+    /// What of the file was left out: one clause each, for a user to read.
+    pub notes: Vec<String>,
+}
+
+/// Whether a file is smoothed in tiles into another: two LAS or LAZ files, or two PLY files.
+pub fn are_tiled(input: &Path, output: &Path) -> bool {
+    let is_las = |path| matches!(Format::of_extension(path), Some(Format::Las | Format::Laz));
+    let is_ply = |path| Format::of_extension(path) == Some(Format::Ply);
+    (is_las(input) && is_las(output)) || (is_ply(input) && is_ply(output))
+}
+
+/// The bytes that smoothing a LAS, LAZ or PLY file whole takes; `None` for other files, organized clouds and what cannot be read.
+pub fn bytes_in_memory(path: &Path) -> Option<u64> {
+    fn needed<R: RecordReader>(path: &Path) -> Option<u64> {
+        let reader = R::open(path).ok()?;
+        Some(reader.points() as u64 * bytes_a_point(reader.record()))
+    }
+    // Asked before it is opened: opening a pipe waits for its other end.
+    if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
+        return None;
+    }
+    match Format::of_extension(path)? {
+        Format::Las | Format::Laz => needed::<LasReader>(path),
+        Format::Ply => needed::<PlyReader>(path),
+        _ => None,
+    }
+}
+
+fn bytes_a_point(record: usize) -> u64 {
+    COPIES * record as u64 + ENGINE_BYTES_A_POINT
+}
+
+/// Smooths a LAS, LAZ or PLY file into another of the same kind, in as much memory as is allowed. Beside the output as much room is needed as three
+/// times the records take.
+///
+/// Results are those of the whole cloud, relative to an origin in each tile.
+///
+/// # Errors
+/// If a file cannot be read or written, an engine fails, or the memory does not hold a tile.
+pub fn smooth_tiles(
+    input: &Path,
+    output: &Path,
+    options: &TileOptions,
+    progress: &Progress,
+) -> Result<TilesReport, Error> {
+    if !are_tiled(input, output) {
+        let reason = "files are smoothed in tiles from .las or .laz to either, and from .ply to .ply".to_owned();
+        return Err(IoError::at(output)(FormatError::Unsupported(reason)).into());
+    }
+    match Format::of_extension(input) {
+        Some(Format::Ply) => smooth_records::<PlyReader>(input, output, options, progress),
+        _ => smooth_records::<LasReader>(input, output, options, progress),
+    }
+}
+
+fn smooth_records<R: RecordReader>(
+    input: &Path,
+    output: &Path,
+    options: &TileOptions,
+    progress: &Progress,
+) -> Result<TilesReport, Error> {
+    let engine = options.smoother.engine;
+    if engine == Engine::Reference && matches!(options.params.radius, Radius::Neighbours { .. }) {
+        // Radii by density have to be known, which it does not keep.
+        let reason = "radii by density in tiles need the CPU or the GPU engine, or a radius".to_owned();
+        return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
+    }
+    let whole = WholeFile::new(output).map_err(IoError::at(output))?;
+    let reader = R::open(input).map_err(IoError::at(input))?;
+    progress.begin(3 * reader.points());
+    let notes = reader.notes();
+    // Of the files that go on the way, those that are written are at fault for what the system says.
+    let at_either = |problem: FormatError| match problem {
+        FormatError::Os(_) => Error::from(IoError::at(output)(problem)),
+        _ => IoError::at(input)(problem).into(),
+    };
+    let mut dealt = Dealt::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
+    let report = TilesReport { notes, ..TilesReport::default() };
+    let mut tiler = Tiler::<R> { options, smoother: None, halo_share: 1.0, report, encoder: None };
+    for number in 0..dealt.tiles.len() {
+        tiler.smooth(&mut dealt, number, output).map_err(|error| match error {
+            TileError::Files(problem) => at_either(problem),
+            TileError::Other(error) => error,
+        })?;
+        progress.add(dealt.tiles[number].tile.points as usize);
+    }
+    let Tiler { report, encoder, smoother, .. } = tiler;
+    let engine = smoother.as_ref().map_or(engine, Smoother::engine);
+    let put_together = || {
+        let encoder = match encoder {
+            Some(encoder) => encoder,
+            // Without a point.
+            None => new_encoder(&dealt, &R::cloud_of(&dealt.header, &[])?, &[], output, options)?,
+        };
+        dealt.put_together(encoder, &whole, progress)
+    };
+    put_together().map_err(IoError::at(output))?;
+    whole.finish().map_err(IoError::at(output))?;
+    Ok(TilesReport { points: dealt.points, tiles: dealt.tiles.len(), engine, ..report })
+}
+
+fn new_encoder<R: RecordReader>(
+    dealt: &Dealt<R>,
+    cloud: &PointCloud,
+    kept: &[usize],
+    output: &Path,
+    options: &TileOptions,
+) -> Result<R::Encoder, FormatError> {
+    R::Encoder::new(&dealt.header, cloud, kept, output, options.encoding)
+}
+
+enum TileError {
+    Files(FormatError),
+    Other(Error),
+}
+
+impl From<FormatError> for TileError {
+    fn from(problem: FormatError) -> Self {
+        Self::Files(problem)
+    }
+}
+
+impl From<std::io::Error> for TileError {
+    fn from(error: std::io::Error) -> Self {
+        Self::Files(error.into())
+    }
+}
+
+impl From<Error> for TileError {
+    fn from(error: Error) -> Self {
+        Self::Other(error)
+    }
+}
+
+/// What goes from tile to tile.
+struct Tiler<'a, R: RecordReader> {
+    options: &'a TileOptions,
+    smoother: Option<Smoother>,
+    /// How wide the last tile's halo was, in those by density.
+    halo_share: f64,
+    report: TilesReport,
+    /// How points become records; the same for every tile.
+    encoder: Option<R::Encoder>,
+}
+
+impl<R: RecordReader> Tiler<'_, R> {
+    /// Smooths a tile with its halo, wider until its points do not reach beyond it.
+    fn smooth(&mut self, dealt: &mut Dealt<R>, number: usize, output: &Path) -> Result<(), TileError> {
+        let tile = dealt.tiles[number].tile;
+        let own = tile.points as usize;
+        let by_density_m = halo::first_halo_m(&self.options.params, tile.points, dealt.cells.area(&tile));
+        let mut halo_m = self.halo_share * by_density_m;
+        let mut may_widen = true;
+        loop {
+            let Some(raw) = dealt.with_halo(number, halo_m)? else {
+                let may_be_narrower = matches!(self.options.params.radius, Radius::Neighbours { .. });
+                if may_be_narrower && halo_m > NARROWEST * by_density_m {
+                    (halo_m, may_widen) = (0.7 * halo_m, false);
+                    continue;
+                }
+                return Err(too_large(dealt.points, dealt.record, self.options.max_memory_bytes).into());
+            };
+            let mut cloud = R::cloud_of(&dealt.header, &raw)?;
+            drop(raw);
+            if let Some(pose) = self.options.pose {
+                cloud.pose = pose;
+            }
+            let smoothed = self.smoothed(&cloud, dealt)?;
+            let needed = self.needed_halo(dealt, &tile, &cloud, halo_m);
+            if may_widen && needed.is_wider {
+                halo_m = needed.halo_m;
+                continue;
+            }
+            let usual = dealt.points / dealt.tiles.len();
+            if needed.beyond as f64 > MAY_BE_INEXACT * own.max(usual) as f64 {
+                return Err(too_large(dealt.points, dealt.record, self.options.max_memory_bytes).into());
+            }
+            self.halo_share = halo_m / by_density_m;
+            self.report.reaching_beyond += needed.beyond;
+            return self.keep(dealt, number, &mut cloud, &smoothed, output);
+        }
+    }
+
+    fn smoothed(&mut self, cloud: &PointCloud, dealt: &Dealt<R>) -> Result<Smoothed, Error> {
+        let smoother = match &mut self.smoother {
+            Some(smoother) => smoother,
+            none => {
+                let smoother = none.insert(Smoother::open_with(self.options.params, &self.options.smoother, None)?);
+                smoother.keep_radii();
+                smoother
+            }
+        };
+        let mut smoothed = Smoothed::default();
+        let mut part = PointsView::from_cloud(cloud)?.as_part_of(dealt.points, dealt.extent_m);
+        self.report.has_pose = !cloud.pose.is_identity();
+        if let (true, Some(position_m)) = (cloud.pose.is_identity(), dealt.assumed_sensor_m) {
+            part = part.with_pose(SensorPose { position_m, ..SensorPose::IDENTITY })?;
+            self.report.assumed_sensor_m = Some(position_m);
+        }
+        smoother.smooth(part.into_frame()?, &mut smoothed)?;
+        Ok(smoothed)
+    }
+
+    /// Returns the halo that the tile's points need.
+    fn needed_halo(&self, dealt: &Dealt<R>, tile: &Tile, cloud: &PointCloud, halo_m: f64) -> NeededHalo {
+        let [low, high] = dealt.cells.bounds(tile);
+        let reach = halo::reach(&self.options.params);
+        let needed_m = (0..tile.points as usize).filter_map(|i| {
+            // A hole reaches nothing, and may belong to any tile. Without radii by density there are none.
+            let radius_m = self.smoother.as_ref()?.own_radius_m(i)?;
+            // From the point to the border of its tile, beyond which there are other points.
+            let to_border = (0..2).map(|axis| {
+                let value = cloud.coordinate(axis, i);
+                (value - low[axis]).min(high[axis] - value)
+            });
+            Some(reach * f64::from(radius_m) - to_border.fold(f64::INFINITY, f64::min))
+        });
+        halo::needed_halo(halo_m, &needed_m.collect::<Vec<_>>(), MAY_REACH_BEYOND * tile.points as f64)
+    }
+
+    /// Writes the new records of the tile's own points.
+    fn keep(
+        &mut self,
+        dealt: &mut Dealt<R>,
+        number: usize,
+        cloud: &mut PointCloud,
+        smoothed: &Smoothed,
+        output: &Path,
+    ) -> Result<(), TileError> {
+        let own = dealt.tiles[number].tile.points as usize;
+        cloud.apply(smoothed, self.options.fields).map_err(Error::from)?;
+        for status in smoothed.status.iter().flatten().take(own) {
+            self.report.status_counts[*status as usize] += 1;
+        }
+        let is_kept = |cloud: &PointCloud, i| R::Encoder::KEEPS_HOLES || cloud.positions.is_finite(i);
+        let kept: Vec<usize> = (0..own).filter(|&i| is_kept(cloud, i)).collect();
+        let encoder = match &mut self.encoder {
+            Some(encoder) => encoder,
+            none => none.insert(new_encoder(dealt, cloud, &kept, output, self.options)?),
+        };
+        let raw = encoder.encode(cloud, &kept)?;
+        let file = Temporary::new(&dealt.folder)?;
+        let mut to = BufWriter::with_capacity(1 << 20, file.file());
+        let mut next = raw.chunks_exact(encoder.record());
+        let none = vec![0; encoder.record()];
+        for i in 0..own {
+            let is_kept = is_kept(cloud, i);
+            to.write_all(&[u8::from(is_kept)])?;
+            to.write_all(if is_kept { next.next().unwrap_or(&none) } else { &none })?;
+        }
+        to.flush()?;
+        drop(to);
+        dealt.tiles[number].smoothed = Some(file);
+        Ok(())
+    }
+}

@@ -1,0 +1,270 @@
+//! Files that are there whole or not at all: written under a temporary name in the same folder, then renamed.
+//!
+//! A temporary's name holds the machine and the process that writes it, so that a later process can remove what a killed one left behind.
+
+use std::collections::HashSet;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use super::FormatResult;
+use planish_core::FormatError;
+
+const PREFIX: &str = ".planish-";
+const SUFFIX: &str = ".tmp";
+/// How many links from name to name are followed, as Linux does.
+const MOST_LINKS: usize = 40;
+
+/// The temporaries being written, and the folders whose stale ones have been removed.
+struct Known {
+    temporaries: Option<HashSet<PathBuf>>,
+    swept: Option<HashSet<PathBuf>>,
+    /// The process is about to end.
+    is_over: bool,
+}
+
+static KNOWN: Mutex<Known> = Mutex::new(Known { temporaries: None, swept: None, is_over: false });
+
+fn known() -> MutexGuard<'static, Known> {
+    KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes the temporaries of files that are being written in this process, which is about to end: from now on it can write none.
+pub fn remove_temporaries() {
+    let mut known = known();
+    known.is_over = true;
+    for file in known.temporaries.take().into_iter().flatten() {
+        let _ = fs::remove_file(file);
+    }
+}
+
+/// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file that is replaced
+/// keeps its permissions, and its place until the new one is on the disk.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
+    let whole = WholeFile::new(path)?;
+    let mut file = whole.file();
+    file.write_all(bytes)?;
+    whole.finish()
+}
+
+/// A file that is being written under a temporary name, as [`write_whole`] does; removed if it is not finished.
+pub struct WholeFile {
+    temporary: Temporary,
+    path: PathBuf,
+    replaced: bool,
+}
+
+impl WholeFile {
+    pub fn new(path: &Path) -> FormatResult<Self> {
+        let path = behind_links(path)?;
+        let replaced = check_place(&path)?;
+        let temporary = Temporary::new(folder_of(&path))?;
+        if let Some(metadata) = &replaced {
+            temporary.file().set_permissions(metadata.permissions())?;
+        }
+        Ok(Self { temporary, replaced: replaced.is_some(), path })
+    }
+
+    pub fn file(&self) -> &fs::File {
+        self.temporary.file()
+    }
+
+    /// Puts it in its place.
+    pub fn finish(self) -> FormatResult<()> {
+        if self.replaced {
+            // Or a crash of the machine could leave an empty file in the place of one that was whole.
+            self.file().sync_all()?;
+        }
+        Ok(self.temporary.persist(&self.path)?)
+    }
+}
+
+/// A file under a temporary name, removed when it is dropped and when the process is about to end.
+pub(crate) struct Temporary {
+    file: tempfile::NamedTempFile,
+    /// Dropped after the file: until then a signal has to remove it.
+    _noted: Noted,
+}
+
+/// The name of a temporary among those that are being written.
+struct Noted(PathBuf);
+
+impl Temporary {
+    pub fn new(folder: &Path) -> FormatResult<Self> {
+        sweep(folder);
+        let prefix = format!("{PREFIX}{}-{}-", machine(), std::process::id());
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(&prefix).suffix(SUFFIX);
+        #[cfg(unix)]
+        {
+            // The permissions of any new file: the process's umask applies.
+            use std::os::unix::fs::PermissionsExt;
+            builder.permissions(fs::Permissions::from_mode(0o666));
+        }
+        // Made and noted at once, or a signal between the two would leave it behind.
+        let mut known = known();
+        if known.is_over {
+            return Err(std::io::Error::from(std::io::ErrorKind::Interrupted).into());
+        }
+        let file = builder.tempfile_in(folder)?;
+        let path = file.path().to_path_buf();
+        known.temporaries.get_or_insert_default().insert(path.clone());
+        Ok(Self { file, _noted: Noted(path) })
+    }
+
+    pub fn file(&self) -> &fs::File {
+        self.file.as_file()
+    }
+
+    fn persist(self, path: &Path) -> std::io::Result<()> {
+        self.file.persist(path).map(drop).map_err(|error| error.error)
+    }
+}
+
+impl Drop for Noted {
+    fn drop(&mut self) {
+        if let Some(temporaries) = &mut known().temporaries {
+            temporaries.remove(&self.0);
+        }
+    }
+}
+
+/// Refuses a place where no file can be; returns what is there.
+fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
+    let folder = folder_of(path);
+    if !folder.is_dir() {
+        return Err(FormatError::Unsupported(format!("the folder {} does not exist", folder.display())));
+    }
+    let replaced = fs::metadata(path).ok();
+    if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
+        return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
+    }
+    if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
+        return Err(FormatError::Unsupported("a pipe or a device has this name; give a file's name".into()));
+    }
+    Ok(replaced)
+}
+
+/// Refuses a name under which no file can be written: in a folder that is not there or may not be written to, or taken by what is no file.
+pub(super) fn check_target(path: &Path) -> FormatResult<()> {
+    let path = behind_links(path)?;
+    check_place(&path)?;
+    Temporary::new(folder_of(&path)).map(drop)
+}
+
+/// The folder that a file is in.
+pub fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// The file that a name stands for in the end, whether it exists or not.
+fn behind_links(path: &Path) -> FormatResult<PathBuf> {
+    let mut path = path.to_path_buf();
+    for _ in 0..MOST_LINKS {
+        let Ok(target) = fs::read_link(&path) else { return Ok(path) };
+        // Relative to the link's own folder.
+        path = path.parent().map_or_else(|| target.clone(), |folder| folder.join(&target));
+    }
+    Err(FormatError::Unsupported("a link that leads to itself".into()))
+}
+
+/// Removes what killed processes of this user and this machine left behind in a folder; once for each folder.
+fn sweep(folder: &Path) {
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
+    if !known().swept.get_or_insert_default().insert(folder.clone()) {
+        return;
+    }
+    let Ok(entries) = fs::read_dir(&folder) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let stale = name.to_str().and_then(process_of).is_some_and(|process| !is_alive(process));
+        if stale && entry.metadata().is_ok_and(|metadata| metadata.is_file() && is_own(&metadata)) {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// The process of this machine that a temporary's name holds.
+fn process_of(name: &str) -> Option<u32> {
+    let (of, rest) = name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?;
+    (of == machine()).then_some(())?;
+    rest.split_once('-')?.0.parse().ok()
+}
+
+/// A short text that tells apart where process numbers mean something: the machine, and on Linux the container on it.
+fn machine() -> String {
+    let host = fs::read("/proc/sys/kernel/hostname").unwrap_or_default();
+    let container = fs::read_link("/proc/self/ns/pid").unwrap_or_default();
+    let bytes = host.iter().chain(container.as_os_str().as_encoded_bytes());
+    // FNV-1a.
+    let hash = bytes.fold(0x811c_9dc5_u32, |hash, &byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
+    format!("{hash:08x}")
+}
+
+/// Whether a file belongs to the user of this process: the processes of others may be invisible.
+fn is_own(metadata: &fs::Metadata) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        fs::metadata("/proc/self").is_ok_and(|process| process.uid() == metadata.uid())
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = metadata;
+        true
+    }
+}
+
+/// Whether a process runs; where that cannot be asked, it is taken to.
+fn is_alive(process: u32) -> bool {
+    let processes = Path::new("/proc");
+    !processes.join("self").exists() || processes.join(process.to_string()).exists()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_process_left_behind_is_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        // No process has a number this high (the kernel's limit is 2^22).
+        let stale = file(&format!(".planish-{}-4294967295-a1b2c3.tmp", machine()));
+        let own = file(&format!(".planish-{}-{}-a1b2c3.tmp", machine(), std::process::id()));
+        let elsewhere = ".planish-00000000-4294967295-a1b2c3.tmp";
+        let others = [file(".planish-notes.tmp"), file("x.tmp"), file(".planish-12"), file(elsewhere)];
+        for path in [&stale, &own].into_iter().chain(&others) {
+            fs::write(path, "x").unwrap();
+        }
+        write_whole(&file("result"), b"whole").unwrap();
+        assert!(!stale.exists() && own.exists() && others.iter().all(|path| path.exists()));
+        assert_eq!(fs::read(file("result")).unwrap(), b"whole");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 6);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_are_followed_and_permissions_kept() {
+        use std::os::unix::fs::{PermissionsExt, symlink};
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        fs::create_dir(file("data")).unwrap();
+        fs::write(file("data/target"), "old").unwrap();
+        fs::set_permissions(file("data/target"), fs::Permissions::from_mode(0o600)).unwrap();
+        symlink("data/target", file("link")).unwrap();
+        symlink("data/new", file("dangling")).unwrap();
+        symlink("loop", file("loop")).unwrap();
+        write_whole(&file("link"), b"new").unwrap();
+        write_whole(&file("dangling"), b"made").unwrap();
+        assert!(fs::symlink_metadata(file("link")).unwrap().is_symlink());
+        assert_eq!(fs::read(file("data/target")).unwrap(), b"new");
+        assert_eq!((mode(&file("data/target")), fs::read(file("data/new")).unwrap()), (0o600, b"made".to_vec()));
+        assert!(write_whole(&file("loop"), b"x").is_err());
+    }
+}

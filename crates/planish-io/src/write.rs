@@ -1,0 +1,149 @@
+//! Clouds and depth images into files, or into the bytes of files.
+
+use std::path::Path;
+
+#[cfg(feature = "tiff")]
+use super::depth_tiff;
+#[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+use super::left_out;
+#[cfg(feature = "npz")]
+use super::npz;
+use super::whole::check_target;
+use super::xyz_text::Heading;
+use super::{Encoding, Format, depth_png, kitti, npy, pcd, ply, write_whole, xyz_text};
+#[cfg(feature = "scans")]
+use super::{e57, las};
+use planish_core::{DepthImage, FormatError, IoError, OrganizedCloud, Outputs, PointCloud, Smoothed};
+
+/// A cloud to write: on a grid or not.
+#[derive(Debug, Clone, Copy)]
+pub enum CloudRef<'a> {
+    /// Points on a pixel grid.
+    Organized(&'a OrganizedCloud),
+    /// A general cloud.
+    General(&'a PointCloud),
+}
+
+impl<'a> CloudRef<'a> {
+    pub(super) fn points(self) -> &'a PointCloud {
+        match self {
+            Self::Organized(cloud) => &cloud.points,
+            Self::General(points) => points,
+        }
+    }
+
+    /// Width and height as files state them.
+    pub(super) fn grid(self) -> (usize, usize) {
+        match self {
+            Self::Organized(cloud) => (cloud.width(), cloud.height()),
+            Self::General(points) => (points.len(), 1),
+        }
+    }
+}
+
+impl<'a> From<&'a OrganizedCloud> for CloudRef<'a> {
+    fn from(cloud: &'a OrganizedCloud) -> Self {
+        Self::Organized(cloud)
+    }
+}
+
+impl<'a> From<&'a PointCloud> for CloudRef<'a> {
+    fn from(cloud: &'a PointCloud) -> Self {
+        Self::General(cloud)
+    }
+}
+
+/// Encodes a cloud as the bytes of a file. Text has a comment with the names of its columns, CSV a line of them; holes are left out of LAS and
+/// LAZ, and NPY has the positions alone.
+///
+/// # Errors
+/// If the format has no place for a cloud, or fields differ in length.
+pub fn encode_cloud<'a>(
+    format: Format,
+    cloud: impl Into<CloudRef<'a>>,
+    encoding: Encoding,
+) -> Result<Vec<u8>, FormatError> {
+    let cloud = cloud.into();
+    cloud.points().validate()?;
+    match format {
+        Format::Pcd => pcd::encode(cloud, encoding),
+        Format::Ply => ply::encode(cloud, encoding),
+        Format::Npy => Ok(npy::encode_points(cloud)),
+        #[cfg(feature = "scans")]
+        Format::Las | Format::Laz => las::encode(cloud.points(), format == Format::Laz),
+        Format::Text => xyz_text::encode(cloud, Heading::Comment),
+        Format::Csv => xyz_text::encode(cloud, Heading::Names),
+        #[cfg(feature = "npz")]
+        Format::Npz => npz::encode(cloud),
+        #[cfg(feature = "scans")]
+        Format::E57 => e57::encode(cloud.points()),
+        Format::KittiBin => kitti::encode(cloud, false),
+        Format::NuScenesBin => kitti::encode(cloud, true),
+        Format::Obj | Format::Stl => Err(FormatError::Unsupported(
+            "a mesh has faces, which points have not: end the name in .ply, which meshing programs read".into(),
+        )),
+        Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
+            "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
+        )),
+        #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+        _ => Err(left_out(format)),
+    }
+}
+
+/// Refuses, before any work is done for it, an output that cannot be written: in a folder that is not there or may not be written to, or in a format
+/// that has no place for the cloud's fields and those that a result adds.
+///
+/// # Errors
+/// Those of [`write_cloud`], except errors caused by single values.
+pub fn check_writable<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, added: Outputs) -> Result<(), IoError> {
+    let mut none = cloud.into().points().select(&[]);
+    let mut result = Smoothed::default();
+    result.prepare(0, 1, added);
+    for (name, values) in result.fields(added) {
+        none.set_attribute(name, values);
+    }
+    let encode = || encode_cloud(Format::of_output(path)?, &none, Encoding::Binary);
+    encode().and_then(|_| check_target(path)).map_err(IoError::at(path))
+}
+
+/// Encodes a depth image as the bytes of a file: 16-bit PNG, TIFF or NPY.
+///
+/// # Errors
+/// If the format holds points.
+pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, FormatError> {
+    match format {
+        Format::DepthPng => depth_png::encode(image),
+        #[cfg(feature = "tiff")]
+        Format::DepthTiff => depth_tiff::encode(image),
+        #[cfg(not(feature = "tiff"))]
+        Format::DepthTiff => Err(left_out(format)),
+        Format::Npy => Ok(npy::encode_depth(image)),
+        _ => Err(FormatError::Unsupported(
+            "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),
+        )),
+    }
+}
+
+/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), lines of text, CSV, or NPY (positions alone).
+pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
+    let cloud = cloud.into();
+    let encode = || match Format::of_output(path)? {
+        Format::Text if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("pts")) => {
+            cloud.points().validate()?;
+            xyz_text::encode(cloud, Heading::Count)
+        }
+        format => encode_cloud(format, cloud, encoding),
+    };
+    encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+}
+
+/// Writes a depth image in the format of the path's extension: 16-bit PNG, TIFF or NPY.
+pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
+    let encode = || encode_depth(Format::of_output(path)?, image);
+    encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+}
+
+/// Writes depth in metres as a NumPy array of f32, [height, width].
+pub fn write_depth_metres(path: &Path, width: usize, depth_m: &[f32]) -> Result<(), IoError> {
+    write_whole(path, &npy::encode_depth_metres(width, depth_m)).map_err(IoError::at(path))
+}

@@ -1,0 +1,21 @@
+//! Live smoothing: where frames come from, the loop that smooths them, and rigs of several cameras.
+
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::todo,
+    clippy::print_stdout,
+    clippy::print_stderr
+)]
+
+pub mod rig;
+pub mod source;
+pub mod stream;
+
+/// For planish's own tests and for its other crates.
+#[doc(hidden)]
+pub mod internal {
+    #[cfg(feature = "internal")]
+    pub use crate::source::internal::*;
+}

@@ -1,0 +1,164 @@
+//! Rigs from the calibrations that other programs make: static transforms of ROS (as `ros2 topic echo /tf_static` prints them, or a URDF),
+//! Kalibr's camchain, and COLMAP (its rig_config.json, or a model as text). Which one a file is, is detected from its contents.
+//!
+//! A calibration says where cameras stand, and some of them what their intrinsics are; where their frames come from is added afterwards.
+
+mod colmap;
+mod kalibr;
+mod ros;
+
+use std::path::Path;
+
+use super::file::MAX_BYTES;
+use super::{Rig, RigCamera};
+use planish_core::{FormatError, IoError, internal::RigidTransform};
+use planish_io::{self as io, ReadOptions};
+
+const HELP: &str = "a calibration is a list of static transforms (ros2 topic echo /tf_static), a URDF, Kalibr's camchain.yaml, COLMAP's \
+                    rig_config.json, or a folder with COLMAP's cameras.txt and images.txt";
+
+/// What a calibration does not say by itself.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct CalibrationOptions {
+    /// Of transforms of ROS: the frame that becomes the rig's; `None` is the one that all others hang on.
+    pub base: Option<String>,
+    /// Of transforms of ROS: which frames are cameras; empty are those whose names end in `depth_optical_frame`, or else in
+    /// `optical_frame`.
+    pub frames: Vec<String>,
+    /// Of COLMAP's models, whose scale is any: metres in a unit.
+    pub metres_per_unit: f64,
+}
+
+impl Default for CalibrationOptions {
+    fn default() -> Self {
+        Self { base: None, frames: Vec::new(), metres_per_unit: 1.0 }
+    }
+}
+
+impl CalibrationOptions {
+    /// The same with another frame of ROS as the rig's.
+    pub fn with_base(self, base: Option<String>) -> Self {
+        Self { base, ..self }
+    }
+
+    /// The same with these frames of ROS as cameras.
+    pub fn with_frames(self, frames: Vec<String>) -> Self {
+        Self { frames, ..self }
+    }
+
+    /// The same with another scale.
+    pub fn with_metres_per_unit(self, metres_per_unit: f64) -> Self {
+        Self { metres_per_unit, ..self }
+    }
+
+    /// Refuses the options for ROS frames.
+    fn refuse_of_ros(&self, what: &str) -> Result<(), FormatError> {
+        let given = [("base", self.base.is_some()), ("frames", !self.frames.is_empty())];
+        match given.iter().find(|(_, is_given)| *is_given) {
+            Some((name, _)) => Err(malformed(format!("{what} has no ROS frames: omit {name}"))),
+            None => Ok(()),
+        }
+    }
+
+    /// Refuses a scale for lengths that are in metres.
+    fn refuse_scale(&self, what: &str) -> Result<(), FormatError> {
+        if self.metres_per_unit == 1.0 {
+            return Ok(());
+        }
+        Err(malformed(format!("{what} is in metres: leave out the scale, which only COLMAP's units need")))
+    }
+}
+
+/// Reads a calibration as a rig of cameras without sources.
+pub fn read(path: &Path, options: &CalibrationOptions) -> Result<Rig, IoError> {
+    let read = || {
+        if path.is_dir() {
+            options.refuse_of_ros("a model of COLMAP")?;
+            return rig_of(colmap::model(path, options)?, None);
+        }
+        let bytes = io::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
+        let text = String::from_utf8(bytes).map_err(|_| malformed(format!("not text; {HELP}")))?;
+        parse(&text, options)
+    };
+    read().map_err(IoError::at(path))
+}
+
+/// [`read`] of a file's text.
+fn parse(text: &str, options: &CalibrationOptions) -> Result<Rig, FormatError> {
+    match text.trim_start().chars().next() {
+        Some('<') => {
+            options.refuse_scale("a URDF")?;
+            of_tree(ros::urdf(text)?, options)
+        }
+        Some('[') => {
+            options.refuse_of_ros("a rig of COLMAP")?;
+            rig_of(colmap::rig_config(text, options)?, None)
+        }
+        _ if kalibr::is_camchain(text) => {
+            options.refuse_of_ros("a camchain of Kalibr")?;
+            options.refuse_scale("a camchain of Kalibr")?;
+            rig_of(kalibr::camchain(text)?, None)
+        }
+        _ if text.contains("transforms:") => {
+            options.refuse_scale("a list of transforms of ROS")?;
+            of_tree(ros::transforms(text)?, options)
+        }
+        _ => Err(malformed(format!("no calibration that is known; {HELP}"))),
+    }
+}
+
+fn of_tree(tree: ros::Tree, options: &CalibrationOptions) -> Result<Rig, FormatError> {
+    let (base, cameras) = tree.cameras(options)?;
+    rig_of(cameras, Some(base))
+}
+
+fn rig_of(cameras: Vec<RigCamera>, frame: Option<String>) -> Result<Rig, FormatError> {
+    let rig = Rig::new(cameras).map_err(|error| malformed(error.to_string()))?;
+    Ok(Rig { frame, ..rig })
+}
+
+fn malformed(problem: impl Into<String>) -> FormatError {
+    FormatError::Malformed(problem.into())
+}
+
+/// A camera at a place that was computed.
+fn camera_at(name: &str, rig_from_camera: &RigidTransform) -> RigCamera {
+    RigCamera::new(name, planish_core::SensorPose::from_transform(rig_from_camera))
+}
+
+/// A name that a camera of a rig may have: what is not allowed becomes `_`.
+fn as_name(text: &str) -> String {
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    let name: String = text.trim_matches('/').chars().map(|c| if is_allowed(c) { c } else { '_' }).collect();
+    name.trim_start_matches('.').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_that_do_not_apply_are_refused() {
+        let with_base = || CalibrationOptions::default().with_base(Some("base".into()));
+        let with_scale = || CalibrationOptions::default().with_metres_per_unit(0.1);
+        let transforms = "transforms:\n- header: {frame_id: a}\n";
+        for (text, options, said) in [
+            ("[]", with_base(), "base"),
+            ("cam0:\n  T_cam_imu: []\n", with_base(), "base"),
+            ("cam0:\n  T_cam_imu: []\n", with_scale(), "metres"),
+            (transforms, with_scale(), "metres"),
+        ] {
+            let error = parse(text, &options).unwrap_err().to_string();
+            assert!(error.contains(said), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_calibration_says_what_would_be() {
+        for text in ["", "hello", "{\"cameras\":[]}", "fx: 1", "<html/>", "[]", "[1]"] {
+            let said = parse(text, &CalibrationOptions::default()).unwrap_err().to_string();
+            assert!(!said.is_empty() && (text.starts_with(['<', '[']) || said.contains("camchain")), "{text}: {said}");
+        }
+    }
+}

@@ -1,0 +1,282 @@
+//! One cloud of several cameras', in the rig's frame.
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{Rig, RigCamera};
+use crate::source::OwnedFrame;
+use planish_core::{
+    Attribute, AttributeValues, Frame, FrameError, IntoFrame, Outputs, PointCloud, SensorPose, Smoothed, Xyz,
+    internal::RigidTransform,
+};
+
+/// Farther from the rig's origin than this, f32 would lose tenths of a millimetre: positions are relative to the first camera then.
+const MOST_WITHOUT_ORIGIN_M: f64 = 1000.0;
+
+/// Fields that are directions, one component each.
+const DIRECTIONS: [[&str; 3]; 2] = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]];
+
+/// The field with the index of the camera that took a point.
+pub(super) const CAMERA_FIELD: &str = "camera";
+
+/// A camera's part of a fused cloud.
+pub(super) struct Part<'a> {
+    /// Its index in the rig.
+    pub(super) camera: usize,
+    pub(super) rig_from_points: RigidTransform,
+    /// x, y and z of its points, of which some are holes.
+    pub(super) positions: [&'a [f32]; 3],
+    pub(super) attributes: Vec<Cow<'a, Attribute>>,
+}
+
+/// Points that one task looks at.
+const POINTS_OF_A_TASK: usize = 1 << 14;
+
+/// Puts clouds together in the rig's frame: for each its camera's index, its pose (rig_from_camera) and its points in the camera's frame.
+///
+/// Holes are left out. Fields of one name become one field, zero for points of cameras without it; normals are turned; the field `camera`
+/// has each point's camera. Positions are relative to [`PointCloud::origin_m`], which is zero unless the rig is more than 1 km from its
+/// origin.
+///
+/// # Errors
+/// If a pose is none.
+pub fn fuse(clouds: &[(usize, SensorPose, &PointCloud)]) -> Result<PointCloud, FrameError> {
+    let mut parts = Vec::with_capacity(clouds.len());
+    for &(camera, pose, cloud) in clouds {
+        parts.push(Part {
+            camera,
+            rig_from_points: pose.transform()?.after(RigidTransform::shift(cloud.origin_m)),
+            positions: cloud.positions.as_slices(),
+            attributes: cloud.attributes.iter().map(Cow::Borrowed).collect(),
+        });
+    }
+    let mut fused = PointCloud::new(Xyz::default());
+    fuse_parts(&parts, &mut fused);
+    Ok(fused)
+}
+
+/// Puts parts together in a cloud whose memory is used again.
+pub(super) fn fuse_parts(parts: &[Part<'_>], cloud: &mut PointCloud) {
+    let farthest = parts.iter().map(|part| part.rig_from_points.translation.abs().max_element()).fold(0.0, f64::max);
+    let first = parts.first().map_or(DVec3::ZERO, |part| part.rig_from_points.translation.round());
+    let origin = if farthest > MOST_WITHOUT_ORIGIN_M { first } else { DVec3::ZERO };
+    let mut cameras =
+        match cloud.attributes.drain(..).find(|field| field.name == CAMERA_FIELD).map(|field| field.values) {
+            Some(AttributeValues::U8(cameras)) => cameras,
+            _ => Vec::new(),
+        };
+    let Xyz { x, y, z } = std::mem::take(&mut cloud.positions);
+    *cloud = PointCloud::new(Xyz { x, y, z });
+    cloud.origin_m = origin.to_array();
+    place(parts, origin, &mut cloud.positions, &mut cameras);
+
+    let mut fields: Vec<&Attribute> = Vec::new();
+    for attribute in parts.iter().flat_map(|part| &part.attributes) {
+        let is_new = fields.iter().all(|field| (&field.name, field.count) != (&attribute.name, attribute.count));
+        if is_new && attribute.name != CAMERA_FIELD && attribute.name != "_" {
+            fields.push(attribute);
+        }
+    }
+    if !fields.is_empty() {
+        let points: Vec<Vec<usize>> = parts.par_iter().map(Part::points).collect();
+        cloud.attributes = fields.par_iter().map(|field| of_all_parts(field, parts, &points)).collect();
+        for names in DIRECTIONS {
+            turn_directions(cloud, names, parts, &points);
+        }
+    }
+    cloud.set_attribute(CAMERA_FIELD, cameras);
+}
+
+/// Writes the points of all parts that are no holes, in the rig's frame, and the camera of each.
+fn place(parts: &[Part<'_>], origin: DVec3, positions: &mut Xyz, cameras: &mut Vec<u8>) {
+    let ranges = |part| {
+        let of_part: &Part<'_> = part;
+        let len = of_part.positions[0].len();
+        (0..len).step_by(POINTS_OF_A_TASK).map(move |start| (of_part, start..(start + POINTS_OF_A_TASK).min(len)))
+    };
+    let ranges: Vec<(&Part<'_>, Range<usize>)> = parts.iter().flat_map(ranges).collect();
+    let counts: Vec<usize> = ranges.par_iter().map(|(part, range)| part.count(range.clone())).collect();
+    let total = counts.iter().sum();
+    let Xyz { x, y, z } = positions;
+    for axis in [&mut *x, y, z] {
+        // New memory is zero as it comes: the tasks are the first to touch it.
+        if axis.capacity() < total {
+            *axis = vec![0.0; total];
+        }
+        axis.resize(total, 0.0);
+    }
+    cameras.resize(total, 0);
+    let (mut rest, mut rest_of_cameras) = ([&mut x[..], y, z], &mut cameras[..]);
+    let mut tasks = Vec::with_capacity(ranges.len());
+    for ((part, range), &count) in ranges.into_iter().zip(&counts) {
+        let [x, y, z] = rest.map(|axis| axis.split_at_mut(count));
+        let (of_range, after) = rest_of_cameras.split_at_mut(count);
+        (rest, rest_of_cameras) = ([x.1, y.1, z.1], after);
+        tasks.push((part, range, [x.0, y.0, z.0], of_range));
+    }
+    tasks.into_par_iter().for_each(|(part, range, out, cameras)| {
+        cameras.fill(part.camera as u8);
+        part.place(range, origin, out);
+    });
+}
+
+impl Part<'_> {
+    fn is_point(&self, i: usize) -> bool {
+        self.positions.iter().all(|axis| axis[i].is_finite())
+    }
+
+    /// The indices of its points.
+    fn points(&self) -> Vec<usize> {
+        (0..self.positions[0].len()).filter(|&i| self.is_point(i)).collect()
+    }
+
+    fn count(&self, range: Range<usize>) -> usize {
+        let [x, y, z] = self.positions.map(|axis| &axis[range.clone()]);
+        x.iter().zip(y).zip(z).filter(|((x, y), z)| x.is_finite() & y.is_finite() & z.is_finite()).count()
+    }
+
+    /// Writes its points of a range into slices of their number.
+    fn place(&self, range: Range<usize>, origin: DVec3, [out_x, out_y, out_z]: [&mut [f32]; 3]) {
+        let [x, y, z] = self.positions.map(|axis| &axis[range.clone()]);
+        let RigidTransform { rotation, translation } = self.rig_from_points;
+        let shift = translation - origin;
+        let points = x.iter().zip(y).zip(z).map(|((&x, &y), &z)| DVec3::new(x.into(), y.into(), z.into()));
+        let out = out_x.iter_mut().zip(out_y).zip(out_z);
+        for (p, ((x, y), z)) in points.filter(|p| p.is_finite()).zip(out) {
+            [*x, *y, *z] = (rotation * p + shift).as_vec3().to_array();
+        }
+    }
+}
+
+/// A field of all points; zero for those of cameras without it.
+fn of_all_parts(field: &Attribute, parts: &[Part<'_>], points: &[Vec<usize>]) -> Attribute {
+    let mut values = field.values.emptied();
+    for (part, indices) in parts.iter().zip(points) {
+        let is_it = |a: &&Cow<'_, Attribute>| (&a.name, a.count) == (&field.name, field.count);
+        match part.attributes.iter().find(is_it) {
+            Some(attribute) => values.extend_from(&attribute.values, indices, field.count),
+            None => values.push_zeros(indices.len() * field.count),
+        }
+    }
+    Attribute { name: field.name.clone(), count: field.count, values }
+}
+
+/// Turns directions, where the cloud has them, from the cameras' frames into the rig's.
+fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>], points: &[Vec<usize>]) {
+    let index = |name: &str| {
+        let is_it = |a: &Attribute| a.name == name && a.count == 1 && matches!(a.values, AttributeValues::F32(_));
+        cloud.attributes.iter().position(is_it)
+    };
+    let [Some(x), Some(y), Some(z)] = names.map(index) else { return };
+    let Ok([x, y, z]) = cloud.attributes.get_disjoint_mut([x, y, z]) else { return };
+    let (AttributeValues::F32(x), AttributeValues::F32(y), AttributeValues::F32(z)) =
+        (&mut x.values, &mut y.values, &mut z.values)
+    else {
+        return;
+    };
+    let mut first = 0;
+    for (part, indices) in parts.iter().zip(points) {
+        for i in first..first + indices.len() {
+            let direction = DVec3::new(x[i].into(), y[i].into(), z[i].into());
+            [x[i], y[i], z[i]] = (part.rig_from_points.rotation * direction).as_vec3().to_array();
+        }
+        first += indices.len();
+    }
+}
+
+/// What takes a frame's points into the rig's frame. Clouds may be in another frame than their camera's.
+pub(super) fn rig_from_points(rig_from_camera: RigidTransform, frame: Frame<'_>) -> Result<RigidTransform, FrameError> {
+    match frame {
+        Frame::Depth(_) => Ok(rig_from_camera),
+        Frame::Points(points) => {
+            let camera_from_points =
+                points.pose().transform()?.inverse().after(RigidTransform::shift(points.origin_m()));
+            Ok(rig_from_camera.after(camera_from_points))
+        }
+    }
+}
+
+impl Rig {
+    /// Puts the results of a moment together in the rig's frame: the smoothed points of each camera with all fields of its frame, those of
+    /// `fields` that were computed, and the index of its camera. Holes are left out.
+    pub fn fuse(&self, frames: &[Option<(&OwnedFrame, &Smoothed)>], fields: Outputs) -> Result<PointCloud, FrameError> {
+        let placed = self.cameras.iter().zip(frames).enumerate();
+        let parts = placed.filter_map(|(i, (camera, frame))| frame.map(|frame| part(i, camera, frame, fields)));
+        let mut fused = PointCloud::new(Xyz::default());
+        fuse_parts(&parts.collect::<Result<Vec<_>, FrameError>>()?, &mut fused);
+        Ok(fused)
+    }
+}
+
+fn part<'a>(
+    index: usize,
+    camera: &RigCamera,
+    (source, smoothed): (&'a OwnedFrame, &'a Smoothed),
+    fields: Outputs,
+) -> Result<Part<'a>, FrameError> {
+    let (width, height) = source.shape();
+    smoothed.points.check_len("the smoothed points", width * height)?;
+    let mut attributes = attributes_of(source);
+    for (name, values) in smoothed.fields(fields) {
+        attributes.retain(|attribute| attribute.name != name);
+        attributes.push(Cow::Owned(Attribute { name: name.to_owned(), count: 1, values }));
+    }
+    let rig_from_points = rig_from_points(camera.pose.transform()?, source.into_frame()?)?;
+    Ok(Part { camera: index, rig_from_points, positions: smoothed.points.as_slices(), attributes })
+}
+
+/// Returns the fields beside positions: those of a cloud, or the colour of a depth image.
+fn attributes_of(frame: &OwnedFrame) -> Vec<Cow<'_, Attribute>> {
+    match frame {
+        OwnedFrame::Cloud { cloud, .. } => cloud.points.attributes.iter().map(Cow::Borrowed).collect(),
+        OwnedFrame::Depth(depth) => depth.packed_rgb().into_iter().map(Cow::Owned).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Looks along the rig's x, as a camera in front of a robot.
+    fn ahead(position_m: [f64; 3]) -> SensorPose {
+        SensorPose { position_m, orientation: [0.5, -0.5, 0.5, -0.5] }
+    }
+
+    fn cloud(points: &[[f32; 3]]) -> PointCloud {
+        PointCloud::new(points.iter().copied().collect())
+    }
+
+    #[test]
+    fn points_and_normals_are_in_the_rig_s_frame_and_holes_are_left_out() {
+        let mut left = cloud(&[[0.0, 0.0, 2.0], [f32::NAN; 3], [1.0, 0.0, 2.0]]);
+        for (name, value) in [("normal_x", 0.0f32), ("normal_y", 0.0), ("normal_z", -1.0)] {
+            left.set_attribute(name, vec![value; 3]);
+        }
+        left.set_attribute("label", vec![1u16, 2, 3]);
+        let mut right = cloud(&[[0.0, 0.0, 1.0]]);
+        right.set_attribute("label", vec![70_000i32]);
+        right.set_attribute("intensity", vec![0.5f32]);
+        let poses = [ahead([0.0, 0.5, 0.0]), SensorPose::IDENTITY];
+        let fused = fuse(&[(0, poses[0], &left), (3, poses[1], &right)]).unwrap();
+        assert_eq!(fused.positions.iter().collect::<Vec<_>>(), [[2.0, 0.5, 0.0], [2.0, -0.5, 0.0], [0.0, 0.0, 1.0]]);
+        let field = |name| &fused.attribute(name).unwrap().values;
+        assert_eq!(field("camera"), &AttributeValues::U8(vec![0, 0, 3]));
+        assert_eq!(field("normal_x"), &AttributeValues::F32(vec![-1.0, -1.0, 0.0]));
+        // Converted to the first camera's type, as far as that goes.
+        assert_eq!(field("label"), &AttributeValues::U16(vec![1, 3, u16::MAX]));
+        assert_eq!(field("intensity"), &AttributeValues::F32(vec![0.0, 0.0, 0.5]));
+        fused.validate().unwrap();
+    }
+
+    #[test]
+    fn far_from_the_origin_positions_are_relative() {
+        let far = [500_000.0, 4_000_000.0, 300.0];
+        let fused = fuse(&[(0, ahead(far), &cloud(&[[0.0, 0.0, 1.25]]))]).unwrap();
+        assert_eq!(fused.origin_m, far);
+        assert_eq!(fused.positions.get(0), [1.25, 0.0, 0.0]);
+        assert_eq!(fuse(&[]).unwrap().len(), 0);
+    }
+}

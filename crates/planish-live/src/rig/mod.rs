@@ -1,0 +1,386 @@
+//! Rigs: several cameras as one sensor.
+//!
+//! A [`Rig`] says which cameras there are and where each stands; [`Rig::read`] reads it from a `rig.json`, [`calibration`] makes one
+//! from what ROS, Kalibr and COLMAP calibrated. [`run`] streams it: a thread for each camera, frames of one moment
+//! matched by their time stamps ([`Matcher`]), smoothed in one of the ways of [`RigWay`], and given to [`RigSink`]s as each camera's own
+//! frame and as one [fused](RigFrame::fused) cloud in the rig's frame.
+
+pub mod calibration;
+mod capture;
+mod facing;
+mod file;
+mod flights;
+mod fused;
+mod matching;
+mod merged;
+mod options;
+mod picture;
+#[cfg(feature = "rerun")]
+mod rerun;
+mod sinks;
+mod smoother;
+mod statistics;
+mod stream;
+mod viewpoint;
+mod views;
+mod voxels;
+
+use std::path::{Path, PathBuf};
+
+use crate::source::{Alignment, SourceOptions, StreamMode};
+use planish_core::{Camera, Edges, FrameError, ParamError, SensorModel, SensorPose, SmoothParams};
+
+#[cfg(feature = "rerun")]
+pub use self::rerun::RigRerunSink;
+pub use file::rig_to_json;
+pub use fused::fuse;
+pub use matching::{Matcher, MatcherCounts, Moment};
+pub use options::RigOptions;
+pub use picture::{PictureSink, top_down};
+pub use sinks::{CamerasSink, FusedSink, RigSink};
+pub use smoother::{RigResults, RigSmoother, RigWay};
+pub use statistics::{CameraStatistics, RigStatistics};
+pub use stream::{RigEvent, RigFrame, run};
+pub use viewpoint::Viewpoint;
+
+/// How far time stamps of one moment may be apart if a rig does not say: half the time between frames at 30 Hz.
+const DEFAULT_TOLERANCE_S: f64 = 0.016;
+
+/// As many cameras as the field `camera` of a fused cloud can tell apart.
+const MOST_CAMERAS: usize = 256;
+
+/// Each holds what all cameras see from there.
+const MOST_VIEWPOINTS: usize = 64;
+/// Of all viewpoints together: each takes some 80 bytes while a moment is smoothed.
+const MOST_VIEWPOINT_PIXELS: usize = 1 << 24;
+
+/// As far as the windows of single frames reach at some 1.2 m.
+const MERGED_RADIUS_M: f32 = 0.03;
+
+/// A surface has some 30 voxels within this many: three times as many as a polynomial of degree 3 has coefficients.
+const VOXELS_IN_RADIUS: f32 = 3.0;
+
+/// How far surfaces of two cameras may be apart for their poses' sake: 0.2° and 2 mm at 1.5 m, and some.
+const DEFAULT_REGISTRATION_M: f64 = 0.01;
+
+/// More than any clock's seconds since any epoch.
+const MOST_OFFSET_S: f64 = 1e10;
+
+/// Camera names become names of files and folders.
+const LONGEST_NAME: usize = 64;
+
+/// Cameras that do not move against each other.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Rig {
+    /// The cameras, 1 to 256 of them, each with a name of its own.
+    pub cameras: Vec<RigCamera>,
+    /// What the rig's frame is called, as a `frame_id` of ROS; of no effect on what is computed.
+    pub frame: Option<String>,
+    /// How far the time stamps of one moment may be apart, in seconds: above 0, at most 1.
+    pub tolerance_s: f64,
+    /// Which clock frames are matched by.
+    pub clock: Clock,
+    /// Places from which views are smoothed besides those of the cameras, 64 at most.
+    pub viewpoints: Vec<Viewpoint>,
+}
+
+/// What frames are matched by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Clock {
+    /// The frames' own time stamps. Frames without are matched by their arrival if their camera is live, and by their number, 30 a
+    /// second, if it is not.
+    #[default]
+    Source,
+    /// When frames arrive, for live cameras whose clocks have nothing in common.
+    Arrival,
+}
+
+/// A camera of a rig.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct RigCamera {
+    /// Its name: letters, digits, `-`, `_` and `.`, 64 at most, the first no dot.
+    pub name: String,
+    /// Where its frames come from, as [`source::open`](crate::source::open) takes it. A calibration alone has none.
+    pub source: Option<String>,
+    /// Its intrinsics and distortion, where its source does not know them. Width and height 0 stand for the frames' shape.
+    pub camera: Option<Camera>,
+    /// How many units of its depth images are a metre, where the rig says so; else what the source says, which of a data set in TUM layout is
+    /// 5000.
+    pub depth_units_per_metre: Option<f64>,
+    /// rig_from_camera: where it stands in the rig's frame. It looks along its own +z, with x to the right and y down, as optical
+    /// frames of ROS do.
+    pub pose: SensorPose,
+    /// Whose steps and noise its depth has; `None` is what the parameters say.
+    pub sensor: Option<SensorModel>,
+    /// Added to its time stamps, in seconds.
+    pub time_offset_s: f64,
+    /// Which image of a RealSense or an OpenNI2 camera depth and colour are mapped to.
+    pub alignment: Option<Alignment>,
+    /// The mode of a RealSense or an OpenNI2 camera.
+    pub mode: Option<StreamMode>,
+}
+
+impl Rig {
+    /// A rig of these cameras, matched by their time stamps.
+    pub fn new(cameras: Vec<RigCamera>) -> Result<Self, ParamError> {
+        let (tolerance_s, clock) = (DEFAULT_TOLERANCE_S, Clock::Source);
+        let rig = Self { cameras, frame: None, tolerance_s, clock, viewpoints: Vec::new() };
+        rig.validate()?;
+        Ok(rig)
+    }
+
+    /// The same with another tolerance, in seconds.
+    pub fn with_tolerance_s(self, tolerance_s: f64) -> Self {
+        Self { tolerance_s, ..self }
+    }
+
+    /// The same with frames matched by another clock.
+    pub fn with_clock(self, clock: Clock) -> Self {
+        Self { clock, ..self }
+    }
+
+    /// The same with views from these places too.
+    pub fn with_viewpoints(self, viewpoints: Vec<Viewpoint>) -> Self {
+        Self { viewpoints, ..self }
+    }
+
+    /// The same rig for a `rig.json` in this folder: sources that are files or folders, and that are named as from the working directory, are
+    /// named as from there.
+    pub fn seen_from(&self, folder: &Path) -> Self {
+        let mut rig = self.clone();
+        for camera in &mut rig.cameras {
+            camera.source = camera.source.as_ref().map(|source| source_seen_from(folder, source));
+        }
+        rig
+    }
+
+    /// The index of the camera of that name.
+    pub fn index_of(&self, name: &str) -> Option<usize> {
+        self.cameras.iter().position(|camera| camera.name == name)
+    }
+
+    /// Refuses rigs without cameras, names that are no names or not one camera's own, poses and times that are none, two
+    /// cameras behind one device, and viewpoints that are none.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        let bad = |field, value: String, allowed| Err(ParamError { field, value, allowed });
+        if self.cameras.is_empty() || self.cameras.len() > MOST_CAMERAS {
+            return bad("cameras", self.cameras.len().to_string(), "1 to 256 cameras");
+        }
+        // False for a NaN.
+        let is_tolerance = self.tolerance_s > 0.0 && self.tolerance_s <= 1.0;
+        if !is_tolerance {
+            return bad("tolerance_s", self.tolerance_s.to_string(), "above 0, at most 1 s");
+        }
+        if self.viewpoints.len() > MOST_VIEWPOINTS {
+            return bad("viewpoints", self.viewpoints.len().to_string(), "64 at most");
+        }
+        self.viewpoints.iter().enumerate().try_for_each(|(i, viewpoint)| viewpoint.validate(i))?;
+        let pixels: usize =
+            self.viewpoints.iter().map(|viewpoint| viewpoint.camera.width * viewpoint.camera.height).sum();
+        if pixels > MOST_VIEWPOINT_PIXELS {
+            return bad(
+                "viewpoints",
+                format!("{pixels} pixels"),
+                "16,777,216 pixels (2^24) of all viewpoints together",
+            );
+        }
+        for (i, camera) in self.cameras.iter().enumerate() {
+            camera.validate()?;
+            let before = &self.cameras[..i];
+            if before.iter().any(|other| other.name.eq_ignore_ascii_case(&camera.name)) {
+                return bad("camera.name", camera.name.clone(), "a name that no other camera has");
+            }
+            let is_device = |source: &&String| crate::source::is_camera(source);
+            if let Some(source) = camera.source.as_ref().filter(is_device)
+                && before.iter().any(|other| other.source.as_ref() == Some(source))
+            {
+                let value = format!("{source} (of {:?})", camera.name);
+                return bad(
+                    "camera.source",
+                    value,
+                    "a device that no other camera has: name it by serial number or index",
+                );
+            }
+        }
+        Ok(())
+    }
+}
+
+impl RigCamera {
+    /// A camera of this name and place, without a source.
+    pub fn new(name: &str, pose: SensorPose) -> Self {
+        Self {
+            name: name.to_owned(),
+            source: None,
+            camera: None,
+            depth_units_per_metre: None,
+            pose,
+            sensor: None,
+            time_offset_s: 0.0,
+            alignment: None,
+            mode: None,
+        }
+    }
+
+    /// The same with a source, or without.
+    pub fn with_source(self, source: Option<String>) -> Self {
+        Self { source, ..self }
+    }
+
+    /// The same with intrinsics, or with its source's own.
+    pub fn with_camera(self, camera: Option<Camera>) -> Self {
+        Self { camera, ..self }
+    }
+
+    /// The same with so many units of depth a metre, or as many as its source says.
+    pub fn with_depth_units_per_metre(self, depth_units_per_metre: Option<f64>) -> Self {
+        Self { depth_units_per_metre, ..self }
+    }
+
+    /// The same with another sensor, or with that of the parameters.
+    pub fn with_sensor(self, sensor: Option<SensorModel>) -> Self {
+        Self { sensor, ..self }
+    }
+
+    /// The same with something added to its time stamps, in seconds.
+    pub fn with_time_offset_s(self, time_offset_s: f64) -> Self {
+        Self { time_offset_s, ..self }
+    }
+
+    /// What its source is opened with.
+    pub fn source_options(&self) -> SourceOptions {
+        SourceOptions::default()
+            .with_camera(self.camera)
+            .with_tum_units_per_metre(self.depth_units_per_metre)
+            .with_alignment(self.alignment)
+            .with_mode(self.mode)
+    }
+
+    fn validate(&self) -> Result<(), ParamError> {
+        let of =
+            |problem: ParamError| ParamError { value: format!("{} (of {:?})", problem.value, self.name), ..problem };
+        let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        let is_name = (1..=LONGEST_NAME).contains(&self.name.len())
+            && !self.name.starts_with('.')
+            && self.name.chars().all(is_allowed)
+            // That file lies beside the folders of the cameras' results.
+            && !self.name.eq_ignore_ascii_case("rig.json");
+        if !is_name {
+            let allowed = "letters, digits, - _ and ., 1 to 64 of them, not starting with a dot, and not rig.json";
+            return Err(ParamError { field: "camera.name", value: format!("{:?}", self.name), allowed });
+        }
+        if let Err(FrameError::BadPose(problem)) = self.pose.validate() {
+            return Err(of(problem));
+        }
+        // PCD's sign of an orientation that is not known, which a rig's camera must have.
+        if self.pose.orientation == [0.0; 4] {
+            let value = "0, 0, 0, 0".to_owned();
+            return Err(of(ParamError { field: "orientation", value, allowed: "a quaternion of length 1" }));
+        }
+        if let Some(sensor) = self.sensor {
+            sensor.validate().map_err(of)?;
+        }
+        // False for a NaN.
+        let is_offset = self.time_offset_s.abs() <= MOST_OFFSET_S;
+        if !is_offset {
+            let value = self.time_offset_s.to_string();
+            return Err(of(ParamError { field: "time_offset_s", value, allowed: "a number of seconds, at most 1e10" }));
+        }
+        Ok(())
+    }
+}
+
+/// A setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points without neighbours left out.
+pub fn merged_params() -> SmoothParams {
+    SmoothParams::general().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
+}
+
+/// The same for points thinned to one for each voxel of this size in metres: everything within 3 cm, or three voxels where that is more.
+pub fn merged_params_in_voxels(voxel_m: f64) -> SmoothParams {
+    merged_params().with_radius_m(MERGED_RADIUS_M.max(VOXELS_IN_RADIUS * voxel_m as f32))
+}
+
+/// What a source named in a file is called from elsewhere: paths are relative to the file's folder.
+fn resolve_source(folder: &Path, source: &str) -> String {
+    let path_of = |path: &str| folder.join(path).to_string_lossy().into_owned();
+    match source.split_once(':') {
+        _ if matches!(source, "kinect" | "realsense" | "openni2" | "synthetic") => source.to_owned(),
+        Some(("kinect" | "synthetic", _)) => source.to_owned(),
+        Some((kind @ ("realsense" | "openni2"), name)) if folder.join(name).is_file() => {
+            format!("{kind}:{}", path_of(name))
+        }
+        Some(("realsense" | "openni2", _)) => source.to_owned(),
+        _ => path_of(source),
+    }
+}
+
+/// The same of a rig whose file is to lie in another folder: paths become relative to that where they are within, and whole otherwise.
+fn source_seen_from(folder: &Path, source: &str) -> String {
+    let seen = |path: &str| {
+        let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
+        match (whole(Path::new(path)), whole(folder)) {
+            // Not without the dot: a folder may be called as a camera is.
+            (Ok(path), Ok(folder)) => match path.strip_prefix(&folder) {
+                Ok(within) => Path::new(".").join(within).to_string_lossy().into_owned(),
+                Err(_) => path.to_string_lossy().into_owned(),
+            },
+            _ => path.to_owned(),
+        }
+    };
+    match source.split_once(':') {
+        _ if matches!(source, "kinect" | "realsense" | "openni2" | "synthetic") => source.to_owned(),
+        Some(("kinect" | "synthetic", _)) => source.to_owned(),
+        Some((kind @ ("realsense" | "openni2"), name)) if Path::new(name).is_file() => format!("{kind}:{}", seen(name)),
+        Some(("realsense" | "openni2", _)) => source.to_owned(),
+        _ => seen(source),
+    }
+}
+
+/// The folder that a file lies in.
+fn folder_of(path: &Path) -> PathBuf {
+    path.parent().map(Path::to_path_buf).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rig(names: &[&str]) -> Result<Rig, ParamError> {
+        Rig::new(names.iter().map(|name| RigCamera::new(name, SensorPose::IDENTITY)).collect())
+    }
+
+    #[test]
+    fn cameras_need_names_of_their_own() {
+        assert!(rig(&["left", "right.2", "a-b_c"]).is_ok());
+        for names in [&["left", "left"][..], &["left", "LEFT"], &[""], &["a/b"], &[".."], &["é"], &[]] {
+            let error = rig(names).unwrap_err();
+            assert!(error.field == "camera.name" || names.is_empty(), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_place_time_or_device_of_its_own_is_refused_with_the_camera_s_name() {
+        let of = |change: &dyn Fn(&mut RigCamera)| {
+            let mut rig = rig(&["left", "right"]).unwrap();
+            rig.cameras.iter_mut().for_each(change);
+            rig.validate().unwrap_err().to_string()
+        };
+        for said in [
+            of(&|camera| camera.pose.orientation = [2.0, 0.0, 0.0, 0.0]),
+            of(&|camera| camera.pose.position_m = [f64::NAN, 0.0, 0.0]),
+            of(&|camera| camera.time_offset_s = f64::INFINITY),
+            of(&|camera| camera.source = Some("realsense".into())),
+            of(&|camera| camera.sensor = Some(SensorModel::new([0.0; 3], [f32::NAN; 3]))),
+        ] {
+            assert!(said.contains("\"left\"") || said.contains("\"right\""), "{said}");
+        }
+        // Two of the simulator, or of one file, are fine.
+        let mut rig = rig(&["left", "right"]).unwrap();
+        rig.cameras.iter_mut().for_each(|camera| camera.source = Some("synthetic".into()));
+        assert!(rig.validate().is_ok());
+        assert!(rig.with_tolerance_s(f64::NAN).validate().is_err());
+    }
+}

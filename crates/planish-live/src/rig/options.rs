@@ -1,0 +1,123 @@
+//! How a rig is streamed.
+
+use std::time::Duration;
+
+use super::{Rig, RigWay};
+use planish_core::{FleetDevice, ParamError, Radius, SmoothParams, SmootherOptions};
+
+/// The smallest voxels, in metres: finer than any depth camera resolves.
+const SMALLEST_VOXEL_M: f64 = 1e-4;
+
+/// With a smaller radius, in voxels, most points have no neighbours.
+const LEAST_VOXELS_IN_RADIUS: f64 = 1.999;
+
+/// How a rig is streamed.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct RigOptions {
+    /// How the frames of a moment are smoothed.
+    pub way: RigWay,
+    /// The parameters of each camera's frames.
+    pub params: Vec<SmoothParams>,
+    /// Those of all points as one cloud.
+    pub general_params: SmoothParams,
+    /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]).
+    pub adapt_stride: bool,
+    /// Of views: how far surfaces of two cameras may be apart for their poses' sake, in metres, 0 to 0.1.
+    pub registration_m: f64,
+    /// Of points that are merged: the size in metres of the voxels that they are thinned to; `None` for all points.
+    pub voxel_m: Option<f64>,
+    /// The engine and the outputs.
+    pub smoother: SmootherOptions,
+    /// The devices that cameras are spread over, instead of the one of the options; none for that one.
+    pub devices: Vec<FleetDevice>,
+    /// Stop after N moments.
+    pub max_moments: Option<u64>,
+    /// Stop after this time.
+    pub max_duration: Option<Duration>,
+}
+
+impl RigOptions {
+    /// Default settings for the sensor of each camera, and for general clouds.
+    pub fn new(rig: &Rig, way: RigWay, smoother: SmootherOptions) -> Self {
+        let params = |camera: &super::RigCamera| {
+            SmoothParams::for_sensor(camera.sensor.unwrap_or_default(), planish_core::Strength::default())
+        };
+        Self {
+            way,
+            params: rig.cameras.iter().map(params).collect(),
+            general_params: super::merged_params(),
+            adapt_stride: true,
+            registration_m: super::DEFAULT_REGISTRATION_M,
+            voxel_m: None,
+            smoother,
+            devices: Vec::new(),
+            max_moments: None,
+            max_duration: None,
+        }
+    }
+
+    /// Refuses options that contradict each other; [`run`](super::run) does so before it begins.
+    ///
+    /// # Errors
+    /// If `registration_m` is above 0.1, or if `voxel_m` is set for another way than merged, below 0.1 mm, or above half a fixed radius.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        if !(0.0..=0.1).contains(&self.registration_m) {
+            let value = self.registration_m.to_string();
+            return Err(ParamError { field: "registration_m", value, allowed: "0 to 0.1 m" });
+        }
+        let Some(size_m) = self.voxel_m else { return Ok(()) };
+        if self.way != RigWay::Merged {
+            let (value, allowed) = (self.way.name().to_owned(), "merged, where points are thinned to voxels");
+            return Err(ParamError { field: "way", value, allowed });
+        }
+        if !(size_m >= SMALLEST_VOXEL_M && size_m.is_finite()) {
+            let (value, allowed) = (format!("{size_m:?}"), "a size in metres, 0.0001 or more");
+            return Err(ParamError { field: "voxel", value, allowed });
+        }
+        if let Radius::Fixed { radius_m } = self.general_params.radius
+            && f64::from(radius_m) < LEAST_VOXELS_IN_RADIUS * size_m
+        {
+            let (value, allowed) = (radius_m.to_string(), "two voxels or more, so that their points have neighbours");
+            return Err(ParamError { field: "radius", value, allowed });
+        }
+        Ok(())
+    }
+
+    /// The same with other parameters: one set for each camera, and those of all points as one cloud.
+    pub fn with_params(self, params: Vec<SmoothParams>, general_params: SmoothParams) -> Self {
+        Self { params, general_params, ..self }
+    }
+
+    /// The same with windows and strides for coarse pixels, or as given.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The same with another bound of how far surfaces of two cameras may be apart for their poses' sake, in metres.
+    pub fn with_registration_m(self, registration_m: f64) -> Self {
+        Self { registration_m, ..self }
+    }
+
+    /// The same with points that are merged thinned to one for each voxel of this size in metres
+    /// ([`RigSmoother::with_voxel_m`](super::RigSmoother::with_voxel_m)), or with all of them. The parameters should be for it
+    /// ([`merged_params_in_voxels`](super::merged_params_in_voxels)).
+    pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
+        Self { voxel_m, ..self }
+    }
+
+    /// The same with cameras spread over these devices; none for the one of the options.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, ..self }
+    }
+
+    /// The same with an end after so many moments, or without.
+    pub fn with_max_moments(self, max_moments: Option<u64>) -> Self {
+        Self { max_moments, ..self }
+    }
+
+    /// The same with an end after so long, or without.
+    pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
+        Self { max_duration, ..self }
+    }
+}

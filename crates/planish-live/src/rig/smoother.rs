@@ -1,0 +1,400 @@
+//! Smooths the frames of a moment.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::flights::Flight;
+use super::merged::{General, Stopper};
+use super::views::{Measured, View};
+use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera};
+use planish_core::{
+    Camera, Engine, EngineError, Error, FleetDevice, Frame, FrameError, Outputs, ParamError, SmoothParams, Smoothed,
+    SmoothedView, Smoother, SmootherOptions,
+    internal::{Rays, RigidTransform, Threads},
+};
+
+/// How the frames of a moment are smoothed. The results are of the same kind: for each camera its points, on its grid and in its frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum RigWay {
+    /// Each camera's frame on its own, with the noise of its sensor.
+    #[default]
+    Each,
+    /// All points as one general cloud, so that what several cameras see is supported by all of them.
+    Merged,
+    /// As range images from where each camera stands, of what all cameras see from there: each is smoothed as a frame of its
+    /// camera, and every point is the mean of what the views say of it. The cameras' intrinsics must be known.
+    Views,
+}
+
+impl RigWay {
+    /// All there are.
+    pub const ALL: [Self; 3] = [Self::Each, Self::Merged, Self::Views];
+
+    /// The name used on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Each => "each",
+            Self::Merged => "merged",
+            Self::Views => "views",
+        }
+    }
+}
+
+/// What smooths the frames of a rig's cameras, moment after moment: one at a time, or with several in flight, as a
+/// [`Smoother`] does with frames.
+pub struct RigSmoother {
+    pub(super) way: RigWay,
+    pub(super) options: SmootherOptions,
+    /// What the cameras are spread over; none for what the options say.
+    pub(super) devices: Vec<FleetDevice>,
+    /// Of those the one that failed last.
+    pub(super) failed: Option<FleetDevice>,
+    adapt_stride: bool,
+    registration_m: f64,
+    pub(super) threads: Threads,
+    /// Those of the rig, and after them those of viewpoints that were added.
+    pub(super) cameras: Vec<CameraSmoother>,
+    /// How many the rig has.
+    of_rig: usize,
+    /// For all points together.
+    pub(super) general: General,
+    pub(super) engine: Engine,
+    /// Moments that were submitted and not received.
+    pub(super) flights: VecDeque<Flight>,
+}
+
+/// The smoother of one camera, open for the frames that it gives.
+pub(super) struct CameraSmoother {
+    pub(super) rig_from_camera: RigidTransform,
+    /// Of several that it is spread over.
+    pub(super) device: Option<FleetDevice>,
+    /// Where its frames do not know it.
+    camera: Option<Camera>,
+    /// Of its depth images, where their points are needed.
+    pub(super) rays: Arc<Rays>,
+    params: SmoothParams,
+    smoother: Option<Smoother>,
+    shape: (usize, usize),
+}
+
+/// Of each camera its result, if it has a frame; a frame that cannot be smoothed is its own error.
+pub type RigResults = Vec<Option<Result<Smoothed, FrameError>>>;
+
+impl RigSmoother {
+    /// Creates a smoother for a rig; engines open with the first frames. `params` are those of each camera's frames,
+    /// for the sensor that it has ([`SmoothParams::for_sensor`]), `general_params` those of all points as one cloud
+    /// ([`SmoothParams::general`]).
+    pub fn new(
+        rig: &Rig,
+        way: RigWay,
+        params: &[SmoothParams],
+        general_params: SmoothParams,
+        options: &SmootherOptions,
+    ) -> Result<Self, Error> {
+        rig.validate()?;
+        if params.len() != rig.cameras.len() {
+            let value = params.len().to_string();
+            return Err(ParamError { field: "params", value, allowed: "as many as the rig has cameras" }.into());
+        }
+        if way == RigWay::Merged && options.outputs.needs_camera() {
+            let value = "depth".to_owned();
+            return Err(ParamError { field: "outputs", value, allowed: "no depth of clouds that are merged" }.into());
+        }
+        if options.threads == Some(0) {
+            return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" }.into());
+        }
+        let camera = |(camera, &params): (&RigCamera, &SmoothParams)| {
+            params.validate()?;
+            Ok(CameraSmoother::new(camera.pose.transform()?, camera.camera, params))
+        };
+        let mut cameras: Vec<CameraSmoother> =
+            rig.cameras.iter().zip(params).map(camera).collect::<Result<_, Error>>()?;
+        let of_rig = cameras.len();
+        for viewpoint in rig.viewpoints.iter().filter(|_| way == RigWay::Views) {
+            let rig_from_camera = viewpoint.pose.transform()?;
+            let from = |camera: &&CameraSmoother| {
+                camera.rig_from_camera.translation.distance_squared(rig_from_camera.translation)
+            };
+            let nearest = cameras[..of_rig].iter().min_by(|a, b| from(a).total_cmp(&from(b)));
+            let params = nearest.map(|camera| camera.params).unwrap_or_default();
+            cameras.push(CameraSmoother::new(rig_from_camera, Some(viewpoint.camera), params));
+        }
+        general_params.validate()?;
+        Ok(Self {
+            way,
+            options: options.clone(),
+            devices: Vec::new(),
+            failed: None,
+            adapt_stride: false,
+            registration_m: DEFAULT_REGISTRATION_M,
+            threads: Threads::open(options.threads)?,
+            cameras,
+            of_rig,
+            general: General::new(general_params),
+            engine: options.engine,
+            flights: VecDeque::new(),
+        })
+    }
+
+    /// The same with its cameras spread over these devices, each to the one that has the fewest pixels; with none for the one of the
+    /// options. All points as one cloud are smoothed by the first. A device that fails is an error as any engine's is; a smoother without it goes on.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, ..self }
+    }
+
+    /// The same with windows and strides for coarse pixels ([`SmoothParams::at_resolution_of`]), or as given.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The same with another bound of how far surfaces of two cameras are apart for their poses' sake, in metres: of views.
+    pub fn with_registration_m(self, registration_m: f64) -> Self {
+        Self { registration_m, ..self }
+    }
+
+    /// The same with points that are merged thinned to one for each voxel of this size in metres, or with all of them.
+    ///
+    /// A fused cloud has then one point a voxel: the centroid of the points in it, smoothed among the other centroids, with the camera of the
+    /// point nearest to it. Each camera's own points are put onto the surface that those make (docs/method.md, section 13).
+    pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
+        Self { general: self.general.with_voxel_m(voxel_m), ..self }
+    }
+
+    /// What ends the work on all points together.
+    pub(super) fn stopper(&self) -> Stopper {
+        self.general.stopper()
+    }
+
+    /// The engine that is open.
+    pub fn engine(&self) -> Engine {
+        self.engine
+    }
+
+    /// Closes the engines; the next frames open them again, `Some` engine by that name. Moments in flight are lost.
+    pub(super) fn close(&mut self, engine: Option<Engine>) {
+        self.flights.clear();
+        self.general.close();
+        self.cameras.iter_mut().for_each(|camera| (camera.smoother, camera.device) = (None, None));
+        if let Some(engine) = engine {
+            self.options.engine = engine;
+            self.devices.clear();
+        }
+    }
+
+    /// Whether there are devices beside the one that failed; its cameras go to those.
+    pub(super) fn leave_failed_device(&mut self) -> bool {
+        let Some(failed) = self.failed.take().filter(|_| self.devices.len() > 1) else { return false };
+        self.devices.retain(|device| *device != failed);
+        true
+    }
+
+    /// Smooths one frame of each camera that has one. Results are in the frames of their cameras' points.
+    ///
+    /// # Errors
+    /// If the engine fails; moments in flight are lost then, and the next frames open the engines again. A frame that cannot be smoothed is
+    /// an error in its own place.
+    pub fn smooth(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+        self.check_count(frames)?;
+        let result = self.land_all().and_then(|()| self.smooth_now(frames));
+        self.closed_by_error(result)
+    }
+
+    pub(super) fn smooth_now(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+        match self.way {
+            RigWay::Each => self.smooth_each(frames, self.options.outputs),
+            RigWay::Merged => self.smooth_merged(frames),
+            RigWay::Views => self.smooth_views(frames),
+        }
+    }
+
+    pub(super) fn check_count(&self, frames: &[Option<Frame<'_>>]) -> Result<(), FrameError> {
+        let (len, expected) = (frames.len(), self.of_rig);
+        if len == expected {
+            return Ok(());
+        }
+        Err(FrameError::LengthMismatch { what: "the frames of a rig".into(), len, expected })
+    }
+
+    /// Closes the engines after an error: some cameras' frames would be in flight, and others' not.
+    pub(super) fn closed_by_error<T>(&mut self, result: Result<T, Error>) -> Result<T, Error> {
+        if result.is_err() {
+            self.close(None);
+        }
+        result
+    }
+
+    /// Opens an engine for each camera's frame that has none.
+    pub(super) fn open_each(&mut self, frames: &[Option<Frame<'_>>], outputs: Outputs) -> Result<(), Error> {
+        let is_open = |(camera, frame): (&CameraSmoother, &Option<Frame<'_>>)| {
+            frame.is_none_or(|frame| camera.smoother.is_some() && camera.shape == frame.shape())
+        };
+        if self.cameras.iter().zip(frames).all(is_open) {
+            return Ok(());
+        }
+        // A camera's frames in flight are in the engine that is closed.
+        self.land_all()?;
+        // All share one pool.
+        let options = self.options.clone().with_threads(None).with_outputs(outputs);
+        for (i, frame) in frames.iter().enumerate() {
+            let Some(frame) = *frame else { continue };
+            if self.cameras[i].device.is_none() {
+                self.cameras[i].device = self.least_loaded_device();
+            }
+            let opened = self.cameras[i].open(frame, self.adapt_stride, &options);
+            if opened.is_err() {
+                self.failed = self.cameras[i].device.clone();
+            }
+            opened?;
+        }
+        // They differ only where the CPU is one of several devices.
+        let mut engines = self.cameras.iter().filter_map(|camera| Some(camera.smoother.as_ref()?.engine()));
+        let first = engines.clone().next().unwrap_or(self.engine);
+        self.engine = engines.find(|&engine| engine == Engine::Gpu).unwrap_or(first);
+        Ok(())
+    }
+
+    /// Of several devices the one whose cameras have the fewest pixels.
+    fn least_loaded_device(&self) -> Option<FleetDevice> {
+        let pixels = |device: &FleetDevice| -> usize {
+            let its = self.cameras.iter().filter(|camera| camera.device.as_ref() == Some(device));
+            its.map(|camera| (camera.shape.0 * camera.shape.1).max(1)).sum()
+        };
+        self.devices.iter().min_by_key(|device| pixels(device)).cloned()
+    }
+
+    fn smooth_each(&mut self, frames: &[Option<Frame<'_>>], outputs: Outputs) -> Result<RigResults, Error> {
+        self.open_each(frames, outputs)?;
+        let Self { threads, cameras, engine, .. } = self;
+        let results: Vec<Option<Result<Smoothed, Error>>> = if engine.capabilities().pipelined {
+            let submit = |(camera, frame): (&mut CameraSmoother, &Option<Frame<'_>>)| {
+                frame.map(|frame| camera.submit(frame, true))
+            };
+            let submitted: Vec<_> = cameras.iter_mut().zip(frames).map(submit).collect();
+            let receive = |(camera, submitted): (&mut CameraSmoother, Option<Result<(), Error>>)| {
+                submitted.map(|submitted| submitted.and_then(|()| camera.receive()).map(SmoothedView::into_smoothed))
+            };
+            cameras.iter_mut().zip(submitted).map(receive).collect()
+        } else {
+            let smooth =
+                |(camera, frame): (&mut CameraSmoother, &Option<Frame<'_>>)| frame.map(|frame| camera.smooth(frame));
+            threads.install(|| cameras.par_iter_mut().zip(frames).map(smooth).collect())
+        };
+        let failed = cameras
+            .iter()
+            .zip(&results)
+            .find(|(_, result)| matches!(result, Some(Err(error)) if !matches!(error, Error::Frame(_))));
+        self.failed = failed.and_then(|(camera, _)| camera.device.clone());
+        results.into_iter().map(|result| result.map(by_fault).transpose()).collect()
+    }
+
+    fn smooth_views(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
+        let outputs = self.options.outputs;
+        let measured = self.cameras.par_iter_mut().zip(frames).map(|(camera, frame)| {
+            let of =
+                |frame: Frame<'_>| Measured::of(frame, camera.camera, camera.params.sensor, camera.rig_from_camera);
+            frame.map(of)
+        });
+        let measured: Vec<Option<Result<Measured, FrameError>>> = self.threads.install(|| measured.collect());
+        let (mut measured, mut refused): (Vec<Option<Measured>>, Vec<Option<FrameError>>) = measured
+            .into_iter()
+            .map(|result| match result {
+                Some(Ok(measured)) => (Some(measured), None),
+                Some(Err(error)) => (None, Some(error)),
+                None => (None, None),
+            })
+            .unzip();
+        if measured.iter().any(Option::is_some) {
+            let added = self.cameras[self.of_rig..].iter().filter_map(CameraSmoother::measures_nothing);
+            measured.extend(added.map(Some));
+            refused.resize(measured.len(), None);
+        }
+        let view = |(i, of): (usize, &Option<Measured>)| Some(of.as_ref()?.view(i, &measured, self.registration_m));
+        let views: Vec<Option<View>> = self.threads.install(|| measured.par_iter().enumerate().map(view).collect());
+        let frames: Vec<Option<Frame<'_>>> = views
+            .iter()
+            .zip(&measured)
+            .map(|(view, of)| view.as_ref().zip(of.as_ref()).map(|(view, of)| view.frame(of)).transpose())
+            .collect::<Result<_, _>>()?;
+        // Points move to tangent planes.
+        let of_views = outputs.with_depth(false).with_depth_m(false).with_points(true).with_normals(true);
+        let results = self.smooth_each(&frames, of_views)?;
+        drop(frames);
+        let mut smoothed = Vec::with_capacity(views.len());
+        for ((view, result), refused) in views.into_iter().zip(results).zip(&mut refused) {
+            smoothed.push(match (view, result) {
+                (Some(view), Some(Ok(result))) => Some((view, result)),
+                (_, Some(Err(error))) => {
+                    *refused = Some(error);
+                    None
+                }
+                _ => None,
+            });
+        }
+        let back = |(i, of): (usize, &Option<Measured>)| of.as_ref()?.carried_back(i, &measured, &smoothed, outputs);
+        let of_rig = measured[..self.of_rig].par_iter().enumerate();
+        let back: Vec<Option<Smoothed>> = self.threads.install(|| of_rig.map(back).collect());
+        Ok(back.into_iter().zip(refused).map(|(back, refused)| back.map(Ok).or(refused.map(Err))).collect())
+    }
+}
+
+/// An error of the engine, or the result with a frame's own.
+fn by_fault(result: Result<Smoothed, Error>) -> Result<Result<Smoothed, FrameError>, Error> {
+    match result {
+        Ok(smoothed) => Ok(Ok(smoothed)),
+        Err(Error::Frame(error)) => Ok(Err(error)),
+        Err(error) => Err(error),
+    }
+}
+
+impl CameraSmoother {
+    fn new(rig_from_camera: RigidTransform, camera: Option<Camera>, params: SmoothParams) -> Self {
+        let (device, rays) = (None, Arc::default());
+        Self { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0) }
+    }
+
+    /// For views from where no camera stands.
+    fn measures_nothing(&self) -> Option<Measured> {
+        Some(Measured::nothing(self.camera?, self.params.sensor, self.rig_from_camera))
+    }
+
+    /// Opens the engine for this frame, if it is not.
+    fn open(&mut self, frame: Frame<'_>, adapt_stride: bool, options: &SmootherOptions) -> Result<(), Error> {
+        let shape = frame.shape();
+        if self.smoother.is_some() && shape == self.shape {
+            return Ok(());
+        }
+        let adapted = adapt_stride.then(|| self.params.at_resolution_of(frame));
+        let options = self.device.as_ref().map_or_else(|| options.clone(), |device| device.options(options));
+        let mut smoother = Smoother::open_with(adapted.unwrap_or(self.params), &options, shape)?;
+        smoother.prepare_in_flight();
+        (self.shape, self.smoother) = (shape, Some(smoother));
+        Ok(())
+    }
+
+    fn smooth(&mut self, frame: Frame<'_>) -> Result<Smoothed, Error> {
+        let mut smoothed = Smoothed::default();
+        self.opened()?.smooth(frame, &mut smoothed)?;
+        Ok(smoothed)
+    }
+
+    pub(super) fn submit(&mut self, frame: Frame<'_>, is_copied: bool) -> Result<(), Error> {
+        let smoother = self.opened()?;
+        if is_copied { smoother.submit(frame, Smoothed::default()) } else { smoother.submit_in_place(frame) }
+    }
+
+    pub(super) fn receive(&mut self) -> Result<SmoothedView, Error> {
+        self.opened()?.receive()?.ok_or_else(|| Self::not_open().into())
+    }
+
+    fn opened(&mut self) -> Result<&mut Smoother, Error> {
+        self.smoother.as_mut().ok_or_else(|| Self::not_open().into())
+    }
+
+    /// For what cannot happen: every frame's smoother is opened before it is used.
+    fn not_open() -> EngineError {
+        EngineError::Unavailable { engine: "auto", reason: "the camera's smoother is not open".into() }
+    }
+}

@@ -1,0 +1,454 @@
+//! The loop of a rig: cameras, matching, smoothing, sinks.
+
+mod told;
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::capture::{Arrived, Inbox, Received, Taken};
+use super::{
+    CameraStatistics, Clock, MatcherCounts, Moment, Rig, RigCamera, RigOptions, RigResults, RigSink, RigSmoother,
+    RigStatistics, RigWay,
+};
+use crate::{
+    source::Source,
+    stream::{LIVE_IN_FLIGHT, SinkThread, StreamFrame, StreamStatistics},
+};
+use planish_core::{
+    Engine, EngineError, Error, FrameError, IntoFrame, Outputs, ParamError, PointCloud, clean::voxel_downsample,
+};
+
+/// Frames of one moment wait for each other no longer than this, nor than the time between two frames.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
+
+/// Between two looks at whether the stream is to stop.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// The frames of a moment with their results, as sinks get them.
+#[non_exhaustive]
+pub struct RigFrame {
+    /// Its index among the moments smoothed, from 0.
+    pub index: u64,
+    /// The earliest time stamp of its frames, in seconds, time offsets added.
+    pub time_s: f64,
+    /// Each camera's frame and result, in the order of the rig's cameras; `None` for one without a frame.
+    pub cameras: Vec<Option<StreamFrame>>,
+    /// The rig.
+    pub rig: Arc<Rig>,
+    /// The fields that were computed.
+    pub outputs: Outputs,
+    /// From the arrival of its first frame until its result was available.
+    pub latency: Duration,
+    /// The size of the voxels that its points were thinned to, in metres, if they were.
+    pub voxel_m: Option<f64>,
+    fused: OnceLock<Result<PointCloud, FrameError>>,
+}
+
+impl RigFrame {
+    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index of the camera. If points
+    /// were thinned, one for each voxel: the mean of the smoothed points of all cameras in it, with their fields. Put together when it is
+    /// first asked for.
+    pub fn fused(&self) -> Result<&PointCloud, FrameError> {
+        let fused = self.fused.get_or_init(|| {
+            let frames = self.cameras.iter().map(|frame| frame.as_ref().map(|frame| (&frame.source, &frame.smoothed)));
+            let fused = self.rig.fuse(&frames.collect::<Vec<_>>(), self.outputs)?;
+            match self.voxel_m {
+                Some(size_m) => voxel_downsample(&fused, size_m).map_err(FrameError::BadVoxel),
+                None => Ok(fused),
+            }
+        });
+        fused.as_ref().map_err(Clone::clone)
+    }
+}
+
+/// What a running rig reports to the caller.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum RigEvent<'a> {
+    /// A moment was smoothed.
+    Moment(&'a RigStatistics),
+    /// Something failed that the stream survives: a camera, an unreadable frame, a sink, a lost GPU.
+    Warning(String),
+}
+
+/// Streams a rig until all its cameras end, its limits are reached, all its sinks have failed, or `stop` is set; then waits for the sinks and
+/// closes them.
+///
+/// `sources` are those of its cameras, in their order: all live, of which the newest moment wins, or none, of which every frame is smoothed. A
+/// camera that fails or ends is reported and counted, and the others go on. A lost GPU is reopened once, after which the CPU engine takes over;
+/// of several devices the others take its cameras.
+///
+/// # Errors
+/// If the options are not allowed, an engine fails for good, or every camera failed before it gave a frame.
+pub fn run(
+    rig: &Rig,
+    sources: Vec<Box<dyn Source>>,
+    options: &RigOptions,
+    sinks: Vec<Box<dyn RigSink>>,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(RigEvent<'_>),
+) -> Result<RigStatistics, Error> {
+    let is_live = check_sources(rig, &sources)?;
+    options.validate()?;
+    let smoother = RigSmoother::new(rig, options.way, &options.params, options.general_params, &options.smoother)?;
+    let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
+    let inbox = Arc::new(Inbox::new(names, is_live, rig.tolerance_s, LONGEST_WAIT));
+    let ended = Arc::new(AtomicBool::new(false));
+    let capture = |(i, mut source): (usize, Box<dyn Source>)| {
+        source.end_with(Arc::clone(&ended));
+        let (inbox, clock, offset_s) = (Arc::clone(&inbox), rig.clock, rig.cameras[i].time_offset_s);
+        let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
+        let thread = thread::Builder::new().name(format!("planish-camera-{i}"));
+        thread.spawn(move || inbox.capture(i, source, clock, offset_s)).map_err(failed)
+    };
+    let threads: Result<Vec<_>, EngineError> = sources.into_iter().enumerate().map(capture).collect();
+    let sinks: Result<Vec<_>, Error> = sinks.into_iter().map(SinkThread::start).collect();
+    let result = sinks.and_then(|sinks| {
+        let mut stream = RigStream {
+            rig: Arc::new(rig.clone()),
+            options,
+            smoother: smoother
+                .with_adapt_stride(options.adapt_stride)
+                .with_registration_m(options.registration_m)
+                .with_voxel_m(options.voxel_m)
+                .with_devices(options.devices.clone()),
+            pending: VecDeque::new(),
+            is_live,
+            was_open: false,
+            has_reopened: false,
+            has_fallen_back: false,
+            sinks,
+            statistics: RigStatistics { moments: StreamStatistics::start(), complete: 0, cameras: Vec::new() },
+            smoothed: vec![0; rig.cameras.len()],
+            refused: vec![0; rig.cameras.len()],
+            told_refusals: vec![Vec::new(); rig.cameras.len()],
+            told_lost_points: vec![false; rig.cameras.len()],
+            together: vec![0; rig.cameras.len()],
+            at_start: None,
+        };
+        let result = threads
+            .as_ref()
+            .map_err(|error| Error::from(error.clone()))
+            .and_then(|_| stream.run_until(&inbox, stop, &mut tell));
+        inbox.close();
+        stream.finish(&inbox, &mut tell);
+        result.map(|()| stream.statistics)
+    });
+    inbox.close();
+    // The wait for a live camera is bounded, so that this is seen.
+    ended.store(true, Ordering::Relaxed);
+    for thread in threads.into_iter().flatten() {
+        // One that panicked has told so.
+        let _ = thread.join();
+    }
+    while let Some(warning) = inbox.warning() {
+        tell(RigEvent::Warning(warning));
+    }
+    match inbox.first_error() {
+        Some(error) if result.as_ref().is_ok_and(|statistics| statistics.moments.frames_out == 0) => Err(error),
+        _ => result,
+    }
+}
+
+/// Whether the sources are live; they must all be, or none.
+fn check_sources(rig: &Rig, sources: &[Box<dyn Source>]) -> Result<bool, ParamError> {
+    if sources.len() != rig.cameras.len() {
+        let value = sources.len().to_string();
+        return Err(ParamError { field: "sources", value, allowed: "as many as the rig has cameras" });
+    }
+    let live = sources.iter().filter(|source| source.is_live()).count();
+    if live != 0 && live != sources.len() {
+        let value = format!("{live} live of {}", sources.len());
+        let allowed = "live cameras, or recordings; recordings beside live cameras are played at a pace (fps)";
+        return Err(ParamError { field: "sources", value, allowed });
+    }
+    if rig.clock == Clock::Arrival && live == 0 {
+        let allowed =
+            "\"source\" for recordings, whose frames come as fast as they are read; \"arrival\" is for live cameras";
+        return Err(ParamError { field: "clock", value: "\"arrival\"".to_owned(), allowed });
+    }
+    Ok(live != 0)
+}
+
+struct RigStream<'a> {
+    rig: Arc<Rig>,
+    options: &'a RigOptions,
+    smoother: RigSmoother,
+    /// Moments in flight, kept to be smoothed again if their device is lost.
+    pending: VecDeque<Moment<Arrived>>,
+    is_live: bool,
+    /// Whether an engine has taken a moment.
+    was_open: bool,
+    /// Whether the GPU was lost and opened once more.
+    has_reopened: bool,
+    /// Whether it was lost again, so that the CPU engine goes on.
+    has_fallen_back: bool,
+    sinks: Vec<SinkThread<RigFrame>>,
+    statistics: RigStatistics,
+    /// Frames of each camera that were smoothed, and that the engine refused.
+    smoothed: Vec<u64>,
+    refused: Vec<u64>,
+    /// Why each camera's frames were refused, as far as it was reported.
+    told_refusals: Vec<Vec<String>>,
+    /// Cameras whose lost points were reported.
+    told_lost_points: Vec<bool>,
+    /// Frames of each camera that came with one of another.
+    together: Vec<u64>,
+    /// What had been dropped when the engine was open: of each camera, and of moments.
+    at_start: Option<(Vec<u64>, u64)>,
+}
+
+impl RigStream<'_> {
+    /// Runs until the end; a moment that is being smoothed when `stop` is set is given up, where that may take long.
+    fn run_until(
+        &mut self,
+        inbox: &Inbox,
+        stop: &AtomicBool,
+        tell: &mut impl FnMut(RigEvent<'_>),
+    ) -> Result<(), Error> {
+        /// Ends the watcher, also when the stream panics.
+        struct Done<'a>(&'a AtomicBool);
+        impl Drop for Done<'_> {
+            fn drop(&mut self) {
+                self.0.store(true, Ordering::Relaxed);
+            }
+        }
+        let (stopper, is_done) = (self.smoother.stopper(), AtomicBool::new(false));
+        thread::scope(|scope| {
+            let watcher = scope.spawn(|| {
+                while !is_done.load(Ordering::Relaxed) {
+                    thread::park_timeout(PATIENCE);
+                    if stop.load(Ordering::Relaxed) {
+                        // Again and again: the next moment forgets that the one before was stopped.
+                        stopper.stop();
+                    }
+                }
+            });
+            let done = Done(&is_done);
+            let result = self.run(inbox, stop, tell);
+            drop(done);
+            watcher.thread().unpark();
+            match result {
+                Err(Error::Engine(EngineError::Stopped)) if stop.load(Ordering::Relaxed) => Ok(()),
+                result => result,
+            }
+        })
+    }
+
+    fn run(&mut self, inbox: &Inbox, stop: &AtomicBool, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
+        let start = Instant::now();
+        let mut submitted = 0;
+        let most_at_once = if self.is_live { LIVE_IN_FLIGHT } else { usize::MAX };
+        loop {
+            let is_over = stop.load(Ordering::Relaxed)
+                || self.options.max_moments.is_some_and(|most| submitted >= most)
+                || self.sinks_are_gone(tell)
+                || self.options.max_duration.is_some_and(|longest| start.elapsed() >= longest);
+            if is_over {
+                break;
+            }
+            // With moments in flight, only their results are waited for.
+            let taken = match self.pending.len() {
+                0 => inbox.take(PATIENCE),
+                in_flight if in_flight < self.smoother.max_in_flight().min(most_at_once) => inbox.take(Duration::ZERO),
+                _ => Taken::Nothing,
+            };
+            while let Some(warning) = inbox.warning() {
+                tell(RigEvent::Warning(warning));
+            }
+            match taken {
+                Taken::Moment(moment) => submitted += u64::from(self.submit(moment, tell)?),
+                Taken::Nothing | Taken::End if !self.pending.is_empty() => self.receive(inbox, tell)?,
+                Taken::Nothing => {}
+                Taken::End => break,
+            }
+        }
+        while !self.pending.is_empty() {
+            self.receive(inbox, tell)?;
+        }
+        Ok(())
+    }
+
+    /// Submits a moment; false if none of its frames can be smoothed.
+    fn submit(&mut self, mut moment: Moment<Arrived>, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<bool, Error> {
+        for (i, arrived) in moment.frames.iter_mut().enumerate() {
+            let error = arrived.as_ref().and_then(|arrived| arrived.frame.into_frame().err());
+            if let Some(error) = error {
+                *arrived = None;
+                self.refuse(i, &error, tell);
+            }
+        }
+        if moment.frames.iter().all(Option::is_none) {
+            return Ok(false);
+        }
+        if self.options.way == RigWay::Views {
+            self.check_cameras(&moment)?;
+        }
+        self.pending.push_back(moment);
+        let last = self.pending.len() - 1;
+        if let Err(error) = self.submit_pending(last) {
+            self.recover(error, tell)?;
+        }
+        Ok(true)
+    }
+
+    /// Refuses a camera that cannot be a view.
+    fn check_cameras(&self, moment: &Moment<Arrived>) -> Result<(), ParamError> {
+        let is_unknown = |(camera, arrived): &(&RigCamera, &Option<Arrived>)| {
+            let knows_it = |arrived: &Arrived| arrived.frame.into_frame().is_ok_and(|frame| frame.camera().is_some());
+            camera.camera.is_none() && arrived.as_ref().is_some_and(|arrived| !knows_it(arrived))
+        };
+        match self.rig.cameras.iter().zip(&moment.frames).find(is_unknown) {
+            Some((camera, _)) => {
+                let value = format!("views, with camera {:?}", camera.name);
+                let allowed = "cameras whose intrinsics are known, from their source or as \"camera\" of the rig";
+                Err(ParamError { field: "way", value, allowed })
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn submit_pending(&mut self, i: usize) -> Result<(), Error> {
+        let started = Instant::now();
+        let frames = self.pending[i].frames.iter().map(|arrived| arrived.as_ref()?.frame.into_frame().ok());
+        let submitted = self.smoother.submit(&frames.collect::<Vec<_>>());
+        self.statistics.moments.time_smoothing += started.elapsed();
+        self.was_open |= submitted.is_ok();
+        submitted
+    }
+
+    /// Receives the oldest moment and passes it to the sinks.
+    fn receive(&mut self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
+        let started = Instant::now();
+        let received = self.smoother.receive();
+        self.statistics.moments.time_smoothing += started.elapsed();
+        match received {
+            Ok(Some(results)) => match self.pending.pop_front() {
+                Some(moment) => self.deliver(moment, results, inbox, tell),
+                None => Ok(()),
+            },
+            Ok(None) => Ok(()),
+            Err(error) => self.recover(error, tell),
+        }
+    }
+
+    fn deliver(
+        &mut self,
+        moment: Moment<Arrived>,
+        mut results: RigResults,
+        inbox: &Inbox,
+        tell: &mut impl FnMut(RigEvent<'_>),
+    ) -> Result<(), Error> {
+        self.statistics.moments.engine = self.smoother.engine();
+        let received = Instant::now();
+        let index = self.statistics.moments.frames_out;
+        let first = moment.frames.iter().flatten().map(|arrived| arrived.since).min().unwrap_or(received);
+        let latency = received.saturating_duration_since(first);
+        let mut cameras = Vec::with_capacity(results.len());
+        for (i, (arrived, result)) in moment.frames.into_iter().zip(results.iter_mut()).enumerate() {
+            let smoothed = match result.take() {
+                Some(Ok(smoothed)) => Some(smoothed),
+                Some(Err(error)) => {
+                    self.refuse(i, &error, tell);
+                    None
+                }
+                None => None,
+            };
+            cameras.push(arrived.zip(smoothed).map(|(Arrived { frame, name, since }, smoothed)| {
+                self.smoothed[i] += 1;
+                self.tell_lost_points(i, &frame, &smoothed, tell);
+                let latency = received.saturating_duration_since(since);
+                StreamFrame { index, name, source: frame, smoothed, latency, received }
+            }));
+        }
+        if cameras.iter().all(Option::is_none) {
+            return Ok(());
+        }
+        if cameras.iter().flatten().count() > 1 {
+            cameras.iter().enumerate().for_each(|(i, camera)| self.together[i] += u64::from(camera.is_some()));
+        }
+        self.statistics.complete += u64::from(cameras.iter().all(Option::is_some));
+        self.statistics.moments.add(latency);
+        if self.at_start.is_none() {
+            let (counts, skipped) = inbox.counts();
+            self.at_start = Some((
+                counts.iter().map(|(counts, received)| counts.dropped + received.dropped_by_source).collect(),
+                skipped,
+            ));
+        }
+        let (rig, outputs) = (Arc::clone(&self.rig), self.options.smoother.outputs);
+        let (time_s, voxel_m) = (moment.time_s, self.options.voxel_m);
+        let frame = RigFrame { index, time_s, cameras, rig, outputs, latency, voxel_m, fused: OnceLock::new() };
+        let frame = Arc::new(frame);
+        for sink in &mut self.sinks {
+            if let Some(warning) = sink.give(&frame, self.is_live) {
+                tell(RigEvent::Warning(warning));
+            }
+        }
+        tell(RigEvent::Moment(&self.statistics));
+        Ok(())
+    }
+
+    /// After an error of a GPU: its cameras go to the other devices; of one alone the engines are opened once more, then the CPU takes over.
+    /// Moments in flight are submitted again.
+    fn recover(&mut self, mut error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
+        loop {
+            let is_gpu = self.smoother.engine() == Engine::Gpu;
+            // One that never opened is no lost one.
+            let is_stopped = matches!(error, Error::Engine(EngineError::Stopped));
+            let is_recoverable = matches!(error, Error::Engine(_)) && !is_stopped && is_gpu && self.was_open;
+            if !is_recoverable || self.has_fallen_back {
+                return Err(error);
+            }
+            if self.smoother.leave_failed_device() {
+                tell(RigEvent::Warning(format!("{error}; its cameras go to the other devices")));
+            } else if std::mem::replace(&mut self.has_reopened, true) {
+                self.has_fallen_back = true;
+                self.smoother.close(Some(Engine::Cpu));
+                tell(RigEvent::Warning(format!("{error}; going on with the CPU engine")));
+            } else {
+                tell(RigEvent::Warning(format!("{error}; opening it once more")));
+            }
+            match (0..self.pending.len()).try_for_each(|i| self.submit_pending(i)) {
+                Ok(()) => return Ok(()),
+                Err(again) => error = again,
+            }
+        }
+    }
+
+    /// Waits for the sinks and puts the counts together.
+    fn finish(&mut self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
+        for sink in self.sinks.drain(..) {
+            if let Some(warning) = sink.finish(&mut self.statistics.moments) {
+                tell(RigEvent::Warning(warning));
+            }
+        }
+        self.tell_alone(inbox, tell);
+        self.tell_short(inbox, tell);
+        let (counts, skipped) = inbox.counts();
+        let (dropped_before, skipped_before) = self.at_start.clone().unwrap_or_default();
+        self.statistics.moments.dropped = skipped - skipped_before;
+        self.statistics.moments.frames_in = self.statistics.moments.frames_out + self.statistics.moments.dropped;
+        let of_camera = |(i, (counts, received)): (usize, (MatcherCounts, Received))| {
+            let dropped = counts.dropped + received.dropped_by_source;
+            CameraStatistics {
+                name: self.rig.cameras[i].name.clone(),
+                frames_in: counts.received,
+                frames_out: self.smoothed[i],
+                missing: counts.missing,
+                late: counts.late,
+                out_of_order: counts.out_of_order,
+                jumps: counts.jumps,
+                dropped: dropped.saturating_sub(dropped_before.get(i).copied().unwrap_or(0)),
+                unreadable: received.unreadable + self.refused[i],
+                has_ended: received.has_ended,
+            }
+        };
+        self.statistics.cameras = counts.into_iter().enumerate().map(of_camera).collect();
+        self.statistics.moments.unreadable = self.statistics.cameras.iter().map(|camera| camera.unreadable).sum();
+        self.statistics.moments.end();
+    }
+}

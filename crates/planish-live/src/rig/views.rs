@@ -1,0 +1,432 @@
+//! The way of views: what all cameras see, as range images from where each of them stands.
+//!
+//! Each camera's grid is a view, and so is that of every viewpoint that was added. A pixel's own sample, or the nearest point that falls into it if it has none, is its front; samples of other
+//! cameras that fall into the pixel no farther from its front than the cameras' registration and noise allow, on surfaces that face
+//! the view, are of the same surface. The view is the mean of them, weighted by the inverse of their noise squared, and is smoothed as a frame of its
+//! camera. Then every point moves along its own ray to the tangent planes of the pixels that it was counted in, and is the mean of
+//! those by the squared cosine of their incidence. So a surface that several cameras see, and that errors of their poses have
+//! doubled, becomes one.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::facing::normals;
+use planish_core::{
+    Camera, Frame, FrameError, Outputs, PointsView, SensorModel, Smoothed, Status, Xyz,
+    internal::{GRAZING_COSINE, RigidTransform},
+};
+
+/// Two cameras' samples of one surface are apart by so many standard deviations of both.
+const DEVIATIONS: f64 = 3.0;
+
+/// Surfaces seen at more than 80° are not taken for facing a view.
+const FACING_COSINE: f64 = 0.17;
+
+/// Samples in adjacent pixels are up to two pixels apart, and a surface that counts is at most 80° steep: by so many widths of a pixel it
+/// can lie deeper in one of them.
+const STEEPEST_PX: f32 = 2.0 * 5.67;
+
+/// Pixels of one smooth surface have normals less than 30° apart, and it passes no farther than this from where a tangent plane has it.
+const SAME_SURFACE_COSINE: f64 = 0.866;
+const SAME_SURFACE_M: f64 = 0.003;
+
+/// Threads take so many pixels at a time.
+pub(super) const PIXELS_OF_A_TASK: usize = 4096;
+
+/// A pixel that a sample does not fall into, or where it is not of the front.
+const NOWHERE: u32 = u32::MAX;
+
+/// What a camera has measured, in its own frame.
+pub(super) struct Measured {
+    pub(super) camera: Camera,
+    pub(super) points: Xyz,
+    /// Towards the camera, where the side that the surface faces can be told.
+    normals: Xyz,
+    sensor: SensorModel,
+    rig_from_camera: RigidTransform,
+    /// What takes its points back into the frame that they came in.
+    points_from_camera: RigidTransform,
+    /// Whether nothing stands there: all pixels are holes.
+    is_added: bool,
+}
+
+/// What is seen of all cameras' points from where one of them stands.
+pub(super) struct View {
+    points: Xyz,
+    shape: (usize, usize),
+    /// For each camera the pixel that each of its samples was counted in; none for the view's own.
+    counted: Vec<Option<Vec<u32>>>,
+}
+
+impl Measured {
+    pub(super) fn of(
+        frame: Frame<'_>,
+        camera: Option<Camera>,
+        sensor: SensorModel,
+        rig_from_camera: RigidTransform,
+    ) -> Result<Self, FrameError> {
+        let shape = frame.shape();
+        let camera = frame.camera().copied().or_else(|| camera.map(|camera| crate::source::with_shape(camera, shape)));
+        let camera = camera.filter(|camera| camera.check_shape(shape).is_ok());
+        let camera = camera.ok_or(FrameError::MissingCamera { what: "a rig smoothed by views" })?;
+        let (points, points_from_camera) = match frame {
+            Frame::Depth(depth) => (depth.deproject()?.points.positions, RigidTransform::IDENTITY),
+            Frame::Points(points) => {
+                let points_from_camera =
+                    RigidTransform::shift(points.origin_m()).inverse().after(points.pose().transform()?);
+                let camera_from_points = points_from_camera.inverse();
+                let in_camera = |i| camera_from_points.to_cloud(DVec3::from_array(points.get(i))).as_vec3().to_array();
+                ((0..points.len()).map(in_camera).collect(), points_from_camera)
+            }
+        };
+        let normals = normals(&points, shape, &sensor);
+        Ok(Self { camera, points, normals, sensor, rig_from_camera, points_from_camera, is_added: false })
+    }
+
+    /// What is measured where no camera stands: nothing.
+    pub(super) fn nothing(camera: Camera, sensor: SensorModel, rig_from_camera: RigidTransform) -> Self {
+        let holes = Xyz::filled(camera.width * camera.height, f32::NAN);
+        let points_from_camera = RigidTransform::IDENTITY;
+        let normals = Xyz::default();
+        Self { camera, points: holes, normals, sensor, rig_from_camera, points_from_camera, is_added: true }
+    }
+
+    fn shape(&self) -> (usize, usize) {
+        (self.camera.width, self.camera.height)
+    }
+
+    /// What is seen from here, of this camera and of others. Surfaces of two cameras are at most `registration_m` apart for their poses' sake.
+    pub(super) fn view(&self, index: usize, all: &[Option<Self>], registration_m: f64) -> View {
+        let (width, height) = self.shape();
+        let landings: Vec<Option<Landings>> = all
+            .iter()
+            .enumerate()
+            .map(|(i, other)| other.as_ref().filter(|of| i != index && !of.is_added).map(|of| self.landings(of)))
+            .collect();
+        let front_m = self.front_m(&landings);
+        let own_weight = |i: usize| weight(self.sensor.sigma_m(self.points.z[i].into()));
+        let mut sums: Vec<[f64; 4]> = (0..width * height)
+            .map(|i| match self.points.is_finite(i) {
+                true => with_weight(self.points.get(i), own_weight(i)),
+                false => [0.0; 4],
+            })
+            .collect();
+        let mut counted = Vec::with_capacity(all.len());
+        for (landings, other) in landings.into_iter().zip(all) {
+            let (Some(mut landings), Some(other)) = (landings, other) else {
+                counted.push(None);
+                continue;
+            };
+            for (i, (pixel, point)) in landings.pixels.iter_mut().zip(&landings.points).enumerate() {
+                if *pixel == NOWHERE {
+                    continue;
+                }
+                let at = *pixel as usize;
+                let sigma_m = other.sensor.sigma_m(other.points.z[i].into());
+                let noise_m = DEVIATIONS * sigma_m.hypot(self.sensor.sigma_m(front_m[at].into()));
+                if f64::from((point[2] - front_m[at]).abs()) > registration_m + noise_m {
+                    *pixel = NOWHERE;
+                    continue;
+                }
+                let added = with_weight(*point, weight(sigma_m));
+                sums[at].iter_mut().zip(added).for_each(|(sum, added)| *sum += added);
+            }
+            counted.push(Some(landings.pixels));
+        }
+        if self.is_added {
+            leave_to_their_camera(&mut counted, (width, height));
+        }
+        let mean = |&[x, y, z, weight]: &[f64; 4]| [x, y, z].map(|sum| (sum / weight) as f32);
+        View { points: sums.iter().map(mean).collect(), shape: (width, height), counted }
+    }
+
+    /// How far along z each pixel's front is. What its own sample does not say is said by the nearest of the others.
+    fn front_m(&self, landings: &[Option<Landings>]) -> Vec<f32> {
+        let mut front_m = self.points.z.clone();
+        for (pixel, point) in landings.iter().flatten().flat_map(Landings::iter) {
+            if !self.points.z[pixel].is_finite() {
+                front_m[pixel] = front_m[pixel].min(point[2]);
+            }
+        }
+        if !self.is_added {
+            return front_m;
+        }
+        // Where nothing stands, what is behind a surface would be seen through the gaps between its samples. It is not, where the surface cannot
+        // be as steep as to lead there from a pixel beside.
+        let (width, height) = self.shape();
+        let deeper = 1.0 + STEEPEST_PX / self.camera.fx.min(self.camera.fy) as f32;
+        let screened = |i: usize| {
+            let around = beside(i, (width, height));
+            around.fold(front_m[i], |front, at| front.min(deeper * front_m[at]))
+        };
+        (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK).map(screened).collect()
+    }
+
+    /// Where the samples of another camera fall in this one's grid.
+    fn landings(&self, other: &Self) -> Landings {
+        let here_from_other = self.rig_from_camera.inverse().after(other.rig_from_camera);
+        let landing = |i: usize| {
+            let none = (NOWHERE, [f32::NAN; 3]);
+            if !other.normals.is_finite(i) {
+                return none;
+            }
+            let point = here_from_other.to_cloud(other.points.vector(i));
+            let normal = here_from_other.rotation * other.normals.vector(i);
+            if normal.dot(point) > -FACING_COSINE * point.length() {
+                return none;
+            }
+            let pixel = self.camera.pixel_of(point.to_array());
+            pixel.map_or(none, |pixel| (pixel as u32, point.as_vec3().to_array()))
+        };
+        let all = (0..other.points.len()).into_par_iter().with_min_len(PIXELS_OF_A_TASK);
+        let (pixels, points) = all.map(landing).unzip();
+        Landings { pixels, points }
+    }
+
+    /// Moves the points to where the smoothed views have them.
+    pub(super) fn carried_back(
+        &self,
+        index: usize,
+        all: &[Option<Self>],
+        views: &[Option<(View, Smoothed)>],
+        outputs: Outputs,
+    ) -> Option<Smoothed> {
+        let (_, own) = views[index].as_ref()?;
+        let own_normals = own.normals.as_ref()?;
+        let (width, height) = self.shape();
+        let others: Vec<Seen<'_>> =
+            views.iter().zip(all).filter_map(|(view, of)| self.seen_in(index, view.as_ref()?, of.as_ref()?)).collect();
+        let moved = |i: usize| {
+            if !self.points.is_finite(i) || !own.points.is_finite(i) {
+                return ([f32::NAN; 3], [f32::NAN; 3]);
+            }
+            let ray = as_dvec(self.points.get(i)).normalize();
+            let (own_point, own_normal) = (as_dvec(own.points.get(i)), as_dvec(own_normals.get(i)));
+            let mut sum = Blend::default();
+            sum.add(ray, own_point, own_normal, ray);
+            others.iter().for_each(|other| other.add_to(&mut sum, i, ray, own_normal));
+            let (point, normal) = sum.mean(own_point, own_normal);
+            (point.as_vec3().to_array(), normal.as_vec3().to_array())
+        };
+        let all = (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK);
+        let moved: Vec<([f32; 3], [f32; 3])> = all.map(moved).collect();
+        let points = moved.iter().map(|(point, _)| *point).collect();
+        let normals = moved.iter().map(|(_, normal)| *normal).collect();
+        let back = Smoothed { width, height, points, ..Smoothed::default() };
+        self.finish(back, own, normals, outputs)
+    }
+
+    /// This camera's samples in another one's view.
+    fn seen_in<'a>(&self, index: usize, (view, smoothed): &'a (View, Smoothed), of: &'a Self) -> Option<Seen<'a>> {
+        let pixels = view.counted[index].as_ref()?;
+        let normals = smoothed.normals.as_ref()?;
+        let here_from_view = self.rig_from_camera.inverse().after(of.rig_from_camera);
+        let view_from_here = here_from_view.inverse();
+        Some(Seen { pixels, points: &smoothed.points, normals, camera: &of.camera, here_from_view, view_from_here })
+    }
+
+    /// Adds the outputs that were asked for, and takes points into the frame that they came in.
+    fn finish(&self, mut back: Smoothed, own: &Smoothed, normals: Xyz, outputs: Outputs) -> Option<Smoothed> {
+        let is_hole = |i: usize| !back.points.is_finite(i);
+        back.status = own.status.as_ref().map(|status| {
+            let of_pixel = |(i, &status): (usize, &Status)| match status {
+                // A hole that other cameras filled in the view is none of this camera's points.
+                _ if !self.points.is_finite(i) => Status::Hole,
+                status => status,
+            };
+            status.iter().enumerate().map(of_pixel).collect()
+        });
+        let where_there = |values: &Vec<f32>| {
+            values.iter().enumerate().map(|(i, &value)| if is_hole(i) { f32::NAN } else { value }).collect()
+        };
+        back.curvature = own.curvature.as_ref().map(where_there);
+        back.neighbours = own.neighbours.clone();
+        let depth_m: Vec<f32> = back.points.z.clone();
+        back.depth = outputs.depth.then(|| depth_m.iter().map(|&depth_m| self.camera.raw_depth(depth_m)).collect());
+        back.depth_m = outputs.depth_m.then_some(depth_m);
+        back.normals = outputs.normals.then_some(normals);
+        let RigidTransform { rotation, .. } = self.points_from_camera;
+        if !self.points_from_camera.is_identity() {
+            let move_point = |p: [f32; 3]| self.points_from_camera.to_cloud(as_dvec(p)).as_vec3().to_array();
+            back.points = back.points.iter().map(move_point).collect();
+            let turn = |normals: Xyz| normals.iter().map(|n| (rotation * as_dvec(n)).as_vec3().to_array()).collect();
+            back.normals = back.normals.map(turn);
+        }
+        Some(back)
+    }
+}
+
+fn as_dvec(vector: [f32; 3]) -> DVec3 {
+    DVec3::from_array(vector.map(f64::from))
+}
+
+impl View {
+    /// It as a frame of its camera.
+    pub(super) fn frame<'a>(&'a self, of: &'a Measured) -> Result<Frame<'a>, FrameError> {
+        let Xyz { x, y, z } = &self.points;
+        let (width, height) = self.shape;
+        Ok(Frame::Points(PointsView::from_planes(x, y, z)?.with_grid(width, height)?.with_camera(&of.camera)?))
+    }
+}
+
+/// Forgets in which pixels samples were counted beside which no other camera's were: what is seen of them from where nothing stands says no more
+/// than their own camera's view.
+fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], shape: (usize, usize)) {
+    const SEVERAL: u16 = u16::MAX;
+    let mut seen_by = vec![None; shape.0 * shape.1];
+    for (i, counted) in (0u16..).zip(&*counted) {
+        for &pixel in counted.iter().flatten().filter(|pixel| **pixel != NOWHERE) {
+            let by = &mut seen_by[pixel as usize];
+            *by = if by.is_none_or(|by| by == i) { Some(i) } else { Some(SEVERAL) };
+        }
+    }
+    for (i, counted) in (0u16..).zip(counted) {
+        let Some(counted) = counted else { continue };
+        let is_shared = |pixel: u32| beside(pixel as usize, shape).any(|at| seen_by[at].is_some_and(|by| by != i));
+        let pixels = counted.par_iter_mut().with_min_len(PIXELS_OF_A_TASK);
+        pixels.filter(|pixel| **pixel != NOWHERE && !is_shared(**pixel)).for_each(|pixel| *pixel = NOWHERE);
+    }
+}
+
+/// A pixel and those around it.
+fn beside(pixel: usize, (width, height): (usize, usize)) -> impl Iterator<Item = usize> {
+    let (u, v) = (pixel % width, pixel / width);
+    let columns = u.saturating_sub(1)..(u + 2).min(width);
+    (v.saturating_sub(1)..(v + 2).min(height)).flat_map(move |v| columns.clone().map(move |u| v * width + u))
+}
+
+/// Where the samples of a camera fall in another's grid, and where they are in its frame.
+struct Landings {
+    pixels: Vec<u32>,
+    points: Vec<[f32; 3]>,
+}
+
+impl Landings {
+    fn iter(&self) -> impl Iterator<Item = (usize, [f32; 3])> + '_ {
+        let all = self.pixels.iter().zip(&self.points);
+        all.filter(|(pixel, _)| **pixel != NOWHERE).map(|(pixel, point)| (*pixel as usize, *point))
+    }
+}
+
+/// A camera's samples in another camera's view.
+struct Seen<'a> {
+    /// Where each was counted.
+    pixels: &'a [u32],
+    points: &'a Xyz,
+    normals: &'a Xyz,
+    /// The view's.
+    camera: &'a Camera,
+    here_from_view: RigidTransform,
+    view_from_here: RigidTransform,
+}
+
+impl Seen<'_> {
+    fn add_to(&self, sum: &mut Blend, i: usize, ray: DVec3, own_normal: DVec3) {
+        let pixel = self.pixels[i];
+        if pixel == NOWHERE || !self.normals.is_finite(pixel as usize) {
+            return;
+        }
+        let Tangent { point, normal } = self.tangent(pixel as usize);
+        // In the view's frame the lens of the sample's camera stands beside, and its ray goes elsewhere.
+        let (lens, ray_in_view) = (self.view_from_here.translation, self.view_from_here.rotation * ray);
+        let along = ray_in_view.dot(normal);
+        if along.abs() <= f64::from(GRAZING_COSINE) {
+            return;
+        }
+        // Noise has moved the sample along its ray, and so to another pixel than that where the ray meets the surface.
+        let met = lens + (point - lens).dot(normal) / along * ray_in_view;
+        let Tangent { point, normal } = self.surface_at(met, normal).unwrap_or(Tangent { point, normal });
+        let turn = self.here_from_view.rotation;
+        if (turn * normal).dot(own_normal) < SAME_SURFACE_COSINE {
+            return;
+        }
+        sum.add(ray, self.here_from_view.to_cloud(point), turn * normal, turn * point.normalize());
+    }
+
+    fn tangent(&self, pixel: usize) -> Tangent {
+        Tangent { point: as_dvec(self.points.get(pixel)), normal: as_dvec(self.normals.get(pixel)) }
+    }
+
+    /// The surface between the four pixels around a point close to it; `None` beside edges.
+    fn surface_at(&self, point: DVec3, normal: DVec3) -> Option<Tangent> {
+        let [u, v] = self.camera.project(point.to_array())?;
+        let (left, top) = (u.floor(), v.floor());
+        let is_inside =
+            left >= 0.0 && top >= 0.0 && left + 1.0 < self.camera.width as f64 && top + 1.0 < self.camera.height as f64;
+        if !is_inside {
+            return None;
+        }
+        let (across, down) = (u - left, v - top);
+        let first = top as usize * self.camera.width + left as usize;
+        let corners = [(0, 0), (1, 0), (0, 1), (1, 1)];
+        let mut mean = Tangent { point: DVec3::ZERO, normal: DVec3::ZERO };
+        for (du, dv) in corners {
+            let pixel = first + du + dv * self.camera.width;
+            let weight = if du == 1 { across } else { 1.0 - across } * if dv == 1 { down } else { 1.0 - down };
+            let corner = self.tangent(pixel);
+            // False for holes.
+            let is_same = corner.normal.dot(normal) > SAME_SURFACE_COSINE;
+            if !is_same {
+                return None;
+            }
+            mean.point += weight * corner.point;
+            mean.normal += weight * corner.normal;
+        }
+        let off_m = (mean.point - point).dot(normal).abs();
+        (off_m < SAME_SURFACE_M).then(|| Tangent { normal: mean.normal.normalize(), ..mean })
+    }
+}
+
+/// A point of a surface with its normal.
+#[derive(Clone, Copy)]
+struct Tangent {
+    point: DVec3,
+    normal: DVec3,
+}
+
+/// The mean of what several views say of a point: how far along its ray, and the normal.
+#[derive(Default)]
+struct Blend {
+    distance: f64,
+    ray: DVec3,
+    normal: DVec3,
+    weight: f64,
+}
+
+impl Blend {
+    /// Adds a tangent plane of a view; one that the ray grazes says nothing of where the point is.
+    fn add(&mut self, ray: DVec3, point: DVec3, normal: DVec3, ray_of_view: DVec3) {
+        let along = ray.dot(normal);
+        // Also false for a NaN.
+        if along.abs() > f64::from(GRAZING_COSINE) {
+            let cosine = ray_of_view.dot(normal);
+            let weight = cosine * cosine;
+            self.ray = ray;
+            self.distance += weight * point.dot(normal) / along;
+            self.normal += weight * normal;
+            self.weight += weight;
+        }
+    }
+
+    fn mean(&self, point: DVec3, normal: DVec3) -> (DVec3, DVec3) {
+        if self.weight > 0.0 {
+            (self.distance / self.weight * self.ray, self.normal.normalize())
+        } else {
+            (point, normal)
+        }
+    }
+}
+
+/// The inverse of the noise squared; sensors without noise count alike.
+fn weight(sigma_m: f64) -> f64 {
+    const LEAST_SIGMA_M: f64 = 1e-4;
+    1.0 / sigma_m.max(LEAST_SIGMA_M).powi(2)
+}
+
+fn with_weight(point: [f32; 3], weight: f64) -> [f64; 4] {
+    let [x, y, z] = point.map(|coordinate| weight * f64::from(coordinate));
+    [x, y, z, weight]
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,63 @@
+//! Drivers of cameras: C libraries, loaded at run time and never linked.
+
+use std::error::Error;
+use std::path::Path;
+
+use libloading::Library;
+
+use planish_core::DeviceError;
+
+/// Declares the functions that are used of a C library: `find` looks them up, by their names behind a prefix. They are valid as
+/// long as the struct is.
+macro_rules! c_functions {
+    ($(#[$about:meta])* $visible:vis struct $name:ident($prefix:literal) {
+        $($(#[$note:meta])* $function:ident($($argument:ty),* $(,)?) $(-> $result:ty)?;)*
+    }) => {
+        $(#[$about])*
+        $visible struct $name {
+            $($(#[$note])* $visible $function: unsafe extern "C" fn($($argument),*) $(-> $result)?,)*
+            _library: libloading::Library,
+        }
+
+        impl $name {
+            /// # Safety
+            /// The library's functions of these names have these signatures.
+            unsafe fn find(library: libloading::Library) -> Result<Self, libloading::Error> {
+                // SAFETY: as above; the functions are kept together with their library.
+                unsafe {
+                    Ok(Self {
+                        $($function: *library.get(concat!($prefix, stringify!($function), "\0").as_bytes())?,)*
+                        _library: library,
+                    })
+                }
+            }
+        }
+    };
+}
+pub(super) use c_functions;
+
+/// Loads the file that the environment variable names, or else the first of the usual names that is there.
+pub(super) fn load(
+    variable: &str,
+    usual: impl IntoIterator<Item = String>,
+    help: &'static str,
+) -> Result<Library, DeviceError> {
+    let named = std::env::var_os(variable).filter(|name| !name.is_empty());
+    let names: Vec<_> = match named {
+        Some(name) => vec![name],
+        None => usual.into_iter().map(Into::into).collect(),
+    };
+    let mut first_error = None;
+    for name in names {
+        // SAFETY: the drivers of cameras run nothing of note when they are loaded.
+        match unsafe { Library::new(&name) } {
+            Ok(library) => return Ok(library),
+            Err(error) => {
+                // The reason is in the system's own error.
+                let reason = error.source().map_or_else(|| error.to_string(), ToString::to_string);
+                first_error.get_or_insert_with(|| format!("{} cannot be loaded: {reason}", Path::new(&name).display()));
+            }
+        }
+    }
+    Err(DeviceError::Driver { what: first_error.unwrap_or_else(|| "no driver has a name".into()), help })
+}

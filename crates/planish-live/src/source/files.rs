@@ -1,0 +1,105 @@
+//! A folder of frames, or one file repeated.
+
+use std::path::{Path, PathBuf};
+
+use super::{OwnedFrame, Source, malformed, with_shape};
+use planish_core::{Camera, DepthFrame, DepthView, Error, FormatError, IoError};
+use planish_io::{self as io, Contents, Format};
+
+/// Reads the frame files of a folder in order of their names, or repeats one file endlessly.
+pub struct FileSource {
+    files: Vec<PathBuf>,
+    camera: Option<Camera>,
+    next: usize,
+    /// The frame of the repeated file.
+    repeated: Option<OwnedFrame>,
+    repeats: bool,
+}
+
+impl FileSource {
+    /// Reads every frame file of a folder once, in order of their names. Depth images need a camera.
+    ///
+    /// # Errors
+    /// If the folder cannot be read or has no frames, or if the first frame is a depth image and there is no camera.
+    pub fn folder(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
+        let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
+        let entries: Result<Vec<PathBuf>, _> =
+            std::fs::read_dir(folder).map_err(at)?.map(|entry| entry.map(|entry| entry.path())).collect();
+        let mut files = entries.map_err(at)?;
+        files.retain(|path| path.is_file() && Format::is_of_frames(path));
+        files.sort();
+        let Some(first) = files.first() else {
+            return Err(malformed(folder, "the folder has no frames (.pcd, .ply, .png, .tiff, .npy)").into());
+        };
+        // Without a camera every depth image would fail: refuse at once, before anything is written.
+        if camera.is_none()
+            && let Ok((_, contents @ (Contents::Depth(_) | Contents::DepthMetres { .. }))) = io::read(first)
+        {
+            return Err(needs_camera(first, contents.shape()).into());
+        }
+        Ok(Self { files, camera, next: 0, repeated: None, repeats: false })
+    }
+
+    /// Reads one file and repeats it endlessly.
+    pub fn repeat(file: &Path, camera: Option<Camera>) -> Self {
+        Self { files: vec![file.to_path_buf()], camera, next: 0, repeated: None, repeats: true }
+    }
+}
+
+impl Source for FileSource {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        if let Some(frame) = &self.repeated {
+            return Ok(Some(frame.clone()));
+        }
+        let Some(file) = self.files.get(self.next) else { return Ok(None) };
+        // Advanced first, so that a caller that continues after an error gets the next file.
+        self.next += 1;
+        let frame = read_frame(file, self.camera)?;
+        // Intrinsics hold for one image size.
+        self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()));
+        if self.repeats {
+            self.next = 0;
+            self.repeated = Some(frame.clone());
+        }
+        Ok(Some(frame))
+    }
+
+    fn frame_name(&self) -> Option<String> {
+        // A repeated file would name every frame the same.
+        let last = self.next.checked_sub(1).filter(|_| !self.repeats)?;
+        file_stem(self.files.get(last)?)
+    }
+}
+
+/// The name of a file without its extension, if that is text.
+pub(super) fn file_stem(file: &Path) -> Option<String> {
+    file.file_stem()?.to_str().map(str::to_owned)
+}
+
+fn needs_camera(file: &Path, (width, height): (usize, usize)) -> IoError {
+    malformed(file, format!("a depth image of {width}x{height} needs its camera (fx, fy, cx, cy); none was given"))
+}
+
+/// Reads one frame file; depth needs a camera.
+pub(super) fn read_frame(file: &Path, camera: Option<Camera>) -> Result<OwnedFrame, Error> {
+    let (_, contents) = io::read(file)?;
+    let shape = contents.shape();
+    let of_shape = |camera: Camera| {
+        let camera = with_shape(camera, shape);
+        camera.check_shape(shape).map_err(|error| malformed(file, error.to_string()))?;
+        Ok::<_, Error>(camera)
+    };
+    let known = || of_shape(camera.ok_or_else(|| needs_camera(file, shape))?);
+    match contents {
+        Contents::Depth(image) => Ok(OwnedFrame::Depth(DepthFrame::from_image(known()?, image)?)),
+        Contents::DepthMetres { depth_m, .. } => {
+            let cloud = DepthView::from_metres(&depth_m, &known()?)?.deproject()?;
+            Ok(OwnedFrame::Cloud { cloud, timestamp_s: None })
+        }
+        Contents::Organized(mut cloud) => {
+            cloud.camera = camera.map(of_shape).transpose()?;
+            Ok(OwnedFrame::Cloud { cloud, timestamp_s: None })
+        }
+        _ => Err(malformed(file, "a general cloud; a stream needs frames on a grid").into()),
+    }
+}

@@ -1,0 +1,312 @@
+//! Where frames come from: a camera, a data set, a folder, a file, the simulator.
+//!
+//! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To use a camera of your
+//! own, implement [`Source`]; [`stream`](crate::stream) takes any.
+
+#[cfg(feature = "mcap")]
+mod bag;
+mod driver;
+mod files;
+mod freenect;
+mod kinect;
+mod openni2;
+mod paced;
+mod realsense;
+mod silence;
+mod synthetic;
+mod tum;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use planish_core::{Camera, Error, FormatError, IoError, ParamError};
+
+pub use files::FileSource;
+pub use freenect::FreenectRecording;
+pub use planish_core::OwnedFrame;
+
+/// For this project's own tests.
+#[cfg(feature = "internal")]
+pub(crate) mod internal {
+    pub use super::freenect::{disparity_depth_m, write_freenect_recording};
+    pub use super::realsense::start_realsense;
+    pub use super::silence::set_longest_silence_s;
+}
+pub use kinect::KinectSource;
+pub use openni2::OpenNi2Source;
+pub use paced::Paced;
+pub use realsense::{RealSenseInput, RealSenseSource};
+pub use synthetic::SyntheticSource;
+pub use tum::{TumRecorder, TumSource};
+
+/// Delivers one frame after another.
+pub trait Source: Send {
+    /// Returns the next frame; `None` at the end. A live source waits for it.
+    ///
+    /// A frame that cannot be read is an error; the caller may go on with the one after it.
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error>;
+
+    /// Returns the name of the frame delivered last, where it has one of its own: that of its file, without the extension.
+    fn frame_name(&self) -> Option<String> {
+        None
+    }
+
+    /// Returns what the device calls itself, of a camera that does.
+    fn description(&self) -> Option<String> {
+        None
+    }
+
+    /// Takes a flag that a stream sets when it ends, before the first frame. A source that may wait for long looks at it.
+    fn end_with(&mut self, _ended: Arc<AtomicBool>) {}
+
+    /// Returns how many frames a live source has replaced by newer ones before they were taken.
+    fn dropped(&self) -> u64 {
+        0
+    }
+
+    /// Whether frames arrive at their own pace and are lost if not taken in time. A stream then wants the newest frame; of any
+    /// other source it wants every frame.
+    fn is_live(&self) -> bool {
+        false
+    }
+}
+
+/// Which image of a camera depth and colour are both mapped to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Alignment {
+    /// The depth image: depth is as it was measured, and each pixel has the colour of its point.
+    Depth,
+    /// The colour image: depth is mapped onto its pixels, by the driver or by the camera.
+    Color,
+    /// Depth is as it was measured, without colour.
+    None,
+}
+
+/// A size of a camera's depth images, and their rate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StreamMode {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Frames a second; any without.
+    pub fps: Option<u32>,
+}
+
+impl FromStr for StreamMode {
+    type Err = ParamError;
+
+    /// Reads `WIDTHxHEIGHT` or `WIDTHxHEIGHT@FPS`.
+    fn from_str(text: &str) -> Result<Self, ParamError> {
+        let (size, fps) = text.split_once('@').map_or((text, None), |(size, fps)| (size, Some(fps)));
+        let sides = size.split_once(['x', 'X']).map(|(width, height)| (width.parse(), height.parse()));
+        match (sides, fps.map(str::parse)) {
+            (Some((Ok(width @ 1..), Ok(height @ 1..))), None) => Ok(Self { width, height, fps: None }),
+            (Some((Ok(width @ 1..), Ok(height @ 1..))), Some(Ok(fps @ 1..))) => {
+                Ok(Self { width, height, fps: Some(fps) })
+            }
+            _ => Err(ParamError {
+                field: "mode",
+                value: text.to_owned(),
+                allowed: "WIDTHxHEIGHT or WIDTHxHEIGHT@FPS, as 848x480@30",
+            }),
+        }
+    }
+}
+
+impl fmt::Display for StreamMode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)?;
+        self.fps.map_or(Ok(()), |fps| write!(f, "@{fps}"))
+    }
+}
+
+/// What a source named on the command line may need besides its name.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct SourceOptions {
+    /// The camera; depth images need one. Width and height 0 stand for the frames' shape; any other must match it.
+    pub camera: Option<Camera>,
+    /// Depth units per metre of a data set in TUM layout, if not its standard 5000.
+    pub tum_units_per_metre: Option<f64>,
+    /// Plays a source that is not live at this rate, in frames per second, as if it were.
+    pub fps: Option<f64>,
+    /// The topic of a recording in MCAP; may be left out where only one has depth.
+    pub topic: Option<String>,
+    /// The topic with the camera of a recording in MCAP, if it is not beside the images'.
+    pub camera_info_topic: Option<String>,
+    /// Which image of a RealSense or an OpenNI2 camera depth and colour are mapped to; without it what its source says.
+    pub alignment: Option<Alignment>,
+    /// The mode of a RealSense or an OpenNI2 camera; without it its default.
+    pub mode: Option<StreamMode>,
+    /// How many frames will be taken, if that is known. A source that prepares its frames prepares no more.
+    pub frames: Option<u64>,
+}
+
+impl SourceOptions {
+    /// The same with a camera, or without.
+    pub fn with_camera(self, camera: Option<Camera>) -> Self {
+        Self { camera, ..self }
+    }
+
+    /// The same with other units of a data set in TUM layout, or its own.
+    pub fn with_tum_units_per_metre(self, tum_units_per_metre: Option<f64>) -> Self {
+        Self { tum_units_per_metre, ..self }
+    }
+
+    /// The same with topics of a recording in MCAP: that of the depth, and that of its camera.
+    pub fn with_topics(self, topic: Option<String>, camera_info_topic: Option<String>) -> Self {
+        Self { topic, camera_info_topic, ..self }
+    }
+
+    /// The same with depth and colour mapped to an image of the camera's.
+    pub fn with_alignment(self, alignment: Option<Alignment>) -> Self {
+        Self { alignment, ..self }
+    }
+
+    /// The same with a mode of the camera's.
+    pub fn with_mode(self, mode: Option<StreamMode>) -> Self {
+        Self { mode, ..self }
+    }
+
+    /// The same for so many frames, or any number of them.
+    pub fn with_frames(self, frames: Option<u64>) -> Self {
+        Self { frames, ..self }
+    }
+
+    /// The same paced as live, or not.
+    pub fn with_fps(self, fps: Option<f64>) -> Self {
+        Self { fps, ..self }
+    }
+}
+
+/// Opens `kinect[:INDEX]`, `realsense[:SERIAL]`, `realsense:RECORDING`, `openni2[:URI]`, `synthetic[:SEED]`, a data set in TUM RGB-D
+/// layout, a recording of libfreenect, one of ROS 2 in MCAP (with the feature `mcap`), a folder of frames, or one file, which is
+/// repeated without end.
+pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
+    let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
+    let &SourceOptions { camera, alignment, mode, fps, frames, .. } = options;
+    if matches!(kind, "kinect" | "synthetic" | "realsense" | "openni2") {
+        refuse_topics(options)?;
+        refuse_units(options)?;
+    }
+    if !matches!(kind, "realsense" | "openni2") {
+        refuse_modes(options)?;
+    }
+    let source: Box<dyn Source> = match kind {
+        "kinect" => Box::new(KinectSource::open(parse_number(name, rest, 0)?, camera)?),
+        "realsense" => Box::new(RealSenseSource::open(&RealSenseInput::parse(rest), camera, alignment, mode)?),
+        "openni2" => Box::new(OpenNi2Source::open(rest, camera, alignment, mode)?),
+        "synthetic" if camera.is_some() => {
+            let allowed = "none for the simulator, which has its own";
+            return Err(ParamError { field: "camera", value: "given".into(), allowed }.into());
+        }
+        "synthetic" => {
+            let (seed, frames) = (parse_number(name, rest, 1)?, frames.unwrap_or(u64::MAX));
+            Box::new(SyntheticSource::of_frames(seed, Camera::kinect_v1(), frames)?)
+        }
+        _ => open_path(Path::new(name), options)?,
+    };
+    match fps {
+        None => Ok(source),
+        Some(fps) if source.is_live() => {
+            let allowed = "none for a camera, which has its own pace";
+            Err(ParamError { field: "fps", value: fps.to_string(), allowed }.into())
+        }
+        Some(fps) => Ok(Box::new(Paced::new(source, fps)?)),
+    }
+}
+
+/// Whether a source named on the command line is a camera, which may be unplugged and come back.
+pub fn is_camera(name: &str) -> bool {
+    let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
+    match kind {
+        "kinect" => true,
+        "realsense" => !matches!(RealSenseInput::parse(rest), RealSenseInput::Recording(_)),
+        "openni2" => !OpenNi2Source::is_recording(rest),
+        _ => false,
+    }
+}
+
+fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
+    #[cfg(feature = "mcap")]
+    {
+        planish_ros2::bag::refuse_other_bags(path)?;
+        let file = planish_ros2::bag::file_of(path)?;
+        if planish_ros2::bag::is_bag(&file) {
+            let (topic, camera_info) = (options.topic.as_deref(), options.camera_info_topic.as_deref());
+            return Ok(Box::new(planish_ros2::bag::BagSource::open(&file, topic, camera_info, options.camera)?));
+        }
+        if file.is_file() && planish_ros2::bag::is_named_mcap(&file) {
+            return Err(malformed(&file, "no recording in MCAP: it does not begin as one").into());
+        }
+    }
+    refuse_topics(options)?;
+    if path.is_file() {
+        return Ok(Box::new(FileSource::repeat(path, options.camera)));
+    }
+    if !path.is_dir() {
+        let problem =
+            "no such file or folder; a source is kinect, realsense, openni2, synthetic, a data set, a folder or a file";
+        return Err(malformed(path, problem).into());
+    }
+    if path.join("INDEX.txt").is_file() {
+        return Ok(Box::new(FreenectRecording::open(path, options.camera)?));
+    }
+    if ["associations.txt", "associate.txt", "depth.txt"].iter().any(|file| path.join(file).is_file()) {
+        return Ok(Box::new(TumSource::open(path, options.camera, options.tum_units_per_metre)?));
+    }
+    Ok(Box::new(FileSource::folder(path, options.camera)?))
+}
+
+/// Refuses topics where there are none.
+fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
+    match options.topic.as_ref().or(options.camera_info_topic.as_ref()) {
+        None => Ok(()),
+        Some(topic) => {
+            let allowed = "topics of recordings in MCAP, which this source is not";
+            Err(ParamError { field: "topic", value: topic.clone(), allowed })
+        }
+    }
+}
+
+/// Refuses units of depth where the camera states them.
+fn refuse_units(options: &SourceOptions) -> Result<(), ParamError> {
+    let allowed = "none for this source, which states its own";
+    options
+        .tum_units_per_metre
+        .map_or(Ok(()), |units| Err(ParamError { field: "depth_units_per_metre", value: units.to_string(), allowed }))
+}
+
+/// Refuses what only cameras with modes have.
+fn refuse_modes(options: &SourceOptions) -> Result<(), ParamError> {
+    let allowed = "only for a RealSense or an OpenNI2 camera";
+    if let Some(alignment) = options.alignment {
+        return Err(ParamError { field: "align", value: format!("{alignment:?}").to_lowercase(), allowed });
+    }
+    match options.mode {
+        None => Ok(()),
+        Some(mode) => Err(ParamError { field: "mode", value: mode.to_string(), allowed }),
+    }
+}
+
+fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> Result<T, Error> {
+    if number.is_empty() {
+        return Ok(default);
+    }
+    number.parse().map_err(|_| malformed(Path::new(name), "a whole number is expected behind the colon").into())
+}
+
+/// Returns the camera for frames of a shape; one without a shape takes it.
+pub(crate) fn with_shape(camera: Camera, (width, height): (usize, usize)) -> Camera {
+    if (camera.width, camera.height) == (0, 0) { camera.with_shape((width, height)) } else { camera }
+}
+
+/// Returns an error about a file or source of that name.
+fn malformed(path: &Path, problem: impl Into<String>) -> IoError {
+    IoError { path: PathBuf::from(path), problem: FormatError::Malformed(problem.into()) }
+}

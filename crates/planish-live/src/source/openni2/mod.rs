@@ -1,0 +1,372 @@
+//! Cameras of OpenNI2 (Xtion, Carmine, Astra, Structure), and recordings of them, through its library, loaded at run time and never
+//! linked.
+//!
+//! The library is `libOpenNI2.so.0`, or the path in the environment variable PLANISH_LIBOPENNI2. Depth is mapped to the colour camera
+//! where the device can and has colour images of the same size. The library states fields of view and no intrinsics: the focal length follows from them, and the principal
+//! point is taken to be the centre. Images are turned back if the device mirrors them. Of a live camera the newest frame wins, and frames that
+//! are missing by their numbers are counted; of a recording (.oni) every frame of depth
+//! comes, in order; should the library lose one, it is counted too.
+
+mod api;
+mod device;
+
+use std::ffi::c_int;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use super::silence::longest_silence;
+use super::{Alignment, OwnedFrame, Source, StreamMode, malformed, with_shape};
+use api::{Frame, Functions, Handle, Holder, VideoMode};
+use device::{Device, Stream, Watch};
+use planish_core::{Camera, DepthFrame, DeviceError, Error, IoError, ParamError};
+
+/// How often a wait looks at whether a frame is still wanted.
+const PATIENCE_MS: c_int = 100;
+
+/// Numbers of frames that jump further than this are not of frames that were lost.
+const MOST_LOST: u64 = 10_000;
+
+/// The playback speed at which a recording waits until its frames are taken.
+const AS_TAKEN: f32 = -1.0;
+
+/// A camera of OpenNI2 that is running, or a recording of one.
+pub struct OpenNi2Source {
+    library: &'static Functions,
+    /// The caller's camera instead of what follows from the device's field of view.
+    camera: Option<Camera>,
+    description: String,
+    recording: Option<PathBuf>,
+    rgb: Option<Image>,
+    last_index: Option<u64>,
+    /// Whether a recording is over: by its end, or by an error, which is told once.
+    has_ended: bool,
+    dropped: u64,
+    ended: Arc<AtomicBool>,
+    /// Colour images, if depth is mapped to them. Closed before the device, in this order.
+    color: Option<Stream>,
+    depth: Stream,
+    watch: Watch,
+    _device: Device,
+}
+
+/// What came of the streams.
+enum Polled {
+    Depth(DepthFrame),
+    Color,
+    Nothing,
+}
+
+struct Image {
+    width: usize,
+    height: usize,
+    bytes: Vec<u8>,
+}
+
+impl OpenNi2Source {
+    /// Opens the device or the recording with a URI, or the first device for an empty one. Its 640x480 at 30 frames a second unless
+    /// another mode is asked for, and depth mapped to colour if it can and is not told otherwise.
+    pub fn open(
+        uri: &str,
+        camera: Option<Camera>,
+        alignment: Option<Alignment>,
+        mode: Option<StreamMode>,
+    ) -> Result<Self, Error> {
+        if alignment == Some(Alignment::Depth) {
+            let allowed = "color or none: OpenNI2 maps depth to colour and not the reverse";
+            return Err(ParamError { field: "align", value: "depth".into(), allowed }.into());
+        }
+        let recording = Self::is_recording(uri).then(|| PathBuf::from(uri));
+        if let Some(file) = &recording {
+            // The library's error does not say whether the file is there.
+            std::fs::File::open(file).map_err(|error| IoError { path: file.clone(), problem: error.into() })?;
+            if let Some(mode) = mode {
+                let allowed = "none for a recording, which has its own";
+                return Err(ParamError { field: "mode", value: mode.to_string(), allowed }.into());
+            }
+        }
+        let library = Functions::load()?;
+        let device = Device::open(library, uri).map_err(|error| named(recording.as_deref(), error.into()))?;
+        let started = Self::start(library, device, camera, recording.clone(), alignment, mode);
+        started.map_err(|error| named(recording.as_deref(), error))
+    }
+
+    /// Whether a URI is a file's.
+    pub(super) fn is_recording(uri: &str) -> bool {
+        let path = Path::new(uri);
+        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("oni")) || path.is_file()
+    }
+
+    fn start(
+        library: &'static Functions,
+        device: Device,
+        camera: Option<Camera>,
+        recording: Option<PathBuf>,
+        alignment: Option<Alignment>,
+        mode: Option<StreamMode>,
+    ) -> Result<Self, Error> {
+        let of_device = Holder::Device(device.handle);
+        let (description, uri) = library.info_of(device.handle).unwrap_or_default();
+        let watch = Watch::start(library, uri)?;
+        let depth = Stream::create(library, device.handle, api::SENSOR_DEPTH, "the device has no depth sensor")?;
+        if recording.is_some() {
+            library.set(of_device, api::PLAYBACK_REPEAT, 0)?;
+            library.set(of_device, api::PLAYBACK_SPEED, AS_TAKEN)?;
+        } else {
+            let modes = library.modes_of(device.handle, api::SENSOR_DEPTH);
+            if let Some(mode) = mode_of(&modes, mode)? {
+                depth.set_mode(mode)?;
+            }
+        }
+        // Depth is mapped to colour only where colour comes with it: what else would say what it is seen by? A recording does not
+        // say whether it was, but its user may.
+        let wants_color = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Color);
+        let color = if wants_color { color_stream(library, device.handle, &depth, recording.is_some()) } else { None };
+        let is_registered = color.is_some() && (recording.is_some() || register(library, device.handle));
+        let color = color.filter(|_| is_registered);
+        if !is_registered && recording.is_none() {
+            // The device may still be as another program left it.
+            let _ = library.set(of_device, api::IMAGE_REGISTRATION, 0);
+        }
+        if alignment == Some(Alignment::Color) && !is_registered {
+            let what = format!("{description} does not map depth to colour images of its size: align none");
+            return Err(DeviceError::Failed { what }.into());
+        }
+        for stream in std::iter::once(&depth).chain(&color) {
+            // Not every device mirrors; what one still does is turned back.
+            let _ = library.set(Holder::Stream(stream.handle), api::MIRRORING, 0);
+            stream.start()?;
+        }
+        Ok(Self {
+            library,
+            camera,
+            description,
+            recording,
+            rgb: None,
+            last_index: None,
+            has_ended: false,
+            dropped: 0,
+            ended: Arc::default(),
+            color,
+            depth,
+            watch,
+            _device: device,
+        })
+    }
+
+    /// Waits for a frame of either stream; one of colour is kept.
+    fn poll(&mut self) -> Result<Polled, Error> {
+        let mut streams: Vec<Handle> = std::iter::once(&self.depth).chain(&self.color).map(|s| s.handle).collect();
+        let mut ready = -1;
+        let count = streams.len() as c_int;
+        // SAFETY: the streams are open.
+        let status =
+            unsafe { (self.library.WaitForAnyStream)(streams.as_mut_ptr(), count, &raw mut ready, PATIENCE_MS) };
+        if status == api::STATUS_TIME_OUT {
+            return Ok(Polled::Nothing);
+        }
+        self.library.check("the camera fails", status)?;
+        if ready == 0 {
+            let frame = self.depth.read()?;
+            return Ok(Polled::Depth(self.depth_frame(&frame)?));
+        }
+        if let Some(color) = &self.color {
+            let frame = color.read()?;
+            if frame.mode.format == api::RGB888 {
+                self.rgb = Some(Image::of(&frame, 3, color.is_mirrored())?);
+            }
+        }
+        Ok(Polled::Color)
+    }
+
+    fn depth_frame(&mut self, frame: &Frame) -> Result<DepthFrame, Error> {
+        let units_per_metre = match frame.mode.format {
+            api::DEPTH_1_MM => 1000.0,
+            api::DEPTH_100_UM => 10_000.0,
+            format => {
+                let what = format!("depth in OpenNI2's format {format}: 1 mm (100) or 0.1 mm (101) are expected");
+                return Err(DeviceError::Failed { what }.into());
+            }
+        };
+        let Image { width, height, bytes } = Image::of(frame, 2, self.depth.is_mirrored())?;
+        let camera = match self.camera {
+            Some(camera) => with_shape(camera, (width, height)),
+            None => self.camera_of(frame)?,
+        };
+        camera.check_shape((width, height))?;
+        let raw = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
+        let mut depth = DepthFrame::new(camera.with_depth_units_per_metre(units_per_metre), raw)?;
+        let index = u64::try_from(frame.index).unwrap_or(0);
+        let lost = self.last_index.replace(index).and_then(|last| index.checked_sub(last + 1));
+        self.dropped += lost.filter(|&lost| lost <= MOST_LOST).unwrap_or(0);
+        let rgb = self.rgb.as_ref().filter(|image| (image.width, image.height) == (width, height));
+        depth.rgb = rgb.map(|image| image.bytes.clone());
+        Ok(depth.with_timestamp_s(1e-6 * frame.timestamp_us as f64))
+    }
+
+    /// Returns the camera with the field of view that the library states, of the colour camera if depth is mapped to it.
+    fn camera_of(&self, frame: &Frame) -> Result<Camera, DeviceError> {
+        let stream = self.color.as_ref().unwrap_or(&self.depth);
+        let angle = |property| {
+            let angle = self.library.get::<f32>(Holder::Stream(stream.handle), property).map(f64::from);
+            angle.filter(|angle| (0.01..3.0).contains(angle))
+        };
+        let focal_length = |pixels: c_int, angle: f64| 0.5 * f64::from(pixels) / (0.5 * angle).tan();
+        let VideoMode { width, height, .. } = frame.mode;
+        let Some(fx) = angle(api::HORIZONTAL_FOV).map(|angle| focal_length(width, angle)) else {
+            let what = format!("{} states no field of view", self.description);
+            return Err(DeviceError::Driver { what, help: "give its intrinsics: --camera FX,FY,CX,CY" });
+        };
+        let fy = angle(api::VERTICAL_FOV).map_or(fx, |angle| focal_length(height, angle));
+        let (mut cx, mut cy) = (0.5 * f64::from(width - 1), 0.5 * f64::from(height - 1));
+        if frame.is_cropped != 0 {
+            cx -= f64::from(frame.crop_x);
+            cy -= f64::from(frame.crop_y);
+        }
+        Ok(Camera::new((size(frame.width), size(frame.height)), [fx, fy], [cx, cy]))
+    }
+}
+
+impl OpenNi2Source {
+    fn wait_for_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        let deadline = Instant::now() + longest_silence();
+        while !self.ended.load(Ordering::Relaxed) {
+            // Asked before the wait: what comes after the end of the recording is its last.
+            let is_over = self.watch.is_over();
+            match self.poll()? {
+                Polled::Depth(frame) => return Ok(Some(OwnedFrame::Depth(frame))),
+                Polled::Nothing if is_over => return self.over(),
+                // Colour may go on without depth.
+                Polled::Color | Polled::Nothing if Instant::now() >= deadline => return Err(self.silent()),
+                Polled::Color | Polled::Nothing => {}
+            }
+        }
+        Ok(None)
+    }
+
+    /// What the end of the recording, or of the device, means.
+    fn over(&self) -> Result<Option<OwnedFrame>, Error> {
+        match &self.recording {
+            Some(_) if self.last_index.is_some() => Ok(None),
+            Some(file) => Err(malformed(file, "no depth in it that OpenNI2 can play").into()),
+            None => Err(DeviceError::Gone { what: format!("{} is gone", self.description) }.into()),
+        }
+    }
+
+    /// The error of a source that has been silent for long.
+    fn silent(&self) -> Error {
+        let what = format!("{} gave no depth for {} s", self.description, longest_silence().as_secs());
+        match &self.recording {
+            Some(file) => malformed(file, format!("{what}: it is cut off")).into(),
+            None => DeviceError::Gone { what }.into(),
+        }
+    }
+}
+
+impl Source for OpenNi2Source {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        if self.has_ended {
+            return Ok(None);
+        }
+        let result = self.wait_for_frame();
+        // What is wrong with a recording stays wrong.
+        self.has_ended = self.recording.is_some() && !matches!(result, Ok(Some(_)));
+        result.map_err(|error| named(self.recording.as_deref(), error))
+    }
+
+    fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    fn is_live(&self) -> bool {
+        self.recording.is_none()
+    }
+
+    fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        self.ended = ended;
+    }
+
+    fn description(&self) -> Option<String> {
+        Some(self.description.clone())
+    }
+}
+
+/// Returns the mode to set: the one that was asked for, else 640x480 at 30 frames a second if there is one, in millimetres or tenths
+/// of them.
+fn mode_of(modes: &[VideoMode], asked: Option<StreamMode>) -> Result<Option<VideoMode>, DeviceError> {
+    let usable = |mode: &&VideoMode| matches!(mode.format, api::DEPTH_1_MM | api::DEPTH_100_UM);
+    let wanted = asked.unwrap_or(StreamMode { width: 640, height: 480, fps: Some(30) });
+    let is_wanted = |mode: &&VideoMode| {
+        let rate = wanted.fps.is_none_or(|fps| u32::try_from(mode.fps) == Ok(fps));
+        (size(mode.width), size(mode.height)) == (wanted.width, wanted.height) && rate
+    };
+    match (modes.iter().filter(usable).find(is_wanted), asked) {
+        (Some(mode), _) => Ok(Some(*mode)),
+        (None, None) => Ok(None),
+        (None, Some(asked)) => {
+            let text = |mode: &VideoMode| format!("{}x{}@{}", mode.width, mode.height, mode.fps);
+            let mut there: Vec<String> = modes.iter().filter(usable).map(text).collect();
+            there.dedup();
+            Err(DeviceError::Failed { what: format!("the camera has no mode {asked} of depth: {}", there.join(", ")) })
+        }
+    }
+}
+
+/// Has a device map depth to its colour camera; returns whether it does.
+fn register(library: &Functions, device: Handle) -> bool {
+    // SAFETY: the device is open.
+    let can = unsafe { (library.DeviceIsImageRegistrationModeSupported)(device, api::DEPTH_TO_COLOR) != 0 };
+    can && library.set(Holder::Device(device), api::IMAGE_REGISTRATION, api::DEPTH_TO_COLOR).is_ok()
+}
+
+/// Opens the stream of colour images of depth's size, if there is one.
+fn color_stream(library: &'static Functions, device: Handle, depth: &Stream, is_recording: bool) -> Option<Stream> {
+    let color = Stream::create(library, device, api::SENSOR_COLOR, "the device has no colour sensor").ok()?;
+    let of_depth: VideoMode = library.get(Holder::Stream(depth.handle), api::VIDEO_MODE)?;
+    let fits =
+        |mode: &VideoMode| (mode.format, mode.width, mode.height) == (api::RGB888, of_depth.width, of_depth.height);
+    let modes = library.modes_of(device, api::SENSOR_COLOR);
+    let mode =
+        modes.iter().find(|mode| fits(mode) && mode.fps == of_depth.fps).or(modes.iter().find(|mode| fits(mode)));
+    match mode {
+        Some(mode) if !is_recording => color.set_mode(*mode).ok()?,
+        _ => {}
+    }
+    library.get(Holder::Stream(color.handle), api::VIDEO_MODE).filter(fits).map(|_| color)
+}
+
+/// Names the recording that an error is about.
+fn named(recording: Option<&Path>, error: Error) -> Error {
+    match (recording, error) {
+        (Some(file), Error::Device(error)) => malformed(file, format!("cannot be played: {error}")).into(),
+        (_, error) => error,
+    }
+}
+
+fn size(value: c_int) -> usize {
+    usize::try_from(value).unwrap_or(0)
+}
+
+impl Image {
+    /// Copies a frame's rows without what is behind their ends, each turned back if the device mirrors it.
+    fn of(frame: &Frame, bytes_a_pixel: usize, is_mirrored: bool) -> Result<Self, DeviceError> {
+        let (width, height, stride) = (size(frame.width), size(frame.height), size(frame.stride));
+        let (row, bytes) = (width * bytes_a_pixel, size(frame.bytes));
+        if frame.data.is_null() || row == 0 || height == 0 || row > stride || bytes < stride * (height - 1) + row {
+            let what = format!("a frame of {width}x{height} pixels, {stride} bytes a row, has {bytes} bytes");
+            return Err(DeviceError::Failed { what });
+        }
+        // SAFETY: the frame has so many bytes, and is not released before they are copied.
+        let data = unsafe { std::slice::from_raw_parts(frame.data.cast::<u8>(), bytes) };
+        let mut image = Vec::with_capacity(row * height);
+        for line in data.chunks(stride).take(height) {
+            if is_mirrored {
+                line[..row].rchunks_exact(bytes_a_pixel).for_each(|pixel| image.extend_from_slice(pixel));
+            } else {
+                image.extend_from_slice(&line[..row]);
+            }
+        }
+        Ok(Self { width, height, bytes: image })
+    }
+}

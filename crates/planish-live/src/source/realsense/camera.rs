@@ -1,0 +1,153 @@
+//! A RealSense's intrinsics as a [`Camera`].
+//!
+//! Depth images are rectified, mostly. Where Intel gives distortion by models of its own, in which tangential distortion is applied to
+//! what is radially distorted already, it is replaced by OpenCV's with five coefficients, fitted over the image: to a hundredth of a
+//! pixel for the lenses of these cameras.
+//!
+//! Depth that is aligned to the colour camera states that camera's distortion, but the library's `align` applies it for one model alone
+//! (sse-align.cpp and neon-align.cpp): for the others its image is one without distortion.
+
+use std::ffi::c_int;
+
+use super::api::Intrinsics;
+use planish_core::{Camera, DeviceError, Distortion};
+
+// rs2_distortion
+const NONE: c_int = 0;
+const MODIFIED_BROWN_CONRADY: c_int = 1;
+const INVERSE_BROWN_CONRADY: c_int = 2;
+const BROWN_CONRADY: c_int = 4;
+
+/// Positions along each side at which distortion is fitted.
+const SAMPLES: u32 = 25;
+
+/// The largest error of a fit, in pixels.
+const MOST_ERROR_PX: f64 = 0.1;
+
+/// Returns the camera of an image of depth in units of so many metres, as the camera measured it or as `align` mapped it onto the colour
+/// image.
+pub(super) fn camera_of(
+    intrinsics: &Intrinsics,
+    metres_per_unit: f32,
+    is_aligned: bool,
+) -> Result<Camera, DeviceError> {
+    let size = |value: c_int| usize::try_from(value).unwrap_or(0);
+    let shape = (size(intrinsics.width), size(intrinsics.height));
+    let focal = [intrinsics.fx, intrinsics.fy].map(f64::from);
+    let centre = [intrinsics.ppx, intrinsics.ppy].map(f64::from);
+    let coefficients = intrinsics.coefficients.map(f64::from);
+    let distortion = match intrinsics.model {
+        _ if coefficients == [0.0; 5] => Distortion::NONE,
+        NONE => Distortion::NONE,
+        model if is_aligned && model != MODIFIED_BROWN_CONRADY => Distortion::NONE,
+        BROWN_CONRADY => Distortion::from_opencv(&coefficients).unwrap_or_default(),
+        MODIFIED_BROWN_CONRADY | INVERSE_BROWN_CONRADY => fitted(intrinsics, coefficients)?,
+        model => {
+            let what = format!(
+                "the camera's lens has distortion model {model} of librealsense, a fisheye's: pinhole cameras are smoothed"
+            );
+            return Err(DeviceError::Failed { what });
+        }
+    };
+    let units = units_per_metre(metres_per_unit);
+    Ok(Camera::new(shape, focal, centre).with_depth_units_per_metre(units).with_distortion(distortion))
+}
+
+/// The library gives metres per unit as f32: 0.001 there is 1000 units a metre, not 999.99995.
+fn units_per_metre(metres_per_unit: f32) -> f64 {
+    let units = 1.0 / f64::from(metres_per_unit);
+    let whole = units.round();
+    if (units - whole).abs() <= f64::from(f32::EPSILON) * whole { whole } else { units }
+}
+
+fn fitted(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Result<Distortion, DeviceError> {
+    let pairs = pairs_of(intrinsics, coefficients);
+    let fit = Distortion::fit(&pairs).map(|(distortion, error)| (distortion, error * f64::from(intrinsics.fx)));
+    match fit {
+        Some((distortion, error_px)) if error_px <= MOST_ERROR_PX => Ok(distortion),
+        _ => {
+            let what = format!(
+                "the camera's distortion, model {} with {coefficients:?}, has no equivalent in OpenCV's to {MOST_ERROR_PX} pixels",
+                intrinsics.model
+            );
+            Err(DeviceError::Failed { what })
+        }
+    }
+}
+
+/// Returns directions with the positions at which they are seen, over the image: both in units of the focal length.
+fn pairs_of(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Vec<([f64; 2], [f64; 2])> {
+    let at = |i: u32, length: c_int, centre: f32, focal: f32| {
+        let pixel = f64::from(i) / f64::from(SAMPLES - 1) * f64::from(length - 1);
+        (pixel - f64::from(centre)) / f64::from(focal)
+    };
+    // Somewhat beyond the image, so that they cover it however it is distorted.
+    let direction = |i: u32| {
+        let x = 1.1 * at(i % SAMPLES, intrinsics.width, intrinsics.ppx, intrinsics.fx);
+        let y = 1.1 * at(i / SAMPLES, intrinsics.height, intrinsics.ppy, intrinsics.fy);
+        ([x, y], distorted([x, y], coefficients))
+    };
+    (0..SAMPLES * SAMPLES).map(direction).collect()
+}
+
+/// rs2_project_point_to_pixel for both models; "inverse" is what it is called, and not what it is.
+fn distorted([x, y]: [f64; 2], [k1, k2, p1, p2, k3]: [f64; 5]) -> [f64; 2] {
+    let r2 = x * x + y * y;
+    let q = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+    let [x, y] = [x * q, y * q];
+    [x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of a D455's colour camera, which has a wide lens.
+    const COEFFICIENTS: [f32; 5] = [-0.0559, 0.0668, -0.00077, 0.00044, -0.0213];
+
+    fn intrinsics(model: c_int, coefficients: [f32; 5]) -> Intrinsics {
+        Intrinsics { width: 1280, height: 720, ppx: 646.3, ppy: 367.1, fx: 644.2, fy: 643.8, model, coefficients }
+    }
+
+    #[test]
+    fn distortion_sends_directions_where_the_library_sees_them() {
+        let given = intrinsics(BROWN_CONRADY, COEFFICIENTS);
+        let camera = camera_of(&given, 0.001, false).unwrap();
+        assert_eq!(camera.depth_units_per_metre, 1000.0);
+        assert_eq!(camera.distortion.to_opencv()[..5], COEFFICIENTS.map(f64::from));
+        // rs2_project_point_to_pixel (2.59) of the direction (0.9, -0.5, 1) for models 1 and 2, in units of the focal length.
+        let (r2, [k1, k2, p1, p2, k3]) = (0.9f64 * 0.9 + 0.25, COEFFICIENTS.map(f64::from));
+        let q = 1.0 + k1 * r2 + k2 * r2 * r2 + k3 * r2 * r2 * r2;
+        let (x, y) = (0.9 * q, -0.5 * q);
+        let seen = [x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)];
+        for model in [MODIFIED_BROWN_CONRADY, INVERSE_BROWN_CONRADY] {
+            let camera = camera_of(&intrinsics(model, COEFFICIENTS), 0.001, false).unwrap();
+            let found = camera.distortion.undistort(seen).unwrap();
+            let error_px = 644.0 * (found[0] - 0.9).hypot(found[1] + 0.5);
+            assert!(error_px < 0.05, "{model}: {error_px}");
+        }
+    }
+
+    #[test]
+    fn depth_that_was_aligned_is_distorted_as_the_library_aligns() {
+        for (model, is_distorted) in
+            [(MODIFIED_BROWN_CONRADY, true), (INVERSE_BROWN_CONRADY, false), (BROWN_CONRADY, false)]
+        {
+            let camera = camera_of(&intrinsics(model, COEFFICIENTS), 0.001, true).unwrap();
+            assert_eq!(!camera.distortion.is_none(), is_distorted);
+        }
+    }
+
+    #[test]
+    fn a_lens_that_is_no_pinhole_is_refused_and_rectified_images_have_no_distortion() {
+        let fisheye = camera_of(&intrinsics(5, [0.1, 0.0, 0.0, 0.0, 0.0]), 0.001, false);
+        assert!(fisheye.unwrap_err().to_string().contains("fisheye"));
+        assert!(camera_of(&intrinsics(5, [0.0; 5]), 0.001, false).unwrap().distortion.is_none());
+        // Beyond any lens: the image folds over itself.
+        assert!(camera_of(&intrinsics(MODIFIED_BROWN_CONRADY, [-3.0, 2.0, 0.5, 0.5, -9.0]), 0.001, false).is_err());
+        // An L515 counts quarters of a millimetre, a D405 tenths.
+        assert_eq!(units_per_metre(0.000_25), 4000.0);
+        assert_eq!(units_per_metre(0.0001), 10_000.0);
+        assert!((units_per_metre(0.000_333) - 3003.003).abs() < 0.001);
+    }
+}

@@ -1,0 +1,279 @@
+//! Data sets in the layout of the TUM RGB-D benchmark: depth/ and rgb/ with PNGs, and lists of time stamps and files.
+//!
+//! Depth has 5000 units per metre. The camera is the caller's, else that of `camera.json` beside the lists, which [`TumRecorder`]
+//! writes, else the benchmark's default of 525, 525, 319.5, 239.5.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::files::{file_stem, read_frame};
+use super::{OwnedFrame, Source, malformed, with_shape};
+use planish_core::{Camera, DepthFrame, DepthImage, Error, FormatError, IoError, SATURATED_DEPTH};
+use planish_io::{self as io, RgbImage};
+
+/// The benchmark's depth units per metre.
+const UNITS_PER_METRE: f64 = 5000.0;
+
+/// Of the frames that a Kinect's camera is assumed for: width and height.
+const KINECT_SHAPE: (usize, usize) = (640, 480);
+
+/// Colour and depth images further apart in time than this are not paired, as in the benchmark's own tools (0.02 s).
+const NEAR_IN_TIME_S: f64 = 0.02;
+
+/// Reads a data set in order.
+pub struct TumSource {
+    folder: PathBuf,
+    camera: Camera,
+    /// Whether nobody said what camera it is.
+    is_assumed: bool,
+    entries: Vec<Entry>,
+    next: usize,
+}
+
+struct Entry {
+    timestamp_s: f64,
+    depth: PathBuf,
+    rgb: Option<PathBuf>,
+}
+
+impl TumSource {
+    /// Opens a folder that has depth.txt and optionally rgb.txt, or associations.txt.
+    ///
+    /// Depth has 5000 units per metre whatever the camera says, unless `units_per_metre` or the data set's own camera.json
+    /// says otherwise.
+    pub fn open(folder: &Path, camera: Option<Camera>, units_per_metre: Option<f64>) -> Result<Self, Error> {
+        let lists = ["associations.txt", "associate.txt"].map(|name| folder.join(name));
+        let entries = match lists.iter().find(|list| list.is_file()) {
+            Some(list) => associated(list)?,
+            None => joined(folder)?,
+        };
+        if entries.is_empty() {
+            return Err(malformed(folder, "the data set lists no depth images").into());
+        }
+        let file = folder.join("camera.json");
+        let own = if file.is_file() { Some(io::read_camera(&file, None)?) } else { None };
+        let units = units_per_metre.or(own.map(|own| own.depth_units_per_metre)).unwrap_or(UNITS_PER_METRE);
+        let is_assumed = camera.is_none() && own.is_none();
+        let camera = camera.or(own).unwrap_or(Camera::kinect_v1().with_shape((0, 0)));
+        let camera = camera.with_depth_units_per_metre(units);
+        Ok(Self { folder: folder.to_path_buf(), camera, is_assumed, entries, next: 0 })
+    }
+}
+
+impl Source for TumSource {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        let Some(entry) = self.entries.get(self.next) else { return Ok(None) };
+        self.next += 1;
+        let file = self.folder.join(&entry.depth);
+        let mut frame = read_frame(&file, Some(self.camera))?;
+        let shape = frame.shape();
+        if self.is_assumed && shape != KINECT_SHAPE {
+            let problem = format!(
+                "{}x{}, which is not the Kinect's {}x{} whose camera data sets of TUM have: give the camera, or put a camera.json beside",
+                shape.0, shape.1, KINECT_SHAPE.0, KINECT_SHAPE.1
+            );
+            return Err(malformed(&file, problem).into());
+        }
+        self.camera = with_shape(self.camera, shape);
+        if let OwnedFrame::Depth(depth) = &mut frame {
+            depth.timestamp_s = Some(entry.timestamp_s);
+            if let Some(rgb) = &entry.rgb {
+                let file = self.folder.join(rgb);
+                let image = planish_io::internal::read_rgb_png(&file)?;
+                if (image.width, image.height) != (depth.camera.width, depth.camera.height) {
+                    let problem = format!("the colour is {}x{}, the depth is not", image.width, image.height);
+                    return Err(malformed(&file, problem).into());
+                }
+                depth.rgb = Some(image.rgb);
+            }
+        }
+        Ok(Some(frame))
+    }
+
+    fn frame_name(&self) -> Option<String> {
+        file_stem(&self.entries.get(self.next.checked_sub(1)?)?.depth)
+    }
+}
+
+/// Returns the lines of a list, split at blanks, without comments.
+fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
+    const MAX_BYTES: u64 = 256 << 20;
+    let bytes = io::read_bytes(list, &io::ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
+    let bytes = bytes.map_err(|problem| IoError { path: list.to_path_buf(), problem })?;
+    let text = String::from_utf8(bytes).map_err(|_| malformed(list, "is not text"))?;
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    Ok(lines.map(|line| line.split_whitespace().map(str::to_owned).collect()).collect())
+}
+
+fn timestamp_s(list: &Path, word: &str) -> Result<f64, IoError> {
+    let number = word.parse::<f64>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| malformed(list, format!("'{word}' is no time stamp; a line is: seconds file")))
+}
+
+/// Returns the time in seconds and the file of every line.
+fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
+    let line = |words: Vec<String>| match &words[..] {
+        [seconds, file] => Ok((timestamp_s(list, seconds)?, PathBuf::from(file))),
+        _ => Err(malformed(list, format!("'{}' is not: seconds file", words.join(" ")))),
+    };
+    read_list(list)?.into_iter().map(line).collect()
+}
+
+/// Returns pairs of depth and colour from lines that list them in either order, told apart by their folders.
+fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
+    let line = |words: Vec<String>| {
+        let [first_s, first, second_s, second] = &words[..] else {
+            return Err(malformed(list, format!("'{}' is not: seconds file seconds file", words.join(" "))));
+        };
+        let (seconds, depth, rgb) =
+            if first.starts_with("rgb") { (second_s, second, first) } else { (first_s, first, second) };
+        Ok(Entry { timestamp_s: timestamp_s(list, seconds)?, depth: depth.into(), rgb: Some(rgb.into()) })
+    };
+    read_list(list)?.into_iter().map(line).collect()
+}
+
+/// Pairs every line of depth.txt with the colour image nearest to it in time.
+fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
+    let depths = stamped(&folder.join("depth.txt"))?;
+    let list = folder.join("rgb.txt");
+    let mut colours = if list.is_file() { stamped(&list)? } else { Vec::new() };
+    colours.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let nearest = |seconds: f64| {
+        let at = colours.partition_point(|(other, _)| *other < seconds);
+        let around = colours[at.saturating_sub(1)..(at + 1).min(colours.len())].iter();
+        let near = around.filter(|(other, _)| (other - seconds).abs() <= NEAR_IN_TIME_S);
+        near.min_by(|a, b| (a.0 - seconds).abs().total_cmp(&(b.0 - seconds).abs())).map(|(_, file)| file.clone())
+    };
+    let entry = |(seconds, depth)| Entry { timestamp_s: seconds, depth, rgb: nearest(seconds) };
+    Ok(depths.into_iter().map(entry).collect())
+}
+
+/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units a metre, as the layout has it, if the camera's unit is a whole
+/// multiple of that, as a millimetre is. Finer units are kept, and `camera.json` states them.
+///
+/// Files are named by time stamps in microseconds; one that repeats or goes back becomes 1 us later than the one before.
+pub struct TumRecorder {
+    folder: PathBuf,
+    units: Option<Units>,
+    frames: u64,
+    last_s: f64,
+    too_far: u64,
+}
+
+/// What becomes of depth; that of the first frame holds for all.
+#[derive(Clone, Copy)]
+struct Units {
+    of_camera: f64,
+    of_files: f64,
+    /// Units of the files in one of the camera's.
+    factor: u32,
+}
+
+impl Units {
+    fn of(camera: &Camera) -> Self {
+        let of_camera = camera.depth_units_per_metre;
+        let factor = UNITS_PER_METRE / of_camera;
+        if factor.fract() == 0.0 && (1.0..=UNITS_PER_METRE).contains(&factor) {
+            Self { of_camera, of_files: UNITS_PER_METRE, factor: factor as u32 }
+        } else {
+            Self { of_camera, of_files: of_camera, factor: 1 }
+        }
+    }
+
+    /// Returns the file's value, 0 for both kinds of holes; `None` if it is too large.
+    fn convert(self, raw: u16) -> Option<u16> {
+        match raw {
+            SATURATED_DEPTH => Some(0),
+            raw => u16::try_from(u32::from(raw) * self.factor).ok().filter(|&raw| raw != SATURATED_DEPTH),
+        }
+    }
+}
+
+impl TumRecorder {
+    /// Starts a recording; refuses a folder that already has a data set. The folder is made with the first frame.
+    pub fn create(folder: &Path) -> Result<Self, Error> {
+        if folder.join("depth.txt").exists() {
+            return Err(malformed(folder, "has a data set already; record into another folder").into());
+        }
+        Ok(Self { folder: folder.to_path_buf(), units: None, frames: 0, last_s: f64::NEG_INFINITY, too_far: 0 })
+    }
+
+    /// How many pixels were too far for 5000 units a metre, more than 13.1 m, and became holes.
+    pub fn too_far(&self) -> u64 {
+        self.too_far
+    }
+
+    /// Depth units per metre of the files, once there is one.
+    pub fn depth_units_per_metre(&self) -> Option<f64> {
+        self.units.map(|units| units.of_files)
+    }
+
+    fn create_folders(&self) -> Result<(), IoError> {
+        for name in ["depth", "rgb"] {
+            let path = self.folder.join(name);
+            fs::create_dir_all(&path).map_err(|error| IoError { path, problem: error.into() })?;
+        }
+        for (name, what) in [("depth.txt", "depth"), ("rgb.txt", "color")] {
+            self.write(name, &format!("# {what} images\n# timestamp filename\n"))?;
+        }
+        Ok(())
+    }
+
+    /// Adds a frame, whose unit must be that of the first.
+    pub fn add(&mut self, frame: &DepthFrame) -> Result<(), Error> {
+        let camera = frame.camera;
+        let units = match self.units {
+            Some(units) => units,
+            None => {
+                self.create_folders()?;
+                *self.units.insert(Units::of(&camera))
+            }
+        };
+        if camera.depth_units_per_metre != units.of_camera {
+            let [found, before] = [camera.depth_units_per_metre, units.of_camera];
+            let problem = format!("depth has {found} units a metre, and had {before}: a data set has one");
+            return Err(malformed(&self.folder, problem).into());
+        }
+        let converted = |&raw: &u16| {
+            units.convert(raw).unwrap_or_else(|| {
+                self.too_far += 1;
+                0
+            })
+        };
+        let raw: Vec<u16> = frame.raw.iter().map(converted).collect();
+        let seconds = frame.timestamp_s.unwrap_or(self.frames as f64 / 30.0);
+        // Names are time stamps: a clock that stands still or jumps back must not overwrite earlier files.
+        let seconds = if seconds <= self.last_s { self.last_s + 1e-6 } else { seconds };
+        self.last_s = seconds;
+        let name = format!("{seconds:.6}");
+        let depth = format!("depth/{name}.png");
+        io::write_depth(&self.folder.join(&depth), &DepthImage { width: camera.width, height: camera.height, raw })?;
+        if let Some(rgb) = &frame.rgb {
+            let file = format!("rgb/{name}.png");
+            let image = RgbImage { width: camera.width, height: camera.height, rgb: rgb.clone() };
+            planish_io::internal::write_rgb_png(&self.folder.join(&file), &image)?;
+            self.append("rgb.txt", &format!("{name} {file}\n"))?;
+        }
+        // Written after its images, so that an interrupted recording is whole up to there.
+        self.append("depth.txt", &format!("{name} {depth}\n"))?;
+        if self.frames == 0 {
+            let camera = camera.with_depth_units_per_metre(units.of_files);
+            self.write("camera.json", &io::camera_to_json(&camera))?;
+        }
+        self.frames += 1;
+        Ok(())
+    }
+
+    fn append(&self, name: &str, line: &str) -> Result<(), IoError> {
+        let path = self.folder.join(name);
+        let file = fs::OpenOptions::new().append(true).open(&path);
+        file.and_then(|mut file| file.write_all(line.as_bytes()))
+            .map_err(|error| IoError { path, problem: error.into() })
+    }
+
+    fn write(&self, name: &str, text: &str) -> Result<(), IoError> {
+        let path = self.folder.join(name);
+        io::write_whole(&path, text.as_bytes()).map_err(|problem: FormatError| IoError { path, problem })
+    }
+}

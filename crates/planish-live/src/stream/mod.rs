@@ -1,0 +1,475 @@
+//! Streams: source, smoother, sinks; frames are smoothed as they arrive.
+//!
+//! A capture thread moves frames from the source into a mailbox: of a live source only the newest waits, and dropped ones are
+//! counted; of any other every frame is kept, in order. The calling thread smooths, with several frames in flight on a GPU. Each
+//! sink has a thread and a short queue of its own, so that none blocks the source or another sink.
+
+#[cfg(feature = "mcap")]
+mod bag;
+mod mailbox;
+#[cfg(feature = "rerun")]
+mod rerun;
+mod sinks;
+mod smoothing;
+mod statistics;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::source::{OwnedFrame, Source};
+use mailbox::{Arrived, Mailbox, Policy};
+use planish_core::{
+    Engine, EngineError, Error, FleetDevice, FrameError, IntoFrame, SmoothParams, Smoothed, SmoothedView,
+    SmootherOptions,
+};
+use smoothing::Smoothing;
+
+#[cfg(feature = "rerun")]
+pub(crate) use self::rerun::Recording;
+#[cfg(feature = "rerun")]
+pub use self::rerun::RerunSink;
+#[cfg(feature = "mcap")]
+pub use bag::BagSink;
+pub(crate) use mailbox::TimeSpent;
+pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
+pub use sinks::{FolderSink, Sink, SinkFormat};
+pub(crate) use smoothing::LIVE_IN_FLIGHT;
+pub use statistics::{Latency, StreamStatistics};
+
+/// How many frames are read ahead from a source that is not live.
+const READ_AHEAD: usize = 4;
+
+/// A frame with its result, as sinks get it.
+#[non_exhaustive]
+pub struct StreamFrame {
+    /// Its index among the frames smoothed, from 0.
+    pub index: u64,
+    /// Its own name, where the source has one for it: that of its file, without the extension.
+    pub name: Option<String>,
+    /// The frame as the source delivered it.
+    pub source: OwnedFrame,
+    /// Its result.
+    pub smoothed: Smoothed,
+    /// From its arrival until its result was available.
+    pub latency: Duration,
+    /// When its result was available.
+    pub received: Instant,
+}
+
+/// How a stream runs.
+#[derive(Debug, Clone, Default)]
+#[non_exhaustive]
+pub struct StreamOptions {
+    /// The parameters of the method.
+    pub params: SmoothParams,
+    /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]), by the first frame of a shape that says
+    /// how coarse they are.
+    pub adapt_stride: bool,
+    /// The engine and the outputs.
+    pub smoother: SmootherOptions,
+    /// The devices that frames are dealt to, instead of the one of the options; none for that one.
+    pub devices: Vec<FleetDevice>,
+    /// Stop after N frames.
+    pub max_frames: Option<u64>,
+    /// Stop after this time.
+    pub max_duration: Option<Duration>,
+}
+
+impl StreamOptions {
+    /// Creates options with strides as given and no limits.
+    pub fn new(params: SmoothParams, smoother: SmootherOptions) -> Self {
+        Self { params, smoother, ..Self::default() }
+    }
+
+    /// The same with windows and strides for coarse pixels, or as given.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The same with frames dealt to these devices; none for the one of the options.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, ..self }
+    }
+
+    /// The same with an end after so many frames, or without.
+    pub fn with_max_frames(self, max_frames: Option<u64>) -> Self {
+        Self { max_frames, ..self }
+    }
+
+    /// The same with an end after so long, or without.
+    pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
+        Self { max_duration, ..self }
+    }
+}
+
+/// What a running stream reports to the caller.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum StreamEvent<'a> {
+    /// A frame was smoothed.
+    Frame(&'a StreamStatistics),
+    /// Something failed that the stream survives: an unreadable frame, a sink, a lost GPU.
+    Warning(String),
+}
+
+/// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
+///
+/// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over; of several devices
+/// the others go on. Frames keep their order. A frame or sink that fails is reported and counted, and the stream continues.
+pub fn run(
+    mut source: Box<dyn Source>,
+    options: &StreamOptions,
+    sinks: Vec<Box<dyn Sink>>,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(StreamEvent<'_>),
+) -> Result<StreamStatistics, Error> {
+    let live = source.is_live();
+    let mailbox = Arc::new(Mailbox::new(if live { Policy::NewestWins } else { Policy::Every(READ_AHEAD) }));
+    let ended = Arc::new(AtomicBool::new(false));
+    source.end_with(Arc::clone(&ended));
+    let capture = {
+        let mailbox = Arc::clone(&mailbox);
+        let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
+        thread::Builder::new()
+            .name("planish-capture".into())
+            .spawn(move || capture(source, &mailbox))
+            .map_err(failed)?
+    };
+    let sinks = sinks.into_iter().map(SinkThread::start).collect::<Result<Vec<_>, _>>();
+    let result = sinks.and_then(|sinks| {
+        let mut stream = Stream {
+            options,
+            live,
+            smoother: None,
+            smoother_options: options.smoother.clone(),
+            devices: options.devices.clone(),
+            shape: (0, 0),
+            params: None,
+            reopened: false,
+            told_lost_points: false,
+            pending: VecDeque::new(),
+            sinks,
+            statistics: StreamStatistics::start(),
+            smooth_time: TimeSpent::default(),
+        };
+        let result = stream.run(&mailbox, stop, &mut tell);
+        // Frames that arrive while the engine is closed are not missed.
+        mailbox.close();
+        let Stream { sinks, mut statistics, smooth_time, .. } = stream;
+        statistics.time_smoothing = smooth_time.total();
+        for sink in sinks {
+            if let Some(warning) = sink.finish(&mut statistics) {
+                tell(StreamEvent::Warning(warning));
+            }
+        }
+        result.map(|()| statistics)
+    });
+    mailbox.close();
+    // The wait for a live source is bounded, so that this is seen.
+    ended.store(true, Ordering::Relaxed);
+    if capture.join().is_err() {
+        tell(StreamEvent::Warning("the source panicked".to_owned()));
+    }
+    result.map(|mut statistics| {
+        let (frames_in, dropped, unreadable) = mailbox.counts();
+        (statistics.frames_in, statistics.dropped) = (frames_in, dropped);
+        statistics.unreadable += unreadable;
+        statistics.time_capturing = mailbox.capture_time.total();
+        statistics.end();
+        statistics
+    })
+}
+
+/// Ends a mailbox when it is dropped, also by a panic.
+struct EndOf<'a>(&'a Mailbox);
+
+impl Drop for EndOf<'_> {
+    fn drop(&mut self) {
+        self.0.end();
+    }
+}
+
+/// The capture thread: moves frames from the source into the mailbox until either ends.
+fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
+    let _end = EndOf(mailbox);
+    // A live source that fails repeatedly counts as gone; any other ends by itself.
+    let mut failures = 0;
+    // Frames that came while an engine was opened, which takes longer than many frames, do not count as dropped. A source may
+    // know of them only with the frame after them.
+    let (mut is_ready, mut missed_before) = (false, Some(0));
+    while !mailbox.is_closed() {
+        if let Some(missed) = missed_before {
+            mailbox.set_dropped_by_source(source.dropped().saturating_sub(missed));
+        }
+        match mailbox.capture_time.on(|| source.next_frame()) {
+            Ok(Some(frame)) => {
+                failures = 0;
+                missed_before = missed_before.or_else(|| Some(source.dropped()));
+                mailbox.put(Ok(Arrived { frame, name: source.frame_name(), since: Instant::now() }));
+                if source.is_live() && !is_ready {
+                    mailbox.wait_ready();
+                    missed_before = None;
+                    is_ready = true;
+                }
+            }
+            Ok(None) => break,
+            Err(error) => {
+                failures += 1;
+                let is_over = matches!(error, Error::Device(_)) || (source.is_live() && failures >= 100);
+                mailbox.put(Err((error, is_over)));
+                if is_over {
+                    break;
+                }
+            }
+        }
+    }
+}
+
+struct Stream<'a> {
+    options: &'a StreamOptions,
+    live: bool,
+    smoother: Option<Smoothing>,
+    /// The options' own until a GPU was lost twice.
+    smoother_options: SmootherOptions,
+    devices: Vec<FleetDevice>,
+    shape: (usize, usize),
+    /// Those for frames of this shape, once a frame has said how coarse its pixels are.
+    params: Option<SmoothParams>,
+    reopened: bool,
+    told_lost_points: bool,
+    /// Frames in flight, kept to be smoothed again if their device is lost.
+    pending: VecDeque<InFlight>,
+    sinks: Vec<SinkThread<StreamFrame>>,
+    statistics: StreamStatistics,
+    smooth_time: TimeSpent,
+}
+
+/// A frame that was submitted.
+struct InFlight {
+    frame: Arc<OwnedFrame>,
+    name: Option<String>,
+    since: Instant,
+}
+
+impl Stream<'_> {
+    fn run(
+        &mut self,
+        mailbox: &Mailbox,
+        stop: &AtomicBool,
+        tell: &mut impl FnMut(StreamEvent<'_>),
+    ) -> Result<(), Error> {
+        let start = Instant::now();
+        let mut submitted = 0;
+        loop {
+            let is_over = stop.load(Ordering::Relaxed)
+                || self.options.max_frames.is_some_and(|most| submitted >= most)
+                || self.sinks_are_gone(tell)
+                || self.options.max_duration.is_some_and(|longest| start.elapsed() >= longest);
+            if is_over {
+                break;
+            }
+            let in_flight = self.pending.len();
+            let most = self.smoother.as_ref().map_or(1, |smoother| smoother.max_in_flight(self.live));
+            // With frames in flight, only their results are waited for.
+            let next = match in_flight {
+                0 => mailbox.take(Some(Duration::from_millis(100))),
+                _ if in_flight < most => mailbox.take(Some(Duration::ZERO)),
+                _ => mailbox::Taken::Nothing,
+            };
+            match next {
+                mailbox::Taken::Item(item) => match *item {
+                    Ok(Arrived { frame, name, since }) => {
+                        self.submit(InFlight { frame: Arc::new(frame), name, since }, tell)?;
+                        submitted += 1;
+                        // The engine is open: from now on the stream keeps up with a live source.
+                        mailbox.set_ready();
+                    }
+                    Err((error, true)) => {
+                        // Frames that arrived before the source failed are still smoothed.
+                        while !self.pending.is_empty() {
+                            self.receive(tell)?;
+                        }
+                        return Err(error);
+                    }
+                    Err((error, false)) => tell(StreamEvent::Warning(error.to_string())),
+                },
+                mailbox::Taken::Nothing if in_flight > 0 => self.receive(tell)?,
+                mailbox::Taken::Nothing => {}
+                mailbox::Taken::End if in_flight > 0 => self.receive(tell)?,
+                mailbox::Taken::End => break,
+            }
+        }
+        while !self.pending.is_empty() {
+            self.receive(tell)?;
+        }
+        Ok(())
+    }
+
+    /// Whether nobody would get the results any more, which is reported.
+    fn sinks_are_gone(&self, tell: &mut impl FnMut(StreamEvent<'_>)) -> bool {
+        let are_gone = SinkThread::all_failed(&self.sinks);
+        if are_gone {
+            tell(StreamEvent::Warning(ALL_SINKS_FAILED.to_owned()));
+        }
+        are_gone
+    }
+
+    fn submit(&mut self, pending: InFlight, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        let shape = pending.frame.shape();
+        let of_shape = self.params.filter(|_| shape == self.shape);
+        let found = || self.options.params.at_known_resolution_of(pending.frame.into_frame().ok()?);
+        let params = of_shape.or_else(|| if self.options.adapt_stride { found() } else { Some(self.options.params) });
+        let changes = |of: Option<SmoothParams>| of.unwrap_or(self.options.params);
+        if shape != self.shape || changes(params) != changes(self.params) {
+            while !self.pending.is_empty() {
+                self.receive(tell)?;
+            }
+            (self.smoother, self.shape) = (None, shape);
+        }
+        self.params = params;
+        self.pending.push_back(pending);
+        match self.submit_last() {
+            Ok(()) => Ok(()),
+            // The frame's fault: the stream continues.
+            Err(Error::Frame(error)) => {
+                self.pending.pop_back();
+                self.refuse(&error, tell);
+                Ok(())
+            }
+            Err(error) => self.recover(error, tell),
+        }
+    }
+
+    /// Leaves a frame out that the engine does not take.
+    fn refuse(&mut self, error: &FrameError, tell: &mut impl FnMut(StreamEvent<'_>)) {
+        self.statistics.unreadable += 1;
+        tell(StreamEvent::Warning(error.to_string()));
+    }
+
+    /// Submits the newest frame.
+    fn submit_last(&mut self) -> Result<(), Error> {
+        let Some(InFlight { frame, .. }) = self.pending.back() else { return Ok(()) };
+        let params = self.params.unwrap_or(self.options.params);
+        let smoother = opened(&mut self.smoother, params, &self.smoother_options, &self.devices, self.shape)?;
+        self.statistics.engine = smoother.engine();
+        self.smooth_time.on(|| smoother.submit(frame))
+    }
+
+    /// Receives the oldest result and passes it to the sinks.
+    fn receive(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        let received = match &mut self.smoother {
+            Some(smoother) => self.smooth_time.on(|| smoother.receive()),
+            None => Ok(None),
+        };
+        match received {
+            Ok(Some(view)) => self.deliver(view, tell),
+            Ok(None) => {}
+            Err(Error::Frame(error)) => {
+                self.pending.pop_front();
+                self.refuse(&error, tell);
+            }
+            Err(error) => self.recover(error, tell)?,
+        }
+        if let Some(smoother) = &mut self.smoother {
+            for (device, lost) in smoother.losses() {
+                self.devices.retain(|other| *other != device);
+                tell(StreamEvent::Warning(lost));
+            }
+            self.statistics.engine = smoother.engine();
+        }
+        Ok(())
+    }
+
+    /// Passes the result of the oldest frame to the sinks.
+    fn deliver(&mut self, view: SmoothedView, tell: &mut impl FnMut(StreamEvent<'_>)) {
+        let Some(InFlight { frame, name, since }) = self.pending.pop_front() else { return };
+        // The engines are done with it.
+        let frame = Arc::try_unwrap(frame).unwrap_or_else(|frame| OwnedFrame::clone(&frame));
+        let received = Instant::now();
+        let latency = received.duration_since(since);
+        self.statistics.add(latency);
+        let index = self.statistics.frames_out - 1;
+        let smoothed = view.into_smoothed();
+        self.tell_lost_points(&frame, &smoothed, tell);
+        let frame = Arc::new(StreamFrame { index, name, source: frame, smoothed, latency, received });
+        for sink in &mut self.sinks {
+            if let Some(warning) = sink.give(&frame, self.live) {
+                tell(StreamEvent::Warning(warning));
+            }
+        }
+        tell(StreamEvent::Frame(&self.statistics));
+    }
+
+    /// Warns once if a frame lost more than a hundredth of its points.
+    fn tell_lost_points(&mut self, frame: &OwnedFrame, smoothed: &Smoothed, tell: &mut impl FnMut(StreamEvent<'_>)) {
+        let Some(frame) = frame.into_frame().ok().filter(|_| !self.told_lost_points) else { return };
+        if let Some(warning) = smoothed.lost_points_warning(frame) {
+            self.told_lost_points = true;
+            tell(StreamEvent::Warning(warning));
+        }
+    }
+
+    /// After a GPU error: reopens the GPU once, then falls back to the CPU engine, and smooths the frames in flight again, in order.
+    fn recover(&mut self, error: Error, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        let mut error = error;
+        loop {
+            let was_gpu = self.smoother.as_ref().is_some_and(|smoother| smoother.engine() == Engine::Gpu);
+            self.smoother = None;
+            if !matches!(error, Error::Engine(_))
+                || !(was_gpu || self.reopened)
+                || self.smoother_options.engine == Engine::Cpu
+            {
+                return Err(error);
+            }
+            if self.reopened {
+                self.smoother_options.engine = Engine::Cpu;
+                self.devices.clear();
+                tell(StreamEvent::Warning(format!("{error}; going on with the CPU engine")));
+            } else {
+                self.reopened = true;
+                tell(StreamEvent::Warning(format!("{error}; opening it once more")));
+            }
+            match self.smooth_pending(tell) {
+                Ok(()) => return Ok(()),
+                Err(again) => error = again,
+            }
+        }
+    }
+
+    /// Smooths the frames in flight one by one.
+    fn smooth_pending(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        while let Some(InFlight { frame, .. }) = self.pending.front() {
+            let params = self.params.unwrap_or(self.options.params);
+            let smoother = opened(&mut self.smoother, params, &self.smoother_options, &self.devices, self.shape)?;
+            self.statistics.engine = smoother.engine();
+            // Received without a further attempt to recover.
+            match smoother.submit(frame).and_then(|()| smoother.receive()) {
+                Ok(Some(view)) => self.deliver(view, tell),
+                Ok(None) => return Ok(()),
+                Err(Error::Frame(error)) => {
+                    self.pending.pop_front();
+                    self.refuse(&error, tell);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is open, or opened now.
+fn opened<'a>(
+    smoothing: &'a mut Option<Smoothing>,
+    params: SmoothParams,
+    options: &SmootherOptions,
+    devices: &[FleetDevice],
+    shape: (usize, usize),
+) -> Result<&'a mut Smoothing, Error> {
+    match smoothing {
+        Some(smoothing) => Ok(smoothing),
+        none => Ok(none.insert(Smoothing::open(params, options, devices, shape)?)),
+    }
+}

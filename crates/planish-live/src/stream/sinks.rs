@@ -1,0 +1,266 @@
+//! Where results go: folders, or any [`Sink`], each on a thread of its own.
+
+use std::collections::HashSet;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::thread::{self, JoinHandle};
+
+use super::mailbox::TimeSpent;
+use super::{StreamFrame, StreamStatistics};
+use crate::source::OwnedFrame;
+use planish_core::{DepthFrame, DepthImage, EngineError, Error, FormatError, IoError, Outputs};
+use planish_io::{self as io, CloudRef, Encoding, RgbImage};
+
+/// Consumes results, one after another.
+pub trait Sink: Send {
+    /// Its name in messages.
+    fn name(&self) -> String;
+
+    /// Consumes one result.
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error>;
+
+    /// Called after the last result.
+    fn close(&mut self) -> Result<(), Error> {
+        Ok(())
+    }
+}
+
+/// The kind of files that a folder sink writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SinkFormat {
+    /// Organized clouds, binary.
+    Pcd,
+    /// The same as PLY.
+    Ply,
+    /// 16-bit depth; the stream's outputs must include depth.
+    DepthPng,
+}
+
+impl SinkFormat {
+    pub(crate) fn extension(self) -> &'static str {
+        match self {
+            Self::Pcd => "pcd",
+            Self::Ply => "ply",
+            Self::DepthPng => "png",
+        }
+    }
+}
+
+/// Writes every result to a folder, under the name of its frame or else as `000000.pcd` and so on, each file atomically.
+///
+/// Depth becomes a data set in TUM layout: `depth.txt` with the time stamps, `camera.json` with intrinsics and units, and colour in `rgb`
+/// with `rgb.txt`. Clouds whose source has time stamps are listed in `points.txt`.
+pub struct FolderSink {
+    folder: PathBuf,
+    format: SinkFormat,
+    outputs: Outputs,
+    /// Names that were used.
+    names: HashSet<String>,
+    /// Whether the camera has been written.
+    has_camera: bool,
+}
+
+/// The lists and the camera of a data set.
+const OF_A_DATA_SET: [&str; 4] = ["depth.txt", "rgb.txt", "points.txt", "camera.json"];
+
+impl FolderSink {
+    /// Creates the folder. `outputs` are the fields to add to points. Refuses a folder that has a data set already, whose lists and camera
+    /// would be mixed with the new ones.
+    pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
+        std::fs::create_dir_all(folder)
+            .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
+        if OF_A_DATA_SET.iter().any(|name| folder.join(name).exists()) {
+            let problem = FormatError::Unsupported("has a data set already; save into another folder".into());
+            return Err(IoError { path: folder.to_path_buf(), problem }.into());
+        }
+        Ok(Self { folder: folder.to_path_buf(), format, outputs, names: HashSet::new(), has_camera: false })
+    }
+
+    /// The name of a frame's file without its extension: no two frames have one name.
+    fn name_of(&mut self, frame: &StreamFrame) -> String {
+        let number = format!("{:06}", frame.index);
+        let is_free = |name: &String| !self.names.contains(name);
+        let name = frame.name.clone().filter(is_free).unwrap_or_else(|| match &frame.name {
+            Some(taken) => format!("{taken}-{number}"),
+            None => number,
+        });
+        self.names.insert(name.clone());
+        name
+    }
+
+    /// Writes depth, its colour and the lists of a data set.
+    fn write_depth(&mut self, frame: &StreamFrame, name: &str) -> Result<(), Error> {
+        let (width, height) = (frame.smoothed.width, frame.smoothed.height);
+        let missing = planish_core::FrameError::MissingCamera { what: "depth as an output" };
+        let raw = frame.smoothed.depth.clone().ok_or(missing)?;
+        let file = format!("{name}.{}", self.format.extension());
+        io::write_depth(&self.folder.join(&file), &DepthImage { width, height, raw })?;
+        let seconds = frame.source.timestamp_s().unwrap_or(frame.index as f64 / FRAMES_PER_SECOND);
+        if let OwnedFrame::Depth(DepthFrame { rgb: Some(rgb), .. }) = &frame.source {
+            let colour = format!("rgb/{name}.png");
+            let folder = self.folder.join("rgb");
+            std::fs::create_dir_all(&folder).map_err(|error| IoError { path: folder, problem: error.into() })?;
+            planish_io::internal::write_rgb_png(
+                &self.folder.join(&colour),
+                &RgbImage { width, height, rgb: rgb.clone() },
+            )?;
+            self.append("rgb.txt", &format!("{seconds:.6} {colour}\n"))?;
+        }
+        // After its images, so that a stream that is cut off leaves a data set up to there.
+        self.append("depth.txt", &format!("{seconds:.6} {file}\n"))?;
+        let camera = match &frame.source {
+            OwnedFrame::Depth(depth) => Some(depth.camera),
+            OwnedFrame::Cloud { cloud, .. } => cloud.camera,
+        };
+        if let (Some(camera), false) = (camera, self.has_camera) {
+            self.append("camera.json", &io::camera_to_json(&camera))?;
+            self.has_camera = true;
+        }
+        Ok(())
+    }
+
+    fn append(&self, name: &str, text: &str) -> Result<(), IoError> {
+        let path = self.folder.join(name);
+        let file = OpenOptions::new().create(true).append(true).open(&path);
+        file.and_then(|mut file| file.write_all(text.as_bytes()))
+            .map_err(|error| IoError { path, problem: error.into() })
+    }
+}
+
+impl Sink for FolderSink {
+    fn name(&self) -> String {
+        self.folder.display().to_string()
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        let name = self.name_of(frame);
+        if self.format == SinkFormat::DepthPng {
+            return self.write_depth(frame, &name);
+        }
+        let mut cloud = match &frame.source {
+            OwnedFrame::Depth(depth) => depth.deproject()?,
+            OwnedFrame::Cloud { cloud, .. } => cloud.clone(),
+        };
+        cloud.points.apply(&frame.smoothed, self.outputs)?;
+        if self.format == SinkFormat::Ply {
+            cloud.points.unpack_colour();
+        }
+        let file = format!("{name}.{}", self.format.extension());
+        io::write_cloud(&self.folder.join(&file), CloudRef::Organized(&cloud), Encoding::Binary)?;
+        if let Some(seconds) = frame.source.timestamp_s() {
+            self.append("points.txt", &format!("{seconds:.6} {file}\n"))?;
+        }
+        Ok(())
+    }
+}
+
+/// Of a source without time stamps.
+const FRAMES_PER_SECOND: f64 = 30.0;
+
+/// Reported when a stream ends because nobody would get its results.
+pub(crate) const ALL_SINKS_FAILED: &str = "every sink has failed: the stream ends";
+
+/// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full a live stream drops results; any other waits.
+const QUEUE: usize = 8;
+
+/// Consumes results of a kind: what a thread of its own does with them.
+pub(crate) trait Consumer<T>: Send + 'static {
+    fn name(&self) -> String;
+    fn write(&mut self, result: &T) -> Result<(), Error>;
+    fn close(&mut self) -> Result<(), Error>;
+}
+
+impl Consumer<StreamFrame> for Box<dyn Sink> {
+    fn name(&self) -> String {
+        Sink::name(&**self)
+    }
+
+    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
+        Sink::write(&mut **self, frame)
+    }
+
+    fn close(&mut self) -> Result<(), Error> {
+        Sink::close(&mut **self)
+    }
+}
+
+/// A sink on its thread.
+pub(crate) struct SinkThread<T> {
+    name: String,
+    frames: Option<SyncSender<Arc<T>>>,
+    thread: Option<JoinHandle<Result<(), Error>>>,
+    dropped: u64,
+    warned: bool,
+    time: Arc<TimeSpent>,
+}
+
+impl<T: Send + Sync + 'static> SinkThread<T> {
+    pub(crate) fn start(mut sink: impl Consumer<T>) -> Result<Self, Error> {
+        let name = sink.name();
+        let (frames, queue) = sync_channel::<Arc<T>>(QUEUE);
+        let time = Arc::new(TimeSpent::default());
+        let spent = Arc::clone(&time);
+        let work = move || {
+            for frame in queue {
+                spent.on(|| sink.write(&frame))?;
+            }
+            sink.close()
+        };
+        let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
+        let thread = thread::Builder::new().name("planish-sink".into()).spawn(work).map_err(failed)?;
+        Ok(Self { name, frames: Some(frames), thread: Some(thread), dropped: 0, warned: false, time })
+    }
+
+    /// Queues a result; returns a warning, once, if the sink failed.
+    pub(crate) fn give(&mut self, frame: &Arc<T>, live: bool) -> Option<String> {
+        let frames = self.frames.as_ref()?;
+        let given = if live {
+            frames.try_send(Arc::clone(frame))
+        } else {
+            frames.send(Arc::clone(frame)).map_err(|gone| TrySendError::Disconnected(gone.0))
+        };
+        match given {
+            Ok(()) => None,
+            Err(TrySendError::Full(_)) => {
+                self.dropped += 1;
+                let is_first = !std::mem::replace(&mut self.warned, true);
+                is_first.then(|| format!("{}: is slower than the stream; frames are left out", self.name))
+            }
+            Err(TrySendError::Disconnected(_)) => {
+                self.frames = None;
+                let reason = self.reason().unwrap_or_else(|| "it ended".to_owned());
+                Some(format!("{}: gets nothing more: {reason}", self.name))
+            }
+        }
+    }
+
+    /// Whether there are sinks, and all have failed.
+    pub(crate) fn all_failed(sinks: &[Self]) -> bool {
+        !sinks.is_empty() && sinks.iter().all(|sink| sink.frames.is_none())
+    }
+
+    /// Returns why it failed, once its thread has ended.
+    fn reason(&mut self) -> Option<String> {
+        match self.thread.take()?.join() {
+            Ok(Ok(())) => None,
+            Ok(Err(error)) => Some(error.to_string()),
+            Err(_) => Some("its thread panicked".to_owned()),
+        }
+    }
+
+    /// Waits until it has written everything, and updates the counts; returns a warning if it failed.
+    pub(crate) fn finish(mut self, statistics: &mut StreamStatistics) -> Option<String> {
+        let had_failed = self.frames.take().is_none();
+        statistics.dropped_by_sinks += self.dropped;
+        let reason = self.reason();
+        statistics.time_in_sinks += self.time.total();
+        if had_failed || reason.is_some() {
+            statistics.failed_sinks += 1;
+        }
+        reason.map(|reason| format!("{}: {reason}", self.name))
+    }
+}

@@ -1,0 +1,225 @@
+//! Decompression of chunks without C: zstd by ruzstd, LZ4 by lz4_flex.
+//!
+//! Both work on whatever part of a chunk has been read, so that a recording that ends in the middle of a chunk gives
+//! every message before that.
+
+use std::io::Read;
+
+use mcap::sans_io::LinearReader;
+use mcap::sans_io::decompressor::{DecompressResult, Decompressor};
+use mcap::{McapError, McapResult};
+use ruzstd::decoding::FrameDecoder;
+
+/// Registers decompressors for all compressions that MCAP names.
+pub(super) fn register(reader: &mut LinearReader) -> McapResult<()> {
+    reader.add_decompressor(Zstd::default())?;
+    reader.add_decompressor(Lz4::default())
+}
+
+/// Magic numbers of frames to skip, in both formats: the last four bits are any.
+const SKIPPABLE: u32 = 0x184D_2A50;
+/// Bytes of the magic number and the length of a frame to skip.
+const SKIPPABLE_HEADER: usize = 8;
+/// Bytes of the longest header of a zstd frame.
+const LONGEST_ZSTD_HEADER: usize = 18;
+
+const NOTHING: DecompressResult = DecompressResult { consumed: 0, wrote: 0 };
+
+fn damaged(error: impl std::fmt::Display) -> McapError {
+    McapError::DecompressionError(error.to_string())
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+
+/// Returns the length of a frame to skip, if one begins here.
+fn skippable(src: &[u8]) -> Option<usize> {
+    let is_skippable = u32_at(src, 0)? & !0xF == SKIPPABLE;
+    is_skippable.then(|| u32_at(src, 4).map(|length| SKIPPABLE_HEADER + length as usize))?
+}
+
+/// Decompresses zstd frames, one after another.
+#[derive(Default)]
+struct Zstd {
+    /// The frame that is being decompressed.
+    frame: Option<Box<FrameDecoder>>,
+    /// Bytes left of a frame to skip.
+    skipping: usize,
+}
+
+impl Decompressor for Zstd {
+    fn next_read_size(&self) -> usize {
+        0
+    }
+
+    fn decompress(&mut self, src: &[u8], dst: &mut [u8]) -> McapResult<DecompressResult> {
+        if self.skipping > 0 {
+            let consumed = src.len().min(self.skipping);
+            self.skipping -= consumed;
+            return Ok(DecompressResult { consumed, wrote: 0 });
+        }
+        let mut frame = match self.frame.take() {
+            Some(frame) => frame,
+            None if src.is_empty() => return Ok(NOTHING),
+            None => {
+                if let Some(length) = skippable(src) {
+                    self.skipping = length;
+                    return self.decompress(src, dst);
+                }
+                let mut frame = Box::new(FrameDecoder::new());
+                // The header must be there whole.
+                match frame.init(&mut &src[..]) {
+                    Ok(()) => Box::new(FrameDecoder::new()),
+                    Err(_) if src.len() < LONGEST_ZSTD_HEADER => return Ok(NOTHING),
+                    Err(error) => return Err(damaged(error)),
+                }
+            }
+        };
+        let (consumed, wrote) = frame.decode_from_to(src, dst).map_err(damaged)?;
+        // It claims the four bytes of a checksum also where they have not been read yet.
+        let consumed = if consumed > src.len() { 0 } else { consumed };
+        if !frame.is_finished() || frame.can_collect() > 0 {
+            self.frame = Some(frame);
+        }
+        Ok(DecompressResult { consumed, wrote })
+    }
+
+    fn reset(&mut self) -> McapResult<()> {
+        *self = Self::default();
+        Ok(())
+    }
+
+    fn name(&self) -> &'static str {
+        "zstd"
+    }
+}
+
+/// Decompresses LZ4 frames, one after another. lz4_flex decompresses their blocks; its own frames need a reader that waits.
+#[derive(Default)]
+struct Lz4 {
+    frame: Option<Lz4Frame>,
+    /// The last block, and the 64 KiB before it that it may refer to.
+    window: Vec<u8>,
+    /// Where in `window` the bytes begin that were not handed out.
+    unread: usize,
+    skipping: usize,
+}
+
+/// What the header of a frame states.
+#[derive(Clone, Copy)]
+struct Lz4Frame {
+    largest_block: usize,
+    has_block_checksums: bool,
+    has_checksum: bool,
+}
+
+impl Lz4Frame {
+    const MAGIC: u32 = 0x184D_2204;
+    /// How far back a block may refer.
+    const WINDOW: usize = 64 << 10;
+
+    /// Reads the header of a frame and its length; `None` where it is not there whole.
+    fn read(src: &[u8]) -> McapResult<Option<(Self, usize)>> {
+        let (Some(magic), Some(&[flags, sizes])) = (u32_at(src, 0), src.get(4..6).and_then(|two| two.first_chunk()))
+        else {
+            return Ok(None);
+        };
+        if magic != Self::MAGIC || flags >> 6 != 1 {
+            return Err(damaged("no LZ4 frame"));
+        }
+        let largest_block = match sizes >> 4 & 7 {
+            size @ 4..=7 => 1 << (8 + 2 * size),
+            _ => return Err(damaged("an LZ4 frame with blocks of an unknown size")),
+        };
+        if flags & 1 != 0 {
+            return Err(damaged("an LZ4 frame with a dictionary"));
+        }
+        let (has_content_size, has_block_checksums, has_checksum) = (flags & 8 != 0, flags & 16 != 0, flags & 4 != 0);
+        let length = 6 + if has_content_size { 8 } else { 0 } + 1;
+        let header = Self { largest_block, has_block_checksums, has_checksum };
+        Ok((src.len() >= length).then_some((header, length)))
+    }
+}
+
+impl Lz4 {
+    /// Hands out what has been decompressed.
+    fn hand_out(&mut self, dst: &mut [u8]) -> usize {
+        let mut unread = &self.window[self.unread..];
+        let wrote = unread.read(dst).unwrap_or(0);
+        self.unread += wrote;
+        wrote
+    }
+
+    /// Decompresses the block at the beginning of `src`; returns its length, or `None` where it is not there whole.
+    fn block(&mut self, frame: Lz4Frame, src: &[u8]) -> McapResult<Option<usize>> {
+        const UNCOMPRESSED: u32 = 1 << 31;
+        let Some(size) = u32_at(src, 0) else { return Ok(None) };
+        if size == 0 {
+            let length = 4 + if frame.has_checksum { 4 } else { 0 };
+            if src.len() < length {
+                return Ok(None);
+            }
+            self.frame = None;
+            return Ok(Some(length));
+        }
+        let stored = (size & !UNCOMPRESSED) as usize;
+        if stored > frame.largest_block {
+            return Err(damaged("an LZ4 block larger than its frame allows"));
+        }
+        let length = 4 + stored + if frame.has_block_checksums { 4 } else { 0 };
+        if src.len() < length {
+            return Ok(None);
+        }
+        let block = &src[4..4 + stored];
+        self.window.drain(..self.window.len().saturating_sub(Lz4Frame::WINDOW));
+        self.unread = self.window.len();
+        if size & UNCOMPRESSED != 0 {
+            self.window.extend_from_slice(block);
+            return Ok(Some(length));
+        }
+        let before = self.window.len();
+        self.window.resize(before + frame.largest_block, 0);
+        let (dictionary, into) = self.window.split_at_mut(before);
+        let wrote = lz4_flex::block::decompress_into_with_dict(block, into, dictionary).map_err(damaged)?;
+        self.window.truncate(before + wrote);
+        Ok(Some(length))
+    }
+}
+
+impl Decompressor for Lz4 {
+    fn next_read_size(&self) -> usize {
+        0
+    }
+
+    fn decompress(&mut self, src: &[u8], dst: &mut [u8]) -> McapResult<DecompressResult> {
+        if self.skipping > 0 {
+            let consumed = src.len().min(self.skipping);
+            self.skipping -= consumed;
+            return Ok(DecompressResult { consumed, wrote: 0 });
+        }
+        if self.unread < self.window.len() {
+            return Ok(DecompressResult { consumed: 0, wrote: self.hand_out(dst) });
+        }
+        let Some(frame) = self.frame else {
+            if let Some(length) = skippable(src) {
+                self.skipping = length;
+                return self.decompress(src, dst);
+            }
+            let Some((frame, consumed)) = Lz4Frame::read(src)? else { return Ok(NOTHING) };
+            *self = Self { frame: Some(frame), ..Self::default() };
+            return Ok(DecompressResult { consumed, wrote: 0 });
+        };
+        let Some(consumed) = self.block(frame, src)? else { return Ok(NOTHING) };
+        Ok(DecompressResult { consumed, wrote: self.hand_out(dst) })
+    }
+
+    fn reset(&mut self) -> McapResult<()> {
+        *self = Self::default();
+        Ok(())
+    }
+
+    fn name(&self) -> &'static str {
+        "lz4"
+    }
+}

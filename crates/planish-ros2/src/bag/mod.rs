@@ -1,0 +1,103 @@
+//! Recordings of ROS 2 in MCAP: smoothed into recordings that are the same but for that, read as a source of frames, and written from
+//! one.
+//!
+//! Recordings are read and written record by record: memory holds a chunk and a message, whatever the length. The messages are those of
+//! [`ros`](crate::ros).
+
+mod decompress;
+mod records;
+mod schemas;
+mod smooth;
+mod source;
+mod survey;
+mod writer;
+
+use std::path::{Path, PathBuf};
+
+use planish_core::{FormatError, IoError};
+use planish_io::internal::brief;
+
+pub use smooth::{SmoothBagOptions, SmoothBagReport, TopicReport, smooth_bag};
+pub use source::BagSource;
+pub use survey::{MessageKind, OtherTopic, Survey, Topic};
+pub use writer::BagWriter;
+
+/// The bytes that a recording in MCAP begins with.
+const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
+
+/// Whether a file is a recording in MCAP, by its first bytes.
+pub fn is_bag(path: &Path) -> bool {
+    use std::io::Read;
+    let mut first = [0; 8];
+    path.is_file()
+        && std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut first)).is_ok()
+        && first == MAGIC
+}
+
+/// The recording that a name stands for: itself, or the only .mcap in a folder as rosbag2 makes one.
+///
+/// # Errors
+/// If a folder of rosbag2 has several, or one of another kind.
+pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
+    if !path.join("metadata.yaml").is_file() {
+        return Ok(path.to_path_buf());
+    }
+    let at = |error: std::io::Error| IoError { path: path.to_path_buf(), problem: error.into() };
+    let files = std::fs::read_dir(path).map_err(at)?.flatten().map(|entry| entry.path());
+    let mut bags: Vec<PathBuf> = files.filter(|file| is_bag(file)).collect();
+    bags.sort();
+    match &bags[..] {
+        [] => {
+            let mut files = std::fs::read_dir(path).map_err(at)?.flatten().map(|entry| entry.path());
+            files.find_map(|file| refuse_other_bags(&file).err()).map_or_else(|| Ok(path.to_path_buf()), Err)
+        }
+        [only] => Ok(only.clone()),
+        [first, ..] => Err(IoError {
+            path: path.to_path_buf(),
+            problem: FormatError::Unsupported(format!(
+                "a recording in {} files: name one of them, as {}",
+                bags.len(),
+                first.display()
+            )),
+        }),
+    }
+}
+
+/// Refuses recordings of other kinds by name: those of ROS 1, of ROS 2 in SQLite and in compressed files, with the line that converts them.
+pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
+    let name = path.display();
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let is_compressed = extension == "zstd" && path.file_stem().is_some_and(|stem| is_named_mcap(Path::new(stem)));
+    let kind = match extension.as_str() {
+        "bag" => "a recording of ROS 1",
+        "db3" => "a recording of ROS 2 in SQLite",
+        _ if is_compressed => {
+            let problem = format!("a recording in a compressed file: decompress it with `zstd -d {name}`");
+            return Err(IoError { path: path.to_path_buf(), problem: FormatError::Unsupported(problem) });
+        }
+        _ => return Ok(()),
+    };
+    Err(IoError {
+        path: path.to_path_buf(),
+        problem: FormatError::Unsupported(format!(
+            "{kind}: convert it to MCAP with `pip install rosbags`, then `rosbags-convert --src {name} --dst converted --dst-storage mcap`; one \
+             of a RealSense is the source realsense:{name}"
+        )),
+    })
+}
+
+/// Whether a file is a recording in MCAP by its name.
+pub fn is_named_mcap(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+}
+
+/// Where a recording ends that was cut off; any other error.
+fn of_mcap(error: mcap::McapError) -> FormatError {
+    match error {
+        mcap::McapError::Io(error) => FormatError::Os(error),
+        mcap::McapError::RecordTooLarge { len, .. } | mcap::McapError::ChunkTooLarge(len) => {
+            FormatError::Malformed(format!("a record of {len} bytes, more than --max-memory allows or the file holds"))
+        }
+        error => FormatError::Malformed(brief(&format!("damaged: {error}"))),
+    }
+}

@@ -1,0 +1,230 @@
+//! The records of a recording, one after another.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use mcap::McapError;
+use mcap::records::{Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::{decompress, of_mcap};
+use planish_core::{FormatError, IoError};
+use planish_io::ReadOptions;
+
+/// Bytes that are read at once, however many a record is said to have.
+const READ_BYTES: usize = 1 << 20;
+
+/// What comes next in a recording.
+pub(super) enum Next {
+    /// A record.
+    Record(Record<'static>),
+    /// The end of a chunk whose checksum is wrong: records of it, which came before, may be damaged.
+    DamagedChunk,
+    /// The end of the section.
+    End,
+    /// The file ends in the middle of it.
+    CutOff,
+}
+
+/// Reads the data section of a recording, chunks decompressed, or its summary.
+pub(super) struct Records {
+    file: BufReader<File>,
+    reader: LinearReader,
+}
+
+impl Records {
+    /// From the beginning.
+    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self, IoError> {
+        let file = File::open(path).map_err(|error| IoError { path: path.to_path_buf(), problem: error.into() })?;
+        let options = reader_options(options).with_validate_chunk_crcs(true);
+        let mut reader = LinearReader::new_with_options(options);
+        let registered = decompress::register(&mut reader).map_err(of_mcap);
+        registered.map_err(|problem| IoError { path: path.to_path_buf(), problem })?;
+        Ok(Self { file: BufReader::new(file), reader })
+    }
+
+    /// From the summary on, if there is one.
+    fn open_summary(path: &Path, options: &ReadOptions) -> Option<Self> {
+        /// The footer's opcode and length, its two offsets and its checksum, and the magic bytes.
+        const FOOTER_BYTES: i64 = 1 + 8 + 20 + 8;
+        let mut file = File::open(path).ok()?;
+        file.seek(SeekFrom::End(-FOOTER_BYTES)).ok()?;
+        let mut footer = [0; FOOTER_BYTES as usize];
+        file.read_exact(&mut footer).ok()?;
+        let start = u64::from_le_bytes(*footer[9..].first_chunk()?);
+        if footer[0] != op::FOOTER || !footer.ends_with(&super::MAGIC) || start == 0 {
+            return None;
+        }
+        file.seek(SeekFrom::Start(start)).ok()?;
+        let options = reader_options(options).with_skip_start_magic(true);
+        Some(Self { file: BufReader::new(file), reader: LinearReader::new_with_options(options) })
+    }
+
+    /// The next record; the indices of chunks are left out.
+    pub(super) fn next(&mut self) -> Result<Next, FormatError> {
+        loop {
+            // With overflow checks the reader panics on a record that reaches beyond its chunk.
+            let reader = &mut self.reader;
+            let next = move || std::convert::identity(reader).next_event();
+            let Ok(event) = catch_unwind(AssertUnwindSafe(next)) else {
+                return Err(beyond_its_chunk());
+            };
+            let Some(event) = event else { return Ok(Next::End) };
+            match event {
+                Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                    let to = self.reader.insert(wanted.min(READ_BYTES));
+                    let read = read_some(&mut self.file, to)?;
+                    self.reader.notify_read(read);
+                }
+                Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Next::End),
+                Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => {}
+                // Without them it goes on as if the chunk did not end. Chunks are not given out otherwise.
+                Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. }) => return Err(beyond_its_chunk()),
+                Ok(LinearReadEvent::Record { opcode, data }) => {
+                    if !lengths_fit(opcode, data) {
+                        return Err(FormatError::Malformed("damaged: a part of a record is longer than it".into()));
+                    }
+                    return Ok(Next::Record(mcap::parse_record(opcode, data).map_err(of_mcap)?.into_owned()));
+                }
+                Err(McapError::UnexpectedEof) => return Ok(Next::CutOff),
+                Err(McapError::BadChunkCrc { .. }) => return Ok(Next::DamagedChunk),
+                Err(error) => return Err(of_mcap(error)),
+            }
+        }
+    }
+}
+
+fn beyond_its_chunk() -> FormatError {
+    FormatError::Malformed("damaged: a record reaches beyond its chunk".into())
+}
+
+/// A record is held twice: by the reader, and as what it says.
+fn reader_options(options: &ReadOptions) -> LinearReaderOptions {
+    let limit = usize::try_from(options.max_memory_bytes / 2).unwrap_or(usize::MAX);
+    LinearReaderOptions::default().with_record_length_limit(limit)
+}
+
+fn read_some(file: &mut impl Read, to: &mut [u8]) -> std::io::Result<usize> {
+    loop {
+        match file.read(to) {
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            read => return read,
+        }
+    }
+}
+
+/// Whether the texts, tables and data of a record lie in it: the parser would allocate whatever they are said to take, or panic.
+fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
+    /// Skips what has its length in four bytes before it.
+    fn skip(data: &[u8]) -> Option<&[u8]> {
+        let (length, rest) = data.split_first_chunk::<4>()?;
+        rest.get(u32::from_le_bytes(*length) as usize..)
+    }
+    /// A table of texts, two for each entry.
+    fn skip_texts(data: &[u8]) -> Option<&[u8]> {
+        let after = skip(data)?;
+        let mut table = &data[4..data.len() - after.len()];
+        while !table.is_empty() {
+            table = skip(table)?;
+        }
+        Some(after)
+    }
+    /// Skips the data of an attachment, whose length is in eight bytes before it and whose checksum is in four behind it.
+    fn skip_attached(data: &[u8]) -> Option<&[u8]> {
+        let (length, rest) = data.split_first_chunk::<8>()?;
+        rest.get(usize::try_from(u64::from_le_bytes(*length)).ok()?.checked_add(4)?..)
+    }
+    let fits = || match opcode {
+        op::HEADER => skip(skip(data)?),
+        op::SCHEMA => skip(skip(skip(data.get(2..)?)?)?),
+        op::CHANNEL => skip_texts(skip(skip(data.get(4..)?)?)?),
+        op::ATTACHMENT => skip_attached(skip(skip(data.get(16..)?)?)?),
+        op::METADATA => skip_texts(skip(data)?),
+        op::STATISTICS => skip(data.get(42..)?),
+        op::CHUNK_INDEX => skip(skip(data.get(32..)?)?.get(8..)?),
+        op::ATTACHMENT_INDEX => skip(skip(data.get(40..)?)?),
+        op::METADATA_INDEX => skip(data.get(16..)?),
+        _ => Some(data),
+    };
+    fits().is_some()
+}
+
+/// What a recording says about itself at its end.
+#[derive(Default)]
+pub(super) struct Summary {
+    /// Topic and type of each channel.
+    pub(super) channels: BTreeMap<u16, (String, String)>,
+    /// The numbers of its schemas.
+    pub(super) schemas: BTreeMap<u16, String>,
+    /// Messages of each channel, and of all.
+    pub(super) messages: Option<(BTreeMap<u16, u64>, u64)>,
+    /// Of its first chunk.
+    pub(super) compression: Option<String>,
+    /// Whether a schema or a channel of the data is not repeated here.
+    pub(super) is_partial: bool,
+}
+
+impl Summary {
+    /// Reads it; `None` if the recording has none, or a damaged one.
+    pub(super) fn of(path: &Path, options: &ReadOptions) -> Option<Self> {
+        let mut records = Records::open_summary(path, options)?;
+        let mut summary = Self::default();
+        loop {
+            match records.next().ok()? {
+                Next::Record(Record::Schema { header, .. }) => {
+                    summary.schemas.insert(header.id, header.name);
+                }
+                Next::Record(Record::Channel(channel)) => {
+                    let schema = summary.schemas.get(&channel.schema_id);
+                    summary.is_partial |= schema.is_none() && channel.schema_id != 0;
+                    let kind = schema.cloned().unwrap_or_default();
+                    summary.channels.insert(channel.id, (channel.topic, kind));
+                }
+                Next::Record(Record::Statistics(statistics)) => {
+                    summary.messages = Some((statistics.channel_message_counts, statistics.message_count));
+                }
+                Next::Record(Record::ChunkIndex(index)) => {
+                    summary.compression.get_or_insert(index.compression);
+                }
+                Next::Record(_) | Next::DamagedChunk => {}
+                Next::End => {
+                    let of_channels = summary.messages.iter().flat_map(|(of_channels, _)| of_channels.keys());
+                    summary.is_partial |= of_channels.into_iter().any(|id| !summary.channels.contains_key(id));
+                    return Some(summary);
+                }
+                Next::CutOff => return None,
+            }
+        }
+    }
+}
+
+/// How the first chunk of a recording is compressed; nothing where a message comes before any chunk, `None` where neither comes.
+pub(super) fn first_compression(path: &Path) -> Option<String> {
+    /// Both times, the size without compression and the checksum of a chunk.
+    const BEFORE_COMPRESSION: i64 = 8 + 8 + 8 + 4;
+    let mut file = BufReader::new(File::open(path).ok()?);
+    file.seek(SeekFrom::Start(super::MAGIC.len() as u64)).ok()?;
+    loop {
+        let mut start = [0; 9];
+        file.read_exact(&mut start).ok()?;
+        let [opcode, length @ ..] = start;
+        match opcode {
+            op::MESSAGE => return Some(String::new()),
+            op::CHUNK => {
+                file.seek_relative(BEFORE_COMPRESSION).ok()?;
+                let mut length = [0; 4];
+                file.read_exact(&mut length).ok()?;
+                // Names are short.
+                let mut name =
+                    vec![0; usize::try_from(u32::from_le_bytes(length)).ok().filter(|length| *length < 100)?];
+                file.read_exact(&mut name).ok()?;
+                return String::from_utf8(name).ok();
+            }
+            op::DATA_END | op::FOOTER => return None,
+            _ => file.seek_relative(i64::try_from(u64::from_le_bytes(length)).ok()?).ok()?,
+        }
+    }
+}

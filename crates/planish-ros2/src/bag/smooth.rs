@@ -1,0 +1,376 @@
+//! A recording into one that is the same but for the depth in it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io::{BufWriter, Seek, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use mcap::records::{Header as FileHeader, MessageHeader, Record};
+use mcap::{Attachment, McapError, WriteOptions, Writer};
+
+use super::of_mcap;
+use super::records::{Next, Records};
+use super::schemas::{CLOUD, CLOUD_TYPE, MESSAGE_ENCODING, SCHEMA_ENCODING};
+use super::survey::{Channels, Chosen, MessageKind, Survey};
+use super::writer::channel_metadata;
+use crate::ros::{DepthMessage, MessageError, MessageSmoother, PointCloud2, from_cdr, to_cdr};
+use planish_core::{Camera, EngineError, Error, FormatError, IoError, ParamError};
+use planish_io::{ReadOptions, internal::WholeFile};
+
+/// Which topics of a recording are smoothed, and with which cameras.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct SmoothBagOptions {
+    /// The topics to smooth; none for the only one with depth.
+    pub topics: Vec<String>,
+    /// The topic with the camera of them all, if it is not beside each.
+    pub camera_info_topic: Option<String>,
+    /// The camera, instead of the recording's. Width and height 0 stand for the images' shape.
+    pub camera: Option<Camera>,
+    /// Adds a cloud for each depth image on this topic.
+    pub points_topic: Option<String>,
+    /// The limit to the memory that a message or a chunk may take.
+    pub read: ReadOptions,
+}
+
+impl SmoothBagOptions {
+    /// The same for these topics.
+    pub fn with_topics(self, topics: Vec<String>) -> Self {
+        Self { topics, ..self }
+    }
+
+    /// The same with the camera from that topic.
+    pub fn with_camera_info_topic(self, camera_info_topic: Option<String>) -> Self {
+        Self { camera_info_topic, ..self }
+    }
+
+    /// The same with a camera instead of the recording's.
+    pub fn with_camera(self, camera: Option<Camera>) -> Self {
+        Self { camera, ..self }
+    }
+
+    /// The same with clouds of the depth images on that topic, or without.
+    pub fn with_points_topic(self, points_topic: Option<String>) -> Self {
+        Self { points_topic, ..self }
+    }
+
+    /// The same with another limit to the memory that a message or a chunk may take.
+    pub fn with_read_options(self, read: ReadOptions) -> Self {
+        Self { read, ..self }
+    }
+}
+
+/// What became of a topic's messages.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct TopicReport {
+    /// Its name.
+    pub topic: String,
+    /// The type of its messages.
+    pub kind: MessageKind,
+    /// Messages smoothed.
+    pub smoothed: u64,
+    /// Messages copied as they were, since they could not be smoothed.
+    pub failed: u64,
+    /// Why the first of those could not be.
+    pub first_failure: Option<String>,
+}
+
+/// What became of a recording.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SmoothBagReport {
+    /// The topics smoothed.
+    pub topics: Vec<TopicReport>,
+    /// What was noticed: that the first of some messages lost many of its points.
+    pub warning: Option<String>,
+    /// Messages of other topics, copied bit for bit.
+    pub copied: u64,
+    /// Chunks whose checksum is wrong; their messages were smoothed and copied like all others, and may be damaged.
+    pub damaged_chunks: u64,
+    /// Why the recording ends before it should; everything before that was written.
+    pub cut_off: Option<String>,
+    /// Other topics with depth or points, copied too, where none was named.
+    pub not_chosen: Vec<String>,
+}
+
+/// Smooths the depth images and clouds of a recording. All else is copied bit for bit: other topics, stamps, log times, sequence numbers,
+/// channels with their numbers and metadata, attachments and private records. The chunks are compressed as those of the input are.
+///
+/// A message that cannot be smoothed is copied and counted. A recording that was cut off is smoothed up to there. `tell` is called after
+/// each message smoothed with their number so far and that of all to come, where it is known. The output is there whole or not at all.
+///
+/// # Errors
+/// If the recording has no such topics or cameras, is no recording, or damaged at once; if the engine fails; if the output cannot be written;
+/// [`EngineError::Stopped`] if `stop` was set.
+pub fn smooth_bag(
+    input: &Path,
+    output: &Path,
+    smoother: &mut MessageSmoother,
+    options: &SmoothBagOptions,
+    stop: &AtomicBool,
+    tell: &mut dyn FnMut(u64, Option<u64>),
+) -> Result<SmoothBagReport, Error> {
+    let survey = Survey::of(input, &options.read)?;
+    let camera_topic = options.camera_info_topic.as_deref();
+    let chosen = survey.choose(input, &options.topics, camera_topic, options.camera.as_ref())?;
+    if let Some(name) = options.points_topic.as_ref().filter(|name| !is_topic(name)) {
+        let allowed = "a name that begins with a slash, of letters, digits, _ and /";
+        return Err(ParamError { field: "points_topic", value: format!("{name:?}"), allowed }.into());
+    }
+    let names = || survey.topics.iter().map(|topic| &topic.name).chain(survey.others.iter().map(|topic| &topic.name));
+    if let Some(taken) = options.points_topic.as_ref().filter(|topic| names().any(|name| name == *topic)) {
+        let problem = FormatError::Unsupported(format!("has a topic {taken} already; name another for the clouds"));
+        return Err(IoError { path: input.to_path_buf(), problem }.into());
+    }
+    let counts = survey.topics.iter().filter(|topic| chosen.iter().any(|chosen| chosen.topic == topic.name));
+    let total = counts.map(|topic| topic.messages).sum::<Option<u64>>();
+    let at_output = |problem: FormatError| -> Error { IoError { path: output.to_path_buf(), problem }.into() };
+    let whole = WholeFile::new(output).map_err(at_output)?;
+    let mut records = Records::open(input, &options.read)?;
+    let taken = survey.taken.clone();
+    let not_chosen = if options.topics.is_empty() { survey.left(&chosen) } else { Vec::new() };
+    let mut copy = Copy {
+        chosen,
+        options,
+        smoother,
+        channels: Channels::default(),
+        reports: BTreeMap::new(),
+        points_channel: None,
+        taken,
+        copied: 0,
+        done: 0,
+    };
+    let mut writer = None;
+    let (mut cut_off, mut damaged_chunks) = (None, 0);
+    loop {
+        if stop.load(Ordering::Relaxed) {
+            return Err(EngineError::Stopped.into());
+        }
+        match records.next() {
+            Ok(Next::Record(Record::Header(header))) if writer.is_none() => {
+                writer = Some(open_writer(&whole, &header, survey.compression.as_deref()).map_err(at_output)?);
+            }
+            Ok(Next::Record(record)) => {
+                let Some(writer) = &mut writer else {
+                    let problem =
+                        FormatError::Malformed("a recording begins with its header, this one does not".into());
+                    return Err(IoError { path: input.to_path_buf(), problem }.into());
+                };
+                let before = copy.done;
+                match copy.record(writer, record) {
+                    Ok(()) => {}
+                    Err(CopyError::Engine(error)) => return Err(error),
+                    Err(CopyError::Write(McapError::Io(error))) => return Err(at_output(error.into())),
+                    // The rest is the input's fault: numbers that contradict each other.
+                    Err(CopyError::Write(error)) if copy.done + copy.copied > 0 => {
+                        cut_off = Some(of_mcap(error).to_string());
+                        break;
+                    }
+                    Err(CopyError::Write(error)) => {
+                        return Err(IoError { path: input.to_path_buf(), problem: of_mcap(error) }.into());
+                    }
+                }
+                if copy.done > before {
+                    tell(copy.done, total);
+                }
+            }
+            Ok(Next::DamagedChunk) => damaged_chunks += 1,
+            Ok(Next::End) => break,
+            Ok(Next::CutOff) if copy.done + copy.copied == 0 => {
+                let problem = FormatError::Malformed("ends before its first message".into());
+                return Err(IoError { path: input.to_path_buf(), problem }.into());
+            }
+            Ok(Next::CutOff) => {
+                cut_off = Some("it ends in the middle of a record".to_owned());
+                break;
+            }
+            // What was read until here is worth keeping.
+            Err(error) if copy.done + copy.copied > 0 => {
+                cut_off = Some(error.to_string());
+                break;
+            }
+            Err(problem) => return Err(IoError { path: input.to_path_buf(), problem }.into()),
+        }
+    }
+    let Some(mut writer) = writer else {
+        let problem = FormatError::Malformed("ends before its header".into());
+        return Err(IoError { path: input.to_path_buf(), problem }.into());
+    };
+    writer.finish().map_err(|error| at_output(of_mcap(error)))?;
+    writer.into_inner().flush().map_err(|error| at_output(error.into()))?;
+    let Copy { chosen, reports, copied, smoother, .. } = copy;
+    let warning = smoother.take_warning();
+    whole.finish().map_err(at_output)?;
+    let empty = |chosen: &Chosen| empty_report(chosen);
+    let topics =
+        chosen.iter().map(|chosen| reports.get(&chosen.topic).cloned().unwrap_or_else(|| empty(chosen))).collect();
+    Ok(SmoothBagReport { topics, warning, copied, damaged_chunks, cut_off, not_chosen })
+}
+
+/// Whether a topic may have this name.
+fn is_topic(name: &str) -> bool {
+    let is_word = |word: &str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_word))
+}
+
+fn empty_report(chosen: &Chosen) -> TopicReport {
+    TopicReport { topic: chosen.topic.clone(), kind: chosen.kind, smoothed: 0, failed: 0, first_failure: None }
+}
+
+/// Opens a writer whose chunks are compressed as those of the input, or by zstd where that is not known; not at all in
+/// builds without `mcap-compression`.
+fn open_writer(
+    whole: &WholeFile,
+    header: &FileHeader,
+    compression: Option<&str>,
+) -> Result<Writer<BufWriter<File>>, FormatError> {
+    #[cfg(feature = "mcap-compression")]
+    let compression = match compression {
+        Some("") => None,
+        Some("lz4") => Some(mcap::Compression::Lz4),
+        _ => Some(mcap::Compression::Zstd),
+    };
+    #[cfg(not(feature = "mcap-compression"))]
+    let compression = {
+        let _ = compression;
+        None
+    };
+    let options = WriteOptions::new().compression(compression).profile(header.profile.clone());
+    options.create(BufWriter::new(whole.file().try_clone()?)).map_err(of_mcap)
+}
+
+/// Why a record could not be copied.
+enum CopyError {
+    Write(McapError),
+    Engine(Error),
+}
+
+impl From<McapError> for CopyError {
+    fn from(error: McapError) -> Self {
+        Self::Write(error)
+    }
+}
+
+/// A recording on its way.
+struct Copy<'a> {
+    chosen: Vec<Chosen>,
+    options: &'a SmoothBagOptions,
+    smoother: &'a mut MessageSmoother,
+    channels: Channels,
+    reports: BTreeMap<String, TopicReport>,
+    points_channel: Option<u16>,
+    /// Numbers of channels and schemas that the input has.
+    taken: BTreeSet<u16>,
+    copied: u64,
+    done: u64,
+}
+
+impl Copy<'_> {
+    fn record<W: Write + Seek>(&mut self, writer: &mut Writer<W>, record: Record<'_>) -> Result<(), CopyError> {
+        self.channels.add(&record);
+        match record {
+            // Schema 0 means none.
+            Record::Schema { header, data } if header.id != 0 => {
+                writer.add_schema_with_id(header.id, &header.name, &header.encoding, &data)?;
+            }
+            Record::Channel(channel) => {
+                writer.add_channel_with_id(
+                    channel.id,
+                    channel.schema_id,
+                    &channel.topic,
+                    &channel.message_encoding,
+                    &channel.metadata,
+                )?;
+            }
+            Record::Message { header, data } => self.message(writer, header, &data)?,
+            Record::Attachment { header, data, .. } => writer.attach(&Attachment {
+                log_time: header.log_time,
+                create_time: header.create_time,
+                name: header.name,
+                media_type: header.media_type,
+                data,
+            })?,
+            Record::Metadata(metadata) => writer.write_metadata(&metadata)?,
+            Record::Unknown { opcode, data } if opcode >= 0x80 => {
+                writer.write_private_record(opcode, &data, Default::default())?;
+            }
+            // Indices are written anew.
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn message<W: Write + Seek>(
+        &mut self,
+        writer: &mut Writer<W>,
+        header: MessageHeader,
+        data: &[u8],
+    ) -> Result<(), CopyError> {
+        let Some((topic, kind)) = self.channels.get(header.channel_id).cloned() else {
+            self.copied += 1;
+            return Ok(writer.write_to_known_channel(&header, data)?);
+        };
+        self.chosen.iter_mut().for_each(|chosen| chosen.note_camera(&topic, kind, data));
+        let Some(chosen) = self.chosen.iter().find(|chosen| chosen.is(&topic, kind)).cloned() else {
+            self.copied += 1;
+            return Ok(writer.write_to_known_channel(&header, data)?);
+        };
+        self.done += 1;
+        let result = self.smooth(&chosen, data);
+        let report = self.reports.entry(topic).or_insert_with(|| empty_report(&chosen));
+        match result {
+            Ok((smoothed, points)) => {
+                report.smoothed += 1;
+                writer.write_to_known_channel(&header, &smoothed)?;
+                if let Some(points) = points {
+                    let channel_id = self.points_channel(writer)?;
+                    writer.write_to_known_channel(&MessageHeader { channel_id, ..header }, &points)?;
+                }
+                Ok(())
+            }
+            Err(MessageError::Engine(error)) => Err(CopyError::Engine(error)),
+            Err(MessageError::Message(error)) => {
+                report.failed += 1;
+                report.first_failure.get_or_insert_with(|| error.to_string());
+                Ok(writer.write_to_known_channel(&header, data)?)
+            }
+        }
+    }
+
+    /// The bytes of the smoothed message, and of a cloud if that is wanted.
+    fn smooth(&mut self, chosen: &Chosen, data: &[u8]) -> Result<(Vec<u8>, Option<Vec<u8>>), MessageError> {
+        let message = match chosen.kind {
+            MessageKind::PointCloud2 => {
+                let cloud: PointCloud2 = from_cdr(data)?;
+                return Ok((to_cdr(&self.smoother.smooth_cloud(cloud)?)?, None));
+            }
+            MessageKind::CompressedImage => DepthMessage::Compressed(from_cdr(data)?),
+            _ => DepthMessage::Image(from_cdr(data)?),
+        };
+        let camera = |shape| chosen.camera(self.options.camera.as_ref(), shape);
+        let wants_points = self.options.points_topic.is_some();
+        let smoothed = self.smoother.smooth_depth(&message, camera, wants_points)?;
+        let points = wants_points.then(|| PointCloud2::of_smoothed(message.header().clone(), self.smoother.smoothed()));
+        let bytes = match message.with_pixels(&smoothed)? {
+            DepthMessage::Image(image) => to_cdr(&image)?,
+            DepthMessage::Compressed(image) => to_cdr(&image)?,
+        };
+        Ok((bytes, points.as_ref().map(to_cdr).transpose()?))
+    }
+
+    /// The channel for clouds, whose number, and that of its schema, the input does not have.
+    fn points_channel<W: Write + Seek>(&mut self, writer: &mut Writer<W>) -> Result<u16, CopyError> {
+        if let Some(channel) = self.points_channel {
+            return Ok(channel);
+        }
+        let topic = self.options.points_topic.as_deref().unwrap_or_default();
+        let free = (1..=u16::MAX).rev().find(|number| !self.taken.contains(number) && !self.channels.has(*number));
+        let number = free.ok_or(McapError::TooManyChannels)?;
+        let schema = writer.add_schema_with_id(number, CLOUD_TYPE, SCHEMA_ENCODING, CLOUD.as_bytes())?;
+        let channel = writer.add_channel_with_id(number, schema, topic, MESSAGE_ENCODING, &channel_metadata())?;
+        self.points_channel = Some(channel);
+        Ok(channel)
+    }
+}

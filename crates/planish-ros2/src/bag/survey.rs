@@ -1,0 +1,381 @@
+//! Which topics a recording has, and which of them to smooth.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use mcap::records::Record;
+
+use super::records::{Next, Records, Summary, first_compression};
+use super::refuse_other_bags;
+use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE, MESSAGE_ENCODING};
+use crate::ros::{
+    CameraInfo, CompressedImage, Image, PointCloud2, camera_info_topic as beside, from_cdr, is_rectified,
+};
+use planish_core::{Camera, Error, FormatError, IoError};
+use planish_io::ReadOptions;
+
+/// What the messages of a topic are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum MessageKind {
+    /// `sensor_msgs/Image`.
+    Image,
+    /// `sensor_msgs/CompressedImage`.
+    CompressedImage,
+    /// `sensor_msgs/PointCloud2`.
+    PointCloud2,
+    /// `sensor_msgs/CameraInfo`.
+    CameraInfo,
+}
+
+impl MessageKind {
+    fn of_type(name: &str) -> Option<Self> {
+        match name {
+            IMAGE_TYPE => Some(Self::Image),
+            COMPRESSED_TYPE => Some(Self::CompressedImage),
+            CLOUD_TYPE => Some(Self::PointCloud2),
+            CAMERA_INFO_TYPE => Some(Self::CameraInfo),
+            _ => None,
+        }
+    }
+
+    /// The name of the type in ROS.
+    pub fn type_name(self) -> &'static str {
+        match self {
+            Self::Image => IMAGE_TYPE,
+            Self::CompressedImage => COMPRESSED_TYPE,
+            Self::PointCloud2 => CLOUD_TYPE,
+            Self::CameraInfo => CAMERA_INFO_TYPE,
+        }
+    }
+}
+
+/// A topic that planish may have to do with.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Topic {
+    /// Its name.
+    pub name: String,
+    /// What its messages are.
+    pub kind: MessageKind,
+    /// How many there are, where the recording says so.
+    pub messages: Option<u64>,
+    /// Of its first message: the encoding of an image, the format of a compressed one, the shape of a cloud.
+    pub encoding: String,
+    /// The frame of its first message.
+    pub frame_id: String,
+    /// Whether its first message holds depth, or points.
+    pub is_depth: bool,
+    /// The first message, of a camera.
+    pub(super) camera_info: Option<CameraInfo>,
+}
+
+/// A topic that planish copies as it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct OtherTopic {
+    /// Its name.
+    pub name: String,
+    /// The type of its messages; empty if the recording has none for it.
+    pub type_name: String,
+    /// How many messages there are, where the recording says so.
+    pub messages: Option<u64>,
+}
+
+/// The topics of a recording.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Survey {
+    /// Those with images, clouds and cameras, by name.
+    pub topics: Vec<Topic>,
+    /// The others, by name: of the summary, and of what was read without one.
+    pub others: Vec<OtherTopic>,
+    /// How many messages the recording has, where it says so.
+    pub messages: Option<u64>,
+    /// How its chunks are compressed: `zstd`, `lz4` or nothing; `None` where that is not known.
+    pub compression: Option<String>,
+    /// Numbers of channels and schemas, as far as the summary has them.
+    pub(super) taken: BTreeSet<u16>,
+}
+
+/// A topic to smooth, with its camera.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Chosen {
+    pub(super) topic: String,
+    pub(super) kind: MessageKind,
+    /// The topic of its camera, and the first message of that.
+    pub(super) camera: Option<(String, CameraInfo)>,
+}
+
+impl Survey {
+    /// Looks through a recording: at its summary, and at the first message of each topic.
+    ///
+    /// # Errors
+    /// If it is no recording in MCAP, or damaged before the first messages of all topics have been found.
+    pub fn of(path: &Path, options: &ReadOptions) -> Result<Self, IoError> {
+        refuse_other_bags(path)?;
+        survey(path, options).map_err(IoError::at(path))
+    }
+
+    /// Chooses what to smooth: the topics named, or else the only one with depth images, else the only one with compressed depth, else
+    /// the only one with clouds. A depth image needs its camera: that on the topic named, by convention beside it, or else the only one in
+    /// the same frame; none if the caller has one.
+    pub(super) fn choose(
+        &self,
+        path: &Path,
+        topics: &[String],
+        camera_info_topic: Option<&str>,
+        camera: Option<&Camera>,
+    ) -> Result<Vec<Chosen>, Error> {
+        let refuse = |problem: String| -> Error {
+            IoError { path: path.to_path_buf(), problem: FormatError::Unsupported(problem) }.into()
+        };
+        let chosen: Vec<&Topic> = if topics.is_empty() {
+            vec![self.only_topic().map_err(refuse)?]
+        } else {
+            let named = |name: &String| {
+                let topic =
+                    self.topics.iter().find(|topic| topic.name == *name && topic.kind != MessageKind::CameraInfo);
+                topic.ok_or_else(|| refuse(format!("has no images or clouds on {name}; {}", self.told())))
+            };
+            let mut known = BTreeSet::new();
+            topics.iter().filter(|topic| known.insert(topic.as_str())).map(named).collect::<Result<_, _>>()?
+        };
+        let with_camera = |topic: &Topic| {
+            let of_topic = self.camera_of(topic, camera_info_topic).map_err(refuse)?;
+            if of_topic.is_none() && camera.is_none() && topic.kind != MessageKind::PointCloud2 {
+                return Err(refuse(format!(
+                    "has no camera for {}: neither {} nor another in its frame; name one with --camera-info-topic, or give \
+                     --camera FX,FY,CX,CY",
+                    topic.name,
+                    beside(&topic.name)
+                )));
+            }
+            Ok(Chosen { topic: topic.name.clone(), kind: topic.kind, camera: of_topic })
+        };
+        chosen.into_iter().map(with_camera).collect()
+    }
+
+    /// Images come before compressed ones, which may be the same, and both before clouds, which may be made of them.
+    fn only_topic(&self) -> Result<&Topic, String> {
+        let found = || self.topics.iter().filter(|topic| topic.is_depth);
+        for kind in [MessageKind::Image, MessageKind::CompressedImage, MessageKind::PointCloud2] {
+            let mut of_kind = found().filter(|topic| topic.kind == kind);
+            match (of_kind.next(), of_kind.next()) {
+                (None, _) => {}
+                (Some(only), None) => return Ok(only),
+                (Some(_), Some(_)) => {
+                    let names: Vec<_> = found().map(|topic| topic.name.as_str()).collect();
+                    return Err(format!("has depth on several topics: choose with --topic among {}", names.join(", ")));
+                }
+            }
+        }
+        let is_damaged = self.topics.iter().any(|topic| topic.encoding == DAMAGED);
+        let hint = if is_damaged { "; name a topic with --topic to look beyond its first message" } else { "" };
+        Err(format!("has no depth images and no clouds; {}{hint}", self.told()))
+    }
+
+    /// The topics with depth beside those chosen, which are copied as they are.
+    pub(super) fn left(&self, chosen: &[Chosen]) -> Vec<String> {
+        let is_chosen = |topic: &&Topic| chosen.iter().any(|chosen| chosen.is(&topic.name, topic.kind));
+        self.topics.iter().filter(|topic| topic.is_depth && !is_chosen(topic)).map(|topic| topic.name.clone()).collect()
+    }
+
+    fn told(&self) -> String {
+        const MOST: usize = 12;
+        let described: Vec<_> =
+            self.topics.iter().take(MOST).map(|topic| format!("{} ({})", topic.name, topic.encoding)).collect();
+        match &described[..] {
+            [] => "it has neither images nor clouds that are messages of ROS 2 in CDR".to_owned(),
+            all => format!("it has {}", all.join(", ")),
+        }
+    }
+
+    fn camera_of(&self, topic: &Topic, named: Option<&str>) -> Result<Option<(String, CameraInfo)>, String> {
+        let cameras = || self.topics.iter().filter_map(|topic| Some((topic, topic.camera_info.as_ref()?)));
+        let of = |(topic, info): (&Topic, &CameraInfo)| (topic.name.clone(), info.clone());
+        if let Some(named) = named {
+            let found = cameras().find(|(topic, _)| topic.name == named).map(of);
+            return found.map(Some).ok_or_else(|| format!("has no CameraInfo on {named}; {}", self.told()));
+        }
+        let beside = beside(&topic.name);
+        if let Some(found) = cameras().find(|(topic, _)| topic.name == beside) {
+            return Ok(Some(of(found)));
+        }
+        let mut same_frame = cameras().filter(|(_, info)| info.header.frame_id == topic.frame_id);
+        Ok(match (same_frame.next(), same_frame.next()) {
+            (Some(only), None) => Some(of(only)),
+            _ => None,
+        })
+    }
+}
+
+impl Chosen {
+    /// Takes the newer camera of a message, if it is from the topic of this camera; one that is damaged changes nothing.
+    pub(super) fn note_camera(&mut self, topic: &str, kind: MessageKind, data: &[u8]) {
+        if let (MessageKind::CameraInfo, Some((camera_topic, info))) = (kind, &mut self.camera)
+            && camera_topic == topic
+            && let Ok(newer) = from_cdr(data)
+        {
+            *info = newer;
+        }
+    }
+
+    /// Whether messages of a channel are meant: a topic may have messages of several types.
+    pub(super) fn is(&self, topic: &str, kind: MessageKind) -> bool {
+        self.topic == topic && self.kind == kind
+    }
+
+    /// The camera of an image of that shape, the caller's if there is one.
+    pub(super) fn camera(&self, given: Option<&Camera>, shape: (usize, usize)) -> Result<Camera, FormatError> {
+        match (given, &self.camera) {
+            (Some(camera), _) if (camera.width, camera.height) == (0, 0) => Ok(camera.with_shape(shape)),
+            (Some(camera), _) => Ok(*camera),
+            (None, Some((_, info))) => info.camera(shape, is_rectified(&self.topic)),
+            (None, None) => Err(FormatError::Unsupported("an image without a camera".into())),
+        }
+    }
+}
+
+/// The channels of a recording, by their numbers.
+#[derive(Default)]
+pub(super) struct Channels {
+    types: BTreeMap<u16, String>,
+    /// Topic and kind.
+    known: BTreeMap<u16, (String, MessageKind)>,
+    /// Topic and type of all.
+    all: BTreeMap<u16, (String, String)>,
+}
+
+impl Channels {
+    /// Notes schemas and channels.
+    pub(super) fn add(&mut self, record: &Record<'_>) {
+        match record {
+            Record::Schema { header, .. } => {
+                self.types.insert(header.id, header.name.clone());
+            }
+            Record::Channel(channel) => {
+                let type_name = self.types.get(&channel.schema_id).cloned().unwrap_or_default();
+                let kind = MessageKind::of_type(&type_name);
+                self.all.insert(channel.id, (channel.topic.clone(), type_name));
+                if let Some(kind) = kind.filter(|_| channel.message_encoding == MESSAGE_ENCODING) {
+                    self.known.insert(channel.id, (channel.topic.clone(), kind));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Whether a schema or a channel has this number.
+    pub(super) fn has(&self, id: u16) -> bool {
+        self.types.contains_key(&id) || self.all.contains_key(&id)
+    }
+
+    pub(super) fn get(&self, id: u16) -> Option<&(String, MessageKind)> {
+        self.known.get(&id)
+    }
+}
+
+fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
+    let summary = Summary::of(path, options);
+    let mut counts = BTreeMap::<String, u64>::new();
+    // Topics with messages that are still to be found; not known without a summary.
+    let mut awaited = None;
+    if let Some(Summary { channels, messages: Some((of_channels, _)), is_partial: false, .. }) = &summary {
+        let mut topics = BTreeSet::new();
+        for (id, (topic, kind)) in channels {
+            let count = of_channels.get(id).copied().unwrap_or(0);
+            *counts.entry(topic.clone()).or_default() += count;
+            if count > 0 && MessageKind::of_type(kind).is_some() {
+                topics.insert(topic.clone());
+            }
+        }
+        awaited = Some(topics);
+    }
+    let mut records = Records::open(path, options).map_err(|error| error.problem)?;
+    let (mut channels, mut topics) = (Channels::default(), BTreeMap::<String, Topic>::new());
+    let mut is_cut_off = false;
+    while awaited.as_ref().is_none_or(|awaited| !awaited.is_empty()) {
+        let record = match records.next() {
+            Ok(Next::Record(record)) => record,
+            Ok(Next::DamagedChunk) => continue,
+            Ok(Next::End) => break,
+            Ok(Next::CutOff) => {
+                is_cut_off = true;
+                break;
+            }
+            // What was found until here can be read.
+            Err(_) if topics.values().any(|topic| topic.is_depth) => break,
+            Err(error) => return Err(error),
+        };
+        channels.add(&record);
+        let Record::Message { header, data } = &record else { continue };
+        let Some((name, kind)) = channels.get(header.channel_id) else { continue };
+        if !topics.contains_key(name) {
+            let messages = counts.get(name).copied();
+            topics.insert(name.clone(), Topic { messages, ..first_message(name, *kind, data) });
+            awaited.iter_mut().for_each(|awaited| {
+                awaited.remove(name);
+            });
+        }
+    }
+    if is_cut_off && topics.is_empty() {
+        return Err(FormatError::Malformed("ends before its first messages of images, clouds or cameras".into()));
+    }
+    let Summary { channels: of_summary, schemas, messages, compression, .. } = summary.unwrap_or_default();
+    let all = of_summary.values().chain(channels.all.values());
+    let others: BTreeMap<_, _> = all.filter(|(name, _)| !topics.contains_key(name)).cloned().collect();
+    let other = |(name, type_name)| OtherTopic { messages: counts.get(&name).copied(), name, type_name };
+    Ok(Survey {
+        topics: topics.into_values().collect(),
+        others: others.into_iter().map(other).collect(),
+        messages: messages.map(|(_, all)| all),
+        compression: compression.or_else(|| first_compression(path)),
+        taken: of_summary.into_keys().chain(schemas.into_keys()).collect(),
+    })
+}
+
+/// What is said of a topic whose first message cannot be read.
+const DAMAGED: &str = "damaged";
+
+/// What the first message of a topic says; one that cannot be read is no depth.
+fn first_message(name: &str, kind: MessageKind, data: &[u8]) -> Topic {
+    let mut topic = Topic {
+        name: name.to_owned(),
+        kind,
+        messages: None,
+        encoding: DAMAGED.into(),
+        frame_id: String::new(),
+        is_depth: false,
+        camera_info: None,
+    };
+    match kind {
+        MessageKind::Image => {
+            if let Ok(image) = from_cdr::<Image>(data) {
+                topic.is_depth = image.is_depth();
+                (topic.encoding, topic.frame_id) = (image.encoding, image.header.frame_id);
+            }
+        }
+        MessageKind::CompressedImage => {
+            if let Ok(image) = from_cdr::<CompressedImage>(data) {
+                topic.is_depth = image.format.contains("compressedDepth");
+                (topic.encoding, topic.frame_id) = (image.format, image.header.frame_id);
+            }
+        }
+        MessageKind::PointCloud2 => {
+            if let Ok(cloud) = from_cdr::<PointCloud2>(data) {
+                topic.is_depth = true;
+                topic.encoding = format!("cloud of {}x{}", cloud.width, cloud.height);
+                topic.frame_id = cloud.header.frame_id;
+            }
+        }
+        MessageKind::CameraInfo => {
+            if let Ok(info) = from_cdr::<CameraInfo>(data) {
+                topic.encoding = format!("camera of {}x{}", info.width, info.height);
+                topic.frame_id.clone_from(&info.header.frame_id);
+                topic.camera_info = Some(info);
+            }
+        }
+    }
+    topic
+}

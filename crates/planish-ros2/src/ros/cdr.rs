@@ -1,0 +1,41 @@
+//! Messages as bytes: CDR behind the four bytes that say its byte order (OMG DDSI-RTPS 2.3, section 10.2).
+
+use byteorder::{BigEndian, LittleEndian};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use planish_core::FormatError;
+use planish_io::internal::brief;
+
+/// Plain CDR, version 1, by its byte order.
+const BIG_ENDIAN: [u8; 2] = [0, 0];
+const LITTLE_ENDIAN: [u8; 2] = [0, 1];
+
+/// Reads a message from its bytes.
+///
+/// # Errors
+/// If they are of another encoding, or end early.
+pub fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, FormatError> {
+    let malformed = |error: cdr_encoding::Error| FormatError::Malformed(brief(&format!("a damaged message: {error}")));
+    match bytes {
+        [a, b, _, _, body @ ..] if [*a, *b] == LITTLE_ENDIAN => {
+            Ok(cdr_encoding::from_bytes::<T, LittleEndian>(body).map_err(malformed)?.0)
+        }
+        [a, b, _, _, body @ ..] if [*a, *b] == BIG_ENDIAN => {
+            Ok(cdr_encoding::from_bytes::<T, BigEndian>(body).map_err(malformed)?.0)
+        }
+        [a, b, _, _, ..] => Err(FormatError::Unsupported(format!(
+            "a message in the encoding {a:02x} {b:02x}; plain CDR (00 00 or 00 01), as ROS 2 writes it, can be read"
+        ))),
+        _ => Err(FormatError::Malformed(format!("a message of {} bytes", bytes.len()))),
+    }
+}
+
+/// Writes a message, little-endian.
+pub fn to_cdr<T: Serialize>(message: &T) -> Result<Vec<u8>, FormatError> {
+    let mut bytes = vec![0, 1, 0, 0];
+    // Alignment is counted from behind the four bytes.
+    cdr_encoding::to_writer::<T, LittleEndian, _>(&mut bytes, message)
+        .map_err(|error| FormatError::Unsupported(format!("no CDR of this message: {error}")))?;
+    Ok(bytes)
+}

@@ -1,0 +1,23 @@
+//! Normals as an image: 32FC3, x, y and z of each pixel.
+
+use super::{Header, Image};
+use planish_core::Xyz;
+
+impl Image {
+    /// The unit normals of a frame on a grid, in the camera's optical frame and towards the camera: 32FC3, NaN where there is none.
+    pub(super) fn of_normals(header: Header, (width, height): (usize, usize), normals: &Xyz) -> Self {
+        let mut data = Vec::with_capacity(12 * normals.len());
+        for normal in normals.iter() {
+            data.extend_from_slice(bytemuck::bytes_of(&normal));
+        }
+        Self {
+            header,
+            height: height as u32,
+            width: width as u32,
+            encoding: "32FC3".into(),
+            is_bigendian: u8::from(cfg!(target_endian = "big")),
+            step: 12 * width as u32,
+            data,
+        }
+    }
+}

@@ -1,0 +1,262 @@
+//! Smooths messages, whatever their shape.
+
+use super::{DepthMessage, DepthPixels, Header, Image, PointCloud2};
+use planish_core::{
+    Camera, DepthImage, DepthView, Engine, Error, FormatError, Frame, FrameError, Outputs, PointsView, SmoothParams,
+    Smoothed, Smoother, SmootherOptions, Xyz,
+};
+use planish_io::ReadOptions;
+
+/// Why a message was not smoothed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MessageError {
+    /// The message is malformed, or of a kind that planish cannot use; the next may be fine.
+    #[error(transparent)]
+    Message(#[from] FormatError),
+    /// A parameter or an engine, which will fail for the next message too.
+    #[error(transparent)]
+    Engine(Error),
+}
+
+impl From<Error> for MessageError {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Frame(error) => Self::Message(error.into()),
+            error => Self::Engine(error),
+        }
+    }
+}
+
+impl From<FrameError> for MessageError {
+    fn from(error: FrameError) -> Self {
+        Self::Message(error.into())
+    }
+}
+
+/// What an engine is open for.
+type OpenFor = (Option<(usize, usize)>, Outputs, SmoothParams);
+
+/// Smooths depth images and clouds one after another. The engine is opened for the first, and again when shape or parameters change.
+pub struct MessageSmoother {
+    params: SmoothParams,
+    general: SmoothParams,
+    adapt_stride: bool,
+    options: SmootherOptions,
+    read: ReadOptions,
+    open: Option<(Smoother, OpenFor)>,
+    smoothed: Smoothed,
+    wants_normals_image: bool,
+    /// Where clouds have none.
+    normals: Option<Xyz>,
+    /// What was noticed, once.
+    warning: Option<String>,
+    warned: bool,
+}
+
+impl MessageSmoother {
+    /// Creates a smoother with parameters for frames on a grid, whose outputs are chosen message by message; those of `options` say
+    /// which fields clouds get beside points.
+    pub fn new(params: SmoothParams, options: SmootherOptions) -> Self {
+        Self {
+            params,
+            general: SmoothParams::general(),
+            adapt_stride: false,
+            options,
+            read: ReadOptions::default(),
+            open: None,
+            smoothed: Smoothed::default(),
+            wants_normals_image: false,
+            normals: None,
+            warning: None,
+            warned: false,
+        }
+    }
+
+    /// The same with other parameters for clouds without a grid.
+    pub fn with_general(self, general: SmoothParams) -> Self {
+        Self { general, ..self }
+    }
+
+    /// The same with windows and strides for coarse pixels ([`SmoothParams::at_resolution_of`]), or as given.
+    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
+        Self { adapt_stride, ..self }
+    }
+
+    /// The same with another limit to the memory that a message may take.
+    pub fn with_read_options(self, read: ReadOptions) -> Self {
+        Self { read, ..self }
+    }
+
+    /// Sets the parameters of frames on a grid from the next message on.
+    pub fn set_params(&mut self, params: SmoothParams, adapt_stride: bool) {
+        (self.params, self.adapt_stride) = (params, adapt_stride);
+    }
+
+    /// Sets the fields that clouds get beside points.
+    pub fn set_outputs(&mut self, outputs: Outputs) {
+        self.options.outputs = outputs;
+    }
+
+    /// Asks for the normals of frames on a grid as an image, whether clouds have them or not.
+    pub fn set_normals_image(&mut self, wanted: bool) {
+        self.wants_normals_image = wanted;
+    }
+
+    /// The normals of the last message in the camera's optical frame, as an image of 32FC3; `None` if they were not asked for, or for a
+    /// cloud without a grid.
+    pub fn normals_image(&self, header: Header) -> Option<Image> {
+        let normals = self.normals.as_ref().or(self.smoothed.normals.as_ref()).filter(|_| self.wants_normals_image)?;
+        let Smoothed { width, height, .. } = self.smoothed;
+        (height > 1).then(|| Image::of_normals(header, (width, height), normals))
+    }
+
+    /// The engine that smoothed the last message.
+    pub fn engine(&self) -> Option<Engine> {
+        self.open.as_ref().map(|(smoother, _)| smoother.engine())
+    }
+
+    /// Takes a warning, the first time that a message has lost more than a hundredth of its points.
+    pub fn take_warning(&mut self) -> Option<String> {
+        self.warning.take()
+    }
+
+    /// The result of the last message.
+    pub fn smoothed(&self) -> &Smoothed {
+        &self.smoothed
+    }
+
+    /// Smooths a depth image with the camera that is found for its shape. Returns the smoothed depth, in the unit of the image, and if `points`
+    /// is set leaves points and the fields beside them in [`smoothed`](Self::smoothed).
+    ///
+    /// # Errors
+    /// If the message is none of depth, or the camera is of another shape, or the engine fails.
+    pub fn smooth_depth(
+        &mut self,
+        message: &DepthMessage,
+        camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
+        points: bool,
+    ) -> Result<DepthPixels, MessageError> {
+        let pixels = self.smooth_pixels(message, camera, true, points)?;
+        let (width, height) = pixels.shape();
+        Ok(match pixels {
+            DepthPixels::Millimetres(_) => {
+                let raw = self.smoothed.depth.clone().unwrap_or_default();
+                DepthPixels::Millimetres(DepthImage { width, height, raw })
+            }
+            DepthPixels::Metres { .. } => {
+                let depth_m = self.smoothed.depth_m.clone().unwrap_or_default();
+                DepthPixels::Metres { width, height, depth_m }
+            }
+        })
+    }
+
+    /// Smooths a depth image, of which nothing is needed but its normals ([`normals_image`](Self::normals_image)).
+    ///
+    /// # Errors
+    /// As [`smooth_depth`](Self::smooth_depth).
+    pub fn smooth_depth_to_normals(
+        &mut self,
+        message: &DepthMessage,
+        camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
+    ) -> Result<(), MessageError> {
+        self.smooth_pixels(message, camera, false, false).map(drop)
+    }
+
+    /// Smooths a depth image into a cloud and nothing else.
+    ///
+    /// # Errors
+    /// As [`smooth_depth`](Self::smooth_depth).
+    pub fn smooth_depth_to_cloud(
+        &mut self,
+        message: &DepthMessage,
+        camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
+    ) -> Result<PointCloud2, MessageError> {
+        self.smooth_pixels(message, camera, false, true)?;
+        Ok(PointCloud2::of_smoothed(message.header().clone(), &self.smoothed))
+    }
+
+    /// Smooths a depth image; returns it as it came.
+    fn smooth_pixels(
+        &mut self,
+        message: &DepthMessage,
+        camera: impl FnOnce((usize, usize)) -> Result<Camera, FormatError>,
+        depth: bool,
+        points: bool,
+    ) -> Result<DepthPixels, MessageError> {
+        let pixels = message.pixels(&self.read)?;
+        let camera = camera(pixels.shape())?;
+        camera.check_shape(pixels.shape())?;
+        let Outputs { normals, curvature, .. } = self.options.outputs;
+        let outputs = Outputs::POINTS.with_points(points);
+        let outputs = outputs.with_normals(points && normals).with_curvature(points && curvature);
+        match &pixels {
+            DepthPixels::Millimetres(image) => {
+                // The unit of the message, whatever the camera says.
+                let camera = camera.with_depth_units_per_metre(1000.0);
+                self.smooth(Frame::Depth(DepthView::new(&image.raw, &camera)?), outputs.with_depth(depth))?;
+            }
+            DepthPixels::Metres { depth_m, .. } => {
+                self.smooth(Frame::Depth(DepthView::from_metres(depth_m, &camera)?), outputs.with_depth_m(depth))?;
+            }
+        }
+        Ok(pixels)
+    }
+
+    /// Smooths a cloud, on its grid or without one. All its fields are kept.
+    ///
+    /// # Errors
+    /// If the message contradicts itself, or the engine fails.
+    pub fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<PointCloud2, MessageError> {
+        self.read.check(cloud.data.len(), 2)?;
+        let cloud = cloud.into_native()?;
+        let Outputs { normals, curvature, .. } = self.options.outputs;
+        let view: PointsView<'_> = cloud.view()?;
+        if view.is_empty() {
+            return Ok(cloud);
+        }
+        self.smooth(Frame::Points(view), Outputs::POINTS.with_normals(normals).with_curvature(curvature))?;
+        Ok(cloud.with_smoothed(&self.smoothed)?)
+    }
+
+    fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<(), Error> {
+        let grid = frame.grid();
+        let has_normals = outputs.normals;
+        let outputs = outputs.with_normals(has_normals || self.wants_normals_image && grid.is_some());
+        self.smoothed.normals = self.smoothed.normals.take().or(self.normals.take());
+        let params = match grid {
+            None => self.general,
+            Some(_) if self.adapt_stride => self.params.at_resolution_of(frame),
+            Some(_) => self.params,
+        };
+        let wanted = (grid, outputs, params);
+        let open = self.open.take().filter(|(_, open_for)| *open_for == wanted);
+        let (smoother, _) = match open {
+            Some(open) => self.open.insert(open),
+            None => {
+                let options = self.options.clone().with_outputs(outputs);
+                self.open.insert((Smoother::open_with(params, &options, grid)?, wanted))
+            }
+        };
+        let result = smoother.smooth(frame, &mut self.smoothed);
+        if matches!(result, Err(Error::Engine(_))) {
+            // An engine that failed is opened again for the next message.
+            self.open = None;
+        }
+        result?;
+        if !has_normals {
+            // Clouds have the fields that are there.
+            self.normals = self.smoothed.normals.take();
+        }
+        self.note_lost_points(frame);
+        Ok(())
+    }
+
+    fn note_lost_points(&mut self, frame: Frame<'_>) {
+        if self.warned {
+            return;
+        }
+        self.warning = self.smoothed.lost_points_warning(frame);
+        self.warned = self.warning.is_some();
+    }
+}
