@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn errors_measure_along_the_normal_and_margins_keep_off_the_edges() {
-        let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 31.5, cy: 23.5, ..Camera::kinect_v1() };
+        let camera = Camera::new((64, 48), [60.0; 2], [31.5, 23.5]);
         let scene = Scene {
             objects: vec![
                 Shape::Plane { point: DVec3::new(0.0, 0.0, 2.0), normal: DVec3::Z },

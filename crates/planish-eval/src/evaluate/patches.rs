@@ -83,13 +83,17 @@ fn lies_on_one_surface(points: &[DVec3]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_core::internal::Random;
+    use crate::simulate::Random;
 
     /// Two walls of a corner, with 2 mm of noise across the first.
     fn corner(noise_m: f32) -> PointCloud {
-        let mut random = Random(3);
+        let mut random = Random::new(3, 0);
         let mut point = |i: usize| {
-            let (a, b, noise) = (random.next(), random.next(), noise_m * (random.next() - 0.5) * 12f32.sqrt());
+            let (a, b, noise) = (
+                random.uniform() as f32,
+                random.uniform() as f32,
+                noise_m * (random.uniform() as f32 - 0.5) * 12f32.sqrt(),
+            );
             if i.is_multiple_of(2) { [a, b, noise] } else { [-noise, b, a] }
         };
         PointCloud::new((0..8000).map(&mut point).collect())
@@ -108,8 +112,8 @@ mod tests {
 
     #[test]
     fn clouds_without_a_surface_have_no_patches() {
-        let mut random = Random(5);
-        let gas = PointCloud::new((0..4000).map(|_| [0; 3].map(|_| random.next())).collect());
+        let mut random = Random::new(5, 0);
+        let gas = PointCloud::new((0..4000).map(|_| [0; 3].map(|_| random.uniform() as f32)).collect());
         let line = PointCloud::new((0..4000).map(|i| [i as f32, 0.0, 0.0]).collect());
         let lone = PointCloud::new([[0.0, 0.0, f32::NAN]].into_iter().collect());
         for (cloud, most) in [(gas, 25), (line, 0), (lone, 0)] {

@@ -178,8 +178,7 @@ mod tests {
 
     #[test]
     fn the_largest_plane_and_the_tiles_of_a_noisy_wall_have_its_noise() {
-        let camera =
-            Camera { width: 160, height: 120, fx: 131.0, fy: 131.0, cx: 79.5, cy: 59.5, ..Camera::kinect_v1() };
+        let camera = Camera::new((160, 120), [131.0; 2], [79.5, 59.5]);
         let wall = Shape::Plane { point: DVec3::new(0.0, 0.0, 2.0), normal: DVec3::new(0.2, 0.1, 1.0).normalize() };
         let ball = Shape::Sphere { centre: DVec3::new(0.3, 0.0, 1.2), radius_m: 0.15 };
         let scene = Scene { objects: vec![wall, ball] };

@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn every_camera_looks_at_the_table() {
-        let camera = Camera { width: 80, height: 60, fx: 66.0, fy: 66.0, cx: 39.5, cy: 29.5, ..Camera::kinect_v1() };
+        let camera = Camera::new((80, 60), [66.0; 2], [39.5, 29.5]);
         for cameras in [2, 4, 8] {
             let rig = RigScene::tabletop(1, cameras);
             assert_eq!(rig.poses.len(), cameras);

@@ -238,7 +238,7 @@ mod tests {
 
     #[test]
     fn every_hit_of_a_scene_lies_on_its_object_and_faces_the_camera() {
-        let camera = Camera { width: 80, height: 60, fx: 66.0, fy: 66.0, cx: 39.5, cy: 29.5, ..Camera::kinect_v1() };
+        let camera = Camera::new((80, 60), [66.0; 2], [39.5, 29.5]);
         for seed in 0..4 {
             let (scene, pose) = Scene::tabletop(seed);
             let truth = scene.render(&camera, &pose);
