@@ -50,7 +50,7 @@ def side_by_side(name: str, cells: list[tuple[str, Image.Image]]) -> None:
 
 
 def gallery(data: Path, folder: Path) -> None:
-    tum = ["--camera", "525,525,319.5,239.5", "--depth-scale", "5000"]
+    tum = ["--camera", "525,525,319.5,239.5", "--depth-units-per-metre", "5000"]
     mm = ["--camera", "525,525,319.5,239.5"]
     frames = [
         ("kinect-table", "kinect/milk_cartoon_all_small_clorox.pcd", [], []),
@@ -82,7 +82,7 @@ def parameters(folder: Path) -> None:
     planish.write(path, frame.depth)
     of_camera = frame.camera
     camera = ["--camera", f"{of_camera.fx},{of_camera.fy},{of_camera.cx},{of_camera.cy}"]
-    camera += ["--depth-scale", str(of_camera.depth_units_per_metre)]
+    camera += ["--depth-units-per-metre", str(of_camera.depth_units_per_metre)]
 
     def of(*arguments: str) -> Image.Image:
         return relief(smoothed(path, folder, *camera, *arguments), folder)

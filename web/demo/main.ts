@@ -67,9 +67,9 @@ function explain(): void {
   if (hasGpu && !isGeneral && result?.withoutGpu) find('.why[data-of="webgpu"]').textContent = result.withoutGpu;
   why("png", frame && frame.kind !== "depth" ? "The frame came as points; a PNG holds depth." : "");
   const colour = control("kind").querySelector<HTMLOptionElement>('[value="colour"]')!;
-  colour.disabled = !frame?.has_colour;
-  find(`.why[data-of="kind"]`).textContent = frame?.has_colour ? "" : "The frame has no colour of its own.";
-  find("#camera-fields").hidden = !frame?.assumed_camera;
+  colour.disabled = !frame?.hasColour;
+  find(`.why[data-of="kind"]`).textContent = frame?.hasColour ? "" : "The frame has no colour of its own.";
+  find("#camera-fields").hidden = !frame?.assumedCamera;
   for (const button of find("#save").querySelectorAll("button")) {
     button.disabled = !result || (button.dataset["format"] === "png" && frame?.kind !== "depth");
   }
@@ -91,26 +91,26 @@ function settings(): Settings {
   };
 }
 
-const CAMERA_FIELDS = ["fx", "fy", "cx", "cy", "depth_scale"] as const;
+const CAMERA_FIELDS = ["fx", "fy", "cx", "cy", "depthUnitsPerMetre"] as const;
 
 function camera(): CameraLike | undefined {
-  if (!frame?.assumed_camera) return undefined;
-  return given?.camera ?? frame.assumed_camera;
+  if (!frame?.assumedCamera) return undefined;
+  return given?.camera ?? frame.assumedCamera;
 }
 
 /** Shows the camera in its fields. */
 function showCamera(): void {
-  const shown = given?.camera ?? frame?.assumed_camera;
+  const shown = given?.camera ?? frame?.assumedCamera;
   for (const field of CAMERA_FIELDS) control(field).value = String(shown?.[field] ?? "");
 }
 
 /** Takes the fields as the camera; a distortion that a file gave stays. */
 function takeFields(): void {
-  if (!frame?.assumed_camera) return;
+  if (!frame?.assumedCamera) return;
   const numbers = CAMERA_FIELDS.map((field) => [field, control(field).valueAsNumber] as const);
   const wrong = numbers.find(([, number]) => !Number.isFinite(number));
-  if (wrong) return fail(new Error(`${wrong[0] === "depth_scale" ? "units per metre" : wrong[0]} of the camera: a number is needed`));
-  const camera = { ...(given?.camera ?? frame.assumed_camera), ...Object.fromEntries(numbers) } as Camera;
+  if (wrong) return fail(new Error(`${wrong[0] === "depthUnitsPerMetre" ? "units per metre" : wrong[0]} of the camera: a number is needed`));
+  const camera = { ...(given?.camera ?? frame.assumedCamera), ...Object.fromEntries(numbers) } as Camera;
   given = { camera, width: frame.width, height: frame.height };
   void update();
 }
@@ -119,7 +119,7 @@ async function openCamera(file: File | undefined): Promise<void> {
   if (!file || !frame) return;
   const of = frame;
   try {
-    if (!of.assumed_camera) throw new Error("this frame came as points, which need no camera");
+    if (!of.assumedCamera) throw new Error("this frame came as points, which need no camera");
     const camera = await ask<Camera>({ method: "readCamera", frame: of, text: await file.text() });
     if (frame !== of) return;
     given = { camera, width: of.width, height: of.height };
@@ -250,7 +250,7 @@ async function take(opening: () => Promise<Frame>, called: string): Promise<bool
     if (given && (given.width !== opened.width || given.height !== opened.height)) given = undefined;
     showCamera();
     if (wasGeneral !== (opened.kind === "general")) defaultEdges();
-    if (!opened.has_colour && control("kind").value === "colour") control("kind").value = "relief";
+    if (!opened.hasColour && control("kind").value === "colour") control("kind").value = "relief";
     if (held.length > 0) await ask({ method: "release", held });
     await drawRaw();
     if (frame === opened && !result) clearSmoothed();

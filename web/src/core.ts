@@ -44,7 +44,7 @@ export class Core {
 
   /** Asks for something. The bytes of the reply are a copy. */
   call<T>(request: { op: string; [key: string]: unknown }, bytes: Uint8Array = NO_BYTES): { ok: T; bytes: Uint8Array<ArrayBuffer> } {
-    const text = JSON.stringify(request, onlyFinite);
+    const text = JSON.stringify(renamed(request, snakeCase), onlyFinite);
     let answer: { ok: T; bytes: Uint8Array<ArrayBuffer> };
     try {
       answer = this.ask<T>(new TextEncoder().encode(text), bytes);
@@ -80,7 +80,7 @@ export class Core {
     const answer = this.part(1).slice();
     e.planish_reply_done();
     if (reply.error !== undefined) throw new PlanishError(reply.error);
-    return { ok: reply.ok as T, bytes: answer };
+    return { ok: renamed(reply.ok, camelCase) as T, bytes: answer };
   }
 
   /** After a trap, whose instance cannot be trusted. Numbers go on, so that old numbers are never reused. */
@@ -106,6 +106,22 @@ export class Core {
     const { memory, planish_reply, planish_reply_len } = this.exports;
     return new Uint8Array(memory.buffer as ArrayBuffer, planish_reply(part) >>> 0, planish_reply_len(part) >>> 0);
   }
+}
+
+/** Names of the module are in snake_case, those of TypeScript in camelCase. */
+function snakeCase(name: string): string {
+  return name.replace(/[A-Z]/g, (letter) => `_${letter.toLowerCase()}`);
+}
+
+function camelCase(name: string): string {
+  return name.replace(/_([a-z])/g, (_, letter: string) => letter.toUpperCase());
+}
+
+/** Renames the keys of plain objects, however deep. */
+export function renamed(value: unknown, rename: (name: string) => string): unknown {
+  if (Array.isArray(value)) return value.map((item) => renamed(item, rename));
+  if (typeof value !== "object" || value === null) return value;
+  return Object.fromEntries(Object.entries(value).map(([name, item]) => [rename(name), renamed(item, rename)]));
 }
 
 /** Refuses numbers that JSON cannot represent. */

@@ -8,37 +8,41 @@ export { PlanishError } from "./core.js";
 /** Beside this file, in the package. */
 const MODULE_FILE = "./planish.wasm";
 
-/** Settings; what is missing is the preset's. The same names as the command's options. */
+/** Settings; a missing field has the value of the preset. The command, Python and ROS have the same in snake_case. */
 export interface Settings {
   preset?: "light" | "default" | "strong" | "paper";
   /** 0 (light) to 1 (strong), instead of a preset. */
   strength?: number;
-  /** Whose noise: "kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone", "exact", or "auto" to estimate it. */
-  sensor?: string;
+  /** "kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone", "exact", "auto" to estimate it, or coefficients of 1, z and z² in metres. */
+  sensor?: string | { step?: [number, number, number]; sigma: [number, number, number] };
   edges?: "robust" | "off";
+  /** Isolated points of clouds without a grid become holes. */
+  removeIsolated?: boolean;
   /** Half width of the window in samples, 1 to 7. */
   window?: number;
   /** Pixels between samples, 1 to 8. */
   stride?: number;
-  average_blocks?: boolean;
-  /** A fixed radius in metres. */
-  radius?: number;
-  /** Of general clouds, how many neighbours. */
+  averageBlocks?: boolean;
+  /** A radius in metres, or "sensor": growing with distance as the sensor's noise does. */
+  radiusM?: number | "sensor";
+  /** Neighbours of a point of a cloud without a grid, 6 to 1000, instead of a radius. */
   neighbours?: number;
-  /** Highest degree of the polynomial, 1 to 3. */
+  /** Degree of the surface, 1 to 3. */
   degree?: number;
+  /** Bandwidth of the Gaussian weights in metres; the radius if it is missing. */
+  bandwidthM?: number;
   /** Ridge of the fit, 1e-3 to 100. */
   ridge?: number;
   project?: "ray" | "normal";
 }
 
-/** Intrinsics in pixels; `depth_scale` is the number of depth units in a metre, 1000 if it is missing. */
+/** Intrinsics in pixels; `depthUnitsPerMetre` is the number of depth units in a metre, 1000 if it is missing. */
 export interface Camera {
   fx: number;
   fy: number;
   cx: number;
   cy: number;
-  depth_scale?: number;
+  depthUnitsPerMetre?: number;
   width?: number;
   height?: number;
   distortion?: number[];
@@ -56,9 +60,9 @@ export interface Frame {
   /** Pixels or points with a measurement. */
   valid: number;
   format: string;
-  has_colour: boolean;
+  hasColour: boolean;
   /** Of depth: a camera with a Kinect's field of view, to begin with. */
-  assumed_camera?: Camera;
+  assumedCamera?: Camera;
 }
 
 /** A smoothed frame that planish holds until it is released. */
@@ -69,7 +73,7 @@ export interface Result {
   /** Finite points. */
   points: number;
   /** Pixels of each status, in the order of {@link About.statuses}. */
-  status_counts: number[];
+  statusCounts: number[];
   /** What computed it. */
   engine: "webgpu" | "wasm";
   /** From the call to the result, in milliseconds; compiling kernels, which happens once, counts in. */
@@ -98,6 +102,8 @@ export interface Smoothed {
 export interface About {
   version: string;
   presets: string[];
+  /** Names of all settings, as settings files have them. */
+  settings: string[];
   sensors: string[];
   statuses: string[];
   simd: string;
@@ -154,7 +160,7 @@ export class Planish {
     return this.core.memoryBytes;
   }
 
-  /** Smooths raw depth, `width` x `height` values in units of the camera's `depth_scale`, 0 for holes. */
+  /** Smooths raw depth, `width` x `height` values in units of the camera's `depthUnitsPerMetre`, 0 for holes. */
   async smooth(depth: Uint16Array, camera: Camera & { width: number; height: number }, settings: Settings = {}): Promise<Smoothed> {
     if (typeof camera !== "object" || camera === null) throw new PlanishError("the second argument is the camera: { width, height, fx, fy, cx, cy }");
     const frame = this.depth(depth, camera.width, camera.height);
@@ -192,6 +198,16 @@ export class Planish {
   /** Reads a camera file for a frame. */
   readCamera(frame: Frame, text: string): Camera {
     return this.core.call<Camera>({ op: "read_camera", frame: frame.frame, camera: text }).ok;
+  }
+
+  /** Reads a settings file in JSON or YAML, as the command and Python have them. */
+  readSettings(text: string): Settings {
+    return this.core.call<Settings>({ op: "read_settings", text }).ok;
+  }
+
+  /** Writes settings as JSON that the command (`--settings`), Python and ROS read. */
+  writeSettings(settings: Settings): string {
+    return this.core.call<{ text: string }>({ op: "write_settings", settings }).ok.text;
   }
 
   /** Simulates a frame of a Kinect v1. */

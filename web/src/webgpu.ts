@@ -3,10 +3,10 @@
 /** A plan of a frame. */
 export interface Plan {
   plan: number;
-  passes: { entry_point: string; wgsl: string; workgroups: [number, number] }[];
+  passes: { entryPoint: string; wgsl: string; workgroups: [number, number] }[];
   uniform: number[];
-  output_bytes: number;
-  kept_bytes: [number, number];
+  outputBytes: number;
+  keptBytes: [number, number];
 }
 
 /** The buffers of a frame in flight. */
@@ -83,7 +83,7 @@ export class Gpu {
 
   /** Runs a plan on what it uploads and returns the bytes that its kernels wrote. */
   async run(plan: Plan, upload: Uint8Array<ArrayBuffer>): Promise<Uint8Array<ArrayBuffer>> {
-    const pipelines = await Promise.all(plan.passes.map((pass) => this.pipeline(pass.entry_point, pass.wgsl)));
+    const pipelines = await Promise.all(plan.passes.map((pass) => this.pipeline(pass.entryPoint, pass.wgsl)));
     const { device } = this;
     const slot = await this.slot(plan, upload.length);
     let isWhole = false;
@@ -103,10 +103,10 @@ export class Gpu {
         pass.dispatchWorkgroups(across, down);
       });
       pass.end();
-      encoder.copyBufferToBuffer(slot.output, 0, slot.readback, 0, plan.output_bytes);
+      encoder.copyBufferToBuffer(slot.output, 0, slot.readback, 0, plan.outputBytes);
       device.queue.submit([encoder.finish()]);
-      await slot.readback.mapAsync(GPUMapMode.READ, 0, plan.output_bytes);
-      const result = new Uint8Array(slot.readback.getMappedRange(0, plan.output_bytes)).slice();
+      await slot.readback.mapAsync(GPUMapMode.READ, 0, plan.outputBytes);
+      const result = new Uint8Array(slot.readback.getMappedRange(0, plan.outputBytes)).slice();
       slot.readback.unmap();
       isWhole = true;
       return result;
@@ -154,7 +154,7 @@ export class Gpu {
 
   /** Buffers for a plan. Checks for errors: buffers that were not created would read as zeros. */
   private async buffers(plan: Plan, inputBytes: number): Promise<Slot> {
-    const key = [inputBytes, plan.output_bytes, ...plan.kept_bytes].join();
+    const key = [inputBytes, plan.outputBytes, ...plan.keptBytes].join();
     const at = this.free.findIndex((slot) => slot.key === key);
     if (at >= 0) return this.free.splice(at, 1)[0]!;
     // Frames of another size: their buffers are in the way.
@@ -168,9 +168,9 @@ export class Gpu {
       key,
       uniform: buffer(16, UNIFORM | COPY_DST),
       input: buffer(inputBytes, STORAGE | COPY_DST),
-      output: buffer(plan.output_bytes, STORAGE | COPY_SRC),
-      readback: buffer(plan.output_bytes, MAP_READ | COPY_DST),
-      kept: [buffer(plan.kept_bytes[0], STORAGE), buffer(plan.kept_bytes[1], STORAGE)],
+      output: buffer(plan.outputBytes, STORAGE | COPY_SRC),
+      readback: buffer(plan.outputBytes, MAP_READ | COPY_DST),
+      kept: [buffer(plan.keptBytes[0], STORAGE), buffer(plan.keptBytes[1], STORAGE)],
     } satisfies Slot;
     const errors = await Promise.all([device.popErrorScope(), device.popErrorScope()]);
     const error = errors.find((error) => error !== null);

@@ -7,7 +7,7 @@ import { Planish, PlanishError } from "../dist/index.js";
 import { compare, launch, root, serve } from "./helpers.mjs";
 
 const SHAPE = [160, 120];
-const SETTINGS = [{}, { preset: "paper" }, { edges: "off" }, { preset: "strong", degree: 3 }, { average_blocks: false, edges: "robust" }];
+const SETTINGS = [{}, { preset: "paper" }, { edges: "off" }, { preset: "strong", degree: 3 }, { averageBlocks: false, edges: "robust" }];
 let planish, browser, server;
 
 before(async () => {
@@ -50,13 +50,13 @@ test("what is wrong is said in words", async () => {
   const said = (work) => assert.rejects(async () => work(), PlanishError);
   await said(() => planish.smoothFrame(frame));
   for (const settings of [{ window: 9 }, { preset: "loud" }, { preset: "light", strength: 1 }, { sensor: "eye" }, { edge: "off" }]) {
-    await assert.rejects(planish.smoothFrame(frame, settings, frame.assumed_camera), PlanishError, JSON.stringify(settings));
+    await assert.rejects(planish.smoothFrame(frame, settings, frame.assumedCamera), PlanishError, JSON.stringify(settings));
   }
   await said(() => planish.depth(new Uint16Array(5), 2, 2));
   await said(() => planish.open("a.pcd", new Uint8Array([1, 2, 3])));
   await said(() => planish.open("b.png", new Uint8Array(pngStart())));
   planish.release(frame);
-  await said(() => planish.smoothFrame(frame, {}, frame.assumed_camera));
+  await said(() => planish.smoothFrame(frame, {}, frame.assumedCamera));
 });
 
 test("arrays of other types, numbers that are none and cameras that are misspelt are refused", async () => {
@@ -78,10 +78,10 @@ test("arrays of other types, numbers that are none and cameras that are misspelt
 
 test("a result outlives its frame", async () => {
   const frame = planish.simulate(1, ...SHAPE);
-  const result = await planish.smoothFrame(frame, {}, frame.assumed_camera);
+  const result = await planish.smoothFrame(frame, {}, frame.assumedCamera);
   planish.release(frame);
-  assert.equal(planish.open("a.ply", planish.write(result, "ply", frame.assumed_camera)).width, SHAPE[0]);
-  assert.throws(() => planish.picture(frame, "raw", "relief", frame.assumed_camera), PlanishError);
+  assert.equal(planish.open("a.ply", planish.write(result, "ply", frame.assumedCamera)).width, SHAPE[0]);
+  assert.throws(() => planish.picture(frame, "raw", "relief", frame.assumedCamera), PlanishError);
   planish.release(result);
 });
 
@@ -95,10 +95,10 @@ test("more than the memory takes is said, and the module goes on", async () => {
   const large = held.at(-1);
   planish.release(...held);
   // Released or gone, its number means nothing else.
-  assert.throws(() => planish.picture(large, "raw", "relief", large.assumed_camera), PlanishError);
+  assert.throws(() => planish.picture(large, "raw", "relief", large.assumedCamera), PlanishError);
   const frame = planish.simulate(2, ...SHAPE);
   assert.ok(frame.frame > large.frame);
-  const result = await planish.smoothFrame(frame, {}, frame.assumed_camera);
+  const result = await planish.smoothFrame(frame, {}, frame.assumedCamera);
   assert.ok(result.points > 10_000);
   planish.release(frame, result);
 });
@@ -121,7 +121,7 @@ function pngStart() {
 
 test("what is written is read again", async () => {
   const frame = planish.simulate(2, ...SHAPE);
-  const camera = frame.assumed_camera;
+  const camera = frame.assumedCamera;
   const result = await planish.smoothFrame(frame, {}, camera);
   const { points } = planish.arrays(result);
   for (const format of ["pcd", "ply", "npy"]) {
@@ -172,7 +172,7 @@ test("a GPU without room, and one that is lost, leave no frame behind", { timeou
       const planish = await Planish.load();
       planish.usesGpu = true;
       const frame = planish.simulate(1, ...shape);
-      const smooth = () => planish.smoothFrame(frame, { preset: "paper" }, frame.assumed_camera);
+      const smooth = () => planish.smoothFrame(frame, { preset: "paper" }, frame.assumedCamera);
       const first = await smooth();
       const z = (result) => planish.arrays(result).points.filter((value) => Number.isFinite(value)).reduce((sum, value) => sum + Math.abs(value), 0);
       const createBuffer = GPUDevice.prototype.createBuffer;
@@ -181,7 +181,7 @@ test("a GPU without room, and one that is lost, leave no frame behind", { timeou
         return createBuffer.call(this, descriptor.usage & GPUBufferUsage.UNIFORM ? descriptor : { ...descriptor, size: larger });
       };
       const small = planish.simulate(1, ...otherShape);
-      const without = await planish.smoothFrame(small, { preset: "paper" }, small.assumed_camera);
+      const without = await planish.smoothFrame(small, { preset: "paper" }, small.assumedCamera);
       GPUDevice.prototype.createBuffer = createBuffer;
       const after = await smooth();
       // More than the device allows.
@@ -223,7 +223,7 @@ test("WebGPU gives what WebAssembly gives", { timeout: 600_000 }, async () => {
     const frame = planish.simulate(1, ...shape);
     const out = [];
     // Beside each other: frames in flight keep apart.
-    const results = await Promise.all(allSettings.map((settings) => planish.smoothFrame(frame, settings, frame.assumed_camera)));
+    const results = await Promise.all(allSettings.map((settings) => planish.smoothFrame(frame, settings, frame.assumedCamera)));
     for (const result of results) {
       const { points, status } = planish.arrays(result);
       out.push({ engine: result.engine, points: Array.from(points, (value) => (Number.isFinite(value) ? value : null)), status: Array.from(status) });
@@ -233,7 +233,7 @@ test("WebGPU gives what WebAssembly gives", { timeout: 600_000 }, async () => {
   assert.ok(ran.adapter, ran.without);
   const frame = planish.simulate(1, ...SHAPE);
   for (const [i, settings] of SETTINGS.entries()) {
-    const expected = planish.arrays(await planish.smoothFrame(frame, settings, frame.assumed_camera));
+    const expected = planish.arrays(await planish.smoothFrame(frame, settings, frame.assumedCamera));
     const { engine, points, status } = ran.out[i];
     assert.equal(engine, "webgpu");
     assert.deepEqual(status, Array.from(expected.status), JSON.stringify(settings));

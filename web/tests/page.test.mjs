@@ -67,8 +67,8 @@ async function open(name, bytes) {
 /** A small frame in a format. */
 async function file(format) {
   const frame = planish.simulate(3, ...SHAPE);
-  const result = await planish.smoothFrame(frame, { preset: "light" }, frame.assumed_camera);
-  return planish.write(result, format, frame.assumed_camera);
+  const result = await planish.smoothFrame(frame, { preset: "light" }, frame.assumedCamera);
+  return planish.write(result, format, frame.assumedCamera);
 }
 
 test("what is sent is small", () => {
@@ -123,7 +123,7 @@ function drop(files) {
 test("of files that are dropped at once the last one stays, and nothing of a frame before it", async () => {
   const [png, ply] = [await file("png"), await file("ply")];
   const large = planish.simulate(5, 640, 480);
-  const slow = planish.write(await planish.smoothFrame(large, { preset: "light" }, large.assumed_camera), "pcd", large.assumed_camera);
+  const slow = planish.write(await planish.smoothFrame(large, { preset: "light" }, large.assumedCamera), "pcd", large.assumedCamera);
   await writeFile(join(folder, "slow.pcd"), slow);
   await page.setInputFiles("#file", join(folder, "slow.pcd"));
   await drop([["first.png", png]]);

@@ -1,7 +1,7 @@
 //! Experiment 2: how the time grows with the number of candidates.
 
 use anyhow::Result;
-use planish::{Engine, Radius, SmoothParams};
+use planish::{Engine, FrameParams, FrameRadius};
 use serde::Serialize;
 
 use super::engines::Clock;
@@ -62,14 +62,14 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     let bar = context.bar("connectivity", curves.len() * windows.len())?;
     // All engines at one setting after each other, so that the reference computes it once.
     for (degree, &window) in [2, 3].into_iter().flat_map(|degree| windows.iter().map(move |window| (degree, window))) {
-        let radius = Radius::Fixed { radius_m: RADIUS_M_A_STEP * window as f32 };
-        let params = SmoothParams::paper().with_window(window).with_degree(degree).with_radius(radius);
+        let radius = FrameRadius::Fixed { radius_m: RADIUS_M_A_STEP * window as f32 };
+        let params = FrameParams::paper().with_window(window).with_degree(degree).with_radius(radius);
         for curve in curves.iter_mut().filter(|curve| curve.degree == degree && !context.stopped()) {
             let timed = context.time_frames(&subjects[curve.subject], curve.clock, params, input, Frames::One);
             let what = format!("{}, degree {degree}, window {window}", curve.engine);
             if let Some(timed) = context.attempt(&what, timed)? {
                 curve.times.push(timed.time);
-                curve.candidates.push(params.candidates());
+                curve.candidates.push(params.window.nominal().samples());
             }
             bar.inc(1);
         }

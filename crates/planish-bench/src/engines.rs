@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use anyhow::{Result, bail};
 use planish::{
-    AdapterKind, Engine, EngineError, Error, Frame, FrameTimings, GpuOptions, Outputs, SimdLevel, SmoothParams,
+    AdapterKind, Engine, EngineError, Error, Frame, FrameParams, FrameTimings, GpuOptions, Outputs, SimdLevel,
     Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer, Xyz, gpu_adapters,
 };
 
@@ -45,7 +45,7 @@ impl Subject {
             return Ok(vec![Clock::Host]);
         }
         let stamped = self.with_time_stamps();
-        match Smoother::open_with(SmoothParams::paper(), &stamped.options, (64, 48)) {
+        match Smoother::open_with(FrameParams::paper(), &stamped.options, (64, 48)) {
             Ok(_) => Ok(vec![Clock::Host, Clock::Device]),
             Err(Error::Engine(EngineError::Unavailable { .. })) => Ok(vec![Clock::Host]),
             Err(error) => Err(error.into()),
@@ -127,7 +127,7 @@ pub struct Load<'a> {
 
 impl<'a> Load<'a> {
     /// Opens the engine for frames of one shape, of which there must be one, and in a batch may be more.
-    pub fn open(subject: &Subject, params: SmoothParams, way: Way, frames: Vec<Frame<'a>>) -> Result<Self> {
+    pub fn open(subject: &Subject, params: FrameParams, way: Way, frames: Vec<Frame<'a>>) -> Result<Self> {
         let shape = frames.first().map_or((0, 0), Frame::shape);
         let smoother = Smoother::open_with(params, &subject.options, shape)?;
         let results = vec![Smoothed::default(); frames.len()];

@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::agreement::{Agreement, radii_m};
 use planish::{
-    Engine, EngineError, Error, FrameTimings, IntoFrame, OrganizedCloud, SmoothParams, Smoothed, Smoother,
+    Engine, EngineError, Error, FrameParams, FrameTimings, IntoFrame, OrganizedCloud, Smoothed, Smoother,
     SmootherOptions, Xyz,
 };
 
@@ -56,7 +56,7 @@ pub struct Bench<'a> {
     /// Set by Ctrl-C: what is measured until then is kept.
     pub stop: &'a AtomicBool,
     /// The reference's last result, with the frame and the setting that it is of.
-    reference: RefCell<Option<(usize, SmoothParams, Smoothed)>>,
+    reference: RefCell<Option<(usize, FrameParams, Smoothed)>>,
     /// What could not be measured, and why.
     skipped: RefCell<Vec<String>>,
 }
@@ -155,7 +155,7 @@ impl<'a> Bench<'a> {
     pub fn time_way(
         &self,
         subject: &Subject,
-        params: SmoothParams,
+        params: FrameParams,
         input: &Input,
         way: Way,
         block: usize,
@@ -176,7 +176,7 @@ impl<'a> Bench<'a> {
         &self,
         subject: &Subject,
         clock: Clock,
-        params: SmoothParams,
+        params: FrameParams,
         input: &Input,
         frames: Frames,
     ) -> Result<Timed> {
@@ -217,7 +217,7 @@ impl<'a> Bench<'a> {
     }
 
     /// What an engine makes of a frame.
-    pub fn smooth(&self, subject: &Subject, params: SmoothParams, input: &Input, points: &mut Xyz) -> Result<()> {
+    pub fn smooth(&self, subject: &Subject, params: FrameParams, input: &Input, points: &mut Xyz) -> Result<()> {
         Load::open(subject, params, Way::CopiedOut, vec![input.frame()?])?.show(|found| {
             self.hold(subject, params, input, found, 1)?;
             let [x, y, z] = found.map(<[f32]>::to_vec);
@@ -231,7 +231,7 @@ impl<'a> Bench<'a> {
     fn hold(
         &self,
         subject: &Subject,
-        params: SmoothParams,
+        params: FrameParams,
         input: &Input,
         points: [&[f32]; 3],
         copies: usize,
@@ -248,7 +248,7 @@ impl<'a> Bench<'a> {
             }
         };
         let mut agreement = Agreement::default();
-        let reach = params.reach_px();
+        let reach = params.window.nominal().reach_px();
         let radii_m = radii_m(&input.cloud, params);
         for copy in 0..copies {
             let of_copy = points.map(|plane| plane.get(copy * width * height..).unwrap_or_default());
@@ -303,7 +303,7 @@ mod tests {
     fn a_wrong_result_is_an_error_and_is_not_timed() {
         let (options, stop) = (quick(), AtomicBool::new(false));
         let bench = Bench::new(&options, small_inputs(), &stop);
-        let (input, params) = (&bench.inputs[1], SmoothParams::paper().with_window(1));
+        let (input, params) = (&bench.inputs[1], FrameParams::paper().with_window(1));
         let subject = engines::subjects(&[Engine::Cpu], false).unwrap().remove(0);
         let mut right = Smoothed::default();
         Smoother::open_with(params, &subject.options, input.shape())

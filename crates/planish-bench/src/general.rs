@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use planish::agreement::Agreement;
 use planish::{
-    Edges, Engine, Error, GpuOptions, Outputs, PointCloud, PointsView, Radius, SimdLevel, SmoothParams, Smoothed,
+    CloudParams, CloudRadius, Edges, Engine, Error, GpuOptions, Outputs, PointCloud, PointsView, SimdLevel, Smoothed,
     Smoother, SmootherOptions, Xyz, auto_choice, gpu_adapters,
 };
 use serde::Serialize;
@@ -25,7 +25,7 @@ pub struct GeneralOptions {
     /// Points of simulated scans.
     pub scans: Vec<usize>,
     /// The radii, each measured.
-    pub radii: Vec<Radius>,
+    pub radii: Vec<CloudRadius>,
     /// Degree of the polynomial.
     pub degree: u32,
     /// Whether edges are kept.
@@ -73,7 +73,7 @@ pub fn run(options: &GeneralOptions) -> Result<()> {
     for (name, cloud) in options.clouds.iter().cloned().chain(scans) {
         for &radius in &options.radii {
             let params =
-                SmoothParams::general().with_radius(radius).with_degree(options.degree).with_edges(options.edges);
+                CloudParams::default().with_radius(radius).with_degree(options.degree).with_edges(options.edges);
             rows.extend(measure(options, &name, &cloud, params).with_context(|| format!("{name}, {radius:?}"))?);
         }
     }
@@ -123,18 +123,18 @@ fn engines(options: &GeneralOptions) -> Vec<(Engine, Option<SimdLevel>)> {
 fn open(
     options: &GeneralOptions,
     (engine, simd): (Engine, Option<SimdLevel>),
-    params: SmoothParams,
+    params: CloudParams,
     outputs: Outputs,
 ) -> Result<Smoother> {
     let gpu = GpuOptions::default().with_adapter(options.adapter.clone()).with_timestamps(engine == Engine::Gpu);
     let gpu = gpu.with_points_at_once(options.points_at_once);
     let opened = SmootherOptions::new(engine, outputs).with_threads(options.threads).with_simd(simd).with_gpu(gpu);
-    Ok(Smoother::open_with(params, &opened, None)?)
+    Ok(Smoother::open_clouds(params, &opened)?)
 }
 
-fn measure(options: &GeneralOptions, name: &str, cloud: &PointCloud, params: SmoothParams) -> Result<Vec<Row>> {
+fn measure(options: &GeneralOptions, name: &str, cloud: &PointCloud, params: CloudParams) -> Result<Vec<Row>> {
     let radius_m = match params.radius {
-        Radius::Fixed { radius_m } => f64::from(radius_m),
+        CloudRadius::Fixed { radius_m } => f64::from(radius_m),
         _ => 0.0,
     };
     let checked = cut(&cloud.positions);
@@ -186,10 +186,10 @@ fn measure(options: &GeneralOptions, name: &str, cloud: &PointCloud, params: Smo
             cloud: name.to_owned(),
             points: cloud.valid_points(),
             radius: match params.radius {
-                Radius::Fixed { radius_m } => format!("{} cm", 100.0 * radius_m),
+                CloudRadius::Fixed { radius_m } => format!("{} cm", 100.0 * radius_m),
                 _ => "by density".to_owned(),
             },
-            degree: params.degree,
+            degree: params.fit.degree,
             mean_neighbours: neighbours / valid,
             engine: match (smoother.gpu_name(), simd) {
                 (Some(gpu), _) => format!("gpu, {gpu}"),

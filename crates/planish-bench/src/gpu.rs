@@ -8,8 +8,8 @@ use anyhow::{Result, bail};
 use planish::agreement::{Agreement, radii_m};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    Camera, DepthFrame, Edges, Engine, Error, Fleet, FleetDevice, IntoFrame, OrganizedCloud, Outputs, Radius,
-    SmoothParams, Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer,
+    Camera, DepthFrame, Edges, Engine, Error, Fleet, FleetDevice, FrameParams, FrameRadius, IntoFrame, OrganizedCloud,
+    Outputs, Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer, WindowSize,
 };
 use serde::Serialize;
 
@@ -112,8 +112,8 @@ impl Take {
 }
 
 /// The settings that whole frames are timed with, each both ways over the bus.
-fn timed_settings() -> impl Iterator<Item = ((&'static str, SmoothParams), Transfer)> {
-    let settings = [("paper", SmoothParams::paper()), ("default", SmoothParams::default())];
+fn timed_settings() -> impl Iterator<Item = ((&'static str, FrameParams), Transfer)> {
+    let settings = [("paper", FrameParams::paper()), ("default", FrameParams::default())];
     settings.into_iter().flat_map(|setting| [Transfer::Staged, Transfer::Direct].map(|transfer| (setting, transfer)))
 }
 
@@ -148,7 +148,7 @@ pub fn run(args: &GpuOptions) -> Result<()> {
     let (input, depth) = frame(args)?;
     let cloud = depth.deproject().map_err(Error::from)?;
     let bench = Bench { args, depth, cloud };
-    let paper = SmoothParams::paper();
+    let paper = FrameParams::paper();
     let start = Instant::now();
     let mut smoother = bench.open(paper, |_| ())?;
     let open_ms = 1e3 * start.elapsed().as_secs_f64();
@@ -194,7 +194,7 @@ fn frame(args: &GpuOptions) -> Result<(String, DepthFrame)> {
 }
 
 impl Bench<'_> {
-    fn open(&self, params: SmoothParams, change: impl FnOnce(&mut SmootherOptions)) -> Result<Smoother> {
+    fn open(&self, params: FrameParams, change: impl FnOnce(&mut SmootherOptions)) -> Result<Smoother> {
         let gpu = planish::GpuOptions::default().with_adapter(self.args.adapter.clone()).with_bounds_checks(false);
         let mut options = SmootherOptions::default().with_engine(Engine::Gpu).with_gpu(gpu);
         change(&mut options);
@@ -202,7 +202,7 @@ impl Bench<'_> {
     }
 
     /// Holds a setting's result against the reference's.
-    fn check(&self, params: SmoothParams, reference: &Smoothed, bounds_checks: bool) -> Result<()> {
+    fn check(&self, params: FrameParams, reference: &Smoothed, bounds_checks: bool) -> Result<()> {
         let frames =
             [(&self.depth).into_frame().map_err(Error::from)?, (&self.cloud).into_frame().map_err(Error::from)?];
         for transfer in [Transfer::Staged, Transfer::Direct] {
@@ -246,21 +246,21 @@ impl Bench<'_> {
     }
 
     fn kernels(&self) -> Result<Vec<KernelRow>> {
-        let fixed = Radius::Fixed { radius_m: 0.03 };
+        let fixed = FrameRadius::Fixed { radius_m: 0.03 };
         let off = |window, stride, degree, radius| {
-            SmoothParams::paper().with_window(window).with_stride(stride).with_radius(radius).with_degree(degree)
+            FrameParams::paper().with_window(window).with_stride(stride).with_radius(radius).with_degree(degree)
         };
         let settings = [
             off(3, 1, 3, fixed),
-            off(3, 3, 2, Radius::Sensor),
+            off(3, 3, 2, FrameRadius::Sensor),
             off(5, 1, 3, fixed),
             off(7, 1, 3, fixed),
             off(1, 1, 2, fixed),
             off(3, 1, 1, fixed),
-            SmoothParams::default().with_edges(Edges::Off),
-            SmoothParams::default(),
+            FrameParams::default().with_edges(Edges::Off),
+            FrameParams::default(),
         ];
-        let row = |params: SmoothParams| {
+        let row = |params: FrameParams| {
             let mut reference = Smoothed::default();
             let outputs = Outputs::ALL.with_depth(true);
             let options = SmootherOptions::default().with_engine(Engine::Reference).with_outputs(outputs);
@@ -279,8 +279,8 @@ impl Bench<'_> {
                 };
                 self.spread(&mut one)
             };
-            let SmoothParams { window, stride, degree, edges, .. } = params;
-            let keeps_edges = edges != Edges::Off;
+            let WindowSize { half_width: window, stride, .. } = params.window.nominal();
+            let (degree, keeps_edges) = (params.fit.degree, params.fit.edges != Edges::Off);
             let (kernel_us, checked_kernel_us) = (time(false)?, time(true)?);
             Ok(KernelRow { window, stride, degree, keeps_edges, kernel_us, checked_kernel_us })
         };
@@ -373,7 +373,7 @@ impl Bench<'_> {
         let frame = Arc::new(self.depth.clone());
         let counts = [1, self.args.devices.len()];
         let counts = &counts[..self.args.devices.len().min(2)];
-        for (setting, params) in [("paper", SmoothParams::paper()), ("default", SmoothParams::default())] {
+        for (setting, params) in [("paper", FrameParams::paper()), ("default", FrameParams::default())] {
             for take in [Take::PointsInPlace, Take::PointsCopied] {
                 let mut first = f64::NAN;
                 for &count in counts {
@@ -425,7 +425,7 @@ impl Bench<'_> {
     }
 
     fn batches(&self) -> Result<Vec<BatchRow>> {
-        let mut smoother = self.open(SmoothParams::paper(), |options| {
+        let mut smoother = self.open(FrameParams::paper(), |options| {
             options.gpu.transfer = Transfer::Staged;
             options.gpu.timestamps = true;
         })?;

@@ -1,7 +1,7 @@
 //! The profile: where the time of one frame goes.
 
 use anyhow::{Result, bail};
-use planish::{FrameTimings, SmoothParams};
+use planish::{FrameParams, FrameTimings};
 use serde::Serialize;
 
 use super::engines::{Clock, Subject};
@@ -118,7 +118,7 @@ fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> 
 
 /// The stages of a frame smoothed by a degree.
 fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, frames: Frames) -> Result<Stages> {
-    let params = SmoothParams::paper().with_degree(degree);
+    let params = FrameParams::paper().with_degree(degree);
     let stamped = subject.with_time_stamps();
     let Timed { time, stages, .. } = context.time_frames(&stamped, Clock::Host, params, input, frames)?;
     if stages.is_empty() {

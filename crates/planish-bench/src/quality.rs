@@ -3,7 +3,7 @@
 use anyhow::Result;
 use planish::evaluate::largest_plane;
 use planish::render::{difference_normals, half_size, relief, side_by_side};
-use planish::{Engine, SmoothParams, Xyz};
+use planish::{Engine, FrameParams, Xyz};
 use serde::Serialize;
 
 use super::engines::subjects;
@@ -38,7 +38,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         let bumps = |points: &Xyz| relief(width, height, &difference_normals(width, height, points));
         let mut pictures = vec![bumps(input.cloud.positions())];
         for (setting, params) in
-            [("paper", SmoothParams::paper()), ("default", SmoothParams::default().at_resolution_of(input.frame()?))]
+            [("paper", FrameParams::paper()), ("default", FrameParams::default().at_resolution_of(input.frame()?))]
         {
             let mut points = Xyz::default();
             let smoothed = context.smooth(&subject, params, input, &mut points);

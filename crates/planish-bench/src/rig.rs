@@ -6,8 +6,8 @@ use anyhow::{Result, bail};
 use planish::rig::{Rig, RigCamera, RigSmoother, RigWay};
 use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
 use planish::{
-    Camera, DepthFrame, Error, FleetDevice, Frame, IntoFrame, PointCloud, SensorModel, SmoothParams, SmootherOptions,
-    Xyz,
+    Camera, CloudParams, DepthFrame, Error, FleetDevice, Frame, FrameParams, IntoFrame, PointCloud, SensorModel,
+    SmootherOptions, Xyz,
 };
 use serde::Serialize;
 
@@ -28,7 +28,7 @@ pub struct RigBenchOptions {
     /// The size of the voxels that merged points are thinned to, in metres; `None` for all points.
     pub voxel_m: Option<f64>,
     /// The parameters of merged points.
-    pub general_params: SmoothParams,
+    pub general_params: CloudParams,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
     /// The devices that cameras are spread over; none for the one of the options.
@@ -89,7 +89,7 @@ fn simulated(cameras: usize) -> Result<(Rig, Vec<DepthFrame>)> {
 }
 
 fn measure(way: RigWay, rig: &Rig, frames: &[Option<Frame<'_>>], options: &RigBenchOptions) -> Result<Row> {
-    let params = SmoothParams::for_sensor(SensorModel::KINECT_V1, planish::Strength::DEFAULT);
+    let params = FrameParams::for_sensor(SensorModel::KINECT_V1, planish::Strength::DEFAULT);
     let params = vec![params; rig.cameras.len()];
     let mut smoother = RigSmoother::new(rig, way, &params, options.general_params, &options.smoother)?
         .with_devices(options.devices.clone())

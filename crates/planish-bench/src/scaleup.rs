@@ -1,7 +1,7 @@
 //! Experiment 3: the scene several times over, as one tall cloud and as a batch; and the CPU engine on more threads.
 
 use anyhow::Result;
-use planish::{Engine, SmoothParams};
+use planish::{Engine, FrameParams};
 use serde::Serialize;
 
 use super::engines::{Clock, Subject};
@@ -61,7 +61,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         let mut one_ms = None;
         for &copies in copies.iter().filter(|_| !context.stopped()) {
             let engine = subject.name_by(*clock);
-            let timed = context.time_frames(subject, *clock, SmoothParams::paper(), input, frames(copies));
+            let timed = context.time_frames(subject, *clock, FrameParams::paper(), input, frames(copies));
             bar.inc(1);
             let Some(timed) = context.attempt(&format!("{engine}, {how}, {copies} copies"), timed)? else { continue };
             let ms = timed.time.ms.median;
@@ -127,7 +127,7 @@ fn over_threads(
     let time = |count: usize| {
         let options = subject.options.clone().with_threads(Some(count));
         let subject = Subject { options, ..subject.clone() };
-        let timed = context.time_frames(&subject, Clock::Host, SmoothParams::paper(), input, Frames::One);
+        let timed = context.time_frames(&subject, Clock::Host, FrameParams::paper(), input, Frames::One);
         bar.inc(1);
         Ok::<_, anyhow::Error>(context.attempt(&format!("{count} threads"), timed)?.map(|timed| timed.time))
     };

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use planish::{Engine, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions};
+use planish::{CloudParams, Engine, FrameParams, Outputs, Smoothed, Smoother, SmootherOptions};
 use serde::Serialize;
 
 use super::engines::Way;
@@ -67,7 +67,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
             let ways = if subject.is_gpu() { &GPU_WAYS[..] } else { &[("", Way::CopiedOut, 1)] };
             for &(name, way, block) in ways.iter().filter(|_| !context.stopped()) {
                 let engine = format!("{}{name}", subject.name);
-                let timed = context.time_way(subject, SmoothParams::paper(), input, way, block);
+                let timed = context.time_way(subject, FrameParams::paper(), input, way, block);
                 if let Some(time) = context.attempt(&engine, timed)? {
                     of_input.push(row(engine, time, block * time.runs));
                 }
@@ -119,7 +119,7 @@ fn significant(value: f64) -> String {
 
 fn serial(context: &Bench<'_>, input: &Input) -> Result<Timing> {
     let options = SmootherOptions::new(Engine::Reference, Outputs::POINTS).with_threads(Some(1));
-    let mut smoother = Smoother::open_with(SmoothParams::paper(), &options, None)?;
+    let mut smoother = Smoother::open_clouds(CloudParams::paper(), &options)?;
     let mut smoothed = Smoothed::default();
     context.measure(Patience::Long, || {
         let start = Instant::now();

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, RangeRule};
-use crate::params::{Radius, SmoothParams};
+use crate::params::{EngineParams, Params, Radius};
 use crate::smoothed::Smoothed;
 
 /// Share of pixels whose status must be equal. The others lie within rounding of a threshold: the gate, the degenerate
@@ -131,8 +131,13 @@ pub fn sensor_position_m<'a>(frame: impl IntoFrame<'a>) -> [f64; 3] {
 }
 
 /// The radius of every point of a frame in f64 (docs/method.md, sections 3 and 11), by its index.
-pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: SmoothParams) -> Vec<f64> {
+/// Windows that follow the resolution are those of this frame.
+pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<f64> {
     let Ok(frame) = frame.into_frame() else { return Vec::new() };
+    let params: EngineParams = match params.into() {
+        Params::Frame(params) => params.at_resolution_of(frame).into(),
+        Params::Cloud(params) => params.into(),
+    };
     let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
     let (width, height) = frame.shape();
     let range_m = |i: usize| match frame {

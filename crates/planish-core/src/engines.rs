@@ -6,9 +6,9 @@ use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
 use crate::engine::{Immediate, SmoothingEngine};
 #[cfg(not(all(feature = "gpu", feature = "reference")))]
 use crate::error::EngineError;
-use crate::error::Error;
+use crate::error::{Error, ParamError};
 use crate::outputs::Outputs;
-use crate::params::SmoothParams;
+use crate::params::EngineParams;
 #[cfg(feature = "reference")]
 use crate::reference::Reference;
 use crate::simd_level::SimdLevel;
@@ -30,6 +30,17 @@ pub enum Engine {
     Reference,
 }
 
+impl std::str::FromStr for Engine {
+    type Err = ParamError;
+
+    /// Reads a name of [`Engine::NAMED`].
+    fn from_str(name: &str) -> Result<Self, ParamError> {
+        let named = Self::NAMED.iter().find(|(known, _)| *known == name).map(|&(_, engine)| engine);
+        let allowed = "auto, cpu, gpu or reference";
+        named.ok_or_else(|| ParamError { field: "engine", value: format!("{name:?}"), allowed })
+    }
+}
+
 /// What an engine can do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
@@ -49,6 +60,10 @@ pub struct Capabilities {
 impl Engine {
     /// The engines that compute, `Auto` left out.
     pub const ALL: [Self; 3] = [Self::Cpu, Self::Gpu, Self::Reference];
+
+    /// All choices by their names in settings.
+    pub const NAMED: [(&'static str, Self); 4] =
+        [("auto", Self::Auto), ("cpu", Self::Cpu), ("gpu", Self::Gpu), ("reference", Self::Reference)];
 
     /// The name used on the command line.
     pub fn name(self) -> &'static str {
@@ -177,7 +192,7 @@ pub(crate) type Opened = (Box<dyn SmoothingEngine>, Engine, Option<ChoiceReason>
 
 /// Opens the engine of the options for frames on a grid, or for general clouds.
 pub(crate) fn open(
-    params: SmoothParams,
+    params: EngineParams,
     options: &SmootherOptions,
     grid: Option<(usize, usize)>,
 ) -> Result<Opened, Error> {
@@ -197,7 +212,7 @@ pub(crate) fn open(
 
 fn open_named(
     engine: Engine,
-    params: SmoothParams,
+    params: EngineParams,
     options: &SmootherOptions,
     grid: Option<(usize, usize)>,
 ) -> Result<Box<dyn SmoothingEngine>, Error> {
@@ -227,7 +242,7 @@ fn open_named(
 
 #[cfg(feature = "gpu")]
 fn open_gpu(
-    params: SmoothParams,
+    params: EngineParams,
     outputs: Outputs,
     options: &GpuOptions,
     grid: Option<(usize, usize)>,
@@ -241,7 +256,7 @@ fn open_gpu(
 
 #[cfg(not(feature = "gpu"))]
 fn open_gpu(
-    _: SmoothParams,
+    _: EngineParams,
     _: Outputs,
     _: &GpuOptions,
     _: Option<(usize, usize)>,

@@ -42,6 +42,8 @@ mod range;
 mod reference;
 mod scanners;
 mod sensor;
+mod session;
+mod settings;
 mod simd_level;
 mod smoothed;
 mod smoother;
@@ -69,11 +71,15 @@ pub use frame::{
     DepthFrame, DepthImage, DepthView, Frame, IntoFrame, OwnedFrame, PointLayout, PointsView, RangeRule, Scalar,
 };
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};
-pub use params::{Edges, Project, Radius, SmoothParams, Strength};
+pub use params::{
+    CloudParams, CloudRadius, Edges, Fit, FrameParams, FrameRadius, Params, Project, Strength, Window, WindowSize,
+};
 pub use pose::SensorPose;
 pub use progress::Progress;
 pub use provenance::Provenance;
 pub use sensor::SensorModel;
+pub use session::{ProgressWatch, Session, SessionEvent, smooth};
+pub use settings::{Preset, RadiusChoice, Resolved, SensorChoice, SettingValue, Settings};
 pub use simd_level::SimdLevel;
 pub use smoothed::Smoothed;
 pub use smoother::Smoother;
@@ -102,6 +108,7 @@ pub mod internal {
     pub use crate::neighbours::halo::{self, NeededHalo, OWN_SHARE};
     pub use crate::neighbours::middle;
     pub use crate::pose::RigidTransform;
+    pub use crate::session::{GpuLosses, LIVE_IN_FLIGHT, Recovery};
     pub use crate::smoothed::named_fields;
     pub use crate::threads::Threads;
     pub use crate::xyz::validate_shape;

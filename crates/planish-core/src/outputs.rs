@@ -33,7 +33,7 @@ pub struct Outputs {
 
 impl Outputs {
     /// Nothing: what others are made from.
-    const NONE: Self = Self {
+    pub(crate) const NONE: Self = Self {
         points: false,
         depth: false,
         depth_m: false,
@@ -88,6 +88,35 @@ impl Outputs {
     /// The same with the number of neighbours or without.
     pub const fn with_neighbours(self, neighbours: bool) -> Self {
         Self { neighbours, ..self }
+    }
+
+    /// Adds the output of a name; `None` if there is none.
+    pub(crate) fn with_named(self, name: &str) -> Option<Self> {
+        Some(match name {
+            "points" => self.with_points(true),
+            "depth" => self.with_depth(true),
+            "depth_m" => self.with_depth_m(true),
+            "normals" => self.with_normals(true),
+            "curvature" => self.with_curvature(true),
+            "status" => self.with_status(true),
+            "neighbours" => self.with_neighbours(true),
+            _ => return None,
+        })
+    }
+
+    /// The names of these outputs.
+    pub fn names(self) -> Vec<&'static str> {
+        let Self { points, depth, depth_m, normals, curvature, status, neighbours } = self;
+        let all = [
+            ("points", points),
+            ("depth", depth),
+            ("depth_m", depth_m),
+            ("normals", normals),
+            ("curvature", curvature),
+            ("status", status),
+            ("neighbours", neighbours),
+        ];
+        all.into_iter().filter(|(_, is_wanted)| *is_wanted).map(|(name, _)| name).collect()
     }
 
     pub(crate) fn validate(&self) -> Result<(), ParamError> {

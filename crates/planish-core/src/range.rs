@@ -1,7 +1,7 @@
 //! What grows with range: radius, the gate of blocks, and noise, as the f32 engines compute it (docs/method.md, sections 2, 3, 10).
 
 use crate::frame::{FrameGeometry, RangeRule, assumed_range_m};
-use crate::params::{Radius, SmoothParams};
+use crate::params::{EngineParams, Radius};
 
 /// The radius of a sensor's window in half widths of it, for surfaces seen obliquely.
 const REACHES: f64 = 2.0;
@@ -35,7 +35,7 @@ pub(crate) struct RangeRules {
 }
 
 impl RangeRules {
-    pub(crate) fn new(params: &SmoothParams, geometry: &FrameGeometry) -> Self {
+    pub(crate) fn new(params: &EngineParams, geometry: &FrameGeometry) -> Self {
         let mut rules = Self {
             linear: 0.0,
             radius: [0.0; 3],

@@ -1,5 +1,6 @@
 //! The front door: open an engine once for a grid or for general clouds, then smooth any number of frames.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use crate::engine::{AdmittedFrame, SmoothingEngine};
@@ -7,7 +8,7 @@ use crate::engines::{self, Capabilities, ChoiceReason, Engine, SmootherOptions};
 use crate::error::{Error, FrameError, ParamError};
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{Edges, Radius, SmoothParams};
+use crate::params::{CloudParams, Edges, EngineParams, FrameParams, Params, Radius, Window, WindowSize};
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::timings::FrameTimings;
@@ -19,12 +20,12 @@ use crate::xyz::validate_shape;
 /// One frame at a time:
 ///
 /// ```
-/// use planish::{Engine, OrganizedCloud, SmoothParams, Smoothed, Smoother, Xyz};
+/// use planish::{Engine, FrameParams, OrganizedCloud, Smoothed, Smoother, Xyz};
 ///
 /// # fn main() -> Result<(), planish::Error> {
 /// let plane: Xyz = (0..64 * 48).map(|i| [0.002 * (i % 64) as f32, 0.002 * (i / 64) as f32, 1.0]).collect();
 /// let cloud = OrganizedCloud::from_positions(64, 48, plane)?;
-/// let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Auto, (64, 48))?;
+/// let mut smoother = Smoother::open(FrameParams::paper(), Engine::Auto, (64, 48))?;
 /// let mut smoothed = Smoothed::default();
 /// smoother.smooth(&cloud, &mut smoothed)?;
 /// assert!((smoothed.points.z[1000] - 1.0).abs() < 1e-6);
@@ -36,11 +37,11 @@ use crate::xyz::validate_shape;
 /// order of submission:
 ///
 /// ```
-/// # use planish::{Engine, OrganizedCloud, SmoothParams, Smoothed, Smoother, Xyz};
+/// # use planish::{Engine, FrameParams, OrganizedCloud, Smoothed, Smoother, Xyz};
 /// # fn main() -> Result<(), planish::Error> {
 /// # let plane: Xyz = (0..64 * 48).map(|i| [0.002 * (i % 64) as f32, 0.002 * (i / 64) as f32, 1.0]).collect();
 /// # let frames = vec![OrganizedCloud::from_positions(64, 48, plane)?; 5];
-/// # let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Auto, (64, 48))?;
+/// # let mut smoother = Smoother::open(FrameParams::paper(), Engine::Auto, (64, 48))?;
 /// let mut spare = Vec::new();
 /// let mut use_result = |smoothed: &Smoothed| assert_eq!(smoothed.points.len(), 64 * 48);
 /// for frame in &frames {
@@ -60,36 +61,109 @@ use crate::xyz::validate_shape;
 /// # }
 /// ```
 pub struct Smoother {
-    params: SmoothParams,
+    params: EngineParams,
+    /// The window as long as no frame has shown its resolution.
+    undecided: Option<Window>,
     grid: Option<(usize, usize)>,
     outputs: Outputs,
     engine: Engine,
     opened: Box<dyn SmoothingEngine>,
+    opener: Opener,
     chosen_because: Option<ChoiceReason>,
     scratch: GeometryScratch,
+    /// Results of frames that were in flight when the window was decided.
+    ready: VecDeque<Result<SmoothedView, Error>>,
+    is_prepared: bool,
+}
+
+/// How the engine is opened again for another window.
+enum Opener {
+    Options(SmootherOptions),
+    #[cfg(feature = "wgpu-interop")]
+    Device {
+        device: wgpu::Device,
+        queue: wgpu::Queue,
+        options: SmootherOptions,
+        shape: (usize, usize),
+    },
+}
+
+impl Opener {
+    fn open(&self, params: EngineParams, grid: Option<(usize, usize)>) -> Result<engines::Opened, Error> {
+        match self {
+            Self::Options(options) => engines::open(params, options, grid),
+            #[cfg(feature = "wgpu-interop")]
+            Self::Device { device, queue, options, shape } => {
+                let gpu = crate::gpu::Gpu::open_on(device, queue, params, options.outputs, &options.gpu, *shape)?;
+                Ok((Box::new(gpu), Engine::Gpu, None))
+            }
+        }
+    }
+}
+
+impl std::fmt::Debug for Smoother {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { params, undecided, grid, outputs, engine, .. } = self;
+        f.debug_struct("Smoother")
+            .field("engine", engine)
+            .field("device", &self.gpu_name())
+            .field("grid", grid)
+            .field("outputs", outputs)
+            .field("params", params)
+            .field("undecided", undecided)
+            .field("in_flight", &self.in_flight())
+            .finish()
+    }
 }
 
 impl Smoother {
-    /// Validates the parameters and opens an engine with points as its only output: for frames of a grid (width, height), or
-    /// with `None` for general clouds.
-    pub fn open(params: SmoothParams, engine: Engine, grid: impl Into<Option<(usize, usize)>>) -> Result<Self, Error> {
-        Self::open_with(params, &SmootherOptions::new(engine, Outputs::POINTS), grid)
+    /// Opens an engine for frames of one shape (width, height), with points as its only output.
+    ///
+    /// # Errors
+    /// As [`open_with`](Self::open_with).
+    pub fn open(params: FrameParams, engine: Engine, shape: (usize, usize)) -> Result<Self, Error> {
+        Self::open_with(params, &SmootherOptions::new(engine, Outputs::POINTS), shape)
     }
 
-    /// The same with everything chosen by the caller.
+    /// Opens an engine for frames of one shape (width, height).
     ///
-    /// Limits are checked, kernels compiled and for grids a first frame computed here. `Auto` chooses here and never later; a GPU that
-    /// cannot be opened for these frames leaves it with the CPU. General clouds need [`Radius::Neighbours`] or
-    /// [`Radius::Fixed`]: without a grid there is no pixel spacing to derive a radius from ([`SmoothParams::general`]).
-    pub fn open_with(
-        params: SmoothParams,
+    /// Limits are checked, kernels compiled and a first frame computed here. `Auto` chooses here and never later; a GPU that
+    /// cannot be opened for these frames leaves it with the CPU. A window that follows the resolution
+    /// ([`Window::Auto`]) is decided by the first frame that shows it; for pixels coarser than a Kinect v1's the engine is
+    /// then opened once more.
+    ///
+    /// # Errors
+    /// If a parameter is outside its range, or the engine is not available.
+    pub fn open_with(params: FrameParams, options: &SmootherOptions, shape: (usize, usize)) -> Result<Self, Error> {
+        Self::open_any(params.into(), options, Some(shape))
+    }
+
+    /// Opens an engine for unorganized clouds of any size.
+    ///
+    /// # Errors
+    /// If a parameter is outside its range, or the engine is not available.
+    pub fn open_clouds(params: CloudParams, options: &SmootherOptions) -> Result<Self, Error> {
+        Self::open_any(params.into(), options, None)
+    }
+
+    /// Opens an engine for either kind of input.
+    pub(crate) fn open_any(
+        params: Params,
         options: &SmootherOptions,
-        grid: impl Into<Option<(usize, usize)>>,
+        grid: Option<(usize, usize)>,
     ) -> Result<Self, Error> {
-        let grid = grid.into();
         check_options(params, options, grid)?;
-        let (opened, engine, chosen_because) = engines::open(params, options, grid)?;
-        Ok(Self::of(params, options.outputs, grid, engine, opened, chosen_because))
+        let (params, undecided) = for_engine(params);
+        Self::with_opener(params, undecided, Opener::Options(options.clone()), options.outputs, grid)
+    }
+
+    /// Opens an engine whose window is decided elsewhere ([`set_size`](Self::set_size)).
+    pub(crate) fn open_decided(
+        params: EngineParams,
+        options: &SmootherOptions,
+        grid: Option<(usize, usize)>,
+    ) -> Result<Self, Error> {
+        Self::with_opener(params, None, Opener::Options(options.clone()), options.outputs, grid)
     }
 
     /// Opens the GPU engine on a device that the host program owns, with its queue.
@@ -98,28 +172,68 @@ impl Smoother {
     /// errors of validation reach the host's. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`] frames need no copies, with
     /// [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS` they can be timed. This function follows the
     /// versions of wgpu, and so breaks with them.
+    ///
+    /// # Errors
+    /// As [`open_with`](Self::open_with).
     #[cfg(feature = "wgpu-interop")]
     pub fn open_on(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        params: SmoothParams,
+        params: FrameParams,
         options: &SmootherOptions,
         shape: (usize, usize),
     ) -> Result<Self, Error> {
-        check_options(params, options, Some(shape))?;
-        let gpu = crate::gpu::Gpu::open_on(device, queue, params, options.outputs, &options.gpu, shape)?;
-        Ok(Self::of(params, options.outputs, Some(shape), Engine::Gpu, Box::new(gpu), None))
+        check_options(params.into(), options, Some(shape))?;
+        let (params, undecided) = for_engine(params.into());
+        let (device, queue) = (device.clone(), queue.clone());
+        let opener = Opener::Device { device, queue, options: options.clone(), shape };
+        Self::with_opener(params, undecided, opener, options.outputs, Some(shape))
     }
 
-    fn of(
-        params: SmoothParams,
+    fn with_opener(
+        params: EngineParams,
+        undecided: Option<Window>,
+        opener: Opener,
         outputs: Outputs,
         grid: Option<(usize, usize)>,
-        engine: Engine,
-        opened: Box<dyn SmoothingEngine>,
-        chosen_because: Option<ChoiceReason>,
-    ) -> Self {
-        Self { params, grid, outputs, engine, opened, chosen_because, scratch: GeometryScratch::default() }
+    ) -> Result<Self, Error> {
+        let (opened, engine, chosen_because) = opener.open(params, grid)?;
+        Ok(Self {
+            params,
+            undecided,
+            grid,
+            outputs,
+            engine,
+            opened,
+            opener,
+            chosen_because,
+            scratch: GeometryScratch::default(),
+            ready: VecDeque::new(),
+            is_prepared: false,
+        })
+    }
+
+    /// Opens the engine again for a window of another size. Frames in flight are finished first.
+    pub(crate) fn set_size(&mut self, size: WindowSize) -> Result<(), Error> {
+        self.undecided = None;
+        let params = self.params.with_size(size);
+        if params == self.params {
+            return Ok(());
+        }
+        while self.opened.in_flight() > 0 {
+            let received = self.opened.receive();
+            let is_over = received.is_err();
+            self.ready.extend(received.transpose());
+            if is_over {
+                break;
+            }
+        }
+        (self.opened, self.engine, self.chosen_because) = self.opener.open(params, self.grid)?;
+        if self.is_prepared {
+            self.opened.prepare_in_flight();
+        }
+        self.params = params;
+        Ok(())
     }
 
     /// The engine that is open: what `Auto` chose.
@@ -157,6 +271,16 @@ impl Smoother {
         let (width, height) = frame.frame.shape();
         out.check(width * height, self.outputs)?;
         self.opened.smooth(&frame, out)
+    }
+
+    /// Smooths a frame whose shape and buffers were checked.
+    pub(crate) fn smooth_admitted(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        self.opened.smooth(frame, out)
+    }
+
+    /// Submits a frame whose shape was checked.
+    pub(crate) fn submit_admitted(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
+        self.opened.submit(frame, buffer)
     }
 
     /// Smooths several frames, of one camera or of several with the same shape: on a GPU up to 64 in one submission.
@@ -216,18 +340,22 @@ impl Smoother {
 
     /// Waits for the oldest frame in flight; `None` if there is none.
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
-        self.opened.receive()
+        match self.ready.pop_front() {
+            Some(result) => result.map(Some),
+            None => self.opened.receive(),
+        }
     }
 
     /// Prepares for several frames in flight, which the second of them waits for otherwise: some 0.1 s on a GPU with several queues,
     /// on which frames overlap. Who smooths one at a time needs neither the time nor the memory.
     pub fn prepare_in_flight(&mut self) {
+        self.is_prepared = true;
         self.opened.prepare_in_flight();
     }
 
     /// How many frames were submitted and not received.
     pub fn in_flight(&self) -> usize {
-        self.opened.in_flight()
+        self.ready.len() + self.opened.in_flight()
     }
 
     /// How many frames can be; one more is an [`EngineError::Full`](crate::EngineError::Full).
@@ -236,25 +364,42 @@ impl Smoother {
     }
 
     /// Refuses a frame of another grid, and finds out how its ranges are measured.
-    fn admit<'a>(&mut self, frame: Frame<'a>) -> Result<AdmittedFrame<'a>, FrameError> {
-        admit(frame, &self.params, self.outputs, self.grid, &mut self.scratch)
+    fn admit<'a>(&mut self, frame: Frame<'a>) -> Result<AdmittedFrame<'a>, Error> {
+        check_frame(frame, self.outputs, self.grid)?;
+        let needs_range = needs_range(&self.params) || self.undecided.is_some();
+        let geometry = FrameGeometry::of(frame, needs_range, &mut self.scratch);
+        self.admit_with(frame, geometry)
+    }
+
+    /// Takes a frame that was checked, with its geometry; decides the window if that is still open.
+    fn admit_with<'a>(&mut self, frame: Frame<'a>, geometry: FrameGeometry) -> Result<AdmittedFrame<'a>, Error> {
+        if let (Some(window), Some(pitch_at_1m)) = (self.undecided, geometry.rule.known_pitch_at_1m()) {
+            self.set_size(window.at_pitch(pitch_at_1m))?;
+        }
+        Ok(AdmittedFrame { frame, geometry })
     }
 }
 
-/// Refuses a frame of another grid, or without the camera that outputs need, and finds out how its ranges are measured.
-pub(crate) fn admit<'a>(
-    frame: Frame<'a>,
-    params: &SmoothParams,
-    outputs: Outputs,
-    grid: Option<(usize, usize)>,
-    scratch: &mut GeometryScratch,
-) -> Result<AdmittedFrame<'a>, FrameError> {
+/// Returns what an engine computes with, and the window if a frame has to decide it.
+pub(crate) fn for_engine(params: Params) -> (EngineParams, Option<Window>) {
+    match params {
+        Params::Frame(params) => (params.into(), Some(params.window).filter(|window| window.is_auto())),
+        Params::Cloud(params) => (params.into(), None),
+    }
+}
+
+/// Returns whether engines ask for the ranges of a frame's points.
+pub(crate) fn needs_range(params: &EngineParams) -> bool {
+    params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks()
+}
+
+/// Refuses a frame of another grid, or without the camera that outputs need.
+pub(crate) fn check_frame(frame: Frame<'_>, outputs: Outputs, grid: Option<(usize, usize)>) -> Result<(), FrameError> {
     check_grid(frame.grid(), grid)?;
     if outputs.needs_camera() && frame.camera().is_none() {
         return Err(FrameError::MissingCamera { what: "depth as an output" });
     }
-    let needs_range = params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks();
-    Ok(AdmittedFrame { frame, geometry: FrameGeometry::of(frame, needs_range, scratch) })
+    Ok(())
 }
 
 /// Refuses a frame of another grid than that which was opened for.
@@ -279,27 +424,14 @@ pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize,
 }
 
 pub(crate) fn check_options(
-    params: SmoothParams,
+    params: Params,
     options: &SmootherOptions,
     grid: Option<(usize, usize)>,
 ) -> Result<(), Error> {
     params.validate()?;
     options.outputs.validate()?;
     match grid {
-        Some((width, height)) => {
-            validate_shape(width, height)?;
-            if let Radius::Neighbours { count } = params.radius {
-                let (value, allowed) = (
-                    format!("{count} neighbours"),
-                    "frames on a grid take a radius; neighbours are for general clouds",
-                );
-                return Err(ParamError { field: "radius", value, allowed }.into());
-            }
-        }
-        None if params.radius == Radius::Sensor => {
-            let allowed = "general clouds take neighbours or a radius in metres";
-            return Err(ParamError { field: "radius", value: "sensor".into(), allowed }.into());
-        }
+        Some((width, height)) => validate_shape(width, height)?,
         None if options.outputs.needs_camera() => {
             return Err(FrameError::MissingCamera { what: "depth as an output" }.into());
         }

@@ -66,7 +66,7 @@ pub fn states_depth_scale(text: &str) -> bool {
 pub fn camera_to_json(camera: &Camera) -> String {
     let Camera { width, height, fx, fy, cx, cy, depth_units_per_metre, distortion, .. } = camera;
     let mut json = serde_json::json!({
-        "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_scale": depth_units_per_metre
+        "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_units_per_metre": depth_units_per_metre
     });
     if !distortion.is_none() {
         json["distortion"] = serde_json::json!(distortion.to_opencv());

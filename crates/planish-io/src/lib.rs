@@ -35,6 +35,7 @@ mod ply;
 #[cfg(feature = "scans")]
 mod records;
 mod rgb_png;
+mod settings_file;
 mod text;
 #[cfg(feature = "scans")]
 pub mod tiles;
@@ -57,6 +58,7 @@ pub use pcd::Encoding;
 use ply::PlyReader;
 #[cfg(feature = "scans")]
 use records::{RecordEncoder, RecordReader};
+pub use settings_file::{parse_settings, read_settings, settings_to_json};
 use whole::WholeFile;
 #[cfg(feature = "scans")]
 use whole::{Temporary, folder_of};

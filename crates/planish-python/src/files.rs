@@ -7,8 +7,8 @@ use planish::evaluate::{Evaluation, Suite};
 use planish::io::{self, Contents, Encoding};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    Attribute, AttributeValues, Camera, DepthImage, IntoFrame, OrganizedCloud, Outputs, PointCloud, Smoothed, Smoother,
-    Xyz,
+    Attribute, AttributeValues, Camera, DepthImage, IntoFrame, OrganizedCloud, Outputs, PointCloud, SensorChoice,
+    SensorModel, Session, Smoothed, Xyz,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -16,7 +16,7 @@ use pyo3::types::PyDict;
 
 use crate::camera::PyCamera;
 use crate::errors::{frame, to_py};
-use crate::settings::{Settings, sensor_named};
+use crate::settings::{from_dict, sensor_named, to_dict};
 
 /// Reads a file: a dictionary of what it holds.
 #[pyfunction]
@@ -200,21 +200,25 @@ pub fn simulate<'py>(
 /// The scores on simulated frames, as JSON.
 #[pyfunction]
 pub fn evaluate(py: Python<'_>, settings: &Bound<'_, PyDict>, seeds: Vec<u64>) -> PyResult<String> {
-    let settings = Settings::from_dict(settings)?;
-    let suite = Suite { noise: DepthNoise::of_sensor(&settings.known_sensor()), ..Suite::default() };
+    let settings = from_dict(settings)?;
+    let sensor = match settings.sensor {
+        Some(SensorChoice::Known(sensor)) => sensor,
+        _ => SensorModel::KINECT_V1,
+    };
+    let suite = Suite { noise: DepthNoise::of_sensor(&sensor), ..Suite::default() };
+    let mut session = Session::new(settings).map_err(to_py)?;
+    session.set_outputs(Outputs::POINTS.with_normals(true));
     let (mut raw, mut smoothed) = (Evaluation::default(), Evaluation::default());
     for seed in seeds {
         py.check_signals()?;
         for case in suite.cases(seed).map_err(frame)? {
             let view = (&case.frame).into_frame().map_err(frame)?;
-            let params = settings.params_for(view, None)?;
-            let options = settings.options(Outputs::POINTS.with_normals(true));
             let cloud = case.frame.deproject().map_err(frame)?;
             let normals = planish::render::difference_normals(cloud.width(), cloud.height(), cloud.positions());
             raw.add(&case, cloud.positions(), &normals);
             let result = py.detach(|| -> Result<Smoothed, planish::Error> {
                 let mut out = Smoothed::default();
-                Smoother::open_with(params, &options, view.grid())?.smooth(view, &mut out)?;
+                session.smooth(view, &mut out)?;
                 Ok(out)
             });
             let result = result.map_err(to_py)?;
@@ -225,6 +229,18 @@ pub fn evaluate(py: Python<'_>, settings: &Bound<'_, PyDict>, seeds: Vec<u64>) -
     }
     let scores = serde_json::json!({ "raw": raw.report(), "smoothed": smoothed.report() });
     Ok(scores.to_string())
+}
+
+/// The settings of a file in JSON or YAML.
+#[pyfunction]
+pub fn read_settings(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
+    to_dict(py, &planish::io::read_settings(&path).map_err(to_py)?)
+}
+
+/// Settings as JSON, checked.
+#[pyfunction]
+pub fn settings_to_json(settings: &Bound<'_, PyDict>) -> PyResult<String> {
+    Ok(planish::io::settings_to_json(&from_dict(settings)?))
 }
 
 /// The GPUs of this machine, and what `auto` takes: its name and why.

@@ -16,7 +16,7 @@ use pyo3::types::PyDict;
 
 use crate::camera::PyCamera;
 use crate::errors::to_py;
-use crate::settings::Settings;
+use crate::settings::from_dict;
 
 /// Results that wait to be taken, of a source that is not live.
 const WAITING: usize = 2;
@@ -62,7 +62,6 @@ impl Delivered {
                     Frame::Depth { raw: depth.raw.clone(), rgb: depth.rgb.clone(), camera: PyCamera(depth.camera) }
                 }
                 OwnedFrame::Cloud { cloud, .. } => Frame::Points(rows(&cloud.points.positions)),
-                _ => Frame::Points(Vec::new()),
             },
             shape: (smoothed.width, smoothed.height),
             index: frame.index,
@@ -230,12 +229,7 @@ impl PyStream {
         align: Option<&str>,
         mode: Option<&str>,
     ) -> PyResult<Self> {
-        let settings = Settings::from_dict(settings)?;
-        if settings.needs_estimate() {
-            return Err(PyValueError::new_err(
-                "sensor = \"auto\": a stream has no frame yet to estimate a sensor from; name one, as \"kinect1\"",
-            ));
-        }
+        let mut settings = from_dict(settings)?;
         let outputs =
             outputs.iter().try_fold(Outputs::POINTS.with_points(false), |outputs, name| match name.as_str() {
                 "points" => Ok(outputs.with_points(true)),
@@ -255,9 +249,8 @@ impl PyStream {
             .with_fps(fps);
         let source = py.detach(|| source::open(source, &source_options)).map_err(to_py)?;
         let is_live = source.is_live();
-        let options = StreamOptions::new(settings.fixed_params()?, settings.options(outputs))
-            .with_adapt_stride(settings.follows_resolution())
-            .with_max_frames(frames);
+        settings.outputs = Some(outputs);
+        let options = StreamOptions::from_settings(settings).map_err(to_py)?.with_max_frames(frames);
         let shared = Arc::new(Shared::default());
         let sink = Handover { shared: Arc::clone(&shared), is_live };
         let work = {

@@ -126,8 +126,6 @@ def test_what_is_wrong_is_said(folder: Path, tmp_path: Path) -> None:
         planish.stream(folder)
     with pytest.raises(ValueError, match="outputs"):
         planish.stream(folder, CAMERA, outputs=["colour"])  # type: ignore[list-item]
-    with pytest.raises(ValueError, match="auto"):
-        planish.stream(folder, CAMERA, sensor="auto")
     with pytest.raises(ValueError, match="frames"):
         planish.stream(folder, CAMERA, frames=-1)
     with pytest.raises(TypeError, match=r"planish\.Camera"):

@@ -21,7 +21,7 @@ use ros2_client::{
 
 use crate::arguments::Arguments;
 use crate::diagnostics::{DiagnosticArray, Statistics};
-use crate::settings::{Input, Settings, declared};
+use crate::settings::{Input, NodeSettings, declared};
 
 /// How often diagnostics are published, and the same warning is repeated at most.
 const REPORT_EVERY: Duration = Duration::from_secs(1);
@@ -85,9 +85,10 @@ struct Publishers {
 
 /// Runs the node until `stop` is set.
 pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
-    let settings = Settings::of(&arguments.parameters)?;
+    let settings = NodeSettings::of(&arguments.parameters)?;
     // An engine that is not there is reported now, not with the first frame.
-    Smoother::open_with(settings.params, &settings.options(), (640, 480)).context("the engine cannot be opened")?;
+    let probe = settings.smoothing.frame_params().unwrap_or_default();
+    Smoother::open_with(probe, &settings.smoothing.options(), (640, 480)).context("the engine cannot be opened")?;
     let changed = Arc::new(Mutex::new(None));
     let options = ContextOptions::new().domain_id(domain_id()?);
     let context = Context::with_options(options).map_err(|error| anyhow!("no DDS participant: {error}"))?;
@@ -110,7 +111,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     rosout!(node, LogLevel::Info, "planish smooths {} -> {}", image_topic, arguments.topic("points"));
     eprintln!("planish smooths {image_topic} -> {}", arguments.topic("points"));
 
-    let mut smoother = MessageSmoother::new(settings.params, settings.options()).with_adapt_stride(true);
+    let mut smoother = MessageSmoother::new(settings.smoothing.clone())?;
     smoother.set_normals_image(settings.publish_normals);
     let mut work = Work {
         smoother,
@@ -125,7 +126,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     let mut reported = Instant::now();
     while !stop.load(Ordering::Relaxed) {
         if let Some(settings) = changed.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            work.change(settings);
+            work.change(settings)?;
         }
         if let Some((message, camera, since)) = work.newest(&shared)? {
             work.smooth(message, camera, since)?;
@@ -163,7 +164,7 @@ fn input_topics(arguments: &Arguments, input: Input) -> (String, String) {
 }
 
 /// Declares the parameters; a change is checked with all others as they are, and left in `changed`.
-fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<Settings>>>) -> NodeOptions {
+fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<NodeSettings>>>) -> NodeOptions {
     let values = Arc::new(Mutex::new(arguments.parameters.clone()));
     let mut options = NodeOptions::new();
     for (name, default, ..) in declared() {
@@ -191,12 +192,12 @@ fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<Settings>>>) -
         if is_fixed && current.as_ref() != Some(value) {
             return Err(format!("{name} is set when the node starts: -p {name}:=VALUE"));
         }
-        Settings::of(&with(&known, name, value)).map(drop).map_err(|error| format!("{error:#}"))
+        NodeSettings::of(&with(&known, name, value)).map(drop).map_err(|error| format!("{error:#}"))
     };
     let changed = Arc::clone(changed);
     let act = move |name: &str, value: &ParameterValue| {
         let mut values = values.lock().unwrap_or_else(PoisonError::into_inner);
-        let settings = Settings::of(&with(&values, name, value)).map_err(|error| format!("{error:#}"))?;
+        let settings = NodeSettings::of(&with(&values, name, value)).map_err(|error| format!("{error:#}"))?;
         values.insert(name.to_owned(), value.clone());
         *changed.lock().unwrap_or_else(PoisonError::into_inner) = Some(settings);
         Ok(())
@@ -207,7 +208,7 @@ fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<Settings>>>) -
 /// Subscribes to the input, and returns what is to be done on a thread of its own.
 fn subscribe(
     node: &mut Node,
-    settings: &Settings,
+    settings: &NodeSettings,
     image_topic: &str,
     camera_topic: &str,
     shared: &Arc<Shared>,
@@ -287,7 +288,7 @@ fn publisher<M: serde::Serialize>(
     node.create_publisher(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: no publisher: {error}"))
 }
 
-fn publish(node: &mut Node, settings: &Settings, arguments: &Arguments) -> Result<Publishers> {
+fn publish(node: &mut Node, settings: &NodeSettings, arguments: &Arguments) -> Result<Publishers> {
     let qos = settings.publisher_qos();
     let depth = arguments.topic("image_smoothed");
     let compressed = match settings.input {
@@ -314,7 +315,7 @@ fn publish(node: &mut Node, settings: &Settings, arguments: &Arguments) -> Resul
 /// The smoothing thread.
 struct Work {
     smoother: MessageSmoother,
-    settings: Settings,
+    settings: NodeSettings,
     is_rectified: bool,
     camera_topic: String,
     node: Node,
@@ -325,11 +326,11 @@ struct Work {
 }
 
 impl Work {
-    fn change(&mut self, settings: Settings) {
-        self.smoother.set_params(settings.params, true);
-        self.smoother.set_outputs(settings.outputs());
+    fn change(&mut self, settings: NodeSettings) -> Result<()> {
+        self.smoother.set_settings(settings.smoothing.clone())?;
         self.smoother.set_normals_image(settings.publish_normals);
         self.settings = settings;
+        Ok(())
     }
 
     /// Waits for the newest message, for a short time.
@@ -365,6 +366,9 @@ impl Work {
             Ok(()) => {
                 let stamp = SystemTime::UNIX_EPOCH + Duration::from_nanos(stamp.nanoseconds());
                 self.statistics.add(since.elapsed(), SystemTime::now().duration_since(stamp).ok());
+                for event in self.smoother.take_events() {
+                    self.warn(event.to_string());
+                }
                 if let Some(warning) = self.smoother.take_warning() {
                     self.warn(warning);
                 }
@@ -385,7 +389,7 @@ impl Work {
         };
         let is_rectified = self.is_rectified;
         let camera = |shape| camera.camera(shape, is_rectified);
-        let Settings { publish_points, publish_depth, .. } = self.settings;
+        let NodeSettings { publish_points, publish_depth, .. } = self.settings;
         if !publish_depth {
             if publish_points {
                 let cloud = self.smoother.smooth_depth_to_cloud(message, camera)?;

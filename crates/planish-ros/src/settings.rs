@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail};
-use planish::{Edges, Engine, Outputs, SmoothParams, SmootherOptions, Strength};
+use planish::{Outputs, SettingValue, Settings};
 use ros2_client::ParameterValue;
 use ros2_client::qos::{History, QosProfile, WhenFull};
 use std::time::Duration;
@@ -13,22 +13,36 @@ const DEPTH: usize = 5;
 /// How long a reliable publisher waits for slow subscribers before it gives a message up.
 const WAIT_FOR_SUBSCRIBERS: Duration = Duration::from_millis(20);
 
+/// The declared default of `strength`.
+const DEFAULT_STRENGTH: f64 = 0.5;
+
 /// A parameter: name, default, whether it may change at run time, and what it does.
 pub type Declared = (&'static str, ParameterValue, bool, &'static str);
 
 /// All parameters.
 pub fn declared() -> Vec<Declared> {
     let text = |value: &str| ParameterValue::String(value.into());
-    use ParameterValue::{Boolean, Double, Integer};
+    use ParameterValue::{Boolean, Double, Integer, NotSet};
     vec![
-        ("strength", Double(0.5), true, "How much to smooth: 0 is light, 0.5 default, 1 strong"),
+        ("preset", NotSet, true, "light, default, strong or paper, instead of strength"),
+        ("strength", Double(DEFAULT_STRENGTH), true, "How much to smooth: 0 is light, 0.5 default, 1 strong"),
         (
             "sensor",
             text("kinect1"),
             true,
-            "kinect1, d415, d435, d455, azure-kinect, l515, iphone or exact: whose noise it is",
+            "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, or auto: estimated from the first frame",
         ),
-        ("keep_edges", Boolean(true), true, "Whether creases and steps are kept"),
+        ("edges", NotSet, true, "robust or off [default: robust for images, off for clouds without a grid]"),
+        ("remove_isolated", NotSet, true, "Whether isolated points of clouds without a grid become holes"),
+        ("window", NotSet, true, "Half width of the window in samples, 1 to 7"),
+        ("stride", NotSet, true, "Distance between samples in pixels, 1 to 8"),
+        ("average_blocks", NotSet, true, "Whether samples are means of blocks of pixels"),
+        ("radius_m", NotSet, true, "Radius of a neighbourhood in metres, or sensor"),
+        ("neighbours", NotSet, true, "Neighbours of a point of a cloud without a grid, 6 to 1000, instead of a radius"),
+        ("degree", NotSet, true, "Degree of the surface, 1 to 3"),
+        ("bandwidth_m", NotSet, true, "Bandwidth of the Gaussian weights in metres"),
+        ("ridge", NotSet, true, "Ridge of the fit, 1e-3 to 100"),
+        ("project", NotSet, true, "ray or normal: along which line points move"),
         ("normals", Boolean(false), true, "Whether clouds have normal_x, normal_y, normal_z and curvature"),
         ("publish_points", Boolean(true), true, "Whether clouds are published (points)"),
         ("publish_depth", Boolean(false), true, "Whether depth images are published (image_smoothed)"),
@@ -37,8 +51,9 @@ pub fn declared() -> Vec<Declared> {
         ("image_transport", text("raw"), false, "raw, or compressedDepth: images on image_rect/compressedDepth"),
         ("qos", text("sensor_data"), false, "How input is subscribed to: sensor_data (best effort) or reliable"),
         ("publish_qos", text("reliable"), false, "How output is published: reliable or sensor_data"),
-        ("engine", text("auto"), false, "auto, cpu or gpu"),
-        ("threads", Integer(0), false, "Threads of the CPU engine; 0 is one a core"),
+        ("engine", text("auto"), false, "auto, cpu, gpu or reference"),
+        ("adapter", NotSet, false, "The GPU by index or part of its name; needs engine: gpu"),
+        ("threads", Integer(0), false, "Threads of the CPU engine; 0 is one per core"),
     ]
 }
 
@@ -55,12 +70,10 @@ pub enum Input {
 
 /// The parameters, checked.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
-    pub params: SmoothParams,
-    pub engine: Engine,
-    pub threads: Option<usize>,
+pub struct NodeSettings {
+    /// How to smooth; the outputs are the fields of clouds.
+    pub smoothing: Settings,
     pub input: Input,
-    pub normals: bool,
     pub publish_points: bool,
     pub publish_depth: bool,
     pub publish_normals: bool,
@@ -68,7 +81,7 @@ pub struct Settings {
     pub publish_reliably: bool,
 }
 
-impl Settings {
+impl NodeSettings {
     /// Checks values by name; those that are missing have their defaults.
     pub fn of(values: &BTreeMap<String, ParameterValue>) -> Result<Self> {
         let declared = declared();
@@ -95,28 +108,7 @@ impl Settings {
             "sensor_data" | "best_effort" => Ok(false),
             other => bail!("{name}: {other:?} is neither sensor_data nor reliable"),
         };
-        let strength = match get("strength")? {
-            ParameterValue::Double(value) => value as f32,
-            ParameterValue::Integer(value) => value as f32,
-            _ => bail!("strength: a number from 0 to 1 is expected"),
-        };
-        let strength = Strength::new(strength).context("strength")?;
-        let mut params = SmoothParams::for_sensor(text("sensor")?.parse()?, strength);
-        if !truth("keep_edges")? {
-            params.edges = Edges::Off;
-        }
-        params.validate()?;
-        let engine = match text("engine")?.as_str() {
-            "auto" => Engine::Auto,
-            "cpu" => Engine::Cpu,
-            "gpu" => Engine::Gpu,
-            other => bail!("engine: {other:?} is none of auto, cpu, gpu"),
-        };
-        let threads = match get("threads")? {
-            ParameterValue::Integer(0) => None,
-            ParameterValue::Integer(count @ 1..=1024) => Some(count as usize),
-            other => bail!("threads: {other:?} is no number from 0 to 1024"),
-        };
+        let smoothing = smoothing(values, truth("normals")?)?;
         let input = match (text("input")?.as_str(), text("image_transport")?.as_str()) {
             ("depth", "raw") => Input::Image,
             ("depth", "compressedDepth") => Input::CompressedDepth,
@@ -126,12 +118,14 @@ impl Settings {
             ("depth", other) => bail!("image_transport: {other:?} is neither raw nor compressedDepth"),
             (other, _) => bail!("input: {other:?} is neither depth nor points"),
         };
+        match input {
+            Input::Points => smoothing.cloud_params().map(drop)?,
+            _ if smoothing.estimates_sensor() => {}
+            _ => smoothing.frame_params().map(drop)?,
+        }
         Ok(Self {
-            params,
-            engine,
-            threads,
+            smoothing,
             input,
-            normals: truth("normals")?,
             publish_points: truth("publish_points")?,
             publish_depth: truth("publish_depth")?,
             publish_normals: truth("publish_normals")?,
@@ -145,17 +139,6 @@ impl Settings {
         self.publish_points || self.publish_normals || self.publish_depth
     }
 
-    /// What the engine is opened with.
-    pub fn options(&self) -> SmootherOptions {
-        let options = SmootherOptions::default().with_engine(self.engine).with_threads(self.threads);
-        options.with_outputs(self.outputs())
-    }
-
-    /// The fields of clouds.
-    pub fn outputs(&self) -> Outputs {
-        Outputs::POINTS.with_normals(self.normals).with_curvature(self.normals)
-    }
-
     pub fn subscription_qos(&self) -> QosProfile {
         qos(self.subscribe_reliably)
     }
@@ -163,6 +146,29 @@ impl Settings {
     pub fn publisher_qos(&self) -> QosProfile {
         qos(self.publish_reliably)
     }
+}
+
+/// Returns the settings of the smoother among the parameters.
+fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool) -> Result<Settings> {
+    let mut settings = Settings::default();
+    let is_preset = values.get("preset").is_some_and(|value| *value != ParameterValue::NotSet);
+    for (name, value) in values.iter().filter(|(name, _)| Settings::NAMES.contains(&name.as_str())) {
+        let value = match value {
+            // A declared default, beside the preset that was chosen instead.
+            ParameterValue::Double(value) if name == "strength" && is_preset && *value == DEFAULT_STRENGTH => continue,
+            ParameterValue::Integer(0) if name == "threads" => continue,
+            ParameterValue::NotSet => SettingValue::None,
+            ParameterValue::Boolean(value) => (*value).into(),
+            ParameterValue::Integer(value) => (*value as f64).into(),
+            ParameterValue::Double(value) => (*value).into(),
+            ParameterValue::String(value) => value.clone().into(),
+            _ => bail!("{name}: a number, a text, true or false is expected"),
+        };
+        settings.set(name, value)?;
+    }
+    settings.outputs = Some(Outputs::POINTS.with_normals(normals).with_curvature(normals));
+    settings.validate()?;
+    Ok(settings)
 }
 
 /// Whether every node has this parameter.
@@ -183,15 +189,31 @@ fn qos(is_reliable: bool) -> QosProfile {
 mod tests {
     use super::*;
 
-    fn of(values: &[(&str, ParameterValue)]) -> Result<Settings> {
-        Settings::of(&values.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect())
+    fn of(values: &[(&str, ParameterValue)]) -> Result<NodeSettings> {
+        NodeSettings::of(&values.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect())
     }
 
     #[test]
     fn defaults_are_the_library_s() {
         let settings = of(&[]).unwrap();
-        assert_eq!(settings.params, SmoothParams::default());
-        assert_eq!((settings.input, settings.threads), (Input::Image, None));
+        assert_eq!(settings.smoothing.frame_params().unwrap(), planish::FrameParams::default());
+        assert_eq!((settings.input, settings.smoothing.threads), (Input::Image, None));
+    }
+
+    #[test]
+    fn every_setting_of_the_smoother_is_a_parameter() {
+        // Images have pixels that float, but the node has no use for devices and outputs of its own.
+        let left_out = ["remove_floating", "devices", "outputs"];
+        for name in Settings::NAMES.into_iter().filter(|name| !left_out.contains(name)) {
+            assert!(declared().iter().any(|(known, ..)| *known == name), "{name}");
+        }
+        let text = |value: &str| ParameterValue::String(value.into());
+        let values = [("preset", text("strong")), ("strength", ParameterValue::Double(0.5)), ("edges", text("off"))];
+        let params = of(&values).unwrap().smoothing.frame_params().unwrap();
+        assert_eq!((params.fit.edges, params.window.nominal().half_width), (planish::Edges::Off, 3));
+        // As a YAML file of ROS reads `edges: off`.
+        let off = of(&[("edges", ParameterValue::Boolean(false)), ("input", text("points"))]).unwrap();
+        assert_eq!(off.smoothing.cloud_params().unwrap().fit.edges, planish::Edges::Off);
     }
 
     #[test]
@@ -201,7 +223,9 @@ mod tests {
             ("strength", ParameterValue::Double(1.5)),
             ("strength", text("much")),
             ("sensor", text("d999")),
-            ("keep_edges", ParameterValue::Integer(1)),
+            ("edges", ParameterValue::Integer(1)),
+            ("window", ParameterValue::Integer(9)),
+            ("neighbours", ParameterValue::Integer(20)),
             ("threads", ParameterValue::Integer(-1)),
             ("input", text("images")),
             ("qos", text("best")),

@@ -243,7 +243,7 @@ def test_info_lists_all_topics(bag):
 def test_options_that_recordings_cannot_have_are_refused(bag, tmp_path):
     out = tmp_path / "out.mcap"
     for output, *options in [(tmp_path / "out.pcd",), (out, "--format", "pcd"), (tmp_path / "f", "--format", "tiff"),
-                             (out, "--depth-scale", "5000"), (out, "--points-topic", "bad topic"), (out, "--repeat", "2")]:
+                             (out, "--depth-units-per-metre", "5000"), (out, "--points-topic", "bad topic"), (out, "--repeat", "2")]:
         text = smooth(bag, output, "--topic", IMAGE, *options, code=2)
         assert options[:1] == [] or options[0].strip("-").replace("-", "_") in text.replace("-", "_"), text
         assert not output.exists()

@@ -161,7 +161,7 @@ def test_parameters_are_listed_changed_and_refused(robot, start):
     start("-p", "strength:=0.25")
     name = f"{robot.node.get_namespace()}/planish"
     names = robot.call(ListParameters, f"{name}/list_parameters", ListParameters.Request()).result.names
-    assert {"strength", "sensor", "keep_edges", "publish_depth"} <= set(names)
+    assert {"strength", "sensor", "edges", "publish_depth"} <= set(names)
 
     def change(parameter, value, kind):
         value = ParameterValue(type=kind, **{"double_value" if kind == ParameterType.PARAMETER_DOUBLE else "string_value": value})

@@ -5,7 +5,7 @@
 
 use std::time::Instant;
 
-use planish::{Outputs, SimdLevel, SmoothParams, Smoothed, SmoothedMut, Smoother, SmootherOptions, Xyz};
+use planish::{FrameParams, Outputs, SimdLevel, Smoothed, SmoothedMut, Smoother, SmootherOptions, Xyz};
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::simulated;
 
@@ -21,7 +21,7 @@ fn main() {
     let outputs = Outputs::POINTS.with_normals(true);
     let options = SmootherOptions::new(planish::Engine::Cpu, outputs);
     for (scene, cloud) in [("table", simulated(1, false, camera)), ("room", simulated(1, true, camera))] {
-        for (setting, params) in [("paper", SmoothParams::paper()), ("default", SmoothParams::default())] {
+        for (setting, params) in [("paper", FrameParams::paper()), ("default", FrameParams::default())] {
             let shape = (cloud.width(), cloud.height());
             let mut smoother = Smoother::open_with(params, &options, shape).expect("the CPU engine");
             let len = cloud.points.len();

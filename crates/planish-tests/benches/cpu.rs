@@ -7,7 +7,7 @@ use divan::Bencher;
 use divan::counter::ItemsCount;
 use planish::agreement::{Agreement, radii_m};
 use planish::{
-    Camera, Engine, OrganizedCloud, Outputs, Radius, SimdLevel, SmoothParams, Smoothed, Smoother, SmootherOptions,
+    Camera, Engine, FrameParams, FrameRadius, OrganizedCloud, Outputs, SimdLevel, Smoothed, Smoother, SmootherOptions,
 };
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::simulated;
@@ -32,7 +32,7 @@ fn options(threads: usize) -> SmootherOptions {
 }
 
 /// Times one setting, points an iteration as its count, once its result agrees with the reference.
-fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: SmoothParams, options: SmootherOptions) {
+fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: FrameParams, options: SmootherOptions) {
     let engine =
         TestEngine { threads: options.threads, simd: options.simd, engine: options.engine, ..TestEngine::REFERENCE };
     let mut agreement = Agreement::default();
@@ -51,33 +51,33 @@ fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: SmoothParams, 
 
 #[divan::bench(args = [1, 2, 3, 4, 5, 6, 7], sample_count = 20)]
 fn window(bencher: Bencher<'_, '_>, window: u32) {
-    time(bencher, &frame(), SmoothParams::paper().with_window(window), options(2));
+    time(bencher, &frame(), FrameParams::paper().with_window(window), options(2));
 }
 
 #[divan::bench(args = [1, 2, 3, 8], sample_count = 20)]
 fn stride(bencher: Bencher<'_, '_>, stride: u32) {
-    time(bencher, &frame(), SmoothParams::default().with_stride(stride), options(2));
+    time(bencher, &frame(), FrameParams::default().with_stride(stride), options(2));
 }
 
 #[divan::bench(args = [1, 2, 3], sample_count = 20)]
 fn degree(bencher: Bencher<'_, '_>, degree: u32) {
-    time(bencher, &frame(), SmoothParams::paper().with_degree(degree), options(2));
+    time(bencher, &frame(), FrameParams::paper().with_degree(degree), options(2));
 }
 
 #[divan::bench(args = [1, 2], sample_count = 20)]
 fn threads(bencher: Bencher<'_, '_>, threads: usize) {
-    time(bencher, &frame(), SmoothParams::paper(), options(threads));
+    time(bencher, &frame(), FrameParams::paper(), options(threads));
 }
 
 #[divan::bench(args = SimdLevel::available().map(SimdLevel::name), sample_count = 20)]
 fn simd(bencher: Bencher<'_, '_>, name: &str) {
     let simd = SimdLevel::available().find(|level| level.name() == name);
-    time(bencher, &frame(), SmoothParams::paper(), options(2).with_simd(simd));
+    time(bencher, &frame(), FrameParams::paper(), options(2).with_simd(simd));
 }
 
 #[divan::bench(args = [(320, 240), (640, 480), (1280, 720), (1920, 1080)], sample_count = 10)]
 fn size(bencher: Bencher<'_, '_>, shape: (usize, usize)) {
-    time(bencher, &simulated(1, true, camera(shape)), SmoothParams::default(), options(2));
+    time(bencher, &simulated(1, true, camera(shape)), FrameParams::default(), options(2));
 }
 
 #[divan::bench(args = ["points", "normals", "curvature", "status", "neighbours", "all"], sample_count = 20)]
@@ -88,7 +88,7 @@ fn outputs(bencher: Bencher<'_, '_>, name: &str) {
         .with_curvature(wants("curvature"))
         .with_status(wants("status"))
         .with_neighbours(wants("neighbours"));
-    time(bencher, &frame(), SmoothParams::paper(), options(1).with_outputs(outputs));
+    time(bencher, &frame(), FrameParams::paper(), options(1).with_outputs(outputs));
 }
 
 #[divan::bench(sample_count = 20)]
@@ -98,7 +98,7 @@ fn depth_frame(bencher: Bencher<'_, '_>) {
     let (scene, pose) = Scene::room(1);
     let truth = scene.render(&camera, &pose);
     let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).expect("one camera");
-    let params = SmoothParams::paper().with_radius(Radius::Sensor);
+    let params = FrameParams::paper().with_radius(FrameRadius::Sensor);
     let mut smoother = Smoother::open_with(params, &options(2), (640, 480)).expect("an engine");
     let mut smoothed = Smoothed::default();
     let reference = TestEngine::REFERENCE.smooth(&frame, params);

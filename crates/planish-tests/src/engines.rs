@@ -3,8 +3,8 @@
 use std::sync::{Mutex, OnceLock};
 
 use planish::{
-    ChoiceReason, Edges, Engine, GpuAdapter, GpuOptions, IntoFrame, Outputs, Project, Radius, SimdLevel, SmoothParams,
-    Smoothed, Smoother, SmootherOptions, auto_choice, gpu_adapters,
+    ChoiceReason, Edges, Engine, FrameParams, FrameRadius, GpuAdapter, GpuOptions, IntoFrame, Outputs, Params, Project,
+    SimdLevel, Smoothed, Smoother, SmootherOptions, auto_choice, gpu_adapters,
 };
 
 /// An engine with the choices that must not change its result by more than the tolerances.
@@ -52,7 +52,7 @@ impl TestEngine {
             // Kept open, so that what the device has compiled for one test is there for the next.
             static KEPT: OnceLock<Mutex<Smoother>> = OnceLock::new();
             KEPT.get_or_init(|| {
-                Mutex::new(Smoother::open_with(SmoothParams::paper(), &options, (1, 1)).expect("the GPU engine"))
+                Mutex::new(Smoother::open_with(FrameParams::paper(), &options, (1, 1)).expect("the GPU engine"))
             });
         }
         options
@@ -69,7 +69,7 @@ impl TestEngine {
     ///
     /// # Panics
     /// If the engine fails.
-    pub fn smooth<'a>(self, frame: impl IntoFrame<'a>, params: SmoothParams) -> Smoothed {
+    pub fn smooth<'a>(self, frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Smoothed {
         self.smooth_to(frame, params, Outputs::ALL)
     }
 
@@ -77,9 +77,15 @@ impl TestEngine {
     ///
     /// # Panics
     /// If the engine fails.
-    pub fn smooth_to<'a>(self, frame: impl IntoFrame<'a>, params: SmoothParams, outputs: Outputs) -> Smoothed {
+    pub fn smooth_to<'a>(self, frame: impl IntoFrame<'a>, params: impl Into<Params>, outputs: Outputs) -> Smoothed {
         let frame = frame.into_frame().expect("a well-formed frame");
-        let mut smoother = Smoother::open_with(params, &self.options(outputs), frame.grid()).expect("an engine");
+        let options = self.options(outputs);
+        let opened = match (params.into(), frame.grid()) {
+            (Params::Frame(params), Some(shape)) => Smoother::open_with(params, &options, shape),
+            (Params::Cloud(params), None) => Smoother::open_clouds(params, &options),
+            (params, grid) => panic!("{params:?} are not for a grid of {grid:?}"),
+        };
+        let mut smoother = opened.expect("an engine");
         let mut smoothed = Smoothed::default();
         smoother.smooth(frame, &mut smoothed).expect("a result");
         smoothed
@@ -109,36 +115,32 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
 
 /// The corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 8, degrees 1 to 3, blocks averaged or
 /// not, both radius rules; edges off, and kept with one of the rules; a third of them along rays, a few with another ridge.
-pub fn parameter_grid() -> Vec<SmoothParams> {
-    let fixed = Radius::Fixed { radius_m: 0.03 };
+pub fn parameter_grid() -> Vec<FrameParams> {
+    let fixed = FrameRadius::Fixed { radius_m: 0.03 };
     let corners = [1, 7].into_iter().flat_map(|window| {
         [1, 3].into_iter().flat_map(move |stride| {
             [1, 2, 3].into_iter().flat_map(move |degree| {
-                [fixed, Radius::Sensor].map(|radius| {
-                    SmoothParams::paper()
-                        .with_window(window)
-                        .with_stride(stride)
-                        .with_radius(radius)
-                        .with_degree(degree)
+                [fixed, FrameRadius::Sensor].map(|radius| {
+                    FrameParams::paper().with_window(window).with_stride(stride).with_radius(radius).with_degree(degree)
                 })
             })
         })
     });
     let between = [(2, 2, 3), (3, 1, 3), (3, 3, 2), (4, 2, 2), (5, 1, 3), (6, 2, 1), (3, 8, 3)].into_iter().flat_map(
         |(window, stride, degree)| {
-            [fixed, Radius::Sensor].map(|radius| {
-                SmoothParams::paper().with_window(window).with_stride(stride).with_radius(radius).with_degree(degree)
+            [fixed, FrameRadius::Sensor].map(|radius| {
+                FrameParams::paper().with_window(window).with_stride(stride).with_radius(radius).with_degree(degree)
             })
         },
     );
-    let bandwidth = SmoothParams::paper().with_bandwidth_m(Some(0.01));
-    let off: Vec<SmoothParams> = corners.chain(between).chain([bandwidth]).collect();
+    let bandwidth = FrameParams::paper().with_bandwidth_m(Some(0.01));
+    let off: Vec<FrameParams> = corners.chain(between).chain([bandwidth]).collect();
     let robust = off.iter().enumerate().filter(|(i, _)| i % 4 == 0 || i % 4 == 3);
     let robust = robust.map(|(_, &params)| params.with_edges(Edges::Robust));
     let all = off.iter().copied().chain(robust);
     all.enumerate()
         .map(|(i, params)| if i % 3 == 1 { params.with_project(Project::Ray) } else { params })
-        .map(|params| if params.window % 4 == 2 { params.with_ridge(0.3) } else { params })
+        .map(|params| if params.window.nominal().half_width % 4 == 2 { params.with_ridge(0.3) } else { params })
         .enumerate()
         .map(|(i, params)| params.with_average_blocks(i % 4 != 2))
         .collect()

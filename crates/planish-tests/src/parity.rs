@@ -2,7 +2,7 @@
 //! nasty clouds (docs/method.md, section 9).
 
 use planish::agreement::{Agreement, radii_m};
-use planish::{OrganizedCloud, Project, Radius, SensorPose, SmoothParams, Smoothed};
+use planish::{FrameParams, FrameRadius, OrganizedCloud, Project, SensorPose, Smoothed};
 
 use crate::data::real_frames;
 use crate::engines::{TestEngine, parameter_grid};
@@ -18,14 +18,14 @@ const TURNED: SensorPose = SensorPose { position_m: [0.4, -0.7, 0.9], orientatio
 
 /// Runs every engine and the reference on all clouds with each setting, as they are and seen from a turned sensor; says what
 /// section 9 misses.
-fn compare(name: &str, clouds: &[OrganizedCloud], grid: &[SmoothParams], subjects: &[Subject]) -> Vec<String> {
+fn compare(name: &str, clouds: &[OrganizedCloud], grid: &[FrameParams], subjects: &[Subject]) -> Vec<String> {
     let turned: Vec<_> = clouds.iter().map(|cloud| moved(cloud, TURNED)).collect();
     let mut misses = compare_in_frame(name, clouds, grid, subjects);
     misses.extend(compare_in_frame(&format!("{name}, turned"), &turned, grid, subjects));
     misses
 }
 
-fn compare_in_frame(name: &str, clouds: &[OrganizedCloud], grid: &[SmoothParams], subjects: &[Subject]) -> Vec<String> {
+fn compare_in_frame(name: &str, clouds: &[OrganizedCloud], grid: &[FrameParams], subjects: &[Subject]) -> Vec<String> {
     let mut misses = Vec::new();
     for &params in grid {
         let references: Vec<Smoothed> =
@@ -66,7 +66,7 @@ pub fn simulated_frames_agree(subjects: &[Subject]) {
 /// # Panics
 /// If an engine does not agree.
 pub fn real_frames_agree(subjects: &[Subject], test: &str) {
-    let usual = [SmoothParams::paper(), SmoothParams::default(), SmoothParams::paper().with_window(1).with_degree(2)];
+    let usual = [FrameParams::paper(), FrameParams::default(), FrameParams::paper().with_window(1).with_degree(2)];
     let settings_of_grid = parameter_grid();
     let frames = real_frames(test);
     let (mut misses, count) = (Vec::new(), 4 * frames.len());
@@ -93,15 +93,15 @@ pub fn quarter(cloud: &OrganizedCloud, k: usize) -> OrganizedCloud {
 /// If they do not.
 pub fn nasty_clouds_keep_the_invariants(subjects: &[Subject]) {
     let corners = [
-        SmoothParams::paper(),
-        SmoothParams::default(),
-        SmoothParams::default().with_window(7).with_stride(8),
-        SmoothParams::paper().with_window(1).with_degree(1),
-        SmoothParams::default().with_project(Project::Ray),
-        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 3.0 }).with_project(Project::Ray),
-        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e-6 }),
-        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e-3)),
-        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e3)),
+        FrameParams::paper(),
+        FrameParams::default(),
+        FrameParams::default().with_window(7).with_stride(8),
+        FrameParams::paper().with_window(1).with_degree(1),
+        FrameParams::default().with_project(Project::Ray),
+        FrameParams::paper().with_radius(FrameRadius::Fixed { radius_m: 3.0 }).with_project(Project::Ray),
+        FrameParams::paper().with_radius(FrameRadius::Fixed { radius_m: 1e-6 }),
+        FrameParams::paper().with_radius(FrameRadius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e-3)),
+        FrameParams::paper().with_radius(FrameRadius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e3)),
     ];
     for scene in nasty_scenes() {
         for params in corners {
@@ -124,7 +124,7 @@ pub fn ordinary_small_clouds_agree(subjects: &[Subject]) {
     let mut misses = Vec::new();
     let skipped = ["denormal coordinates", "huge coordinates"];
     for scene in nasty_scenes().iter().filter(|scene| !skipped.contains(&scene.name)) {
-        let settings = [SmoothParams::paper(), SmoothParams::default()];
+        let settings = [FrameParams::paper(), FrameParams::default()];
         misses.extend(compare(scene.name, std::slice::from_ref(&scene.cloud), &settings, subjects));
     }
     assert_none(&misses);

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    Camera, DepthFrame, Edges, Engine, GpuOptions, IntoFrame, OrganizedCloud, Outputs, SimdLevel, SmoothParams,
+    Camera, DepthFrame, Edges, Engine, FrameParams, GpuOptions, IntoFrame, OrganizedCloud, Outputs, SimdLevel,
     Smoothed, Smoother, SmootherOptions,
 };
 use planish_tests::bits::bits;
@@ -51,7 +51,7 @@ fn threads_and_runs_change_no_bit() {
     let mut clouds: Vec<OrganizedCloud> = nasty_scenes().into_iter().map(|scene| scene.cloud).collect();
     clouds.push(simulated(3, false, small_camera()));
     for cloud in &clouds {
-        for params in [SmoothParams::paper(), SmoothParams::default()] {
+        for params in [FrameParams::paper(), FrameParams::default()] {
             let with =
                 |threads| TestEngine { engine: Engine::Cpu, threads, ..TestEngine::REFERENCE }.smooth(cloud, params);
             let one = bits(&with(Some(1)));
@@ -74,7 +74,7 @@ fn nothing_is_allocated_after_the_first_frame() {
         for outputs in [Outputs::POINTS, Outputs::ALL] {
             let options =
                 SmootherOptions::default().with_engine(Engine::Cpu).with_outputs(outputs).with_threads(Some(threads));
-            let mut smoother = Smoother::open_with(SmoothParams::default(), &options, (160, 120)).unwrap();
+            let mut smoother = Smoother::open_with(FrameParams::default(), &options, (160, 120)).unwrap();
             let mut smoothed = Smoothed::default();
             let mut run = |smoothed: &mut Smoothed| {
                 smoother.smooth(&depth, smoothed).unwrap();
@@ -102,7 +102,7 @@ fn a_depth_frame_gives_the_bits_of_its_cloud() {
     depth.raw[777] = planish::SATURATED_DEPTH;
     let cloud = depth.deproject().unwrap();
     for engine in [TestEngine::cpu(SimdLevel::best()), TestEngine::REFERENCE] {
-        for params in [SmoothParams::paper(), SmoothParams::default()] {
+        for params in [FrameParams::paper(), FrameParams::default()] {
             assert!(bits(&engine.smooth(&depth, params)) == bits(&engine.smooth(&cloud, params)), "{params:?}");
         }
     }
@@ -112,7 +112,7 @@ fn a_depth_frame_gives_the_bits_of_its_cloud() {
 fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
     let _alone = ALONE.lock();
     let cloud = simulated(3, true, small_camera());
-    let all = TestEngine::cpu(SimdLevel::best()).smooth(&cloud, SmoothParams::default());
+    let all = TestEngine::cpu(SimdLevel::best()).smooth(&cloud, FrameParams::default());
     let mut smoothed = Smoothed::default();
     for wanted in 0..16u32 {
         let wants = |output: u32| wanted & output != 0;
@@ -122,7 +122,7 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
             .with_status(wants(4))
             .with_neighbours(wants(8));
         let options = SmootherOptions::default().with_engine(Engine::Cpu).with_outputs(outputs);
-        let mut smoother = Smoother::open_with(SmoothParams::default(), &options, (160, 120)).unwrap();
+        let mut smoother = Smoother::open_with(FrameParams::default(), &options, (160, 120)).unwrap();
         // The same result struct each time: what is not asked for goes away.
         smoother.smooth(&cloud, &mut smoothed).unwrap();
         let mut expected = all.clone();
@@ -139,9 +139,9 @@ fn widths_around_the_lane_counts_lose_no_pixel() {
     let _alone = ALONE.lock();
     for width in [1, 2, 3, 4, 5, 7, 8, 9, 15, 16, 17, 31, 33] {
         let cloud = grid(width, 9, |u, v| [0.003 * u as f32, 0.003 * v as f32, 1.0 + 0.0001 * ((u * v) % 5) as f32]);
-        let reference = TestEngine::REFERENCE.smooth(&cloud, SmoothParams::paper());
+        let reference = TestEngine::REFERENCE.smooth(&cloud, FrameParams::paper());
         for level in SimdLevel::available() {
-            let result = TestEngine::cpu(level).smooth(&cloud, SmoothParams::paper());
+            let result = TestEngine::cpu(level).smooth(&cloud, FrameParams::paper());
             assert_eq!(result.status, reference.status, "width {width}, {}", level.name());
             for (p, q) in result.points.iter().zip(reference.points.iter()) {
                 assert!(
@@ -156,7 +156,7 @@ fn widths_around_the_lane_counts_lose_no_pixel() {
 fn a_level_that_the_machine_lacks_and_zero_threads_are_refused() {
     let open = |simd, threads| {
         let options = SmootherOptions::default().with_engine(Engine::Cpu).with_threads(threads).with_simd(simd);
-        Smoother::open_with(SmoothParams::paper(), &options, (4, 4)).map(|_| ())
+        Smoother::open_with(FrameParams::paper(), &options, (4, 4)).map(|_| ())
     };
     let missing = SimdLevel::ALL.into_iter().find(|level| SimdLevel::available().all(|have| have != *level)).unwrap();
     assert!(open(Some(missing), None).unwrap_err().to_string().contains(missing.name()));
@@ -172,7 +172,7 @@ fn times_are_told_when_asked_and_bytes_always() {
         let options = SmootherOptions::default().with_engine(Engine::Cpu).with_gpu(gpu);
         Smoother::open_with(params, &options, (160, 120)).unwrap()
     };
-    let mut smoother = open(SmoothParams::paper(), true);
+    let mut smoother = open(FrameParams::paper(), true);
     assert!(smoother.timings().is_none());
     let mut smoothed = Smoothed::default();
     smoother.smooth(&depth, &mut smoothed).unwrap();
@@ -189,8 +189,8 @@ fn times_are_told_when_asked_and_bytes_always() {
     let padded = (160 + 6) * (120 + 6) + 16;
     assert_eq!(smoother.buffer_bytes(), 4 * 3 * padded);
     // Planes of eight numbers more.
-    let off = open(SmoothParams::default().with_edges(Edges::Off), false).buffer_bytes();
-    let mut robust = open(SmoothParams::default(), false);
+    let off = open(FrameParams::default().with_edges(Edges::Off), false).buffer_bytes();
+    let mut robust = open(FrameParams::default(), false);
     assert_eq!(robust.buffer_bytes(), off / 3 * 11);
     robust.smooth(&depth, &mut smoothed).unwrap();
     assert!(robust.timings().is_none());

@@ -3,11 +3,11 @@
 use std::alloc::{Layout, alloc, dealloc};
 use std::cell::RefCell;
 
+use crate::page::Page;
 use crate::request::Reply;
-use crate::session::Session;
 
 thread_local! {
-    static SESSION: RefCell<Session> = RefCell::default();
+    static PAGE: RefCell<Page> = RefCell::default();
     static REPLY: RefCell<(Vec<u8>, Vec<u8>)> = RefCell::default();
 }
 
@@ -47,7 +47,7 @@ pub unsafe extern "C" fn planish_call(json: *const u8, json_len: usize, bytes: *
     let (json, bytes) =
         unsafe { (std::slice::from_raw_parts(json, json_len), std::slice::from_raw_parts(bytes, bytes_len)) };
     let reply = match std::str::from_utf8(json) {
-        Ok(request) => SESSION.with_borrow_mut(|session| session.handle(request, bytes)),
+        Ok(request) => PAGE.with_borrow_mut(|session| session.handle(request, bytes)),
         Err(_) => Reply { error: Some("the request is not UTF-8".to_owned()), ..Reply::default() },
     };
     let json = serde_json::to_vec(&reply).unwrap_or_default();

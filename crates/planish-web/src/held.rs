@@ -6,7 +6,7 @@ use planish::{
 };
 use serde_json::{Value, json};
 
-use crate::settings::CameraGiven;
+use crate::camera::CameraGiven;
 
 /// A frame as it came in.
 pub struct HeldFrame {
@@ -106,7 +106,7 @@ impl HeldFrame {
             // A Kinect's field of view, until the page is told more.
             let (focal, centre) = (525.0 * width as f64 / 640.0, [width, height].map(|n| (n as f64 - 1.0) / 2.0));
             described["assumed_camera"] =
-                json!({ "fx": focal, "fy": focal, "cx": centre[0], "cy": centre[1], "depth_scale": 1000.0 });
+                json!({ "fx": focal, "fy": focal, "cx": centre[0], "cy": centre[1], "depth_units_per_metre": 1000.0 });
         }
         described
     }

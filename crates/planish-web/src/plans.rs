@@ -1,7 +1,7 @@
 //! The plans of the usual settings as files, for hosts without this module, and for review.
 
 use planish::webgpu::{Plan, WebGpuLimits};
-use planish::{Camera, DepthFrame, Error, Outputs, SmoothParams};
+use planish::{Camera, DepthFrame, Error, FrameParams, Outputs};
 use serde_json::json;
 
 /// What most GPUs of today have: 32 KiB of workgroup memory.
@@ -19,7 +19,7 @@ pub fn usual_plans() -> Result<Vec<(String, String)>, Error> {
     let frame = DepthFrame::new(camera, vec![1000; camera.width * camera.height])?;
     let outputs = Outputs::POINTS.with_normals(true).with_status(true).with_depth(true);
     let mut files: Vec<(String, String)> = Vec::new();
-    for (name, params) in [("default", SmoothParams::default()), ("paper", SmoothParams::paper())] {
+    for (name, params) in [("default", FrameParams::default()), ("paper", FrameParams::paper())] {
         let plan = Plan::new(params, outputs, &frame, &LIMITS)?;
         let mut passes = Vec::new();
         for (i, pass) in plan.passes().into_iter().enumerate() {

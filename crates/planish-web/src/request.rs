@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::settings::{CameraGiven, Settings};
+use crate::camera::CameraGiven;
+use planish::Settings;
 
 /// A request; the bytes that some need come beside it.
 #[derive(Debug, Clone, Deserialize)]
@@ -23,6 +24,16 @@ pub enum Request {
         frame: u32,
         /// The text.
         camera: CameraGiven,
+    },
+    /// Reads a settings file.
+    ReadSettings {
+        /// JSON or YAML.
+        text: String,
+    },
+    /// Writes settings as a file.
+    WriteSettings {
+        /// Which.
+        settings: Settings,
     },
     /// Reads a file, whose bytes these are.
     Open {

@@ -1,7 +1,7 @@
 //! One frame: read, smoothed, written. `cargo run --release --example 01_one_frame -- frame.pcd smooth.pcd`
 
 use planish::io::{Encoding, write_cloud};
-use planish::{Engine, Error, OrganizedCloud, Outputs, SmoothParams, Smoothed, Smoother};
+use planish::{Engine, Error, FrameParams, OrganizedCloud, Outputs, Smoothed, Smoother};
 
 fn main() -> Result<(), Error> {
     let files: Vec<String> = std::env::args().skip(1).collect();
@@ -10,7 +10,7 @@ fn main() -> Result<(), Error> {
         std::process::exit(2);
     };
     let mut cloud = planish::io::read_organized(input.as_ref())?;
-    let params = SmoothParams::default().at_resolution_of(&cloud);
+    let params = FrameParams::default().at_resolution_of(&cloud);
     let mut smoother = Smoother::open(params, Engine::Auto, (cloud.width(), cloud.height()))?;
     let mut smoothed = Smoothed::default();
     smoother.smooth(&cloud, &mut smoothed)?;

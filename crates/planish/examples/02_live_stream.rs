@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use planish::source::{self, SourceOptions};
 use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions};
-use planish::{Error, SmoothParams, SmootherOptions};
+use planish::{Error, FrameParams, SmootherOptions};
 
 /// What to do with each result.
 struct MeanDepth;
@@ -34,8 +34,7 @@ fn main() -> Result<(), Error> {
     // Paced as a camera, where the source is none.
     let fps = (!name.starts_with("kinect")).then_some(30.0);
     let source = source::open(&name, &SourceOptions::default().with_fps(fps))?;
-    let options = StreamOptions::new(SmoothParams::default(), SmootherOptions::default())
-        .with_adapt_stride(true)
+    let options = StreamOptions::new(FrameParams::default(), SmootherOptions::default())
         .with_max_duration(Some(Duration::from_secs(5)));
     let statistics = stream::run(source, &options, vec![Box::new(MeanDepth)], &AtomicBool::new(false), |event| {
         if let StreamEvent::Warning(warning) = event {

@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 
 use planish::source::{OwnedFrame, Source};
 use planish::stream::{self, StreamOptions};
-use planish::{Camera, DepthFrame, Error, SmoothParams, SmootherOptions};
+use planish::{Camera, DepthFrame, Error, FrameParams, SmootherOptions};
 
 /// A camera that sees a wall, waving.
 struct MyCamera {
@@ -35,7 +35,7 @@ impl Source for MyCamera {
 
 fn main() -> Result<(), Error> {
     let source = MyCamera { camera: Camera::kinect_v1(), frames: 0 };
-    let options = StreamOptions::new(SmoothParams::default(), SmootherOptions::default()).with_adapt_stride(true);
+    let options = StreamOptions::new(FrameParams::default(), SmootherOptions::default());
     let statistics = stream::run(Box::new(source), &options, Vec::new(), &AtomicBool::new(false), |_| ())?;
     println!("{} frames, {:.1} a second", statistics.frames_out, statistics.fps());
     Ok(())

@@ -14,9 +14,9 @@ pub struct CameraArgs {
     /// matrix as text, or COLMAP's cameras.txt
     #[arg(long, value_name = "FILE")]
     pub camera_file: Option<PathBuf>,
-    /// Depth units in a metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM
-    #[arg(long, value_name = "UNITS_PER_METRE", allow_negative_numbers = true)]
-    pub depth_scale: Option<f64>,
+    /// Depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM (the inverse of librealsense's depth scale)
+    #[arg(long, value_name = "UNITS", alias = "depth-scale", allow_negative_numbers = true)]
+    pub depth_units_per_metre: Option<f64>,
 }
 
 #[derive(clap::Args)]
@@ -40,7 +40,7 @@ impl PoseArgs {
 impl CameraArgs {
     /// Whether anything is said of the camera.
     pub fn is_given(&self) -> bool {
-        self.camera.is_some() || self.camera_file.is_some() || self.depth_scale.is_some()
+        self.camera.is_some() || self.camera_file.is_some() || self.depth_units_per_metre.is_some()
     }
 
     /// The camera for frames of this shape; `None` if the user gave none.
@@ -59,7 +59,7 @@ impl CameraArgs {
             (None, Some(file)) => io::read_camera(file, shape)?,
             (None, None) => return Ok(None),
         };
-        if let Some(scale) = self.depth_scale {
+        if let Some(scale) = self.depth_units_per_metre {
             camera.depth_units_per_metre = scale;
         }
         // Whatever the shape is to be, the rest must describe a camera.
@@ -73,7 +73,7 @@ impl CameraArgs {
         self.camera(shape)?.with_context(|| {
             format!(
                 "{}: a depth image of {width}x{height} needs its camera: add --camera FX,FY,CX,CY or --camera-file \
-                 FILE, and --depth-scale if a unit is not a millimetre (Kinect v1: --camera 525,525,319.5,239.5)",
+                 FILE, and --depth-units-per-metre if a unit is not a millimetre (Kinect v1: --camera 525,525,319.5,239.5)",
                 file.display()
             )
         })

@@ -17,7 +17,9 @@ pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRi
 pub use camera::{CameraArgs, Direction, PoseArgs};
 pub use clean::CleanArgs;
 pub use rig::{PoseErrorsArg, RigArgs, RigWayArg};
-pub use smoothing::{EdgesArg, EngineArg, GpusArgs, SmoothingArgs, params_of_voxels};
+pub use smoothing::{
+    EdgesArg, EngineArg, GpusArgs, SmoothingArgs, by_option, by_option_of_error, option_of, params_of_voxels,
+};
 
 const AFTER_HELP: &str = "Exit codes: 0 done; 1 some frames failed, the others are done; 2 bad arguments or input; 130 ended by a \
                           signal (a stream or recording ends with 0).\nStart with `planish demo`, then `planish smooth your.pcd smooth.pcd`.";
@@ -206,7 +208,7 @@ pub struct StreamArgs {
     #[command(flatten)]
     pub source: SourceArgs,
     /// Stream several cameras as one sensor: a rig.json that says where each stands (`planish rig` makes one), instead of SOURCE
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "topic", "camera_info_topic", "camera", "camera_file", "depth_scale", "align", "mode"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "topic", "camera_info_topic", "camera", "camera_file", "depth_units_per_metre", "align", "mode"])]
     pub rig: Option<PathBuf>,
     /// Of a rig: how the frames of a moment are smoothed
     #[arg(long, value_enum, requires = "rig")]

@@ -1,12 +1,11 @@
 //! How to smooth, and with what.
 
-use anyhow::{Context, Result, bail};
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
 use clap::ValueEnum;
 use planish::rig::{merged_params, merged_params_in_voxels};
-use planish::{
-    Edges, Engine, FleetDevice, Frame, GpuOptions, OrganizedCloud, Outputs, ParamError, Project, Radius, SensorModel,
-    SmoothParams, SmootherOptions, Strength,
-};
+use planish::{CloudParams, Edges, Engine, FleetDevice, Outputs, ParamError, SettingValue, Settings, SmootherOptions};
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum PresetArg {
@@ -92,6 +91,9 @@ impl EngineArg {
 /// How to smooth; values not given come from the preset.
 #[derive(clap::Args)]
 pub struct SmoothingArgs {
+    /// Settings in JSON or YAML, as planish.Settings in Python and the browser's page write them; the options below override them
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
     /// A named setting; the options below override single values
     #[arg(long, value_enum)]
     pub preset: Option<PresetArg>,
@@ -139,9 +141,9 @@ pub struct SmoothingArgs {
     /// Along which line a point is put onto the surface; general clouds, and clouds whose sensor's place is unknown, always along the normal
     #[arg(long, value_enum)]
     pub project: Option<ProjectArg>,
-    /// Which engine to use; one requested by name never falls back to another (except in a stream that loses its GPU twice)
-    #[arg(long, value_enum, default_value = "auto")]
-    pub engine: EngineArg,
+    /// Which engine to use; one requested by name is never replaced by another, except in a stream that loses its GPU twice [default: auto]
+    #[arg(long, value_enum)]
+    pub engine: Option<EngineArg>,
     /// Which GPU to use with --engine gpu: index or part of the name (see `planish devices`); by default the first real one
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
@@ -160,180 +162,120 @@ pub struct GpusArgs {
 }
 
 impl GpusArgs {
+    /// Returns settings with these devices.
+    pub fn over(&self, mut settings: Settings) -> Result<Settings> {
+        if let Some(list) = &self.gpus {
+            settings.set("devices", list.as_str()).map_err(by_option)?;
+            settings.validate().map_err(by_option)?;
+        }
+        Ok(settings)
+    }
+
     /// The devices named; none if none are.
     pub fn devices(&self, engine: Engine) -> Result<Vec<FleetDevice>> {
         let Some(list) = &self.gpus else { return Ok(Vec::new()) };
         if !matches!(engine, Engine::Auto | Engine::Gpu) {
             bail!("--gpus names the devices: leave --engine {} out", engine.name());
         }
-        FleetDevice::parse_list(list).with_context(|| format!("--gpus {list}"))
+        Ok(FleetDevice::parse_list(list)?)
     }
 }
 
-/// Names the option in place of the parameter's field.
-fn by_option(error: ParamError) -> ParamError {
-    const OPTIONS: [(&str, &str); 7] = [
-        ("window", "--window"),
-        ("stride", "--stride"),
-        ("degree", "--degree"),
-        ("radius_m", "--radius"),
-        ("neighbours", "--neighbours"),
-        ("ridge", "--ridge"),
-        ("bandwidth_m", "--bandwidth"),
-    ];
-    let option = OPTIONS.iter().find(|(field, _)| *field == error.field);
-    option.map_or(error.clone(), |(_, field)| ParamError { field, ..error })
+/// Names the option in place of the setting.
+pub fn by_option(error: ParamError) -> anyhow::Error {
+    match error.field {
+        field if Settings::NAMES.contains(&field) => {
+            anyhow::anyhow!("{} = {} is not allowed: {}", option_of(field), error.value, error.allowed)
+        }
+        _ => error.into(),
+    }
+}
+
+/// Names the option in place of the setting, where the error is one of a setting.
+pub fn by_option_of_error(error: planish::Error) -> anyhow::Error {
+    match error {
+        planish::Error::Param(error) => by_option(error),
+        error => error.into(),
+    }
+}
+
+/// Returns the option of a setting.
+pub fn option_of(setting: &str) -> String {
+    let name = match setting {
+        "devices" => "gpus",
+        setting => setting.trim_end_matches("_m"),
+    };
+    format!("--{}", name.replace('_', "-"))
+}
+
+/// Returns the name of an option's value.
+fn named<T: ValueEnum>(value: Option<&T>) -> SettingValue {
+    value.and_then(ValueEnum::to_possible_value).map(|value| value.get_name().to_owned()).into()
 }
 
 impl SmoothingArgs {
-    /// The options given that change nothing for a general cloud: it has no pixels, and no sensor.
-    pub fn unused_by_general_clouds(&self) -> Vec<&'static str> {
-        let given = [
-            ("--window", self.window.is_some()),
-            ("--stride", self.stride.is_some()),
-            ("--average-blocks", self.average_blocks.is_some()),
-            ("--project", matches!(self.project, Some(ProjectArg::Ray))),
-            ("--sensor", self.sensor.is_some()),
-            ("--preset", !matches!(self.preset, None | Some(PresetArg::Paper))),
-            ("--strength", self.strength.is_some()),
+    /// Returns the settings: those of the file, and the options in their place.
+    pub fn settings(&self) -> Result<Settings> {
+        let mut settings = match &self.settings {
+            Some(file) => planish::io::read_settings(file)?,
+            None => Settings::default(),
+        };
+        // One of these given as an option replaces the other of the file.
+        if self.preset.is_some() {
+            settings.strength = None;
+        }
+        if self.strength.is_some() {
+            settings.preset = None;
+        }
+        if self.radius.is_some() {
+            settings.neighbours = None;
+        }
+        if self.neighbours.is_some() {
+            settings.radius = None;
+        }
+        let radius = self.radius.map(|radius| match radius {
+            RadiusArg::Sensor => SettingValue::from("sensor"),
+            RadiusArg::Metres(radius_m) => radius_m.into(),
+        });
+        let given: [(&str, SettingValue); 17] = [
+            ("preset", named(self.preset.as_ref())),
+            ("strength", self.strength.into()),
+            ("sensor", named(self.sensor.as_ref())),
+            ("edges", named(self.edges.as_ref())),
+            ("remove_floating", self.remove_floating.then_some(true).into()),
+            ("remove_isolated", self.remove_isolated.then_some(true).into()),
+            ("window", self.window.into()),
+            ("stride", self.stride.into()),
+            ("average_blocks", self.average_blocks.into()),
+            ("radius_m", radius.into()),
+            ("neighbours", self.neighbours.into()),
+            ("degree", self.degree.into()),
+            ("bandwidth_m", self.bandwidth.into()),
+            ("ridge", self.ridge.into()),
+            ("project", named(self.project.as_ref())),
+            ("engine", named(self.engine.as_ref())),
+            ("adapter", self.adapter.clone().into()),
         ];
-        given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
-    }
-
-    /// Whether the sensor is to be estimated from a frame.
-    pub fn estimates_sensor(&self) -> bool {
-        matches!(self.sensor, Some(SensorArg::Auto))
-    }
-
-    /// The parameters, where a frame that a sensor could be estimated from is not at hand.
-    pub fn params(&self) -> Result<SmoothParams> {
-        if self.estimates_sensor() {
-            bail!(
-                "--sensor auto needs a frame to estimate from, and a stream has none yet: run `planish info` on one, then name the nearest sensor"
-            );
-        }
-        self.params_for(None)
-    }
-
-    /// The parameters for a frame. General clouds are smoothed without a sensor.
-    pub fn params_for(&self, cloud: Option<&OrganizedCloud>) -> Result<SmoothParams> {
-        self.params_of(self.sensor_of(cloud)?)
-    }
-
-    /// The parameters for frames of a sensor.
-    pub fn params_of(&self, sensor: SensorModel) -> Result<SmoothParams> {
-        let mut params = match (self.strength, self.preset) {
-            (Some(strength), _) => SmoothParams::for_sensor(sensor, Strength::new(strength)?),
-            (None, Some(PresetArg::Light)) => SmoothParams::for_sensor(sensor, Strength::LIGHT),
-            (None, None | Some(PresetArg::Default)) => SmoothParams::for_sensor(sensor, Strength::DEFAULT),
-            (None, Some(PresetArg::Strong)) => SmoothParams::for_sensor(sensor, Strength::STRONG),
-            (None, Some(PresetArg::Paper)) => SmoothParams::paper(),
-        };
-        params.sensor = sensor;
-        params.window = self.window.unwrap_or(params.window);
-        params.stride = self.stride.unwrap_or(params.stride);
-        params.average_blocks = self.average_blocks.unwrap_or(params.average_blocks);
-        self.override_fit(&mut params);
-        params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
-        match self.project {
-            None => {}
-            Some(ProjectArg::Ray) => params.project = Project::Ray,
-            Some(ProjectArg::Normal) => params.project = Project::Normal,
-        }
-        params.validate().map_err(by_option)?;
-        Ok(params)
-    }
-
-    /// The parameters for general clouds, which have neither pixels nor a sensor.
-    pub fn general_params(&self) -> Result<SmoothParams> {
-        let mut params = match self.preset {
-            Some(PresetArg::Paper) => SmoothParams::paper(),
-            _ => SmoothParams::general(),
-        };
-        self.override_fit(&mut params);
-        if params.radius == Radius::Sensor {
-            bail!(
-                "--radius sensor is for frames on a grid: a general cloud takes --neighbours or a --radius in metres"
-            );
-        }
-        params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
-        params.remove_isolated = self.remove_isolated;
-        params.validate().map_err(by_option)?;
-        Ok(params)
-    }
-
-    /// The parameters for the points of a rig's cameras as one cloud.
-    pub fn merged_params(&self, voxel_m: Option<f64>) -> Result<SmoothParams> {
-        let mut params = params_of_voxels(voxel_m)?;
-        self.override_fit(&mut params);
-        params.edges = self.edges.map_or(params.edges, EdgesArg::edges);
-        params.validate().map_err(by_option)?;
-        Ok(params)
-    }
-
-    /// Sets what was given of the neighbourhood and the surface.
-    fn override_fit(&self, params: &mut SmoothParams) {
-        params.degree = self.degree.unwrap_or(params.degree);
-        params.bandwidth_m = self.bandwidth.or(params.bandwidth_m);
-        match self.radius {
-            None => {}
-            Some(RadiusArg::Sensor) => {
-                params.radius = Radius::Sensor;
+        for (name, value) in given {
+            if value != SettingValue::None {
+                settings.set(name, value).map_err(by_option)?;
             }
-            Some(RadiusArg::Metres(radius_m)) => params.radius = Radius::Fixed { radius_m },
         }
-        if let Some(count) = self.neighbours {
-            params.radius = Radius::Neighbours { count };
+        if let Some(threads) = self.threads {
+            settings.set("threads", threads as f64).map_err(by_option)?;
         }
-        params.ridge = self.ridge.unwrap_or(params.ridge);
+        settings.validate().map_err(by_option)?;
+        Ok(settings)
     }
 
-    /// Whether window and stride are left to the frame's resolution: neither given nor the report's.
-    pub fn adapts_window(&self) -> bool {
-        self.window.is_none() && self.stride.is_none() && !matches!(self.preset, Some(PresetArg::Paper))
+    /// Returns the parameters for the points of a rig's cameras as one cloud.
+    pub fn merged_params(&self, voxel_m: Option<f64>) -> Result<CloudParams> {
+        self.settings()?.override_cloud(params_of_voxels(voxel_m)?).map_err(by_option)
     }
 
-    /// The parameters for a frame's resolution.
-    pub fn at_resolution_of(&self, params: SmoothParams, frame: Frame<'_>) -> SmoothParams {
-        if self.adapts_window() { params.at_resolution_of(frame) } else { params }
-    }
-
-    /// Whose noise it is; of a frame, where it is to be estimated.
-    fn sensor_of(&self, cloud: Option<&OrganizedCloud>) -> Result<SensorModel> {
-        Ok(match (self.sensor, cloud) {
-            (None | Some(SensorArg::Kinect1), _) | (Some(SensorArg::Auto), None) => SensorModel::KINECT_V1,
-            (Some(SensorArg::D415), _) => SensorModel::REALSENSE_D415,
-            (Some(SensorArg::D435), _) => SensorModel::REALSENSE_D435,
-            (Some(SensorArg::D455), _) => SensorModel::REALSENSE_D455,
-            (Some(SensorArg::AzureKinect), _) => SensorModel::AZURE_KINECT,
-            (Some(SensorArg::L515), _) => SensorModel::REALSENSE_L515,
-            (Some(SensorArg::Iphone), _) => SensorModel::APPLE_LIDAR,
-            (Some(SensorArg::Exact), _) => SensorModel::EXACT,
-            (Some(SensorArg::Auto), Some(cloud)) => SensorModel::estimate(cloud)
-                .context("--sensor auto: too few depths to estimate a sensor from; name one, as --sensor kinect1")?,
-        })
-    }
-
-    /// The sensor whose noise decides which pixels float, if those are to be removed.
-    pub fn floating_sensor(&self, cloud: Option<&OrganizedCloud>) -> Result<Option<SensorModel>> {
-        if self.remove_floating { self.sensor_of(cloud).map(Some) } else { Ok(None) }
-    }
-
-    pub fn engine(&self) -> Engine {
-        self.engine.engine()
-    }
-
-    /// What a smoother is opened with.
+    /// Returns how a smoother is opened.
     pub fn options(&self, outputs: Outputs) -> Result<SmootherOptions> {
-        if self.adapter.is_some() && self.engine() != Engine::Gpu {
-            bail!("--adapter chooses among GPUs: it needs --engine gpu");
-        }
-        let gpu = GpuOptions::default().with_adapter(self.adapter.clone());
-        Ok(SmootherOptions::default()
-            .with_engine(self.engine())
-            .with_outputs(outputs)
-            .with_threads(self.threads)
-            .with_gpu(gpu))
+        Ok(self.settings()?.options().with_outputs(outputs))
     }
 }
 
@@ -355,7 +297,7 @@ impl std::str::FromStr for RadiusArg {
 }
 
 /// The parameters of a rig's merged points: all of them, or one for each voxel of this size in metres.
-pub fn params_of_voxels(voxel_m: Option<f64>) -> Result<SmoothParams> {
+pub fn params_of_voxels(voxel_m: Option<f64>) -> Result<CloudParams> {
     let Some(size_m) = voxel_m else { return Ok(merged_params()) };
     if !(size_m > 0.0 && size_m.is_finite()) {
         bail!("--voxel {size_m}: a size in metres above 0, as 0.005");

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use planish::io::{self, Contents};
-use planish::{DepthFrame, Engine, Error, FleetDevice, GpuOptions, OrganizedCloud, Outputs, Radius, SmootherOptions};
+use planish::{
+    CloudRadius, DepthFrame, Engine, Error, FleetDevice, GpuOptions, OrganizedCloud, Outputs, SmootherOptions,
+};
 use planish_bench::{Ended, Experiment, GeneralOptions, GpuBenchOptions, Input, Options, RigBenchOptions};
 
 use super::organized;
@@ -71,7 +73,7 @@ fn run_rig(args: &BenchRigArgs) -> Result<ExitCode> {
     let gpu = GpuOptions::default().with_adapter(args.adapter.clone()).with_bounds_checks(false);
     let general_params = params_of_voxels(args.voxel)?;
     let general_params = args.radius.iter().fold(general_params, |params, &radius_m| params.with_radius_m(radius_m));
-    let general_params = general_params.with_edges(args.edges.map_or(general_params.edges, EdgesArg::edges));
+    let general_params = general_params.with_edges(args.edges.map_or(general_params.fit.edges, EdgesArg::edges));
     planish_bench::run_rig(&RigBenchOptions {
         cameras: args.cameras.into(),
         ways: args.fuse.iter().map(|&way| way.into()).collect(),
@@ -95,8 +97,8 @@ fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
         Ok((path.file_name().unwrap_or_default().to_string_lossy().into_owned(), cloud))
     };
     let radius = |&radius_m: &f32| match radius_m {
-        0.0 => Radius::Neighbours { count: args.neighbours },
-        _ => Radius::Fixed { radius_m },
+        0.0 => CloudRadius::Neighbours { count: args.neighbours },
+        _ => CloudRadius::Fixed { radius_m },
     };
     let mut scans: Vec<usize> = args.points.iter().map(|&points| points as usize).collect();
     if args.input.is_empty() && scans.is_empty() {

@@ -10,7 +10,7 @@ use planish::internal::write_rgb_png;
 use planish::io::{Encoding, write_cloud};
 use planish::render::{difference_normals, error_map, relief, side_by_side, stacked};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::{Camera, Error, Outputs, Smoothed, Smoother, Xyz};
+use planish::{Camera, Error, Outputs, Session, Smoothed, Xyz};
 use planish_bench::outln;
 
 use super::ms_since;
@@ -30,17 +30,17 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
         DepthSimulator::new(DepthNoise::default(), camera, args.seed).frame(&truth, 0).map_err(Error::from)?;
     let raw = frame.deproject().map_err(Error::from)?;
 
-    if let Some(sensor) = args.smoothing.floating_sensor(Some(&raw))? {
+    let outputs = Outputs::POINTS.with_normals(true);
+    let mut session = Session::new(args.smoothing.settings()?)?;
+    session.set_outputs(outputs);
+    if let (_, Some(sensor)) = session.params_for(&frame)? {
         frame.remove_floating(&sensor);
     }
-    let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
-    let mut smoother =
-        Smoother::open_with(args.smoothing.params_for(Some(&raw))?, &options, (camera.width, camera.height))?;
     let mut smoothed = Smoothed::default();
     let mut times_ms: Vec<f64> = Vec::new();
     for _ in 0..TIMED_RUNS {
         let start = Instant::now();
-        smoother.smooth(&frame, &mut smoothed)?;
+        session.smooth(&frame, &mut smoothed)?;
         times_ms.push(ms_since(start));
     }
     times_ms.sort_by(f64::total_cmp);
@@ -48,7 +48,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     write_cloud(&args.out.join("raw.pcd"), &raw, Encoding::Binary)?;
     let mut result = raw.clone();
-    result.points.apply(&smoothed, options.outputs).map_err(Error::from)?;
+    result.points.apply(&smoothed, outputs).map_err(Error::from)?;
     write_cloud(&args.out.join("smoothed.pcd"), &result, Encoding::Binary)?;
 
     let bumps = |points: &Xyz| difference_normals(camera.width, camera.height, points);
@@ -68,7 +68,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
         let after = errors(&truth, &smoothed.points, normals, selected);
         print_row(near, far, before, after);
     }
-    outln!("\n  engine {}, {:.1} ms a frame", smoother.engine().name(), times_ms[TIMED_RUNS / 2]);
+    outln!("\n  engine {}, {:.1} ms a frame", session.engine().unwrap_or_default().name(), times_ms[TIMED_RUNS / 2]);
     outln!("  {}: relief above, error below (white 0, colour 5 mm), before and after", picture.display());
     outln!("  raw.pcd and smoothed.pcd are in {}", args.out.display());
     Ok(ExitCode::SUCCESS)

@@ -4,7 +4,7 @@ use crate::exit::ExitCode;
 use std::thread::available_parallelism;
 
 use anyhow::Result;
-use planish::{AdapterKind, Engine, GpuAdapter, SimdLevel, SmoothParams, Smoother, gpu_adapters};
+use planish::{AdapterKind, Engine, FrameParams, GpuAdapter, SimdLevel, Smoother, gpu_adapters};
 use planish_bench::outln;
 use serde::Serialize;
 
@@ -35,7 +35,7 @@ struct Auto {
 pub fn run(args: &DevicesArgs) -> Result<ExitCode> {
     let gpus = gpu_adapters();
     // A GPU that is there may still not open.
-    let smoother = Smoother::open(SmoothParams::default(), Engine::Auto, (640, 480))?;
+    let smoother = Smoother::open(FrameParams::default(), Engine::Auto, (640, 480))?;
     let devices = Devices {
         cpu: Cpu {
             threads: available_parallelism().map_or(1, usize::from),

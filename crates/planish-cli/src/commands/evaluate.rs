@@ -15,8 +15,8 @@ use planish::io::{self, Contents, Encoding, write_cloud, write_whole};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
 use planish::simulate::DepthNoise;
 use planish::{
-    AttributeValues, DepthFrame, Error, IntoFrame, Outputs, PointCloud, PointsView, SmoothParams, Smoothed, Smoother,
-    Strength, Xyz,
+    AttributeValues, CloudParams, DepthFrame, Error, FrameParams, IntoFrame, Outputs, Params, PointCloud, PointsView,
+    Session, Smoothed, Smoother, Strength, Xyz,
 };
 use planish_bench::{errln, out, outln};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
@@ -24,7 +24,7 @@ use plotters::series::PointSeries;
 use serde::Serialize;
 
 use super::{ms_since, organized};
-use crate::args::{EvaluateArgs, SmoothingArgs};
+use crate::args::{EvaluateArgs, SmoothingArgs, by_option, option_of};
 
 /// Full colour in the error maps.
 const ERROR_SCALE_M: f32 = 0.01;
@@ -72,19 +72,18 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
         return on_general(args, file, cloud);
     }
     let mut cloud = organized(contents, &args.camera, file)?;
-    if let Some(sensor) = args.smoothing.floating_sensor(Some(&cloud))? {
+    let outputs = Outputs::POINTS.with_normals(true);
+    let mut session = Session::new(args.smoothing.settings()?)?;
+    session.set_outputs(outputs);
+    if let (_, Some(sensor)) = session.params_for(&cloud)? {
         cloud.remove_floating(&sensor);
     }
     let (width, height) = (cloud.width(), cloud.height());
     let (points, normals) = match &args.results {
         Some(result) => result_in(result, (width, height))?,
         None => {
-            let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
             let mut smoothed = Smoothed::default();
-            let params = args.smoothing.params_for(Some(&cloud))?;
-            let frame = (&cloud).into_frame().map_err(Error::from)?;
-            let params = args.smoothing.at_resolution_of(params, frame);
-            Smoother::open_with(params, &options, (width, height))?.smooth(&cloud, &mut smoothed)?;
+            session.smooth(&cloud, &mut smoothed)?;
             (smoothed.points, smoothed.normals.context("normals were asked for")?)
         }
     };
@@ -126,8 +125,7 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
             let params = general_params(args, &file.display().to_string())?;
             let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
             let mut smoothed = Smoothed::default();
-            Smoother::open_with(params, &options, None)?
-                .smooth(cloud.into_frame().map_err(Error::from)?, &mut smoothed)?;
+            Smoother::open_clouds(params, &options)?.smooth(cloud.into_frame().map_err(Error::from)?, &mut smoothed)?;
             (smoothed.points, smoothed.normals)
         }
     };
@@ -153,18 +151,17 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
 }
 
 /// The parameters of general clouds; says which options change nothing for them.
-fn general_params(args: &EvaluateArgs, what: &str) -> Result<SmoothParams> {
-    if args.smoothing.remove_floating {
-        bail!("{what}: a general cloud; --remove-floating needs the pixels around each point");
-    }
-    let mut unused = args.smoothing.unused_by_general_clouds();
+fn general_params(args: &EvaluateArgs, what: &str) -> Result<CloudParams> {
+    let settings = args.smoothing.settings()?;
+    let mut unused = settings.unused_by_clouds();
     // The sensor is also that of the simulated frames.
-    unused.retain(|name| *name != "--sensor" || args.input.is_some());
+    unused.retain(|name| *name != "sensor" || args.input.is_some());
     if !unused.is_empty() {
-        let verb = if unused.len() == 1 { "changes" } else { "change" };
-        errln!("{what}: a general cloud, for which {} {verb} nothing", unused.join(", "));
+        let verb = if unused.len() == 1 { "has" } else { "have" };
+        let options: Vec<String> = unused.into_iter().map(option_of).collect();
+        errln!("{what}: {} {verb} no effect on general clouds", options.join(", "));
     }
-    args.smoothing.general_params()
+    settings.cloud_params().map_err(by_option).with_context(|| what.to_owned())
 }
 
 /// The normals that a cloud came with.
@@ -186,7 +183,7 @@ fn moved_to_origin(cloud: &PointCloud, origin_m: [f64; 3]) -> Xyz {
 
 /// Simulated frames against their truth.
 fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
-    let noise = DepthNoise::of_sensor(&args.smoothing.params()?.sensor);
+    let noise = DepthNoise::of_sensor(&args.smoothing.settings()?.frame_params().map_err(by_option)?.sensor);
     let suite = Suite { noise, ..Suite::default() };
     let seeds = match args.seed {
         Some(seed) => seed..=seed,
@@ -284,7 +281,8 @@ struct Method {
 impl Method {
     fn smooth(&mut self, frame: &DepthFrame, smoothing: &SmoothingArgs) -> Result<()> {
         let mut frame = frame.clone();
-        if let Some(sensor) = smoothing.floating_sensor(None)?.filter(|_| self.name != PAPER) {
+        let settings = smoothing.settings()?;
+        if let Some(sensor) = settings.frame_floating_sensor().filter(|_| self.name != PAPER) {
             frame.remove_floating(&sensor);
         }
         if self.is_general {
@@ -314,20 +312,23 @@ impl Method {
 fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     let camera = Suite::default().camera;
     let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
-    let method = |name: &'static str, params: SmoothParams, is_general: bool| -> Result<Method> {
-        let grid = (!is_general).then_some((camera.width, camera.height));
-        let smoother = Smoother::open_with(params, &options, grid)?;
+    let settings = args.smoothing.settings()?;
+    let method = |name: &'static str, params: Params| -> Result<Method> {
+        let (smoother, is_general) = match params {
+            Params::Frame(params) => (Smoother::open_with(params, &options, (camera.width, camera.height))?, false),
+            Params::Cloud(params) => (Smoother::open_clouds(params, &options)?, true),
+        };
         let (smoothed, evaluation) = (Smoothed::default(), Evaluation::default());
         Ok(Method { name, is_general, smoother, smoothed, evaluation, times_ms: Vec::new() })
     };
     if args.general {
-        let on_grid = SmoothParams::for_sensor(args.smoothing.params()?.sensor, Strength::DEFAULT);
-        return Ok(vec![
-            method("on the grid", on_grid, false)?,
-            method("smoothed", general_params(args, "without their grid")?, true)?,
-        ]);
+        let sensor = settings.frame_params().map_err(by_option)?.sensor;
+        let on_grid = FrameParams::for_sensor(sensor, Strength::DEFAULT);
+        let clouds = general_params(args, "without their grid")?;
+        return Ok(vec![method("on the grid", on_grid.into())?, method("smoothed", clouds.into())?]);
     }
-    Ok(vec![method(PAPER, SmoothParams::paper(), false)?, method("smoothed", args.smoothing.params()?, false)?])
+    let params = settings.frame_params().map_err(by_option)?;
+    Ok(vec![method(PAPER, FrameParams::paper().into())?, method("smoothed", params.into())?])
 }
 
 /// What another program made of a frame of that shape: points and normals.

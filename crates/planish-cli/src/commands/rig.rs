@@ -18,13 +18,13 @@ use planish::rig::{
 use planish::simulate::DepthNoise;
 use planish::source::Source;
 use planish::stream::SinkFormat;
-use planish::{FrameError, IntoFrame, Outputs, io, source};
+use planish::{FrameError, IntoFrame, Outputs, SensorModel, io, source};
 use planish_bench::{errln, out, outln};
 use serde::Serialize;
 
 use super::checks::is_mcap;
 use super::stream::{StatusLine, WithoutFloating, ms, open_named};
-use crate::args::{EvaluateArgs, LimitArgs, RigArgs, StreamArgs, outputs_of};
+use crate::args::{EvaluateArgs, LimitArgs, RigArgs, StreamArgs, by_option, by_option_of_error, option_of, outputs_of};
 use crate::exit::ExitCode;
 use crate::signals::stop_by;
 
@@ -168,18 +168,15 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     let rig = Rig::read(file)?;
     let way: RigWay = args.fuse.map(Into::into).unwrap_or_default();
     let (outputs, format) = (rig_outputs(args), args.sink_format());
-    let sensors = |camera: &RigCamera| match (&args.smoothing.sensor, camera.sensor) {
-        (None, Some(sensor)) => Ok(sensor),
-        _ => args.smoothing.params().map(|params| params.sensor),
-    };
-    let sensors = rig.cameras.iter().map(sensors).collect::<Result<Vec<_>>>()?;
-    let params = sensors.iter().map(|&sensor| args.smoothing.params_of(sensor)).collect::<Result<Vec<_>>>()?;
-    let options = RigOptions::new(&rig, way, args.smoothing.options(outputs)?);
+    let mut settings = args.gpus.over(args.smoothing.settings()?)?;
+    settings.outputs = Some(outputs);
+    let options = RigOptions::from_settings(&rig, way, &settings, args.voxel).map_err(by_option_of_error)?;
+    let sensors: Vec<SensorModel> = options.params.iter().map(|params| params.sensor).collect();
     let registration_m = args.registration.map_or(options.registration_m, |mm| 1e-3 * mm);
     if args.registration.is_some() && way != RigWay::Views {
         bail!("--registration is of rigs smoothed by views: it needs --fuse views");
     }
-    let unused = args.smoothing.unused_by_general_clouds();
+    let unused: Vec<String> = settings.unused_by_clouds().into_iter().map(option_of).collect();
     if way == RigWay::Merged && !unused.is_empty() {
         errln!("ignored for merged points, which are a general cloud: {}", unused.join(", "));
     }
@@ -188,10 +185,6 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     let options = options
         .with_registration_m(registration_m)
-        .with_devices(args.gpus.devices(args.smoothing.engine())?)
-        .with_params(params, args.smoothing.merged_params(args.voxel)?)
-        .with_voxel_m(args.voxel)
-        .with_adapt_stride(args.smoothing.adapts_window())
         .with_max_moments(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
     options.validate().map_err(planish::Error::from)?;
@@ -200,7 +193,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     let stop = Arc::default();
     let mut sources = open_sources(&rig, &args.source.limits, &stop)?;
     stop_by(&stop);
-    if args.smoothing.remove_floating {
+    if settings.remove_floating == Some(true) {
         let without = |(source, sensor)| Box::new(WithoutFloating { source, sensor }) as Box<dyn Source>;
         sources = sources.into_iter().zip(sensors).map(without).collect();
     }
@@ -375,7 +368,7 @@ struct Row {
 
 /// Measures the ways on simulated rigs.
 pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
-    let params = args.smoothing.params()?;
+    let params = args.smoothing.settings()?.frame_params().map_err(by_option)?;
     let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
     let suite = RigSuite { errors, noise: DepthNoise::of_sensor(&params.sensor), ..RigSuite::new(cameras) };
     let seeds = args.seed.map_or(1..=args.seeds, |seed| seed..=seed);
@@ -407,8 +400,7 @@ pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
         moments += 1;
         for (way, evaluation, time) in &mut ways {
             let mut smoother = RigSmoother::new(&rig, *way, &vec![params; cameras], general_params, &options)?
-                .with_voxel_m(args.voxel)
-                .with_adapt_stride(args.smoothing.adapts_window());
+                .with_voxel_m(args.voxel);
             // Engines open with the first moment.
             if *way != RigWay::Merged {
                 smoother.smooth(&frames)?;

@@ -16,9 +16,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, ReadOptions};
 use planish::{
-    DepthFrame, DepthImage, Edges, Engine, EngineError, Error, FleetDevice, Frame, IntoFrame, OrganizedCloud, Outputs,
-    PointCloud, PointsView, Radius, RangeRule, SensorModel, SensorPose, SmoothParams, Smoothed, Smoother,
-    SmootherOptions,
+    Camera, CloudParams, CloudRadius, DepthFrame, DepthImage, Edges, Error, Frame, IntoFrame, OrganizedCloud, Outputs,
+    PointCloud, PointsView, RangeRule, SensorPose, Session, SessionEvent, Settings, Smoothed,
 };
 use planish_bench::{errln, outln};
 
@@ -31,23 +30,17 @@ use super::checks::{
     check_not_input, check_output, check_radius, convert_fields, report_columns, report_losses, report_notes,
 };
 use super::{ms_since, organized};
-use crate::args::{FieldArg, SmoothArgs};
+use crate::args::{FieldArg, SmoothArgs, by_option, by_option_of_error, option_of};
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
-    // For general clouds; with --sensor auto the first frame determines the parameters of all others.
-    let params = args.smoothing.params_for(None)?;
     // Options that contradict each other are refused whatever the input turns out to be.
-    args.smoothing.options(Outputs::POINTS)?;
+    let settings = args.gpus.over(args.smoothing.settings()?)?;
     let mut worker = Worker {
         args,
-        params,
-        sensor_known: false,
-        floating_sensor: None,
+        session: Session::new(settings.clone())?,
+        settings,
         pose: args.pose.pose()?,
         beside: 1,
-        devices: args.gpus.devices(args.smoothing.engine())?,
-        device: 0,
-        open: None,
         smoothed: Smoothed::default(),
         noted: Arc::default(),
     };
@@ -87,25 +80,15 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What an engine is open for: grid, outputs, parameters.
-type OpenFor = (Option<(usize, usize)>, Outputs, SmoothParams);
-
-/// Smooths file after file, keeping the engine open while shape, outputs and parameters stay.
+/// Smooths file after file.
 struct Worker<'a> {
     args: &'a SmoothArgs,
-    params: SmoothParams,
-    /// Whether the parameters are those of the frames' sensor.
-    sensor_known: bool,
-    /// The sensor whose noise decides which pixels float, if those are to be removed.
-    floating_sensor: Option<SensorModel>,
+    settings: Settings,
+    session: Session,
     /// Instead of what the files say.
     pose: Option<SensorPose>,
     /// How many workers there are, of which each has its share of the threads and the memory.
     beside: u64,
-    /// The devices that frames are dealt to, and which of them is this worker's; none for the one of the arguments.
-    devices: Vec<FleetDevice>,
-    device: usize,
-    open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
     /// What was said of the inputs of all workers.
     noted: Arc<Mutex<HashSet<String>>>,
@@ -127,6 +110,8 @@ impl std::error::Error for NeedsMemory {}
 enum Output {
     Organized(OrganizedCloud),
     General(PointCloud),
+    /// The points of a depth image.
+    Points(Camera),
     /// Depth of so many columns and rows.
     Depth {
         width: usize,
@@ -170,18 +155,25 @@ impl Worker<'_> {
         match &mut result {
             Output::Organized(cloud) => self.apply(&mut cloud.points)?,
             Output::General(cloud) => self.apply(cloud)?,
+            &mut Output::Points(camera) => {
+                let (width, height) = (self.smoothed.width, self.smoothed.height);
+                let points = self.smoothed.points.clone();
+                let mut cloud = OrganizedCloud::from_positions(width, height, points).map_err(Error::from)?;
+                cloud.camera = Some(camera);
+                self.apply(&mut cloud.points)?;
+                result = Output::Organized(cloud);
+            }
             Output::Depth { .. } => {}
         }
 
         let start = Instant::now();
         self.write(output, &result, self.args.encoding().or(encoding).unwrap_or_default())?;
-        let (smoother, ..) = self.open.as_ref().context("no engine is open")?;
         Ok(Report {
             input: input.to_path_buf(),
             output: output.to_path_buf(),
-            engine: smoother.engine().name(),
-            adapter: smoother.gpu_name().map(str::to_owned),
-            engine_reason: smoother.chosen_because().map(ToString::to_string),
+            engine: self.session.engine().unwrap_or_default().name(),
+            adapter: self.session.gpu_name().map(str::to_owned),
+            engine_reason: self.session.chosen_because().map(ToString::to_string),
             width,
             height,
             points_in: points.valid,
@@ -198,12 +190,6 @@ impl Worker<'_> {
     fn read_options(&self) -> ReadOptions {
         let options = self.args.memory.read_options();
         options.with_max_memory_bytes(options.max_memory_bytes / self.beside)
-    }
-
-    fn options(&self, outputs: Outputs) -> Result<SmootherOptions> {
-        let options = self.args.smoothing.options(outputs)?;
-        let options = if self.beside > 1 { options.with_threads(Some(1)) } else { options };
-        Ok(self.devices.get(self.device).map_or(options.clone(), |device| device.options(&options)))
     }
 
     /// Puts the user's pose in place of the file's.
@@ -227,8 +213,8 @@ impl Worker<'_> {
         let shape = contents.shape();
         let in_metres = matches!(contents, Contents::DepthMetres { .. });
         let depth_out = is_depth(output) || (Format::of_extension(output) == Some(Format::Npy) && contents.is_depth());
-        if in_metres && self.args.camera.depth_scale.is_some() {
-            bail!("{}: depth as floats is in metres; --depth-scale is for 16-bit images", input.display());
+        if in_metres && self.args.camera.depth_units_per_metre.is_some() {
+            bail!("{}: depth as floats is in metres; --depth-units-per-metre is for 16-bit images", input.display());
         }
         let has_fields = self.args.fields.iter().any(|field| *field != FieldArg::None);
         if has_fields && (depth_out || Format::of_extension(output) == Some(Format::Npy)) {
@@ -241,33 +227,14 @@ impl Worker<'_> {
             outputs = only.with_status(true);
         }
         // A raw depth image goes to the engine as it is.
-        let mut depth = match &contents {
+        let (mut depth, mut cloud) = match contents {
             Contents::Depth(image) => {
                 let camera = self.args.camera.required(shape, input)?;
-                Some(DepthFrame::from_image(camera, image.clone()).map_err(Error::from)?)
+                (Some(DepthFrame::from_image(camera, image).map_err(Error::from)?), None)
             }
-            _ => None,
+            contents => (None, Some(organized(contents, &self.args.camera, input)?)),
         };
-        // Depth that goes out as depth needs no points.
-        let needs_points = depth.is_none() || !depth_out || !self.sensor_known || self.floating_sensor.is_some();
-        let mut cloud = if needs_points { Some(organized(contents, &self.args.camera, input)?) } else { None };
-        if !self.sensor_known {
-            let of_frame = || input.display().to_string();
-            self.params = self.args.smoothing.params_for(cloud.as_ref()).with_context(of_frame)?;
-            self.floating_sensor = self.args.smoothing.floating_sensor(cloud.as_ref()).with_context(of_frame)?;
-            self.sensor_known = true;
-        }
-        if let (Some(sensor), Some(cloud)) = (self.floating_sensor, &mut cloud) {
-            let view = PointsView::from_organized(cloud).map_err(Error::from)?;
-            if matches!(view.range_rule(), RangeRule::Constant { .. }) {
-                bail!("{}: --remove-floating needs the sensor's position: give --sensor-pose", input.display());
-            }
-            let count = cloud.remove_floating(&sensor);
-            errln!("{}: {count} floating pixels became holes", input.display());
-            depth.iter_mut().for_each(|depth| {
-                depth.remove_floating(&sensor);
-            });
-        }
+        self.remove_floating(input, &mut depth, &mut cloud)?;
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
         let frame = match (&depth, &cloud) {
             (Some(depth), _) => depth.into_frame(),
@@ -275,18 +242,47 @@ impl Worker<'_> {
             (None, None) => bail!("{}: neither depth nor points", input.display()),
         };
         let frame = frame.map_err(of_input)?;
-        report_range_rule(input, frame, self.pose.is_some());
         if depth_out && frame.camera().is_none() {
             bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display());
         }
-        // Every frame gets what it gets alone, whatever came before it.
-        let params = self.args.smoothing.at_resolution_of(self.params, frame);
-        let (points, times_ms) = self.smooth(output, frame, outputs, params)?;
-        let result = match cloud {
-            Some(cloud) if !depth_out => Output::Organized(cloud),
+        let (points, times_ms) = self.smooth(input, output, frame, outputs)?;
+        report_range_rule(input, frame, self.session.range_rule(), self.pose.is_some());
+        let result = match (depth, cloud) {
+            (_, Some(cloud)) if !depth_out => Output::Organized(cloud),
+            (Some(depth), None) if !depth_out => Output::Points(depth.camera),
             _ => Output::Depth { width: shape.0, height: shape.1 },
         };
         Ok((result, points, times_ms))
+    }
+
+    /// Turns pixels that float between two surfaces into holes, if that is asked for.
+    fn remove_floating(
+        &mut self,
+        input: &Path,
+        depth: &mut Option<DepthFrame>,
+        cloud: &mut Option<OrganizedCloud>,
+    ) -> Result<()> {
+        if self.settings.remove_floating != Some(true) {
+            return Ok(());
+        }
+        let of_input = || input.display().to_string();
+        let count = match (depth, cloud) {
+            (Some(depth), _) => {
+                let (_, sensor) = self.session.params_for(&*depth).with_context(of_input)?;
+                sensor.map_or(0, |sensor| depth.remove_floating(&sensor))
+            }
+            (None, Some(cloud)) => {
+                let view = PointsView::from_organized(cloud).map_err(Error::from)?;
+                if matches!(view.range_rule(), RangeRule::Constant { .. }) {
+                    bail!("{}: --remove-floating needs the sensor's position: give --sensor-pose", input.display());
+                }
+                let (_, sensor) = self.session.params_for(&*cloud).with_context(of_input)?;
+                sensor.map_or(0, |sensor| cloud.remove_floating(&sensor))
+            }
+            (None, None) => 0,
+        };
+        errln!("{}: {count} floating pixels became holes", input.display());
+        Ok(())
     }
 
     fn smooth_general(
@@ -296,11 +292,7 @@ impl Worker<'_> {
         cloud: &PointCloud,
     ) -> Result<(PointCounts, SmoothTimes)> {
         let params = self.general_params(input)?;
-        let engine = self.args.smoothing.engine();
-        if !engine.capabilities().general {
-            bail!("{}: a general cloud, which --engine {} does not smooth", input.display(), engine.name());
-        }
-        if let (Radius::Fixed { radius_m }, false) = (params.radius, self.args.force) {
+        if let (CloudRadius::Fixed { radius_m }, false) = (params.radius, self.args.force) {
             check_radius(input, cloud, radius_m)?;
         }
         let outputs = self.args.outputs().with_status(true);
@@ -310,31 +302,29 @@ impl Worker<'_> {
         if let (Frame::Points(points), true) = (frame, outputs.normals && !is_stated) {
             report_assumed_sensor(input, points.assumed_sensor_m());
         }
-        self.smooth(output, frame, outputs, params)
+        self.smooth(input, output, frame, outputs)
     }
 
     /// The parameters for a general cloud; says what is assumed, and what changes nothing.
-    fn general_params(&self, input: &Path) -> Result<SmoothParams> {
-        let params = self.args.smoothing.general_params()?;
-        if self.args.smoothing.remove_floating {
-            bail!("{}: a general cloud; --remove-floating needs the pixels around each point", input.display());
-        }
-        if let (Radius::Neighbours { count }, None) = (params.radius, self.args.smoothing.neighbours) {
+    fn general_params(&self, input: &Path) -> Result<CloudParams> {
+        let params = self.settings.cloud_params().map_err(by_option).with_context(|| input.display().to_string())?;
+        let is_chosen = self.settings.neighbours.is_some();
+        if let (CloudRadius::Neighbours { count }, false) = (params.radius, is_chosen) {
             errln!(
                 "{}: a general cloud, smoothed with about {count} neighbours of each point (--neighbours or --radius to change that{})",
                 input.display(),
-                if params.edges == Edges::Robust { "" } else { "; --edges robust keeps edges sharp" }
+                if params.fit.edges == Edges::Robust { "" } else { "; --edges robust keeps edges sharp" }
             );
         }
-        let mut unused = self.args.smoothing.unused_by_general_clouds();
+        let mut unused: Vec<String> = self.settings.unused_by_clouds().into_iter().map(option_of).collect();
         let given = [
             ("--camera", self.args.camera.camera.is_some() || self.args.camera.camera_file.is_some()),
-            ("--depth-scale", self.args.camera.depth_scale.is_some()),
+            ("--depth-units-per-metre", self.args.camera.depth_units_per_metre.is_some()),
         ];
-        unused.extend(given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name));
+        unused.extend(given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name.to_owned()));
         if !unused.is_empty() {
-            let verb = if unused.len() == 1 { "changes" } else { "change" };
-            errln!("{}: a general cloud, for which {} {verb} nothing", input.display(), unused.join(", "));
+            let verb = if unused.len() == 1 { "has" } else { "have" };
+            errln!("{}: {} {verb} no effect on general clouds", input.display(), unused.join(", "));
         }
         Ok(params)
     }
@@ -342,40 +332,23 @@ impl Worker<'_> {
     /// Smooths a frame as many times as requested, and reports if many points were lost.
     fn smooth(
         &mut self,
+        input: &Path,
         output: &Path,
         frame: Frame<'_>,
         outputs: Outputs,
-        params: SmoothParams,
     ) -> Result<(PointCounts, SmoothTimes)> {
+        self.check_memory(frame).with_context(|| output.display().to_string())?;
+        self.session.set_outputs(outputs);
         let mut times_ms = Vec::new();
         while times_ms.len() < self.args.repeat as usize {
-            if let Err(error) = self.open(frame, outputs, params) {
-                if matches!(error.downcast_ref(), Some(Error::Engine(engine)) if self.leaves_device(engine, output)) {
-                    continue;
-                }
-                return Err(error).with_context(|| output.display().to_string());
-            }
-            let (smoother, ..) = self.open.as_mut().context("no engine is open")?;
+            let prepared = self.session.prepare(frame);
+            self.report_events(output);
+            prepared.map_err(by_option_of_error).with_context(|| input.display().to_string())?;
             let start = Instant::now();
-            let progress = smoother.progress().filter(|_| self.beside == 1);
-            let result = with_progress(progress, || smoother.smooth(frame, &mut self.smoothed));
-            if let Err(Error::Engine(error)) = &result {
-                // An engine that failed is no use for the next frame.
-                self.open = None;
-                if self.leaves_device(error, output) {
-                    continue;
-                }
-            }
-            if let (Err(Error::Engine(error)), Engine::Auto) = (&result, self.args.smoothing.engine())
-                && error.is_too_large()
-            {
-                // How large a general cloud is, is known after auto has chosen.
-                errln!("{}: {error}; smoothed on the CPU", output.display());
-                let options = self.options(outputs)?.with_engine(Engine::Cpu);
-                let cpu = Smoother::open_with(params, &options, frame.grid())?;
-                self.open = Some((cpu, (frame.grid(), outputs, params)));
-                continue;
-            }
+            let progress = self.session.watch().progress().filter(|_| self.beside == 1);
+            let Self { session, smoothed, .. } = self;
+            let result = with_progress(progress, || session.smooth(frame, smoothed));
+            self.report_events(output);
             result?;
             times_ms.push(ms_since(start));
         }
@@ -384,6 +357,7 @@ impl Worker<'_> {
         for (count, became) in [(lost, "became holes"), (isolated, "stay where they are")] {
             if count as f64 > LOST_SHARE_TOLD * valid as f64 {
                 let share = 100.0 * count as f64 / valid as f64;
+                let (params, _) = self.session.params_for(frame)?;
                 let cause = likely_cause(frame, &params);
                 errln!(
                     "{}: {count} of {valid} valid points ({share:.1} %) {became}: they have too few neighbours. {cause}",
@@ -394,37 +368,30 @@ impl Worker<'_> {
         Ok((PointCounts { valid, lost }, summarize(times_ms)))
     }
 
-    /// After an error of the engine: whether there is another device, which the worker goes on with.
-    fn leaves_device(&mut self, error: &EngineError, output: &Path) -> bool {
-        if self.devices.len() < 2 || matches!(error, EngineError::Limit { .. } | EngineError::Crowded { .. }) {
-            return false;
+    /// Reports what the session did by itself.
+    fn report_events(&mut self, output: &Path) {
+        for event in self.session.take_events() {
+            if !matches!(event, SessionEvent::SensorEstimated { .. }) {
+                errln!("{}: {event}", output.display());
+            }
         }
-        errln!("{}: {error}; another device goes on", output.display());
-        self.devices.remove(self.device);
-        (self.device, self.open) = (0, None);
-        true
     }
 
-    /// Opens an engine for frames like this, if none is.
-    fn open(&mut self, frame: Frame<'_>, outputs: Outputs, params: SmoothParams) -> Result<()> {
-        let wanted = (frame.grid(), outputs, params);
+    /// Refuses a frame for which an engine and its results need more memory than allowed.
+    fn check_memory(&self, frame: Frame<'_>) -> Result<()> {
         let (width, height) = frame.shape();
         let points = width * height;
         let needed = points as u64 * ENGINE_BYTES_A_POINT;
         let allowed = self.read_options().max_memory_bytes;
-        if needed > allowed {
-            let text = format!(
-                "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
-                needed.div_ceil(1 << 20),
-                allowed >> 20
-            );
-            return Err(NeedsMemory(text).into());
+        if needed <= allowed {
+            return Ok(());
         }
-        if self.open.as_ref().is_none_or(|(_, has)| *has != wanted) {
-            let options = self.options(outputs)?;
-            self.open = Some((Smoother::open_with(params, &options, frame.grid())?, wanted));
-        }
-        Ok(())
+        let text = format!(
+            "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
+            needed.div_ceil(1 << 20),
+            allowed >> 20
+        );
+        Err(NeedsMemory(text).into())
     }
 
     /// Puts the result into the cloud.
@@ -442,6 +409,7 @@ impl Worker<'_> {
                 report_losses(output, cloud);
                 io::write_cloud(output, CloudRef::General(cloud), encoding)?;
             }
+            Output::Points(_) => {}
             &Output::Depth { width, height } => {
                 if let Some(depth_m) = &self.smoothed.depth_m {
                     io::write_depth_metres(output, width, depth_m)?;

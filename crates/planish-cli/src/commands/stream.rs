@@ -15,7 +15,7 @@ use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::checks::{check_is_new, check_not_input, is_mcap};
-use crate::args::{LimitArgs, SourceArgs, StreamArgs, StreamFormatArg, outputs_of};
+use crate::args::{LimitArgs, SourceArgs, StreamArgs, StreamFormatArg, by_option, by_option_of_error, outputs_of};
 use crate::signals::stop_by;
 
 /// What is said at the end.
@@ -76,7 +76,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if args.source.name().ends_with("rig.json") && Path::new(args.source.name()).is_file() {
         bail!("{}: a rig is streamed by `planish stream --rig {0}`", args.source.name());
     }
-    let params = args.smoothing.params()?;
+    let mut settings = args.gpus.over(args.smoothing.settings()?)?;
     let mut outputs = outputs_of(&args.fields);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     let format = args.sink_format();
@@ -87,16 +87,21 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if args.rerun || args.rrd.is_some() {
         outputs.points = true;
     }
-    let options = StreamOptions::new(params, args.smoothing.options(outputs)?)
-        .with_devices(args.gpus.devices(args.smoothing.engine())?)
-        .with_adapt_stride(args.smoothing.adapts_window())
+    settings.outputs = Some(outputs);
+    // A stream removes floating pixels before it has a frame to estimate a sensor from.
+    if settings.remove_floating == Some(true) {
+        settings.frame_params().map_err(by_option)?;
+    }
+    let floating_sensor = settings.frame_floating_sensor();
+    let options = StreamOptions::from_settings(settings)
+        .map_err(by_option_of_error)?
         .with_max_frames(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
     // Opening may take seconds: until then a signal ends the command at once.
     let stop = Arc::default();
     let mut source = open_source(&args.source, &stop)?;
     stop_by(&stop);
-    if let Some(sensor) = args.smoothing.floating_sensor(None)? {
+    if let Some(sensor) = floating_sensor {
         source = Box::new(WithoutFloating { source, sensor });
     }
     // After the source: one that is not there leaves no folder behind.
@@ -155,7 +160,7 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
     let options = SourceOptions::default()
         .with_topics(topics.topic.first().cloned(), topics.camera_info_topic.clone())
         .with_camera(camera.camera_of_any_shape()?)
-        .with_tum_units_per_metre(camera.depth_scale)
+        .with_tum_units_per_metre(camera.depth_units_per_metre)
         .with_alignment(align.map(Into::into))
         .with_mode(*mode)
         .with_fps(limits.fps)

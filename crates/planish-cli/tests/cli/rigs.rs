@@ -133,7 +133,7 @@ fn frames_are_dealt_to_the_devices_that_are_named() {
     let report = json_line(&ok(&["stream", "--rig", str(&rig), "--gpus", "cpu", "--json"]));
     assert_eq!((report["complete"].as_u64(), report["engine"].as_str()), (Some(3), Some("cpu")));
     let (frames, smoothed) = (source.join("depth"), source.join("smoothed"));
-    let camera = ["--camera", "525,525,319.5,239.5", "--depth-scale", "5000"];
+    let camera = ["--camera", "525,525,319.5,239.5", "--depth-units-per-metre", "5000"];
     let report =
         json_line(&ok(&[&["smooth", str(&frames), str(&smoothed), "--gpus", "cpu", "--json"], &camera[..]].concat()));
     assert!(report["frames"].as_array().unwrap().iter().all(|frame| frame["engine"] == "cpu"));

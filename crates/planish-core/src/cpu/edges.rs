@@ -16,7 +16,7 @@ use crate::method::{
     COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,
     OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
 };
-use crate::params::{SmoothParams, edge_shift_px};
+use crate::params::{EngineParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
 
 // The channels.
@@ -115,7 +115,7 @@ pub(super) struct Surface<S: Simd> {
 
 impl Planes {
     /// Room for the planes of frames with this padding.
-    pub(super) fn new(params: &SmoothParams, padded: &PaddedFrame) -> Self {
+    pub(super) fn new(params: &EngineParams, padded: &PaddedFrame) -> Self {
         let channels = std::array::from_fn(|_| vec![0.0; padded.z.len()]);
         Self { channels, row_len: padded.row_len, border: padded.border, shift: edge_shift_px(params.reach_px()) }
     }

@@ -39,7 +39,7 @@ use crate::error::{EngineError, Error};
 use crate::frame::Frame;
 use crate::method::LEAST_NEIGHBOURS;
 use crate::outputs::SmoothedMut;
-use crate::params::{Edges, SmoothParams, edge_shift_px};
+use crate::params::{Edges, EngineParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, MIN_GATE_M, RangeRules};
 use crate::simd_level::SimdLevel;
 use crate::threads::Threads;
@@ -123,7 +123,7 @@ fn level(simd: Option<SimdLevel>) -> Result<Level, EngineError> {
 
 /// The CPU engine for frames on a grid, with its buffers.
 pub(crate) struct Cpu {
-    params: SmoothParams,
+    params: EngineParams,
     level: Level,
     /// `None` runs on the calling thread.
     threads: Option<Threads>,
@@ -138,7 +138,7 @@ pub(crate) struct Cpu {
 
 impl Cpu {
     pub(crate) fn open(
-        params: SmoothParams,
+        params: EngineParams,
         threads: Option<usize>,
         simd: Option<SimdLevel>,
         shape: (usize, usize),

@@ -12,10 +12,10 @@ use std::thread;
 
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError};
-use crate::frame::{Frame, IntoFrame};
-use crate::params::SmoothParams;
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
+use crate::params::{CloudParams, EngineParams, FrameParams, Params, Window, WindowSize};
 use crate::smoothed::Smoothed;
-use crate::smoother::{Smoother, check_grid};
+use crate::smoother::{Smoother, check_grid, check_options, for_engine};
 use crate::view::SmoothedView;
 pub use devices::FleetDevice;
 use worker::{Job, Shared, Worker};
@@ -57,7 +57,7 @@ where
 ///
 /// ```
 /// use std::sync::Arc;
-/// use planish::{Fleet, FleetDevice, OrganizedCloud, SmoothParams, Smoothed, SmootherOptions, Xyz};
+/// use planish::{Fleet, FleetDevice, FrameParams, OrganizedCloud, Smoothed, SmootherOptions, Xyz};
 ///
 /// # fn main() -> Result<(), planish::Error> {
 /// # let plane: Xyz = (0..64 * 48).map(|i| [0.002 * (i % 64) as f32, 0.002 * (i / 64) as f32, 1.0]).collect();
@@ -65,7 +65,7 @@ where
 /// # let frames = vec![frame; 5];
 /// // Every GPU of this machine, or if it has none the CPU.
 /// let devices = FleetDevice::parse_list("all").unwrap_or_else(|_| vec![FleetDevice::Cpu]);
-/// let mut fleet = Fleet::open(SmoothParams::paper(), &SmootherOptions::default(), &devices, (64, 48))?;
+/// let mut fleet = Fleet::open(FrameParams::paper(), &SmootherOptions::default(), &devices, (64, 48))?;
 /// let mut received = 0;
 /// for frame in &frames {
 ///     if fleet.in_flight() == fleet.max_in_flight() {
@@ -85,7 +85,12 @@ pub struct Fleet {
     shared: Arc<Shared>,
     workers: Vec<Worker>,
     grid: Option<(usize, usize)>,
-    window: usize,
+    /// How many frames can be in flight while a device works.
+    room: usize,
+    /// The window of pixels as long as no frame has shown its resolution, and its size from that frame on.
+    undecided: Option<Window>,
+    size: Option<WindowSize>,
+    scratch: GeometryScratch,
     /// Numbers of the frame that is submitted next, and of the one that is received next.
     next_in: u64,
     next_out: u64,
@@ -111,12 +116,42 @@ impl Fleet {
     /// # Errors
     /// If there are no devices, one does not open, or the parameters are not allowed.
     pub fn open(
-        params: SmoothParams,
+        params: FrameParams,
         options: &SmootherOptions,
         devices: &[FleetDevice],
-        grid: impl Into<Option<(usize, usize)>>,
+        shape: (usize, usize),
     ) -> Result<Self, Error> {
-        let grid = grid.into();
+        Self::open_any(params.into(), options, devices, Some(shape))
+    }
+
+    /// Opens a smoother for unorganized clouds on each device.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_clouds(params: CloudParams, options: &SmootherOptions, devices: &[FleetDevice]) -> Result<Self, Error> {
+        Self::open_any(params.into(), options, devices, None)
+    }
+
+    pub(crate) fn open_any(
+        params: Params,
+        options: &SmootherOptions,
+        devices: &[FleetDevice],
+        grid: Option<(usize, usize)>,
+    ) -> Result<Self, Error> {
+        check_options(params, options, grid)?;
+        let (params, undecided) = for_engine(params);
+        let mut fleet = Self::open_decided(params, options, devices, grid)?;
+        fleet.undecided = undecided;
+        Ok(fleet)
+    }
+
+    /// Opens a fleet whose window is decided.
+    pub(crate) fn open_decided(
+        params: EngineParams,
+        options: &SmootherOptions,
+        devices: &[FleetDevice],
+        grid: Option<(usize, usize)>,
+    ) -> Result<Self, Error> {
         if devices.is_empty() {
             let reason = "a fleet needs one device or more".to_owned();
             return Err(EngineError::Unavailable { engine: "fleet", reason }.into());
@@ -127,7 +162,7 @@ impl Fleet {
             FleetDevice::Gpu(_) => device.options(options),
         };
         let open = |device: &FleetDevice| {
-            let mut smoother = Smoother::open_with(params, &options_of(device), grid)?;
+            let mut smoother = Smoother::open_decided(params, &options_of(device), grid)?;
             smoother.prepare_in_flight();
             Ok(smoother)
         };
@@ -143,7 +178,8 @@ impl Fleet {
         let workers = smoothers.into_iter().enumerate().map(start).collect::<Result<_, _>>();
         // Those that have started would wait for ever.
         let workers = workers.inspect_err(|_| shared.close())?;
-        Ok(Self { shared, workers, grid, window, next_in: 0, next_out: 0 })
+        let scratch = GeometryScratch::default();
+        Ok(Self { shared, workers, grid, room: window, undecided: None, size: None, scratch, next_in: 0, next_out: 0 })
     }
 
     /// Submits a frame, and a buffer for its result. Returns at once: other threads compute it.
@@ -160,7 +196,7 @@ impl Fleet {
         self.deal(frame, None)
     }
 
-    fn deal(&mut self, frame: Arc<dyn SharedFrame>, buffer: Option<Smoothed>) -> Result<(), Error> {
+    pub(crate) fn deal(&mut self, frame: Arc<dyn SharedFrame>, buffer: Option<Smoothed>) -> Result<(), Error> {
         let in_flight = self.in_flight();
         if in_flight >= self.max_in_flight() {
             return match self.shared.last_loss() {
@@ -168,10 +204,21 @@ impl Fleet {
                 _ => Err(EngineError::Full { in_flight }.into()),
             };
         }
-        check_grid(frame.frame()?.grid(), self.grid)?;
-        self.shared.deal(Job::new(self.next_in, frame, buffer))?;
+        let view = frame.frame()?;
+        check_grid(view.grid(), self.grid)?;
+        self.decide_window(view);
+        self.shared.deal(Job::new(self.next_in, frame, buffer, self.size))?;
         self.next_in += 1;
         Ok(())
+    }
+
+    /// Decides the window by the first frame that shows its resolution, for all devices alike.
+    fn decide_window(&mut self, frame: Frame<'_>) {
+        let Some(window) = self.undecided else { return };
+        let geometry = FrameGeometry::of(frame, true, &mut self.scratch);
+        if let Some(pitch_at_1m) = geometry.rule.known_pitch_at_1m() {
+            (self.undecided, self.size) = (None, Some(window.at_pitch(pitch_at_1m)));
+        }
     }
 
     /// Waits for the oldest frame in flight; `None` if there is none.
@@ -195,7 +242,7 @@ impl Fleet {
     /// How many frames can be; one more is an [`EngineError::Full`]. 0 once every device is lost.
     pub fn max_in_flight(&self) -> usize {
         // That of all devices while one works: it does not fall under the caller's hands.
-        if self.shared.works() { self.window } else { 0 }
+        if self.shared.works() { self.room } else { 0 }
     }
 
     /// Its devices, in the order given.
@@ -209,6 +256,17 @@ impl Fleet {
         let mut working = members.iter().filter(|member| member.lost.is_none()).map(|member| member.engine);
         let first = working.clone().next().or(members.first().map(|member| member.engine)).unwrap_or_default();
         working.find(|&engine| engine == Engine::Gpu).unwrap_or(first)
+    }
+}
+
+impl std::fmt::Debug for Fleet {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (members, in_flight) = (self.members(), self.in_flight());
+        f.debug_struct("Fleet")
+            .field("grid", &self.grid)
+            .field("members", &members)
+            .field("in_flight", &in_flight)
+            .finish()
     }
 }
 

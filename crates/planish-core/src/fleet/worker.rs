@@ -9,6 +9,7 @@ use super::dealing::{self, Pace};
 use super::{FleetMember, SharedFrame};
 use crate::engines::Engine;
 use crate::error::{EngineError, Error};
+use crate::params::WindowSize;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::view::SmoothedView;
@@ -20,12 +21,19 @@ pub(super) struct Job {
     /// Whether the result is copied out; a device that was lost has taken the buffer with it.
     is_copied: bool,
     buffer: Option<Smoothed>,
+    /// The window, once it is decided.
+    size: Option<WindowSize>,
     since: Instant,
 }
 
 impl Job {
-    pub(super) fn new(number: u64, frame: Arc<dyn SharedFrame>, buffer: Option<Smoothed>) -> Self {
-        Self { number, frame, is_copied: buffer.is_some(), buffer, since: Instant::now() }
+    pub(super) fn new(
+        number: u64,
+        frame: Arc<dyn SharedFrame>,
+        buffer: Option<Smoothed>,
+        size: Option<WindowSize>,
+    ) -> Self {
+        Self { number, frame, is_copied: buffer.is_some(), buffer, size, since: Instant::now() }
     }
 }
 
@@ -167,8 +175,9 @@ impl Shared {
             if let Some(mut job) = waiting.pop_front() {
                 let frame = Arc::clone(&job.frame);
                 let buffer = job.is_copied.then(|| job.buffer.take().unwrap_or_default());
+                let size = job.size;
                 taken.push_back(job);
-                return Next::Frame(frame, buffer);
+                return Next::Frame(frame, buffer, size);
             }
             if !may_wait {
                 return Next::Nothing;
@@ -204,7 +213,7 @@ impl State {
 
 #[expect(clippy::large_enum_variant, reason = "moved once a frame")]
 enum Next {
-    Frame(Arc<dyn SharedFrame>, Option<Smoothed>),
+    Frame(Arc<dyn SharedFrame>, Option<Smoothed>, Option<WindowSize>),
     Nothing,
     End,
 }
@@ -258,11 +267,14 @@ fn work(shared: &Shared, device: usize, mut smoother: Smoother) -> Result<(), Er
     let most = if smoother.capabilities().pipelined { smoother.max_in_flight() } else { 1 };
     loop {
         while smoother.in_flight() < most {
-            let (frame, buffer) = match shared.take(device, smoother.in_flight() == 0) {
-                Next::Frame(frame, buffer) => (frame, buffer),
+            let (frame, buffer, size) = match shared.take(device, smoother.in_flight() == 0) {
+                Next::Frame(frame, buffer, size) => (frame, buffer, size),
                 Next::Nothing => break,
                 Next::End => return Ok(()),
             };
+            if let Some(size) = size {
+                smoother.set_size(size)?;
+            }
             let submitted = frame.frame().map_err(Error::from).and_then(|frame| match buffer {
                 Some(buffer) => smoother.submit(frame, buffer),
                 None => smoother.submit_in_place(frame),

@@ -18,7 +18,7 @@ use crate::devices::{GpuAdapter, GpuOptions, Transfer, choose};
 use crate::engine::{AdmittedFrame, SmoothingEngine};
 use crate::error::{EngineError, Error, FrameError};
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{Edges, SmoothParams};
+use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
@@ -72,7 +72,7 @@ pub(crate) struct Gpu {
     pub(super) adapter: Arc<OpenAdapter>,
     /// The adapter with all its queues, until that has been tried; `None` for a device of the host program's.
     pub(super) several: Option<OpenSeveral>,
-    params: SmoothParams,
+    params: EngineParams,
     outputs: Outputs,
     options: GpuOptions,
     shape: (usize, usize),
@@ -91,7 +91,7 @@ pub(crate) struct Gpu {
 impl Gpu {
     /// Opens an adapter by the options.
     pub(crate) fn open(
-        params: SmoothParams,
+        params: EngineParams,
         outputs: Outputs,
         options: &GpuOptions,
         shape: (usize, usize),
@@ -109,7 +109,7 @@ impl Gpu {
     pub(crate) fn open_on(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        params: SmoothParams,
+        params: EngineParams,
         outputs: Outputs,
         options: &GpuOptions,
         shape: (usize, usize),
@@ -120,7 +120,7 @@ impl Gpu {
 
     pub(super) fn open_in(
         adapter: Arc<OpenAdapter>,
-        params: SmoothParams,
+        params: EngineParams,
         outputs: Outputs,
         options: &GpuOptions,
         shape: (usize, usize),

@@ -8,7 +8,7 @@ use std::fmt::Write;
 use super::layout::{InputKind, constants};
 use crate::method::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 use crate::outputs::Outputs;
-use crate::params::{Edges, SmoothParams, edge_shift_px};
+use crate::params::{Edges, EngineParams, edge_shift_px};
 
 /// Which part of the work on a frame a kernel does (docs/method.md, sections 2 and 10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -25,7 +25,7 @@ pub(super) enum Pass {
 
 impl Pass {
     /// The passes of a frame, in order.
-    pub(super) fn of(params: &SmoothParams) -> &'static [Self] {
+    pub(super) fn of(params: &EngineParams) -> &'static [Self] {
         match (params.edges, params.averages_blocks()) {
             (Edges::Off, false) => &[Self::Smooth],
             (Edges::Off, true) => &[Self::Blocks, Self::Smooth],
@@ -77,14 +77,14 @@ const fn tile_of(degree: u32) -> [usize; 2] {
 impl KernelKey {
     /// The kernel of a pass for these parameters on a device with so much workgroup memory.
     pub(super) fn new(
-        params: &SmoothParams,
+        params: &EngineParams,
         pass: Pass,
         kind: InputKind,
         outputs: Outputs,
         bounds_checks: bool,
         workgroup_bytes: usize,
     ) -> Self {
-        let SmoothParams { degree, .. } = *params;
+        let EngineParams { degree, .. } = *params;
         let keeps_edges = pass == Pass::Smooth && params.edges != Edges::Off;
         // The windows of these passes are the blocks.
         let of_blocks = matches!(pass, Pass::Blocks | Pass::Surfaces);

@@ -17,13 +17,14 @@ use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
 use super::results::Results;
 use super::upload::Uploader;
+use crate::engine::AdmittedFrame;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError};
-use crate::frame::{Frame, GeometryScratch, IntoFrame};
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::outputs::Outputs;
-use crate::params::{Edges, SmoothParams};
+use crate::params::{Edges, EngineParams, FrameParams};
 use crate::smoothed::Smoothed;
-use crate::smoother::{admit, check_options};
+use crate::smoother::{check_frame, check_options, needs_range};
 
 /// The limits of a WebGPU device that plans depend on, named as in `GPUSupportedLimits`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,7 +66,7 @@ pub struct PlannedPass {
 
 /// What a host of WebGPU has to do to smooth frames of one grid and kind.
 pub struct Plan {
-    params: SmoothParams,
+    params: EngineParams,
     outputs: Outputs,
     layout: Layout,
     keys: Vec<KernelKey>,
@@ -74,22 +75,25 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Plans frames that are like this one: of its grid, and depth or points as it is.
+    /// Plans frames that are like this one: of its grid and resolution, and depth or points as it is.
     ///
     /// # Errors
     /// If the parameters are not allowed, the frame is a general cloud, or larger than the device takes.
     pub fn new<'a>(
-        params: SmoothParams,
+        params: FrameParams,
         outputs: Outputs,
         frame: impl IntoFrame<'a>,
         limits: &WebGpuLimits,
     ) -> Result<Self, Error> {
         let frame = frame.into_frame()?;
+        // The kernels are those of one window.
+        let params = params.at_resolution_of(frame);
         let Some((width, height)) = frame.grid() else {
             let reason = "WebGPU smooths frames on a grid; general clouds take the CPU engine".to_owned();
             return Err(EngineError::Unavailable { engine: "webgpu", reason }.into());
         };
-        check_options(params, &SmootherOptions::new(Engine::Gpu, outputs), Some((width, height)))?;
+        check_options(params.into(), &SmootherOptions::new(Engine::Gpu, outputs), Some((width, height)))?;
+        let params = EngineParams::from(params);
         let kind = InputKind::of(&frame);
         let keeps_planes = params.edges != Edges::Off;
         let keeps_points = keeps_planes || params.averages_blocks();
@@ -153,7 +157,9 @@ impl Plan {
     pub fn upload<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<Vec<u8>, Error> {
         let frame = self.expected(frame.into_frame()?)?;
         let grid = Some((self.layout.width, self.layout.height));
-        let admitted = admit(frame, &self.params, self.outputs, grid, &mut self.scratch)?;
+        check_frame(frame, self.outputs, grid)?;
+        let geometry = FrameGeometry::of(frame, needs_range(&self.params), &mut self.scratch);
+        let admitted = AdmittedFrame { frame, geometry };
         let mut bytes = vec![0u8; 4 * self.layout.input_words()];
         self.uploader.write(&self.layout, &admitted, &mut |word, from| {
             bytes[4 * word..4 * word + from.len()].copy_from_slice(from);

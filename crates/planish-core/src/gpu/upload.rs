@@ -6,19 +6,19 @@ use super::layout::{BY_DISTANCE, FrameHeader, InputKind, Layout, ON_RAY};
 use crate::camera::{Rays, RowRaysY};
 use crate::engine::AdmittedFrame;
 use crate::frame::{DepthSamples, DepthView, Frame, PointsView};
-use crate::params::{Edges, SmoothParams};
+use crate::params::{Edges, EngineParams};
 use crate::range::RangeRules;
 
 /// Writes frames; its scratch buffers are kept from one to the next.
 pub(super) struct Uploader {
-    params: SmoothParams,
+    params: EngineParams,
     rays: Rays,
     raw: Vec<u16>,
     row: [Vec<f32>; 3],
 }
 
 impl Uploader {
-    pub(super) fn new(params: SmoothParams) -> Self {
+    pub(super) fn new(params: EngineParams) -> Self {
         Self { params, rays: Rays::default(), raw: Vec::new(), row: Default::default() }
     }
 

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use crate::method::PLANE_REACH;
-use crate::params::{Edges, Radius, SmoothParams};
+use crate::params::{CloudParams, Edges, EngineParams, Radius};
 
 /// The share of a part's points with its halo that are its own, when parts are planned.
 pub const OWN_SHARE: f64 = 0.6;
@@ -26,7 +26,7 @@ pub struct NeededHalo {
 
 /// Returns how far away, in its radii, other points influence what a point gets: radii by density follow those of the neighbours, and
 /// where edges are kept, the planes of points twice as far away count, whose own radii may be larger by the same factor.
-pub fn reach(params: &SmoothParams) -> f64 {
+pub(crate) fn reach(params: &EngineParams) -> f64 {
     let by_density = matches!(params.radius, Radius::Neighbours { .. });
     let growth = if by_density { 2.0 } else { 1.0 };
     let of_planes = if params.edges == Edges::Off { 0.0 } else { growth * f64::from(PLANE_REACH) };
@@ -35,16 +35,26 @@ pub fn reach(params: &SmoothParams) -> f64 {
 
 /// Returns a width to begin with, for a part of so many points over an area: exact for a fixed radius, else about twice what points
 /// reach at that density.
-pub fn first_halo_m(params: &SmoothParams, points: u64, area_m2: f64) -> f64 {
+pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => reach(params) * f64::from(radius_m),
         Radius::Neighbours { count } => {
             let radius_m = (f64::from(count) * area_m2 / (std::f64::consts::PI * points.max(1) as f64)).sqrt();
             2.0 * reach(params) * radius_m
         }
-        // `Smoother::open` refuses it.
+        // Clouds have no such radius.
         Radius::Sensor => 1.0,
     }
+}
+
+/// Returns [`reach`] for the parameters of a cloud.
+pub fn cloud_reach(params: &CloudParams) -> f64 {
+    reach(&(*params).into())
+}
+
+/// Returns [`first_halo_m`] for the parameters of a cloud.
+pub fn first_cloud_halo_m(params: &CloudParams, points: u64, area_m2: f64) -> f64 {
+    first_halo_m(&(*params).into(), points, area_m2)
 }
 
 /// Returns the halo that a part needs, from how wide each of its points needs it. So many may reach beyond it.
@@ -73,7 +83,7 @@ mod tests {
 
     #[test]
     fn a_halo_is_wider_where_more_than_a_few_points_reach_beyond_it() {
-        let params = SmoothParams::general().with_edges(Edges::Off);
+        let params = EngineParams::from(CloudParams::default());
         let needed_m = |far: usize| -> Vec<f64> {
             (0..1000).map(|i| reach(&params) * if i < far { 0.5 } else { 0.1 } - 0.05).collect()
         };

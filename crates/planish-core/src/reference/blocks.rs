@@ -6,7 +6,7 @@ use super::Surface;
 use super::radius::spacing_m;
 use super::window::{Grid, fading_gate};
 use crate::frame::FrameGeometry;
-use crate::params::SmoothParams;
+use crate::params::EngineParams;
 
 /// The gate of a block, in depth steps and in half widths of the block.
 const STEPS: f64 = 2.5;
@@ -18,7 +18,7 @@ const SURFACE_WIDTH: f64 = 1.5;
 const MIN_WEIGHT: f64 = 0.02;
 
 /// How far from its pixel's point p a point of a block may be.
-fn gate_m(params: &SmoothParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
+fn gate_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     let width_m = params.block_half_px() as f64 * spacing_m(geometry, p);
     (STEPS * params.sensor.step_m(geometry.range_m(p))).max(HALF_WIDTHS * width_m)
 }
@@ -29,7 +29,7 @@ pub(super) fn mean_offset(
     grid: &Grid,
     (u, v): (usize, usize),
     p: DVec3,
-    params: &SmoothParams,
+    params: &EngineParams,
     geometry: &FrameGeometry,
     surface: Option<&Surface>,
 ) -> DVec3 {

@@ -6,7 +6,7 @@ use glam::DVec3;
 use super::Surface;
 use super::plane::{DEGENERATE_RATIO, Plane};
 use super::window::{Grid, fading_gate};
-use crate::params::{SmoothParams, edge_shift_px};
+use crate::params::{EngineParams, edge_shift_px};
 use crate::sensor::SensorModel;
 
 /// A plane whose points count less than this together is not used, and wholly from one more on.
@@ -43,7 +43,7 @@ pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 
 pub(super) struct FirstPlanes<'a, N> {
     pub(super) grid: &'a Grid,
     pub(super) surfaces: &'a [Option<Surface>],
-    pub(super) params: &'a SmoothParams,
+    pub(super) params: &'a EngineParams,
     /// The noise at a point.
     pub(super) noise_m: N,
 }

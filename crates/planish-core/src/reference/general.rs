@@ -12,7 +12,7 @@ use super::{PointResult, Surface, smooth_point};
 use crate::error::Error;
 use crate::frame::FrameGeometry;
 use crate::neighbours::{NeighbourSearch, extent_m};
-use crate::params::{Edges, Radius, SmoothParams};
+use crate::params::{Edges, EngineParams, Radius};
 use crate::progress::Progress;
 use crate::status::Status;
 use crate::threads::Threads;
@@ -41,7 +41,7 @@ struct Positions {
 
 /// Smooths every point of the cloud; order and number are kept. Displacements and normals are in the sensor's frame.
 pub(super) fn smooth(
-    params: &SmoothParams,
+    params: &EngineParams,
     threads: &Threads,
     cloud: &Cloud<'_>,
     geometry: &FrameGeometry,
@@ -123,7 +123,7 @@ impl Positions {
     }
 
     /// The radius at every position.
-    fn radii_m(&self, params: &SmoothParams, extent_m: f64) -> Vec<f64> {
+    fn radii_m(&self, params: &EngineParams, extent_m: f64) -> Vec<f64> {
         let count = match params.radius {
             Radius::Neighbours { count } => count,
             Radius::Fixed { radius_m } => return vec![f64::from(radius_m); self.points.len()],

@@ -25,7 +25,7 @@ use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry};
 use crate::outputs::SmoothedMut;
-use crate::params::{Edges, SmoothParams};
+use crate::params::{Edges, EngineParams};
 use crate::progress::Progress;
 use crate::status::Status;
 use crate::threads::Threads;
@@ -83,7 +83,7 @@ fn smooth_point(
     sensor: DVec3,
     offsets: &[DVec3],
     radius_m: f64,
-    params: &SmoothParams,
+    params: &EngineParams,
     surface: &Surface,
     on_ray: bool,
 ) -> PointResult {
@@ -109,7 +109,7 @@ fn smooth_point(
 
 /// The reference engine.
 pub(crate) struct Reference {
-    params: SmoothParams,
+    params: EngineParams,
     threads: Threads,
     progress: Arc<Progress>,
 }
@@ -127,7 +127,7 @@ impl ImmediateEngine for Reference {
 }
 
 impl Reference {
-    pub(crate) fn open(params: SmoothParams, threads: Option<usize>) -> Result<Self, EngineError> {
+    pub(crate) fn open(params: EngineParams, threads: Option<usize>) -> Result<Self, EngineError> {
         Ok(Self { params, threads: Threads::open(threads)?, progress: Arc::default() })
     }
 
@@ -288,10 +288,10 @@ mod tests {
     fn a_rigid_motion_moves_the_result_to_a_nanometre() {
         let own = noisy_points(Scene::room(2));
         let settings = [
-            (SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), true),
-            (SmoothParams::default().with_stride(1), true),
-            (SmoothParams::default().with_stride(2), true),
-            (SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), false),
+            (EngineParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), true),
+            (EngineParams::default().with_stride(1), true),
+            (EngineParams::default().with_stride(2), true),
+            (EngineParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), false),
         ];
         let viewpoints = [
             [0.1, 0.0, 0.6, 0.5, -0.5, 0.5, -0.5],
@@ -346,7 +346,7 @@ mod tests {
     fn turned_in_plane_axes_change_nothing() {
         let points = noisy_points(Scene::tabletop(5));
         for (window, degree, radius_m) in [(3, 3, 0.03), (7, 3, 0.05), (3, 2, 0.08), (2, 3, 0.3)] {
-            let params = SmoothParams::paper().with_window(window).with_degree(degree).with_radius_m(radius_m);
+            let params = EngineParams::paper().with_window(window).with_degree(degree).with_radius_m(radius_m);
             let engine = Reference::open(params, None).unwrap();
             let results = |roll_rad: f64| {
                 let (sin, cos) = (roll_rad / 2.0).sin_cos();

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::plane::Plane;
 use super::solve::solve;
 use super::window::fading_gate;
-use crate::params::SmoothParams;
+use crate::params::EngineParams;
 
 /// The height of the surface over the plane, f(a, b), by its value and slopes at the foot of p.
 #[derive(Debug, Clone, Copy)]
@@ -57,7 +57,7 @@ pub(super) fn fit(
     radius_m: f64,
     bandwidth_m: f64,
     width_m: f64,
-    params: &SmoothParams,
+    params: &EngineParams,
 ) -> Option<Polynomial> {
     let degree = (2..=params.degree).rev().find(|&d| coefficient_count(d) <= neighbours as usize)?;
     let (u, v) = tangents(plane.normal);

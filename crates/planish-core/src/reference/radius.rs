@@ -3,13 +3,13 @@
 use glam::DVec3;
 
 use crate::frame::{FrameGeometry, RangeRule};
-use crate::params::{Radius, SmoothParams};
+use crate::params::{EngineParams, Radius};
 
 /// No radius is smaller, so that a point that is its own sample is its neighbour wherever it is.
 const MIN_RADIUS_M: f64 = 1e-12;
 
 /// r of a point in the sensor's frame.
-pub(super) fn radius_m(params: &SmoothParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
+pub(super) fn radius_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
         // Frames on a grid are not opened with it.

@@ -4,7 +4,7 @@
 
 use glam::DVec3;
 
-use crate::params::SmoothParams;
+use crate::params::EngineParams;
 
 /// Points on a grid in the sensor's frame, row by row; a hole is not finite.
 pub(super) struct Grid {
@@ -39,7 +39,7 @@ pub(super) fn neighbours(
     samples: &Grid,
     (u, v): (usize, usize),
     p: DVec3,
-    params: &SmoothParams,
+    params: &EngineParams,
     radius_m: f64,
 ) -> Vec<DVec3> {
     let mut offsets = Vec::with_capacity(params.candidates());

@@ -2,7 +2,7 @@
 
 use super::{NOISE_IN_STEPS, SensorModel};
 use crate::cloud::OrganizedCloud;
-use crate::frame::{PointsView, RangeRule};
+use crate::frame::{Frame, PointsView, RangeRule};
 
 /// Pixels between the three depths of a second difference: far enough that noise is hardly correlated, near enough that most
 /// surfaces are straight.
@@ -38,13 +38,27 @@ impl SensorModel {
     /// Both are robust means over intervals of the range, and as many coefficients are fitted as the spread of ranges supports: one
     /// surface at 1 m says nothing of how noise grows, and gets the z² law. A scene of nothing but leaves is taken for noise.
     pub fn estimate(cloud: &OrganizedCloud) -> Option<Self> {
-        let view = PointsView::from_organized(cloud).ok()?;
-        if matches!(view.range_rule(), RangeRule::Constant { .. }) {
-            return None;
-        }
-        let ranges = view.ranges_m();
+        Self::estimate_from(Frame::Points(PointsView::from_organized(cloud).ok()?))
+    }
+
+    /// Estimates the model from a view of a frame, as [`estimate`](Self::estimate) does; nothing is copied but the ranges.
+    pub fn estimate_from(frame: Frame<'_>) -> Option<Self> {
+        let (width, _) = frame.grid()?;
+        let ranges = match frame {
+            Frame::Points(view) if matches!(view.range_rule(), RangeRule::Constant { .. }) => return None,
+            Frame::Points(view) => view.ranges_m(),
+            Frame::Depth(depth) => {
+                let (width, height) = frame.shape();
+                let depth_m = |i: usize| f64::from(depth.depth_m(i % width, i / width));
+                (0..width * height).map(depth_m).collect()
+            }
+        };
+        Self::estimate_ranges(ranges, width)
+    }
+
+    fn estimate_ranges(ranges: Vec<f64>, width: usize) -> Option<Self> {
         let mut bends: Vec<(f64, f64)> = Vec::new();
-        for row in ranges.chunks_exact(cloud.width()) {
+        for row in ranges.chunks_exact(width) {
             for u in LAG_PX..row.len().saturating_sub(LAG_PX) {
                 let [before, at, behind] = [row[u - LAG_PX], row[u], row[u + LAG_PX]];
                 let bend = (before - 2.0 * at + behind).abs();

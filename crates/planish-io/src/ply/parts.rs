@@ -18,7 +18,7 @@ use super::{
     Around, GRID_INFOS, MAX_HEADER_BYTES, Record, check_properties, check_size, columns_of, damaged, empty_columns,
     info, left_out, malformed, read_camera, remarks_of, rename_normals, stated_properties,
 };
-use planish_core::{Attribute, FormatError, PointCloud, Provenance, SensorPose};
+use planish_core::{Attribute, FormatError, PointCloud, SensorPose};
 
 /// What the header says of the vertices.
 pub(crate) struct VertexHeader {

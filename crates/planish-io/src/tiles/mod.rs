@@ -14,8 +14,8 @@ use crate::{Encoding, Format, LasReader, PlyReader, RecordEncoder, RecordReader,
 use dealt::{Dealt, too_large};
 use plan::Tile;
 use planish_core::{
-    Engine, EngineError, Error, FormatError, IntoFrame, IoError, Outputs, PointCloud, PointsView, Progress, Radius,
-    SensorPose, SmoothParams, Smoothed, Smoother, SmootherOptions,
+    CloudParams, CloudRadius, Engine, EngineError, Error, FormatError, IntoFrame, IoError, Outputs, PointCloud,
+    PointsView, Progress, SensorPose, Smoothed, Smoother, SmootherOptions,
     internal::{NeededHalo, halo},
 };
 
@@ -35,7 +35,7 @@ const NARROWEST: f64 = 0.01;
 #[non_exhaustive]
 pub struct TileOptions {
     /// The parameters, as for any general cloud.
-    pub params: SmoothParams,
+    pub params: CloudParams,
     /// The engine and its options; with radii by density not the reference.
     pub smoother: SmootherOptions,
     /// What is written beside the points.
@@ -50,7 +50,7 @@ pub struct TileOptions {
 
 impl TileOptions {
     /// With so many bytes of memory.
-    pub fn new(params: SmoothParams, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
+    pub fn new(params: CloudParams, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
         Self { params, smoother, fields: Outputs::POINTS, pose: None, encoding: None, max_memory_bytes }
     }
 
@@ -150,7 +150,7 @@ fn smooth_records<R: RecordReader>(
     progress: &Progress,
 ) -> Result<TilesReport, Error> {
     let engine = options.smoother.engine;
-    if engine == Engine::Reference && matches!(options.params.radius, Radius::Neighbours { .. }) {
+    if engine == Engine::Reference && matches!(options.params.radius, CloudRadius::Neighbours { .. }) {
         // Radii by density have to be known, which it does not keep.
         let reason = "radii by density in tiles need the CPU or the GPU engine, or a radius".to_owned();
         return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
@@ -238,12 +238,12 @@ impl<R: RecordReader> Tiler<'_, R> {
     fn smooth(&mut self, dealt: &mut Dealt<R>, number: usize, output: &Path) -> Result<(), TileError> {
         let tile = dealt.tiles[number].tile;
         let own = tile.points as usize;
-        let by_density_m = halo::first_halo_m(&self.options.params, tile.points, dealt.cells.area(&tile));
+        let by_density_m = halo::first_cloud_halo_m(&self.options.params, tile.points, dealt.cells.area(&tile));
         let mut halo_m = self.halo_share * by_density_m;
         let mut may_widen = true;
         loop {
             let Some(raw) = dealt.with_halo(number, halo_m)? else {
-                let may_be_narrower = matches!(self.options.params.radius, Radius::Neighbours { .. });
+                let may_be_narrower = matches!(self.options.params.radius, CloudRadius::Neighbours { .. });
                 if may_be_narrower && halo_m > NARROWEST * by_density_m {
                     (halo_m, may_widen) = (0.7 * halo_m, false);
                     continue;
@@ -275,7 +275,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         let smoother = match &mut self.smoother {
             Some(smoother) => smoother,
             none => {
-                let smoother = none.insert(Smoother::open_with(self.options.params, &self.options.smoother, None)?);
+                let smoother = none.insert(Smoother::open_clouds(self.options.params, &self.options.smoother)?);
                 smoother.keep_radii();
                 smoother
             }
@@ -294,7 +294,7 @@ impl<R: RecordReader> Tiler<'_, R> {
     /// Returns the halo that the tile's points need.
     fn needed_halo(&self, dealt: &Dealt<R>, tile: &Tile, cloud: &PointCloud, halo_m: f64) -> NeededHalo {
         let [low, high] = dealt.cells.bounds(tile);
-        let reach = halo::reach(&self.options.params);
+        let reach = halo::cloud_reach(&self.options.params);
         let needed_m = (0..tile.points as usize).filter_map(|i| {
             // A hole reaches nothing, and may belong to any tile. Without radii by density there are none.
             let radius_m = self.smoother.as_ref()?.own_radius_m(i)?;

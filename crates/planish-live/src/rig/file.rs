@@ -193,7 +193,7 @@ fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Op
             let quoted = |error: FormatError| error.to_string();
             match io::unknown_camera_key(&text).map_err(quoted)? {
                 Some(key) => Err(format!(
-                    "a camera has no {}; depth_scale, width and height may be missing",
+                    "a camera has no {}; depth_units_per_metre, width and height may be missing",
                     planish_io::internal::quoted(&key)
                 )),
                 None => parse(&text).map_err(quoted),
@@ -259,8 +259,8 @@ fn intrinsics_entry(camera: &Camera, depth_units_per_metre: Option<f64>) -> Opti
     let fields = entry.as_object_mut()?;
     let other = (camera.depth_units_per_metre != 1000.0).then_some(camera.depth_units_per_metre);
     match depth_units_per_metre.or(other) {
-        Some(units) => fields.insert("depth_scale".to_owned(), units.into()),
-        None => fields.remove("depth_scale"),
+        Some(units) => fields.insert("depth_units_per_metre".to_owned(), units.into()),
+        None => fields.remove("depth_units_per_metre"),
     };
     Some(entry)
 }

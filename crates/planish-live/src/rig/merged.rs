@@ -9,14 +9,14 @@ use super::fused::{Part, fuse_parts, rig_from_points};
 use super::voxels::InVoxels;
 use super::{RigResults, RigSmoother};
 use planish_core::{
-    Error, FleetDevice, Frame, FrameError, PointCloud, Progress, SmoothParams, Smoothed, Smoother, SmootherOptions,
+    CloudParams, Error, FleetDevice, Frame, FrameError, PointCloud, Progress, Smoothed, Smoother, SmootherOptions,
     Status, Xyz,
     internal::{Rays, RigidTransform},
 };
 
 /// The smoother of all points together.
 pub(super) struct General {
-    params: SmoothParams,
+    params: CloudParams,
     /// The size of the voxels that points are thinned to; `None` for all points.
     voxel_m: Option<f64>,
     smoother: Option<Smoother>,
@@ -41,7 +41,7 @@ impl Stopper {
 }
 
 impl General {
-    pub(super) fn new(params: SmoothParams) -> Self {
+    pub(super) fn new(params: CloudParams) -> Self {
         Self { params, voxel_m: None, smoother: None, stopper: Stopper::default() }
     }
 
@@ -74,7 +74,7 @@ impl General {
                 // Points are carried onto the voxels' tangent planes.
                 let with_normals = options.outputs.with_points(true).with_normals(true);
                 let outputs = if self.voxel_m.is_some() { with_normals } else { options.outputs };
-                let smoother = Smoother::open_with(self.params, &options.with_outputs(outputs), None)?;
+                let smoother = Smoother::open_clouds(self.params, &options.with_outputs(outputs))?;
                 self.stopper.watch(&smoother);
                 empty.insert(smoother)
             }

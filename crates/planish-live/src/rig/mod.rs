@@ -28,7 +28,7 @@ mod voxels;
 use std::path::{Path, PathBuf};
 
 use crate::source::{Alignment, SourceOptions, StreamMode};
-use planish_core::{Camera, Edges, FrameError, ParamError, SensorModel, SensorPose, SmoothParams};
+use planish_core::{Camera, CloudParams, Edges, FrameError, ParamError, SensorModel, SensorPose};
 
 #[cfg(feature = "rerun")]
 pub use self::rerun::RigRerunSink;
@@ -294,12 +294,12 @@ impl RigCamera {
 }
 
 /// A setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points without neighbours left out.
-pub fn merged_params() -> SmoothParams {
-    SmoothParams::general().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
+pub fn merged_params() -> CloudParams {
+    CloudParams::default().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
 }
 
 /// The same for points thinned to one for each voxel of this size in metres: everything within 3 cm, or three voxels where that is more.
-pub fn merged_params_in_voxels(voxel_m: f64) -> SmoothParams {
+pub fn merged_params_in_voxels(voxel_m: f64) -> CloudParams {
     merged_params().with_radius_m(MERGED_RADIUS_M.max(VOXELS_IN_RADIUS * voxel_m as f32))
 }
 

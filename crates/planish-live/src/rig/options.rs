@@ -3,7 +3,9 @@
 use std::time::Duration;
 
 use super::{Rig, RigWay};
-use planish_core::{FleetDevice, ParamError, Radius, SmoothParams, SmootherOptions};
+use planish_core::{
+    CloudParams, CloudRadius, FleetDevice, FrameParams, ParamError, SensorChoice, Settings, SmootherOptions,
+};
 
 /// The smallest voxels, in metres: finer than any depth camera resolves.
 const SMALLEST_VOXEL_M: f64 = 1e-4;
@@ -18,11 +20,9 @@ pub struct RigOptions {
     /// How the frames of a moment are smoothed.
     pub way: RigWay,
     /// The parameters of each camera's frames.
-    pub params: Vec<SmoothParams>,
+    pub params: Vec<FrameParams>,
     /// Those of all points as one cloud.
-    pub general_params: SmoothParams,
-    /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]).
-    pub adapt_stride: bool,
+    pub general_params: CloudParams,
     /// Of views: how far surfaces of two cameras may be apart for their poses' sake, in metres, 0 to 0.1.
     pub registration_m: f64,
     /// Of points that are merged: the size in metres of the voxels that they are thinned to; `None` for all points.
@@ -41,13 +41,12 @@ impl RigOptions {
     /// Default settings for the sensor of each camera, and for general clouds.
     pub fn new(rig: &Rig, way: RigWay, smoother: SmootherOptions) -> Self {
         let params = |camera: &super::RigCamera| {
-            SmoothParams::for_sensor(camera.sensor.unwrap_or_default(), planish_core::Strength::default())
+            FrameParams::for_sensor(camera.sensor.unwrap_or_default(), planish_core::Strength::default())
         };
         Self {
             way,
             params: rig.cameras.iter().map(params).collect(),
             general_params: super::merged_params(),
-            adapt_stride: true,
             registration_m: super::DEFAULT_REGISTRATION_M,
             voxel_m: None,
             smoother,
@@ -55,6 +54,30 @@ impl RigOptions {
             max_moments: None,
             max_duration: None,
         }
+    }
+
+    /// Creates options from settings. Each camera has the sensor of the settings, or its own where they name none; all points
+    /// as one cloud have the parameters of merged points ([`merged_params`](super::merged_params)), in voxels if given, with
+    /// these settings in their place.
+    ///
+    /// # Errors
+    /// If settings contradict each other, a sensor is to be estimated, or a device is not there.
+    pub fn from_settings(
+        rig: &Rig,
+        way: RigWay,
+        settings: &Settings,
+        voxel_m: Option<f64>,
+    ) -> Result<Self, planish_core::Error> {
+        let of_camera = |camera: &super::RigCamera| {
+            let mut settings = settings.clone();
+            settings.sensor = settings.sensor.or(camera.sensor.map(SensorChoice::Known));
+            settings.frame_params()
+        };
+        let params = rig.cameras.iter().map(of_camera).collect::<Result<Vec<_>, _>>()?;
+        let merged = voxel_m.map_or_else(super::merged_params, super::merged_params_in_voxels);
+        let general_params = settings.override_cloud(merged)?;
+        let options = Self::new(rig, way, settings.options()).with_params(params, general_params);
+        Ok(options.with_devices(settings.devices()?).with_voxel_m(voxel_m))
     }
 
     /// Refuses options that contradict each other; [`run`](super::run) does so before it begins.
@@ -75,7 +98,7 @@ impl RigOptions {
             let (value, allowed) = (format!("{size_m:?}"), "a size in metres, 0.0001 or more");
             return Err(ParamError { field: "voxel", value, allowed });
         }
-        if let Radius::Fixed { radius_m } = self.general_params.radius
+        if let CloudRadius::Fixed { radius_m } = self.general_params.radius
             && f64::from(radius_m) < LEAST_VOXELS_IN_RADIUS * size_m
         {
             let (value, allowed) = (radius_m.to_string(), "two voxels or more, so that their points have neighbours");
@@ -85,13 +108,8 @@ impl RigOptions {
     }
 
     /// The same with other parameters: one set for each camera, and those of all points as one cloud.
-    pub fn with_params(self, params: Vec<SmoothParams>, general_params: SmoothParams) -> Self {
+    pub fn with_params(self, params: Vec<FrameParams>, general_params: CloudParams) -> Self {
         Self { params, general_params, ..self }
-    }
-
-    /// The same with windows and strides for coarse pixels, or as given.
-    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
-        Self { adapt_stride, ..self }
     }
 
     /// The same with another bound of how far surfaces of two cameras may be apart for their poses' sake, in metres.

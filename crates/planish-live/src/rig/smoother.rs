@@ -10,8 +10,8 @@ use super::merged::{General, Stopper};
 use super::views::{Measured, View};
 use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera};
 use planish_core::{
-    Camera, Engine, EngineError, Error, FleetDevice, Frame, FrameError, Outputs, ParamError, SmoothParams, Smoothed,
-    SmoothedView, Smoother, SmootherOptions,
+    Camera, CloudParams, Engine, EngineError, Error, FleetDevice, Frame, FrameError, FrameParams, Outputs, ParamError,
+    Smoothed, SmoothedView, Smoother, SmootherOptions,
     internal::{Rays, RigidTransform, Threads},
 };
 
@@ -52,7 +52,6 @@ pub struct RigSmoother {
     pub(super) devices: Vec<FleetDevice>,
     /// Of those the one that failed last.
     pub(super) failed: Option<FleetDevice>,
-    adapt_stride: bool,
     registration_m: f64,
     pub(super) threads: Threads,
     /// Those of the rig, and after them those of viewpoints that were added.
@@ -75,7 +74,7 @@ pub(super) struct CameraSmoother {
     camera: Option<Camera>,
     /// Of its depth images, where their points are needed.
     pub(super) rays: Arc<Rays>,
-    params: SmoothParams,
+    params: FrameParams,
     smoother: Option<Smoother>,
     shape: (usize, usize),
 }
@@ -85,13 +84,13 @@ pub type RigResults = Vec<Option<Result<Smoothed, FrameError>>>;
 
 impl RigSmoother {
     /// Creates a smoother for a rig; engines open with the first frames. `params` are those of each camera's frames,
-    /// for the sensor that it has ([`SmoothParams::for_sensor`]), `general_params` those of all points as one cloud
-    /// ([`SmoothParams::general`]).
+    /// for the sensor that it has ([`FrameParams::for_sensor`]), `general_params` those of all points as one cloud
+    /// ([`CloudParams`]).
     pub fn new(
         rig: &Rig,
         way: RigWay,
-        params: &[SmoothParams],
-        general_params: SmoothParams,
+        params: &[FrameParams],
+        general_params: CloudParams,
         options: &SmootherOptions,
     ) -> Result<Self, Error> {
         rig.validate()?;
@@ -106,7 +105,7 @@ impl RigSmoother {
         if options.threads == Some(0) {
             return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" }.into());
         }
-        let camera = |(camera, &params): (&RigCamera, &SmoothParams)| {
+        let camera = |(camera, &params): (&RigCamera, &FrameParams)| {
             params.validate()?;
             Ok(CameraSmoother::new(camera.pose.transform()?, camera.camera, params))
         };
@@ -128,7 +127,6 @@ impl RigSmoother {
             options: options.clone(),
             devices: Vec::new(),
             failed: None,
-            adapt_stride: false,
             registration_m: DEFAULT_REGISTRATION_M,
             threads: Threads::open(options.threads)?,
             cameras,
@@ -143,11 +141,6 @@ impl RigSmoother {
     /// options. All points as one cloud are smoothed by the first. A device that fails is an error as any engine's is; a smoother without it goes on.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
-    }
-
-    /// The same with windows and strides for coarse pixels ([`SmoothParams::at_resolution_of`]), or as given.
-    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
-        Self { adapt_stride, ..self }
     }
 
     /// The same with another bound of how far surfaces of two cameras are apart for their poses' sake, in metres: of views.
@@ -243,7 +236,7 @@ impl RigSmoother {
             if self.cameras[i].device.is_none() {
                 self.cameras[i].device = self.least_loaded_device();
             }
-            let opened = self.cameras[i].open(frame, self.adapt_stride, &options);
+            let opened = self.cameras[i].open(frame, &options);
             if opened.is_err() {
                 self.failed = self.cameras[i].device.clone();
             }
@@ -350,7 +343,7 @@ fn by_fault(result: Result<Smoothed, Error>) -> Result<Result<Smoothed, FrameErr
 }
 
 impl CameraSmoother {
-    fn new(rig_from_camera: RigidTransform, camera: Option<Camera>, params: SmoothParams) -> Self {
+    fn new(rig_from_camera: RigidTransform, camera: Option<Camera>, params: FrameParams) -> Self {
         let (device, rays) = (None, Arc::default());
         Self { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0) }
     }
@@ -361,14 +354,13 @@ impl CameraSmoother {
     }
 
     /// Opens the engine for this frame, if it is not.
-    fn open(&mut self, frame: Frame<'_>, adapt_stride: bool, options: &SmootherOptions) -> Result<(), Error> {
+    fn open(&mut self, frame: Frame<'_>, options: &SmootherOptions) -> Result<(), Error> {
         let shape = frame.shape();
         if self.smoother.is_some() && shape == self.shape {
             return Ok(());
         }
-        let adapted = adapt_stride.then(|| self.params.at_resolution_of(frame));
         let options = self.device.as_ref().map_or_else(|| options.clone(), |device| device.options(options));
-        let mut smoother = Smoother::open_with(adapted.unwrap_or(self.params), &options, shape)?;
+        let mut smoother = Smoother::open_with(self.params.at_resolution_of(frame), &options, shape)?;
         smoother.prepare_in_flight();
         (self.shape, self.smoother) = (shape, Some(smoother));
         Ok(())

@@ -15,10 +15,12 @@ use super::{
 };
 use crate::{
     source::Source,
-    stream::{LIVE_IN_FLIGHT, SinkThread, StreamFrame, StreamStatistics},
+    stream::{SinkThread, StreamFrame, StreamStatistics},
 };
 use planish_core::{
-    Engine, EngineError, Error, FrameError, IntoFrame, Outputs, ParamError, PointCloud, clean::voxel_downsample,
+    Engine, EngineError, Error, FrameError, IntoFrame, Outputs, ParamError, PointCloud,
+    clean::voxel_downsample,
+    internal::{GpuLosses, LIVE_IN_FLIGHT, Recovery},
 };
 
 /// Frames of one moment wait for each other no longer than this, nor than the time between two frames.
@@ -111,15 +113,13 @@ pub fn run(
             rig: Arc::new(rig.clone()),
             options,
             smoother: smoother
-                .with_adapt_stride(options.adapt_stride)
                 .with_registration_m(options.registration_m)
                 .with_voxel_m(options.voxel_m)
                 .with_devices(options.devices.clone()),
             pending: VecDeque::new(),
             is_live,
             was_open: false,
-            has_reopened: false,
-            has_fallen_back: false,
+            losses: GpuLosses::default(),
             sinks,
             statistics: RigStatistics { moments: StreamStatistics::start(), complete: 0, cameras: Vec::new() },
             smoothed: vec![0; rig.cameras.len()],
@@ -182,10 +182,8 @@ struct RigStream<'a> {
     is_live: bool,
     /// Whether an engine has taken a moment.
     was_open: bool,
-    /// Whether the GPU was lost and opened once more.
-    has_reopened: bool,
-    /// Whether it was lost again, so that the CPU engine goes on.
-    has_fallen_back: bool,
+    /// What has become of the GPU.
+    losses: GpuLosses,
     sinks: Vec<SinkThread<RigFrame>>,
     statistics: RigStatistics,
     /// Frames of each camera that were smoothed, and that the engine refused.
@@ -396,21 +394,20 @@ impl RigStream<'_> {
     /// Moments in flight are submitted again.
     fn recover(&mut self, mut error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
         loop {
-            let is_gpu = self.smoother.engine() == Engine::Gpu;
-            // One that never opened is no lost one.
+            let was_gpu = self.smoother.engine() == Engine::Gpu;
             let is_stopped = matches!(error, Error::Engine(EngineError::Stopped));
-            let is_recoverable = matches!(error, Error::Engine(_)) && !is_stopped && is_gpu && self.was_open;
-            if !is_recoverable || self.has_fallen_back {
-                return Err(error);
-            }
-            if self.smoother.leave_failed_device() {
-                tell(RigEvent::Warning(format!("{error}; its cameras go to the other devices")));
-            } else if std::mem::replace(&mut self.has_reopened, true) {
-                self.has_fallen_back = true;
-                self.smoother.close(Some(Engine::Cpu));
-                tell(RigEvent::Warning(format!("{error}; going on with the CPU engine")));
+            let is_of_engine = matches!(error, Error::Engine(_)) && !is_stopped && was_gpu && self.was_open;
+            if is_of_engine && !self.losses.uses_cpu() && self.smoother.leave_failed_device() {
+                tell(RigEvent::Warning(format!("{error}; its cameras move to the other devices")));
             } else {
-                tell(RigEvent::Warning(format!("{error}; opening it once more")));
+                match self.losses.next(&error, was_gpu, self.was_open, true) {
+                    Recovery::Reopen => tell(RigEvent::Warning(format!("{error}; opening it once more"))),
+                    Recovery::UseCpu => {
+                        self.smoother.close(Some(Engine::Cpu));
+                        tell(RigEvent::Warning(format!("{error}; continuing with the CPU engine")));
+                    }
+                    _ => return Err(error),
+                }
             }
             match (0..self.pending.len()).try_for_each(|i| self.submit_pending(i)) {
                 Ok(()) => return Ok(()),

@@ -10,7 +10,6 @@ mod mailbox;
 #[cfg(feature = "rerun")]
 mod rerun;
 mod sinks;
-mod smoothing;
 mod statistics;
 
 use std::collections::VecDeque;
@@ -22,10 +21,9 @@ use std::time::{Duration, Instant};
 use crate::source::{OwnedFrame, Source};
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{
-    Engine, EngineError, Error, FleetDevice, FrameError, IntoFrame, SmoothParams, Smoothed, SmoothedView,
-    SmootherOptions,
+    CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, Session, Settings, Smoothed,
+    SmoothedView, SmootherOptions,
 };
-use smoothing::Smoothing;
 
 #[cfg(feature = "rerun")]
 pub(crate) use self::rerun::Recording;
@@ -36,7 +34,6 @@ pub use bag::BagSink;
 pub(crate) use mailbox::TimeSpent;
 pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
-pub(crate) use smoothing::LIVE_IN_FLIGHT;
 pub use statistics::{Latency, StreamStatistics};
 
 /// How many frames are read ahead from a source that is not live.
@@ -64,10 +61,7 @@ pub struct StreamFrame {
 #[non_exhaustive]
 pub struct StreamOptions {
     /// The parameters of the method.
-    pub params: SmoothParams,
-    /// Whether windows and strides are those for coarse pixels ([`SmoothParams::at_resolution_of`]), by the first frame of a shape that says
-    /// how coarse they are.
-    pub adapt_stride: bool,
+    pub params: StreamParams,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
     /// The devices that frames are dealt to, instead of the one of the options; none for that one.
@@ -78,15 +72,52 @@ pub struct StreamOptions {
     pub max_duration: Option<Duration>,
 }
 
+/// Where the parameters of a stream come from.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+#[expect(clippy::large_enum_variant, reason = "one per stream")]
+pub enum StreamParams {
+    /// Settings of a user, resolved with the first frame.
+    Settings(Settings),
+    /// These parameters.
+    Params(FrameParams),
+}
+
+impl Default for StreamParams {
+    fn default() -> Self {
+        Self::Settings(Settings::default())
+    }
+}
+
 impl StreamOptions {
-    /// Creates options with strides as given and no limits.
-    pub fn new(params: SmoothParams, smoother: SmootherOptions) -> Self {
-        Self { params, smoother, ..Self::default() }
+    /// Creates options with explicit parameters and no limits.
+    pub fn new(params: FrameParams, smoother: SmootherOptions) -> Self {
+        Self { params: StreamParams::Params(params), smoother, ..Self::default() }
     }
 
-    /// The same with windows and strides for coarse pixels, or as given.
-    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
-        Self { adapt_stride, ..self }
+    /// Creates options from settings, without limits.
+    ///
+    /// # Errors
+    /// If settings contradict each other, or a device is not there.
+    pub fn from_settings(settings: Settings) -> Result<Self, Error> {
+        let (smoother, devices) = (settings.options(), settings.devices()?);
+        Ok(Self { params: StreamParams::Settings(settings), smoother, devices, ..Self::default() })
+    }
+
+    /// Sets the engine and the outputs.
+    pub fn with_smoother(self, smoother: SmootherOptions) -> Self {
+        Self { smoother, ..self }
+    }
+
+    fn session(&self, is_live: bool) -> Result<Session, Error> {
+        let session = match &self.params {
+            StreamParams::Settings(settings) => Session::new(settings.clone())?.with_devices(self.devices.clone()),
+            StreamParams::Params(params) => {
+                Session::with_params(*params, CloudParams::default(), self.smoother.clone(), self.devices.clone())?
+            }
+        };
+        let session = session.with_options(self.smoother.clone());
+        Ok(session.with_live(is_live).with_kept_window(true))
     }
 
     /// The same with frames dealt to these devices; none for the one of the options.
@@ -143,12 +174,7 @@ pub fn run(
         let mut stream = Stream {
             options,
             live,
-            smoother: None,
-            smoother_options: options.smoother.clone(),
-            devices: options.devices.clone(),
-            shape: (0, 0),
-            params: None,
-            reopened: false,
+            session: options.session(live)?,
             told_lost_points: false,
             pending: VecDeque::new(),
             sinks,
@@ -231,16 +257,9 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
 struct Stream<'a> {
     options: &'a StreamOptions,
     live: bool,
-    smoother: Option<Smoothing>,
-    /// The options' own until a GPU was lost twice.
-    smoother_options: SmootherOptions,
-    devices: Vec<FleetDevice>,
-    shape: (usize, usize),
-    /// Those for frames of this shape, once a frame has said how coarse its pixels are.
-    params: Option<SmoothParams>,
-    reopened: bool,
+    session: Session,
     told_lost_points: bool,
-    /// Frames in flight, kept to be smoothed again if their device is lost.
+    /// Frames in flight.
     pending: VecDeque<InFlight>,
     sinks: Vec<SinkThread<StreamFrame>>,
     statistics: StreamStatistics,
@@ -272,7 +291,7 @@ impl Stream<'_> {
                 break;
             }
             let in_flight = self.pending.len();
-            let most = self.smoother.as_ref().map_or(1, |smoother| smoother.max_in_flight(self.live));
+            let most = self.session.max_in_flight();
             // With frames in flight, only their results are waited for.
             let next = match in_flight {
                 0 => mailbox.take(Some(Duration::from_millis(100))),
@@ -317,30 +336,25 @@ impl Stream<'_> {
         are_gone
     }
 
-    fn submit(&mut self, pending: InFlight, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
-        let shape = pending.frame.shape();
-        let of_shape = self.params.filter(|_| shape == self.shape);
-        let found = || self.options.params.at_known_resolution_of(pending.frame.into_frame().ok()?);
-        let params = of_shape.or_else(|| if self.options.adapt_stride { found() } else { Some(self.options.params) });
-        let changes = |of: Option<SmoothParams>| of.unwrap_or(self.options.params);
-        if shape != self.shape || changes(params) != changes(self.params) {
-            while !self.pending.is_empty() {
-                self.receive(tell)?;
-            }
-            (self.smoother, self.shape) = (None, shape);
-        }
-        self.params = params;
-        self.pending.push_back(pending);
-        match self.submit_last() {
-            Ok(()) => Ok(()),
+    fn submit(&mut self, in_flight: InFlight, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
+        let frame = Arc::clone(&in_flight.frame);
+        let submitted = self.smooth_time.on(|| self.session.submit(frame, Smoothed::default()));
+        self.tell_events(tell);
+        match submitted {
+            Ok(()) => self.pending.push_back(in_flight),
             // The frame's fault: the stream continues.
-            Err(Error::Frame(error)) => {
-                self.pending.pop_back();
-                self.refuse(&error, tell);
-                Ok(())
-            }
-            Err(error) => self.recover(error, tell),
+            Err(Error::Frame(error)) => self.refuse(&error, tell),
+            Err(error) => return Err(error),
         }
+        Ok(())
+    }
+
+    /// Reports what the session did by itself.
+    fn tell_events(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) {
+        for event in self.session.take_events() {
+            tell(StreamEvent::Warning(event.to_string()));
+        }
+        self.statistics.engine = self.session.engine().unwrap_or(self.statistics.engine);
     }
 
     /// Leaves a frame out that the engine does not take.
@@ -349,36 +363,20 @@ impl Stream<'_> {
         tell(StreamEvent::Warning(error.to_string()));
     }
 
-    /// Submits the newest frame.
-    fn submit_last(&mut self) -> Result<(), Error> {
-        let Some(InFlight { frame, .. }) = self.pending.back() else { return Ok(()) };
-        let params = self.params.unwrap_or(self.options.params);
-        let smoother = opened(&mut self.smoother, params, &self.smoother_options, &self.devices, self.shape)?;
-        self.statistics.engine = smoother.engine();
-        self.smooth_time.on(|| smoother.submit(frame))
-    }
-
     /// Receives the oldest result and passes it to the sinks.
     fn receive(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
-        let received = match &mut self.smoother {
-            Some(smoother) => self.smooth_time.on(|| smoother.receive()),
-            None => Ok(None),
-        };
+        let received = self.smooth_time.on(|| self.session.receive());
+        self.tell_events(tell);
         match received {
             Ok(Some(view)) => self.deliver(view, tell),
-            Ok(None) => {}
+            Ok(None) => {
+                self.pending.pop_front();
+            }
             Err(Error::Frame(error)) => {
                 self.pending.pop_front();
                 self.refuse(&error, tell);
             }
-            Err(error) => self.recover(error, tell)?,
-        }
-        if let Some(smoother) = &mut self.smoother {
-            for (device, lost) in smoother.losses() {
-                self.devices.retain(|other| *other != device);
-                tell(StreamEvent::Warning(lost));
-            }
-            self.statistics.engine = smoother.engine();
+            Err(error) => return Err(error),
         }
         Ok(())
     }
@@ -410,66 +408,5 @@ impl Stream<'_> {
             self.told_lost_points = true;
             tell(StreamEvent::Warning(warning));
         }
-    }
-
-    /// After a GPU error: reopens the GPU once, then falls back to the CPU engine, and smooths the frames in flight again, in order.
-    fn recover(&mut self, error: Error, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
-        let mut error = error;
-        loop {
-            let was_gpu = self.smoother.as_ref().is_some_and(|smoother| smoother.engine() == Engine::Gpu);
-            self.smoother = None;
-            if !matches!(error, Error::Engine(_))
-                || !(was_gpu || self.reopened)
-                || self.smoother_options.engine == Engine::Cpu
-            {
-                return Err(error);
-            }
-            if self.reopened {
-                self.smoother_options.engine = Engine::Cpu;
-                self.devices.clear();
-                tell(StreamEvent::Warning(format!("{error}; going on with the CPU engine")));
-            } else {
-                self.reopened = true;
-                tell(StreamEvent::Warning(format!("{error}; opening it once more")));
-            }
-            match self.smooth_pending(tell) {
-                Ok(()) => return Ok(()),
-                Err(again) => error = again,
-            }
-        }
-    }
-
-    /// Smooths the frames in flight one by one.
-    fn smooth_pending(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
-        while let Some(InFlight { frame, .. }) = self.pending.front() {
-            let params = self.params.unwrap_or(self.options.params);
-            let smoother = opened(&mut self.smoother, params, &self.smoother_options, &self.devices, self.shape)?;
-            self.statistics.engine = smoother.engine();
-            // Received without a further attempt to recover.
-            match smoother.submit(frame).and_then(|()| smoother.receive()) {
-                Ok(Some(view)) => self.deliver(view, tell),
-                Ok(None) => return Ok(()),
-                Err(Error::Frame(error)) => {
-                    self.pending.pop_front();
-                    self.refuse(&error, tell);
-                }
-                Err(error) => return Err(error),
-            }
-        }
-        Ok(())
-    }
-}
-
-/// What is open, or opened now.
-fn opened<'a>(
-    smoothing: &'a mut Option<Smoothing>,
-    params: SmoothParams,
-    options: &SmootherOptions,
-    devices: &[FleetDevice],
-    shape: (usize, usize),
-) -> Result<&'a mut Smoothing, Error> {
-    match smoothing {
-        Some(smoothing) => Ok(smoothing),
-        none => Ok(none.insert(Smoothing::open(params, options, devices, shape)?)),
     }
 }

@@ -21,6 +21,7 @@ from ._files import Devices, Frame, Simulated, devices, evaluate, info, read, si
 from ._planish import VERSION as __version__
 from ._planish import Camera
 from ._result import Smoothed, Status
+from ._settings import Sensor, Settings, SettingsFile, read_settings, write_settings
 from ._smoothing import Smoother, smooth
 from ._stream import Stream, StreamFrame, stream
 
@@ -28,6 +29,9 @@ __all__ = [
     "Camera",
     "Devices",
     "Frame",
+    "Sensor",
+    "Settings",
+    "SettingsFile",
     "Simulated",
     "Smoothed",
     "Smoother",
@@ -39,8 +43,10 @@ __all__ = [
     "evaluate",
     "info",
     "read",
+    "read_settings",
     "simulate",
     "smooth",
     "stream",
     "write",
+    "write_settings",
 ]

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -17,10 +17,11 @@ from numpy.typing import DTypeLike, NDArray
 from ._arrays import as_array, as_frame, origin_of
 from ._planish import Camera, Engine
 from ._result import Smoothed
+from ._settings import Output, Settings
 
-Output = Literal["points", "normals", "curvature", "status", "neighbours", "depth", "depth_m"]
-Preset = Literal["light", "default", "strong", "paper"]
-Sensor = Literal["kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone", "exact", "auto"]
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 Pose = Sequence[float]
 
 _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
@@ -33,11 +34,6 @@ _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
     "depth": (np.uint16, False),
     "depth_m": (np.float32, False),
 }
-
-
-# What a general cloud has no use for, and what it has all the same.
-_OF_GRIDS = ("preset", "strength", "sensor", "window", "stride", "average_blocks", "project")
-_OF_ALL = {("preset", "default"), ("preset", "paper")}
 
 
 @dataclass(slots=True)
@@ -63,40 +59,9 @@ class Smoother:
     outputs : iterable of str
         Of ``"points"``, ``"normals"``, ``"curvature"``, ``"status"``, ``"neighbours"``, ``"depth"`` (uint16) and ``"depth_m"``; the fewer, the
         faster.
-    preset : {"default", "light", "strong", "paper"}, optional
-        How much to smooth: windows of 25x25, 15x15 and 29x29 pixels of a Kinect v1, and as the noise of others demands; ``"paper"`` is
-        the setting of the 2011 report.
-    strength : float, optional
-        The same as a number from 0 (light) to 1 (strong), instead of a preset.
-    sensor : str, optional
-        Whose noise it is: ``"kinect1"`` (the default), ``"d415"``, ``"d435"``, ``"d455"``, ``"azure-kinect"``, ``"l515"``, ``"iphone"``, ``"exact"``, or
-        ``"auto"``, estimated from each frame.
-    radius : float or "sensor", optional
-        Radius of a neighbourhood in metres; ``"sensor"`` grows with distance as the sensor's noise does (frames on a grid).
-    neighbours : int, optional
-        Of general clouds instead of a radius: so many neighbours by the density around each point, 6 to 1000 (40).
-    edges : {"robust", "off"}, optional
-        Whether creases and steps are kept: by default they are in frames on a grid, and not in general clouds.
-    window, stride : int, optional
-        Half width of the window, 1 to 7, and distance between its samples in pixels, 1 to 8.
-    average_blocks : bool, optional
-        Whether each sample is the mean of its block of pixels.
-    degree : int, optional
-        Degree of the surface: 1 to 3.
-    bandwidth : float, optional
-        Bandwidth of the Gaussian weights in metres; else the radius.
-    ridge : float, optional
-        How much slopes and curvatures are damped, 1e-3 to 100.
-    project : {"ray", "normal"}, optional
-        Along which line points are put onto the surface.
-    remove_isolated : bool
-        Whether isolated points of a general cloud become holes; else they stay.
-    engine : {"auto", "cpu", "gpu", "reference"}
-        ``"auto"`` takes a real GPU where there is one, else the CPU.
-    adapter : str or int, optional
-        Which GPU: its index or part of its name.
-    threads : int, optional
-        Threads of the CPU engine; one for each core if left out.
+    **settings : Settings
+        ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...; see `Settings`. ``planish.read_settings`` reads them from a
+        file.
 
     Examples
     --------
@@ -113,54 +78,20 @@ class Smoother:
         camera: Camera | None = None,
         *,
         outputs: Iterable[Output] = ("points", "normals", "status"),
-        preset: Preset | None = None,
-        strength: float | None = None,
-        sensor: Sensor | None = None,
-        radius: float | Literal["sensor"] | None = None,
-        neighbours: int | None = None,
-        edges: Literal["robust", "off"] | None = None,
-        window: int | None = None,
-        stride: int | None = None,
-        average_blocks: bool | None = None,
-        degree: int | None = None,
-        bandwidth: float | None = None,
-        ridge: float | None = None,
-        project: Literal["ray", "normal"] | None = None,
-        remove_isolated: bool = False,
-        engine: Literal["auto", "cpu", "gpu", "reference"] = "auto",
-        adapter: str | int | None = None,
-        threads: int | None = None,
+        **settings: Unpack[Settings],
     ) -> None:
         if camera is not None and not isinstance(camera, Camera):
             raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
-        if radius is not None and neighbours is not None:
-            raise ValueError("radius and neighbours are two ways to say the same: give one")
+        if settings.get("remove_floating"):
+            raise ValueError("remove_floating: is for streams and the command; a Smoother leaves its input as it is")
         self._camera = camera
         self._outputs = _checked_outputs(outputs)
-        self._settings: dict[str, Any] = {
-            "preset": preset,
-            "strength": strength,
-            "sensor": sensor,
-            "radius": radius,
-            "neighbours": neighbours,
-            "edges": edges,
-            "window": window,
-            "stride": stride,
-            "average_blocks": average_blocks,
-            "degree": degree,
-            "bandwidth": bandwidth,
-            "ridge": ridge,
-            "project": project,
-            "remove_isolated": remove_isolated,
-            "engine": engine,
-            "adapter": adapter,
-            "threads": threads,
-        }
-        # What changes nothing for points without a grid; said once, if such points come.
-        self._unused = [name for name in _OF_GRIDS if self._settings[name] is not None and (name, preset) not in _OF_ALL]
+        self._settings: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
         # A pool of its own: threads that are shared do not survive a fork.
         own_threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        self._engine = Engine({**self._settings, "threads": own_threads if threads is None else threads})
+        self._engine = Engine({"threads": own_threads, **self._settings})
+        # What has no effect on points without a grid; reported once, if such points come.
+        self._unused = self._engine.unused_by_clouds()
         # Of each frame in flight its kind, and its points where they are float64.
         self._in_flight: deque[tuple[_Kind, NDArray[Any] | None]] = deque()
         self._order = threading.Lock()
@@ -218,8 +149,8 @@ class Smoother:
         array, is_depth = as_frame(frame, self._camera)
         kind = _kind_of(array, is_depth)
         if self._unused and len(kind.shape) == 1:
-            verb = "changes" if len(self._unused) == 1 else "change"
-            text = f"{', '.join(self._unused)} {verb} nothing for points without a grid"
+            verb = "has" if len(self._unused) == 1 else "have"
+            text = f"{', '.join(self._unused)} {verb} no effect on points without a grid"
             self._unused = []
             warnings.warn(text, RuntimeWarning, stacklevel=2)
         arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
@@ -229,9 +160,8 @@ class Smoother:
             raise ValueError("out: an array overlaps the input")
         # The engine writes float32; points of other types are made of them.
         written = {name: _written(name, array) for name, array in arrays.items()}
-        said = self._engine.smooth(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), written)
-        if said is not None:
-            warnings.warn(f"smoothed on the CPU: {said}", RuntimeWarning, stacklevel=2)
+        for event in self._engine.smooth(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), written):
+            warnings.warn(event, RuntimeWarning, stacklevel=2)
         return _finished(arrays, written, array, kind)
 
     def submit(self, frame: Any, *, pose: Pose | None = None) -> None:
@@ -335,10 +265,8 @@ class Smoother:
         Smoother.__init__(self, **state)
 
     def __repr__(self) -> str:
-        given = {"camera": self._camera, **self._settings}
-        usual = {"remove_isolated": False, "engine": "auto"}
-        given["outputs"] = list(self._outputs)
-        texts = [f"{name}={value!r}" for name, value in given.items() if value is not None and value != usual.get(name)]
+        given = {"camera": self._camera, **self._settings, "outputs": list(self._outputs)}
+        texts = [f"{name}={value!r}" for name, value in given.items() if value is not None]
         return f"Smoother({', '.join(texts)})"
 
 
@@ -348,7 +276,7 @@ def smooth(
     *,
     pose: Pose | None = None,
     outputs: Iterable[Output] = ("points", "normals", "status"),
-    **settings: Any,
+    **settings: Unpack[Settings],
 ) -> Smoothed:
     """Smooth one frame. For many, open a `Smoother`: it keeps its engine and buffers.
 
@@ -362,8 +290,8 @@ def smooth(
         Where the sensor stands in the frame of the points: x, y, z, qw, qx, qy, qz.
     outputs : iterable of str
         What is wanted; see `Smoother`.
-    **settings
-        As `Smoother` takes them: ``preset``, ``sensor``, ``radius``, ``neighbours``, ``edges``, ``engine``, ...
+    **settings : Settings
+        ``preset``, ``strength``, ``sensor``, ``radius_m``, ``neighbours``, ``edges``, ``engine``, ...; see `Settings`.
 
     Returns
     -------

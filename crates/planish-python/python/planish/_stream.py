@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from os import PathLike
 from types import TracebackType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,11 @@ from ._drivers import find_realsense
 from ._planish import Camera
 from ._planish import Stream as _Stream
 from ._result import Smoothed
-from ._smoothing import Output, Smoother
+from ._settings import Output, Settings
+from ._smoothing import Smoother
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(slots=True, eq=False)
@@ -115,7 +119,7 @@ def stream(
     depth_units_per_metre: float | None = None,
     align: Literal["depth", "color", "none"] | None = None,
     mode: str | None = None,
-    **settings: Any,
+    **settings: Unpack[Settings],
 ) -> Stream:
     """Smooth frames as they come; the library captures and smooths in threads of its own while Python works on the last one.
 
@@ -140,8 +144,8 @@ def stream(
         (the RealSense's default), depth to colour (the default of OpenNI2 cameras that can), or depth comes alone.
     mode : str, optional
         Of a RealSense or an OpenNI2 camera: size and rate of depth, as ``"848x480@30"``.
-    **settings
-        As `Smoother` takes them: ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...
+    **settings : Settings
+        ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...; see `Settings`.
 
     Returns
     -------
@@ -169,4 +173,4 @@ def stream(
     # The same checks, names and defaults as any smoother's.
     checked = Smoother(camera, outputs=outputs, **settings)
     names = list(checked.__getstate__()["outputs"])
-    return Stream(_Stream(os.fspath(source), names, settings, camera, fps, frames, depth_units_per_metre, align, mode))
+    return Stream(_Stream(os.fspath(source), names, dict(settings), camera, fps, frames, depth_units_per_metre, align, mode))

@@ -2,8 +2,8 @@
 
 use super::{DepthMessage, DepthPixels, Header, Image, PointCloud2};
 use planish_core::{
-    Camera, DepthImage, DepthView, Engine, Error, FormatError, Frame, FrameError, Outputs, PointsView, SmoothParams,
-    Smoothed, Smoother, SmootherOptions, Xyz,
+    Camera, CloudParams, DepthImage, DepthView, Engine, Error, FormatError, Frame, FrameError, FrameParams, Outputs,
+    PointsView, Session, SessionEvent, Settings, Smoothed, SmootherOptions, Xyz,
 };
 use planish_io::ReadOptions;
 
@@ -34,17 +34,12 @@ impl From<FrameError> for MessageError {
     }
 }
 
-/// What an engine is open for.
-type OpenFor = (Option<(usize, usize)>, Outputs, SmoothParams);
-
-/// Smooths depth images and clouds one after another. The engine is opened for the first, and again when shape or parameters change.
+/// Smooths depth images and clouds one after another, whatever their shape.
 pub struct MessageSmoother {
-    params: SmoothParams,
-    general: SmoothParams,
-    adapt_stride: bool,
-    options: SmootherOptions,
+    session: Session,
+    /// The fields that clouds get beside points.
+    outputs: Outputs,
     read: ReadOptions,
-    open: Option<(Smoother, OpenFor)>,
     smoothed: Smoothed,
     wants_normals_image: bool,
     /// Where clouds have none.
@@ -55,16 +50,29 @@ pub struct MessageSmoother {
 }
 
 impl MessageSmoother {
-    /// Creates a smoother with parameters for frames on a grid, whose outputs are chosen message by message; those of `options` say
-    /// which fields clouds get beside points.
-    pub fn new(params: SmoothParams, options: SmootherOptions) -> Self {
+    /// Creates a smoother; the outputs of the settings are the fields that clouds get beside points.
+    ///
+    /// # Errors
+    /// If settings are outside their ranges or contradict each other, or a device is not there.
+    pub fn new(settings: Settings) -> Result<Self, Error> {
+        let outputs = settings.outputs.unwrap_or_default();
+        Ok(Self::of(Session::new(settings)?, outputs))
+    }
+
+    /// Creates a smoother with explicit parameters.
+    ///
+    /// # Errors
+    /// If a parameter is outside its range.
+    pub fn with_params(frame: FrameParams, cloud: CloudParams, options: SmootherOptions) -> Result<Self, Error> {
+        let outputs = options.outputs;
+        Ok(Self::of(Session::with_params(frame, cloud, options, Vec::new())?, outputs))
+    }
+
+    fn of(session: Session, outputs: Outputs) -> Self {
         Self {
-            params,
-            general: SmoothParams::general(),
-            adapt_stride: false,
-            options,
+            session,
+            outputs,
             read: ReadOptions::default(),
-            open: None,
             smoothed: Smoothed::default(),
             wants_normals_image: false,
             normals: None,
@@ -73,29 +81,20 @@ impl MessageSmoother {
         }
     }
 
-    /// The same with other parameters for clouds without a grid.
-    pub fn with_general(self, general: SmoothParams) -> Self {
-        Self { general, ..self }
-    }
-
-    /// The same with windows and strides for coarse pixels ([`SmoothParams::at_resolution_of`]), or as given.
-    pub fn with_adapt_stride(self, adapt_stride: bool) -> Self {
-        Self { adapt_stride, ..self }
-    }
-
     /// The same with another limit to the memory that a message may take.
     pub fn with_read_options(self, read: ReadOptions) -> Self {
         Self { read, ..self }
     }
 
-    /// Sets the parameters of frames on a grid from the next message on.
-    pub fn set_params(&mut self, params: SmoothParams, adapt_stride: bool) {
-        (self.params, self.adapt_stride) = (params, adapt_stride);
-    }
-
-    /// Sets the fields that clouds get beside points.
-    pub fn set_outputs(&mut self, outputs: Outputs) {
-        self.options.outputs = outputs;
+    /// Sets the settings from the next message on; their outputs are the fields that clouds get beside points.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn set_settings(&mut self, settings: Settings) -> Result<(), Error> {
+        let outputs = settings.outputs.unwrap_or_default();
+        self.session.set_settings(settings)?;
+        self.outputs = outputs;
+        Ok(())
     }
 
     /// Asks for the normals of frames on a grid as an image, whether clouds have them or not.
@@ -113,7 +112,12 @@ impl MessageSmoother {
 
     /// The engine that smoothed the last message.
     pub fn engine(&self) -> Option<Engine> {
-        self.open.as_ref().map(|(smoother, _)| smoother.engine())
+        self.session.engine()
+    }
+
+    /// Takes what the session did by itself: another engine, an estimated sensor.
+    pub fn take_events(&mut self) -> Vec<SessionEvent> {
+        self.session.take_events()
     }
 
     /// Takes a warning, the first time that a message has lost more than a hundredth of its points.
@@ -187,7 +191,7 @@ impl MessageSmoother {
         let pixels = message.pixels(&self.read)?;
         let camera = camera(pixels.shape())?;
         camera.check_shape(pixels.shape())?;
-        let Outputs { normals, curvature, .. } = self.options.outputs;
+        let Outputs { normals, curvature, .. } = self.outputs;
         let outputs = Outputs::POINTS.with_points(points);
         let outputs = outputs.with_normals(points && normals).with_curvature(points && curvature);
         match &pixels {
@@ -210,7 +214,7 @@ impl MessageSmoother {
     pub fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<PointCloud2, MessageError> {
         self.read.check(cloud.data.len(), 2)?;
         let cloud = cloud.into_native()?;
-        let Outputs { normals, curvature, .. } = self.options.outputs;
+        let Outputs { normals, curvature, .. } = self.outputs;
         let view: PointsView<'_> = cloud.view()?;
         if view.is_empty() {
             return Ok(cloud);
@@ -224,26 +228,8 @@ impl MessageSmoother {
         let has_normals = outputs.normals;
         let outputs = outputs.with_normals(has_normals || self.wants_normals_image && grid.is_some());
         self.smoothed.normals = self.smoothed.normals.take().or(self.normals.take());
-        let params = match grid {
-            None => self.general,
-            Some(_) if self.adapt_stride => self.params.at_resolution_of(frame),
-            Some(_) => self.params,
-        };
-        let wanted = (grid, outputs, params);
-        let open = self.open.take().filter(|(_, open_for)| *open_for == wanted);
-        let (smoother, _) = match open {
-            Some(open) => self.open.insert(open),
-            None => {
-                let options = self.options.clone().with_outputs(outputs);
-                self.open.insert((Smoother::open_with(params, &options, grid)?, wanted))
-            }
-        };
-        let result = smoother.smooth(frame, &mut self.smoothed);
-        if matches!(result, Err(Error::Engine(_))) {
-            // An engine that failed is opened again for the next message.
-            self.open = None;
-        }
-        result?;
+        self.session.set_outputs(outputs);
+        self.session.smooth(frame, &mut self.smoothed)?;
         if !has_normals {
             // Clouds have the fields that are there.
             self.normals = self.smoothed.normals.take();

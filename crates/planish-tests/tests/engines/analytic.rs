@@ -1,18 +1,18 @@
 //! Surfaces whose smooth form is known exactly, through the reference engine.
 
 use planish::{
-    Edges, Engine, OrganizedCloud, PointCloud, Radius, SmoothParams, Smoothed, Smoother, Status, Xyz, auto_choice,
-    gpu_adapters,
+    CloudParams, Edges, FrameParams, FrameRadius, OrganizedCloud, PointCloud, Smoothed, Smoother, SmootherOptions,
+    Status, Xyz, auto_choice, gpu_adapters,
 };
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, height_field};
 
-fn smooth(cloud: &OrganizedCloud, params: SmoothParams) -> Smoothed {
+fn smooth(cloud: &OrganizedCloud, params: FrameParams) -> Smoothed {
     TestEngine::REFERENCE.smooth(cloud, params)
 }
 
-fn params(degree: u32) -> SmoothParams {
-    SmoothParams::paper().with_degree(degree)
+fn params(degree: u32) -> FrameParams {
+    FrameParams::paper().with_degree(degree)
 }
 
 /// Largest distance of the inner points (whole windows) from a surface given by the distance of a point to it.
@@ -100,7 +100,7 @@ fn too_few_neighbours_lines_and_small_neighbourhoods_have_their_status() {
     let at = |u: usize, v: usize| [0.002 * u as f32, 0.002 * v as f32, 1.0];
     let status_of = |keep: &dyn Fn(usize, usize) -> bool| {
         let cloud = grid(9, 9, |u, v| if keep(u, v) { at(u, v) } else { nan });
-        let smoothed = smooth(&cloud, SmoothParams::paper());
+        let smoothed = smooth(&cloud, FrameParams::paper());
         let (status, neighbours) = (smoothed.status.unwrap()[4 * 9 + 4], smoothed.neighbours.unwrap()[4 * 9 + 4]);
         (status, neighbours, smoothed.points.get(4 * 9 + 4))
     };
@@ -136,7 +136,7 @@ fn no_point_moves_further_than_the_radius() {
     for (radius_m, edges) in
         [0.005, 0.01, 0.02].into_iter().flat_map(|radius_m| [Edges::Off, Edges::Robust].map(|edges| (radius_m, edges)))
     {
-        let params = SmoothParams::paper().with_radius(Radius::Fixed { radius_m }).with_edges(edges);
+        let params = FrameParams::paper().with_radius(FrameRadius::Fixed { radius_m }).with_edges(edges);
         let smoothed = smooth(&cloud, params);
         for (p, q) in cloud.positions().iter().zip(smoothed.points.iter()) {
             let moved = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f32>().sqrt();
@@ -154,7 +154,7 @@ fn the_sensor_radius_follows_the_rule() {
             let z = if (u, v) == (20, 20) { 1.0 - lift } else { 1.0 };
             [(u as f32 - 20.0) * 0.002 * z, (v as f32 - 20.0) * 0.002 * z, z]
         });
-        let smoothed = smooth(&cloud, SmoothParams::default().with_window(3).with_stride(3).with_average_blocks(false));
+        let smoothed = smooth(&cloud, FrameParams::default().with_window(3).with_stride(3).with_average_blocks(false));
         smoothed.neighbours.unwrap()[20 * 41 + 20]
     };
     assert_eq!(neighbours(0.0), 49);
@@ -170,7 +170,7 @@ fn a_general_cloud_keeps_order_count_and_survives_repeated_coordinates() {
     points.extend([[5.0, 5.0, 1.0]; 1000]);
     points.push([f32::NAN; 3]);
     let cloud = PointCloud::new(points.iter().copied().collect::<Xyz>());
-    let params = SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 0.025 });
+    let params = CloudParams::paper().with_radius_m(0.025);
     let smoothed = TestEngine::REFERENCE.smooth(&cloud, params);
     assert_eq!((smoothed.width, smoothed.height, smoothed.points.len()), (41_001, 1, 41_001));
     let status = smoothed.status.as_ref().unwrap();
@@ -183,8 +183,7 @@ fn a_general_cloud_keeps_order_count_and_survives_repeated_coordinates() {
 
     let single = TestEngine { threads: Some(1), ..TestEngine::REFERENCE }.smooth(&cloud, params);
     assert_eq!(format!("{single:?}"), format!("{smoothed:?}"), "threads change nothing");
-    assert!(Smoother::open(SmoothParams::default(), Engine::Auto, None).is_err(), "there is no pixel spacing");
-    let params = params.with_radius_m(0.025);
     let (chosen, _) = auto_choice(&gpu_adapters());
-    assert_eq!(Smoother::open(params, Engine::Auto, None).unwrap().engine(), chosen);
+    let opened = Smoother::open_clouds(params, &SmootherOptions::default()).unwrap();
+    assert_eq!(opened.engine(), chosen);
 }

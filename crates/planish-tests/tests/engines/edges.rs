@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use planish::evaluate::{Case, Evaluation, Report, Suite};
 use planish::{
-    DepthFrame, Edges, OrganizedCloud, Outputs, PointsView, Radius, SensorModel, SimdLevel, SmoothParams, Smoothed,
+    DepthFrame, Edges, FrameParams, FrameRadius, OrganizedCloud, Outputs, PointsView, SensorModel, SimdLevel, Smoothed,
     Status, Strength, Xyz,
 };
 use planish_tests::bits;
@@ -14,11 +14,11 @@ use planish_tests::scenes::{grid, height_field, simulated, small_camera};
 /// Hardly any noise.
 const QUIET: SensorModel = SensorModel::new([0.0, 0.0, 2.85e-3], [0.0, 0.0, 1e-4]);
 
-fn params(edges: Edges) -> SmoothParams {
-    SmoothParams::default()
+fn params(edges: Edges) -> FrameParams {
+    FrameParams::default()
         .with_window(4)
         .with_stride(1)
-        .with_radius(Radius::Fixed { radius_m: 0.03 })
+        .with_radius(FrameRadius::Fixed { radius_m: 0.03 })
         .with_edges(edges)
         .with_sensor(QUIET)
 }
@@ -106,7 +106,7 @@ fn evaluate_raw(cases: &[Case]) -> Report {
 }
 
 /// How good they are once smoothed.
-fn evaluate(params: SmoothParams, cases: &[Case]) -> Report {
+fn evaluate(params: FrameParams, cases: &[Case]) -> Report {
     let mut evaluation = Evaluation::default();
     for case in cases {
         let outputs = Outputs::POINTS.with_normals(true);
@@ -118,7 +118,7 @@ fn evaluate(params: SmoothParams, cases: &[Case]) -> Report {
 
 #[test]
 fn the_default_setting_keeps_its_figures() {
-    let (raw, found) = (evaluate_raw(&CASES), evaluate(SmoothParams::default(), &CASES));
+    let (raw, found) = (evaluate_raw(&CASES), evaluate(FrameParams::default(), &CASES));
     // Within 5 % of what was measured when they were set: 0.215, 0.177, 0.199 and 2.12, 3.39, 7.14°.
     for (k, (most, most_deg)) in [(0.226, 2.23), (0.186, 3.56), (0.209, 7.5)].into_iter().enumerate() {
         let ratio = found.ranges[k].rmse_mm / raw.ranges[k].rmse_mm;
@@ -131,7 +131,7 @@ fn the_default_setting_keeps_its_figures() {
     assert!(found.crease_deg < 3.6 && found.speck_share < 1.15e-3, "{} {}", found.crease_deg, found.speck_share);
     assert!(found.sphere_radius_bias.abs() < 2e-3, "{}", found.sphere_radius_bias);
     assert!(found.lost_share < 2.9e-3 && found.invented == 0, "{}", found.lost_share);
-    let off = evaluate(SmoothParams::default().with_edges(Edges::Off), &CASES);
+    let off = evaluate(FrameParams::default().with_edges(Edges::Off), &CASES);
     assert!(found.crease_deg < 0.5 * off.crease_deg);
 }
 
@@ -140,9 +140,9 @@ fn windows_on_coarse_pixels_reach_no_further_over_the_scene() {
     let camera = small_camera();
     let cases = Suite { camera, ..Suite::default() }.cases(1).unwrap();
     let blank = DepthFrame::new(camera, vec![0; camera.width * camera.height]).unwrap();
-    let adapted = SmoothParams::default().at_resolution_of(&blank);
+    let adapted = FrameParams::default().at_resolution_of(&blank);
     let raw = evaluate_raw(&cases);
-    let [wide, found] = [SmoothParams::default(), adapted].map(|params| evaluate(params, &cases));
+    let [wide, found] = [FrameParams::default(), adapted].map(|params| evaluate(params, &cases));
     // Four times 25 pixels of a Kinect span whole objects: their points are pulled to the table.
     assert!(found.flying_share < 0.0115 && found.flying_share < wide.flying_share, "{found:?}");
     assert!(found.sphere_radius_bias.abs() < 0.025, "{found:?}");
@@ -158,7 +158,7 @@ fn what_has_no_noise_is_hardly_changed() {
     let cases = Suite { noise: planish::simulate::DepthNoise::NONE, ..Suite::default() }.cases(1).unwrap();
     let raw = evaluate_raw(&cases);
     for strength in [Strength::LIGHT, Strength::DEFAULT, Strength::STRONG] {
-        let found = evaluate(SmoothParams::for_sensor(SensorModel::EXACT, strength), &cases);
+        let found = evaluate(FrameParams::for_sensor(SensorModel::EXACT, strength), &cases);
         // The millimetres that depth comes in are all there is to smooth, and all that may be added.
         for k in 0..3 {
             assert!(found.ranges[k].rmse_mm < raw.ranges[k].rmse_mm, "{strength:?} {k}: {found:?} {raw:?}");
@@ -174,7 +174,7 @@ fn blocks_know_the_spacing_of_pixels_without_intrinsics() {
     let cloud = simulated(1, false, small_camera());
     let mut bare = cloud.clone();
     bare.camera = None;
-    let params = SmoothParams::default().with_edges(Edges::Off).with_radius_m(0.1).with_stride(3);
+    let params = FrameParams::default().with_edges(Edges::Off).with_radius_m(0.1).with_stride(3);
     let [expected, found] = [&cloud, &bare].map(|cloud| TestEngine::REFERENCE.smooth(cloud, params).points);
     let mut compared = 0;
     for (expected, found) in expected.iter().zip(found.iter()) {
@@ -217,7 +217,7 @@ fn the_suite_says_what_it_is_told() {
 
 /// What general clouds of these frames come to with some edges, and the default on their grid.
 fn general_and_on_grid(cases: &[Case], edges: Edges) -> [Report; 2] {
-    let general = SmoothParams::general().with_radius(Radius::Neighbours { count: 490 }).with_ridge(1e-2);
+    let general = planish::CloudParams::default().with_neighbours(490).with_ridge(1e-2);
     let params = general.with_edges(edges).with_remove_isolated(true);
     let mut smoothed = Evaluation::default();
     for case in cases {
@@ -227,7 +227,7 @@ fn general_and_on_grid(cases: &[Case], edges: Edges) -> [Report; 2] {
         let result = TestEngine::cpu(SimdLevel::best()).smooth_to(view, params, outputs);
         smoothed.add(case, &result.points, result.normals.as_ref().unwrap());
     }
-    [smoothed.report(), evaluate(SmoothParams::default(), cases)]
+    [smoothed.report(), evaluate(FrameParams::default(), cases)]
 }
 
 fn assert_as_on_grid([robust, on_grid]: &[Report; 2], nearest: usize) {

@@ -1,7 +1,10 @@
 //! General clouds: the fast engines against the reference, and what holds for any cloud.
 
 use planish::agreement::Agreement;
-use planish::{Edges, Engine, Outputs, PointsView, SensorPose, SimdLevel, SmoothParams, Smoothed, Smoother, Status};
+use planish::{
+    CloudParams, CloudRadius, Edges, Engine, Outputs, PointsView, SensorPose, SimdLevel, Smoothed, Smoother,
+    SmootherOptions, Status,
+};
 use planish_tests::bits::{bits, of_points};
 use planish_tests::data::{bunny, folder, general_cloud, skip};
 use planish_tests::engines::{TestEngine, test_adapter};
@@ -48,7 +51,7 @@ fn kinds() -> Vec<TestEngine> {
     [TestEngine::cpu(SimdLevel::best()), TestEngine::REFERENCE].into_iter().chain(gpu()).collect()
 }
 
-pub(super) fn smooth(engine: TestEngine, points: &[[f32; 3]], params: SmoothParams) -> Smoothed {
+pub(super) fn smooth(engine: TestEngine, points: &[[f32; 3]], params: CloudParams) -> Smoothed {
     engine.smooth(PointsView::from_rows(points).unwrap(), params)
 }
 
@@ -82,15 +85,15 @@ pub(super) fn few_frame_points(seed: u64) -> Points {
     frame_points(seed).into_iter().step_by(3).collect()
 }
 
-pub(super) fn settings() -> Vec<SmoothParams> {
-    let general = SmoothParams::general();
+pub(super) fn settings() -> Vec<CloudParams> {
+    let general = CloudParams::default();
     let fixed = general.with_radius_m(0.06);
     let robust = general.with_edges(Edges::Robust);
     vec![
         general,
         general.with_degree(3),
-        general.with_radius(planish::Radius::Neighbours { count: 12 }).with_degree(1),
-        general.with_radius(planish::Radius::Neighbours { count: 150 }).with_ridge(1e-2),
+        general.with_radius(CloudRadius::Neighbours { count: 12 }).with_degree(1),
+        general.with_radius(CloudRadius::Neighbours { count: 150 }).with_ridge(1e-2),
         fixed,
         fixed.with_degree(3).with_bandwidth_m(Some(0.02)),
         fixed.with_radius_m(0.2),
@@ -99,8 +102,6 @@ pub(super) fn settings() -> Vec<SmoothParams> {
         robust.with_degree(3),
         robust.with_radius_m(0.06),
         robust.with_radius_m(0.1).with_ridge(1e-2).with_bandwidth_m(Some(0.05)),
-        // Along rays, which general clouds have not.
-        SmoothParams::default().with_edges(Edges::Off).with_average_blocks(false).with_radius_m(0.05),
     ]
 }
 
@@ -111,7 +112,7 @@ fn assert_near(found: &Smoothed, expected: &Smoothed, what: &str) {
     assert!(misses.is_empty(), "{what}: {misses:?}");
 }
 
-fn assert_agree(engines: &[(String, TestEngine)], name: &str, points: &[[f32; 3]], params: SmoothParams) {
+fn assert_agree(engines: &[(String, TestEngine)], name: &str, points: &[[f32; 3]], params: CloudParams) {
     let expected = smooth(TestEngine::REFERENCE, points, params);
     for (engine_name, engine) in engines {
         assert_near(&smooth(*engine, points, params), &expected, &format!("{name}, {engine_name}, {params:?}"));
@@ -125,7 +126,7 @@ fn every_engine_agrees_with_the_reference() {
     for params in settings().into_iter().step_by(4) {
         assert_agree(&engines, "room", &room, params);
         // Fixed radii, which many of its points share, are left to the gate.
-        if matches!(params.radius, planish::Radius::Neighbours { .. }) {
+        if matches!(params.radius, CloudRadius::Neighbours { .. }) {
             assert_agree(&engines, "sphere", &uneven_sphere(6000, 3), params);
         }
     }
@@ -144,8 +145,8 @@ fn every_engine_agrees_with_the_reference_in_every_setting() {
         [1, 2, 7, 33].into_iter().for_each(|n| assert_agree(&engines, "few", &uneven_sphere(33, 5)[..n], params));
     }
     // With so many neighbours the sphere's stray points reach the pole, where their radii hang on the last digits of sums.
-    let wide = SmoothParams::general().with_edges(Edges::Robust).with_degree(3);
-    let wide = wide.with_radius(planish::Radius::Neighbours { count: 100 });
+    let wide = CloudParams::default().with_edges(Edges::Robust).with_degree(3);
+    let wide = wide.with_radius(CloudRadius::Neighbours { count: 100 });
     assert_agree(&engines, "frame", &frame_points(1), wide);
     assert_agree(&engines, "room", &frame_points(2), wide);
 }
@@ -167,10 +168,10 @@ fn assert_real_clouds_agree(one_of: usize) {
     let Some(data) = folder("general clouds") else { return };
     for name in ["unorganized/milk_color.pcd", "unorganized/room_scan1.pcd"] {
         let points: Points = general_cloud(&data, name).positions.iter().step_by(one_of).collect();
-        assert_agree(&engines, name, &points, SmoothParams::general());
+        assert_agree(&engines, name, &points, CloudParams::default());
         // The scanner's foot has so many points that lavapipe ends a loop there, and says so.
         if name.contains("milk") {
-            assert_agree(&engines, name, &points, SmoothParams::general().with_edges(Edges::Robust));
+            assert_agree(&engines, name, &points, CloudParams::default().with_edges(Edges::Robust));
         }
     }
 }
@@ -178,10 +179,10 @@ fn assert_real_clouds_agree(one_of: usize) {
 #[test]
 fn small_clouds_agree_and_lose_nothing() {
     let all = uneven_sphere(40, 5);
-    let (general, robust) = (SmoothParams::general(), SmoothParams::general().with_edges(Edges::Robust));
-    for params in [general, robust, robust.with_radius_m(0.4), SmoothParams::paper().with_radius_m(0.5)] {
+    let (general, robust) = (CloudParams::default(), CloudParams::default().with_edges(Edges::Robust));
+    for params in [general, robust, robust.with_radius_m(0.4), CloudParams::paper().with_radius_m(0.5)] {
         // One smoother takes clouds of every size, one after the other.
-        let open = |engine: TestEngine| Smoother::open_with(params, &engine.options(Outputs::ALL), None).unwrap();
+        let open = |engine: TestEngine| Smoother::open_clouds(params, &engine.options(Outputs::ALL)).unwrap();
         let mut reference = open(TestEngine::REFERENCE);
         let mut smoothers: Vec<_> = engines().into_iter().map(|(name, engine)| (name, open(engine))).collect();
         for count in (1..14).chain([16, 17, 31, 32, 33, 40]) {
@@ -209,7 +210,7 @@ fn holes_stay_holes_at_their_index_and_stray_points_stay_where_they_are() {
     holes.iter().for_each(|&i| points[i] = [f32::NAN, 0.0, 1.0]);
     for engine in kinds() {
         let name = engine.engine.name();
-        let found = smooth(engine, &points, SmoothParams::general());
+        let found = smooth(engine, &points, CloudParams::default());
         let status = found.status.as_ref().unwrap();
         assert!(holes.iter().all(|&i| status[i] == Status::Hole && found.points.get(i)[0].is_nan()), "{name}");
         assert_eq!((status[100], found.points.get(100)), (Status::Isolated, stray), "{name}");
@@ -219,7 +220,7 @@ fn holes_stay_holes_at_their_index_and_stray_points_stay_where_they_are() {
         let kept = status.iter().filter(|status| status.has_point()).count();
         assert_eq!(kept, points.len() - holes.len(), "{name}");
 
-        let removed = smooth(engine, &points, SmoothParams::general().with_remove_isolated(true));
+        let removed = smooth(engine, &points, CloudParams::default().with_remove_isolated(true));
         assert_eq!(removed.status.unwrap()[100], Status::TooFew, "{name}");
         assert!(removed.points.get(100)[0].is_nan(), "{name}");
     }
@@ -232,8 +233,8 @@ fn points_farther_than_the_engines_see_are_isolated_and_change_no_other() {
     points.extend([[2e18, 1.0, 0.0]; 40]);
     points.extend([[3e18, 1.0, 1.0], [1.0, -2e18, 0.0], [0.0, 0.0, f32::MAX]]);
     let far = near.len()..points.len();
-    let all = [SmoothParams::general(), SmoothParams::general().with_edges(Edges::Robust)];
-    for params in all.into_iter().chain([SmoothParams::general().with_radius_m(0.05)]) {
+    let all = [CloudParams::default(), CloudParams::default().with_edges(Edges::Robust)];
+    for params in all.into_iter().chain([CloudParams::default().with_radius_m(0.05)]) {
         for (name, engine) in engines() {
             let [alone, found] = [&near, &points].map(|points| smooth(engine, points, params));
             let status = found.status.as_ref().unwrap();
@@ -251,7 +252,7 @@ fn neither_threads_nor_the_order_of_the_points_change_a_bit() {
     // Of more points the curve of the index goes by a sample, which depends on their order.
     let points = uneven_sphere(9000, 8);
     let engine = |threads| TestEngine { threads: Some(threads), ..TestEngine::cpu(SimdLevel::best()) };
-    for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(0.05)] {
+    for params in [CloudParams::default(), CloudParams::default().with_radius_m(0.05)] {
         let expected = smooth(engine(1), &points, params);
         for threads in [2, 3, 8] {
             assert!(bits(&smooth(engine(threads), &points, params)) == bits(&expected), "{threads} threads");
@@ -271,10 +272,10 @@ fn points_at_one_place_count_each_and_cost_nothing() {
     // Were their cost quadratic, this would take minutes.
     let mut points = vec![[0.5, 0.25, 1.0]; 200_000];
     points.extend((0..2500).map(|i| [(i % 50) as f32 * 0.02, (i / 50) as f32 * 0.02, 1.0 + 0.001 * (i % 3) as f32]));
-    for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(0.07)] {
+    for params in [CloudParams::default(), CloudParams::default().with_radius_m(0.07)] {
         for engine in kinds() {
             let engine_name = engine.engine.name();
-            if engine_name == "reference" && params.radius == SmoothParams::general().with_radius_m(0.07).radius {
+            if engine_name == "reference" && params.radius == CloudParams::default().with_radius_m(0.07).radius {
                 continue;
             }
             let found = smooth(engine, &points, params);
@@ -283,7 +284,7 @@ fn points_at_one_place_count_each_and_cost_nothing() {
             assert!(found.neighbours.as_ref().unwrap()[0] >= 200_000, "{engine_name}");
         }
     }
-    let all_one = smooth(TestEngine::cpu(SimdLevel::best()), &points[..1000], SmoothParams::general());
+    let all_one = smooth(TestEngine::cpu(SimdLevel::best()), &points[..1000], CloudParams::default());
     assert!(all_one.status.unwrap().iter().all(|&status| status == Status::Degenerate));
 }
 
@@ -299,14 +300,14 @@ fn a_dense_cluster_in_a_wide_cloud_costs_what_it_costs_alone() {
     let on_gpu = gpu().map(|gpu| (gpu, 4_000));
     for (engine, count) in [(TestEngine::cpu(SimdLevel::best()), 100_000)].into_iter().chain(on_gpu) {
         let points = [&cluster[..count], &strays[..count / 20]].concat();
-        let found = smooth(engine, &points, SmoothParams::general());
+        let found = smooth(engine, &points, CloudParams::default());
         assert!(found.points.iter().zip(&points).take(count).all(|(p, q)| (p[0] - q[0]).abs() < 1e-3));
     }
     // The same positions twice, one after the other in the file: each counts once in the density around it.
     let twice = [&cluster[..600], &cluster[..600], &strays[..150]].concat();
-    let expected = smooth(TestEngine::REFERENCE, &twice, SmoothParams::general());
+    let expected = smooth(TestEngine::REFERENCE, &twice, CloudParams::default());
     for (name, engine) in engines() {
-        let found = smooth(engine, &twice, SmoothParams::general());
+        let found = smooth(engine, &twice, CloudParams::default());
         // Those of the cluster: the radii of others hang on its last digits (section 8).
         let far =
             |i: usize| (0..3).map(|k| (found.points.get(i)[k] - expected.points.get(i)[k]).abs()).fold(0.0, f32::max);
@@ -325,7 +326,7 @@ fn clouds_of_any_size_and_place_come_out_smoother() {
         let mut random = Random(4);
         let points: Points = (0..3600).map(|i| plane(i, &mut random).map(|value| (value * spacing_m) as f32)).collect();
         for (name, engine) in engines() {
-            let found = smooth(engine, &points, SmoothParams::general());
+            let found = smooth(engine, &points, CloudParams::default());
             let rms = |points: &mut dyn Iterator<Item = [f32; 3]>| {
                 let (sum, count) = points.fold((0.0, 0), |(sum, n), p| (sum + f64::from(p[2]).powi(2), n + 1));
                 (sum / f64::from(count)).sqrt()
@@ -338,7 +339,7 @@ fn clouds_of_any_size_and_place_come_out_smoother() {
     let mut wild = uneven_sphere(500, 6);
     (wild[3], wild[4], wild[5]) = ([3e38, 0.0, 0.0], [-3e38, 1e30, 0.0], [1e-40, 0.0, 1e-42]);
     for (name, engine) in engines() {
-        for params in [SmoothParams::general(), SmoothParams::general().with_radius_m(1e3)] {
+        for params in [CloudParams::default(), CloudParams::default().with_radius_m(1e3)] {
             let found = smooth(engine, &wild, params);
             assert!(found.points.iter().all(|p| p.iter().all(|value| value.is_finite())), "{name}, {params:?}");
         }
@@ -352,8 +353,8 @@ fn a_moved_sensor_turns_normals_and_moves_no_point() {
     let behind = SensorPose { position_m: [0.0, 0.0, 50.0], ..SensorPose::IDENTITY };
     for engine in kinds() {
         let name = engine.engine.name();
-        let own = engine.smooth(view, SmoothParams::general());
-        let turned = engine.smooth(view.with_pose(behind).unwrap(), SmoothParams::general());
+        let own = engine.smooth(view, CloudParams::default());
+        let turned = engine.smooth(view.with_pose(behind).unwrap(), CloudParams::default());
         assert_eq!(
             own.points.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>(),
             turned.points.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>(),
@@ -371,7 +372,7 @@ fn a_moved_sensor_turns_normals_and_moves_no_point() {
 #[test]
 fn only_what_is_asked_for_is_there() {
     let points = few_frame_points(1);
-    let (engine, params) = (TestEngine::cpu(SimdLevel::best()), SmoothParams::general());
+    let (engine, params) = (TestEngine::cpu(SimdLevel::best()), CloudParams::default());
     let view = PointsView::from_rows(&points).unwrap();
     let all = engine.smooth(view, params);
     let normals = engine.smooth_to(view, params, Outputs::POINTS.with_points(false).with_normals(true));
@@ -383,7 +384,8 @@ fn only_what_is_asked_for_is_there() {
 fn progress_of_another_thread_grows_to_the_whole() {
     for (engine, count) in [(Engine::Cpu, 30_000), (Engine::Reference, 12_000)] {
         let points = uneven_sphere(count, 3);
-        let mut smoother = Smoother::open(SmoothParams::general(), engine, None).unwrap();
+        let mut smoother =
+            Smoother::open_clouds(CloudParams::default(), &SmootherOptions::new(engine, Outputs::POINTS)).unwrap();
         let progress = smoother.progress().unwrap();
         assert_eq!(progress.share(), 0.0);
         let mut shares = vec![progress.share()];
@@ -407,7 +409,8 @@ fn progress_of_another_thread_grows_to_the_whole() {
 fn a_frame_that_is_stopped_is_an_error_and_the_next_is_whole() {
     for (engine, count) in [(Engine::Cpu, 30_000), (Engine::Reference, 12_000)] {
         let points = uneven_sphere(count, 3);
-        let mut smoother = Smoother::open(SmoothParams::general(), engine, None).unwrap();
+        let mut smoother =
+            Smoother::open_clouds(CloudParams::default(), &SmootherOptions::new(engine, Outputs::POINTS)).unwrap();
         let progress = smoother.progress().unwrap();
         let mut smoothed = Smoothed::default();
         let view = || PointsView::from_rows(&points).unwrap();

@@ -1,17 +1,17 @@
 //! General clouds on a GPU: in parts where they are larger than it takes at once, and drivers that do not do all they were asked.
 
-use planish::{Edges, EngineError, Error, Outputs, PointsView, SmoothParams, Smoothed, Smoother};
+use planish::{CloudParams, Edges, EngineError, Error, Outputs, PointsView, Smoothed, Smoother};
 use planish_tests::engines::{TestEngine, test_adapter};
 
 use super::general::{Points, Random, few_frame_points, frame_points, settings, smooth, uneven_sphere};
 
 /// How many points differ by more than rounding between a cloud smoothed on the GPU in parts and at once; `None` if its points reach too
 /// many others for parts.
-fn differing_in_parts(points: &[[f32; 3]], params: SmoothParams, points_at_once: usize) -> Option<usize> {
+fn differing_in_parts(points: &[[f32; 3]], params: CloudParams, points_at_once: usize) -> Option<usize> {
     let whole = smooth(TestEngine::gpu(false), points, params);
     let options = TestEngine { bounds_checks: false, ..TestEngine::in_parts(points_at_once) }.options(Outputs::ALL);
     let mut parts = Smoothed::default();
-    let mut smoother = Smoother::open_with(params, &options, None).unwrap();
+    let mut smoother = Smoother::open_clouds(params, &options).unwrap();
     match smoother.smooth(PointsView::from_rows(points).unwrap(), &mut parts) {
         Err(Error::Engine(EngineError::Crowded { .. })) => return None,
         result => result.unwrap(),
@@ -35,7 +35,7 @@ fn clouds_in_parts_are_as_those_at_once() {
     }
     // A point may miss that reaches more of the cloud than the device takes, and one whose neighbours' radii are much larger than its own.
     let room = few_frame_points(2);
-    let general = SmoothParams::general();
+    let general = CloudParams::default();
     let robust = general.with_edges(Edges::Robust);
     for params in [general, robust.with_radius_m(0.06)] {
         let differing = differing_in_parts(&room, params, 3500);
@@ -73,10 +73,10 @@ fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
     let sphere = uneven_sphere(6000, 3);
     let mut one_place = sphere.clone();
     one_place[..4500].fill(sphere[0]);
-    let general = SmoothParams::general();
+    let general = CloudParams::default();
     let options = TestEngine::in_parts(4000).options(Outputs::POINTS);
     for (points, params) in [(&sphere, general.with_radius_m(0.2)), (&one_place, general)] {
-        let mut smoother = Smoother::open_with(params, &options, None).unwrap();
+        let mut smoother = Smoother::open_clouds(params, &options).unwrap();
         let smooth = |smoother: &mut Smoother, points| {
             smoother.smooth(PointsView::from_rows(points).unwrap(), &mut Smoothed::default())
         };
@@ -102,8 +102,8 @@ fn a_driver_that_ends_loops_early_is_an_error() {
     };
     let mut points: Points = (0..70_000).map(|_| on_surface(&mut random)).collect();
     points.push([0.0; 3]);
-    let params = SmoothParams::general().with_radius_m(1.01).with_degree(1);
-    let mut smoother = Smoother::open_with(params, &TestEngine::gpu(false).options(Outputs::ALL), None).unwrap();
+    let params = CloudParams::default().with_radius_m(1.01).with_degree(1);
+    let mut smoother = Smoother::open_clouds(params, &TestEngine::gpu(false).options(Outputs::ALL)).unwrap();
     let mut found = Smoothed::default();
     match smoother.smooth(PointsView::from_rows(&points).unwrap(), &mut found) {
         Ok(()) => assert_eq!(found.neighbours.unwrap()[70_000], 70_001),

@@ -2,8 +2,8 @@
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    AdapterKind, Camera, DepthFrame, Engine, EngineError, Error, Frame, FrameError, GpuAdapter, GpuOptions, IntoFrame,
-    Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Transfer, auto_choice, gpu_adapters,
+    AdapterKind, Camera, DepthFrame, Engine, EngineError, Error, Frame, FrameError, FrameParams, GpuAdapter,
+    GpuOptions, IntoFrame, Outputs, Smoothed, Smoother, SmootherOptions, Transfer, auto_choice, gpu_adapters,
 };
 use planish_tests::bits::bits;
 use planish_tests::data::skip;
@@ -22,7 +22,7 @@ fn adapter(test: &str) -> Option<&'static GpuAdapter> {
     adapter
 }
 
-fn open(params: SmoothParams, change: impl FnOnce(&mut SmootherOptions)) -> Result<Smoother, Error> {
+fn open(params: FrameParams, change: impl FnOnce(&mut SmootherOptions)) -> Result<Smoother, Error> {
     let mut options = TestEngine::gpu(true).options(Outputs::ALL);
     change(&mut options);
     Smoother::open_with(params, &options, SHAPE)
@@ -35,7 +35,7 @@ fn frame(seed: u64) -> DepthFrame {
     DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).unwrap()
 }
 
-fn one_by_one(frames: &[Frame<'_>], params: SmoothParams) -> Vec<Vec<u32>> {
+fn one_by_one(frames: &[Frame<'_>], params: FrameParams) -> Vec<Vec<u32>> {
     let mut smoother = open(params, |_| ()).unwrap();
     let mut smoothed = Smoothed::default();
     let mut smooth = |&frame: &Frame<'_>| {
@@ -55,9 +55,9 @@ fn frames_in_flight_come_back_in_order() {
     // Depth and points by turns, copied and in place by turns.
     let frames: Vec<Frame<'_>> =
         depths.iter().zip(&clouds).flat_map(|(d, c)| [d.into_frame().unwrap(), c.into_frame().unwrap()]).collect();
-    let expected = one_by_one(&frames, SmoothParams::default());
+    let expected = one_by_one(&frames, FrameParams::default());
     for transfer in [Transfer::Staged, Transfer::Auto] {
-        let mut smoother = open(SmoothParams::default(), |options| {
+        let mut smoother = open(FrameParams::default(), |options| {
             options.gpu.transfer = transfer;
             options.gpu.slots = 3;
         })
@@ -90,7 +90,7 @@ fn copies_need_no_thread_of_who_waits_for_them() {
     let depth = frame(1);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let points = pool.install(|| {
-        let mut smoother = open(SmoothParams::paper(), |_| ()).unwrap();
+        let mut smoother = open(FrameParams::paper(), |_| ()).unwrap();
         smoother.submit(&depth, Smoothed::default()).unwrap();
         smoother.receive().unwrap().unwrap().into_smoothed().points.len()
     });
@@ -104,8 +104,8 @@ fn views_stay_what_they_are_while_frames_go_on_and_on_other_threads() {
     }
     let depths: Vec<_> = (0..5).map(frame).collect();
     let frames: Vec<Frame<'_>> = depths.iter().map(|depth| depth.into_frame().unwrap()).collect();
-    let expected = one_by_one(&frames, SmoothParams::paper());
-    let mut smoother = open(SmoothParams::paper(), |options| options.outputs.depth = true).unwrap();
+    let expected = one_by_one(&frames, FrameParams::paper());
+    let mut smoother = open(FrameParams::paper(), |options| options.outputs.depth = true).unwrap();
     let mut views = Vec::new();
     for &frame in &frames {
         smoother.submit_in_place(frame).unwrap();
@@ -147,8 +147,8 @@ fn a_batch_gives_what_its_frames_give() {
     let cloud = depths[2].deproject().unwrap();
     let mut frames: Vec<Frame<'_>> = depths.iter().map(|depth| depth.into_frame().unwrap()).collect();
     frames.insert(3, (&cloud).into_frame().unwrap());
-    let expected = one_by_one(&frames, SmoothParams::default());
-    let mut smoother = open(SmoothParams::default(), |_| ()).unwrap();
+    let expected = one_by_one(&frames, FrameParams::default());
+    let mut smoother = open(FrameParams::default(), |_| ()).unwrap();
     let mut out = vec![Smoothed::default(); frames.len()];
     for _ in 0..2 {
         smoother.smooth_batch(&frames, &mut out).unwrap();
@@ -165,7 +165,7 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
         return;
     }
     let depth = frame(3);
-    let all = TestEngine::gpu(true).smooth_to(&depth, SmoothParams::default(), EVERYTHING);
+    let all = TestEngine::gpu(true).smooth_to(&depth, FrameParams::default(), EVERYTHING);
     let mut smoothed = Smoothed::default();
     for wanted in (1..128u32).filter(|wanted| wanted.count_ones() == 1 || wanted % 18 == 9) {
         let wants = |output: u32| wanted & output != 0;
@@ -177,7 +177,7 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
             .with_status(wants(16))
             .with_neighbours(wants(32))
             .with_depth_m(wants(64));
-        let mut smoother = open(SmoothParams::default(), |options| options.outputs = outputs).unwrap();
+        let mut smoother = open(FrameParams::default(), |options| options.outputs = outputs).unwrap();
         smoother.smooth(&depth, &mut smoothed).unwrap();
         let mut expected = all.clone();
         expected.points = if outputs.points { expected.points } else { Default::default() };
@@ -196,7 +196,7 @@ fn shapes_around_the_tile_lose_no_pixel() {
     if adapter("shapes").is_none() {
         return;
     }
-    let params = SmoothParams::paper().with_stride(2);
+    let params = FrameParams::paper().with_stride(2);
     for (width, height) in [(1, 1), (1, 9), (2, 7), (3, 5), (31, 3), (32, 4), (33, 17), (63, 8), (65, 9)] {
         let z = |u: usize, v: usize| 1.0 + 0.0001 * ((u * v) % 5) as f32;
         let mut cloud = grid(width, height, |u, v| [0.003 * u as f32 * z(u, v), 0.003 * v as f32 * z(u, v), z(u, v)]);
@@ -219,13 +219,13 @@ fn time_stamps_say_where_the_time_went() {
         return;
     }
     let depth = frame(1);
-    let mut smoother = open(SmoothParams::paper(), |options| options.gpu.timestamps = true).unwrap();
+    let mut smoother = open(FrameParams::paper(), |options| options.gpu.timestamps = true).unwrap();
     let mut smoothed = Smoothed::default();
     smoother.smooth(&depth, &mut smoothed).unwrap();
     assert!(smoother.timings().unwrap().kernel.as_nanos() > 1000);
     smoother.submit_in_place(&depth).unwrap();
     assert!(smoother.receive().unwrap().unwrap().timings().unwrap().kernel.as_nanos() > 1000);
-    let mut off = open(SmoothParams::paper(), |_| ()).unwrap();
+    let mut off = open(FrameParams::paper(), |_| ()).unwrap();
     off.smooth(&depth, &mut smoothed).unwrap();
     assert!(off.timings().is_none());
 }
@@ -236,7 +236,7 @@ fn the_bytes_of_its_buffers_are_known_wherever_they_are() {
         return;
     }
     let depth = frame(1);
-    let mut smoother = open(SmoothParams::paper(), |options| {
+    let mut smoother = open(FrameParams::paper(), |options| {
         options.gpu.transfer = Transfer::Staged;
         options.gpu.slots = 2;
     })
@@ -266,24 +266,24 @@ fn what_cannot_be_is_refused_with_a_reason() {
     let unknown = SmootherOptions::default()
         .with_engine(Engine::Gpu)
         .with_gpu(GpuOptions::default().with_adapter("no such card".to_owned()));
-    let error = Smoother::open_with(SmoothParams::paper(), &unknown, SHAPE).map(|_| ()).unwrap_err().to_string();
+    let error = Smoother::open_with(FrameParams::paper(), &unknown, SHAPE).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("no such card") || error.contains("no adapter was found"), "{error}");
     if adapter("refusals").is_none() {
         return;
     }
-    let error = open(SmoothParams::paper(), |options| options.gpu.slots = 0).map(|_| ()).unwrap_err().to_string();
+    let error = open(FrameParams::paper(), |options| options.gpu.slots = 0).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("slots = 0"), "{error}");
     // One row of more workgroups than any device has.
     let error =
-        Smoother::open_with(SmoothParams::paper(), &TestEngine::gpu(true).options(Outputs::POINTS), (1 << 26, 1))
+        Smoother::open_with(FrameParams::paper(), &TestEngine::gpu(true).options(Outputs::POINTS), (1 << 26, 1))
             .map(|_| ())
             .unwrap_err();
     let is_limit = matches!(&error, Error::Engine(EngineError::Limit { needed, allowed, .. }) if needed > allowed);
     assert!(is_limit, "{error}");
     let none = Outputs::POINTS.with_points(false);
-    let error = open(SmoothParams::paper(), |options| options.outputs = none).map(|_| ()).unwrap_err().to_string();
+    let error = open(FrameParams::paper(), |options| options.outputs = none).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("outputs = none"), "{error}");
-    let mut smoother = open(SmoothParams::paper(), |options| options.outputs = Outputs::DEPTH).unwrap();
+    let mut smoother = open(FrameParams::paper(), |options| options.outputs = Outputs::DEPTH).unwrap();
     // The camera of another image.
     let mut mistaken = frame(1).deproject().unwrap();
     mistaken.camera = Some(Camera::kinect_v1());
@@ -304,14 +304,14 @@ fn auto_takes_a_real_gpu_or_the_cpu_and_says_why() {
         .any(|a| matches!(a.kind, AdapterKind::Discrete | AdapterKind::Integrated | AdapterKind::Virtual));
     let (engine, reason) = auto_choice(&adapters);
     assert_eq!(engine == Engine::Gpu, has_gpu, "{reason}");
-    let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Auto, SHAPE).unwrap();
+    let mut smoother = Smoother::open(FrameParams::paper(), Engine::Auto, SHAPE).unwrap();
     assert_eq!(smoother.engine(), engine);
     assert_eq!(smoother.chosen_because(), Some(&reason));
     let mut smoothed = Smoothed::default();
     smoother.smooth(&frame(1), &mut smoothed).unwrap();
     assert_eq!(smoothed.points.len(), SHAPE.0 * SHAPE.1);
     if !has_gpu {
-        let error = Smoother::open(SmoothParams::paper(), Engine::Gpu, SHAPE).map(|_| ()).unwrap_err().to_string();
+        let error = Smoother::open(FrameParams::paper(), Engine::Gpu, SHAPE).map(|_| ()).unwrap_err().to_string();
         assert!(error.contains("adapter"), "{error}");
     }
 }
@@ -320,7 +320,7 @@ fn auto_takes_a_real_gpu_or_the_cpu_and_says_why() {
 fn the_cpu_engine_keeps_the_same_order_and_limit() {
     let depths: Vec<_> = (0..4).map(frame).collect();
     let options = SmootherOptions::default().with_engine(Engine::Cpu).with_gpu(GpuOptions::default().with_slots(3));
-    let mut smoother = Smoother::open_with(SmoothParams::default(), &options, SHAPE).unwrap();
+    let mut smoother = Smoother::open_with(FrameParams::default(), &options, SHAPE).unwrap();
     let mut expected = Vec::new();
     for depth in &depths[..3] {
         let mut smoothed = Smoothed::default();
@@ -352,7 +352,7 @@ fn a_device_of_the_host_program_gives_the_same_bits() {
     let request = wgpu::DeviceDescriptor { required_limits: own.limits(), ..Default::default() };
     let (device, queue) = pollster::block_on(own.request_device(&request)).unwrap();
     let depth = frame(2);
-    for params in [SmoothParams::paper(), SmoothParams::default()] {
+    for params in [FrameParams::paper(), FrameParams::default()] {
         let options = SmootherOptions::default().with_outputs(EVERYTHING);
         let mut smoother = Smoother::open_on(&device, &queue, params, &options, SHAPE).unwrap();
         assert_eq!((smoother.engine(), smoother.gpu_name()), (Engine::Gpu, Some(adapter.name.as_str())));

@@ -3,7 +3,7 @@
 
 use planish::agreement::{Agreement, radii_m};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::{DepthFrame, Outputs, SmoothParams};
+use planish::{DepthFrame, FrameParams, Outputs};
 use planish_tests::bits::bits;
 use planish_tests::data::skip;
 use planish_tests::engines::{TestEngine, test_adapter};
@@ -67,7 +67,7 @@ fn frame(seed: u64) -> DepthFrame {
 #[test]
 fn the_shaders_checks_of_bounds_change_no_bit() {
     for pair in both_builds("bounds checks").chunks(2) {
-        for params in [SmoothParams::paper(), SmoothParams::default(), SmoothParams::paper().with_degree(1)] {
+        for params in [FrameParams::paper(), FrameParams::default(), FrameParams::paper().with_degree(1)] {
             let [checked, unchecked] = [&pair[0], &pair[1]].map(|(_, engine)| engine.smooth(&frame(3), params));
             assert!(bits(&checked) == bits(&unchecked), "{params:?}");
         }
@@ -80,7 +80,7 @@ fn a_depth_frame_gives_what_its_cloud_gives() {
         let mut depth = frame(4);
         depth.raw[777] = planish::SATURATED_DEPTH;
         let cloud = depth.deproject().unwrap();
-        for params in [SmoothParams::paper(), SmoothParams::default()] {
+        for params in [FrameParams::paper(), FrameParams::default()] {
             let mut agreement = Agreement::default();
             let radii_m = radii_m(&cloud, params);
             agreement.add(&engine.smooth(&depth, params), &engine.smooth(&cloud, params), |i| radii_m[i]);
@@ -94,7 +94,7 @@ fn a_depth_frame_gives_what_its_cloud_gives() {
 fn depth_out_is_the_references_to_the_unit() {
     for (subject, engine) in both_builds("depth as an output") {
         let depth = frame(5);
-        for params in [SmoothParams::paper(), SmoothParams::default()] {
+        for params in [FrameParams::paper(), FrameParams::default()] {
             let raw = |engine: TestEngine| engine.smooth_to(&depth, params, Outputs::DEPTH).depth.unwrap();
             let (found, expected) = (raw(engine), raw(TestEngine::REFERENCE));
             let differ: Vec<_> = found.iter().zip(&expected).filter(|(a, b)| a != b).collect();

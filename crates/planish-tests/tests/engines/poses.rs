@@ -2,8 +2,8 @@
 
 use planish::agreement::{Agreement, POSITION_999_M, radii_m};
 use planish::{
-    Camera, DepthFrame, Distortion, OrganizedCloud, Outputs, PointsView, Project, RangeRule, SensorPose, SimdLevel,
-    SmoothParams, Smoothed, Status,
+    Camera, DepthFrame, Distortion, FrameParams, OrganizedCloud, Outputs, PointsView, Project, RangeRule, SensorPose,
+    SimdLevel, Smoothed, Status,
 };
 use planish_tests::engines::{TestEngine, test_adapter};
 use planish_tests::poses::{BASE, moved, rotate, transform};
@@ -60,7 +60,7 @@ proptest! {
     #[test]
     fn a_rigid_motion_of_cloud_and_pose_moves_the_result(pose in pose(), paper in any::<bool>()) {
         let own = simulated(3, true, small_camera());
-        let params = if paper { SmoothParams::paper() } else { SmoothParams::default().with_stride(1) };
+        let params = if paper { FrameParams::paper() } else { FrameParams::default().with_stride(1) };
         let cloud = moved(&own, pose);
         let radii = radii_m(&own, params);
         let of_own = TestEngine::REFERENCE.smooth(&own, params);
@@ -92,7 +92,7 @@ fn points_moved_along_rays_stay_on_them_and_have_the_depth_that_comes_out() {
     posed.camera = Some(camera);
     for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
         for (cloud, pose) in [(&own, SensorPose::IDENTITY), (&posed, BASE)] {
-            for params in [SmoothParams::paper(), SmoothParams::default().with_stride(1)] {
+            for params in [FrameParams::paper(), FrameParams::default().with_stride(1)] {
                 let params = params.with_project(Project::Ray);
                 let smoothed = engine.smooth_to(cloud, params, Outputs::ALL.with_depth(true));
                 let (depth, mut found) = (smoothed.depth.as_ref().unwrap(), 0);
@@ -142,7 +142,7 @@ fn walls_in_other_frames_come_out_whole_and_face_their_sensor() {
                 cloud.points.pose.orientation = SensorPose::IDENTITY.orientation;
                 cloud
             };
-            for params in [SmoothParams::default().with_stride(1), SmoothParams::paper().with_radius_m(0.15)] {
+            for params in [FrameParams::default().with_stride(1), FrameParams::paper().with_radius_m(0.15)] {
                 for (how, cloud) in [("posed", &cloud), ("without its pose", &forgotten), ("unturned", &unturned)] {
                     let smoothed = engine.smooth(cloud, params);
                     assert_eq!(share_with_points(&smoothed, cloud), 1.0, "{name}, {how}, {params:?}");
@@ -175,7 +175,7 @@ fn a_georeferenced_grid_keeps_its_points_and_its_millimetres() {
     let view = PointsView::from_rows_f64(&rows).unwrap().with_grid(80, 60).unwrap().with_origin(origin).unwrap();
     assert!(matches!(view.range_rule(), RangeRule::Constant { spacing_m } if (spacing_m - spacing).abs() < 0.01));
     for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
-        let smoothed = engine.smooth(view, SmoothParams::default().with_stride(1));
+        let smoothed = engine.smooth(view, FrameParams::default().with_stride(1));
         assert!(smoothed.status.as_ref().unwrap().iter().all(|status| status.has_normal()), "{name}");
         let normals = smoothed.normals.as_ref().unwrap();
         assert!(normals.z.iter().all(|z| *z > 0.0), "{name}: they face up");
@@ -201,7 +201,7 @@ fn every_layout_of_input_and_output_has_the_same_bits() {
                 PointsView::from_rows_f64(&rows_f64).unwrap(),
             ]
             .map(|view| view.with_grid(160, 120).unwrap().with_pose(pose).unwrap());
-            let params = SmoothParams::default().with_stride(1);
+            let params = FrameParams::default().with_stride(1);
             let expected = engine.smooth(views[0], params);
             let mut smoother = Smoother::open_with(params, &engine.options(outputs), (160, 120)).unwrap();
             for view in views {
@@ -248,12 +248,12 @@ fn depth_in_metres_and_with_strides_is_the_same_frame() {
     let strided: Vec<u16> = raw.chunks(160).flat_map(padded).collect();
     let outputs = Outputs::ALL.with_depth(true);
     for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
-        let expected = engine.smooth_to(DepthView::new(&raw, &camera).unwrap(), SmoothParams::default(), outputs);
+        let expected = engine.smooth_to(DepthView::new(&raw, &camera).unwrap(), FrameParams::default(), outputs);
         for view in [
             DepthView::from_metres(&metres, &camera).unwrap(),
             DepthView::with_row_stride(&strided, 171, &camera).unwrap(),
         ] {
-            let found = engine.smooth_to(view, SmoothParams::default(), outputs);
+            let found = engine.smooth_to(view, FrameParams::default(), outputs);
             assert_eq!(format!("{found:?}"), format!("{expected:?}"), "{name}");
         }
     }
@@ -270,7 +270,7 @@ fn depth_through_a_distorted_lens_agrees_on_all_engines() {
     let straight = frame.deproject().unwrap();
     assert!((straight.positions().x[300] - cloud.positions().x[300]).abs() > 1e-3, "the lens bends");
     let outputs = Outputs::ALL.with_depth(true);
-    for params in [SmoothParams::paper(), SmoothParams::default().with_stride(1)] {
+    for params in [FrameParams::paper(), FrameParams::default().with_stride(1)] {
         let expected = TestEngine::REFERENCE.smooth_to(&frame, params, outputs);
         let radii = radii_m(&straight, params);
         for (name, engine) in engines() {
@@ -293,8 +293,8 @@ fn a_moved_cloud_has_depth_along_its_cameras_rays() {
     cloud.camera = Some(camera);
     let outputs = Outputs::ALL.with_depth(true);
     for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
-        let expected = engine.smooth_to(&own, SmoothParams::paper(), outputs).depth.unwrap();
-        let found = engine.smooth_to(&cloud, SmoothParams::paper(), outputs).depth.unwrap();
+        let expected = engine.smooth_to(&own, FrameParams::paper(), outputs).depth.unwrap();
+        let found = engine.smooth_to(&cloud, FrameParams::paper(), outputs).depth.unwrap();
         let far = found.iter().zip(&expected).filter(|(a, b)| a.abs_diff(**b) > 1).count();
         assert!(far < 20, "{name}: {far}");
     }
@@ -305,7 +305,7 @@ fn threads_change_no_bit_of_a_moved_cloud() {
     let cloud = moved(&simulated(6, false, small_camera()), BASE);
     let of_threads = |threads| {
         let engine = TestEngine { threads: Some(threads), ..TestEngine::cpu(SimdLevel::best()) };
-        format!("{:?}", engine.smooth(&cloud, SmoothParams::default()))
+        format!("{:?}", engine.smooth(&cloud, FrameParams::default()))
     };
     let one = of_threads(1);
     assert!([2, 3, 8].into_iter().all(|threads| of_threads(threads) == one));

@@ -1,22 +1,22 @@
 //! The reference engine against PCL's own test values, the invariants, and real frames.
 
 use planish::agreement::radii_m;
-use planish::{Engine, Project, Radius, SmoothParams, Smoothed, Smoother};
+use planish::{Engine, FrameParams, FrameRadius, Project, Smoothed, Smoother};
 use planish_tests::data::{bunny, real_frames};
 use planish_tests::engines::TestEngine;
 use planish_tests::parity::quarter;
 use planish_tests::scenes::{nasty_scenes, simulated, small_camera};
 use planish_tests::tolerances::assert_invariants;
 
-fn smooth(cloud: &planish::OrganizedCloud, params: SmoothParams, threads: usize) -> Smoothed {
+fn smooth(cloud: &planish::OrganizedCloud, params: FrameParams, threads: usize) -> Smoothed {
     TestEngine { threads: Some(threads), ..TestEngine::REFERENCE }.smooth(cloud, params)
 }
 
 #[test]
 fn general_mode_gives_the_values_of_pcls_own_test() {
     let cloud = bunny();
-    let radius = Radius::Fixed { radius_m: 0.03 };
-    let params = SmoothParams::paper().with_radius(radius).with_degree(2).with_bandwidth_m(Some(0.03));
+    let radius = FrameRadius::Fixed { radius_m: 0.03 };
+    let params = FrameParams::paper().with_radius(radius).with_degree(2).with_bandwidth_m(Some(0.03));
     let smoothed = TestEngine::REFERENCE.smooth(&cloud, params);
     assert_eq!(smoothed.points.len(), 397);
     let normal = smoothed.normals.unwrap().get(0).map(f32::abs);
@@ -32,12 +32,12 @@ fn general_mode_gives_the_values_of_pcls_own_test() {
 #[test]
 fn invariants_hold_on_nasty_clouds_whatever_the_threads() {
     let corners = [
-        SmoothParams::paper(),
-        SmoothParams::default(),
-        SmoothParams::default().with_window(7).with_stride(8),
-        SmoothParams::paper().with_window(1).with_degree(2),
-        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e-6 }),
-        SmoothParams::paper().with_radius(Radius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e-3)),
+        FrameParams::paper(),
+        FrameParams::default(),
+        FrameParams::default().with_window(7).with_stride(8),
+        FrameParams::paper().with_window(1).with_degree(2),
+        FrameParams::paper().with_radius(FrameRadius::Fixed { radius_m: 1e-6 }),
+        FrameParams::paper().with_radius(FrameRadius::Fixed { radius_m: 1e3 }).with_bandwidth_m(Some(1e-3)),
     ];
     for scene in nasty_scenes() {
         for params in corners {
@@ -54,7 +54,7 @@ fn invariants_hold_on_nasty_clouds_whatever_the_threads() {
 fn invariants_hold_on_simulated_frames() {
     for (seed, room) in [(1, false), (2, true)] {
         let cloud = simulated(seed, room, small_camera());
-        for params in [SmoothParams::paper(), SmoothParams::default()] {
+        for params in [FrameParams::paper(), FrameParams::default()] {
             assert_invariants(&cloud, &smooth(&cloud, params, 2), &radii_m(&cloud, params), "simulated");
         }
     }
@@ -66,7 +66,7 @@ fn invariants_hold_on_real_frames() {
     for (i, frame) in real_frames("reference on real frames").into_iter().enumerate() {
         // A sixteenth, from its middle.
         let cloud = quarter(&quarter(&frame.cloud, i % 4), 3 - i % 4);
-        let params = [SmoothParams::paper(), SmoothParams::default()][i % 2];
+        let params = [FrameParams::paper(), FrameParams::default()][i % 2];
         let smoothed = smooth(&cloud, params, 2);
         assert_invariants(&cloud, &smoothed, &radii_m(&cloud, params), frame.name);
     }
@@ -74,7 +74,7 @@ fn invariants_hold_on_real_frames() {
 
 #[test]
 fn a_frame_of_another_shape_is_refused_with_both_shapes() {
-    let mut smoother = Smoother::open(SmoothParams::paper(), Engine::Reference, (50, 40)).unwrap();
+    let mut smoother = Smoother::open(FrameParams::paper(), Engine::Reference, (50, 40)).unwrap();
     let cloud = simulated(1, false, small_camera());
     let error = smoother.smooth(&cloud, &mut Smoothed::default()).unwrap_err().to_string();
     assert!(error.contains("160x120") && error.contains("50x40"), "{error}");
@@ -92,7 +92,7 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
         DepthNoise { dropout_incidence_deg: 89.0, fixed_pattern_rms: 0.0, temporal_rms: 0.6, ..DepthNoise::default() };
     let frame = DepthSimulator::new(noise, camera, 3).frame(&truth, 0).unwrap();
     let [smoothed, along_normals] = [Project::Ray, Project::Normal]
-        .map(|project| TestEngine::REFERENCE.smooth(&frame, SmoothParams::default().with_project(project)));
+        .map(|project| TestEngine::REFERENCE.smooth(&frame, FrameParams::default().with_project(project)));
 
     // RMS of z against the true z along the ray of each pixel, away from the border and not too grazing.
     let rms = |z: &[f32]| {

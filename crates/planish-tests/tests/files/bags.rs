@@ -9,7 +9,7 @@ use planish::ros::MessageSmoother;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::source::{OwnedFrame, Source};
 use planish::{
-    Camera, DepthFrame, Distortion, Engine, EngineError, Error, Outputs, SmoothParams, Smoothed, Smoother,
+    Camera, DepthFrame, Distortion, Engine, EngineError, Error, FrameParams, Outputs, Smoothed, Smoother,
     SmootherOptions,
 };
 use planish_tests::scenes::small_camera;
@@ -44,7 +44,7 @@ fn read_all(path: &Path) -> Vec<OwnedFrame> {
 }
 
 fn smoother() -> MessageSmoother {
-    MessageSmoother::new(SmoothParams::default(), SmootherOptions::new(Engine::Cpu, Outputs::POINTS))
+    MessageSmoother::new("engine=cpu".parse().unwrap()).unwrap()
 }
 
 fn smooth(input: &Path, output: &Path) -> Result<SmoothBagReport, Error> {
@@ -107,7 +107,7 @@ fn smoothing_a_recording_is_smoothing_its_frames() {
     let report = smooth(&path, &output).unwrap();
     assert_eq!((report.topics[0].smoothed, report.copied, &report.cut_off), (FRAMES, FRAMES, &None));
     let options = SmootherOptions::new(Engine::Cpu, Outputs::DEPTH);
-    let mut alone = Smoother::open_with(SmoothParams::default(), &options, (160, 120)).unwrap();
+    let mut alone = Smoother::open_with(FrameParams::default(), &options, (160, 120)).unwrap();
     for (frame, smoothed) in frames.iter().zip(read_all(&output)) {
         let mut expected = Smoothed::default();
         alone.smooth(frame, &mut expected).unwrap();

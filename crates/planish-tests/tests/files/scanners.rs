@@ -143,7 +143,7 @@ fn normals_of_an_e57_are_in_the_frame_of_the_points_and_face_their_scanner() {
     let mut smoothed = planish::Smoothed::default();
     let outputs = planish::Outputs::POINTS.with_normals(true);
     let options = planish::SmootherOptions::new(planish::Engine::Cpu, outputs);
-    let mut smoother = planish::Smoother::open_with(planish::SmoothParams::general(), &options, None).unwrap();
+    let mut smoother = planish::Smoother::open_clouds(planish::CloudParams::default(), &options).unwrap();
     smoother.smooth(planish::IntoFrame::into_frame(&cloud).unwrap(), &mut smoothed).unwrap();
     // A result that faces away everywhere is turned.
     let normals = smoothed.normals.as_mut().unwrap();

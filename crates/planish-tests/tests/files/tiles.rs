@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use planish::io::{self, Contents, Encoding};
 use planish::tiles::{TileOptions, TilesReport, bytes_in_memory, smooth_tiles};
 use planish::{
-    AttributeValues, Edges, Engine, IntoFrame, Outputs, PointCloud, Progress, SensorPose, SmoothParams, Smoothed,
+    AttributeValues, CloudParams, Edges, Engine, IntoFrame, Outputs, PointCloud, Progress, SensorPose, Smoothed,
     Smoother, SmootherOptions,
 };
 use planish_tests::data::folder;
@@ -52,13 +52,13 @@ fn fields() -> Outputs {
     Outputs::POINTS.with_normals(true).with_status(true)
 }
 
-fn whole(cloud: &PointCloud, params: SmoothParams) -> PointCloud {
+fn whole(cloud: &PointCloud, params: CloudParams) -> PointCloud {
     whole_by(&cpu(), cloud, params)
 }
 
-fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, params: SmoothParams) -> PointCloud {
+fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, params: CloudParams) -> PointCloud {
     let mut smoothed = Smoothed::default();
-    let mut smoother = Smoother::open_with(params, smoother, None).unwrap();
+    let mut smoother = Smoother::open_clouds(params, smoother).unwrap();
     smoother.smooth(cloud.into_frame().unwrap(), &mut smoothed).unwrap();
     let mut result = cloud.clone();
     result.apply(&smoothed, fields()).unwrap();
@@ -66,17 +66,11 @@ fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, params: SmoothParams
 }
 
 /// Smooths a file in tiles into another, in a share of the memory that it takes whole.
-fn in_tiles(input: &Path, output: &Path, params: SmoothParams, share: u64) -> TilesReport {
+fn in_tiles(input: &Path, output: &Path, params: CloudParams, share: u64) -> TilesReport {
     in_tiles_by(cpu(), input, output, params, share)
 }
 
-fn in_tiles_by(
-    smoother: SmootherOptions,
-    input: &Path,
-    output: &Path,
-    params: SmoothParams,
-    share: u64,
-) -> TilesReport {
+fn in_tiles_by(smoother: SmootherOptions, input: &Path, output: &Path, params: CloudParams, share: u64) -> TilesReport {
     let bytes = bytes_in_memory(input).unwrap() / share;
     let options = TileOptions::new(params, smoother, bytes).with_fields(fields());
     let progress = Progress::default();
@@ -126,7 +120,7 @@ fn tiles_give_what_the_whole_cloud_gives() {
     let cloud = field(60_000);
     io::write_cloud(&las, &cloud, Encoding::Binary).unwrap();
     io::write_cloud(&laz, &cloud, Encoding::Binary).unwrap();
-    let general = SmoothParams::general();
+    let general = CloudParams::default();
     for (params, input, share) in [
         (general, &laz, 4),
         (general.with_radius_m(0.6), &las, 4),
@@ -178,7 +172,7 @@ fn ply_in_tiles_is_the_same_with_its_holes_types_and_pose() {
     io::write_cloud(&file("near.ply"), &near, Encoding::Binary).unwrap();
     io::write_cloud(&file("text.ply"), &near, Encoding::Ascii).unwrap();
     fs::write(file("turned.ply"), big_endian(&fs::read(file("near.ply")).unwrap())).unwrap();
-    let by_density = SmoothParams::general();
+    let by_density = CloudParams::default();
     for (name, params) in [
         ("far.ply", by_density),
         ("near.ply", by_density.with_radius_m(0.8)),
@@ -215,7 +209,7 @@ fn ply_that_has_no_parts_is_left_to_be_read_whole() {
     assert!(with(&vertices.replace("float z", "int z")).is_none());
     assert!(with(&vertices.replace("float z", "float y")).is_none());
     let out = folder.path().join("out.las");
-    let options = TileOptions::new(SmoothParams::general(), cpu(), 1 << 20);
+    let options = TileOptions::new(CloudParams::default(), cpu(), 1 << 20);
     let error = smooth_tiles(&file, &out, &options, &Progress::default()).unwrap_err().to_string();
     assert!(error.contains(".ply to .ply"), "{error}");
 }
@@ -225,9 +219,9 @@ fn a_real_scan_in_tiles_is_the_same() {
     let Some(data) = folder("an aerial scan in tiles") else { return };
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (data.join("unorganized/autzen_trim.laz"), folder.path().join("out.laz"));
-    in_tiles(&input, &out, SmoothParams::general(), 4);
+    in_tiles(&input, &out, CloudParams::default(), 4);
     let expected = folder.path().join("expected.laz");
-    io::write_cloud(&expected, &whole(&read(&input), SmoothParams::general()), Encoding::Binary).unwrap();
+    io::write_cloud(&expected, &whole(&read(&input), CloudParams::default()), Encoding::Binary).unwrap();
     // Its coordinates are whole hundredths of a foot, and so is what differs.
     assert_same(&read(&out), &read(&expected), 0.01, "autzen");
 }
@@ -244,7 +238,7 @@ fn tiles_on_a_gpu_give_what_the_whole_cloud_gives_there() {
     let gpu = TestEngine::gpu(false).options(Outputs::ALL);
     // The smaller one takes no tile at once.
     let in_parts = TestEngine { bounds_checks: false, ..TestEngine::in_parts(2500) }.options(Outputs::ALL);
-    let general = SmoothParams::general();
+    let general = CloudParams::default();
     for (params, smoother) in [(general, &gpu), (general.with_radius_m(0.6), &gpu), (general, &in_parts)] {
         let report = in_tiles_by(smoother.clone(), &las, &out, params, 3);
         assert_eq!((report.engine, report.points), (Engine::Gpu, cloud.len()));
@@ -268,7 +262,7 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
         result.expect_err("an error").to_string()
     };
     let options =
-        |engine, bytes| TileOptions::new(SmoothParams::general(), SmootherOptions::new(engine, Outputs::ALL), bytes);
+        |engine, bytes| TileOptions::new(CloudParams::default(), SmootherOptions::new(engine, Outputs::ALL), bytes);
     let found = smooth(&input, &options(Engine::Cpu, 10_000));
     let whole = format!("raise the limit (the whole needs {} KiB)", needed.div_ceil(1 << 10));
     assert!(found.contains("a.las") && found.contains(&whole), "{found}");
@@ -301,7 +295,7 @@ fn normals_in_tiles_face_the_sensor_of_the_whole() {
     };
     let cloud = PointCloud::new((0..40_000).map(position).collect());
     io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
-    let report = in_tiles(&input, &out, SmoothParams::general(), 6);
+    let report = in_tiles(&input, &out, CloudParams::default(), 6);
     assert!(report.tiles > 4 && report.assumed_sensor_m.is_none() && !report.has_pose, "{report:?}");
     let smoothed = read(&out);
     let AttributeValues::F32(normals) = &smoothed.attribute("normal_z").unwrap().values else { panic!("f32") };
@@ -318,7 +312,7 @@ fn what_a_file_in_tiles_says_is_kept_or_noted() {
     let face = "element face 1\nproperty list uchar int vertex_indices\nend_header";
     let text = text.replace("element vertex", "comment by hand\nelement vertex").replace("end_header", face);
     fs::write(&input, text + "3 0 1 2\n").unwrap();
-    let report = in_tiles(&input, &out, SmoothParams::general(), 3);
+    let report = in_tiles(&input, &out, CloudParams::default(), 3);
     assert!(report.tiles > 1, "{report:?}");
     assert_eq!(report.notes, ["elements beside the vertices are left out: face (1)"]);
     // Above the field, on a map.
@@ -362,7 +356,7 @@ fn points_on_the_border_of_a_tile_and_far_away_ones_end_no_run() {
     let needed = bytes_in_memory(&input).unwrap();
     let mut smoothed = 0;
     for share in [2, 3, 4, 6, 9] {
-        let options = TileOptions::new(SmoothParams::general(), cpu(), needed / share).with_fields(fields());
+        let options = TileOptions::new(CloudParams::default(), cpu(), needed / share).with_fields(fields());
         match smooth_tiles(&input, &out, &options, &Progress::default()) {
             Ok(report) => {
                 assert_eq!(read(&out).len(), cloud.len(), "{report:?}");
@@ -405,7 +399,7 @@ fn late_returns_of_old_files_and_impossible_scales_do_not_panic() {
         assert_eq!(returns(&read(&output)), expected);
     }
     let tiled = file("tiled.laz");
-    in_tiles(&input, &tiled, SmoothParams::general().with_radius_m(1.5), 2);
+    in_tiles(&input, &tiled, CloudParams::default().with_radius_m(1.5), 2);
     assert_eq!(returns(&read(&tiled)), expected);
 
     bytes[131..139].copy_from_slice(&1e300f64.to_le_bytes());

@@ -9,7 +9,7 @@ use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::source::{OwnedFrame, Source};
 use planish::stream::{Sink, StreamEvent, StreamFrame, StreamOptions, run};
 use planish::{
-    DepthFrame, Engine, Error, Fleet, FleetDevice, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
+    DepthFrame, Engine, Error, Fleet, FleetDevice, FrameParams, Outputs, Smoothed, Smoother, SmootherOptions, Xyz,
 };
 use planish_tests::data::skip;
 use planish_tests::engines::test_adapter;
@@ -34,8 +34,8 @@ fn frames() -> Vec<(Arc<DepthFrame>, Xyz)> {
     (0..FRAMES as u64).map(frame).collect()
 }
 
-fn params() -> SmoothParams {
-    SmoothParams::default()
+fn params() -> FrameParams {
+    FrameParams::default()
 }
 
 /// Whether it is the result of that frame, by whichever engine: noise of other frames is a thousand times as much.

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions};
-use planish::{Engine, Error, GpuOptions, SmoothParams, SmootherOptions};
+use planish::{Engine, Error, FrameParams, GpuOptions, SmootherOptions};
 use planish_tests::data::skip;
 use planish_tests::engines::test_adapter;
 use planish_tests::scenes::small_camera;
@@ -42,7 +42,7 @@ fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
     let source = OneByOne::new(frame, 9, Arc::clone(&count)).losing_gpus_before(&[3, 6]);
     let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());
     let options =
-        StreamOptions::new(SmoothParams::default(), SmootherOptions::default().with_engine(Engine::Gpu).with_gpu(gpu));
+        StreamOptions::new(FrameParams::default(), SmootherOptions::default().with_engine(Engine::Gpu).with_gpu(gpu));
     let (mut warnings, gpu_frames) = (Vec::new(), AtomicU64::new(0));
     let tell = |event: StreamEvent<'_>| match event {
         StreamEvent::Warning(warning) => warnings.push(warning),

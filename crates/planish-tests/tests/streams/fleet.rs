@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use planish::internal::lose_fleet_device;
 use planish::{
-    Engine, EngineError, Error, Fleet, FleetDevice, FrameError, GpuOptions, OrganizedCloud, Outputs, PointCloud,
-    SmoothParams, Smoothed, SmoothedView, SmootherOptions, Xyz,
+    Engine, EngineError, Error, Fleet, FleetDevice, FrameError, FrameParams, GpuOptions, OrganizedCloud, Outputs,
+    PointCloud, Smoothed, SmoothedView, SmootherOptions, Xyz,
 };
 
 const SHAPE: (usize, usize) = (32, 24);
@@ -19,7 +19,7 @@ fn wall(z_m: f32) -> Arc<OrganizedCloud> {
 fn on_cpus(count: usize) -> Fleet {
     let slots = GpuOptions::default().with_slots(3);
     let options = SmootherOptions::new(Engine::Cpu, Outputs::POINTS).with_threads(Some(1)).with_gpu(slots);
-    Fleet::open(SmoothParams::paper(), &options, &vec![FleetDevice::Cpu; count], SHAPE).unwrap()
+    Fleet::open(FrameParams::paper(), &options, &vec![FleetDevice::Cpu; count], SHAPE).unwrap()
 }
 
 fn middle(view: &SmoothedView) -> f32 {
@@ -68,11 +68,11 @@ fn what_is_wrong_with_a_frame_is_said_at_once_or_in_its_place() {
     (0..fleet.max_in_flight()).for_each(|_| fleet.submit_in_place(wall(1.0)).unwrap());
     assert!(matches!(fleet.submit_in_place(wall(1.0)), Err(Error::Engine(EngineError::Full { in_flight: 12 }))));
     let depth = SmootherOptions::new(Engine::Cpu, Outputs::DEPTH);
-    let mut fleet = Fleet::open(SmoothParams::paper(), &depth, &[FleetDevice::Cpu], SHAPE).unwrap();
+    let mut fleet = Fleet::open(FrameParams::paper(), &depth, &[FleetDevice::Cpu], SHAPE).unwrap();
     fleet.submit_in_place(wall(1.0)).unwrap();
     assert!(matches!(fleet.receive(), Err(Error::Frame(FrameError::MissingCamera { .. }))));
     assert!(matches!(fleet.receive(), Ok(None)));
-    assert!(Fleet::open(SmoothParams::paper(), &depth, &[], SHAPE).is_err());
+    assert!(Fleet::open(FrameParams::paper(), &depth, &[], SHAPE).is_err());
 }
 
 #[test]

@@ -5,7 +5,7 @@ use planish::rig::{RigSmoother, RigWay, merged_params};
 use planish::simulate::PoseErrors;
 use planish::source::OwnedFrame;
 use planish::{
-    AttributeValues, Camera, DepthFrame, Engine, FleetDevice, GpuOptions, IntoFrame, Outputs, PointCloud, SmoothParams,
+    AttributeValues, Camera, DepthFrame, Engine, FleetDevice, FrameParams, GpuOptions, IntoFrame, Outputs, PointCloud,
     Smoothed, Smoother, SmootherOptions, Xyz,
 };
 use planish_tests::data::skip;
@@ -22,7 +22,7 @@ fn suite(cameras: usize, errors: PoseErrors) -> RigSuite {
 
 fn smooth(case: &RigCase, way: RigWay, options: &SmootherOptions) -> Vec<Smoothed> {
     let rig = rig_of(case);
-    let params = vec![SmoothParams::default().at_resolution_of(&case.cameras[0].frame); rig.cameras.len()];
+    let params = vec![FrameParams::default().at_resolution_of(&case.cameras[0].frame); rig.cameras.len()];
     let mut smoother = RigSmoother::new(&rig, way, &params, merged_params(), options).unwrap();
     let results = smoother.smooth(&frames_of(case)).unwrap();
     results.into_iter().map(|result| result.unwrap().unwrap()).collect()
@@ -42,7 +42,7 @@ fn same(a: &Xyz, b: &Xyz) -> bool {
 #[test]
 fn each_is_what_every_camera_s_own_smoother_gives_on_any_number_of_threads() {
     let case = suite(3, PoseErrors::default()).case(1).unwrap();
-    let params = SmoothParams::default().at_resolution_of(&case.cameras[0].frame);
+    let params = FrameParams::default().at_resolution_of(&case.cameras[0].frame);
     for threads in [None, Some(1), Some(3)] {
         let options = cpu().with_threads(threads);
         let results = smooth(&case, RigWay::Each, &options);
@@ -73,7 +73,7 @@ fn merged_is_what_the_general_engine_gives_for_all_points_in_the_rig_s_frame() {
         all.z.extend(&fused.positions.z);
     }
     let mut smoothed = Smoothed::default();
-    let mut smoother = Smoother::open_with(merged_params(), &cpu(), None).unwrap();
+    let mut smoother = Smoother::open_clouds(merged_params(), &cpu()).unwrap();
     smoother.smooth(&PointCloud::new(all), &mut smoothed).unwrap();
     let mut worst = 0.0f64;
     for (k, &(i, p)) in pixels.iter().enumerate() {
@@ -123,7 +123,7 @@ fn cameras_without_a_frame_are_left_out_and_all_outputs_are_there() {
     for way in RigWay::ALL {
         let outputs = Outputs::ALL.with_depth(way != RigWay::Merged);
         let options = SmootherOptions::new(Engine::Cpu, outputs);
-        let params = vec![SmoothParams::default(); 2];
+        let params = vec![FrameParams::default(); 2];
         let mut smoother = RigSmoother::new(&rig, way, &params, merged_params(), &options).unwrap();
         let mut given = frames_of(&case);
         given[0] = None;
@@ -146,7 +146,7 @@ fn cameras_without_a_frame_are_left_out_and_all_outputs_are_there() {
 fn organized_clouds_in_another_frame_than_their_camera_s_fuse_to_the_same() {
     let case = suite(2, PoseErrors::default()).case(1).unwrap();
     let rig = rig_of(&case);
-    let params = vec![SmoothParams::default().at_resolution_of(&case.cameras[0].frame); 2];
+    let params = vec![FrameParams::default().at_resolution_of(&case.cameras[0].frame); 2];
     for way in [RigWay::Each, RigWay::Views] {
         let depth: Vec<OwnedFrame> =
             case.cameras.iter().map(|camera| OwnedFrame::Depth(camera.frame.clone())).collect();
@@ -217,7 +217,7 @@ fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_sa
     }
     for (options, devices) in engines {
         let open = || {
-            let params = vec![SmoothParams::default().with_window(3); 3];
+            let params = vec![FrameParams::default().with_window(3); 3];
             let smoother = RigSmoother::new(&rig, RigWay::Each, &params, merged_params(), &options).unwrap();
             smoother.with_devices(devices.clone())
         };

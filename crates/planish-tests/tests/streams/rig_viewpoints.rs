@@ -2,7 +2,7 @@
 
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{Rig, RigSmoother, RigWay, Viewpoint, merged_params};
-use planish::{Camera, Engine, Outputs, SmoothParams, Smoothed, SmootherOptions, Xyz};
+use planish::{Camera, Engine, FrameParams, Outputs, Smoothed, SmootherOptions, Xyz};
 use planish_tests::rigs::{frames_of, rig_of};
 
 const CAMERAS: usize = 3;
@@ -25,8 +25,8 @@ fn with_viewpoints(rig: Rig) -> Rig {
 
 fn smoother(rig: &Rig, way: RigWay) -> RigSmoother {
     let options = SmootherOptions::new(Engine::Cpu, Outputs::POINTS.with_normals(true).with_status(true));
-    let params = vec![SmoothParams::default(); CAMERAS];
-    RigSmoother::new(rig, way, &params, merged_params(), &options).unwrap().with_adapt_stride(true)
+    let params = vec![FrameParams::default(); CAMERAS];
+    RigSmoother::new(rig, way, &params, merged_params(), &options).unwrap()
 }
 
 fn report(of: impl Fn(Rig) -> Rig) -> RigReport {

@@ -5,7 +5,7 @@ use planish::clean::voxel_downsample;
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{RigSmoother, RigWay, merged_params_in_voxels};
 use planish::{
-    AttributeValues, Camera, Engine, Outputs, PointCloud, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
+    AttributeValues, Camera, Engine, FrameParams, Outputs, PointCloud, Smoothed, Smoother, SmootherOptions, Xyz,
 };
 use planish_tests::rigs::{frames_of, rig_of};
 
@@ -18,10 +18,10 @@ fn case(seed: u64) -> RigCase {
 
 fn smoother(case: &RigCase, way: RigWay, voxel_m: Option<f64>) -> RigSmoother {
     let options = SmootherOptions::new(Engine::Cpu, Outputs::POINTS.with_normals(true).with_status(true));
-    let params = vec![SmoothParams::default(); case.cameras.len()];
+    let params = vec![FrameParams::default(); case.cameras.len()];
     let general = merged_params_in_voxels(voxel_m.unwrap_or(VOXEL_M));
     let smoother = RigSmoother::new(&rig_of(case), way, &params, general, &options).unwrap();
-    smoother.with_adapt_stride(true).with_voxel_m(voxel_m)
+    smoother.with_voxel_m(voxel_m)
 }
 
 /// By the public functions, one after another.
@@ -32,7 +32,7 @@ fn by_hand(case: &RigCase) -> PointCloud {
     let centroids = voxel_downsample(&planish::rig::fuse(&placed).unwrap(), VOXEL_M).unwrap();
     let options = SmootherOptions::new(Engine::Cpu, Outputs::POINTS);
     let mut smoothed = Smoothed::default();
-    Smoother::open_with(merged_params_in_voxels(VOXEL_M), &options, None)
+    Smoother::open_clouds(merged_params_in_voxels(VOXEL_M), &options)
         .unwrap()
         .smooth(&centroids, &mut smoothed)
         .unwrap();

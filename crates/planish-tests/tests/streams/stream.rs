@@ -11,7 +11,7 @@ use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::source::{FileSource, FreenectRecording, OwnedFrame, Paced, Source, TumRecorder, TumSource};
 use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
 use planish::{
-    Camera, DepthFrame, Engine, Error, OrganizedCloud, Outputs, SmoothParams, Smoothed, Smoother, SmootherOptions, Xyz,
+    Camera, DepthFrame, Engine, Error, FrameParams, OrganizedCloud, Outputs, Smoothed, Smoother, SmootherOptions, Xyz,
 };
 use planish_tests::data::{folder, skip};
 use planish_tests::engines::{TestEngine, test_adapter};
@@ -76,7 +76,7 @@ fn options(engine: Engine) -> StreamOptions {
         Engine::Gpu => TestEngine::gpu(true).options(Outputs::POINTS),
         engine => SmootherOptions::default().with_engine(engine),
     };
-    StreamOptions::new(SmoothParams::default(), smoother)
+    StreamOptions::new(FrameParams::default(), smoother)
 }
 
 fn run(source: impl Source + 'static, options: &StreamOptions, sink: Seen) -> (StreamStatistics, Vec<String>) {
@@ -170,13 +170,13 @@ fn windows_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
     cut.points.positions.x.truncate(100);
     let mut empty = cloud.clone();
     empty.points.positions = Xyz::filled(160 * 120, f32::NAN);
-    let alone = |params: SmoothParams| {
+    let alone = |params: FrameParams| {
         let options = SmootherOptions::default().with_engine(Engine::Cpu);
         let mut smoothed = Smoothed::default();
         Smoother::open_with(params, &options, (160, 120)).unwrap().smooth(&cloud, &mut smoothed).unwrap();
         format!("{:?}", smoothed.points)
     };
-    let streamed = |adapt_stride| {
+    let streamed = |params: FrameParams| {
         let points = Points::default();
         let source = Clouds(vec![cut.clone(), empty.clone(), cloud.clone(), empty.clone(), cloud.clone()].into_iter());
         let mut warnings = Vec::new();
@@ -185,15 +185,16 @@ fn windows_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
                 warnings.push(warning);
             }
         };
-        let options = options(Engine::Cpu).with_adapt_stride(adapt_stride);
+        let options = StreamOptions::new(params, SmootherOptions::default().with_engine(Engine::Cpu));
         let sinks: Vec<Box<dyn Sink>> = vec![Box::new(points.clone())];
         let statistics = stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), tell).unwrap();
         assert_eq!((statistics.unreadable, statistics.frames_out, warnings.len()), (1, 4, 1), "{warnings:?}");
         points.0.lock().unwrap().clone()
     };
-    let (adapted, given) = (streamed(true), streamed(false));
-    let [expected_adapted, expected_given] =
-        [SmoothParams::default().at_resolution_of(&cloud), SmoothParams::default()].map(alone);
+    // The nominal window, for frames of any resolution.
+    let fixed = FrameParams::default().with_stride(5);
+    let (adapted, given) = (streamed(FrameParams::default()), streamed(fixed));
+    let [expected_adapted, expected_given] = [FrameParams::default().at_resolution_of(&cloud), fixed].map(alone);
     assert!(adapted[1] == expected_adapted && adapted[3] == expected_adapted && expected_adapted != expected_given);
     assert!(given[1] == expected_given && given[3] == expected_given);
 }
@@ -412,7 +413,7 @@ fn a_folder_gives_its_frames_by_name_and_keeps_results_whole() {
         let found = planish::io::read_depth_frame(&out.join(format!("{i}.png")), small_camera()).unwrap();
         let expected = TestEngine::cpu(planish::SimdLevel::best()).smooth_to(
             &frame(small_camera(), i),
-            options.params,
+            FrameParams::default(),
             Outputs::DEPTH,
         );
         assert_eq!(Some(found.raw), expected.depth);

@@ -79,7 +79,7 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
         ("--fields status", args.fields.contains(&FieldArg::Status)),
         ("--format", writes && args.format.is_some()),
         ("--max-memory", !(reads && writes) && args.memory.max_memory.is_some()),
-        ("--depth-scale", reads && args.camera.depth_scale.is_some()),
+        ("--depth-units-per-metre", reads && args.camera.depth_units_per_metre.is_some()),
     ] {
         if is_given {
             bail!("{}: {option} cannot be used with recordings", input.display());
@@ -89,10 +89,9 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
 }
 
 fn between_recordings(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
-    let mut smoother = MessageSmoother::new(args.smoothing.params()?, args.smoothing.options(args.outputs())?)
-        .with_general(args.smoothing.general_params()?)
-        .with_adapt_stride(args.smoothing.adapts_window())
-        .with_read_options(args.memory.read_options());
+    let mut settings = args.smoothing.settings()?;
+    settings.outputs = Some(args.outputs());
+    let mut smoother = MessageSmoother::new(settings)?.with_read_options(args.memory.read_options());
     let options = SmoothBagOptions::default()
         .with_topics(args.topics.topic.clone())
         .with_camera_info_topic(args.topics.camera_info_topic.clone())
@@ -202,7 +201,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let stop = stop_flag();
     let options = SourceOptions::default()
         .with_camera(args.camera.camera_of_any_shape()?)
-        .with_tum_units_per_metre(args.camera.depth_scale)
+        .with_tum_units_per_metre(args.camera.depth_units_per_metre)
         .with_topics(args.topics.topic.first().cloned(), args.topics.camera_info_topic.clone());
     let name = input.to_string_lossy().into_owned();
     let has_points = args.fields.iter().any(|field| *field != FieldArg::None) || wants("pcd") || wants("ply");
@@ -215,8 +214,9 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
         bail!("{}: has clouds without a camera, or --fields was given: --format pcd or ply", input.display());
     }
     let outputs = if format == SinkFormat::DepthPng { Outputs::DEPTH } else { args.outputs() };
-    let options_of_stream = StreamOptions::new(args.smoothing.params()?, args.smoothing.options(outputs)?)
-        .with_adapt_stride(args.smoothing.adapts_window());
+    let mut settings = args.smoothing.settings()?;
+    settings.outputs = Some(outputs);
+    let options_of_stream = StreamOptions::from_settings(settings)?;
     let sink: Box<dyn Sink> = if is_mcap(&args.output) {
         Box::new(BagSink::create(&args.output, outputs)?.discarding_if(Arc::clone(&stop)))
     } else {

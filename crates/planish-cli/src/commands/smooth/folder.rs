@@ -12,7 +12,7 @@ use std::thread;
 use anyhow::{Context, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::Format;
-use planish::{Engine, Error, FormatError, IoError, Outputs, Smoothed};
+use planish::{Engine, Error, FormatError, IoError, SensorChoice, Session, Smoothed};
 use planish_bench::{errln, outln};
 
 use super::super::checks::check_output;
@@ -146,17 +146,17 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
 /// How many workers to have for so many frames, the largest of which has so many bytes: as many as threads, if there are frames and memory
 /// for all. The reference has its threads for one frame.
 fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
-    let is_fast = worker.open.as_ref().is_some_and(|(smoother, _)| smoother.engine() != Engine::Reference);
-    let smoothing = &worker.args.smoothing;
-    let is_sensor_open = (smoothing.estimates_sensor() || smoothing.remove_floating) && !worker.sensor_known;
+    let engine = worker.session.engine();
+    let is_fast = engine.is_some_and(|engine| engine != Engine::Reference);
+    let settings = &worker.settings;
+    let is_sensor_open = settings.estimates_sensor() && worker.session.estimated_sensor().is_none();
     if !is_fast || is_sensor_open || worker.args.repeat > 1 || largest > LARGEST_BESIDE_OTHERS {
         return Ok(1);
     }
-    let threads = smoothing.options(Outputs::POINTS)?.threads;
-    let threads = threads.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));
-    let is_on_gpu = worker.open.as_ref().is_some_and(|(smoother, _)| smoother.engine() == Engine::Gpu);
+    let threads = settings.threads.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));
     // Each has buffers of its own on the device.
-    let threads = if is_on_gpu { threads.min(WORKERS_OF_A_GPU * worker.devices.len().max(1)) } else { threads };
+    let devices = worker.session.devices().len().max(1);
+    let threads = if engine == Some(Engine::Gpu) { threads.min(WORKERS_OF_A_GPU * devices) } else { threads };
     let in_memory = worker.args.memory.read_options().max_memory_bytes / (MEMORY_OVER_SIZE * largest.max(1));
     Ok(threads.min(frames / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
 }
@@ -182,18 +182,20 @@ fn beside_each_other(
 ) {
     let next = AtomicUsize::new(0);
     let results = Mutex::new(done);
-    let Worker { args, params, sensor_known, floating_sensor, pose, ref devices, ref noted, .. } = *like;
+    let Worker { args, pose, ref settings, ref noted, .. } = *like;
+    // What the first frames have shown of the sensor and the devices holds for all others.
+    let mut settings = settings.clone();
+    settings.threads = Some(1);
+    settings.sensor = like.session.estimated_sensor().map(SensorChoice::Known).or(settings.sensor);
+    let devices = like.session.devices();
     let work = |number: usize| {
+        let Ok(session) = Session::new(settings.clone()) else { return };
         let mut worker = Worker {
             args,
-            params,
-            sensor_known,
-            floating_sensor,
+            settings: settings.clone(),
+            session: session.with_devices(devices.to_vec()).with_device(number),
             pose,
             beside: workers as u64,
-            devices: devices.clone(),
-            device: number % devices.len().max(1),
-            open: None,
             smoothed: Smoothed::default(),
             noted: Arc::clone(noted),
         };
@@ -203,7 +205,7 @@ fn beside_each_other(
             // What panics on a frame is a defect, and no reason to lose the others.
             let smooth = AssertUnwindSafe(|| worker.smooth_file(input, output));
             let result = catch_unwind(smooth).unwrap_or_else(|_| {
-                worker.open = None;
+                worker.session.close();
                 Err(anyhow!("{}: planish panicked on it", input.display()))
             });
             let may_be_tried_again = matches!(&result, Err(error) if needs_memory(error));

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use planish::{Frame, Radius, RangeRule, SmoothParams};
+use planish::{CloudRadius, Frame, FrameRadius, Params, RangeRule};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
@@ -107,10 +107,10 @@ pub fn print_report(report: &Report) {
 }
 
 /// Reports in one line if the ranges of a grid are not the depths of a camera. Whoever gives a pose knows where the sensor stands.
-pub fn report_range_rule(input: &Path, frame: Frame<'_>, pose_is_given: bool) {
+pub fn report_range_rule(input: &Path, frame: Frame<'_>, rule: Option<RangeRule>, pose_is_given: bool) {
     let Frame::Points(points) = frame else { return };
     let input = input.display();
-    match points.range_rule() {
+    match rule.unwrap_or_else(|| points.range_rule()) {
         RangeRule::Distance { .. } if pose_is_given => {}
         RangeRule::Distance { .. } if !points.pose().is_identity() => errln!(
             "{input}: the grid is not that of a camera at the stated sensor pose; ranges are distances from the sensor"
@@ -142,21 +142,26 @@ pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
 }
 
 /// Why points have too few neighbours, as far as the parameters tell, and what would help.
-pub fn likely_cause(frame: Frame<'_>, params: &SmoothParams) -> String {
-    match (params.radius, frame) {
-        (Radius::Fixed { radius_m }, _) => {
-            let other = if frame.grid().is_some() { "--radius sensor" } else { "--neighbours 40" };
-            format!(
-                "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or {other}"
-            )
-        }
-        (Radius::Neighbours { .. }, _) if frame.valid_points() < 4 => "A surface takes more points".to_owned(),
-        (Radius::Neighbours { .. }, _) => "Likely they are far from all others".to_owned(),
-        (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
-            "Likely they are isolated, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
-                .to_owned()
-        }
-        _ => "Likely they are isolated between holes: try --radius METRES".to_owned(),
+pub fn likely_cause(frame: Frame<'_>, params: &Params) -> String {
+    let too_small = |radius_m: f32, other: &str| {
+        format!(
+            "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or {other}"
+        )
+    };
+    match params {
+        Params::Cloud(params) => match params.radius {
+            CloudRadius::Fixed { radius_m } => too_small(radius_m, "--neighbours 40"),
+            _ if frame.valid_points() < 4 => "A surface takes more points".to_owned(),
+            _ => "Likely they are far from all others".to_owned(),
+        },
+        Params::Frame(params) => match (params.radius, frame) {
+            (FrameRadius::Fixed { radius_m }, _) => too_small(radius_m, "--radius sensor"),
+            (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
+                "Likely they are isolated, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
+                    .to_owned()
+            }
+            _ => "Likely they are isolated between holes: try --radius METRES".to_owned(),
+        },
     }
 }
 

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use planish::tiles::{self, TileOptions};
-use planish::{Outputs, Progress, Radius};
+use planish::{CloudRadius, Progress};
 use planish_bench::errln;
 
 use super::super::checks::report_notes;
@@ -27,8 +27,7 @@ impl Worker<'_> {
         }
         let params = self.general_params(input)?;
         errln!("{}: larger than --max-memory, so smoothed in tiles", input.display());
-        let mut smoother = self.args.smoothing.options(Outputs::POINTS)?;
-        smoother = smoother.with_outputs(self.args.outputs().with_status(true));
+        let smoother = self.settings.options().with_outputs(self.args.outputs().with_status(true));
         if self.args.repeat > 1 {
             errln!("{}: --repeat changes nothing for a file in tiles", input.display());
         }
@@ -54,7 +53,7 @@ impl Worker<'_> {
         }
         let status = StatusCounts::of(report.status_counts);
         let cause = match params.radius {
-            Radius::Neighbours { .. } => "they are far from denser parts of the cloud, or float",
+            CloudRadius::Neighbours { .. } => "they are far from denser parts of the cloud, or float",
             _ => "the radius is below the spacing of the points",
         };
         for (count, became) in [(status.too_few, "became holes"), (status.isolated, "stay where they are")] {

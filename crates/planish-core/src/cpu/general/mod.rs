@@ -25,7 +25,7 @@ use crate::frame::Frame;
 use crate::method::{GATE_FADE, MAX_RADIUS_RATIO};
 use crate::neighbours::{LEAF, PointIndex};
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{Edges, Radius, SmoothParams};
+use crate::params::{Edges, EngineParams, Radius};
 use crate::progress::Progress;
 use crate::range::{MAX_RANGE_M, MIN_GATE_M};
 use crate::simd_level::SimdLevel;
@@ -40,7 +40,7 @@ const LEAVES_PER_TASK: usize = 64;
 
 /// The CPU engine for general clouds, with its buffers.
 pub(crate) struct GeneralCpu {
-    params: SmoothParams,
+    params: EngineParams,
     level: Level,
     threads: Threads,
     outputs: Outputs,
@@ -75,7 +75,7 @@ enum Radii<'a> {
 
 impl GeneralCpu {
     pub(crate) fn open(
-        params: SmoothParams,
+        params: EngineParams,
         outputs: Outputs,
         threads: Option<usize>,
         simd: Option<SimdLevel>,

@@ -28,7 +28,7 @@ use crate::error::{EngineError, Error};
 use crate::frame::{Frame, PointsView};
 use crate::neighbours::middle;
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{Edges, Project, Radius, SmoothParams};
+use crate::params::{Edges, EngineParams, Project, Radius};
 use crate::progress::Progress;
 use crate::range::MAX_RANGE_M;
 use crate::timings::FrameTimings;
@@ -58,7 +58,7 @@ pub(crate) struct GeneralGpu {
     gpu: Arc<GpuDevice>,
     /// Keeps the adapter open for others to share.
     _adapter: Arc<OpenAdapter>,
-    params: SmoothParams,
+    params: EngineParams,
     outputs: Outputs,
     options: GpuOptions,
     kernels: Vec<Compiled>,
@@ -76,7 +76,7 @@ pub(crate) struct GeneralGpu {
 
 impl GeneralGpu {
     /// Opens an adapter by the options.
-    pub(crate) fn open(params: SmoothParams, outputs: Outputs, options: &GpuOptions) -> Result<Self, EngineError> {
+    pub(crate) fn open(params: EngineParams, outputs: Outputs, options: &GpuOptions) -> Result<Self, EngineError> {
         let adapter = OpenAdapter::open(choose(&super::adapters(), options.adapter.as_deref())?, Purpose::OneAtATime)?;
         let gpu = Arc::clone(&adapter.devices[0]);
         gpu.check_timestamps(options)?;
@@ -88,7 +88,7 @@ impl GeneralGpu {
             compiling.into_iter().map(|thread| thread.join().unwrap_or_else(|_| failed())).collect::<Result<_, _>>()
         })?;
         // General clouds have no rays (section 7).
-        let uploader = Uploader::new(params.with_project(Project::Normal));
+        let uploader = Uploader::new(params);
         let options = options.clone();
         let (radii, progress, bytes) = Default::default();
         let mut engine = Self {

@@ -7,7 +7,7 @@ use super::super::kernel;
 use super::super::layout::{InputKind, constants};
 use crate::error::EngineError;
 use crate::outputs::Outputs;
-use crate::params::{Edges, Radius, SmoothParams};
+use crate::params::{Edges, EngineParams, Radius};
 
 /// Values of the four bits of a key that a pass of the sort looks at.
 pub(super) const DIGITS: usize = 16;
@@ -160,7 +160,7 @@ impl Pass {
     }
 
     /// The WGSL of this kernel.
-    pub(super) fn wgsl(self, params: &SmoothParams, outputs: Outputs) -> String {
+    pub(super) fn wgsl(self, params: &EngineParams, outputs: Outputs) -> String {
         let mut text = constants(InputKind::Points, outputs);
         let _ = writeln!(text, "const KEEPS_ISOLATED: bool = {};", !params.remove_isolated);
         text += include_str!("../shaders/buffers.wgsl");
@@ -263,7 +263,7 @@ impl Compiled {
     pub(super) fn new(
         gpu: &GpuDevice,
         pass: Pass,
-        params: &SmoothParams,
+        params: &EngineParams,
         outputs: Outputs,
         bounds_checks: bool,
     ) -> Result<Self, EngineError> {

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::source::{Alignment, OwnedFrame, RealSenseInput, RealSenseSource, Source, SourceOptions, StreamMode};
 use planish::stream::{self, StreamOptions};
-use planish::{Camera, DepthFrame, DeviceError, Engine, Error, SmoothParams, SmootherOptions};
+use planish::{Camera, DepthFrame, DeviceError, Engine, Error, FrameParams, SmootherOptions};
 
 use software_realsense::{Intrinsics, RealSense, SoftwareCamera, intrinsics};
 
@@ -426,8 +426,7 @@ fn rates() {
     let source = live(&camera, None, None).unwrap();
     let delivers = Deliver::start(camera, frames(10), |number| number + 1);
     let smoother = SmootherOptions::default().with_engine(Engine::Cpu);
-    let options =
-        StreamOptions::new(SmoothParams::default(), smoother).with_max_duration(Some(Duration::from_secs(60)));
+    let options = StreamOptions::new(FrameParams::default(), smoother).with_max_duration(Some(Duration::from_secs(60)));
     let stop = AtomicBool::new(false);
     let statistics = stream::run(Box::new(source), &options, Vec::new(), &stop, |_| ()).unwrap();
     drop(delivers);

@@ -4,20 +4,23 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::rc::Rc;
 
-use planish::io::{Contents, Encoding, Format, ReadOptions, camera_to_json, decode_with, encode_cloud, encode_depth};
+use planish::io::{
+    Contents, Encoding, Format, ReadOptions, camera_to_json, decode_with, encode_cloud, encode_depth, parse_settings,
+    settings_to_json,
+};
 use planish::render::{DistantView, normals_of};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::webgpu::{Plan, WebGpuLimits};
 use planish::{
-    Camera, DepthImage, Engine, FormatError, IntoFrame, OrganizedCloud, Outputs, PointCloud, SensorModel, SmoothParams,
-    Smoothed, Smoother, SmootherOptions, Status, Xyz,
+    Camera, DepthImage, Engine, FormatError, FrameError, OrganizedCloud, Outputs, Params, PointCloud, Preset,
+    SensorModel, Settings, Smoothed, Status, Xyz,
 };
 use serde_json::{Value, json};
 
+use crate::camera::CameraGiven;
 use crate::held::HeldFrame;
 use crate::picture::{colours_of, colours_of_general, depth_range, rgba};
 use crate::request::{PictureKind, Reply, Request, Side};
-use crate::settings::{CameraGiven, Settings};
 
 /// Files that need more are refused: the module has 4 GiB at most, and frame, copy, result and pictures all go into it.
 const MAX_MEMORY_BYTES: u64 = 1 << 29;
@@ -44,29 +47,22 @@ struct Planned {
     plan: Plan,
 }
 
-/// The smoother of the last frame, which keeps its buffers for the next.
-struct Opened {
-    params: SmoothParams,
-    outputs: Outputs,
-    grid: Option<(usize, usize)>,
-    smoother: Smoother,
-}
-
 /// Frames, plans and results by their numbers.
 #[derive(Default)]
-pub struct Session {
+pub struct Page {
     next: u32,
     frames: BTreeMap<u32, Rc<HeldFrame>>,
     plans: BTreeMap<u32, Planned>,
     results: BTreeMap<u32, Outcome>,
-    opened: Option<Opened>,
+    /// Smooths frames on the CPU; keeps its buffers from frame to frame.
+    smoother: Option<planish::Session>,
 }
 
 fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-impl Session {
+impl Page {
     /// Answers a request; `bytes` are those that came with it.
     pub fn handle(&mut self, request: &str, bytes: &[u8]) -> Reply {
         let answer = serde_json::from_str(request)
@@ -90,6 +86,11 @@ impl Session {
                 let read: Value = serde_json::from_str(&camera_to_json(&camera)).map_err(text)?;
                 Ok((read, Vec::new()))
             }
+            Request::ReadSettings { text: file } => {
+                let settings = parse_settings(&file).map_err(text)?;
+                Ok((serde_json::to_value(&settings).map_err(text)?, Vec::new()))
+            }
+            Request::WriteSettings { settings } => Ok((json!({ "text": settings_to_json(&settings) }), Vec::new())),
             Request::Open { name } => self.open(&name, bytes),
             Request::Depth { width, height } => {
                 let raw = numbers(bytes, width, height, 2, |bytes| u16::from_le_bytes([bytes[0], bytes[1]]))?;
@@ -176,30 +177,40 @@ impl Session {
         let held = Rc::clone(self.frame(number)?);
         let camera = held.camera(given)?;
         let outputs = held.outputs();
-        let params = params_of(&held, settings, camera.as_ref())?;
-        let (opened, mut smoothed) = (&mut self.opened, Smoothed::default());
-        held.with(camera.as_ref(), |frame| {
-            let grid = frame.grid();
-            let wanted = |opened: &Opened| (opened.params, opened.outputs, opened.grid) == (params, outputs, grid);
-            if !opened.as_ref().is_some_and(wanted) {
-                let options = SmootherOptions::new(Engine::Cpu, outputs).with_threads(Some(1));
-                let smoother = Smoother::open_with(params, &options, grid)?;
-                *opened = Some(Opened { params, outputs, grid, smoother });
-            }
-            match opened {
-                Some(opened) => opened.smoother.smooth(frame, &mut smoothed),
-                None => Ok(()),
-            }
-        })?;
+        let mut smoothed = Smoothed::default();
+        let smoother = self.smoother_for(settings)?;
+        smoother.set_outputs(outputs);
+        held.with(camera.as_ref(), |frame| smoother.smooth(frame, &mut smoothed))?;
         self.keep(number, held, smoothed)
+    }
+
+    /// Returns the session of the CPU engine, with these settings.
+    fn smoother_for(&mut self, settings: &Settings) -> Result<&mut planish::Session, String> {
+        let mut settings = settings.clone();
+        (settings.engine, settings.threads) = (settings.engine.or(Some(Engine::Cpu)), Some(1));
+        match &mut self.smoother {
+            Some(smoother) => {
+                if smoother.settings() != Some(&settings) {
+                    smoother.set_settings(settings).map_err(text)?;
+                }
+                Ok(smoother)
+            }
+            none => Ok(none.insert(planish::Session::new(settings).map_err(text)?)),
+        }
     }
 
     fn plan(&mut self, number: u32, settings: &Settings, given: Option<&CameraGiven>, limits: &WebGpuLimits) -> Answer {
         let held = Rc::clone(self.frame(number)?);
         let camera = held.camera(given)?;
-        let params = params_of(&held, settings, camera.as_ref())?;
         let outputs = held.outputs();
         let (plan, upload) = held.with(camera.as_ref(), |frame| {
+            let Params::Frame(params) = settings.resolve(frame)?.params else {
+                return Err(FrameError::GridMismatch {
+                    found: "is a general cloud".to_owned(),
+                    expected: "frames on a grid, which WebGPU smooths; clouds take the CPU engine".to_owned(),
+                }
+                .into());
+            };
             let mut plan = Plan::new(params, outputs, frame, limits)?;
             let upload = plan.upload(frame)?;
             Ok((plan, upload))
@@ -353,20 +364,12 @@ fn about() -> Value {
     let statuses: Vec<String> = Status::ALL.iter().map(|status| format!("{status:?}")).collect();
     json!({
         "version": env!("CARGO_PKG_VERSION"),
-        "presets": ["light", "default", "strong", "paper"],
+        "presets": Preset::NAMED.map(|(name, _)| name),
+        "settings": Settings::NAMES,
         "sensors": sensors,
         "statuses": statuses,
         "simd": planish::SimdLevel::best().name(),
     })
-}
-
-fn params_of(held: &HeldFrame, settings: &Settings, camera: Option<&Camera>) -> Result<SmoothParams, String> {
-    let mut params = Err(String::new());
-    held.with(camera, |frame| {
-        params = settings.params(frame.into_frame()?, || held.organized(camera));
-        Ok(())
-    })?;
-    params
 }
 
 /// Little-endian numbers, or groups of them, of `size` bytes for each pixel.

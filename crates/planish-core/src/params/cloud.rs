@@ -1,0 +1,105 @@
+//! Parameters of unorganized clouds.
+
+use super::{Edges, Fit, check, fit_setters};
+use crate::error::ParamError;
+
+/// About how many neighbours points of unorganized clouds have by default.
+const NEIGHBOURS: u32 = 40;
+
+/// How the radius of a neighbourhood is found in unorganized clouds (docs/method.md, sections 3 and 8).
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum CloudRadius {
+    /// The radius within which evenly spread points would have this many neighbours, by the density around each point; at
+    /// most one and a half times the mean radius of its neighbours.
+    Neighbours {
+        /// The number of neighbours, 6 to 1000.
+        count: u32,
+    },
+    /// One radius for every point, in metres.
+    Fixed {
+        /// The radius in metres.
+        radius_m: f32,
+    },
+}
+
+/// The parameters of unorganized clouds, which have neither pixels nor a sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct CloudParams {
+    /// How the surface is fitted.
+    pub fit: Fit,
+    /// The gate: points further away than this from a point are no neighbours.
+    pub radius: CloudRadius,
+    /// Whether isolated points become holes, those with fewer than three neighbours or a quarter of
+    /// [`CloudRadius::Neighbours`]; otherwise they stay as measured.
+    pub remove_isolated: bool,
+}
+
+impl Default for CloudParams {
+    /// Degree 2, edges rounded, and about 40 neighbours by the density around each point.
+    fn default() -> Self {
+        Self {
+            fit: Fit { degree: 2, ..Fit::PAPER },
+            radius: CloudRadius::Neighbours { count: NEIGHBOURS },
+            remove_isolated: false,
+        }
+    }
+}
+
+impl CloudParams {
+    /// Returns the parameters of the 2011 report: 3 cm, degree 3.
+    pub fn paper() -> Self {
+        Self { fit: Fit::PAPER, radius: CloudRadius::Fixed { radius_m: 0.03 }, remove_isolated: false }
+    }
+
+    fit_setters!();
+
+    /// Sets how the radius is found.
+    pub const fn with_radius(self, radius: CloudRadius) -> Self {
+        Self { radius, ..self }
+    }
+
+    /// Sets one radius in metres for every point.
+    pub const fn with_radius_m(self, radius_m: f32) -> Self {
+        self.with_radius(CloudRadius::Fixed { radius_m })
+    }
+
+    /// Sets a radius by density, for this many neighbours.
+    pub const fn with_neighbours(self, count: u32) -> Self {
+        self.with_radius(CloudRadius::Neighbours { count })
+    }
+
+    /// Sets whether isolated points become holes.
+    pub const fn with_remove_isolated(self, remove_isolated: bool) -> Self {
+        Self { remove_isolated, ..self }
+    }
+
+    /// Refuses every value outside its range.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        self.fit.validate()?;
+        match self.radius {
+            CloudRadius::Fixed { radius_m } => check("radius_m", radius_m, 1e-6..=1e3, "1e-6 to 1000 metres"),
+            CloudRadius::Neighbours { count } => check("neighbours", count, 6..=1000, "6 to 1000"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn radii_are_refused_outside_their_ranges_by_name() {
+        let ok = CloudParams::default();
+        for (params, field) in [
+            (ok.with_radius_m(0.0), "radius_m"),
+            (ok.with_neighbours(5), "neighbours"),
+            (ok.with_neighbours(1001), "neighbours"),
+            (ok.with_degree(4), "degree"),
+        ] {
+            assert_eq!(params.validate().unwrap_err().field, field);
+        }
+        assert!(ok.validate().is_ok() && CloudParams::paper().validate().is_ok());
+    }
+}

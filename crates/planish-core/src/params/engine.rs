@@ -1,0 +1,119 @@
+//! The parameters as engines take them: windows are resolved, and both kinds of input have one form.
+
+use super::{CloudParams, CloudRadius, Edges, Fit, FrameParams, FrameRadius, Project, WindowSize};
+use crate::frame::PointsView;
+use crate::sensor::SensorModel;
+
+/// The radius rules of both kinds of input.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Radius {
+    Fixed { radius_m: f32 },
+    Neighbours { count: u32 },
+    Sensor,
+}
+
+/// What an engine computes with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct EngineParams {
+    pub(crate) window: u32,
+    pub(crate) stride: u32,
+    pub(crate) average_blocks: bool,
+    pub(crate) radius: Radius,
+    pub(crate) degree: u32,
+    pub(crate) bandwidth_m: Option<f32>,
+    pub(crate) ridge: f32,
+    pub(crate) project: Project,
+    pub(crate) edges: Edges,
+    pub(crate) remove_isolated: bool,
+    pub(crate) sensor: SensorModel,
+}
+
+impl From<FrameParams> for EngineParams {
+    /// With the window's nominal size.
+    fn from(params: FrameParams) -> Self {
+        let WindowSize { half_width: window, stride } = params.window.nominal();
+        let Fit { degree, bandwidth_m, ridge, edges } = params.fit;
+        let radius = match params.radius {
+            FrameRadius::Sensor => Radius::Sensor,
+            FrameRadius::Fixed { radius_m } => Radius::Fixed { radius_m },
+        };
+        let FrameParams { average_blocks, project, sensor, .. } = params;
+        Self {
+            window,
+            stride,
+            average_blocks,
+            radius,
+            degree,
+            bandwidth_m,
+            ridge,
+            project,
+            edges,
+            remove_isolated: false,
+            sensor,
+        }
+    }
+}
+
+impl From<CloudParams> for EngineParams {
+    fn from(params: CloudParams) -> Self {
+        let Fit { degree, bandwidth_m, ridge, edges } = params.fit;
+        let radius = match params.radius {
+            CloudRadius::Neighbours { count } => Radius::Neighbours { count },
+            CloudRadius::Fixed { radius_m } => Radius::Fixed { radius_m },
+        };
+        Self {
+            window: 3,
+            stride: 1,
+            average_blocks: false,
+            radius,
+            degree,
+            bandwidth_m,
+            ridge,
+            project: Project::Normal,
+            edges,
+            remove_isolated: params.remove_isolated,
+            sensor: SensorModel::KINECT_V1,
+        }
+    }
+}
+
+impl EngineParams {
+    /// Returns these parameters with another window.
+    pub(crate) fn with_size(self, size: WindowSize) -> Self {
+        Self { window: size.half_width, stride: size.stride, ..self }
+    }
+
+    /// How far a window reaches from its centre, in pixels: k s.
+    pub(crate) fn reach_px(&self) -> usize {
+        (self.window * self.stride) as usize
+    }
+
+    /// Half width of the blocks that are averaged, in pixels: blocks are as wide as the stride, or a pixel wider where that is even.
+    pub(crate) fn block_half_px(&self) -> usize {
+        self.stride as usize / 2
+    }
+
+    /// Whether there is anything to average.
+    pub(crate) fn averages_blocks(&self) -> bool {
+        self.average_blocks && self.block_half_px() > 0
+    }
+
+    /// How many samples a window has: (2k+1)².
+    pub(crate) fn candidates(&self) -> usize {
+        let side = 2 * self.window as usize + 1;
+        side * side
+    }
+
+    /// With fewer neighbours a point of an unorganized cloud is isolated (docs/method.md, section 8).
+    pub(crate) fn least_neighbours(&self, cloud: &PointsView<'_>) -> u32 {
+        let Radius::Neighbours { count } = self.radius else { return 3 };
+        let few = u32::try_from(cloud.points_of_whole().div_ceil(16)).unwrap_or(u32::MAX);
+        count.div_ceil(4).min(few).max(3)
+    }
+}
+
+/// How far away in pixels the planes are that say which surface a point lies on: a little more than the reach k s of a window, so
+/// that one of them is clear of an edge that the point itself is near to.
+pub(crate) fn edge_shift_px(reach_px: usize) -> usize {
+    (13 * reach_px + 6) / 12
+}

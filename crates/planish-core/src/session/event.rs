@@ -1,0 +1,66 @@
+//! What happens to a session beside results.
+
+use std::fmt;
+
+use crate::error::EngineError;
+use crate::fleet::FleetDevice;
+use crate::sensor::SensorModel;
+
+/// Something that a session did by itself. [`Display`](fmt::Display) gives one line for a user.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum SessionEvent {
+    /// The sensor was estimated from the first frame.
+    SensorEstimated {
+        /// The model.
+        sensor: SensorModel,
+    },
+    /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
+    TooLargeForGpu {
+        /// What the GPU allows.
+        error: EngineError,
+    },
+    /// The GPU failed and is opened once more.
+    Reopening {
+        /// Why it failed.
+        error: EngineError,
+    },
+    /// The GPU failed again; the CPU engine continues.
+    UsingCpu {
+        /// Why it failed.
+        error: EngineError,
+    },
+    /// A device failed; the session continues on another one of its list.
+    DeviceLeft {
+        /// The device.
+        device: FleetDevice,
+        /// Why it failed.
+        error: EngineError,
+    },
+    /// A device that shared the frames in flight failed; the others continue.
+    DeviceLost {
+        /// The device.
+        device: FleetDevice,
+        /// Why it failed.
+        error: EngineError,
+        /// Devices that are left.
+        left: usize,
+    },
+}
+
+impl fmt::Display for SessionEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::SensorEstimated { sensor } => {
+                let SensorModel { step, sigma } = sensor;
+                write!(f, "estimated the sensor from the first frame: step {step:?}, sigma {sigma:?}")
+            }
+            Self::TooLargeForGpu { error } => write!(f, "{error}; smoothed on the CPU"),
+            Self::Reopening { error } => write!(f, "{error}; opening it once more"),
+            Self::UsingCpu { error } => write!(f, "{error}; continuing with the CPU engine"),
+            Self::DeviceLeft { error, .. } => write!(f, "{error}; continuing on another device"),
+            Self::DeviceLost { error, left: 1, .. } => write!(f, "{error}; continuing on one device"),
+            Self::DeviceLost { error, left, .. } => write!(f, "{error}; continuing on {left} devices"),
+        }
+    }
+}

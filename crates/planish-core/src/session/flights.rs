@@ -1,0 +1,157 @@
+//! Frames in flight of a session: submitted, and smoothed again where their device is lost.
+
+use std::sync::Arc;
+
+use super::{AnyFrame, Session};
+use crate::error::{EngineError, Error};
+use crate::fleet::SharedFrame;
+use crate::frame::IntoFrame;
+use crate::smoothed::Smoothed;
+use crate::view::SmoothedView;
+
+/// A frame in flight.
+pub(super) struct Pending {
+    /// The frame, to be smoothed again if its device is lost; `None` for one that the session does not share.
+    frame: Option<AnyFrame>,
+    is_cloud: bool,
+}
+
+impl Session {
+    /// Submits a frame whose result [`receive`](Self::receive) returns, in order. If its device is lost, the frame is smoothed
+    /// again.
+    ///
+    /// # Errors
+    /// If as many are in flight as can be, the frame is malformed, or the engine fails and nothing may take over.
+    pub fn submit<F: SharedFrame>(&mut self, frame: Arc<F>, buffer: Smoothed) -> Result<(), Error> {
+        let frame: AnyFrame = frame;
+        self.check_room()?;
+        let is_cloud = frame.frame()?.grid().is_none();
+        match self.submit_now(&frame, buffer) {
+            Ok(()) => self.pending.push_back(Pending { frame: Some(frame), is_cloud }),
+            Err(error @ Error::Engine(_)) => {
+                self.pending.push_back(Pending { frame: Some(frame), is_cloud });
+                self.smooth_again(error)?;
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
+    /// Submits a frame that the caller does not share: it is copied where it is not computed at once, and lost with its
+    /// device. The result stays where the device puts it.
+    ///
+    /// # Errors
+    /// As [`submit`](Self::submit).
+    pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
+        let frame = frame.into_frame()?;
+        self.check_room()?;
+        let admitted = self.open_for(frame, false)?;
+        self.smoother()?.submit_admitted(&admitted, None)?;
+        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none() });
+        Ok(())
+    }
+
+    fn check_room(&self) -> Result<(), EngineError> {
+        match (self.in_flight(), self.max_in_flight()) {
+            // What is in flight is finished before another engine is opened, so that a first frame always fits.
+            (in_flight, most) if in_flight >= most && in_flight > 0 => Err(EngineError::Full { in_flight }),
+            _ => Ok(()),
+        }
+    }
+
+    fn submit_now(&mut self, frame: &AnyFrame, buffer: Smoothed) -> Result<(), Error> {
+        let admitted = self.open_for(frame.frame()?, true)?;
+        match self.open.as_mut().filter(|open| open.is_fleet()) {
+            Some(open) => open.submit_shared(frame, Some(buffer)),
+            None => self.smoother()?.submit_admitted(&admitted, Some(buffer)),
+        }
+    }
+
+    /// Waits for the result of the oldest frame in flight; `None` if there is none.
+    ///
+    /// # Errors
+    /// If something is wrong with that frame, or the engine fails and nothing may take over.
+    pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        self.forget_other_process();
+        if let Some(result) = self.ready.pop_front() {
+            self.pending.pop_front();
+            return result.map(Some);
+        }
+        let Some(open) = &mut self.open else { return Ok(None) };
+        match open.receive() {
+            Ok(view) => {
+                self.pending.pop_front();
+                Ok(view)
+            }
+            Err(error @ Error::Engine(_)) => {
+                self.smooth_again(error)?;
+                self.pending.pop_front();
+                self.ready.pop_front().transpose()
+            }
+            Err(error) => {
+                self.pending.pop_front();
+                Err(error)
+            }
+        }
+    }
+
+    /// Smooths all frames in flight again, one by one, with whatever takes over after this error.
+    fn smooth_again(&mut self, error: Error) -> Result<(), Error> {
+        let mut error = error;
+        loop {
+            let is_cloud = self.pending.front().is_some_and(|pending| pending.is_cloud);
+            let is_shared = self.pending.iter().all(|pending| pending.frame.is_some());
+            if !is_shared {
+                self.close();
+                return Err(error);
+            }
+            self.recover(error, is_cloud, true)?;
+            match self.smooth_pending() {
+                Ok(()) => return Ok(()),
+                Err(again) => error = again,
+            }
+        }
+    }
+
+    /// Smooths the frames in flight that have no result yet.
+    fn smooth_pending(&mut self) -> Result<(), Error> {
+        let frames: Vec<AnyFrame> =
+            self.pending.iter().skip(self.ready.len()).filter_map(|pending| pending.frame.clone()).collect();
+        for frame in frames {
+            let result = self.submit_now(&frame, Smoothed::default()).and_then(|()| match &mut self.open {
+                Some(open) => open.receive(),
+                None => Ok(None),
+            });
+            match result {
+                Ok(Some(view)) => self.ready.push_back(Ok(view)),
+                Ok(None) => {}
+                Err(error @ Error::Engine(_)) => return Err(error),
+                Err(error) => self.ready.push_back(Err(error)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits for all frames in flight, whose results are then received without their engine.
+    pub(super) fn finish_flights(&mut self) -> Result<(), Error> {
+        while self.ready.len() < self.pending.len() {
+            let Some(open) = &mut self.open else { return Ok(()) };
+            match open.receive().transpose() {
+                Some(Err(error @ Error::Engine(_))) => self.smooth_again(error)?,
+                Some(result) => self.ready.push_back(result),
+                None => return Ok(()),
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns how many frames were submitted and not received.
+    pub fn in_flight(&self) -> usize {
+        self.pending.len()
+    }
+
+    /// Returns how many frames in flight are worth their latency; 1 before the first.
+    pub fn max_in_flight(&self) -> usize {
+        self.open.as_ref().map_or(1, |open| open.max_in_flight(self.is_live))
+    }
+}

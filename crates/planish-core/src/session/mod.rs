@@ -1,0 +1,504 @@
+//! Smooths whatever comes: opens the engine for each kind of frame, opens it again when something changes, and goes on when
+//! a GPU is lost or too small.
+
+mod event;
+mod flights;
+mod open;
+mod recovery;
+mod watch;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use crate::engine::AdmittedFrame;
+use crate::engines::{ChoiceReason, Engine, SmootherOptions};
+use crate::error::{EngineError, Error};
+use crate::fleet::FleetDevice;
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, RangeRule};
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::params::{CloudParams, EngineParams, FrameParams, Params, WindowSize};
+use crate::sensor::SensorModel;
+use crate::settings::{SensorChoice, Settings};
+use crate::smoothed::Smoothed;
+use crate::smoother::{check_frame, check_options, for_engine, needs_range};
+use crate::timings::FrameTimings;
+
+pub use event::SessionEvent;
+use flights::Pending;
+use open::{Open, OpenFor};
+pub use recovery::{GpuLosses, Recovery};
+pub use watch::ProgressWatch;
+
+/// Frames of a live source in flight on a device, at most: more would wait for those before, and the newest would come late.
+pub const LIVE_IN_FLIGHT: usize = 3;
+
+/// Smooths frames and clouds of any shape, one after another or several in flight.
+///
+/// A session opens the engine with the first frame, and again when the grid, the outputs or the settings change. A cloud that
+/// does not fit the GPU that [`Engine::Auto`] chose is smoothed on the CPU. A GPU that is lost is opened once more; if it is
+/// lost again, [`Engine::Auto`] and streams go on with the CPU. [`take_events`](Self::take_events) reports all of it.
+/// [`Smoother`](crate::Smoother) is the lower level, for one kind of frame and without any of this.
+///
+/// ```
+/// use planish::{OrganizedCloud, Session, Settings, Smoothed, Xyz};
+///
+/// # fn main() -> Result<(), planish::Error> {
+/// # let plane: Xyz = (0..64 * 48).map(|i| [0.002 * (i % 64) as f32, 0.002 * (i / 64) as f32, 1.0]).collect();
+/// let cloud = OrganizedCloud::from_positions(64, 48, plane)?;
+/// let mut session = Session::new("preset=light".parse::<Settings>()?)?;
+/// let mut smoothed = Smoothed::default();
+/// session.smooth(&cloud, &mut smoothed)?;
+/// session.smooth(&cloud.points, &mut smoothed)?;
+/// for event in session.take_events() {
+///     println!("{event}");
+/// }
+/// # Ok(())
+/// # }
+/// ```
+pub struct Session {
+    chosen: Chosen,
+    options: SmootherOptions,
+    devices: Vec<FleetDevice>,
+    /// Which of the devices smooths frames one at a time.
+    device: usize,
+    /// The sensor that was estimated from the first frame.
+    estimated: Option<SensorModel>,
+    is_live: bool,
+    /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
+    keeps_window: bool,
+    kept_window: Option<((usize, usize), WindowSize)>,
+    open: Option<Open>,
+    /// The engine that has taken over: for clouds too large for the GPU, and for all frames after the GPU was lost.
+    instead_for_clouds: Option<Engine>,
+    losses: GpuLosses,
+    pending: VecDeque<Pending>,
+    ready: VecDeque<Result<crate::SmoothedView, Error>>,
+    events: Vec<SessionEvent>,
+    scratch: GeometryScratch,
+    /// How ranges are measured in the last frame.
+    rule: Option<RangeRule>,
+    watch: ProgressWatch,
+    /// The process that has opened the engine: threads do not survive a fork.
+    process: u32,
+}
+
+/// Where parameters come from.
+#[derive(Debug, Clone)]
+enum Chosen {
+    Settings(Box<Settings>),
+    Params(FrameParams, CloudParams),
+}
+
+impl Session {
+    /// Creates a session; the engine is opened with the first frame.
+    ///
+    /// # Errors
+    /// If settings are outside their ranges or contradict each other, or a device is not there.
+    pub fn new(settings: Settings) -> Result<Self, Error> {
+        let (options, devices) = (settings.options(), settings.devices()?);
+        Self::of(Chosen::Settings(Box::new(settings)), options, devices)
+    }
+
+    /// Creates a session with explicit parameters for both kinds of input, and devices to deal frames to, if any.
+    ///
+    /// # Errors
+    /// If a parameter is outside its range.
+    pub fn with_params(
+        frame: FrameParams,
+        cloud: CloudParams,
+        options: SmootherOptions,
+        devices: Vec<FleetDevice>,
+    ) -> Result<Self, Error> {
+        Self::of(Chosen::Params(frame, cloud), options, devices)
+    }
+
+    fn of(chosen: Chosen, options: SmootherOptions, devices: Vec<FleetDevice>) -> Result<Self, Error> {
+        let mut session = Self {
+            chosen,
+            options,
+            devices,
+            device: 0,
+            estimated: None,
+            is_live: false,
+            keeps_window: false,
+            kept_window: None,
+            open: None,
+            instead_for_clouds: None,
+            losses: GpuLosses::default(),
+            pending: VecDeque::new(),
+            ready: VecDeque::new(),
+            events: Vec::new(),
+            scratch: GeometryScratch::default(),
+            rule: None,
+            watch: ProgressWatch::default(),
+            process: std::process::id(),
+        };
+        session.validate()?;
+        Ok(session)
+    }
+
+    fn validate(&mut self) -> Result<(), Error> {
+        match &self.chosen {
+            Chosen::Settings(settings) => settings.validate()?,
+            Chosen::Params(frame, cloud) => {
+                frame.validate()?;
+                cloud.validate()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Sets whether frames come from a live source: fewer are kept in flight, so that the newest is not late.
+    pub fn with_live(self, is_live: bool) -> Self {
+        Self { is_live, ..self }
+    }
+
+    /// Sets whether all frames of a shape keep the window that the first one with a known resolution decides, as a video
+    /// wants it. Otherwise every frame gets what it gets alone, whatever came before it.
+    pub fn with_kept_window(self, keeps_window: bool) -> Self {
+        Self { keeps_window, ..self }
+    }
+
+    /// Sets options that settings do not have (slots, time stamps, the instruction set); settings override the others.
+    pub fn with_options(mut self, options: SmootherOptions) -> Self {
+        self.options = match &self.chosen {
+            Chosen::Settings(settings) => settings.override_options(options),
+            Chosen::Params(..) => options,
+        };
+        self
+    }
+
+    /// Sets the devices that frames are dealt to, instead of those of the settings.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, device: 0, ..self }
+    }
+
+    /// Sets which of the devices smooths frames one at a time, for sessions that share a list of devices.
+    pub fn with_device(self, index: usize) -> Self {
+        let device = if self.devices.is_empty() { 0 } else { index % self.devices.len() };
+        Self { device, ..self }
+    }
+
+    /// Changes the settings from the next frame on. Frames in flight keep theirs.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new); the session then keeps its settings.
+    pub fn set_settings(&mut self, settings: Settings) -> Result<(), Error> {
+        let devices = settings.devices()?;
+        self.options = settings.override_options(self.options.clone());
+        if devices != self.devices {
+            (self.devices, self.device) = (devices, 0);
+        }
+        self.chosen = Chosen::Settings(Box::new(settings));
+        (self.kept_window, self.estimated, self.instead_for_clouds) = (None, None, None);
+        Ok(())
+    }
+
+    /// Changes the results to compute, from the next frame on.
+    pub fn set_outputs(&mut self, outputs: Outputs) {
+        self.options.outputs = outputs;
+    }
+
+    /// Returns the results to compute.
+    pub fn outputs(&self) -> Outputs {
+        self.options.outputs
+    }
+
+    /// Returns the settings; `None` for a session of explicit parameters.
+    pub fn settings(&self) -> Option<&Settings> {
+        match &self.chosen {
+            Chosen::Settings(settings) => Some(settings),
+            Chosen::Params(..) => None,
+        }
+    }
+
+    /// Returns the parameters that a frame is smoothed with, and its sensor where pixels that float are to be removed first.
+    ///
+    /// # Errors
+    /// As [`Settings::resolve`](crate::Settings::resolve).
+    pub fn params_for<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(Params, Option<SensorModel>), Error> {
+        self.resolve(frame.into_frame()?)
+    }
+
+    fn resolve(&mut self, frame: Frame<'_>) -> Result<(Params, Option<SensorModel>), Error> {
+        match &self.chosen {
+            Chosen::Params(params, _) if frame.grid().is_some() => Ok(((*params).into(), None)),
+            Chosen::Params(_, params) => Ok(((*params).into(), None)),
+            Chosen::Settings(settings) if settings.estimates_sensor() && frame.grid().is_some() => {
+                let mut settings = Settings::clone(settings);
+                settings.sensor = self.estimated.map(SensorChoice::Known).or(settings.sensor);
+                let resolved = settings.resolve(frame)?;
+                if let (None, Params::Frame(params)) = (self.estimated, resolved.params) {
+                    self.estimated = Some(params.sensor);
+                    self.events.push(SessionEvent::SensorEstimated { sensor: params.sensor });
+                }
+                Ok((resolved.params, resolved.floating_sensor))
+            }
+            Chosen::Settings(settings) => {
+                let resolved = settings.resolve(frame)?;
+                Ok((resolved.params, resolved.floating_sensor))
+            }
+        }
+    }
+
+    /// Smooths one frame or cloud into `out`, whose buffers are reused.
+    ///
+    /// # Errors
+    /// If the frame is malformed, settings do not fit it, or the engine fails and nothing may take over.
+    pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
+        let frame = frame.into_frame()?;
+        self.one_at_a_time(frame, |session, admitted| {
+            let (outputs, (width, height)) = (session.options.outputs, frame.shape());
+            out.prepare(width, height, outputs);
+            session.smoother()?.smooth_admitted(admitted, out.as_mut())
+        })
+    }
+
+    /// Smooths one frame or cloud into buffers of the caller's.
+    ///
+    /// # Errors
+    /// As [`smooth`](Self::smooth), and if a buffer has another length than the frame or is not among the outputs.
+    pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
+        let frame = frame.into_frame()?;
+        let (width, height) = frame.shape();
+        out.check(width * height, self.options.outputs)?;
+        self.one_at_a_time(frame, |session, admitted| session.smoother()?.smooth_admitted(admitted, out.reborrow()))
+    }
+
+    /// Smooths a frame, again where something takes over.
+    fn one_at_a_time(
+        &mut self,
+        frame: Frame<'_>,
+        mut smooth: impl FnMut(&mut Self, &AdmittedFrame<'_>) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        self.check_idle()?;
+        loop {
+            let result = self.open_for(frame, false).and_then(|admitted| smooth(self, &admitted));
+            match result {
+                Err(error) => self.recover(error, frame.grid().is_none(), false)?,
+                Ok(()) => return Ok(()),
+            }
+        }
+    }
+
+    /// Opens the engine for frames like this one, if it is not open for them. [`smooth`](Self::smooth) does so itself.
+    ///
+    /// # Errors
+    /// As [`smooth`](Self::smooth).
+    pub fn prepare<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
+        let frame = frame.into_frame()?;
+        self.open_for(frame, false).map(drop)
+    }
+
+    /// Opens what smooths this frame, alone or among others in flight, and returns the frame with its geometry.
+    fn open_for<'a>(&mut self, frame: Frame<'a>, in_flight: bool) -> Result<AdmittedFrame<'a>, Error> {
+        self.forget_other_process();
+        check_frame(frame, self.options.outputs, frame.grid())?;
+        let (params, _) = self.resolve(frame)?;
+        let (engine_params, window) = for_engine(params);
+        let needs_range = needs_range(&engine_params) || window.is_some();
+        let geometry = FrameGeometry::of(frame, needs_range, &mut self.scratch);
+        self.rule = Some(geometry.rule);
+        let engine_params = self.with_window(engine_params, params, frame, &geometry);
+        let mut options = self.options.clone();
+        options.engine = self.engine_for(frame.grid().is_none());
+        let uses_fleet = in_flight && !self.devices.is_empty() && !self.losses.uses_cpu();
+        if let (false, Some(device)) = (uses_fleet, self.devices.get(self.device)) {
+            options = device.options(&options);
+        }
+        let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet };
+        if self.open.as_ref().is_none_or(|open| *open.open_for() != wanted) {
+            check_options(params, &wanted.options, frame.grid())?;
+            self.finish_flights()?;
+            self.open = None;
+            let devices: &[FleetDevice] = if uses_fleet { &self.devices } else { &[] };
+            let open = Open::new(wanted, devices)?;
+            self.watch.set(open.progress());
+            self.open = Some(open);
+        }
+        Ok(AdmittedFrame { frame, geometry })
+    }
+
+    /// Returns the parameters with the window for a frame.
+    fn with_window(
+        &mut self,
+        engine_params: EngineParams,
+        params: Params,
+        frame: Frame<'_>,
+        geometry: &FrameGeometry,
+    ) -> EngineParams {
+        let (Params::Frame(FrameParams { window, .. }), Some(shape)) = (params, frame.grid()) else {
+            return engine_params;
+        };
+        let kept = self.kept_window.filter(|(of_shape, _)| self.keeps_window && *of_shape == shape);
+        let size = match kept {
+            Some((_, size)) => Some(size),
+            None => geometry.rule.known_pitch_at_1m().filter(|_| window.is_auto()).map(|pitch| window.at_pitch(pitch)),
+        };
+        if let Some(size) = size {
+            self.kept_window = Some((shape, size));
+        }
+        engine_params.with_size(size.unwrap_or(window.nominal()))
+    }
+
+    fn engine_for(&self, is_cloud: bool) -> Engine {
+        if self.losses.uses_cpu() {
+            return Engine::Cpu;
+        }
+        self.instead_for_clouds.filter(|_| is_cloud).unwrap_or(self.options.engine)
+    }
+
+    /// Decides what takes over after an error; `Ok` means to try again.
+    fn recover(&mut self, error: Error, is_cloud: bool, is_stream: bool) -> Result<(), Error> {
+        let Error::Engine(engine_error) = &error else { return Err(error) };
+        if matches!(engine_error, EngineError::Stopped | EngineError::Full { .. }) {
+            return Err(error);
+        }
+        let was_open = self.open.is_some();
+        let was_gpu = self.open.as_ref().is_some_and(|open| open.engine() == Engine::Gpu);
+        self.open = None;
+        if engine_error.is_too_large() && is_cloud && was_gpu && self.options.engine == Engine::Auto {
+            self.instead_for_clouds = Some(Engine::Cpu);
+            self.events.push(SessionEvent::TooLargeForGpu { error: engine_error.clone() });
+            return Ok(());
+        }
+        let leaves = self.devices.len() > 1 && !is_stream && !engine_error.is_too_large();
+        if leaves {
+            let device = self.devices.remove(self.device);
+            self.device = 0;
+            self.events.push(SessionEvent::DeviceLeft { device, error: engine_error.clone() });
+            return Ok(());
+        }
+        let may_use_cpu = is_stream || self.options.engine == Engine::Auto;
+        match self.losses.next(&error, was_gpu, was_open, may_use_cpu) {
+            Recovery::Reopen => self.events.push(SessionEvent::Reopening { error: engine_error.clone() }),
+            Recovery::UseCpu => {
+                self.devices.clear();
+                self.events.push(SessionEvent::UsingCpu { error: engine_error.clone() });
+            }
+            Recovery::Fail => return Err(error),
+        }
+        Ok(())
+    }
+
+    /// Forgets the engine of another process: after a fork its threads are not there to be waited for.
+    fn forget_other_process(&mut self) {
+        let process = std::process::id();
+        if self.process != process {
+            std::mem::forget(self.open.take());
+            self.pending.clear();
+            self.ready.clear();
+            self.process = process;
+        }
+    }
+
+    /// Refuses to mix with frames in flight.
+    fn check_idle(&self) -> Result<(), EngineError> {
+        match self.in_flight() {
+            0 => Ok(()),
+            in_flight => Err(EngineError::Full { in_flight }),
+        }
+    }
+
+    fn smoother(&mut self) -> Result<&mut crate::Smoother, Error> {
+        let closed = || EngineError::Unavailable { engine: "session", reason: "no engine is open".to_owned() };
+        self.open.as_mut().and_then(Open::smoother).ok_or_else(|| closed().into())
+    }
+
+    /// Takes what has happened since the last call, in order.
+    pub fn take_events(&mut self) -> Vec<SessionEvent> {
+        if let Some(open) = &mut self.open {
+            self.events.extend(open.losses(&mut self.devices));
+        }
+        std::mem::take(&mut self.events)
+    }
+
+    /// Returns the sensor that was estimated from the first frame, if settings ask for that.
+    pub fn estimated_sensor(&self) -> Option<SensorModel> {
+        self.estimated
+    }
+
+    /// Returns the devices that are left of those of the settings.
+    pub fn devices(&self) -> &[FleetDevice] {
+        &self.devices
+    }
+
+    /// Returns how ranges were measured in the last frame, and the pitch of its pixels (docs/method.md, section 11).
+    pub fn range_rule(&self) -> Option<RangeRule> {
+        self.rule
+    }
+
+    /// Returns the engine that is open; `None` before the first frame.
+    pub fn engine(&self) -> Option<Engine> {
+        self.open.as_ref().map(Open::engine)
+    }
+
+    /// Returns the name of the GPU that is open.
+    pub fn gpu_name(&self) -> Option<&str> {
+        self.open.as_ref()?.one()?.gpu_name()
+    }
+
+    /// Returns why `Auto` chose its engine; `None` if the engine was asked for by name.
+    pub fn chosen_because(&self) -> Option<&ChoiceReason> {
+        self.open.as_ref()?.one()?.chosen_because()
+    }
+
+    /// Returns where the time of the last frame went, if time stamps were asked for.
+    pub fn timings(&self) -> Option<FrameTimings> {
+        self.open.as_ref()?.one()?.timings()
+    }
+
+    /// Returns a handle that shows the progress of the frame being smoothed, for other threads.
+    pub fn watch(&self) -> ProgressWatch {
+        self.watch.clone()
+    }
+
+    /// Closes the engine and frees its memory; the next frame opens it again. Frames in flight are discarded.
+    pub fn close(&mut self) {
+        self.forget_other_process();
+        self.open = None;
+        self.pending.clear();
+        self.ready.clear();
+        self.watch.set(None);
+    }
+}
+
+impl std::fmt::Debug for Session {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { chosen, options, devices, open, .. } = self;
+        f.debug_struct("Session")
+            .field("chosen", chosen)
+            .field("options", options)
+            .field("devices", devices)
+            .field("open", open)
+            .field("in_flight", &self.in_flight())
+            .finish()
+    }
+}
+
+/// Smooths one frame or cloud: opens what the settings ask for, smooths, and closes it. For several frames use a [`Session`].
+///
+/// ```
+/// use planish::{Camera, DepthView, Settings};
+///
+/// # fn main() -> Result<(), planish::Error> {
+/// let (raw, camera) = (vec![1500u16; 640 * 480], Camera::kinect_v1());
+/// let smoothed = planish::smooth(DepthView::new(&raw, &camera)?, &Settings::default())?;
+/// assert!((smoothed.points.z[1000] - 1.5).abs() < 1e-6);
+/// # Ok(())
+/// # }
+/// ```
+///
+/// # Errors
+/// As [`Session::new`] and [`Session::smooth`].
+pub fn smooth<'a>(frame: impl IntoFrame<'a>, settings: &Settings) -> Result<Smoothed, Error> {
+    let mut smoothed = Smoothed::default();
+    Session::new(settings.clone())?.smooth(frame, &mut smoothed)?;
+    Ok(smoothed)
+}
+
+/// A frame that several threads own, without its type.
+type AnyFrame = Arc<dyn crate::fleet::SharedFrame>;
+
+#[cfg(test)]
+mod tests;

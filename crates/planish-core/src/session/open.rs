@@ -1,0 +1,139 @@
+//! What a session has open: a smoother, or a fleet.
+
+use std::sync::Arc;
+
+use super::{AnyFrame, LIVE_IN_FLIGHT, SessionEvent};
+use crate::engines::{Engine, SmootherOptions};
+use crate::error::Error;
+use crate::fleet::{Fleet, FleetDevice};
+use crate::params::EngineParams;
+use crate::progress::Progress;
+use crate::smoothed::Smoothed;
+use crate::smoother::Smoother;
+use crate::view::SmoothedView;
+
+/// What an engine is open for; another frame needs another one.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct OpenFor {
+    pub(super) grid: Option<(usize, usize)>,
+    pub(super) params: EngineParams,
+    pub(super) options: SmootherOptions,
+    pub(super) uses_fleet: bool,
+}
+
+#[derive(Debug)]
+pub(super) struct Open {
+    open_for: OpenFor,
+    smoothing: Smoothing,
+}
+
+#[derive(Debug)]
+enum Smoothing {
+    One(Box<Smoother>),
+    Fleet {
+        fleet: Box<Fleet>,
+        /// Its devices, and those of them whose loss was reported.
+        devices: Vec<FleetDevice>,
+        reported: Vec<FleetDevice>,
+    },
+}
+
+impl Open {
+    /// Opens a fleet where there are devices, else a smoother.
+    pub(super) fn new(open_for: OpenFor, devices: &[FleetDevice]) -> Result<Self, Error> {
+        let OpenFor { grid, params, options, .. } = &open_for;
+        let smoothing = if devices.is_empty() {
+            Smoothing::One(Box::new(Smoother::open_decided(*params, options, *grid)?))
+        } else {
+            let fleet = Box::new(Fleet::open_decided(*params, options, devices, *grid)?);
+            Smoothing::Fleet { fleet, devices: devices.to_vec(), reported: Vec::new() }
+        };
+        Ok(Self { open_for, smoothing })
+    }
+
+    pub(super) fn open_for(&self) -> &OpenFor {
+        &self.open_for
+    }
+
+    pub(super) fn one(&self) -> Option<&Smoother> {
+        match &self.smoothing {
+            Smoothing::One(smoother) => Some(smoother),
+            Smoothing::Fleet { .. } => None,
+        }
+    }
+
+    pub(super) fn smoother(&mut self) -> Option<&mut Smoother> {
+        match &mut self.smoothing {
+            Smoothing::One(smoother) => Some(smoother),
+            Smoothing::Fleet { .. } => None,
+        }
+    }
+
+    pub(super) fn progress(&self) -> Option<Arc<Progress>> {
+        self.one()?.progress()
+    }
+
+    pub(super) fn engine(&self) -> Engine {
+        match &self.smoothing {
+            Smoothing::One(smoother) => smoother.engine(),
+            Smoothing::Fleet { fleet, .. } => fleet.engine(),
+        }
+    }
+
+    /// Returns how many frames in flight are worth their latency; of a live source no more than are computed at once.
+    pub(super) fn max_in_flight(&self, is_live: bool) -> usize {
+        match &self.smoothing {
+            Smoothing::One(smoother) if smoother.capabilities().pipelined && is_live => {
+                smoother.max_in_flight().min(LIVE_IN_FLIGHT)
+            }
+            Smoothing::One(smoother) if smoother.capabilities().pipelined => smoother.max_in_flight(),
+            // Other engines return the result at once.
+            Smoothing::One(_) => 1,
+            Smoothing::Fleet { fleet, .. } if is_live => {
+                let members = fleet.members();
+                let working = members.iter().filter(|member| member.lost.is_none());
+                let slots = self.open_for.options.gpu.slots.min(LIVE_IN_FLIGHT);
+                let at_once = working.map(|member| if member.engine.capabilities().pipelined { slots } else { 1 });
+                at_once.sum::<usize>().max(1)
+            }
+            Smoothing::Fleet { fleet, .. } => fleet.max_in_flight(),
+        }
+    }
+
+    /// Submits a frame to a fleet.
+    pub(super) fn submit_shared(&mut self, frame: &AnyFrame, buffer: Option<Smoothed>) -> Result<(), Error> {
+        match &mut self.smoothing {
+            Smoothing::One(_) => Ok(()),
+            Smoothing::Fleet { fleet, .. } => fleet.deal(Arc::clone(frame), buffer),
+        }
+    }
+
+    pub(super) fn is_fleet(&self) -> bool {
+        matches!(self.smoothing, Smoothing::Fleet { .. })
+    }
+
+    pub(super) fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
+        match &mut self.smoothing {
+            Smoothing::One(smoother) => smoother.receive(),
+            Smoothing::Fleet { fleet, .. } => fleet.receive(),
+        }
+    }
+
+    /// Returns the devices that were lost since the last call while others continue, and removes them from the list.
+    pub(super) fn losses(&mut self, left_over: &mut Vec<FleetDevice>) -> Vec<SessionEvent> {
+        let Smoothing::Fleet { fleet, devices, reported } = &mut self.smoothing else { return Vec::new() };
+        let members = fleet.members();
+        let left = members.iter().filter(|member| member.lost.is_none()).count();
+        if left == 0 {
+            return Vec::new();
+        }
+        let mut losses = Vec::new();
+        for (device, member) in devices.iter().zip(members) {
+            let Some(error) = member.lost.filter(|_| !reported.contains(device)) else { continue };
+            reported.push(device.clone());
+            left_over.retain(|other| other != device);
+            losses.push(SessionEvent::DeviceLost { device: device.clone(), error, left });
+        }
+        losses
+    }
+}

@@ -1,0 +1,77 @@
+//! What to do when a GPU fails: one policy for sessions and rigs.
+
+use crate::error::{EngineError, Error};
+
+/// What to do after an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Recovery {
+    /// Open the GPU once more and smooth the frames in flight again.
+    Reopen,
+    /// Go on with the CPU engine.
+    UseCpu,
+    /// Report the error.
+    Fail,
+}
+
+/// What has become of the GPU so far: it is opened once more, and given up when it fails again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct GpuLosses {
+    has_reopened: bool,
+    uses_cpu: bool,
+}
+
+impl GpuLosses {
+    /// Decides what to do after an error. A GPU that never opened is not a lost one; `was_open` says that it has smoothed, and
+    /// `may_use_cpu` that the CPU engine may take over.
+    pub fn next(&mut self, error: &Error, was_gpu: bool, was_open: bool, may_use_cpu: bool) -> Recovery {
+        let is_loss = matches!(error, Error::Engine(error) if !matches!(error, EngineError::Stopped));
+        // While it is opened again, nothing is open.
+        let is_of_gpu = (was_gpu && was_open) || self.has_reopened;
+        if !is_loss || !is_of_gpu || self.uses_cpu {
+            return Recovery::Fail;
+        }
+        if !std::mem::replace(&mut self.has_reopened, true) {
+            return Recovery::Reopen;
+        }
+        if !may_use_cpu {
+            return Recovery::Fail;
+        }
+        self.uses_cpu = true;
+        Recovery::UseCpu
+    }
+
+    /// Returns whether the CPU engine has taken over.
+    pub fn uses_cpu(&self) -> bool {
+        self.uses_cpu
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lost() -> Error {
+        EngineError::Lost { device: "GPU".into(), reason: "reset".into() }.into()
+    }
+
+    #[test]
+    fn a_lost_gpu_is_opened_once_more_and_then_given_up() {
+        let mut losses = GpuLosses::default();
+        assert_eq!(losses.next(&lost(), true, true, true), Recovery::Reopen);
+        assert_eq!(losses.next(&lost(), false, false, true), Recovery::UseCpu);
+        assert!(losses.uses_cpu());
+        assert_eq!(losses.next(&lost(), false, true, true), Recovery::Fail);
+    }
+
+    #[test]
+    fn what_is_no_loss_is_reported() {
+        let mut losses = GpuLosses::default();
+        assert_eq!(losses.next(&lost(), true, false, true), Recovery::Fail, "it never opened");
+        assert_eq!(losses.next(&lost(), false, true, true), Recovery::Fail, "the CPU engine");
+        assert_eq!(losses.next(&EngineError::Stopped.into(), true, true, true), Recovery::Fail);
+        assert_eq!(losses.next(&lost(), true, true, false), Recovery::Reopen);
+        assert_eq!(losses.next(&lost(), true, true, false), Recovery::Fail, "a GPU asked for by name");
+        assert!(!losses.uses_cpu());
+    }
+}

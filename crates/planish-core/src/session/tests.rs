@@ -1,0 +1,106 @@
+use std::sync::Arc;
+
+use super::*;
+use crate::camera::Camera;
+use crate::frame::DepthFrame;
+use crate::testing::{DepthNoise, Scene, simulated};
+use crate::{Params, Smoother};
+
+fn camera(width: usize) -> Camera {
+    let height = width * 3 / 4;
+    let focal_length_px = 525.0 * width as f64 / 640.0;
+    Camera::new((width, height), [focal_length_px; 2], [width as f64 / 2.0 - 0.5, height as f64 / 2.0 - 0.5])
+}
+
+fn frame(width: usize) -> DepthFrame {
+    simulated(Scene::tabletop(1), DepthNoise::default(), camera(width), 1)
+}
+
+fn session(text: &str) -> Session {
+    Session::new(format!("{text} engine=cpu").parse().unwrap()).unwrap()
+}
+
+#[test]
+fn shapes_and_kinds_may_change_from_frame_to_frame() {
+    let mut session = session("");
+    let mut smoothed = Smoothed::default();
+    for width in [64, 48, 64] {
+        let frame = frame(width);
+        session.smooth(&frame, &mut smoothed).unwrap();
+        // The session decides the window as the smoother does.
+        let params = FrameParams::default();
+        let mut smoother = Smoother::open(params, Engine::Cpu, (width, width * 3 / 4)).unwrap();
+        let mut alone = Smoothed::default();
+        smoother.smooth(&frame, &mut alone).unwrap();
+        assert!(smoothed.points.same_bits(&alone.points), "{width}");
+    }
+    let cloud = frame(48).deproject().unwrap().points;
+    session.smooth(&cloud, &mut smoothed).unwrap();
+    assert_eq!((smoothed.width, smoothed.height), (cloud.len(), 1));
+    assert_eq!(session.engine(), Some(Engine::Cpu));
+    assert!(session.take_events().is_empty());
+}
+
+#[test]
+fn frames_in_flight_keep_their_order_when_the_shape_changes() {
+    let mut session = session("");
+    let widths = [64, 64, 48, 64];
+    let mut received = Vec::new();
+    for width in widths {
+        while session.in_flight() > 0 && session.in_flight() >= session.max_in_flight() {
+            received.push(session.receive().unwrap().unwrap().shape().0);
+        }
+        session.submit(Arc::new(frame(width)), Smoothed::default()).unwrap();
+    }
+    while let Some(view) = session.receive().unwrap() {
+        received.push(view.shape().0);
+    }
+    assert_eq!(received, widths);
+    assert_eq!(session.in_flight(), 0);
+}
+
+#[test]
+fn settings_change_from_the_next_frame_on() {
+    let frame = frame(64);
+    let (mut session, mut light, mut strong) = (session("preset=light"), Smoothed::default(), Smoothed::default());
+    session.smooth(&frame, &mut light).unwrap();
+    session.set_settings("preset=strong engine=cpu".parse().unwrap()).unwrap();
+    session.smooth(&frame, &mut strong).unwrap();
+    assert!(!light.points.same_bits(&strong.points));
+    let Params::Frame(params) = session.params_for(&frame).unwrap().0 else { panic!("a frame") };
+    assert_eq!(params, FrameParams::for_sensor(SensorModel::KINECT_V1, crate::Strength::STRONG));
+}
+
+#[test]
+fn a_sensor_is_estimated_once_and_reported() {
+    let frame = frame(320);
+    let mut session = session("sensor=auto");
+    let mut smoothed = Smoothed::default();
+    session.smooth(&frame, &mut smoothed).unwrap();
+    session.smooth(&frame, &mut smoothed).unwrap();
+    assert!(matches!(session.take_events()[..], [SessionEvent::SensorEstimated { .. }]));
+}
+
+#[test]
+fn outputs_change_and_a_bad_frame_leaves_the_session_usable() {
+    let frame = frame(64);
+    let mut session = session("");
+    let mut smoothed = Smoothed::default();
+    session.set_outputs(Outputs::POINTS.with_normals(true));
+    session.smooth(&frame, &mut smoothed).unwrap();
+    assert!(smoothed.normals.is_some());
+    let short = DepthFrame::unchecked(camera(64), vec![1000; 10]);
+    assert!(matches!(session.smooth(&short, &mut smoothed), Err(Error::Frame(_))));
+    session.smooth(&frame, &mut smoothed).unwrap();
+    session.submit(Arc::new(frame), Smoothed::default()).unwrap();
+    let busy = session.smooth(&short, &mut smoothed).unwrap_err();
+    assert!(matches!(busy, Error::Frame(_) | Error::Engine(EngineError::Full { .. })), "{busy}");
+}
+
+#[test]
+fn one_call_smooths_one_frame() {
+    let settings = "engine=cpu outputs=points+status".parse().unwrap();
+    let smoothed = smooth(&frame(64), &settings).unwrap();
+    assert!(smoothed.status.is_some() && smoothed.points.len() == 64 * 48);
+    assert!(smooth(&frame(64), &"radius=sensor".parse().unwrap()).is_ok());
+}

@@ -1,0 +1,521 @@
+//! What a user may choose, as data: the one place where presets, sensors and overrides become parameters.
+//!
+//! The command, Python, the ROS node, the browser and the experiments fill in a [`Settings`] and nothing else; the same
+//! JSON or YAML works in each. [`Settings::set`] is the only way in for values by name, so a field has one spelling, one
+//! range and one error everywhere.
+
+#[cfg(feature = "serde")]
+mod serialize;
+mod value;
+
+use std::str::FromStr;
+
+use crate::devices::GpuOptions;
+use crate::engines::{Engine, SmootherOptions};
+use crate::error::ParamError;
+use crate::fleet::FleetDevice;
+use crate::frame::Frame;
+use crate::outputs::Outputs;
+use crate::params::{CloudParams, CloudRadius, Edges, Fit, FrameParams, FrameRadius, Params, Project, Strength};
+use crate::sensor::SensorModel;
+
+pub use value::SettingValue;
+
+/// A named setting of all parameters; single values override it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Preset {
+    /// [`Strength::LIGHT`], for small things.
+    Light,
+    /// [`Strength::DEFAULT`], recommended.
+    #[default]
+    Default,
+    /// [`Strength::STRONG`], for walls, floors and far ranges.
+    Strong,
+    /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3.
+    Paper,
+}
+
+impl Preset {
+    /// All presets by their names.
+    pub const NAMED: [(&'static str, Self); 4] =
+        [("light", Self::Light), ("default", Self::Default), ("strong", Self::Strong), ("paper", Self::Paper)];
+}
+
+/// The sensor that took the frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum SensorChoice {
+    /// Estimated from the first frame.
+    Auto,
+    /// This one.
+    Known(SensorModel),
+}
+
+/// A radius given by the user.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum RadiusChoice {
+    /// Growing with distance as the sensor's noise does; for frames on a grid.
+    Sensor,
+    /// One radius for every point, in metres.
+    Metres(f32),
+}
+
+/// What a user may choose. A field that is `None` takes the value of the preset.
+///
+/// ```
+/// use planish::{Camera, DepthFrame, IntoFrame, Params, Settings};
+///
+/// let settings: Settings = "preset=strong edges=off".parse()?;
+/// let frame = DepthFrame::new(Camera::kinect_v1(), vec![1500; 640 * 480]).unwrap();
+/// let resolved = settings.resolve((&frame).into_frame().unwrap())?;
+/// assert!(matches!(resolved.params, Params::Frame(_)));
+///
+/// let error = "strength=1.5".parse::<Settings>().unwrap_err();
+/// assert_eq!(error.to_string(), "strength = 1.5 is not allowed: 0 (light) to 1 (strong)");
+/// # Ok::<(), planish::ParamError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct Settings {
+    /// A named setting, which the other fields override.
+    pub preset: Option<Preset>,
+    /// How much to smooth, 0 (light) to 1 (strong), instead of a preset.
+    pub strength: Option<f32>,
+    /// The sensor that took the frames [default: Kinect v1].
+    pub sensor: Option<SensorChoice>,
+    /// Edge handling [default: robust for frames, off for unorganized clouds].
+    pub edges: Option<Edges>,
+    /// Whether pixels that float between two surfaces become holes first [default: no].
+    pub remove_floating: Option<bool>,
+    /// Whether isolated points of unorganized clouds become holes [default: no].
+    pub remove_isolated: Option<bool>,
+    /// Half width of the window in samples, 1 to 7. With neither window nor stride, both follow the frame's resolution.
+    pub window: Option<u32>,
+    /// Distance between samples in pixels, 1 to 8.
+    pub stride: Option<u32>,
+    /// Whether samples are means of blocks of pixels.
+    pub average_blocks: Option<bool>,
+    /// The radius of a neighbourhood.
+    pub radius: Option<RadiusChoice>,
+    /// For unorganized clouds, instead of a radius: neighbours of a point, 6 to 1000 [default: 40].
+    pub neighbours: Option<u32>,
+    /// Degree of the surface, 1 to 3.
+    pub degree: Option<u32>,
+    /// Bandwidth of the Gaussian weights in metres [default: the radius].
+    pub bandwidth_m: Option<f32>,
+    /// Ridge of the fit, 1e-3 to 100.
+    pub ridge: Option<f32>,
+    /// Along which line points move; frames only.
+    pub project: Option<Project>,
+    /// The engine [default: auto].
+    pub engine: Option<Engine>,
+    /// The GPU by index or part of its name; needs the engine gpu [default: the first real GPU].
+    pub adapter: Option<String>,
+    /// Several devices, separated by commas: `all`, or indices or parts of names of GPUs, and `cpu`.
+    pub devices: Option<String>,
+    /// Threads of the CPU engines [default: one per core].
+    pub threads: Option<usize>,
+    /// The results to compute [default: points].
+    pub outputs: Option<Outputs>,
+}
+
+/// What settings come to for one kind of input.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Resolved {
+    /// The parameters.
+    pub params: Params,
+    /// The sensor whose noise decides which pixels float, if those are to be removed before smoothing.
+    pub floating_sensor: Option<SensorModel>,
+    /// Names of the given settings that have no effect on this kind of input.
+    pub unused: Vec<&'static str>,
+}
+
+/// The settings whose values are one of some names.
+const SENSORS: &str =
+    "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, auto or an object of step and sigma";
+const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours";
+/// Allowed values of the field `settings`.
+const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, average_blocks, \
+                      radius_m, neighbours, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, outputs";
+
+impl Settings {
+    /// The names of all fields, as [`set`](Self::set) and files take them.
+    pub const NAMES: [&'static str; 20] = [
+        "preset",
+        "strength",
+        "sensor",
+        "edges",
+        "remove_floating",
+        "remove_isolated",
+        "window",
+        "stride",
+        "average_blocks",
+        "radius_m",
+        "neighbours",
+        "degree",
+        "bandwidth_m",
+        "ridge",
+        "project",
+        "engine",
+        "adapter",
+        "devices",
+        "threads",
+        "outputs",
+    ];
+
+    /// Sets the field of a name; `radius` and `bandwidth` are accepted for `radius_m` and `bandwidth_m`. A value of
+    /// [`SettingValue::None`] clears the field.
+    ///
+    /// # Errors
+    /// If there is no such field, or the value is none of its values. Ranges of single numbers are checked here too.
+    pub fn set(&mut self, name: &str, value: impl Into<SettingValue>) -> Result<(), ParamError> {
+        let value = value.into();
+        match name {
+            "preset" => self.preset = value.named("preset", &Preset::NAMED, "light, default, strong or paper")?,
+            "strength" => self.strength = value.number("strength", "0 (light) to 1 (strong)")?,
+            "sensor" => self.sensor = sensor_of(value)?,
+            "edges" => self.edges = edges_of(&value)?,
+            "remove_floating" => self.remove_floating = value.truth("remove_floating")?,
+            "remove_isolated" => self.remove_isolated = value.truth("remove_isolated")?,
+            "window" => self.window = value.whole("window", "1 to 7")?,
+            "stride" => self.stride = value.whole("stride", "1 to 8")?,
+            "average_blocks" => self.average_blocks = value.truth("average_blocks")?,
+            "radius_m" | "radius" => self.radius = radius_of(value)?,
+            "neighbours" => self.neighbours = value.whole("neighbours", "6 to 1000")?,
+            "degree" => self.degree = value.whole("degree", "1 to 3")?,
+            "bandwidth_m" | "bandwidth" => {
+                self.bandwidth_m = value.number("bandwidth_m", "1e-6 to 1000 metres")?;
+            }
+            "ridge" => self.ridge = value.number("ridge", "1e-3 to 100")?,
+            "project" => self.project = value.named("project", &Project::NAMED, "ray or normal")?,
+            "engine" => self.engine = value.named("engine", &Engine::NAMED, "auto, cpu, gpu or reference")?,
+            "adapter" => self.adapter = value.text(),
+            "devices" => self.devices = value.text(),
+            "threads" => self.threads = value.whole("threads", "1 or more")?.map(|threads| threads as usize),
+            "outputs" => self.outputs = outputs_of(value)?,
+            _ => {
+                return Err(ParamError { field: "settings", value: format!("{name:?}"), allowed: FIELDS });
+            }
+        }
+        self.check_ranges()
+    }
+
+    /// Refuses values outside their ranges, and settings that contradict each other.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        self.check_ranges()?;
+        let contradiction = |field, value: &str, allowed| Err(ParamError { field, value: value.to_owned(), allowed });
+        if self.preset.is_some() && self.strength.is_some() {
+            return contradiction("strength", "given beside a preset", "one of preset and strength");
+        }
+        if self.radius.is_some() && self.neighbours.is_some() {
+            return contradiction("neighbours", "given beside a radius", "one of radius_m and neighbours");
+        }
+        if let Some(adapter) = &self.adapter {
+            if self.engine() != Engine::Gpu {
+                return contradiction("adapter", adapter, "only with the engine gpu: it chooses among GPUs");
+            }
+            if self.devices.is_some() {
+                return contradiction("adapter", adapter, "one of adapter and devices");
+            }
+        }
+        if let Some(devices) = &self.devices
+            && !matches!(self.engine(), Engine::Auto | Engine::Gpu)
+        {
+            return contradiction("devices", devices, "without an engine: the list names the devices");
+        }
+        Ok(())
+    }
+
+    fn check_ranges(&self) -> Result<(), ParamError> {
+        self.given_strength()?;
+        self.frame_params_for(SensorModel::KINECT_V1)?.validate()?;
+        self.cloud_params_unchecked().validate()?;
+        if self.threads == Some(0) {
+            return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" });
+        }
+        match self.sensor {
+            Some(SensorChoice::Known(sensor)) => sensor.validate(),
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from the
+    /// frame if the settings ask for it.
+    ///
+    /// # Errors
+    /// If settings contradict each other or the input, or the sensor cannot be estimated from this frame.
+    pub fn resolve(&self, frame: Frame<'_>) -> Result<Resolved, ParamError> {
+        self.validate()?;
+        if frame.grid().is_none() {
+            let params = self.cloud_params()?.into();
+            return Ok(Resolved { params, floating_sensor: None, unused: self.unused_by_clouds() });
+        }
+        let sensor = match self.sensor {
+            Some(SensorChoice::Auto) => SensorModel::estimate_from(frame).ok_or_else(|| {
+                let allowed = "a sensor by name, as kinect1: this frame has too few depths to estimate one from";
+                ParamError { field: "sensor", value: "auto".into(), allowed }
+            })?,
+            Some(SensorChoice::Known(sensor)) => sensor,
+            None => SensorModel::KINECT_V1,
+        };
+        let params = self.checked_frame_params(sensor)?.into();
+        let floating_sensor = Some(sensor).filter(|_| self.remove_floating == Some(true));
+        Ok(Resolved { params, floating_sensor, unused: self.unused_by_frames() })
+    }
+
+    /// Returns the parameters for frames of the sensor that is named, where no frame is at hand.
+    ///
+    /// # Errors
+    /// If settings contradict each other, or the sensor is to be estimated.
+    pub fn frame_params(&self) -> Result<FrameParams, ParamError> {
+        self.validate()?;
+        match self.sensor {
+            Some(SensorChoice::Auto) => {
+                let allowed = "a sensor by name: there is no frame yet to estimate one from (`planish info` reports the \
+                               nearest sensor of a frame)";
+                Err(ParamError { field: "sensor", value: "auto".into(), allowed })
+            }
+            Some(SensorChoice::Known(sensor)) => self.checked_frame_params(sensor),
+            None => self.checked_frame_params(SensorModel::KINECT_V1),
+        }
+    }
+
+    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor.
+    ///
+    /// # Errors
+    /// If settings contradict each other, or ask for something that clouds do not have.
+    pub fn cloud_params(&self) -> Result<CloudParams, ParamError> {
+        self.validate()?;
+        if self.radius == Some(RadiusChoice::Sensor) {
+            let allowed = "neighbours or a radius in metres for unorganized clouds; sensor is for frames on a grid";
+            return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
+        }
+        if self.remove_floating == Some(true) {
+            let allowed = "only frames on a grid: it needs the pixels around each point";
+            return Err(ParamError { field: "remove_floating", value: "true".into(), allowed });
+        }
+        Ok(self.cloud_params_unchecked())
+    }
+
+    /// Returns the parameters of a cloud with these settings instead of its preset's.
+    ///
+    /// # Errors
+    /// As [`cloud_params`](Self::cloud_params).
+    pub fn override_cloud(&self, preset: CloudParams) -> Result<CloudParams, ParamError> {
+        self.cloud_params()?;
+        Ok(self.overridden_cloud(preset))
+    }
+
+    /// Returns whether a sensor is to be estimated from a frame.
+    pub fn estimates_sensor(&self) -> bool {
+        self.sensor == Some(SensorChoice::Auto)
+    }
+
+    /// Returns the sensor whose noise decides which pixels float, if those are to be removed and the sensor is not to be
+    /// estimated.
+    pub fn frame_floating_sensor(&self) -> Option<SensorModel> {
+        let sensor = match self.sensor {
+            Some(SensorChoice::Auto) => None,
+            Some(SensorChoice::Known(sensor)) => Some(sensor),
+            None => Some(SensorModel::KINECT_V1),
+        };
+        sensor.filter(|_| self.remove_floating == Some(true))
+    }
+
+    /// Returns the engine.
+    pub fn engine(&self) -> Engine {
+        self.engine.unwrap_or_default()
+    }
+
+    /// Returns how a smoother is opened with these settings.
+    pub fn options(&self) -> SmootherOptions {
+        self.override_options(SmootherOptions::default())
+    }
+
+    /// Returns options with these settings in place of theirs.
+    pub fn override_options(&self, options: SmootherOptions) -> SmootherOptions {
+        let gpu = match &self.adapter {
+            Some(adapter) => GpuOptions { adapter: Some(adapter.clone()), ..options.gpu },
+            None => options.gpu,
+        };
+        SmootherOptions {
+            engine: self.engine.unwrap_or(options.engine),
+            outputs: self.outputs.unwrap_or(options.outputs),
+            threads: self.threads.or(options.threads),
+            simd: options.simd,
+            gpu,
+        }
+    }
+
+    /// Returns the devices that frames are dealt to; none for the one of the engine.
+    ///
+    /// # Errors
+    /// If a device is not there, or named twice.
+    pub fn devices(&self) -> Result<Vec<FleetDevice>, crate::Error> {
+        self.validate()?;
+        match &self.devices {
+            Some(list) => Ok(FleetDevice::parse_list(list)?),
+            None => Ok(Vec::new()),
+        }
+    }
+
+    /// Returns the names of the given settings that have no effect on unorganized clouds.
+    pub fn unused_by_clouds(&self) -> Vec<&'static str> {
+        let given = [
+            ("window", self.window.is_some()),
+            ("stride", self.stride.is_some()),
+            ("average_blocks", self.average_blocks.is_some()),
+            ("project", self.project == Some(Project::Ray)),
+            ("sensor", self.sensor.is_some()),
+            ("preset", !matches!(self.preset, None | Some(Preset::Paper))),
+            ("strength", self.strength.is_some()),
+        ];
+        given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
+    }
+
+    /// Returns the names of the given settings that have no effect on frames.
+    pub fn unused_by_frames(&self) -> Vec<&'static str> {
+        self.remove_isolated.filter(|removes| *removes).map(|_| "remove_isolated").into_iter().collect()
+    }
+
+    fn given_strength(&self) -> Result<Option<Strength>, ParamError> {
+        self.strength.map(Strength::new).transpose()
+    }
+
+    fn checked_frame_params(&self, sensor: SensorModel) -> Result<FrameParams, ParamError> {
+        if let Some(count) = self.neighbours {
+            let allowed = "a radius for frames on a grid; neighbours are for unorganized clouds";
+            return Err(ParamError { field: "neighbours", value: count.to_string(), allowed });
+        }
+        self.frame_params_for(sensor)
+    }
+
+    fn frame_params_for(&self, sensor: SensorModel) -> Result<FrameParams, ParamError> {
+        let strength = match (self.given_strength()?, self.preset) {
+            (Some(strength), _) => Some(strength),
+            (None, None | Some(Preset::Default)) => Some(Strength::DEFAULT),
+            (None, Some(Preset::Light)) => Some(Strength::LIGHT),
+            (None, Some(Preset::Strong)) => Some(Strength::STRONG),
+            (None, Some(Preset::Paper)) => None,
+        };
+        let mut params = match strength {
+            Some(strength) => FrameParams::for_sensor(sensor, strength),
+            None => FrameParams::paper().with_sensor(sensor),
+        };
+        if let Some(window) = self.window {
+            params = params.with_window(window);
+        }
+        if let Some(stride) = self.stride {
+            params = params.with_stride(stride);
+        }
+        params.average_blocks = self.average_blocks.unwrap_or(params.average_blocks);
+        params.radius = match self.radius {
+            None => params.radius,
+            Some(RadiusChoice::Sensor) => FrameRadius::Sensor,
+            Some(RadiusChoice::Metres(radius_m)) => FrameRadius::Fixed { radius_m },
+        };
+        params.fit = self.override_fit(params.fit);
+        params.project = self.project.unwrap_or(params.project);
+        Ok(params)
+    }
+
+    fn cloud_params_unchecked(&self) -> CloudParams {
+        self.overridden_cloud(match self.preset {
+            Some(Preset::Paper) => CloudParams::paper(),
+            _ => CloudParams::default(),
+        })
+    }
+
+    fn overridden_cloud(&self, mut params: CloudParams) -> CloudParams {
+        params.fit = self.override_fit(params.fit);
+        if let Some(RadiusChoice::Metres(radius_m)) = self.radius {
+            params.radius = CloudRadius::Fixed { radius_m };
+        }
+        if let Some(count) = self.neighbours {
+            params.radius = CloudRadius::Neighbours { count };
+        }
+        params.remove_isolated = self.remove_isolated.unwrap_or(params.remove_isolated);
+        params
+    }
+
+    fn override_fit(&self, fit: Fit) -> Fit {
+        Fit {
+            degree: self.degree.unwrap_or(fit.degree),
+            bandwidth_m: self.bandwidth_m.or(fit.bandwidth_m),
+            ridge: self.ridge.unwrap_or(fit.ridge),
+            edges: self.edges.unwrap_or(fit.edges),
+        }
+    }
+}
+
+impl FromStr for Settings {
+    type Err = ParamError;
+
+    /// Reads `name=value` pairs separated by spaces, commas or line ends, as in `preset=strong edges=off`. Lists are separated
+    /// by `+`: `outputs=points+normals`.
+    fn from_str(text: &str) -> Result<Self, ParamError> {
+        let mut settings = Self::default();
+        for pair in text.split([' ', ',', '\n', '\t', '\r']).filter(|pair| !pair.is_empty()) {
+            let Some((name, value)) = pair.split_once('=') else {
+                return Err(ParamError { field: "settings", value: format!("{pair:?}"), allowed: "name=value pairs" });
+            };
+            settings.set(name, SettingValue::Text(value.to_owned()))?;
+        }
+        settings.validate()?;
+        Ok(settings)
+    }
+}
+
+fn sensor_of(value: SettingValue) -> Result<Option<SensorChoice>, ParamError> {
+    if let SettingValue::Sensor(sensor) = value {
+        return Ok(Some(SensorChoice::Known(sensor)));
+    }
+    let Some(name) = value.text() else { return Ok(None) };
+    match name.as_str() {
+        "auto" => Ok(Some(SensorChoice::Auto)),
+        name => match name.parse() {
+            Ok(sensor) => Ok(Some(SensorChoice::Known(sensor))),
+            Err(_) => Err(ParamError { field: "sensor", value: format!("{name:?}"), allowed: SENSORS }),
+        },
+    }
+}
+
+/// YAML and ROS read the word `off` as a truth value.
+fn edges_of(value: &SettingValue) -> Result<Option<Edges>, ParamError> {
+    match value {
+        SettingValue::Bool(true) => Ok(Some(Edges::Robust)),
+        SettingValue::Bool(false) => Ok(Some(Edges::Off)),
+        value => value.named("edges", &Edges::NAMED, "robust or off"),
+    }
+}
+
+fn radius_of(value: SettingValue) -> Result<Option<RadiusChoice>, ParamError> {
+    match value.text().as_deref() {
+        Some("sensor") => Ok(Some(RadiusChoice::Sensor)),
+        _ => Ok(value.number("radius_m", "metres, as 0.03, or sensor")?.map(RadiusChoice::Metres)),
+    }
+}
+
+fn outputs_of(value: SettingValue) -> Result<Option<Outputs>, ParamError> {
+    let names = match value {
+        SettingValue::None => return Ok(None),
+        SettingValue::List(names) => names,
+        other => other.text().unwrap_or_default().split('+').map(|name| name.trim().to_owned()).collect(),
+    };
+    let mut outputs = Outputs::NONE;
+    for name in &names {
+        outputs = outputs.with_named(name).ok_or_else(|| ParamError {
+            field: "outputs",
+            value: format!("{name:?}"),
+            allowed: OUTPUTS,
+        })?;
+    }
+    outputs.validate()?;
+    Ok(Some(outputs))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,120 @@
+use super::*;
+use crate::camera::Camera;
+use crate::cloud::PointCloud;
+use crate::frame::{DepthFrame, IntoFrame};
+use crate::params::Window;
+
+fn frame() -> DepthFrame {
+    DepthFrame::new(Camera::new((40, 4), [100.0; 2], [19.5, 1.5]), vec![1000; 160]).unwrap()
+}
+
+fn cloud() -> PointCloud {
+    PointCloud::new((0..10).map(|i| [0.1 * i as f32, 0.0, 1.0]).collect())
+}
+
+fn parsed(text: &str) -> Settings {
+    text.parse().unwrap()
+}
+
+#[test]
+fn nothing_given_is_the_default_of_each_kind() {
+    let settings = Settings::default();
+    let of_frame = settings.resolve((&frame()).into_frame().unwrap()).unwrap();
+    assert_eq!(of_frame.params, FrameParams::default().into());
+    let of_cloud = settings.resolve((&cloud()).into_frame().unwrap()).unwrap();
+    assert_eq!(of_cloud.params, CloudParams::default().into());
+    assert!(of_frame.unused.is_empty() && of_cloud.unused.is_empty());
+}
+
+#[test]
+fn presets_and_overrides_are_combined() {
+    let params = parsed("preset=strong sensor=d435 edges=off degree=1").frame_params().unwrap();
+    let expected = FrameParams::for_sensor(SensorModel::REALSENSE_D435, Strength::STRONG);
+    assert_eq!(params, expected.with_edges(Edges::Off).with_degree(1));
+    let paper = parsed("preset=paper window=2").frame_params().unwrap();
+    assert_eq!(paper, FrameParams::paper().with_window(2));
+    assert!(parsed("strength=0.5").frame_params().unwrap().window.is_auto());
+    let fixed = parsed("stride=2").frame_params().unwrap();
+    assert!(matches!(fixed.window, Window::Fixed(size) if size.stride == 2));
+    assert_eq!(parsed("preset=paper").cloud_params().unwrap(), CloudParams::paper());
+    assert_eq!(parsed("radius=0.02").cloud_params().unwrap(), CloudParams::default().with_radius_m(0.02));
+}
+
+#[test]
+fn errors_name_the_field_and_its_range() {
+    for (text, field, allowed) in [
+        ("strength=2", "strength", "0 (light)"),
+        ("window=9", "window", "1 to 7"),
+        ("stride=0", "stride", "1 to 8"),
+        ("degree=4", "degree", "1 to 3"),
+        ("radius_m=-1", "radius_m", "1e-6 to 1000"),
+        ("radius_m=wide", "radius_m", "metres"),
+        ("neighbours=5", "neighbours", "6 to 1000"),
+        ("bandwidth=0", "bandwidth_m", "1e-6 to 1000"),
+        ("ridge=1000", "ridge", "1e-3 to 100"),
+        ("threads=0", "threads", "1 or more"),
+        ("preset=medium", "preset", "light, default"),
+        ("sensor=d999", "sensor", "kinect1"),
+        ("edges=sharp", "edges", "robust or off"),
+        ("project=up", "project", "ray or normal"),
+        ("engine=tpu", "engine", "auto, cpu"),
+        ("outputs=points+colour", "outputs", "a list of points"),
+        ("average_blocks=yes", "average_blocks", "true or false"),
+        ("speed=1", "settings", "preset, strength"),
+        ("strong", "settings", "name=value"),
+        ("preset=light strength=0.5", "strength", "one of preset"),
+        ("radius=0.03,neighbours=20", "neighbours", "one of radius_m"),
+        ("adapter=0", "adapter", "only with the engine gpu"),
+        ("devices=cpu engine=cpu", "devices", "without an engine"),
+    ] {
+        let error = text.parse::<Settings>().unwrap_err();
+        assert_eq!(error.field, field, "{text}: {error}");
+        assert!(error.allowed.starts_with(allowed), "{text}: {error}");
+    }
+}
+
+#[test]
+fn what_an_input_does_not_have_is_refused_or_listed() {
+    let (frame, cloud) = (frame(), cloud());
+    let of_frame = |text: &str| parsed(text).resolve((&frame).into_frame().unwrap());
+    let of_cloud = |text: &str| parsed(text).resolve((&cloud).into_frame().unwrap());
+    assert_eq!(of_frame("neighbours=20").unwrap_err().field, "neighbours");
+    assert_eq!(of_frame("remove_isolated=true").unwrap().unused, ["remove_isolated"]);
+    assert_eq!(of_cloud("radius=sensor").unwrap_err().field, "radius_m");
+    assert_eq!(of_cloud("remove_floating=true").unwrap_err().field, "remove_floating");
+    assert_eq!(of_cloud("preset=strong window=2 sensor=d435").unwrap().unused, ["window", "sensor", "preset"]);
+    assert_eq!(of_frame("sensor=auto").unwrap_err().field, "sensor");
+    assert_eq!(parsed("sensor=auto").frame_params().unwrap_err().value, "auto");
+}
+
+#[test]
+fn every_field_is_set_by_its_name() {
+    for name in Settings::NAMES {
+        let mut settings = Settings::default();
+        let error = settings.set(name, SettingValue::List(vec!["?".into()]));
+        assert!(error.is_err() || settings != Settings::default(), "{name}");
+        settings.set(name, SettingValue::None).unwrap();
+        assert!(FIELDS.contains(name), "{name}");
+    }
+}
+
+#[cfg(feature = "serde")]
+#[test]
+fn json_keeps_every_field() {
+    let text = "preset=strong sensor=d435 edges=off remove_floating=true remove_isolated=true window=2 stride=3 \
+                average_blocks=false radius=0.03 degree=1 bandwidth=0.02 ridge=0.1 project=normal engine=gpu adapter=1 \
+                threads=2 outputs=points+normals+status";
+    let settings = parsed(text);
+    let json = serde_json::to_string(&settings).unwrap();
+    assert_eq!(serde_json::from_str::<Settings>(&json).unwrap(), settings, "{json}");
+    for text in ["radius=sensor sensor=auto strength=0.25", "neighbours=20", "devices=cpu"] {
+        let json = serde_json::to_string(&parsed(text)).unwrap();
+        assert_eq!(serde_json::from_str::<Settings>(&json).unwrap(), parsed(text), "{json}");
+    }
+    let own = r#"{"sensor": {"step": [0.001, 0.0, 0.0], "sigma": [0.0, 0.001, 0.0]}}"#;
+    let own: Settings = serde_json::from_str(own).unwrap();
+    assert_eq!(serde_json::from_str::<Settings>(&serde_json::to_string(&own).unwrap()).unwrap(), own);
+    let error = serde_json::from_str::<Settings>(r#"{"window": 9}"#).unwrap_err().to_string();
+    assert!(error.contains("window = 9 is not allowed: 1 to 7"), "{error}");
+    assert!(serde_json::from_str::<Settings>(r#"{"edges": true, "edges": "off"}"#).is_err());
+}

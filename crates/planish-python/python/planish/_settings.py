@@ -1,0 +1,108 @@
+"""Settings: what a user may choose, with the same names, ranges and files in every front end."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, TypedDict, cast
+
+from ._planish import read_settings as _read_settings
+from ._planish import settings_to_json as _settings_to_json
+
+Output = Literal["points", "normals", "curvature", "status", "neighbours", "depth", "depth_m"]
+Preset = Literal["light", "default", "strong", "paper"]
+SensorName = Literal["kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone", "exact", "auto"]
+
+
+class Sensor(TypedDict, total=False):
+    """A sensor without a name: its depth step and its noise in metres, as coefficients of 1, z and z²."""
+
+    step: list[float]
+    sigma: list[float]
+
+
+class Settings(TypedDict, total=False):
+    """The keyword arguments of `smooth`, `Smoother` and `stream`, which settings files hold too.
+
+    Every field may be left out; it then has the value of the preset.
+
+    Examples
+    --------
+    >>> import planish
+    >>> settings: planish.Settings = {"preset": "strong", "edges": "off"}
+    >>> frame = planish.simulate("table")
+    >>> result = planish.smooth(frame.depth, frame.camera, **settings)
+    """
+
+    preset: Preset | None
+    """How much to smooth: windows of 15x15 (light), 25x25 (default) or 29x29 (strong) pixels of a Kinect v1, wider for noisier
+    sensors; paper is the setting of the 2011 report."""
+    strength: float | None
+    """How much to smooth as a number from 0 (light) to 1 (strong), instead of a preset."""
+    sensor: SensorName | Sensor | None
+    """The sensor that took the frames [default: kinect1]; auto estimates it from the first frame."""
+    radius_m: float | Literal["sensor"] | None
+    """Radius of a neighbourhood in metres; sensor grows with distance as the sensor's noise does (frames on a grid)."""
+    radius: float | Literal["sensor"] | None
+    """Another name for radius_m."""
+    neighbours: int | None
+    """Neighbours of a point of a cloud without a grid, 6 to 1000 [default: 40], instead of a radius."""
+    edges: Literal["robust", "off"] | None
+    """Edge handling [default: robust for frames on a grid, off for clouds without one]."""
+    window: int | None
+    """Half width of the window in samples, 1 to 7; with neither window nor stride, both follow the frame's resolution."""
+    stride: int | None
+    """Distance between samples in pixels, 1 to 8."""
+    average_blocks: bool | None
+    """Whether each sample is the mean of its block of pixels."""
+    degree: int | None
+    """Degree of the surface, 1 to 3."""
+    bandwidth_m: float | None
+    """Bandwidth of the Gaussian weights in metres [default: the radius]."""
+    bandwidth: float | None
+    """Another name for bandwidth_m."""
+    ridge: float | None
+    """Ridge of the fit, 1e-3 (little) to 100 (a plane)."""
+    project: Literal["ray", "normal"] | None
+    """Along which line points are moved onto the surface; frames on a grid only."""
+    remove_floating: bool | None
+    """Whether pixels that float between two surfaces become holes first; `smooth` and `Smoother` do not support it."""
+    remove_isolated: bool | None
+    """Whether isolated points of clouds without a grid become holes [default: False]."""
+    engine: Literal["auto", "cpu", "gpu", "reference"] | None
+    """The engine [default: auto, a real GPU where there is one, otherwise the CPU]."""
+    adapter: str | int | None
+    """The GPU by index or part of its name; needs engine="gpu"."""
+    devices: str | None
+    """Devices that a stream deals frames to, separated by commas: all, or indices or names of GPUs, and cpu."""
+    threads: int | None
+    """Threads of the CPU engine [default: one per core]."""
+
+
+class SettingsFile(Settings, total=False):
+    """Settings of a file, which may name the outputs too."""
+
+    outputs: list[Output]
+
+
+def read_settings(path: str | PathLike[str]) -> SettingsFile:
+    """Read a settings file in JSON or YAML, as the command's ``--settings`` takes it and the browser's page saves it.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, planish
+    >>> file = pathlib.Path(tempfile.mkdtemp()) / "wall.yaml"
+    >>> _ = file.write_text("preset: strong\\nedges: off\\n")
+    >>> planish.read_settings(file)
+    {'preset': 'strong', 'edges': 'off'}
+    """
+    return cast(SettingsFile, _read_settings(os.fspath(path)))
+
+
+def write_settings(path: str | PathLike[str], settings: Mapping[str, Any]) -> None:
+    """Write settings to a file in JSON, checked as `Smoother` checks them."""
+    text = _settings_to_json(dict(settings))
+    Path(path).write_text(json.dumps(json.loads(text), indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,30 @@
+//! Cameras as a page gives them.
+
+use planish::Camera;
+use planish::io::{parse_camera, unknown_camera_key};
+use serde::Deserialize;
+use serde_json::Value;
+
+/// A camera: an object with fx, fy, cx, cy and more, or the text of a camera file.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(transparent)]
+pub struct CameraGiven(Value);
+
+impl CameraGiven {
+    /// The camera for images of this size.
+    pub(crate) fn camera(&self, shape: (usize, usize)) -> Result<Camera, String> {
+        let text = match &self.0 {
+            Value::String(text) => text.clone(),
+            object => {
+                let text = object.to_string();
+                if let Some(key) = unknown_camera_key(&text).map_err(|error| error.to_string())? {
+                    return Err(format!(
+                        "a camera has no {key:?}: it has fx, fy, cx, cy, depth_units_per_metre, width, height and distortion"
+                    ));
+                }
+                text
+            }
+        };
+        parse_camera(&text, Some(shape)).map_err(|error| error.to_string())
+    }
+}
