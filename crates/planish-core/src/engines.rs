@@ -3,7 +3,6 @@
 
 use crate::cpu::{Cpu, GeneralCpu};
 use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
-use crate::engine::{Immediate, SmoothingEngine};
 #[cfg(not(all(feature = "gpu", feature = "reference")))]
 use crate::error::EngineError;
 use crate::error::{Error, ParamError};
@@ -12,6 +11,7 @@ use crate::params::EngineParams;
 #[cfg(feature = "reference")]
 use crate::reference::Reference;
 use crate::simd_level::SimdLevel;
+use crate::smoothing_engine::{Immediate, SmoothingEngine};
 
 /// Which implementation computes the result. All agree within docs/method.md, section 9.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]

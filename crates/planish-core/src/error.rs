@@ -26,6 +26,7 @@ fn shortened(value: &str) -> String {
     }
 }
 
+/// Bytes in a KiB.
 pub const KIB: u64 = 1 << 10;
 
 /// Bytes in whole KiB, or in MiB with a digit where they are many.
@@ -291,6 +292,7 @@ pub struct IoError {
 }
 
 impl IoError {
+    /// Returns what makes an error about this file of a problem.
     pub fn at(path: &Path) -> impl FnOnce(FormatError) -> Self + '_ {
         move |problem| Self { path: path.to_path_buf(), problem }
     }

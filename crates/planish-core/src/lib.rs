@@ -19,10 +19,10 @@ mod camera;
 pub mod clean;
 mod cloud;
 mod colour;
+mod constants;
 mod cpu;
 mod devices;
 mod eigen;
-mod engine;
 mod engines;
 mod error;
 mod fleet;
@@ -30,7 +30,6 @@ mod floating;
 mod frame;
 #[cfg(any(feature = "gpu", feature = "webgpu"))]
 mod gpu;
-mod method;
 mod neighbours;
 mod outputs;
 mod params;
@@ -47,6 +46,7 @@ mod settings;
 mod simd_level;
 mod smoothed;
 mod smoother;
+mod smoothing_engine;
 mod status;
 #[cfg(test)]
 mod testing;
@@ -96,13 +96,13 @@ pub mod internal {
     pub use crate::camera::Rays;
     pub use crate::clean::voxel_grid::{VoxelMap, Voxels};
     pub use crate::clean::voxels::downsample;
+    pub use crate::constants::GRAZING_COSINE;
     pub use crate::eigen::symmetric_eigen;
     pub use crate::error::{KIB, memory};
     pub use crate::fleet::lose_device as lose_fleet_device;
     pub use crate::frame::{assumed_sensor_of_sample, sampling_step};
     #[cfg(feature = "gpu")]
     pub use crate::gpu::lose_devices as lose_gpu_devices;
-    pub use crate::method::GRAZING_COSINE;
     #[cfg(feature = "kd-tree")]
     pub use crate::neighbours::NeighbourSearch;
     pub use crate::neighbours::halo::{self, NeededHalo, OWN_SHARE};

@@ -112,13 +112,17 @@ impl Default for SensorPose {
 /// cloud_from_sensor: p_cloud = rotation p_sensor + translation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigidTransform {
+    /// The rotation.
     pub rotation: DMat3,
+    /// The translation in metres.
     pub translation: DVec3,
 }
 
 impl RigidTransform {
+    /// The transform that changes nothing.
     pub const IDENTITY: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
 
+    /// Returns whether it changes nothing.
     pub fn is_identity(&self) -> bool {
         *self == Self::IDENTITY
     }

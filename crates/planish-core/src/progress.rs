@@ -24,6 +24,7 @@ impl Progress {
         self.stopped.store(true, Ordering::Relaxed);
     }
 
+    /// Returns whether the frame was stopped.
     pub fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
     }

@@ -2,9 +2,9 @@
 
 use crate::camera::{Camera, Rays};
 use crate::cloud::{AttributeValues, PointCloud};
+use crate::constants::GRAZING_COSINE;
 use crate::error::FrameError;
 use crate::frame::{DepthImage, Frame};
-use crate::method::GRAZING_COSINE;
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::status::Status;
 use crate::xyz::Xyz;

@@ -3,7 +3,6 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crate::engine::{AdmittedFrame, SmoothingEngine};
 use crate::engines::{self, Capabilities, ChoiceReason, Engine, SmootherOptions};
 use crate::error::{Error, FrameError, ParamError};
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
@@ -11,6 +10,7 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{CloudParams, Edges, EngineParams, FrameParams, Params, Radius, Window, WindowSize};
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
+use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 use crate::xyz::validate_shape;

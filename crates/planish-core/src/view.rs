@@ -30,6 +30,8 @@ pub(crate) trait ResultInPlace: Send + Sync {
 }
 
 impl SmoothedView {
+    /// Wraps a result in buffers of its own.
+    #[doc(hidden)]
     pub fn owned(smoothed: Smoothed, timings: Option<FrameTimings>) -> Self {
         Self { result: Storage::Owned(Box::new(smoothed)), timings }
     }

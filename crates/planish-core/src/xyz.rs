@@ -8,6 +8,7 @@ use crate::error::FrameError;
 /// Largest number of pixels of a frame; an index fits u32 with room for the window's halo.
 pub const MAX_PIXELS: usize = 1 << 28;
 
+/// Refuses a width or height of zero, and more pixels than can be addressed.
 pub fn validate_shape(width: usize, height: usize) -> Result<(), FrameError> {
     let pixels = width.checked_mul(height);
     if width == 0 || height == 0 || pixels.is_none_or(|n| n > MAX_PIXELS) {
@@ -83,6 +84,7 @@ impl Xyz {
         self.x.iter().zip(&self.y).zip(&self.z).map(|((&x, &y), &z)| [x, y, z])
     }
 
+    /// Refuses arrays of other lengths.
     pub fn check_len(&self, what: &str, expected: usize) -> Result<(), FrameError> {
         for (axis, values) in [("x", &self.x), ("y", &self.y), ("z", &self.z)] {
             if values.len() != expected {

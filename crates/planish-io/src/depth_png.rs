@@ -82,6 +82,7 @@ fn for_each_row(
     Ok(())
 }
 
+/// Encodes a depth image as a 16-bit PNG.
 pub fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
     let bytes: Vec<u8> = image.raw.iter().flat_map(|raw| raw.to_be_bytes()).collect();
     encode_png(image.width, image.height, png::ColorType::Grayscale, png::BitDepth::Sixteen, &bytes)

@@ -14,6 +14,7 @@
     clippy::print_stderr
 )]
 
+mod atomic_write;
 mod camera_file;
 mod columns;
 mod depth_png;
@@ -39,7 +40,6 @@ mod settings_file;
 mod text;
 #[cfg(feature = "scans")]
 pub mod tiles;
-mod whole;
 mod write;
 mod xyz_text;
 
@@ -50,6 +50,10 @@ use std::path::Path;
 use planish_core::{Camera, DepthFrame, DepthImage, FormatError, IoError, OrganizedCloud, PointCloud};
 
 pub use self::format::{Format, WRITTEN};
+use atomic_write::AtomicFile;
+#[cfg(feature = "scans")]
+use atomic_write::{Temporary, folder_of};
+pub use atomic_write::{remove_temporaries, write_whole};
 pub use camera_file::{camera_to_json, parse_camera, read_camera, unknown_camera_key};
 #[cfg(feature = "scans")]
 use las::LasReader;
@@ -59,21 +63,17 @@ use ply::PlyReader;
 #[cfg(feature = "scans")]
 use records::{RecordEncoder, RecordReader};
 pub use settings_file::{parse_settings, read_settings, settings_to_json};
-use whole::WholeFile;
-#[cfg(feature = "scans")]
-use whole::{Temporary, folder_of};
-pub use whole::{remove_temporaries, write_whole};
 pub use write::{CloudRef, check_writable, encode_cloud, encode_depth, write_cloud, write_depth, write_depth_metres};
 
 /// For planish's other crates and its own tests; it may change with every version.
 #[doc(hidden)]
 pub mod internal {
+    pub use crate::atomic_write::AtomicFile;
     pub use crate::camera_file::{colmap_camera, read_text as camera_text, states_depth_scale};
     pub use crate::columns::{cloud_from_columns, columns_from_cloud, with_values};
     pub use crate::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
     pub use crate::pcd::lzf;
     pub use crate::rgb_png::{read_rgb_png, write_rgb_png};
-    pub use crate::whole::WholeFile;
     pub use crate::{brief, quoted};
     pub use planish_core::AttributeValues;
 }

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
+use super::atomic_write::check_target;
 #[cfg(feature = "tiff")]
 use super::depth_tiff;
 #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
 use super::left_out;
 #[cfg(feature = "npz")]
 use super::npz;
-use super::whole::check_target;
 use super::xyz_text::Heading;
 use super::{Encoding, Format, depth_png, kitti, npy, pcd, ply, write_whole, xyz_text};
 #[cfg(feature = "scans")]

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use planish::io::{self, Contents};
-use planish::{Camera, DepthFrame, OrganizedCloud};
+use planish::{Camera, OrganizedCloud};
 
 /// Says that something is not tested here. Not by `println!`: the test runner hides that of tests that pass.
 pub fn skip(what: &str) {

@@ -10,14 +10,14 @@
 #[cfg(target_family = "wasm")]
 mod abi;
 mod camera;
-mod held;
+mod frame;
 mod page;
 mod picture;
 mod plans;
 mod request;
 
 pub use camera::CameraGiven;
-pub use held::HeldFrame;
+pub use frame::PageFrame;
 pub use page::Page;
 pub use plans::usual_plans;
 pub use request::{PictureKind, Reply, Request, Side};

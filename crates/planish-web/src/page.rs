@@ -18,7 +18,7 @@ use planish::{
 use serde_json::{Value, json};
 
 use crate::camera::CameraGiven;
-use crate::held::HeldFrame;
+use crate::frame::PageFrame;
 use crate::picture::{colours_of, colours_of_general, depth_range, rgba};
 use crate::request::{PictureKind, Reply, Request, Side};
 
@@ -36,14 +36,14 @@ type Answer = Result<(Value, Vec<u8>), String>;
 struct Outcome {
     frame: u32,
     /// That frame, which may be released before its results.
-    held: Rc<HeldFrame>,
+    held: Rc<PageFrame>,
     smoothed: Smoothed,
 }
 
 /// A plan, and the frame that it is of.
 struct Planned {
     frame: u32,
-    held: Rc<HeldFrame>,
+    held: Rc<PageFrame>,
     plan: Plan,
 }
 
@@ -51,7 +51,7 @@ struct Planned {
 #[derive(Default)]
 pub struct Page {
     next: u32,
-    frames: BTreeMap<u32, Rc<HeldFrame>>,
+    frames: BTreeMap<u32, Rc<PageFrame>>,
     plans: BTreeMap<u32, Planned>,
     results: BTreeMap<u32, Outcome>,
     /// Smooths frames on the CPU; keeps its buffers from frame to frame.
@@ -131,7 +131,7 @@ impl Page {
     }
 
     fn hold(&mut self, contents: Contents, format: &'static str) -> Answer {
-        let held = HeldFrame { contents, format };
+        let held = PageFrame { contents, format };
         let mut described = held.describe();
         let number = self.number();
         described["frame"] = number.into();
@@ -139,7 +139,7 @@ impl Page {
         Ok((described, Vec::new()))
     }
 
-    fn frame(&self, number: u32) -> Result<&Rc<HeldFrame>, String> {
+    fn frame(&self, number: u32) -> Result<&Rc<PageFrame>, String> {
         self.frames.get(&number).ok_or_else(|| format!("there is no frame {number}, or it was released"))
     }
 
@@ -237,7 +237,7 @@ impl Page {
         self.keep(frame, held, smoothed)
     }
 
-    fn keep(&mut self, frame: u32, held: Rc<HeldFrame>, smoothed: Smoothed) -> Answer {
+    fn keep(&mut self, frame: u32, held: Rc<PageFrame>, smoothed: Smoothed) -> Answer {
         let counts = smoothed.status_counts().unwrap_or_default();
         let number = self.number();
         let described = json!({

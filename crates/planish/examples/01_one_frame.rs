@@ -1,7 +1,7 @@
 //! One frame: read, smoothed, written. `cargo run --release --example 01_one_frame -- frame.pcd smooth.pcd`
 
-use planish::io::{Encoding, write_cloud};
-use planish::{Engine, Error, FrameParams, OrganizedCloud, Outputs, Smoothed, Smoother};
+use planish::io::{Encoding, read_organized, write_cloud};
+use planish::{Error, Outputs, Settings};
 
 fn main() -> Result<(), Error> {
     let files: Vec<String> = std::env::args().skip(1).collect();
@@ -9,13 +9,10 @@ fn main() -> Result<(), Error> {
         eprintln!("usage: 01_one_frame FRAME.pcd SMOOTH.pcd");
         std::process::exit(2);
     };
-    let mut cloud = planish::io::read_organized(input.as_ref())?;
-    let params = FrameParams::default().at_resolution_of(&cloud);
-    let mut smoother = Smoother::open(params, Engine::Auto, (cloud.width(), cloud.height()))?;
-    let mut smoothed = Smoothed::default();
-    smoother.smooth(&cloud, &mut smoothed)?;
+    let mut cloud = read_organized(input.as_ref())?;
+    let smoothed = planish::smooth(&cloud, &Settings::default())?;
     cloud.points.apply(&smoothed, Outputs::POINTS)?;
     write_cloud(output.as_ref(), &cloud, Encoding::Binary)?;
-    println!("{} points by the {} engine", cloud.points.valid_points(), smoother.engine().name());
+    println!("{} points", cloud.points.valid_points());
     Ok(())
 }

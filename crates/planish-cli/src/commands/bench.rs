@@ -5,9 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use planish::io::{self, Contents};
-use planish::{
-    CloudRadius, DepthFrame, Engine, Error, FleetDevice, GpuOptions, OrganizedCloud, Outputs, SmootherOptions,
-};
+use planish::{CloudRadius, DepthFrame, Engine, Error, FleetDevice, GpuOptions, Outputs, SmootherOptions};
 use planish_bench::{Ended, Experiment, GeneralOptions, GpuBenchOptions, Input, Options, RigBenchOptions};
 
 use super::organized;

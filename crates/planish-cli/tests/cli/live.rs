@@ -6,7 +6,7 @@ use std::process::Command;
 
 use planish::io::{Encoding, write_cloud};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::{Camera, DepthFrame, OrganizedCloud};
+use planish::{Camera, DepthFrame};
 
 use super::{json_line, ok, refused, small_frame, str, text};
 

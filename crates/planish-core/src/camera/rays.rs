@@ -53,6 +53,7 @@ impl Rays {
         self.camera.is_some_and(|camera| !camera.distortion.is_none())
     }
 
+    /// Returns the rays of row `v`.
     pub fn row(&self, v: usize) -> RowRays<'_> {
         if !self.are_distorted() {
             return RowRays { x: &self.x, y: RowRaysY::Same(self.y[v]) };

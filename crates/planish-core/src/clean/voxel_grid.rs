@@ -102,6 +102,7 @@ pub struct VoxelMap<'a> {
 }
 
 impl<'a> VoxelMap<'a> {
+    /// Maps the voxels of a cloud.
     pub fn of(voxels: &'a Voxels) -> Self {
         let mut ranks: Vec<Vec<u32>> = voxels.shards.iter().map(|shard| vec![0; shard.len()]).collect();
         for (rank, &(shard, voxel)) in (0..).zip(&voxels.order) {

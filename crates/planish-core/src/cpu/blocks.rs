@@ -9,7 +9,7 @@ use super::row_tasks::SplitRows;
 use super::vector::{Mask, Vec3, splat};
 use super::window::Gate;
 use super::{Kernel, valid_points};
-use crate::method::{BLOCK_WIDTH, MIN_BLOCK_WEIGHT};
+use crate::constants::{BLOCK_WIDTH, MIN_BLOCK_WEIGHT};
 
 /// The block of a vector of pixels.
 pub(super) struct Block<'a, S: Simd> {

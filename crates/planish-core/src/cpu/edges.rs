@@ -12,7 +12,7 @@ use super::row_tasks::SplitRows;
 use super::vector::{Mask, Vec3, share, splat};
 use super::window::{Candidates, Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
-use crate::method::{
+use crate::constants::{
     COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,
     OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
 };

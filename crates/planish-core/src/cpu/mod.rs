@@ -34,14 +34,14 @@ use std::time::Duration;
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
 use crate::camera::Rays;
-use crate::engine::{AdmittedFrame, ImmediateEngine};
+use crate::constants::LEAST_NEIGHBOURS;
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
-use crate::method::LEAST_NEIGHBOURS;
 use crate::outputs::SmoothedMut;
 use crate::params::{Edges, EngineParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, MIN_GATE_M, RangeRules};
 use crate::simd_level::SimdLevel;
+use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
 use crate::threads::Threads;
 use crate::timings::{FrameTimings, Stopwatch};
 use edges::{PlaneRows, Planes};

@@ -7,10 +7,10 @@ use super::project::{Projected, Projection};
 use super::row_tasks::SplitRows;
 use super::vector::Vec3;
 use crate::camera::Camera;
-use crate::engine::AdmittedFrame;
-use crate::method::LEAST_NEIGHBOURS;
+use crate::constants::LEAST_NEIGHBOURS;
 use crate::outputs::{SmoothedMut, VectorsMut};
 use crate::smoothed::Smoothed;
+use crate::smoothing_engine::AdmittedFrame;
 use crate::status::Status;
 
 /// A band of rows of every requested output.

@@ -10,8 +10,8 @@ use fearless_simd::{Simd, SimdBase};
 use super::row_tasks::{SplitRows, halve};
 use super::vector::Vec3;
 use crate::camera::{Rays, RowRays, RowRaysY, depth_m};
-use crate::engine::AdmittedFrame;
 use crate::frame::{DepthSamples, Frame};
+use crate::smoothing_engine::AdmittedFrame;
 
 /// The widest vector of f32 that any SIMD level has.
 pub(super) const MAX_LANES: usize = 16;

@@ -7,7 +7,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::eigen::{Symmetric, smallest_eigenvector};
 use super::vector::{Mask, Vec3, splat};
 use super::window::Sums;
-use crate::method::{DEGENERATE_RATIO, MAX_DOUBT};
+use crate::constants::{DEGENERATE_RATIO, MAX_DOUBT};
 
 pub(super) struct Plane<S: Simd> {
     /// Unit normal, towards the sensor.

@@ -15,7 +15,7 @@ use super::plane::Plane;
 use super::unroll::unroll;
 use super::vector::{Vec3, splat};
 use super::window::{Candidates, Sums};
-use crate::method::{MAX_OFF_SURFACE, SQRT_LOG2_E};
+use crate::constants::{MAX_OFF_SURFACE, SQRT_LOG2_E};
 
 /// Number of moments for degree 3, the most.
 const MAX_MOMENTS: usize = 28;

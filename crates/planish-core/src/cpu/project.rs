@@ -5,7 +5,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::plane::Plane;
 use super::polynomial::Fit;
 use super::vector::{Mask, Vec3, splat};
-use crate::method::{GRAZING_COSINE, MAX_ALONG, coefficient_count};
+use crate::constants::{GRAZING_COSINE, MAX_ALONG, coefficient_count};
 
 pub(super) struct Projected<S: Simd> {
     pub(super) point: Vec3<S>,

@@ -8,7 +8,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::polynomial::Moments;
 use super::unroll::unroll;
 use super::vector::{Mask, splat};
-use crate::method::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
+use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 
 /// Returns c_00, c_10 and c_01 in the units of the moments; so is the square of the neighbourhood's extent.
 // In the copies of the loops whose conditions are false, values are set that nothing reads.

@@ -10,7 +10,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::Kernel;
 use super::padded::PaddedFrame;
 use super::vector::{Mask, Vec3, splat};
-use crate::method::GATE_FADE;
+use crate::constants::GATE_FADE;
 
 /// The candidates around a vector of pixels.
 #[derive(Clone, Copy)]

@@ -314,7 +314,7 @@ impl<'a> PointsView<'a> {
     }
 
     /// Point `i` in the sensor's frame.
-    pub fn point_in_sensor(&self, i: usize, geometry: &FrameGeometry) -> DVec3 {
+    pub(crate) fn point_in_sensor(&self, i: usize, geometry: &FrameGeometry) -> DVec3 {
         match geometry.cloud_from_sensor {
             None => self.point(i),
             Some(transform) => transform.to_sensor(self.point(i)),

@@ -15,11 +15,11 @@ use super::slot::Slot;
 use super::upload::Uploader;
 use super::view::MappedView;
 use crate::devices::{GpuAdapter, GpuOptions, Transfer, choose};
-use crate::engine::{AdmittedFrame, SmoothingEngine};
 use crate::error::{EngineError, Error, FrameError};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
+use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 

@@ -6,7 +6,7 @@
 use std::fmt::Write;
 
 use super::layout::{InputKind, constants};
-use crate::method::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
+use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, edge_shift_px};
 

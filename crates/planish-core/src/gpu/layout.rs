@@ -13,8 +13,8 @@ use std::ops::Range;
 use bytemuck::{Pod, Zeroable};
 
 use crate::camera::SATURATED_DEPTH;
+use crate::constants;
 use crate::frame::Frame;
-use crate::method;
 use crate::outputs::Outputs;
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, MIN_GATE_M};
 use crate::status::Status;
@@ -274,32 +274,32 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
     }
     let numbers = [
         ("MIN_POSITIVE", f32::MIN_POSITIVE),
-        ("GRAZING_COSINE", method::GRAZING_COSINE),
-        ("MAX_ALONG", method::MAX_ALONG),
+        ("GRAZING_COSINE", constants::GRAZING_COSINE),
+        ("MAX_ALONG", constants::MAX_ALONG),
         ("MAX_RADIUS_M", MAX_RADIUS_M),
         ("MAX_RANGE_M", MAX_RANGE_M),
-        ("DEGENERATE_RATIO", method::DEGENERATE_RATIO),
-        ("MAX_DOUBT", method::MAX_DOUBT),
-        ("MIN_TOTAL", method::MIN_TOTAL),
-        ("COSINE_FADE", method::COSINE_FADE),
-        ("GENERAL_MEAN_REACH", method::GENERAL_MEAN_REACH),
-        ("GENERAL_DISTANCE_WEIGHT", method::GENERAL_DISTANCE_WEIGHT),
-        ("FACING_COSINE", method::FACING_COSINE),
-        ("STAY_WEIGHT", method::STAY_WEIGHT),
-        ("OWN_NORMAL_WEIGHT", method::OWN_NORMAL_WEIGHT),
-        ("MIN_NOISE", method::MIN_NOISE),
+        ("DEGENERATE_RATIO", constants::DEGENERATE_RATIO),
+        ("MAX_DOUBT", constants::MAX_DOUBT),
+        ("MIN_TOTAL", constants::MIN_TOTAL),
+        ("COSINE_FADE", constants::COSINE_FADE),
+        ("GENERAL_MEAN_REACH", constants::GENERAL_MEAN_REACH),
+        ("GENERAL_DISTANCE_WEIGHT", constants::GENERAL_DISTANCE_WEIGHT),
+        ("FACING_COSINE", constants::FACING_COSINE),
+        ("STAY_WEIGHT", constants::STAY_WEIGHT),
+        ("OWN_NORMAL_WEIGHT", constants::OWN_NORMAL_WEIGHT),
+        ("MIN_NOISE", constants::MIN_NOISE),
         ("MIN_GATE_M", MIN_GATE_M),
-        ("MAX_RADIUS_RATIO", method::MAX_RADIUS_RATIO),
-        ("GATE_FADE", method::GATE_FADE),
-        ("PLANE_REACH", method::PLANE_REACH),
-        ("BLOCK_WIDTH", method::BLOCK_WIDTH),
-        ("MIN_BLOCK_WEIGHT", method::MIN_BLOCK_WEIGHT),
-        ("DISTANCE_WEIGHT", method::DISTANCE_WEIGHT),
-        ("NARROW_WIDTH", method::NARROW_WIDTH),
-        ("DOUBT_WEIGHT", method::DOUBT_WEIGHT),
-        ("MIN_INCIDENCE_COSINE", method::MIN_INCIDENCE_COSINE),
-        ("SQRT_LOG2_E", method::SQRT_LOG2_E),
-        ("MAX_OFF_SURFACE", method::MAX_OFF_SURFACE),
+        ("MAX_RADIUS_RATIO", constants::MAX_RADIUS_RATIO),
+        ("GATE_FADE", constants::GATE_FADE),
+        ("PLANE_REACH", constants::PLANE_REACH),
+        ("BLOCK_WIDTH", constants::BLOCK_WIDTH),
+        ("MIN_BLOCK_WEIGHT", constants::MIN_BLOCK_WEIGHT),
+        ("DISTANCE_WEIGHT", constants::DISTANCE_WEIGHT),
+        ("NARROW_WIDTH", constants::NARROW_WIDTH),
+        ("DOUBT_WEIGHT", constants::DOUBT_WEIGHT),
+        ("MIN_INCIDENCE_COSINE", constants::MIN_INCIDENCE_COSINE),
+        ("SQRT_LOG2_E", constants::SQRT_LOG2_E),
+        ("MAX_OFF_SURFACE", constants::MAX_OFF_SURFACE),
     ];
     for (name, value) in numbers {
         constant(name, "f32", format!("{value:?}"));

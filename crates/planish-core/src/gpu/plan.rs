@@ -17,7 +17,6 @@ use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
 use super::results::Results;
 use super::upload::Uploader;
-use crate::engine::AdmittedFrame;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error, FrameError};
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
@@ -25,6 +24,7 @@ use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, FrameParams};
 use crate::smoothed::Smoothed;
 use crate::smoother::{check_frame, check_options, needs_range};
+use crate::smoothing_engine::AdmittedFrame;
 
 /// The limits of a WebGPU device that plans depend on, named as in `GPUSupportedLimits`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -15,8 +15,8 @@ use super::mapped::Mapped;
 use super::stamps::Stamps;
 use super::upload::Uploader;
 use crate::devices::Transfer;
-use crate::engine::AdmittedFrame;
 use crate::error::EngineError;
+use crate::smoothing_engine::AdmittedFrame;
 use crate::timings::FrameTimings;
 
 /// Bytes in a word.

@@ -10,12 +10,12 @@ use super::kernel;
 use super::slot::Slot;
 use crate::camera::Camera;
 use crate::devices::{GpuAdapter, GpuOptions};
-use crate::engine::{AdmittedFrame, SmoothingEngine};
 use crate::error::{EngineError, Error};
 use crate::frame::{DepthFrame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::outputs::Outputs;
-use crate::params::EngineParams;
+use crate::params::{EngineParams, FrameParams};
 use crate::smoothed::Smoothed;
+use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
 use crate::testing::{DepthNoise, Random, Scene, simulated, simulated_frame};
 use crate::xyz::Xyz;
 
@@ -209,7 +209,7 @@ fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
     let options = GpuOptions::default().with_adapter(adapter.index.to_string());
     let frame = frame();
     let frame = admit(&frame);
-    let (params, shape) = (EngineParams::paper(), (64, 48));
+    let (params, shape) = (EngineParams::from(FrameParams::paper()), (64, 48));
     let own = Arc::new(device::open_alone(&adapter, 2));
     let mut lost = Gpu::open_in(own, params, Outputs::ALL, &options, shape).unwrap();
 
@@ -240,7 +240,7 @@ fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
 fn frames_on_several_queues_come_back_in_order_and_the_same() {
     let Some((_, adapter)) = device("several queues") else { return };
     let options = GpuOptions::default().with_slots(4);
-    let (params, shape) = (EngineParams::default(), (64, 48));
+    let (params, shape) = (EngineParams::from(FrameParams::default()), (64, 48));
     let open_alone = |queues| Arc::new(device::open_alone(&adapter, queues));
     let mut alone = Gpu::open_in(open_alone(1), params, Outputs::ALL, &options, shape).unwrap();
     let mut spread = Gpu::open_in(open_alone(1), params, Outputs::ALL, &options, shape).unwrap();

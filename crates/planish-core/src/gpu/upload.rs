@@ -4,10 +4,10 @@ use bytemuck::{bytes_of, cast_slice};
 
 use super::layout::{BY_DISTANCE, FrameHeader, InputKind, Layout, ON_RAY};
 use crate::camera::{Rays, RowRaysY};
-use crate::engine::AdmittedFrame;
 use crate::frame::{DepthSamples, DepthView, Frame, PointsView};
 use crate::params::{Edges, EngineParams};
 use crate::range::RangeRules;
+use crate::smoothing_engine::AdmittedFrame;
 
 /// Writes frames; its scratch buffers are kept from one to the next.
 pub(super) struct Uploader {

@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 
-use crate::method::PLANE_REACH;
+use crate::constants::PLANE_REACH;
 use crate::params::{CloudParams, Edges, EngineParams, Radius};
 
 /// The share of a part's points with its halo that are its own, when parts are planned.

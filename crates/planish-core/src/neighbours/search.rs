@@ -15,6 +15,7 @@ pub struct NeighbourSearch {
 }
 
 impl NeighbourSearch {
+    /// Builds the tree.
     pub fn new(points: &[DVec3]) -> Result<Self, EngineError> {
         let index: Vec<u32> = (0u32..).zip(points).filter(|(_, p)| p.is_finite()).map(|(i, _)| i).collect();
         let finite: Vec<[f64; 3]> = index.iter().map(|&i| points[i as usize].to_array()).collect();

@@ -21,12 +21,12 @@ use std::sync::Arc;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::engine::{AdmittedFrame, ImmediateEngine};
 use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry};
 use crate::outputs::SmoothedMut;
 use crate::params::{Edges, EngineParams};
 use crate::progress::Progress;
+use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
 use crate::status::Status;
 use crate::threads::Threads;
 use plane::Plane;
@@ -272,7 +272,7 @@ mod tests {
     use super::*;
     use crate::camera::Camera;
     use crate::frame::{GeometryScratch, IntoFrame, PointsView};
-    use crate::params::Radius;
+    use crate::params::{CloudParams, FrameParams};
     use crate::pose::SensorPose;
     use crate::testing::{DepthNoise, Pose, Scene, simulated};
 
@@ -288,10 +288,10 @@ mod tests {
     fn a_rigid_motion_moves_the_result_to_a_nanometre() {
         let own = noisy_points(Scene::room(2));
         let settings = [
-            (EngineParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), true),
-            (EngineParams::default().with_stride(1), true),
-            (EngineParams::default().with_stride(2), true),
-            (EngineParams::paper().with_radius(Radius::Fixed { radius_m: 0.15 }), false),
+            (EngineParams::from(FrameParams::paper().with_radius_m(0.15)), true),
+            (FrameParams::default().with_stride(1).into(), true),
+            (FrameParams::default().with_stride(2).into(), true),
+            (CloudParams::paper().with_radius_m(0.15).into(), false),
         ];
         let viewpoints = [
             [0.1, 0.0, 0.6, 0.5, -0.5, 0.5, -0.5],
@@ -346,7 +346,7 @@ mod tests {
     fn turned_in_plane_axes_change_nothing() {
         let points = noisy_points(Scene::tabletop(5));
         for (window, degree, radius_m) in [(3, 3, 0.03), (7, 3, 0.05), (3, 2, 0.08), (2, 3, 0.3)] {
-            let params = EngineParams::paper().with_window(window).with_degree(degree).with_radius_m(radius_m);
+            let params = FrameParams::paper().with_window(window).with_degree(degree).with_radius_m(radius_m).into();
             let engine = Reference::open(params, None).unwrap();
             let results = |roll_rad: f64| {
                 let (sin, cos) = (roll_rad / 2.0).sin_cos();

@@ -10,7 +10,6 @@ mod watch;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crate::engine::AdmittedFrame;
 use crate::engines::{ChoiceReason, Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
 use crate::fleet::FleetDevice;
@@ -21,6 +20,7 @@ use crate::sensor::SensorModel;
 use crate::settings::{SensorChoice, Settings};
 use crate::smoothed::Smoothed;
 use crate::smoother::{check_frame, check_options, for_engine, needs_range};
+use crate::smoothing_engine::AdmittedFrame;
 use crate::timings::FrameTimings;
 
 pub use event::SessionEvent;

@@ -10,6 +10,7 @@ pub struct Random {
 }
 
 impl Random {
+    /// Creates the generator of a seed for one use of it.
     pub fn new(seed: u64, stream: u64) -> Self {
         // Neighbouring streams of PCG with equal states resemble each other, so the state is mixed too.
         let state = seed.wrapping_add(stream.wrapping_mul(0x9e37_79b9_7f4a_7c15)) ^ (stream << 32);

@@ -1,9 +1,9 @@
 //! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; everything else in the file, such as its
 //! coordinate system, stays with the cloud and is written back.
 
-mod claims;
 mod fields;
 mod stream;
+mod validate;
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -17,8 +17,8 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenan
 pub(crate) use stream::LasReader;
 use stream::LasWriter;
 
-use claims::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
 use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
+use validate::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
 
 /// Coordinates of files that we make are multiples of this, where they fit: finer than any scanner measures.
 const SCALE_M: f64 = 1e-5;

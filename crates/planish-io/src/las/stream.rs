@@ -35,7 +35,7 @@ impl RecordReader for LasReader {
     fn open(path: &Path) -> FormatResult<Self> {
         let file = File::open(path)?;
         // A file without so many bytes is refused whatever it is taken for.
-        let head = super::claims::FileBytes::read(&file, 0, 107).unwrap_or_default();
+        let head = super::validate::FileBytes::read(&file, 0, 107).unwrap_or_default();
         let Checked { points, extended, .. } = Checked::of(&file, las_or_laz(&head))?;
         let opened = catch_unwind(AssertUnwindSafe(|| {
             let reader = Reader::new(BufReader::with_capacity(1 << 20, File::open(path)?))?;

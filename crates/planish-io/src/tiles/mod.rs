@@ -4,20 +4,20 @@
 //! smoothed with a halo of the points around it, as wide as its points reach, so that each gets what it gets in the whole cloud; the
 //! records of its own points are kept. At the end they are put together in the order of the input.
 
-mod dealt;
 mod plan;
+mod spill;
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use crate::{Encoding, Format, LasReader, PlyReader, RecordEncoder, RecordReader, Temporary, WholeFile, folder_of};
-use dealt::{Dealt, too_large};
+use crate::{AtomicFile, Encoding, Format, LasReader, PlyReader, RecordEncoder, RecordReader, Temporary, folder_of};
 use plan::Tile;
 use planish_core::{
     CloudParams, CloudRadius, Engine, EngineError, Error, FormatError, IntoFrame, IoError, Outputs, PointCloud,
     PointsView, Progress, SensorPose, Smoothed, Smoother, SmootherOptions,
     internal::{NeededHalo, halo},
 };
+use spill::{Spill, too_large};
 
 /// What a point of a tile takes beside its records: positions twice, an engine and its results.
 const ENGINE_BYTES_A_POINT: u64 = 250;
@@ -155,7 +155,7 @@ fn smooth_records<R: RecordReader>(
         let reason = "radii by density in tiles need the CPU or the GPU engine, or a radius".to_owned();
         return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
     }
-    let whole = WholeFile::new(output).map_err(IoError::at(output))?;
+    let whole = AtomicFile::new(output).map_err(IoError::at(output))?;
     let reader = R::open(input).map_err(IoError::at(input))?;
     progress.begin(3 * reader.points());
     let notes = reader.notes();
@@ -164,15 +164,15 @@ fn smooth_records<R: RecordReader>(
         FormatError::Os(_) => Error::from(IoError::at(output)(problem)),
         _ => IoError::at(input)(problem).into(),
     };
-    let mut dealt = Dealt::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
+    let mut spill = Spill::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
     let report = TilesReport { notes, ..TilesReport::default() };
     let mut tiler = Tiler::<R> { options, smoother: None, halo_share: 1.0, report, encoder: None };
-    for number in 0..dealt.tiles.len() {
-        tiler.smooth(&mut dealt, number, output).map_err(|error| match error {
+    for number in 0..spill.tiles.len() {
+        tiler.smooth(&mut spill, number, output).map_err(|error| match error {
             TileError::Files(problem) => at_either(problem),
             TileError::Other(error) => error,
         })?;
-        progress.add(dealt.tiles[number].tile.points as usize);
+        progress.add(spill.tiles[number].tile.points as usize);
     }
     let Tiler { report, encoder, smoother, .. } = tiler;
     let engine = smoother.as_ref().map_or(engine, Smoother::engine);
@@ -180,23 +180,23 @@ fn smooth_records<R: RecordReader>(
         let encoder = match encoder {
             Some(encoder) => encoder,
             // Without a point.
-            None => new_encoder(&dealt, &R::cloud_of(&dealt.header, &[])?, &[], output, options)?,
+            None => new_encoder(&spill, &R::cloud_of(&spill.header, &[])?, &[], output, options)?,
         };
-        dealt.put_together(encoder, &whole, progress)
+        spill.put_together(encoder, &whole, progress)
     };
     put_together().map_err(IoError::at(output))?;
     whole.finish().map_err(IoError::at(output))?;
-    Ok(TilesReport { points: dealt.points, tiles: dealt.tiles.len(), engine, ..report })
+    Ok(TilesReport { points: spill.points, tiles: spill.tiles.len(), engine, ..report })
 }
 
 fn new_encoder<R: RecordReader>(
-    dealt: &Dealt<R>,
+    spill: &Spill<R>,
     cloud: &PointCloud,
     kept: &[usize],
     output: &Path,
     options: &TileOptions,
 ) -> Result<R::Encoder, FormatError> {
-    R::Encoder::new(&dealt.header, cloud, kept, output, options.encoding)
+    R::Encoder::new(&spill.header, cloud, kept, output, options.encoding)
 }
 
 enum TileError {
@@ -235,43 +235,43 @@ struct Tiler<'a, R: RecordReader> {
 
 impl<R: RecordReader> Tiler<'_, R> {
     /// Smooths a tile with its halo, wider until its points do not reach beyond it.
-    fn smooth(&mut self, dealt: &mut Dealt<R>, number: usize, output: &Path) -> Result<(), TileError> {
-        let tile = dealt.tiles[number].tile;
+    fn smooth(&mut self, spill: &mut Spill<R>, number: usize, output: &Path) -> Result<(), TileError> {
+        let tile = spill.tiles[number].tile;
         let own = tile.points as usize;
-        let by_density_m = halo::first_cloud_halo_m(&self.options.params, tile.points, dealt.cells.area(&tile));
+        let by_density_m = halo::first_cloud_halo_m(&self.options.params, tile.points, spill.cells.area(&tile));
         let mut halo_m = self.halo_share * by_density_m;
         let mut may_widen = true;
         loop {
-            let Some(raw) = dealt.with_halo(number, halo_m)? else {
+            let Some(raw) = spill.with_halo(number, halo_m)? else {
                 let may_be_narrower = matches!(self.options.params.radius, CloudRadius::Neighbours { .. });
                 if may_be_narrower && halo_m > NARROWEST * by_density_m {
                     (halo_m, may_widen) = (0.7 * halo_m, false);
                     continue;
                 }
-                return Err(too_large(dealt.points, dealt.record, self.options.max_memory_bytes).into());
+                return Err(too_large(spill.points, spill.record, self.options.max_memory_bytes).into());
             };
-            let mut cloud = R::cloud_of(&dealt.header, &raw)?;
+            let mut cloud = R::cloud_of(&spill.header, &raw)?;
             drop(raw);
             if let Some(pose) = self.options.pose {
                 cloud.pose = pose;
             }
-            let smoothed = self.smoothed(&cloud, dealt)?;
-            let needed = self.needed_halo(dealt, &tile, &cloud, halo_m);
+            let smoothed = self.smoothed(&cloud, spill)?;
+            let needed = self.needed_halo(spill, &tile, &cloud, halo_m);
             if may_widen && needed.is_wider {
                 halo_m = needed.halo_m;
                 continue;
             }
-            let usual = dealt.points / dealt.tiles.len();
+            let usual = spill.points / spill.tiles.len();
             if needed.beyond as f64 > MAY_BE_INEXACT * own.max(usual) as f64 {
-                return Err(too_large(dealt.points, dealt.record, self.options.max_memory_bytes).into());
+                return Err(too_large(spill.points, spill.record, self.options.max_memory_bytes).into());
             }
             self.halo_share = halo_m / by_density_m;
             self.report.reaching_beyond += needed.beyond;
-            return self.keep(dealt, number, &mut cloud, &smoothed, output);
+            return self.keep(spill, number, &mut cloud, &smoothed, output);
         }
     }
 
-    fn smoothed(&mut self, cloud: &PointCloud, dealt: &Dealt<R>) -> Result<Smoothed, Error> {
+    fn smoothed(&mut self, cloud: &PointCloud, spill: &Spill<R>) -> Result<Smoothed, Error> {
         let smoother = match &mut self.smoother {
             Some(smoother) => smoother,
             none => {
@@ -281,9 +281,9 @@ impl<R: RecordReader> Tiler<'_, R> {
             }
         };
         let mut smoothed = Smoothed::default();
-        let mut part = PointsView::from_cloud(cloud)?.as_part_of(dealt.points, dealt.extent_m);
+        let mut part = PointsView::from_cloud(cloud)?.as_part_of(spill.points, spill.extent_m);
         self.report.has_pose = !cloud.pose.is_identity();
-        if let (true, Some(position_m)) = (cloud.pose.is_identity(), dealt.assumed_sensor_m) {
+        if let (true, Some(position_m)) = (cloud.pose.is_identity(), spill.assumed_sensor_m) {
             part = part.with_pose(SensorPose { position_m, ..SensorPose::IDENTITY })?;
             self.report.assumed_sensor_m = Some(position_m);
         }
@@ -292,8 +292,8 @@ impl<R: RecordReader> Tiler<'_, R> {
     }
 
     /// Returns the halo that the tile's points need.
-    fn needed_halo(&self, dealt: &Dealt<R>, tile: &Tile, cloud: &PointCloud, halo_m: f64) -> NeededHalo {
-        let [low, high] = dealt.cells.bounds(tile);
+    fn needed_halo(&self, spill: &Spill<R>, tile: &Tile, cloud: &PointCloud, halo_m: f64) -> NeededHalo {
+        let [low, high] = spill.cells.bounds(tile);
         let reach = halo::cloud_reach(&self.options.params);
         let needed_m = (0..tile.points as usize).filter_map(|i| {
             // A hole reaches nothing, and may belong to any tile. Without radii by density there are none.
@@ -311,13 +311,13 @@ impl<R: RecordReader> Tiler<'_, R> {
     /// Writes the new records of the tile's own points.
     fn keep(
         &mut self,
-        dealt: &mut Dealt<R>,
+        spill: &mut Spill<R>,
         number: usize,
         cloud: &mut PointCloud,
         smoothed: &Smoothed,
         output: &Path,
     ) -> Result<(), TileError> {
-        let own = dealt.tiles[number].tile.points as usize;
+        let own = spill.tiles[number].tile.points as usize;
         cloud.apply(smoothed, self.options.fields).map_err(Error::from)?;
         for status in smoothed.status.iter().flatten().take(own) {
             self.report.status_counts[*status as usize] += 1;
@@ -326,10 +326,10 @@ impl<R: RecordReader> Tiler<'_, R> {
         let kept: Vec<usize> = (0..own).filter(|&i| is_kept(cloud, i)).collect();
         let encoder = match &mut self.encoder {
             Some(encoder) => encoder,
-            none => none.insert(new_encoder(dealt, cloud, &kept, output, self.options)?),
+            none => none.insert(new_encoder(spill, cloud, &kept, output, self.options)?),
         };
         let raw = encoder.encode(cloud, &kept)?;
-        let file = Temporary::new(&dealt.folder)?;
+        let file = Temporary::new(&spill.folder)?;
         let mut to = BufWriter::with_capacity(1 << 20, file.file());
         let mut next = raw.chunks_exact(encoder.record());
         let none = vec![0; encoder.record()];
@@ -340,7 +340,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         }
         to.flush()?;
         drop(to);
-        dealt.tiles[number].smoothed = Some(file);
+        spill.tiles[number].smoothed = Some(file);
         Ok(())
     }
 }

@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use super::fused::CAMERA_FIELD;
 use super::{Rig, RigCamera, RigFrame, RigSink};
 use planish_core::{AttributeValues, Error, FrameError, PointCloud};
-use planish_io::{self as io, RgbImage};
+use planish_io::RgbImage;
 
 /// Width and height of the picture in pixels, and of its margin.
 const SIZE_PX: usize = 1000;

@@ -1,6 +1,6 @@
 //! The loop of a rig: cameras, matching, smoothing, sinks.
 
-mod told;
+mod warnings;
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};

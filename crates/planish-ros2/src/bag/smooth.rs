@@ -16,7 +16,7 @@ use super::survey::{Channels, Chosen, MessageKind, Survey};
 use super::writer::channel_metadata;
 use crate::ros::{DepthMessage, MessageError, MessageSmoother, PointCloud2, from_cdr, to_cdr};
 use planish_core::{Camera, EngineError, Error, FormatError, IoError, ParamError};
-use planish_io::{ReadOptions, internal::WholeFile};
+use planish_io::{ReadOptions, internal::AtomicFile};
 
 /// Which topics of a recording are smoothed, and with which cameras.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -127,7 +127,7 @@ pub fn smooth_bag(
     let counts = survey.topics.iter().filter(|topic| chosen.iter().any(|chosen| chosen.topic == topic.name));
     let total = counts.map(|topic| topic.messages).sum::<Option<u64>>();
     let at_output = |problem: FormatError| -> Error { IoError { path: output.to_path_buf(), problem }.into() };
-    let whole = WholeFile::new(output).map_err(at_output)?;
+    let whole = AtomicFile::new(output).map_err(at_output)?;
     let mut records = Records::open(input, &options.read)?;
     let taken = survey.taken.clone();
     let not_chosen = if options.topics.is_empty() { survey.left(&chosen) } else { Vec::new() };
@@ -222,7 +222,7 @@ fn empty_report(chosen: &Chosen) -> TopicReport {
 /// Opens a writer whose chunks are compressed as those of the input, or by zstd where that is not known; not at all in
 /// builds without `mcap-compression`.
 fn open_writer(
-    whole: &WholeFile,
+    whole: &AtomicFile,
     header: &FileHeader,
     compression: Option<&str>,
 ) -> Result<Writer<BufWriter<File>>, FormatError> {

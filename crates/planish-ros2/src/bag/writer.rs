@@ -14,7 +14,7 @@ use super::schemas::{
 };
 use crate::ros::{CameraInfo, DepthPixels, Header, Image, PointCloud2, Time, camera_info_topic, to_cdr};
 use planish_core::{Camera, DepthImage, Error, FormatError, IoError, OwnedFrame};
-use planish_io::internal::WholeFile;
+use planish_io::internal::AtomicFile;
 
 /// Where frames go: names that depth_image_proc and RViz expect.
 const RECTIFIED_TOPIC: &str = "/camera/depth/image_rect";
@@ -39,7 +39,7 @@ pub(super) fn channel_metadata() -> BTreeMap<String, String> {
 /// microseconds (those before 0 are 0), else 30 a second.
 pub struct BagWriter {
     path: PathBuf,
-    whole: WholeFile,
+    whole: AtomicFile,
     writer: Writer<BufWriter<File>>,
     channels: BTreeMap<String, u16>,
     frames: u32,
@@ -49,7 +49,7 @@ impl BagWriter {
     /// Creates a recording.
     pub fn create(path: &Path) -> Result<Self, Error> {
         let opened = || -> Result<_, FormatError> {
-            let whole = WholeFile::new(path)?;
+            let whole = AtomicFile::new(path)?;
             let file = BufWriter::new(whole.file().try_clone()?);
             let writer = WriteOptions::new().profile(PROFILE).create(file).map_err(of_mcap)?;
             Ok((whole, writer))

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use planish::io::{self, Contents, Encoding, Format};
 use planish::{
-    Attribute, AttributeValues, Camera, DepthFrame, DepthImage, DepthView, OrganizedCloud, PointCloud, PositionColumns,
-    SensorPose, Xyz,
+    Attribute, AttributeValues, Camera, DepthImage, DepthView, OrganizedCloud, PointCloud, PositionColumns, SensorPose,
+    Xyz,
 };
 use planish_tests::data::{folder, general_cloud};
 use proptest::collection::vec;

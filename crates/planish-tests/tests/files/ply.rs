@@ -3,7 +3,7 @@
 use std::fs;
 
 use planish::io::{self, Contents, Encoding};
-use planish::{AttributeValues, OrganizedCloud, PointCloud, SensorPose};
+use planish::{AttributeValues, PointCloud, SensorPose};
 
 #[test]
 fn a_ply_states_pose_and_grid_as_pcl_does() {

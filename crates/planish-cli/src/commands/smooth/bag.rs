@@ -263,7 +263,6 @@ fn holds_depth(name: &str, options: &SourceOptions, wants_depth: bool) -> Result
             Ok(None) => break,
             Ok(Some(OwnedFrame::Depth(_))) => return Ok(true),
             Ok(Some(OwnedFrame::Cloud { cloud, .. })) => return Ok(wants_depth && cloud.camera.is_some()),
-            Ok(Some(_)) => return Ok(false),
             Err(error) => failure = failure.or(Some(error)),
         }
     }

@@ -9,7 +9,7 @@ use super::super::vector::{Mask, Vec3, share, splat};
 use super::super::window::{Candidates, Gate};
 use super::gather::{Gathered, Reach};
 use super::{Kernel, Radii, load, load_radius};
-use crate::method::{
+use crate::constants::{
     DOUBT_WEIGHT, FACING_COSINE, GATE_FADE, GENERAL_DISTANCE_WEIGHT, GENERAL_MEAN_REACH, MIN_NOISE, MIN_TOTAL,
     NARROW_WIDTH, OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
 };

@@ -13,12 +13,12 @@ use super::buffers::Buffers;
 use super::parts::{Part, Parts, Record, deal};
 use super::results::repeat;
 use super::{GeneralGpu, Own, extent_m, middle_of};
-use crate::engine::AdmittedFrame;
 use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry, PointsView};
 use crate::neighbours::halo::{OWN_SHARE, first_halo_m, needed_halo, reach};
 use crate::outputs::SmoothedMut;
 use crate::params::Radius;
+use crate::smoothing_engine::AdmittedFrame;
 use crate::xyz::Xyz;
 
 /// More of a part's points than this share, which reach beyond its halo, ask for a wider one.

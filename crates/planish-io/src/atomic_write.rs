@@ -42,20 +42,21 @@ pub fn remove_temporaries() {
 /// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file that is replaced
 /// keeps its permissions, and its place until the new one is on the disk.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
-    let whole = WholeFile::new(path)?;
+    let whole = AtomicFile::new(path)?;
     let mut file = whole.file();
     file.write_all(bytes)?;
     whole.finish()
 }
 
 /// A file that is being written under a temporary name, as [`write_whole`] does; removed if it is not finished.
-pub struct WholeFile {
+pub struct AtomicFile {
     temporary: Temporary,
     path: PathBuf,
     replaced: bool,
 }
 
-impl WholeFile {
+impl AtomicFile {
+    /// Creates a temporary file beside the place of the target.
     pub fn new(path: &Path) -> FormatResult<Self> {
         let path = behind_links(path)?;
         let replaced = check_place(&path)?;
@@ -66,6 +67,7 @@ impl WholeFile {
         Ok(Self { temporary, replaced: replaced.is_some(), path })
     }
 
+    /// Returns the temporary file.
     pub fn file(&self) -> &fs::File {
         self.temporary.file()
     }

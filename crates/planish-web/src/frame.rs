@@ -9,14 +9,14 @@ use serde_json::{Value, json};
 use crate::camera::CameraGiven;
 
 /// A frame as it came in.
-pub struct HeldFrame {
+pub struct PageFrame {
     /// Its contents.
     pub contents: Contents,
     /// What it was read from.
     pub format: &'static str,
 }
 
-impl HeldFrame {
+impl PageFrame {
     /// The camera of depth, which must be given; of points what is given, or `None`.
     pub(crate) fn camera(&self, given: Option<&CameraGiven>) -> Result<Option<Camera>, String> {
         match given {

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::bytes_a_point;
 use super::plan::{Cells, Tile};
 
-use crate::{RecordEncoder, RecordReader, Temporary, WholeFile};
+use crate::{AtomicFile, RecordEncoder, RecordReader, Temporary};
 use planish_core::{
     FormatError, Progress,
     internal::{KIB, OWN_SHARE, assumed_sensor_of_sample, memory, middle, sampling_step},
@@ -21,7 +21,7 @@ const MOST_TILES: usize = 100;
 const SAMPLE: usize = 10_000;
 
 /// The records of a file, dealt to tiles.
-pub(super) struct Dealt<R: RecordReader> {
+pub(super) struct Spill<R: RecordReader> {
     pub(super) header: R::Header,
     pub(super) record: usize,
     pub(super) points: usize,
@@ -56,7 +56,7 @@ pub(super) fn too_large(points: usize, record: usize, max_memory_bytes: u64) -> 
 
 type FormatResult<T> = Result<T, FormatError>;
 
-impl<R: RecordReader> Dealt<R> {
+impl<R: RecordReader> Spill<R> {
     pub(super) fn of(mut reader: R, folder: &Path, max_memory_bytes: u64, progress: &Progress) -> FormatResult<Self> {
         let header = reader.header().clone();
         let (record, points) = (reader.record(), reader.points());
@@ -193,7 +193,12 @@ impl<R: RecordReader> Dealt<R> {
     }
 
     /// Writes the smoothed records in the order of the input; `encoder` made them.
-    pub(super) fn put_together(&self, encoder: R::Encoder, whole: &WholeFile, progress: &Progress) -> FormatResult<()> {
+    pub(super) fn put_together(
+        &self,
+        encoder: R::Encoder,
+        whole: &AtomicFile,
+        progress: &Progress,
+    ) -> FormatResult<()> {
         let encoder = if self.needs_latest_version { encoder.in_latest_version()? } else { encoder };
         let length = encoder.record();
         let to = BufWriter::with_capacity(1 << 20, whole.file().try_clone()?);
