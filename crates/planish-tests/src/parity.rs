@@ -124,7 +124,8 @@ pub fn ordinary_small_clouds_agree(subjects: &[Subject]) {
     let mut misses = Vec::new();
     let skipped = ["denormal coordinates", "huge coordinates"];
     for scene in nasty_scenes().iter().filter(|scene| !skipped.contains(&scene.name)) {
-        let settings = [FrameParams::paper(), FrameParams::default()];
+        // At the nominal window: these clouds are smaller than any frame.
+        let settings = [FrameParams::paper(), FrameParams::default().with_stride(5)];
         misses.extend(compare(scene.name, std::slice::from_ref(&scene.cloud), &settings, subjects));
     }
     assert_none(&misses);

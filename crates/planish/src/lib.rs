@@ -1,18 +1,30 @@
-//! Smoothing of depth-camera point clouds by moving least squares, fast enough for every frame of a camera.
+//! Smooths depth-camera frames and point clouds by Moving Least Squares, fast enough for every frame of a camera.
 //!
-//! [`Smoother`] is the front door: open it once with [`SmoothParams`] for an [`Engine`] and a grid, or for general clouds, then
-//! give it frames. [`DepthView`] and [`PointsView`] borrow what other programs hold, [`DepthFrame`], [`OrganizedCloud`] and
-//! [`PointCloud`] own it; results go into a [`Smoothed`] or into buffers of the caller's ([`SmoothedMut`]).
-//!
-//! Depth to interleaved points and normals:
+//! One frame or cloud, with the settings that a user chose:
 //!
 //! ```
-//! use planish::{Camera, DepthView, Engine, Outputs, SmoothParams, SmoothedMut, Smoother, SmootherOptions};
+//! use planish::{Camera, DepthView, Settings};
+//!
+//! # fn main() -> Result<(), planish::Error> {
+//! let (raw, camera) = (vec![1500u16; 640 * 480], Camera::kinect_v1());
+//! let settings: Settings = "preset=light edges=robust".parse()?;
+//! let smoothed = planish::smooth(DepthView::new(&raw, &camera)?, &settings)?;
+//! # assert!((smoothed.points.z[1000] - 1.5).abs() < 1e-6);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Many frames of any shape: a [`Session`] keeps the engine open, opens it again where something changes, and goes on when a GPU
+//! is lost. Frames of one shape, with explicit parameters and no such help: a [`Smoother`], here into interleaved buffers of the
+//! caller's:
+//!
+//! ```
+//! use planish::{Camera, DepthView, Engine, FrameParams, Outputs, SmoothedMut, Smoother, SmootherOptions};
 //!
 //! # fn main() -> Result<(), planish::Error> {
 //! let (raw, camera) = (vec![1500u16; 640 * 480], Camera::kinect_v1());
 //! let options = SmootherOptions::new(Engine::Auto, Outputs::POINTS.with_normals(true));
-//! let mut smoother = Smoother::open_with(SmoothParams::default(), &options, (640, 480))?;
+//! let mut smoother = Smoother::open_with(FrameParams::default(), &options, (640, 480))?;
 //! let (mut points, mut normals) = (vec![[0f32; 3]; raw.len()], vec![[0f32; 3]; raw.len()]);
 //! let out = SmoothedMut::new().with_points(&mut points).with_normals(&mut normals);
 //! smoother.smooth_into(DepthView::new(&raw, &camera)?, out)?;
@@ -21,26 +33,24 @@
 //! # }
 //! ```
 //!
-//! A general cloud:
+//! [`DepthView`] and [`PointsView`] borrow what other programs hold; [`DepthFrame`], [`OrganizedCloud`] and [`PointCloud`] own it.
 //!
-//! ```
-//! use planish::{Engine, PointsView, SmoothParams, Smoothed, Smoother};
+//! # Features
+//! | feature | default | adds |
+//! |---|---|---|
+//! | `gpu` | yes | the GPU engine, through wgpu |
+//! | `reference` | yes | the f64 engine that defines the results of the others |
+//! | `io` | yes | `io`: point clouds, depth images, cameras, settings files |
+//! | `npz`, `tiff`, `scans` | yes | NumPy archives; TIFF; LAS, LAZ, E57 and clouds larger than memory |
+//! | `stream` | yes | `source`, `stream`, `rig`: cameras, recordings, the live loop, several cameras |
+//! | `simulate`, `evaluate` | yes | frames with known truth; measures and pictures of surfaces |
+//! | `ros`, `mcap` | no | ROS 2 messages; recordings in MCAP |
+//! | `mcap-compression` | no | compressed chunks in MCAP recordings that are written (zstd and LZ4 in C) |
+//! | `rerun` | no | a sink for the Rerun viewer; some 400 crates |
+//! | `webgpu`, `wgpu-interop` | no | kernels as data; the GPU engine on a `wgpu::Device` of the caller's |
+//! | `serde` | with `io` | [`Settings`] and adapters as JSON or YAML |
 //!
-//! # fn main() -> Result<(), planish::Error> {
-//! # let points: Vec<[f32; 3]> = (0..900).map(|i| [0.01 * (i % 30) as f32, 0.01 * (i / 30) as f32, 2.0]).collect();
-//! // let points: Vec<[f32; 3]> = ...
-//! let mut smoother = Smoother::open(SmoothParams::general(), Engine::Auto, None)?;
-//! let mut smoothed = Smoothed::default();
-//! smoother.smooth(PointsView::from_rows(&points)?, &mut smoothed)?;
-//! println!("{} points, the first at {:?}", smoothed.points.len(), smoothed.points.get(0));
-//! # assert!((smoothed.points.z[0] - 2.0).abs() < 1e-6);
-//! # Ok(())
-//! # }
-//! ```
-//!
-//! With the feature `io`, the module `io` reads and writes files; with `stream`, `source` and `stream` smooth frames as they
-//! come; with `simulate`, `simulate` makes frames with known truth; with `evaluate`, `evaluate` measures how good a surface is.
-//! What is computed is in the project's `docs/method.md`; comments that name a section mean that page.
+//! The method is defined in the project's `docs/method.md`; comments that name a section refer to that page.
 
 #![deny(
     clippy::unwrap_used,

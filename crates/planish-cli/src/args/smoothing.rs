@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use planish::rig::{merged_params, merged_params_in_voxels};
 use planish::{CloudParams, Edges, Engine, FleetDevice, Outputs, ParamError, SettingValue, Settings, SmootherOptions};
@@ -167,6 +167,7 @@ impl GpusArgs {
         if let Some(list) = &self.gpus {
             settings.set("devices", list.as_str()).map_err(by_option)?;
             settings.validate().map_err(by_option)?;
+            FleetDevice::parse_list(list).with_context(|| format!("--gpus {list}"))?;
         }
         Ok(settings)
     }
@@ -177,7 +178,7 @@ impl GpusArgs {
         if !matches!(engine, Engine::Auto | Engine::Gpu) {
             bail!("--gpus names the devices: leave --engine {} out", engine.name());
         }
-        Ok(FleetDevice::parse_list(list)?)
+        FleetDevice::parse_list(list).with_context(|| format!("--gpus {list}"))
     }
 }
 

@@ -16,7 +16,7 @@ use planish::render::{difference_normals, error_map, normals_of, side_by_side};
 use planish::simulate::DepthNoise;
 use planish::{
     AttributeValues, CloudParams, DepthFrame, Error, FrameParams, IntoFrame, Outputs, Params, PointCloud, PointsView,
-    Session, Smoothed, Smoother, Strength, Xyz,
+    SensorModel, Session, Smoothed, Smoother, Strength, Xyz,
 };
 use planish_bench::{errln, out, outln};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
@@ -164,6 +164,11 @@ fn general_params(args: &EvaluateArgs, what: &str) -> Result<CloudParams> {
     settings.cloud_params().map_err(by_option).with_context(|| what.to_owned())
 }
 
+/// The sensor of the simulated frames.
+fn sensor_of(args: &EvaluateArgs) -> Result<SensorModel> {
+    args.smoothing.settings()?.known_sensor().context("--sensor auto: simulated frames are those of a sensor: name one")
+}
+
 /// The normals that a cloud came with.
 fn normals_field(cloud: &PointCloud) -> Option<Xyz> {
     let [x, y, z] = ["normal_x", "normal_y", "normal_z"].map(|name| match &cloud.attribute(name)?.values {
@@ -183,7 +188,7 @@ fn moved_to_origin(cloud: &PointCloud, origin_m: [f64; 3]) -> Xyz {
 
 /// Simulated frames against their truth.
 fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
-    let noise = DepthNoise::of_sensor(&args.smoothing.settings()?.frame_params().map_err(by_option)?.sensor);
+    let noise = DepthNoise::of_sensor(&sensor_of(args)?);
     let suite = Suite { noise, ..Suite::default() };
     let seeds = match args.seed {
         Some(seed) => seed..=seed,
@@ -322,8 +327,7 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
         Ok(Method { name, is_general, smoother, smoothed, evaluation, times_ms: Vec::new() })
     };
     if args.general {
-        let sensor = settings.frame_params().map_err(by_option)?.sensor;
-        let on_grid = FrameParams::for_sensor(sensor, Strength::DEFAULT);
+        let on_grid = FrameParams::for_sensor(sensor_of(args)?, Strength::DEFAULT);
         let clouds = general_params(args, "without their grid")?;
         return Ok(vec![method("on the grid", on_grid.into())?, method("smoothed", clouds.into())?]);
     }

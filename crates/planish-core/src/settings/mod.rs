@@ -253,14 +253,10 @@ impl Settings {
             let params = self.cloud_params()?.into();
             return Ok(Resolved { params, floating_sensor: None, unused: self.unused_by_clouds() });
         }
-        let sensor = match self.sensor {
-            Some(SensorChoice::Auto) => SensorModel::estimate_from(frame).ok_or_else(|| {
-                let allowed = "a sensor by name, as kinect1: this frame has too few depths to estimate one from";
-                ParamError { field: "sensor", value: "auto".into(), allowed }
-            })?,
-            Some(SensorChoice::Known(sensor)) => sensor,
-            None => SensorModel::KINECT_V1,
-        };
+        let sensor = self.known_sensor().or_else(|| SensorModel::estimate_from(frame)).ok_or_else(|| {
+            let allowed = "a sensor by name, as kinect1: this frame has too few depths to estimate one from";
+            ParamError { field: "sensor", value: "auto".into(), allowed }
+        })?;
         let params = self.checked_frame_params(sensor)?.into();
         let floating_sensor = Some(sensor).filter(|_| self.remove_floating == Some(true));
         Ok(Resolved { params, floating_sensor, unused: self.unused_by_frames() })
@@ -272,15 +268,12 @@ impl Settings {
     /// If settings contradict each other, or the sensor is to be estimated.
     pub fn frame_params(&self) -> Result<FrameParams, ParamError> {
         self.validate()?;
-        match self.sensor {
-            Some(SensorChoice::Auto) => {
-                let allowed = "a sensor by name: there is no frame yet to estimate one from (`planish info` reports the \
-                               nearest sensor of a frame)";
-                Err(ParamError { field: "sensor", value: "auto".into(), allowed })
-            }
-            Some(SensorChoice::Known(sensor)) => self.checked_frame_params(sensor),
-            None => self.checked_frame_params(SensorModel::KINECT_V1),
-        }
+        let sensor = self.known_sensor().ok_or_else(|| {
+            let allowed = "a sensor by name: there is no frame yet to estimate one from (`planish info` reports the nearest \
+                           sensor of a frame)";
+            ParamError { field: "sensor", value: "auto".into(), allowed }
+        })?;
+        self.checked_frame_params(sensor)
     }
 
     /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor.
@@ -317,12 +310,16 @@ impl Settings {
     /// Returns the sensor whose noise decides which pixels float, if those are to be removed and the sensor is not to be
     /// estimated.
     pub fn frame_floating_sensor(&self) -> Option<SensorModel> {
-        let sensor = match self.sensor {
+        self.known_sensor().filter(|_| self.remove_floating == Some(true))
+    }
+
+    /// Returns the sensor; `None` if it is to be estimated.
+    pub fn known_sensor(&self) -> Option<SensorModel> {
+        match self.sensor {
             Some(SensorChoice::Auto) => None,
             Some(SensorChoice::Known(sensor)) => Some(sensor),
             None => Some(SensorModel::KINECT_V1),
-        };
-        sensor.filter(|_| self.remove_floating == Some(true))
+        }
     }
 
     /// Returns the engine.

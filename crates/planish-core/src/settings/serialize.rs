@@ -83,6 +83,10 @@ impl<'de> Deserialize<'de> for Settings {
                 Ok(Settings::default())
             }
 
+            fn visit_none<E>(self) -> Result<Settings, E> {
+                Ok(Settings::default())
+            }
+
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Settings, A::Error> {
                 let (mut settings, mut seen) = (Settings::default(), Vec::<String>::new());
                 while let Some(name) = map.next_key::<String>()? {

@@ -25,7 +25,7 @@ use remarks::{GRID_INFOS, Remarks, left_out, remarks_of};
 
 use super::columns::{EXACT_INTEGERS, cloud_from_columns, columns_from_cloud, with_values};
 use super::{CloudRef, Encoding, Gridded, ReadOptions, brief, quoted, text};
-use planish_core::{Attribute, AttributeValues, FormatError, MAX_PIXELS, PointCloud, Provenance, SensorPose};
+use planish_core::{Attribute, AttributeValues, FormatError, MAX_PIXELS, PointCloud, SensorPose};
 
 /// A vertex or grid cell as it is read: its values in the order of the properties.
 #[derive(Default)]
@@ -94,7 +94,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     rename_normals(&mut columns);
     let mut points = cloud_from_columns(columns)?;
     points.pose = camera.pose.unwrap_or_default();
-    points.provenance = Provenance::new(remarks_of(&header));
+    points.provenance = remarks_of(&header).into_provenance();
     notes.extend(left_out(&header));
     Ok(Gridded { width, height, points })
 }

@@ -3,6 +3,7 @@
 use ply_rs_bw::ply::Header;
 
 use super::super::brief;
+use planish_core::Provenance;
 
 /// Lines of the header of a PLY file, without those that state a grid.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -14,6 +15,13 @@ pub(super) struct Remarks {
 /// What is read of a file, or stated anew.
 const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
 pub(super) const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
+
+impl Remarks {
+    /// Returns what a cloud carries of them; nothing if there are none.
+    pub(super) fn into_provenance(self) -> Provenance {
+        if self == Self::default() { Provenance::default() } else { Provenance::new(self) }
+    }
+}
 
 /// What is said of elements that are not kept.
 pub(super) fn left_out(header: &Header) -> Option<String> {
