@@ -11,6 +11,8 @@ export type Call =
   | { method: "picture"; frame: Frame; side: Side; kind: PictureKind; camera: CameraLike | undefined }
   | { method: "cloud"; frame: Frame; side: Side; kind: PictureKind; camera: CameraLike | undefined }
   | { method: "write"; result: Result; format: string; camera: CameraLike | undefined }
+  | { method: "readSettings"; text: string }
+  | { method: "writeSettings"; settings: Settings }
   | { method: "release"; held: (Frame | Result)[] };
 
 export interface Reply {

@@ -80,15 +80,56 @@ function defaultEdges(): void {
   control("edges").checked = frame?.kind !== "general" && control("preset").value !== "paper";
 }
 
+/** Settings of a file for which the page has no control. */
+let others: Settings = {};
+
 function settings(): Settings {
   const [preset, sensor, samples] = [control("preset").value, control("sensor").value, control("window").value];
   const isGrid = frame?.kind !== "general";
   return {
+    ...others,
     ...(preset ? { preset: preset as NonNullable<Settings["preset"]> } : isGrid ? { strength: Number(control("strength").value) } : {}),
     ...(isGrid && sensor ? { sensor } : {}),
     ...(isGrid && samples ? { window: Number(samples) } : {}),
     edges: control("edges").checked ? "robust" : "off",
   };
+}
+
+/** Downloads bytes or text as a file. */
+function download(content: BlobPart, fileName: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([content]));
+  link.download = fileName;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+async function saveSettings(): Promise<void> {
+  try {
+    download(await ask<string>({ method: "writeSettings", settings: settings() }), "planish-settings.json");
+  } catch (error) {
+    fail(error);
+  }
+}
+
+/** Takes the settings of a file: into the controls where there is one, the others as they are. */
+async function openSettings(file: File | undefined): Promise<void> {
+  if (!file) return;
+  try {
+    const { preset, strength, sensor, window: samples, edges, ...rest } = await ask<Settings>({ method: "readSettings", text: await file.text() });
+    const isNamed = sensor === undefined || typeof sensor === "string";
+    others = { ...rest, ...(isNamed ? {} : { sensor }) };
+    control("preset").value = strength === undefined ? (preset ?? "default") : "";
+    if (strength !== undefined) control("strength").value = String(strength);
+    control("sensor").value = isNamed ? (sensor ?? "kinect1") : "";
+    control("window").value = samples === undefined ? "" : String(samples);
+    if (samples !== undefined && control("window").value === "") others = { ...others, window: samples };
+    if (edges === undefined) defaultEdges();
+    else control("edges").checked = edges === "robust";
+    await update();
+  } catch (error) {
+    fail(new Error(`${file.name}: ${error instanceof Error ? error.message : String(error)}`));
+  }
 }
 
 const CAMERA_FIELDS = ["fx", "fy", "cx", "cy", "depthUnitsPerMetre"] as const;
@@ -283,11 +324,7 @@ async function save(format: string): Promise<void> {
   if (!result) return;
   try {
     const bytes = await ask<Uint8Array<ArrayBuffer>>({ method: "write", result, format, camera: camera() });
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([bytes]));
-    link.download = `${name.replace(/\.[^.]*$/, "")}-smoothed.${format}`;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    download(bytes, `${name.replace(/\.[^.]*$/, "")}-smoothed.${format}`);
   } catch (error) {
     fail(error);
   }
@@ -304,12 +341,14 @@ function listen(): void {
       void update();
     }
   });
-  for (const selector of ["#file", "#camera-file"]) {
+  for (const selector of ["#file", "#camera-file", "#settings-file"]) {
     // So that the same file, changed or not, can be chosen again.
     find(selector).addEventListener("click", ({ target }) => ((target as HTMLInputElement).value = ""));
   }
   find("#file").addEventListener("change", ({ target }) => void openFiles((target as HTMLInputElement).files));
   find("#camera-file").addEventListener("change", ({ target }) => void openCamera((target as HTMLInputElement).files?.[0]));
+  find("#settings-file").addEventListener("change", ({ target }) => void openSettings((target as HTMLInputElement).files?.[0]));
+  find("#save-settings").addEventListener("click", () => void saveSettings());
   find("#sample").addEventListener("click", () => {
     seed += 1;
     void take(() => ask<Frame>({ method: "simulate", seed }), "simulated");

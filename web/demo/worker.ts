@@ -26,6 +26,10 @@ async function answer(call: Call): Promise<unknown> {
       return engine.cloud(call.frame, call.side, call.kind, call.camera);
     case "write":
       return engine.write(call.result, call.format, call.camera);
+    case "readSettings":
+      return engine.readSettings(call.text);
+    case "writeSettings":
+      return engine.writeSettings(call.settings);
     case "release":
       return engine.release(...call.held);
   }

@@ -45,6 +45,15 @@ test("a plane with noise comes out flatter, holes stay holes", async () => {
   assert.ok(normals[3 * 5000 + 2] < -0.99);
 });
 
+test("settings files are the command's and Python's", async () => {
+  const settings = planish.readSettings("preset: strong\nedges: off\nradius_m: 0.05\n");
+  assert.deepEqual({ ...settings, radiusM: Math.round(1000 * settings.radiusM) }, { preset: "strong", edges: "off", radiusM: 50 });
+  const written = planish.writeSettings({ preset: "light", averageBlocks: false, bandwidthM: 0.5 });
+  assert.deepEqual(JSON.parse(written), { preset: "light", average_blocks: false, bandwidth_m: 0.5 });
+  assert.deepEqual(planish.readSettings(written), { preset: "light", averageBlocks: false, bandwidthM: 0.5 });
+  assert.throws(() => planish.readSettings("window: 9"), /window = 9 is not allowed: 1 to 7/);
+});
+
 test("what is wrong is said in words", async () => {
   const frame = planish.simulate(1, ...SHAPE);
   const said = (work) => assert.rejects(async () => work(), PlanishError);

@@ -2,6 +2,7 @@
 //! it is timed. The command converts arguments and calls this.
 
 mod connectivity;
+mod document;
 mod engines;
 mod experiment;
 mod frames;
@@ -24,11 +25,12 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, bail};
 use planish::Engine;
 
+use document::Document;
 use experiment::Bench;
 pub use frames::{Input, simulated_inputs};
 pub use general::{GeneralOptions, run as run_general};
 pub use gpu::{GpuOptions as GpuBenchOptions, run as run_gpu};
-use record::{Document, Origin};
+use record::Origin;
 pub use rig::{RigBenchOptions, run as run_rig};
 use section::Section;
 

@@ -1,17 +1,11 @@
-//! Where results come from, and their block in a document: the machine, the build, the command, every section.
+//! Where results come from: the machine, the build, the command.
 
-use std::fmt::Write;
 use std::fs;
-use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::Options;
-use anyhow::{Context, Result, bail};
-use planish::io::write_whole;
 use planish::{SimdLevel, gpu_adapters};
 use serde::Serialize;
-
-use super::section::Section;
 
 /// What the results depend on beside the frames.
 #[derive(Serialize)]
@@ -87,108 +81,4 @@ fn cpu() -> String {
 fn line_after(file: &str, key: &str) -> Option<String> {
     let text = fs::read_to_string(file).ok()?;
     text.lines().find_map(|line| line.strip_prefix(key)).map(|rest| rest.trim().to_owned())
-}
-
-/// A document with a block that is to be replaced.
-pub struct Document {
-    path: PathBuf,
-    /// What marks its first line, and its last.
-    marks: [String; 2],
-    /// From the document to the folder with the figures.
-    folder: String,
-}
-
-impl Document {
-    /// Looks whether the block is there: done before anything is measured, so that nothing is measured in vain.
-    pub fn open(path: &Path, folder: &Path) -> Result<Self> {
-        let absolute = |path: &Path| std::path::absolute(path).with_context(|| path.display().to_string());
-        let (whole_path, whole_folder) = (absolute(path)?, absolute(folder)?);
-        let below = whole_path.parent().and_then(|parent| whole_folder.strip_prefix(parent).ok());
-        let (Some(below), Some(name)) = (below, folder.file_name()) else {
-            bail!(
-                "--out {}: must lie below the folder of {}, which shows its figures",
-                folder.display(),
-                path.display()
-            );
-        };
-        // Links have slashes on every system, and no spaces.
-        let parts = below.components().map(|part| part.as_os_str().to_string_lossy().replace(' ', "%20") + "/");
-        let name = name.to_string_lossy();
-        let marks = [format!("<!-- planish bench {name} -->"), format!("<!-- end of planish bench {name} -->")];
-        let document = Self { path: path.to_owned(), marks, folder: parts.collect() };
-        document.around()?;
-        Ok(document)
-    }
-
-    /// The text before the block and after it, with the lines that mark it.
-    fn around(&self) -> Result<[String; 2]> {
-        let text = fs::read_to_string(&self.path).with_context(|| self.path.display().to_string())?;
-        let [start, end] = &self.marks;
-        let places = |mark: &str| text.match_indices(mark).map(|(at, _)| at).collect::<Vec<_>>();
-        match (&places(start)[..], &places(end)[..]) {
-            (&[from], &[to]) if from < to => {
-                let from = from + start.len();
-                Ok([text[..from].to_owned(), text[to..].to_owned()])
-            }
-            _ => bail!("{}: no block for these results; add the lines, once\n{start}\n{end}", self.path.display()),
-        }
-    }
-
-    /// Writes the document, as it is by now, with a new block.
-    pub fn update(&self, origin: &Origin, sections: &[Section]) -> Result<()> {
-        let [mut text, after] = self.around()?;
-        write!(text, "\n\n{}", origin.markdown())?;
-        for section in sections {
-            // A section of the block is one of its machine's.
-            write!(text, "\n{}", section.markdown(&self.folder).replacen("## ", "### ", 1))?;
-        }
-        write!(text, "\n{after}")?;
-        write_whole(&self.path, text.as_bytes()).with_context(|| self.path.display().to_string())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_block_is_replaced_and_the_rest_stays() {
-        let folder = tempfile::tempdir().unwrap();
-        let (file, out) = (folder.path().join("B.md"), folder.path().join("docs/one"));
-        let marked =
-            |inside: &str| format!("a\n<!-- planish bench one -->\n{inside}<!-- end of planish bench one -->\nz\n");
-        fs::write(&file, marked("old\n")).unwrap();
-        let mut section = Section::new("speedup", "Speedup");
-        section.svg("plot.svg", "a plot", String::new());
-        for _ in 0..2 {
-            Document::open(&file, &out)
-                .unwrap()
-                .update(&Origin::here(&Options::default()), std::slice::from_ref(&section))
-                .unwrap();
-        }
-        let text = fs::read_to_string(&file).unwrap();
-        assert!(text.starts_with("a\n<!-- planish bench one -->\n\n`planish"), "{text}");
-        assert!(text.ends_with("\n<!-- end of planish bench one -->\nz\n") && !text.contains("old"), "{text}");
-        assert_eq!(text.matches("\n### Speedup\n").count(), 1);
-        assert!(text.contains("![a plot](docs/one/plot.svg)"), "{text}");
-    }
-
-    #[test]
-    fn a_document_without_the_block_is_refused_with_what_it_lacks() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("B.md");
-        fs::write(&file, "<!-- end of planish bench one -->\n<!-- planish bench one -->\n").unwrap();
-        let error = Document::open(&file, &folder.path().join("docs/one")).err().unwrap().to_string();
-        assert!(error.contains("B.md") && error.contains("<!-- planish bench one -->"), "{error}");
-        // Twice is as bad as not at all.
-        let block = "<!-- planish bench one -->\r\n<!-- end of planish bench one -->\r\n";
-        fs::write(&file, block.repeat(2)).unwrap();
-        assert!(Document::open(&file, &folder.path().join("one")).is_err());
-        fs::write(&file, block).unwrap();
-        assert!(Document::open(&file, &folder.path().join("one")).is_ok());
-        for elsewhere in [folder.path(), Path::new("/"), Path::new("one")] {
-            let error = Document::open(&file, elsewhere).err().map(|error| error.to_string());
-            assert!(error.is_some_and(|error| !error.is_empty()), "{}", elsewhere.display());
-        }
-    }
 }

@@ -50,9 +50,8 @@ use std::path::Path;
 use planish_core::{Camera, DepthFrame, DepthImage, FormatError, IoError, OrganizedCloud, PointCloud};
 
 pub use self::format::{Format, WRITTEN};
-use atomic_write::AtomicFile;
 #[cfg(feature = "scans")]
-use atomic_write::{Temporary, folder_of};
+use atomic_write::{AtomicFile, Temporary, folder_of};
 pub use atomic_write::{remove_temporaries, write_whole};
 pub use camera_file::{camera_to_json, parse_camera, read_camera, unknown_camera_key};
 #[cfg(feature = "scans")]

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -417,3 +418,22 @@ def test_settings_that_change_nothing_for_a_general_cloud_are_said_once() -> Non
             warnings.simplefilter("error")
             smoother.smooth(points)
             planish.smooth(points, neighbours=20, edges="robust", degree=1, engine="cpu")
+
+
+def test_settings_of_a_file_are_keyword_arguments(tmp_path: Path) -> None:
+    frame = planish.simulate("table")
+    file = tmp_path / "wall.yaml"
+    file.write_text("preset: strong\nedges: off\nradius_m: 0.05\n")
+    settings = planish.read_settings(file)
+    assert settings["preset"] == "strong" and settings["edges"] == "off"
+    given = planish.smooth(frame.depth, frame.camera, engine="cpu", preset="strong", edges="off", radius=0.05)
+    read = planish.smooth(frame.depth, frame.camera, engine="cpu", **settings)
+    assert np.array_equal(given.points, read.points, equal_nan=True)
+    written = tmp_path / "again.json"
+    planish.write_settings(written, settings)
+    assert planish.read_settings(written) == settings
+    file.write_text("window: 9")
+    with pytest.raises(ValueError, match=r"wall\.yaml.*window = 9 is not allowed: 1 to 7"):
+        planish.read_settings(file)
+    with pytest.raises(ValueError, match="1 to 7"):
+        planish.write_settings(written, {"window": 9})

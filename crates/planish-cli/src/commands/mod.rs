@@ -12,6 +12,8 @@ pub mod record;
 pub mod render;
 pub mod rig;
 pub mod smooth;
+mod sources;
+mod status_line;
 pub mod stream;
 
 use std::path::Path;
@@ -22,7 +24,19 @@ use planish::OrganizedCloud;
 use planish::io::Contents;
 use planish::{Camera, DepthFrame, DepthView, Error, PointsView, RangeRule};
 
-use crate::args::CameraArgs;
+use crate::args::{CameraArgs, StreamArgs};
+use crate::exit::ExitCode;
+
+/// Streams a source, or a rig.
+pub fn stream(args: &StreamArgs) -> Result<ExitCode> {
+    if args.format.is_some() && args.save.is_none() && args.save_cameras.is_none() {
+        bail!("--format says what --save writes: give a folder to save into");
+    }
+    match &args.rig {
+        Some(rig) => rig::stream(args, rig),
+        None => stream::run(args),
+    }
+}
 
 /// Milliseconds since `start`.
 fn ms_since(start: Instant) -> f64 {

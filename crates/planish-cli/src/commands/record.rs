@@ -11,7 +11,7 @@ use planish::source::{OwnedFrame, TumRecorder};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::stream::open_source;
+use super::sources::open_source;
 use crate::args::RecordArgs;
 use crate::signals::stop_by;
 

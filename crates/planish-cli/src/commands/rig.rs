@@ -23,7 +23,8 @@ use planish_bench::{errln, out, outln};
 use serde::Serialize;
 
 use super::checks::is_mcap;
-use super::stream::{StatusLine, WithoutFloating, ms, open_named};
+use super::sources::{WithoutFloating, open_named};
+use super::status_line::{StatusLine, ms};
 use crate::args::{EvaluateArgs, LimitArgs, RigArgs, StreamArgs, by_option, by_option_of_error, option_of, outputs_of};
 use crate::exit::ExitCode;
 use crate::signals::stop_by;

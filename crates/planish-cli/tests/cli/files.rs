@@ -495,3 +495,24 @@ fn a_ply_described_in_parts_is_described_as_whole() {
     fs::write(&file, header.to_owned() + &"1 ".repeat(400_000)).unwrap();
     assert!(refused(&["info", str(&file), "--max-memory", "500K"]).contains("65536 bytes"));
 }
+
+#[test]
+fn settings_come_from_a_file_and_options_override_them() {
+    let (folder, _, path) = with_frame();
+    let [file, by_file, by_options] = ["wall.yaml", "file.pcd", "options.pcd"].map(|name| folder.path().join(name));
+    let smooth = |output: &Path, more: &[&str]| {
+        ok(&[&["smooth", str(&path), str(output), "--engine", "cpu"], more].concat());
+        fs::read(output).unwrap()
+    };
+    fs::write(&file, "preset: light\nedges: off\nradius_m: 0.05\n").unwrap();
+    let options = ["--preset", "light", "--edges", "off", "--radius", "0.05"];
+    assert!(smooth(&by_file, &["--settings", str(&file)]) == smooth(&by_options, &options));
+    // A strength replaces the file's preset, and options win over its values.
+    let given = smooth(&by_file, &["--settings", str(&file), "--strength", "1", "--edges", "robust"]);
+    assert!(given == smooth(&by_options, &["--strength", "1", "--edges", "robust", "--radius", "0.05"]));
+    for (text, said) in [("window: 9", "window = 9"), ("speed: 2", "speed"), ("[1]", "settings"), ("{", "settings")] {
+        fs::write(&file, text).unwrap();
+        let stderr = refused(&["smooth", str(&path), str(&by_file), "--settings", str(&file)]);
+        assert!(stderr.contains("wall.yaml") && stderr.contains(said), "{stderr}");
+    }
+}

@@ -4,40 +4,14 @@
 
 use glam::DVec3;
 
+use super::range_rule::{FrameGeometry, RangeRule};
 use super::sample::{
     CLEARLY_LESS, Extent, GeometryScratch, LAG_PX, MAX_TURNED, NeighbourPair, Sample, quantile, spread,
 };
 use super::{Frame, PointsView};
 use crate::cloud::OrganizedCloud;
-use crate::params::Project;
 use crate::pose::RigidTransform;
 
-/// How ranges are measured in a frame, and how far apart its pixels are.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub enum RangeRule {
-    /// The grid is a camera's: the range is the depth along its axis.
-    Depth {
-        /// 1/fx: metres between neighbouring pixels at a depth of 1 m. `None` if no two neighbours are valid.
-        pitch_at_1m: Option<f64>,
-    },
-    /// The grid is another sensor's: the range is the distance from it.
-    Distance {
-        /// Metres between neighbouring pixels at a distance of 1 m, of rows or columns, whichever are farther apart.
-        pitch_at_1m: f64,
-    },
-    /// It is not known where the sensor stood: every point has the range at which pixels of a Kinect v1 are as far apart as
-    /// these points are.
-    Constant {
-        /// Metres between neighbouring points.
-        spacing_m: f64,
-    },
-}
-
-/// The focal length of a Kinect v1 in pixels: what is assumed where nothing is known.
-const KINECT_FOCAL_LENGTH_PX: f64 = 525.0;
-/// Sensor models end here: where the range is unknown, none larger than this is assumed.
-const MAX_ASSUMED_RANGE_M: f64 = 5.0;
 /// Angles of this spread are the same, lenses and scanners being what they are: a factor of 1.6.
 const SMALL_SPREAD: f64 = 0.5;
 /// An unknown sensor may be assumed at the origin of coordinates that is at most so many extents of the cloud away.
@@ -52,30 +26,6 @@ const SURFACE_RATIOS: [f64; 2] = [2.4, 4.2];
 const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
 /// General clouds are judged by no more points than this.
 const GENERAL_SAMPLE: usize = 4096;
-
-impl RangeRule {
-    /// Metres between neighbouring pixels at a range of 1 m; that of a Kinect v1 where it is not known.
-    pub fn pitch_at_1m(&self) -> f64 {
-        self.known_pitch_at_1m().unwrap_or(1.0 / KINECT_FOCAL_LENGTH_PX)
-    }
-
-    /// The same, but `None` where it can only be guessed.
-    pub(crate) fn known_pitch_at_1m(&self) -> Option<f64> {
-        match *self {
-            Self::Depth { pitch_at_1m } => pitch_at_1m,
-            Self::Distance { pitch_at_1m } => Some(pitch_at_1m),
-            Self::Constant { .. } => None,
-        }
-    }
-}
-
-/// What an engine must know of a frame beside its samples.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct FrameGeometry {
-    /// `None` where the cloud's frame is the sensor's.
-    pub(crate) cloud_from_sensor: Option<RigidTransform>,
-    pub(crate) rule: RangeRule,
-}
 
 impl FrameGeometry {
     /// Of a frame for an engine that needs to know ranges, or not.
@@ -154,35 +104,6 @@ impl FrameGeometry {
         let origin = (to_origin_m <= MAX_EXTENTS * extent.radius_m).then(|| assumed.sensor_position());
         Self::new(extent.sensor_beside(origin), RangeRule::Constant { spacing_m })
     }
-
-    fn new(transform: RigidTransform, rule: RangeRule) -> Self {
-        Self { cloud_from_sensor: (!transform.is_identity()).then_some(transform), rule }
-    }
-
-    /// Where the sensor stands in the cloud's frame.
-    pub(crate) fn sensor_position(&self) -> DVec3 {
-        self.cloud_from_sensor.map_or(DVec3::ZERO, |transform| transform.translation)
-    }
-
-    /// The unit vector along which the sensor looks, in the cloud's frame.
-    pub(crate) fn sensor_axis(&self) -> DVec3 {
-        self.cloud_from_sensor.map_or(DVec3::Z, |transform| transform.rotation.z_axis)
-    }
-
-    /// Whether points move along their rays (docs/method.md, section 7): if asked to, and if it is known where the sensor stands.
-    pub(crate) fn is_on_rays(&self, project: Project) -> bool {
-        project == Project::Ray && !matches!(self.rule, RangeRule::Constant { .. })
-    }
-
-    /// The range of a point in the sensor's frame.
-    pub(crate) fn range_m(&self, point_in_sensor: DVec3) -> f64 {
-        match self.rule {
-            RangeRule::Depth { .. } => point_in_sensor.z.abs(),
-            RangeRule::Distance { .. } => point_in_sensor.length(),
-            RangeRule::Constant { spacing_m } if point_in_sensor.is_finite() => assumed_range_m(spacing_m),
-            RangeRule::Constant { .. } => f64::NAN,
-        }
-    }
 }
 
 /// Where the sensor is taken to have stood whose pose a general cloud does not state, if it cannot have been the origin of coordinates.
@@ -237,9 +158,37 @@ pub fn assumed_sensor_of_sample(sample: &[[f64; 3]]) -> Option<[f64; 3]> {
     assumed_sensor(&mut sample, DVec3::ZERO).map(|transform| transform.translation.to_array())
 }
 
-/// The range at which sensor models are evaluated where it is not known.
-pub(crate) fn assumed_range_m(spacing_m: f64) -> f64 {
-    (KINECT_FOCAL_LENGTH_PX * spacing_m).min(MAX_ASSUMED_RANGE_M)
+impl PointsView<'_> {
+    /// How ranges are measured in this frame, and how far apart its pixels are (docs/method.md, section 11).
+    pub fn range_rule(&self) -> RangeRule {
+        self.geometry(&mut GeometryScratch::default()).rule
+    }
+
+    /// Where the sensor of a general cloud is taken to have stood, in the frame of the file, if the cloud does not state it and it cannot have been
+    /// the origin of coordinates; else `None` (docs/method.md, section 11). Normals face it.
+    pub fn assumed_sensor_m(&self) -> Option<[f64; 3]> {
+        let is_general = self.grid().is_none();
+        let assumed = is_general.then(|| assumed_transform(self, &mut GeometryScratch::default())).flatten();
+        assumed.map(|transform| (transform.translation + DVec3::from_array(self.origin_m())).to_array())
+    }
+
+    /// The range of every point in metres, NaN for holes.
+    pub fn ranges_m(&self) -> Vec<f64> {
+        let geometry = self.geometry(&mut GeometryScratch::default());
+        (0..self.len()).map(|i| geometry.range_m(self.point_in_sensor(i, &geometry))).collect()
+    }
+
+    pub(crate) fn geometry(&self, scratch: &mut GeometryScratch) -> FrameGeometry {
+        FrameGeometry::of_points(self, true, scratch)
+    }
+
+    /// Point `i` in the sensor's frame.
+    pub(crate) fn point_in_sensor(&self, i: usize, geometry: &FrameGeometry) -> DVec3 {
+        match geometry.cloud_from_sensor {
+            None => self.point(i),
+            Some(transform) => transform.to_sensor(self.point(i)),
+        }
+    }
 }
 
 impl OrganizedCloud {

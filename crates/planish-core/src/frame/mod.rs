@@ -4,6 +4,7 @@ mod depth_view;
 mod geometry;
 mod owned;
 mod points_view;
+mod range_rule;
 mod sample;
 
 use crate::camera::Camera;
@@ -13,11 +14,11 @@ use crate::xyz::validate_shape;
 
 pub(crate) use depth_view::DepthSamples;
 pub use depth_view::DepthView;
-pub use geometry::RangeRule;
-pub(crate) use geometry::{FrameGeometry, assumed_range_m};
 pub use geometry::{assumed_sensor_of_sample, sampling_step};
 pub use owned::OwnedFrame;
 pub use points_view::{PointLayout, PointsView, Scalar};
+pub use range_rule::RangeRule;
+pub(crate) use range_rule::{FrameGeometry, assumed_range_m};
 pub(crate) use sample::GeometryScratch;
 
 /// A 16-bit depth image, row by row, without the camera that took it. 0 and 65535 are holes.

@@ -5,8 +5,6 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::check_rows;
-use super::geometry::{FrameGeometry, RangeRule, assumed_transform};
-use super::sample::GeometryScratch;
 use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
 use crate::error::{FrameError, ParamError};
@@ -262,29 +260,6 @@ impl<'a> PointsView<'a> {
         (0..self.len).filter(|&i| self.point(i).is_finite()).count()
     }
 
-    /// How ranges are measured in this frame, and how far apart its pixels are (docs/method.md, section 11).
-    pub fn range_rule(&self) -> RangeRule {
-        self.geometry(&mut GeometryScratch::default()).rule
-    }
-
-    /// Where the sensor of a general cloud is taken to have stood, in the frame of the file, if the cloud does not state it and it cannot have been
-    /// the origin of coordinates; else `None` (docs/method.md, section 11). Normals face it.
-    pub fn assumed_sensor_m(&self) -> Option<[f64; 3]> {
-        let is_general = self.grid.is_none();
-        let assumed = is_general.then(|| assumed_transform(self, &mut GeometryScratch::default())).flatten();
-        assumed.map(|transform| (transform.translation + self.origin_m).to_array())
-    }
-
-    /// The range of every point in metres, NaN for holes.
-    pub fn ranges_m(&self) -> Vec<f64> {
-        let geometry = self.geometry(&mut GeometryScratch::default());
-        (0..self.len).map(|i| geometry.range_m(self.point_in_sensor(i, &geometry))).collect()
-    }
-
-    pub(crate) fn geometry(&self, scratch: &mut GeometryScratch) -> FrameGeometry {
-        FrameGeometry::of_points(self, true, scratch)
-    }
-
     /// cloud_from_sensor, relative to the origin.
     pub fn transform(&self) -> RigidTransform {
         // A view with a pose that is none does not exist.
@@ -311,14 +286,6 @@ impl<'a> PointsView<'a> {
             }
         };
         point - self.subtracted_m
-    }
-
-    /// Point `i` in the sensor's frame.
-    pub(crate) fn point_in_sensor(&self, i: usize, geometry: &FrameGeometry) -> DVec3 {
-        match geometry.cloud_from_sensor {
-            None => self.point(i),
-            Some(transform) => transform.to_sensor(self.point(i)),
-        }
     }
 
     /// The planes as they are, where nothing is to be done to them.

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::PointsView;
-use super::geometry::FrameGeometry;
+use super::range_rule::FrameGeometry;
 use crate::pose::RigidTransform;
 
 /// Rows that are looked at.

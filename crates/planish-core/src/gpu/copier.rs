@@ -4,7 +4,8 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{self, JoinHandle};
 
 use super::device::GpuDevice;
-use super::engine::Flight;
+use super::flight::Flight;
+use super::view::MappedView;
 use crate::error::EngineError;
 use crate::smoothed::Smoothed;
 use crate::threads::Threads;
@@ -39,7 +40,7 @@ impl Copier {
         let work = move || {
             for job in queue {
                 let Job { flight, mut buffer, done } = *job;
-                let result = flight.land().map(|view| {
+                let result = MappedView::of(flight).map(|view| {
                     pool.install(|| view.copy_frame_to(0, &mut buffer));
                     (buffer, view.timings())
                 });

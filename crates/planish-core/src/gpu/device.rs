@@ -104,7 +104,6 @@ pub(crate) fn list() -> Vec<GpuAdapter> {
 static OPEN: Mutex<Vec<(usize, Purpose, Weak<OpenAdapter>)>> = Mutex::new(Vec::new());
 
 /// Destroys the open devices.
-
 pub(super) fn lose_open() {
     for adapter in lock(&OPEN).iter().filter_map(|(.., adapter)| adapter.upgrade()) {
         adapter.devices.iter().for_each(|device| device.device.destroy());

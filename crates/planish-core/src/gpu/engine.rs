@@ -1,14 +1,15 @@
 //! The engine: slots, frames in flight, batches.
 
 use std::collections::{HashSet, VecDeque};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
 use std::thread;
 
 use rayon::prelude::*;
 
 use super::copier::{Copied, Copier};
 use super::device::{self, GpuDevice, OpenAdapter, Purpose, lock};
+use super::flight::{Flight, FreeSlots};
 use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
 use super::slot::Slot;
@@ -29,28 +30,8 @@ pub(crate) fn adapters() -> Vec<GpuAdapter> {
 }
 
 /// Destroys the open devices, as a driver reset does, to test recovery.
-
 pub fn lose_devices() {
     device::lose_open();
-}
-
-/// Free slots; views return theirs from any thread.
-pub(super) type FreeSlots = Arc<Mutex<Vec<Slot>>>;
-
-/// A submission in progress, or whose result has not been received.
-pub(super) struct Flight {
-    pub(super) slot: Slot,
-    submission: wgpu::SubmissionIndex,
-    pub(super) free: FreeSlots,
-}
-
-impl Flight {
-    /// Waits for the result.
-    pub(super) fn land(self) -> Result<MappedView, EngineError> {
-        self.slot.gpu.wait(self.submission.clone())?;
-        self.slot.wait_mapped()?;
-        MappedView::new(self)
-    }
 }
 
 /// A submitted frame, by how its result is delivered.
@@ -202,7 +183,7 @@ impl Gpu {
         let mut landed = Vec::new();
         for _ in 0..self.options.slots {
             let slot = self.slot(layout, 1)?;
-            landed.push(self.submit_slot(slot)?.land()?);
+            landed.push(MappedView::of(self.submit_slot(slot)?)?);
         }
         Ok(())
     }
@@ -318,7 +299,7 @@ impl Gpu {
 
 impl SmoothingEngine for Gpu {
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
-        let view = self.launch(std::slice::from_ref(frame))?.land()?;
+        let view = MappedView::of(self.launch(std::slice::from_ref(frame))?)?;
         self.timings = view.timings();
         view.copy_frame_into(0, out);
         Ok(())
@@ -333,7 +314,7 @@ impl SmoothingEngine for Gpu {
             let alike = frames[done..].iter().take_while(|frame| InputKind::of(&frame.frame) == kind).count();
             // Submissions of one size use one slot.
             let count = alike.div_ceil(alike.div_ceil(most));
-            let view = self.launch(&frames[done..done + count])?.land()?;
+            let view = MappedView::of(self.launch(&frames[done..done + count])?)?;
             out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_frame_to(i, out));
             if let Some(more) = view.timings() {
                 *timings.get_or_insert_default() += more;
@@ -374,7 +355,7 @@ impl SmoothingEngine for Gpu {
         match self.pending.pop_front() {
             None => Ok(None),
             Some(Pending::InPlace(flight)) => {
-                let view = flight.land()?;
+                let view = MappedView::of(*flight)?;
                 let timings = view.timings();
                 Ok(Some(SmoothedView::in_place(Box::new(view), timings)))
             }

@@ -14,6 +14,8 @@ mod device;
 #[cfg(feature = "gpu")]
 mod engine;
 #[cfg(feature = "gpu")]
+mod flight;
+#[cfg(feature = "gpu")]
 mod general;
 mod kernel;
 mod layout;

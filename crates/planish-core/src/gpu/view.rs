@@ -1,7 +1,7 @@
 //! A result in mapped device memory, read without a copy.
 
 use super::device::lock;
-use super::engine::{Flight, FreeSlots};
+use super::flight::{Flight, FreeSlots};
 use super::layout::Layout;
 use super::results::Results;
 use super::slot::Slot;
@@ -22,7 +22,9 @@ pub(super) struct MappedView {
 }
 
 impl MappedView {
-    pub(super) fn new(flight: Flight) -> Result<Self, EngineError> {
+    /// Waits for the result of a submission.
+    pub(super) fn of(flight: Flight) -> Result<Self, EngineError> {
+        flight.wait()?;
         let Flight { slot, free, .. } = flight;
         let words = slot.readback.get_mapped_range(..).map_err(|error| slot.gpu.failed(error))?;
         let timings = slot.timings();

@@ -1,6 +1,6 @@
 //! Parameters of unorganized clouds.
 
-use super::{Edges, Fit, check, fit_setters};
+use super::fit::{Edges, Fit, check, fit_setters};
 use crate::error::ParamError;
 
 /// About how many neighbours points of unorganized clouds have by default.

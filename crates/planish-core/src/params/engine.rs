@@ -1,6 +1,9 @@
 //! The parameters as engines take them: windows are resolved, and both kinds of input have one form.
 
-use super::{CloudParams, CloudRadius, Edges, Fit, FrameParams, FrameRadius, Project, WindowSize};
+use super::cloud::{CloudParams, CloudRadius};
+use super::fit::{Edges, Fit, Project};
+use super::frame::{FrameParams, FrameRadius};
+use super::window::WindowSize;
 use crate::frame::PointsView;
 use crate::sensor::SensorModel;
 
@@ -99,6 +102,7 @@ impl EngineParams {
     }
 
     /// How many samples a window has: (2k+1)².
+    #[cfg(any(test, feature = "reference"))]
     pub(crate) fn candidates(&self) -> usize {
         let side = 2 * self.window as usize + 1;
         side * side

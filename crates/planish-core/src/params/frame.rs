@@ -1,6 +1,8 @@
 //! Parameters of frames on a grid: depth images and organized clouds.
 
-use super::{Edges, Fit, Project, SMALL_RIDGE, Strength, Window, WindowSize, check, fit_setters};
+use super::fit::{Edges, Fit, Project, SMALL_RIDGE, check, fit_setters};
+use super::strength::Strength;
+use super::window::{Window, WindowSize};
 use crate::error::ParamError;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::sensor::SensorModel;

@@ -1,6 +1,7 @@
 //! One number for how much to smooth.
 
-use super::{LIGHT_RIDGE, RIDGE, WindowSize};
+use super::fit::{LIGHT_RIDGE, RIDGE};
+use super::window::WindowSize;
 use crate::error::ParamError;
 
 /// How far and how much to smooth, from 0 to 1: windows grow in steps, the ridge steadily.

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::check;
+use super::fit::check;
 use crate::error::ParamError;
 
 /// The focal length that strides are chosen for: a Kinect v1's, in pixels.

@@ -2,19 +2,13 @@
 
 use std::sync::Arc;
 
-use super::{AnyFrame, Session};
+use super::Session;
+use super::pending::{AnyFrame, Pending};
 use crate::error::{EngineError, Error};
 use crate::fleet::SharedFrame;
 use crate::frame::IntoFrame;
 use crate::smoothed::Smoothed;
 use crate::view::SmoothedView;
-
-/// A frame in flight.
-pub(super) struct Pending {
-    /// The frame, to be smoothed again if its device is lost; `None` for one that the session does not share.
-    frame: Option<AnyFrame>,
-    is_cloud: bool,
-}
 
 impl Session {
     /// Submits a frame whose result [`receive`](Self::receive) returns, in order. If its device is lost, the frame is smoothed

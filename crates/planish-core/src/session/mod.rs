@@ -4,11 +4,11 @@
 mod event;
 mod flights;
 mod open;
+mod pending;
 mod recovery;
 mod watch;
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 use crate::engines::{ChoiceReason, Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
@@ -24,13 +24,11 @@ use crate::smoothing_engine::AdmittedFrame;
 use crate::timings::FrameTimings;
 
 pub use event::SessionEvent;
-use flights::Pending;
+pub use open::LIVE_IN_FLIGHT;
 use open::{Open, OpenFor};
+use pending::Pending;
 pub use recovery::{GpuLosses, Recovery};
 pub use watch::ProgressWatch;
-
-/// Frames of a live source in flight on a device, at most: more would wait for those before, and the newest would come late.
-pub const LIVE_IN_FLIGHT: usize = 3;
 
 /// Smooths frames and clouds of any shape, one after another or several in flight.
 ///
@@ -496,9 +494,6 @@ pub fn smooth<'a>(frame: impl IntoFrame<'a>, settings: &Settings) -> Result<Smoo
     Session::new(settings.clone())?.smooth(frame, &mut smoothed)?;
     Ok(smoothed)
 }
-
-/// A frame that several threads own, without its type.
-type AnyFrame = Arc<dyn crate::fleet::SharedFrame>;
 
 #[cfg(test)]
 mod tests;

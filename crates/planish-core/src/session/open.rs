@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{AnyFrame, LIVE_IN_FLIGHT, SessionEvent};
+use super::event::SessionEvent;
+use super::pending::AnyFrame;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::Error;
 use crate::fleet::{Fleet, FleetDevice};
@@ -11,6 +12,9 @@ use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::view::SmoothedView;
+
+/// Frames of a live source in flight on a device, at most: more would wait for those before, and the newest would come late.
+pub const LIVE_IN_FLIGHT: usize = 3;
 
 /// What an engine is open for; another frame needs another one.
 #[derive(Debug, Clone, PartialEq)]

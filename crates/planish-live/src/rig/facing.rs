@@ -3,8 +3,10 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::views::PIXELS_OF_A_TASK;
 use planish_core::{SensorModel, Xyz};
+
+/// Pixels that a thread takes at a time.
+pub(super) const PIXELS_OF_A_TASK: usize = 4096;
 
 /// Half the distance in pixels over which the side that a surface faces is told.
 const NORMAL_PX: usize = 6;

@@ -2,56 +2,19 @@
 
 use std::borrow::Cow;
 
+use super::flight::{Flight, FlightResults, RigViews, Submitted};
 use super::fused::{Part, fuse_parts, rig_from_points};
-use super::merged::Together;
 use super::smoother::CameraSmoother;
+use super::together::Together;
 use super::voxels::InVoxels;
 use super::{RigResults, RigSmoother, RigWay};
 use planish_core::{
-    Attribute, EngineError, Error, Frame, FrameError, Outputs, PointCloud, SmoothedView,
+    Attribute, EngineError, Error, Frame, Outputs, PointCloud, SmoothedView,
     internal::{RigidTransform, named_fields},
 };
 
 /// Where points are thinned: the moment that is smoothed, and the one that is brought into voxels meanwhile.
 const IN_FLIGHT_IN_VOXELS: usize = 2;
-
-/// A moment in flight.
-pub(super) struct Flight {
-    /// Of each camera that has a frame, what takes its points into the rig's frame.
-    rig_from_points: Vec<Option<RigidTransform>>,
-    results: FlightResults,
-}
-
-enum FlightResults {
-    /// Where each camera's frame is.
-    Submitted(Vec<Submitted>),
-    Landed(RigViews),
-    /// All points together, which wait to be brought into voxels.
-    Together(Box<Together>),
-    /// In voxels, which wait to be smoothed.
-    InVoxels(Box<InVoxels>),
-}
-
-impl FlightResults {
-    fn bring_into_voxels(&mut self, size_m: f64) -> Result<(), Error> {
-        match std::mem::replace(self, Self::Landed(Vec::new())) {
-            Self::Together(together) => *self = Self::InVoxels(Box::new(InVoxels::of(*together, size_m)?)),
-            other => *self = other,
-        }
-        Ok(())
-    }
-}
-
-enum Submitted {
-    /// The camera has no frame.
-    Nothing,
-    /// In its smoother.
-    Flying,
-    Refused(FrameError),
-}
-
-/// Of each camera its result, wherever that is.
-type RigViews = Vec<Option<Result<SmoothedView, FrameError>>>;
 
 /// What takes each camera's points into the rig's frame, and its result.
 type Placed = (Vec<Option<RigidTransform>>, RigViews);

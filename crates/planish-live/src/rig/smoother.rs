@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::flights::Flight;
-use super::merged::{General, Stopper};
+use super::flight::Flight;
+use super::general::{General, Stopper};
 use super::views::{Measured, View};
 use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera};
 use planish_core::{

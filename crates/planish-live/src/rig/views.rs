@@ -10,7 +10,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::facing::normals;
+use super::facing::{PIXELS_OF_A_TASK, normals};
 use planish_core::{
     Camera, Frame, FrameError, Outputs, PointsView, SensorModel, Smoothed, Status, Xyz,
     internal::{GRAZING_COSINE, RigidTransform},
@@ -29,9 +29,6 @@ const STEEPEST_PX: f32 = 2.0 * 5.67;
 /// Pixels of one smooth surface have normals less than 30° apart, and it passes no farther than this from where a tangent plane has it.
 const SAME_SURFACE_COSINE: f64 = 0.866;
 const SAME_SURFACE_M: f64 = 0.003;
-
-/// Threads take so many pixels at a time.
-pub(super) const PIXELS_OF_A_TASK: usize = 4096;
 
 /// A pixel that a sample does not fall into, or where it is not of the front.
 const NOWHERE: u32 = u32::MAX;

@@ -4,7 +4,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::fused::CAMERA_FIELD;
-use super::merged::Together;
+use super::together::Together;
 use planish_core::{
     Error, Outputs, ParamError, PointCloud, Smoothed, Smoother, Status, Xyz,
     internal::{VoxelMap, Voxels, downsample},

@@ -75,7 +75,6 @@ pub struct StreamOptions {
 /// Where the parameters of a stream come from.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-#[expect(clippy::large_enum_variant, reason = "one per stream")]
 pub enum StreamParams {
     /// Settings of a user, resolved with the first frame.
     Settings(Settings),

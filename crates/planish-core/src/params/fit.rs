@@ -1,0 +1,113 @@
+//! What frames and clouds share: how the surface is fitted, and ranges of values.
+
+use crate::error::ParamError;
+
+/// The ridge of [`FrameParams::for_sensor`](super::FrameParams::for_sensor).
+pub(super) const RIDGE: f32 = 2.5e-2;
+/// The ridge of [`Strength::LIGHT`](super::Strength::LIGHT).
+pub(super) const LIGHT_RIDGE: f32 = 1e-2;
+/// The ridge of [`FrameParams::paper`](super::FrameParams::paper) and of sensors without noise: shapes are those of the plain polynomial.
+pub(super) const SMALL_RIDGE: f32 = 1e-3;
+
+/// How the surface is fitted over the neighbours of a point, in frames and in clouds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Fit {
+    /// Highest degree of the polynomial over the plane: 1 (the plane itself) to 3.
+    pub degree: u32,
+    /// Bandwidth B of the Gaussian weight exp(-d²/B²) in metres; `None` for the radius.
+    pub bandwidth_m: Option<f32>,
+    /// Ridge lambda of the polynomial fit (docs/method.md, section 6), 1e-3 to 100: damps slopes, curvatures and third
+    /// derivatives. Small values keep the whole polynomial, large ones leave the plane.
+    pub ridge: f32,
+    /// Whether creases and steps are kept.
+    pub edges: Edges,
+}
+
+impl Fit {
+    /// The fit of the 2011 report: degree 3, hardly any ridge, edges rounded.
+    pub(super) const PAPER: Self = Self { degree: 3, bandwidth_m: None, ridge: SMALL_RIDGE, edges: Edges::Off };
+
+    /// Refuses every value outside its range.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        check("degree", self.degree, 1..=3, "1 to 3")?;
+        check("ridge", self.ridge, 1e-3..=100.0, "1e-3 to 100")?;
+        match self.bandwidth_m {
+            Some(bandwidth_m) => check("bandwidth_m", bandwidth_m, 1e-6..=1e3, "1e-6 to 1000 metres"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Implements the setters of [`Fit`]'s fields for a struct that has one.
+macro_rules! fit_setters {
+    () => {
+        /// Sets the highest degree of the polynomial, 1 to 3.
+        pub const fn with_degree(mut self, degree: u32) -> Self {
+            self.fit.degree = degree;
+            self
+        }
+
+        /// Sets the bandwidth of the weights in metres; `None` for the radius.
+        pub const fn with_bandwidth_m(mut self, bandwidth_m: Option<f32>) -> Self {
+            self.fit.bandwidth_m = bandwidth_m;
+            self
+        }
+
+        /// Sets the ridge of the polynomial fit, 1e-3 to 100.
+        pub const fn with_ridge(mut self, ridge: f32) -> Self {
+            self.fit.ridge = ridge;
+            self
+        }
+
+        /// Sets whether edges are kept.
+        pub const fn with_edges(mut self, edges: Edges) -> Self {
+            self.fit.edges = edges;
+            self
+        }
+    };
+}
+pub(super) use fit_setters;
+
+/// What becomes of creases and steps (docs/method.md, section 10).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Edges {
+    /// Every neighbour counts: the surface is rounded off within a window's reach of an edge.
+    Off,
+    /// The surface of each point is found from the planes around it, and neighbours off that surface by more than the
+    /// sensor's noise do not count: edges stay, and flat surfaces become smoother too. In unorganized clouds the noise is
+    /// that of the planes around a point.
+    Robust,
+}
+
+impl Edges {
+    /// All choices by their names in settings.
+    pub const NAMED: [(&'static str, Self); 2] = [("off", Self::Off), ("robust", Self::Robust)];
+}
+
+/// Along which line a point is moved onto the fitted surface (docs/method.md, section 7).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Project {
+    /// Along the ray on which it was measured, as depth noise acts: points stay on the rays of their pixels. Falls back to
+    /// the normal where the position of the sensor is unknown.
+    Ray,
+    /// Along the normal of its plane.
+    Normal,
+}
+
+impl Project {
+    /// All choices by their names in settings.
+    pub const NAMED: [(&'static str, Self); 2] = [("ray", Self::Ray), ("normal", Self::Normal)];
+}
+
+/// Refuses a value outside its range, NaN included.
+pub(super) fn check<T: PartialOrd + ToString>(
+    field: &'static str,
+    value: T,
+    range: std::ops::RangeInclusive<T>,
+    allowed: &'static str,
+) -> Result<(), ParamError> {
+    if range.contains(&value) { Ok(()) } else { Err(ParamError { field, value: value.to_string(), allowed }) }
+}

@@ -1,0 +1,73 @@
+//! The smoother of all points together.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use planish_core::{CloudParams, Error, FleetDevice, Progress, Smoother, SmootherOptions};
+
+/// The smoother of all points together.
+pub(super) struct General {
+    params: CloudParams,
+    /// The size of the voxels that points are thinned to; `None` for all points.
+    voxel_m: Option<f64>,
+    smoother: Option<Smoother>,
+    stopper: Stopper,
+}
+
+/// Ends the work on all points together, from another thread: on millions of points it takes seconds.
+#[derive(Clone, Default)]
+pub(super) struct Stopper(Arc<Mutex<Option<Arc<Progress>>>>);
+
+impl Stopper {
+    /// Ends the work that is under way, which becomes [`EngineError::Stopped`](planish_core::EngineError::Stopped); has no effect if there is none.
+    pub(super) fn stop(&self) {
+        if let Some(progress) = &*self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+            progress.stop();
+        }
+    }
+
+    fn watch(&self, smoother: &Smoother) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = smoother.progress();
+    }
+}
+
+impl General {
+    pub(super) fn new(params: CloudParams) -> Self {
+        Self { params, voxel_m: None, smoother: None, stopper: Stopper::default() }
+    }
+
+    pub(super) fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
+        Self { voxel_m, ..self }
+    }
+
+    pub(super) fn voxel_m(&self) -> Option<f64> {
+        self.voxel_m
+    }
+
+    pub(super) fn stopper(&self) -> Stopper {
+        self.stopper.clone()
+    }
+
+    pub(super) fn close(&mut self) {
+        self.smoother = None;
+    }
+
+    /// Opens the engine, if it is not, on the device or on that of the options.
+    pub(super) fn open(
+        &mut self,
+        options: &SmootherOptions,
+        device: Option<&FleetDevice>,
+    ) -> Result<&mut Smoother, Error> {
+        Ok(match &mut self.smoother {
+            Some(smoother) => smoother,
+            empty => {
+                let options = device.map_or_else(|| options.clone(), |device| device.options(options));
+                // Points are carried onto the voxels' tangent planes.
+                let with_normals = options.outputs.with_points(true).with_normals(true);
+                let outputs = if self.voxel_m.is_some() { with_normals } else { options.outputs };
+                let smoother = Smoother::open_clouds(self.params, &options.with_outputs(outputs))?;
+                self.stopper.watch(&smoother);
+                empty.insert(smoother)
+            }
+        })
+    }
+}
