@@ -273,6 +273,7 @@ impl<'a> PointsView<'a> {
     }
 
     /// Point `i` relative to the origin.
+    #[inline]
     pub fn point(&self, i: usize) -> DVec3 {
         let point = match self.positions {
             Positions::Planes([x, y, z]) => DVec3::new(f64::from(x[i]), f64::from(y[i]), f64::from(z[i])),

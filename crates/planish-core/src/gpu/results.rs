@@ -46,12 +46,26 @@ impl<'a> Results<'a> {
         Some(self.rows(self.layout.depth()?))
     }
 
-    pub(super) fn status(self) -> Option<impl Iterator<Item = Status>> {
-        Some(self.codes(self.layout.status()?).map(Status::of_code))
+    /// Returns rows of codes, one for each status.
+    fn status_rows(self) -> Option<impl Iterator<Item = &'a [u8]>> {
+        Some(self.rows(self.layout.status()?))
     }
 
-    pub(super) fn neighbours(self) -> Option<impl Iterator<Item = u32>> {
-        Some(self.codes(self.layout.neighbours()?).map(u32::from))
+    /// Returns rows of counts.
+    fn neighbours_rows(self) -> Option<impl Iterator<Item = &'a [u8]>> {
+        Some(self.rows(self.layout.neighbours()?))
+    }
+
+    pub(super) fn status(self) -> Option<Vec<Status>> {
+        let mut status = vec![Status::Hole; self.layout.width * self.layout.height];
+        self.copy_rows(self.status_rows()?, &mut status, Status::of_code);
+        Some(status)
+    }
+
+    pub(super) fn neighbours(self) -> Option<Vec<u32>> {
+        let mut neighbours = vec![0; self.layout.width * self.layout.height];
+        self.copy_rows(self.neighbours_rows()?, &mut neighbours, u32::from);
+        Some(neighbours)
     }
 
     /// Returns rows of packed values, each of the image's width without the padding of up to 3 bytes after it.
@@ -61,8 +75,13 @@ impl<'a> Results<'a> {
         values.chunks_exact((values.len() / self.layout.height).max(1)).map(move |row| &row[..width])
     }
 
-    fn codes(self, words: Range<usize>) -> impl Iterator<Item = u8> {
-        self.rows::<u8>(words).flatten().copied()
+    /// Copies rows of codes as what they stand for.
+    fn copy_rows<T>(self, rows: impl Iterator<Item = &'a [u8]>, to: &mut [T], value: impl Fn(u8) -> T) {
+        for (to, row) in to.chunks_exact_mut(self.layout.width).zip(rows) {
+            for (to, &code) in to.iter_mut().zip(row) {
+                *to = value(code);
+            }
+        }
     }
 
     /// Copies the result into a `Smoothed`.
@@ -86,11 +105,11 @@ impl<'a> Results<'a> {
             if let (Some(rows), Some(to)) = (self.depth_rows(), out.depth) {
                 to.chunks_exact_mut(self.layout.width).zip(rows).for_each(|(to, from)| to.copy_from_slice(from));
             }
-            if let (Some(from), Some(to)) = (self.status(), out.status) {
-                to.iter_mut().zip(from).for_each(|(to, status)| *to = status);
+            if let (Some(rows), Some(to)) = (self.status_rows(), out.status) {
+                self.copy_rows(rows, to, Status::of_code);
             }
-            if let (Some(from), Some(to)) = (self.neighbours(), out.neighbours) {
-                to.iter_mut().zip(from).for_each(|(to, count)| *to = count);
+            if let (Some(rows), Some(to)) = (self.neighbours_rows(), out.neighbours) {
+                self.copy_rows(rows, to, u32::from);
             }
         });
     }

@@ -77,11 +77,11 @@ impl ResultInPlace for MappedView {
     }
 
     fn status(&self) -> Option<Vec<Status>> {
-        Some(self.results(0).status()?.collect())
+        self.results(0).status()
     }
 
     fn neighbours(&self) -> Option<Vec<u32>> {
-        Some(self.results(0).neighbours()?.collect())
+        self.results(0).neighbours()
     }
 
     fn copy_to(&self, out: &mut Smoothed) {

@@ -5,8 +5,8 @@
 //! look far better than they are.
 //!
 //! ```
-//! use planish::Camera;
-//! use planish::simulate::{DepthNoise, DepthSimulator, Scene};
+//! use planish_core::Camera;
+//! use planish_eval::simulate::{DepthNoise, DepthSimulator, Scene};
 //!
 //! let camera = Camera::new((160, 120), [131.0; 2], [79.5, 59.5]);
 //! let (scene, pose) = Scene::tabletop(1);

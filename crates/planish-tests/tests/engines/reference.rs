@@ -1,7 +1,7 @@
 //! The reference engine against PCL's own test values, the invariants, and real frames.
 
 use planish::agreement::radii_m;
-use planish::{Engine, FrameParams, FrameRadius, Project, Smoothed, Smoother};
+use planish::{CloudParams, Engine, FrameParams, FrameRadius, Project, Smoothed, Smoother};
 use planish_tests::data::{bunny, real_frames};
 use planish_tests::engines::TestEngine;
 use planish_tests::parity::quarter;
@@ -15,8 +15,7 @@ fn smooth(cloud: &planish::OrganizedCloud, params: FrameParams, threads: usize) 
 #[test]
 fn general_mode_gives_the_values_of_pcls_own_test() {
     let cloud = bunny();
-    let radius = FrameRadius::Fixed { radius_m: 0.03 };
-    let params = FrameParams::paper().with_radius(radius).with_degree(2).with_bandwidth_m(Some(0.03));
+    let params = CloudParams::paper().with_radius_m(0.03).with_degree(2).with_bandwidth_m(Some(0.03));
     let smoothed = TestEngine::REFERENCE.smooth(&cloud, params);
     assert_eq!(smoothed.points.len(), 397);
     let normal = smoothed.normals.unwrap().get(0).map(f32::abs);
