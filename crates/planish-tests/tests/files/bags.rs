@@ -120,6 +120,23 @@ fn smoothing_a_recording_is_smoothing_its_frames() {
 }
 
 #[test]
+fn compressed_recordings_hold_the_frames_of_one_that_is_not() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus/mcap");
+    let read = |name: &str| {
+        let path = folder.join(name).with_extension("mcap");
+        let survey = Survey::of(&path, &ReadOptions::default()).unwrap();
+        assert_eq!(survey.compression.as_deref(), Some(if name == "plain" { "" } else { name }));
+        read_all(&path)
+    };
+    let plain = read("plain");
+    let OwnedFrame::Depth(first) = &plain[0] else { panic!("depth") };
+    assert_eq!((plain.len(), first.raw[0], first.raw[5], first.raw[47]), (2, 1500, 0, 1547));
+    for name in ["lz4", "zstd"] {
+        assert_eq!(format!("{:?}", read(name)), format!("{plain:?}"), "{name}");
+    }
+}
+
+#[test]
 fn a_recording_cut_anywhere_is_an_error_or_smoothed_up_to_there() {
     let folder = TempDir::new().unwrap();
     let (path, _) = recording(&folder, small_camera());

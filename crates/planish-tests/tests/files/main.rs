@@ -2,6 +2,7 @@
 
 mod bags;
 mod formats;
+mod fuzzed;
 mod hostile;
 mod las;
 mod ply;
