@@ -65,7 +65,7 @@ mod tests {
             ("strenght: 0.5", "\"strenght\" is not allowed: preset, strength"),
             ("strength: much", "strength = \"much\" is not allowed: 0 (light) to 1 (strong)"),
             ("[1, 2]", "an object of settings"),
-            ("preset: light\nstrength: 0.2", "one of preset and strength"),
+            ("preset: light\nstrength: 0.2", "give one of the two"),
         ] {
             let error = parse_settings(text).unwrap_err().to_string();
             assert!(error.contains(expected), "{text}: {error}");

@@ -250,7 +250,7 @@ def test_wrong_arrays_are_refused(frame, change, error, text):
         ({"radius": -1.0}, ValueError, "radius"),
         ({"radius": 0.1, "neighbours": 40}, ValueError, "radius_m and neighbours"),
         ({"preset": "soft"}, ValueError, 'light, default'),
-        ({"preset": "light", "strength": 0.5}, ValueError, "one of preset and strength"),
+        ({"preset": "light", "strength": 0.5}, ValueError, "give one of the two"),
         ({"strength": 2.0}, ValueError, "strength"),
         ({"sensor": "kinect9"}, ValueError, 'auto'),
         ({"engine": "tpu"}, ValueError, 'gpu'),

@@ -56,12 +56,14 @@ impl<'a> Results<'a> {
         Some(self.rows(self.layout.neighbours()?))
     }
 
+    #[cfg(feature = "gpu")]
     pub(super) fn status(self) -> Option<Vec<Status>> {
         let mut status = vec![Status::Hole; self.layout.width * self.layout.height];
         self.copy_rows(self.status_rows()?, &mut status, Status::of_code);
         Some(status)
     }
 
+    #[cfg(feature = "gpu")]
     pub(super) fn neighbours(self) -> Option<Vec<u32>> {
         let mut neighbours = vec![0; self.layout.width * self.layout.height];
         self.copy_rows(self.neighbours_rows()?, &mut neighbours, u32::from);

@@ -208,17 +208,17 @@ impl Settings {
         self.check_ranges()?;
         let contradiction = |field, value: &str, allowed| Err(ParamError { field, value: value.to_owned(), allowed });
         if self.preset.is_some() && self.strength.is_some() {
-            return contradiction("strength", "given beside a preset", "one of preset and strength");
+            return contradiction("strength", "given beside a preset", "only without a preset: give one of the two");
         }
         if self.radius.is_some() && self.neighbours.is_some() {
-            return contradiction("neighbours", "given beside a radius", "one of radius_m and neighbours");
+            return contradiction("neighbours", "given beside a radius", "only without radius_m: give one of the two");
         }
         if let Some(adapter) = &self.adapter {
             if self.engine() != Engine::Gpu {
                 return contradiction("adapter", adapter, "only with the engine gpu: it chooses among GPUs");
             }
             if self.devices.is_some() {
-                return contradiction("adapter", adapter, "one of adapter and devices");
+                return contradiction("adapter", adapter, "only without devices: give one of the two");
             }
         }
         if let Some(devices) = &self.devices

@@ -158,14 +158,16 @@ impl<'de> Deserialize<'de> for SettingValue {
                         "sigma" => sigma = Some(map.next_value()?),
                         _ => {
                             map.next_value::<IgnoredAny>()?;
-                            return Err(A::Error::custom(format!("a sensor has step and sigma, not {name:?}")));
+                            return Err(A::Error::custom(format!(
+                                "unknown field {name:?} of a sensor: step and sigma are expected"
+                            )));
                         }
                     }
                 }
                 match (step, sigma) {
                     (Some(step), Some(sigma)) => Ok(SettingValue::Sensor(SensorModel::new(step, sigma))),
                     (None, Some(sigma)) => Ok(SettingValue::Sensor(SensorModel::from_noise(sigma))),
-                    _ => Err(A::Error::custom("a sensor has sigma: three coefficients of 1, z and z² in metres")),
+                    _ => Err(A::Error::custom("a sensor needs sigma: three coefficients of 1, z and z² in metres")),
                 }
             }
         }
