@@ -108,8 +108,8 @@ pub struct SmoothingArgs {
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
     /// First turn pixels that float between two surfaces into holes
-    #[arg(long)]
-    pub remove_floating: bool,
+    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub remove_floating: Option<bool>,
     /// Half width of the window: (2K+1)² candidates, K from 1 to 7
     #[arg(long, value_name = "K")]
     pub window: Option<u32>,
@@ -127,8 +127,8 @@ pub struct SmoothingArgs {
     #[arg(long, value_name = "K", conflicts_with = "radius")]
     pub neighbours: Option<u32>,
     /// Of general clouds: turn isolated points into holes, those with fewer than 3 neighbours or a quarter of K; else they stay where they are
-    #[arg(long)]
-    pub remove_isolated: bool,
+    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub remove_isolated: Option<bool>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
     #[arg(long, value_name = "D")]
     pub degree: Option<u32>,
@@ -162,16 +162,6 @@ pub struct GpusArgs {
 }
 
 impl GpusArgs {
-    /// Returns settings with these devices.
-    pub fn over(&self, mut settings: Settings) -> Result<Settings> {
-        if let Some(list) = &self.gpus {
-            settings.set("devices", list.as_str()).map_err(by_option)?;
-            settings.validate().map_err(by_option)?;
-            FleetDevice::parse_list(list).with_context(|| format!("--gpus {list}"))?;
-        }
-        Ok(settings)
-    }
-
     /// The devices named; none if none are.
     pub fn devices(&self, engine: Engine) -> Result<Vec<FleetDevice>> {
         let Some(list) = &self.gpus else { return Ok(Vec::new()) };
@@ -217,23 +207,31 @@ fn named<T: ValueEnum>(value: Option<&T>) -> SettingValue {
 impl SmoothingArgs {
     /// Returns the settings: those of the file, and the options in their place.
     pub fn settings(&self) -> Result<Settings> {
-        let mut settings = match &self.settings {
-            Some(file) => planish::io::read_settings(file)?,
-            None => Settings::default(),
-        };
-        // One of these given as an option replaces the other of the file.
-        if self.preset.is_some() {
-            settings.strength = None;
+        self.settings_over_file(self.given()?)
+    }
+
+    /// Returns the settings with several devices.
+    pub fn settings_with(&self, gpus: &GpusArgs) -> Result<Settings> {
+        let mut given = self.given()?;
+        if let Some(list) = &gpus.gpus {
+            given.set("devices", list.as_str()).map_err(by_option)?;
+            given.validate().map_err(by_option)?;
+            FleetDevice::parse_list(list).with_context(|| format!("--gpus {list}"))?;
         }
-        if self.strength.is_some() {
-            settings.preset = None;
-        }
-        if self.radius.is_some() {
-            settings.neighbours = None;
-        }
-        if self.neighbours.is_some() {
-            settings.radius = None;
-        }
+        self.settings_over_file(given)
+    }
+
+    fn settings_over_file(&self, given: Settings) -> Result<Settings> {
+        let Some(file) = &self.settings else { return Ok(given) };
+        let mut settings = planish::io::read_settings(file)?;
+        settings.override_with(given);
+        settings.validate().with_context(|| file.display().to_string())?;
+        Ok(settings)
+    }
+
+    /// Returns what options say.
+    fn given(&self) -> Result<Settings> {
+        let mut settings = Settings::default();
         let radius = self.radius.map(|radius| match radius {
             RadiusArg::Sensor => SettingValue::from("sensor"),
             RadiusArg::Metres(radius_m) => radius_m.into(),
@@ -243,8 +241,8 @@ impl SmoothingArgs {
             ("strength", self.strength.into()),
             ("sensor", named(self.sensor.as_ref())),
             ("edges", named(self.edges.as_ref())),
-            ("remove_floating", self.remove_floating.then_some(true).into()),
-            ("remove_isolated", self.remove_isolated.then_some(true).into()),
+            ("remove_floating", self.remove_floating.into()),
+            ("remove_isolated", self.remove_isolated.into()),
             ("window", self.window.into()),
             ("stride", self.stride.into()),
             ("average_blocks", self.average_blocks.into()),

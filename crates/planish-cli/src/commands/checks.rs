@@ -57,6 +57,14 @@ pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> 
     Ok(())
 }
 
+/// Refuses to write over the settings.
+pub fn check_not_settings(settings: Option<&Path>, output: &Path) -> Result<()> {
+    if settings.is_some_and(|settings| is_same_file(settings, output)) {
+        bail!("{}: is the file of the settings: write to another file", output.display());
+    }
+    Ok(())
+}
+
 /// Whether two names stand for one file, by links of either kind.
 fn is_same_file(a: &Path, b: &Path) -> bool {
     #[cfg(unix)]

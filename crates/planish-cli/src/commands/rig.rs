@@ -169,7 +169,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     let rig = Rig::read(file)?;
     let way: RigWay = args.fuse.map(Into::into).unwrap_or_default();
     let (outputs, format) = (rig_outputs(args), args.sink_format());
-    let mut settings = args.gpus.over(args.smoothing.settings()?)?;
+    let mut settings = args.smoothing.settings_with(&args.gpus)?;
     settings.outputs = Some(outputs);
     let options = RigOptions::from_settings(&rig, way, &settings, args.voxel).map_err(by_option_of_error)?;
     let sensors: Vec<SensorModel> = options.params.iter().map(|params| params.sensor).collect();

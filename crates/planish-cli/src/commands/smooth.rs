@@ -27,14 +27,15 @@ use report::{
 };
 
 use super::checks::{
-    check_not_input, check_output, check_radius, convert_fields, report_columns, report_losses, report_notes,
+    check_not_input, check_not_settings, check_output, check_radius, convert_fields, report_columns, report_losses,
+    report_notes,
 };
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs, by_option, by_option_of_error, option_of};
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     // Options that contradict each other are refused whatever the input turns out to be.
-    let settings = args.gpus.over(args.smoothing.settings()?)?;
+    let settings = args.smoothing.settings_with(&args.gpus)?;
     let mut worker = Worker {
         args,
         session: Session::new(settings.clone())?,
@@ -71,6 +72,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     }
     check_output(&args.output, args.encoding.is_some())?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;
+    check_not_settings(args.smoothing.settings.as_deref(), &args.output)?;
     let report = worker.smooth_file(&args.input, &args.output)?;
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
@@ -133,11 +135,11 @@ impl Worker<'_> {
         match &mut contents {
             Contents::Organized(cloud) if !is_depth(output) => {
                 convert_fields(&mut cloud.points, format, output);
-                io::check_writable(output, &*cloud, self.args.outputs())?;
+                io::check_writable(output, &*cloud, self.outputs())?;
             }
             Contents::General(cloud) => {
                 convert_fields(cloud, format, output);
-                io::check_writable(output, &*cloud, self.args.outputs())?;
+                io::check_writable(output, &*cloud, self.outputs())?;
             }
             _ => {}
         }
@@ -220,7 +222,7 @@ impl Worker<'_> {
         if has_fields && (depth_out || Format::of_extension(output) == Some(Format::Npy)) {
             bail!("{}: has no place for --fields; write .pcd or .ply", output.display());
         }
-        let mut outputs = self.args.outputs().with_status(true);
+        let mut outputs = self.outputs().with_status(true);
         if depth_out {
             let stays_in_metres = in_metres && Format::of_extension(output) == Some(Format::Npy);
             let only = Outputs::DEPTH.with_depth(!stays_in_metres).with_depth_m(stays_in_metres);
@@ -247,12 +249,25 @@ impl Worker<'_> {
         }
         let (points, times_ms) = self.smooth(input, output, frame, outputs)?;
         report_range_rule(input, frame, self.session.range_rule(), self.pose.is_some());
+        for setting in self.settings.unused_by_frames() {
+            errln!("{}: {setting} has no effect on frames on a grid", input.display());
+        }
         let result = match (depth, cloud) {
             (_, Some(cloud)) if !depth_out => Output::Organized(cloud),
             (Some(depth), None) if !depth_out => Output::Points(depth.camera),
             _ => Output::Depth { width: shape.0, height: shape.1 },
         };
         Ok((result, points, times_ms))
+    }
+
+    /// The fields to write: those of the options, else of the settings.
+    fn outputs(&self) -> Outputs {
+        match self.settings.outputs.filter(|_| self.args.fields.is_empty()) {
+            Some(Outputs { normals, curvature, status, .. }) => {
+                Outputs::POINTS.with_normals(normals).with_curvature(curvature).with_status(status)
+            }
+            None => self.args.outputs(),
+        }
     }
 
     /// Turns pixels that float between two surfaces into holes, if that is asked for.
@@ -295,7 +310,7 @@ impl Worker<'_> {
         if let (CloudRadius::Fixed { radius_m }, false) = (params.radius, self.args.force) {
             check_radius(input, cloud, radius_m)?;
         }
-        let outputs = self.args.outputs().with_status(true);
+        let outputs = self.outputs().with_status(true);
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
         let frame = cloud.into_frame().map_err(of_input)?;
         let is_stated = !cloud.pose.is_identity() || cloud.scanners_m().is_some();
@@ -396,7 +411,7 @@ impl Worker<'_> {
 
     /// Puts the result into the cloud.
     fn apply(&self, cloud: &mut PointCloud) -> Result<()> {
-        Ok(cloud.apply(&self.smoothed, self.args.outputs()).map_err(Error::from)?)
+        Ok(cloud.apply(&self.smoothed, self.outputs()).map_err(Error::from)?)
     }
 
     fn write(&self, output: &Path, result: &Output, encoding: Encoding) -> Result<()> {

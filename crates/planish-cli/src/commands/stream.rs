@@ -68,7 +68,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     if args.source.name().ends_with("rig.json") && Path::new(args.source.name()).is_file() {
         bail!("{}: a rig is streamed by `planish stream --rig {0}`", args.source.name());
     }
-    let mut settings = args.gpus.over(args.smoothing.settings()?)?;
+    let mut settings = args.smoothing.settings_with(&args.gpus)?;
     let mut outputs = outputs_of(&args.fields);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     let format = args.sink_format();

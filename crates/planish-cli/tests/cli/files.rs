@@ -510,7 +510,24 @@ fn settings_come_from_a_file_and_options_override_them() {
     // A strength replaces the file's preset, and options win over its values.
     let given = smooth(&by_file, &["--settings", str(&file), "--strength", "1", "--edges", "robust"]);
     assert!(given == smooth(&by_options, &["--strength", "1", "--edges", "robust", "--radius", "0.05"]));
-    for (text, said) in [("window: 9", "window = 9"), ("speed: 2", "speed"), ("[1]", "settings"), ("{", "settings")] {
+    // What would contradict an option is dropped.
+    fs::write(&file, "engine: gpu\nadapter: \"7\"\nremove_floating: true\noutputs: [status]\n").unwrap();
+    let settings = ["--settings", str(&file)];
+    let plain = smooth(&by_file, &[&settings[..], &["--remove-floating=false", "--fields", "none"]].concat());
+    assert!(plain == smooth(&by_options, &[]));
+    let with_status = smooth(&by_file, &[&settings[..], &["--remove-floating=false"]].concat());
+    assert!(with_status == smooth(&by_options, &["--fields", "status"]));
+    // What has no effect on this input is said, and the settings are not written over.
+    fs::write(&file, "remove_isolated: true\n").unwrap();
+    let stderr = text(&planish(&["smooth", str(&path), str(&by_file), "--settings", str(&file)]).stderr);
+    assert!(stderr.contains("remove_isolated has no effect on frames"), "{stderr}");
+    let own = folder.path().join("settings.pcd");
+    fs::copy(&file, &own).unwrap();
+    let stderr = refused(&["smooth", str(&path), str(&own), "--settings", str(&own)]);
+    assert!(stderr.contains("is the file of the settings") && fs::read(&own).unwrap() == fs::read(&file).unwrap());
+    let twice = [("radius: 0.1\nradius_m: 0.1", "given twice"), ("bandwidth: 0.1\nbandwidth_m: 0.1", "given twice")];
+    let wrong = [("window: 9", "window = 9"), ("speed: 2", "speed"), ("[1]", "settings"), ("{", "settings")];
+    for (text, said) in wrong.into_iter().chain(twice) {
         fs::write(&file, text).unwrap();
         let stderr = refused(&["smooth", str(&path), str(&by_file), "--settings", str(&file)]);
         assert!(stderr.contains("wall.yaml") && stderr.contains(said), "{stderr}");

@@ -4,6 +4,7 @@
 //! JSON or YAML works in each. [`Settings::set`] is the only way in for values by name, so a field has one spelling, one
 //! range and one error everywhere.
 
+mod merge;
 #[cfg(feature = "serde")]
 mod serialize;
 mod value;

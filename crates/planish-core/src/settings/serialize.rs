@@ -90,11 +90,16 @@ impl<'de> Deserialize<'de> for Settings {
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Settings, A::Error> {
                 let (mut settings, mut seen) = (Settings::default(), Vec::<String>::new());
                 while let Some(name) = map.next_key::<String>()? {
-                    if seen.contains(&name) {
-                        return Err(A::Error::custom(format!("the setting {name} is given twice")));
+                    let field = match name.as_str() {
+                        "radius" => "radius_m",
+                        "bandwidth" => "bandwidth_m",
+                        name => name,
+                    };
+                    if seen.iter().any(|seen| seen == field) {
+                        return Err(A::Error::custom(format!("the setting {field} is given twice")));
                     }
+                    seen.push(field.to_owned());
                     settings.set(&name, map.next_value::<SettingValue>()?).map_err(A::Error::custom)?;
-                    seen.push(name);
                 }
                 settings.validate().map_err(A::Error::custom)?;
                 Ok(settings)

@@ -75,7 +75,7 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
         ("--repeat", args.repeat > 1),
         ("--gpus", args.gpus.gpus.is_some()),
         ("--sensor-pose", args.pose.sensor_pose.is_some()),
-        ("--remove-floating", args.smoothing.remove_floating),
+        ("--remove-floating", args.smoothing.remove_floating == Some(true)),
         ("--fields status", args.fields.contains(&FieldArg::Status)),
         ("--format", writes && args.format.is_some()),
         ("--max-memory", !(reads && writes) && args.memory.max_memory.is_some()),

@@ -27,12 +27,12 @@ impl Worker<'_> {
         }
         let params = self.general_params(input)?;
         errln!("{}: larger than --max-memory, so smoothed in tiles", input.display());
-        let smoother = self.settings.options().with_outputs(self.args.outputs().with_status(true));
+        let smoother = self.settings.options().with_outputs(self.outputs().with_status(true));
         if self.args.repeat > 1 {
             errln!("{}: --repeat changes nothing for a file in tiles", input.display());
         }
         let options = TileOptions::new(params, smoother, allowed)
-            .with_fields(self.args.outputs())
+            .with_fields(self.outputs())
             .with_pose(self.pose)
             .with_encoding(self.args.encoding());
         let progress = Arc::new(Progress::default());
@@ -40,7 +40,7 @@ impl Worker<'_> {
         let report =
             with_progress(Some(Arc::clone(&progress)), || tiles::smooth_tiles(input, output, &options, &progress))?;
         report_notes(input, &report.notes);
-        if self.args.outputs().normals && self.pose.is_none() && !report.has_pose {
+        if self.outputs().normals && self.pose.is_none() && !report.has_pose {
             report_assumed_sensor(input, report.assumed_sensor_m);
         }
         if report.reaching_beyond > 0 {

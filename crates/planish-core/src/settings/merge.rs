@@ -1,0 +1,74 @@
+//! Settings over settings: options over a file.
+
+use super::Settings;
+use crate::engines::Engine;
+
+impl Settings {
+    /// Replaces settings by those that `over` has. What would contradict them is dropped: a strength under a preset, neighbours
+    /// under a radius, an adapter under another engine than the GPU, an engine and an adapter under devices, and the reverse.
+    ///
+    /// ```
+    /// let mut settings: planish::Settings = "strength=0.3 engine=gpu adapter=0".parse()?;
+    /// settings.override_with("preset=light engine=cpu".parse()?);
+    /// assert_eq!(settings, "preset=light engine=cpu".parse()?);
+    /// # Ok::<(), planish::ParamError>(())
+    /// ```
+    pub fn override_with(&mut self, over: Self) {
+        self.strength = self.strength.filter(|_| over.preset.is_none());
+        self.preset = self.preset.filter(|_| over.strength.is_none());
+        self.neighbours = self.neighbours.filter(|_| over.radius.is_none());
+        self.radius = self.radius.filter(|_| over.neighbours.is_none());
+        if over.devices.is_some() {
+            (self.engine, self.adapter) = (None, None);
+        }
+        if over.engine.is_some() || over.adapter.is_some() {
+            self.devices = None;
+        }
+        if over.engine.is_some_and(|engine| engine != Engine::Gpu) {
+            self.adapter = None;
+        }
+        // Every field is named, so none is forgotten when one is added.
+        let Self {
+            preset,
+            strength,
+            sensor,
+            edges,
+            remove_floating,
+            remove_isolated,
+            window,
+            stride,
+            average_blocks,
+            radius,
+            neighbours,
+            degree,
+            bandwidth_m,
+            ridge,
+            project,
+            engine,
+            adapter,
+            devices,
+            threads,
+            outputs,
+        } = over;
+        self.preset = preset.or(self.preset);
+        self.strength = strength.or(self.strength);
+        self.sensor = sensor.or(self.sensor);
+        self.edges = edges.or(self.edges);
+        self.remove_floating = remove_floating.or(self.remove_floating);
+        self.remove_isolated = remove_isolated.or(self.remove_isolated);
+        self.window = window.or(self.window);
+        self.stride = stride.or(self.stride);
+        self.average_blocks = average_blocks.or(self.average_blocks);
+        self.radius = radius.or(self.radius);
+        self.neighbours = neighbours.or(self.neighbours);
+        self.degree = degree.or(self.degree);
+        self.bandwidth_m = bandwidth_m.or(self.bandwidth_m);
+        self.ridge = ridge.or(self.ridge);
+        self.project = project.or(self.project);
+        self.engine = engine.or(self.engine);
+        self.adapter = adapter.or_else(|| self.adapter.take());
+        self.devices = devices.or_else(|| self.devices.take());
+        self.threads = threads.or(self.threads);
+        self.outputs = outputs.or(self.outputs);
+    }
+}
