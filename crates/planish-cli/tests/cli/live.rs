@@ -31,6 +31,16 @@ fn a_stream_is_saved_and_counted() {
 }
 
 #[test]
+fn a_stream_that_settings_do_not_fit_writes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let saved = folder.path().join("frames");
+    for settings in [&["--neighbours", "30"][..], &["--sensor", "auto", "--neighbours", "30"]] {
+        refused(&[&["stream", "synthetic", "--frames", "1", "--save", str(&saved)], settings].concat());
+        assert!(!saved.exists());
+    }
+}
+
+#[test]
 fn a_recording_streams_back() {
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("recording");

@@ -21,8 +21,8 @@ use std::time::{Duration, Instant};
 use crate::source::{OwnedFrame, Source};
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{
-    CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, Session, Settings, Smoothed,
-    SmoothedView, SmootherOptions,
+    CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, SensorChoice, Session, Settings,
+    Smoothed, SmoothedView, SmootherOptions,
 };
 
 #[cfg(feature = "rerun")]
@@ -97,8 +97,12 @@ impl StreamOptions {
     /// Creates options from settings, without limits.
     ///
     /// # Errors
-    /// If settings contradict each other, or a device is not there.
+    /// If settings contradict each other or are not for frames on a grid, or a device is not there.
     pub fn from_settings(settings: Settings) -> Result<Self, Error> {
+        // Before anything is opened or written; a sensor to be estimated changes no error.
+        let mut of_known_sensor = settings.clone();
+        of_known_sensor.sensor = settings.known_sensor().map(SensorChoice::Known);
+        of_known_sensor.frame_params()?;
         let (smoother, devices) = (settings.options(), settings.devices()?);
         Ok(Self { params: StreamParams::Settings(settings), smoother, devices, ..Self::default() })
     }
