@@ -47,12 +47,12 @@ pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> 
     }
 }
 
-/// Returns [`reach`] for the parameters of a cloud.
+/// Returns the reach for the parameters of a cloud.
 pub fn cloud_reach(params: &CloudParams) -> f64 {
     reach(&(*params).into())
 }
 
-/// Returns [`first_halo_m`] for the parameters of a cloud.
+/// Returns the first halo for the parameters of a cloud.
 pub fn first_cloud_halo_m(params: &CloudParams, points: u64, area_m2: f64) -> f64 {
     first_halo_m(&(*params).into(), points, area_m2)
 }
