@@ -5,6 +5,7 @@
 //! range and one error everywhere.
 
 mod merge;
+mod resolve;
 #[cfg(feature = "serde")]
 mod serialize;
 mod value;
@@ -15,9 +16,8 @@ use crate::devices::GpuOptions;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::ParamError;
 use crate::fleet::FleetDevice;
-use crate::frame::Frame;
 use crate::outputs::Outputs;
-use crate::params::{CloudParams, CloudRadius, Edges, Fit, FrameParams, FrameRadius, Params, Project, Strength};
+use crate::params::{Edges, Params, Project, Strength};
 use crate::sensor::SensorModel;
 
 pub use value::SettingValue;
@@ -243,66 +243,6 @@ impl Settings {
         }
     }
 
-    /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from the
-    /// frame if the settings ask for it.
-    ///
-    /// # Errors
-    /// If settings contradict each other or the input, or the sensor cannot be estimated from this frame.
-    pub fn resolve(&self, frame: Frame<'_>) -> Result<Resolved, ParamError> {
-        self.validate()?;
-        if frame.grid().is_none() {
-            let params = self.cloud_params()?.into();
-            return Ok(Resolved { params, floating_sensor: None, unused: self.unused_by_clouds() });
-        }
-        let sensor = self.known_sensor().or_else(|| SensorModel::estimate_from(frame)).ok_or_else(|| {
-            let allowed = "a sensor by name, as kinect1: this frame has too few depths to estimate one from";
-            ParamError { field: "sensor", value: "auto".into(), allowed }
-        })?;
-        let params = self.checked_frame_params(sensor)?.into();
-        let floating_sensor = Some(sensor).filter(|_| self.remove_floating == Some(true));
-        Ok(Resolved { params, floating_sensor, unused: self.unused_by_frames() })
-    }
-
-    /// Returns the parameters for frames of the sensor that is named, where no frame is at hand.
-    ///
-    /// # Errors
-    /// If settings contradict each other, or the sensor is to be estimated.
-    pub fn frame_params(&self) -> Result<FrameParams, ParamError> {
-        self.validate()?;
-        let sensor = self.known_sensor().ok_or_else(|| {
-            let allowed = "a sensor by name: there is no frame yet to estimate one from (`planish info` reports the nearest \
-                           sensor of a frame)";
-            ParamError { field: "sensor", value: "auto".into(), allowed }
-        })?;
-        self.checked_frame_params(sensor)
-    }
-
-    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor.
-    ///
-    /// # Errors
-    /// If settings contradict each other, or ask for something that clouds do not have.
-    pub fn cloud_params(&self) -> Result<CloudParams, ParamError> {
-        self.validate()?;
-        if self.radius == Some(RadiusChoice::Sensor) {
-            let allowed = "neighbours or a radius in metres for unorganized clouds; sensor is for frames on a grid";
-            return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
-        }
-        if self.remove_floating == Some(true) {
-            let allowed = "only frames on a grid: it needs the pixels around each point";
-            return Err(ParamError { field: "remove_floating", value: "true".into(), allowed });
-        }
-        Ok(self.cloud_params_unchecked())
-    }
-
-    /// Returns the parameters of a cloud with these settings instead of its preset's.
-    ///
-    /// # Errors
-    /// As [`cloud_params`](Self::cloud_params).
-    pub fn override_cloud(&self, preset: CloudParams) -> Result<CloudParams, ParamError> {
-        self.cloud_params()?;
-        Ok(self.overridden_cloud(preset))
-    }
-
     /// Returns whether a sensor is to be estimated from a frame.
     pub fn estimates_sensor(&self) -> bool {
         self.sensor == Some(SensorChoice::Auto)
@@ -381,71 +321,6 @@ impl Settings {
 
     fn given_strength(&self) -> Result<Option<Strength>, ParamError> {
         self.strength.map(Strength::new).transpose()
-    }
-
-    fn checked_frame_params(&self, sensor: SensorModel) -> Result<FrameParams, ParamError> {
-        if let Some(count) = self.neighbours {
-            let allowed = "a radius for frames on a grid; neighbours are for unorganized clouds";
-            return Err(ParamError { field: "neighbours", value: count.to_string(), allowed });
-        }
-        self.frame_params_for(sensor)
-    }
-
-    fn frame_params_for(&self, sensor: SensorModel) -> Result<FrameParams, ParamError> {
-        let strength = match (self.given_strength()?, self.preset) {
-            (Some(strength), _) => Some(strength),
-            (None, None | Some(Preset::Default)) => Some(Strength::DEFAULT),
-            (None, Some(Preset::Light)) => Some(Strength::LIGHT),
-            (None, Some(Preset::Strong)) => Some(Strength::STRONG),
-            (None, Some(Preset::Paper)) => None,
-        };
-        let mut params = match strength {
-            Some(strength) => FrameParams::for_sensor(sensor, strength),
-            None => FrameParams::paper().with_sensor(sensor),
-        };
-        if let Some(window) = self.window {
-            params = params.with_window(window);
-        }
-        if let Some(stride) = self.stride {
-            params = params.with_stride(stride);
-        }
-        params.average_blocks = self.average_blocks.unwrap_or(params.average_blocks);
-        params.radius = match self.radius {
-            None => params.radius,
-            Some(RadiusChoice::Sensor) => FrameRadius::Sensor,
-            Some(RadiusChoice::Metres(radius_m)) => FrameRadius::Fixed { radius_m },
-        };
-        params.fit = self.override_fit(params.fit);
-        params.project = self.project.unwrap_or(params.project);
-        Ok(params)
-    }
-
-    fn cloud_params_unchecked(&self) -> CloudParams {
-        self.overridden_cloud(match self.preset {
-            Some(Preset::Paper) => CloudParams::paper(),
-            _ => CloudParams::default(),
-        })
-    }
-
-    fn overridden_cloud(&self, mut params: CloudParams) -> CloudParams {
-        params.fit = self.override_fit(params.fit);
-        if let Some(RadiusChoice::Metres(radius_m)) = self.radius {
-            params.radius = CloudRadius::Fixed { radius_m };
-        }
-        if let Some(count) = self.neighbours {
-            params.radius = CloudRadius::Neighbours { count };
-        }
-        params.remove_isolated = self.remove_isolated.unwrap_or(params.remove_isolated);
-        params
-    }
-
-    fn override_fit(&self, fit: Fit) -> Fit {
-        Fit {
-            degree: self.degree.unwrap_or(fit.degree),
-            bandwidth_m: self.bandwidth_m.or(fit.bandwidth_m),
-            ridge: self.ridge.unwrap_or(fit.ridge),
-            edges: self.edges.unwrap_or(fit.edges),
-        }
     }
 }
 
