@@ -2,7 +2,7 @@ use super::*;
 use crate::camera::Camera;
 use crate::cloud::PointCloud;
 use crate::frame::{DepthFrame, IntoFrame};
-use crate::params::Window;
+use crate::params::{CloudParams, FrameParams, Window};
 
 fn frame() -> DepthFrame {
     DepthFrame::new(Camera::new((40, 4), [100.0; 2], [19.5, 1.5]), vec![1000; 160]).unwrap()
