@@ -248,7 +248,7 @@ def test_wrong_arrays_are_refused(frame, change, error, text):
         ({"window": -1}, ValueError, "window"),
         ({"ridge": float("nan")}, ValueError, "ridge"),
         ({"radius": -1.0}, ValueError, "radius"),
-        ({"radius": 0.1, "neighbours": 40}, ValueError, "radius_m and neighbours"),
+        ({"radius": 0.1, "neighbours": 40}, ValueError, "give one of the two"),
         ({"preset": "soft"}, ValueError, 'light, default'),
         ({"preset": "light", "strength": 0.5}, ValueError, "give one of the two"),
         ({"strength": 2.0}, ValueError, "strength"),
