@@ -1,4 +1,4 @@
-//! What the fuzz targets check, each for any bytes. The tests of the workspace check the inputs in `corpus` in the same way.
+//! Checks of the fuzz targets. The workspace's tests run them on the inputs in `corpus`.
 
 use std::fs;
 use std::path::PathBuf;
@@ -51,10 +51,10 @@ pub fn check_camera(text: &str) {
     }
 }
 
-/// Decompresses bytes as LZF to several sizes, and what they are compressed to.
+/// Decompresses bytes as LZF to several sizes, and checks that compressing and decompressing returns the same bytes.
 ///
 /// # Panics
-/// If data have another size than asked for, or are not the same again.
+/// If the size or the bytes differ.
 pub fn check_lzf(bytes: &[u8]) {
     for size in [0, bytes.len(), 4 * bytes.len(), 1 << 20] {
         if let Ok(data) = decompress(bytes, size) {

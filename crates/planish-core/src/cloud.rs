@@ -156,9 +156,9 @@ pub struct PointCloud {
     pub pose: SensorPose,
     /// The coordinates as the file has them, x, y and z, where f32 loses digits (an axis where it does not may be empty): a point that is not moved is written with all of them.
     pub exact_m: Option<[Vec<f64>; 3]>,
-    /// What the cloud's file states beside its points; written back to a file of the same format.
+    /// Format-specific data of the cloud's file; written back to a file of the same format.
     pub provenance: Provenance,
-    /// Where each scanner stood, in metres in the frame of the file, indexed by the field `scan`.
+    /// Positions of the scanners in metres, in the frame of the file, indexed by the field `scan`.
     pub(crate) scanners_m: Option<Arc<[Option<[f64; 3]>]>>,
 }
 

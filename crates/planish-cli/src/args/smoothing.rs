@@ -205,12 +205,12 @@ fn named<T: ValueEnum>(value: Option<&T>) -> SettingValue {
 }
 
 impl SmoothingArgs {
-    /// Returns the settings: those of the file, and the options in their place.
+    /// Returns the settings from the file, overridden by the options.
     pub fn settings(&self) -> Result<Settings> {
         self.settings_over_file(self.given()?)
     }
 
-    /// Returns the settings with several devices.
+    /// Returns the settings as [`settings`](Self::settings), with the devices of `--gpus`.
     pub fn settings_with(&self, gpus: &GpusArgs) -> Result<Settings> {
         let mut given = self.given()?;
         if let Some(list) = &gpus.gpus {
@@ -229,7 +229,7 @@ impl SmoothingArgs {
         Ok(settings)
     }
 
-    /// Returns what options say.
+    /// Returns the settings given as options.
     fn given(&self) -> Result<Settings> {
         let mut settings = Settings::default();
         let radius = self.radius.map(|radius| match radius {

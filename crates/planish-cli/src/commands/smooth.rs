@@ -260,7 +260,7 @@ impl Worker<'_> {
         Ok((result, points, times_ms))
     }
 
-    /// The fields to write: those of the options, else of the settings.
+    /// Returns the fields to write: `--fields`, or the outputs of the settings.
     fn outputs(&self) -> Outputs {
         match self.settings.outputs.filter(|_| self.args.fields.is_empty()) {
             Some(Outputs { normals, curvature, status, .. }) => {
@@ -270,7 +270,7 @@ impl Worker<'_> {
         }
     }
 
-    /// Turns pixels that float between two surfaces into holes, if that is asked for.
+    /// Turns pixels that float between two surfaces into holes, if `remove_floating` is set.
     fn remove_floating(
         &mut self,
         input: &Path,
@@ -383,7 +383,7 @@ impl Worker<'_> {
         Ok((PointCounts { valid, lost }, summarize(times_ms)))
     }
 
-    /// Reports what the session did by itself.
+    /// Prints the session's events.
     fn report_events(&mut self, output: &Path) {
         for event in self.session.take_events() {
             if !matches!(event, SessionEvent::SensorEstimated { .. }) {

@@ -9,6 +9,7 @@ mod measure;
 mod mutation;
 mod outputs;
 mod rigs;
+mod settings;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -152,7 +152,7 @@ impl Session {
     }
 
     /// Sets whether all frames of a shape keep the window that the first one with a known resolution decides, as a video
-    /// wants it. Otherwise every frame gets what it gets alone, whatever came before it.
+    /// wants it. Otherwise every frame gets its own window.
     pub fn with_kept_window(self, keeps_window: bool) -> Self {
         Self { keeps_window, ..self }
     }

@@ -106,7 +106,7 @@ struct Lz4 {
     skipping: usize,
 }
 
-/// What the header of a frame states.
+/// The values in the header of a frame.
 #[derive(Clone, Copy)]
 struct Lz4Frame {
     largest_block: usize,

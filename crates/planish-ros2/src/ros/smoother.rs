@@ -115,7 +115,7 @@ impl MessageSmoother {
         self.session.engine()
     }
 
-    /// Takes what the session did by itself: another engine, an estimated sensor.
+    /// Takes the session's events: another engine, an estimated sensor.
     pub fn take_events(&mut self) -> Vec<SessionEvent> {
         self.session.take_events()
     }
