@@ -129,7 +129,7 @@ impl Session {
             scratch: GeometryScratch::default(),
             rule: None,
             watch: ProgressWatch::default(),
-            process: std::process::id(),
+            process: process_id(),
         };
         session.validate()?;
         Ok(session)
@@ -381,7 +381,7 @@ impl Session {
 
     /// Forgets the engine of another process: after a fork its threads are not there to be waited for.
     fn forget_other_process(&mut self) {
-        let process = std::process::id();
+        let process = process_id();
         if self.process != process {
             std::mem::forget(self.open.take());
             self.pending.clear();
@@ -459,6 +459,11 @@ impl Session {
         self.ready.clear();
         self.watch.set(None);
     }
+}
+
+/// Returns the number of this process. WebAssembly has no processes, and the standard library panics when asked for one.
+fn process_id() -> u32 {
+    if cfg!(target_family = "wasm") { 0 } else { std::process::id() }
 }
 
 impl std::fmt::Debug for Session {
