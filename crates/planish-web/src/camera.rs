@@ -17,9 +17,12 @@ impl CameraGiven {
             Value::String(text) => text.clone(),
             object => {
                 let text = object.to_string();
-                if let Some(key) = unknown_camera_key(&text).map_err(|error| error.to_string())? {
+                let unknown = unknown_camera_key(&text).map_err(|error| error.to_string())?;
+                // Files may have the old name; a page may not.
+                let old = object.get("depth_scale").map(|_| "depthScale".to_owned());
+                if let Some(key) = unknown.or(old) {
                     return Err(format!(
-                        "a camera has no {key:?}: it has fx, fy, cx, cy, depth_units_per_metre, width, height and distortion"
+                        "a camera has no {key:?}: it has fx, fy, cx, cy, depthUnitsPerMetre, width, height and distortion"
                     ));
                 }
                 text

@@ -38,7 +38,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     let settings = args.smoothing.settings_with(&args.gpus)?;
     let mut worker = Worker {
         args,
-        session: Session::new(settings.clone())?,
+        session: Session::new(settings.clone())?.with_kept_sensor(true),
         settings,
         pose: args.pose.pose()?,
         beside: 1,

@@ -64,6 +64,7 @@ pub struct Session {
     is_live: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
     keeps_window: bool,
+    keeps_sensor: bool,
     kept_window: Option<((usize, usize), WindowSize)>,
     open: Option<Open>,
     /// The engine that has taken over: for clouds too large for the GPU, and for all frames after the GPU was lost.
@@ -119,6 +120,7 @@ impl Session {
             estimated: None,
             is_live: false,
             keeps_window: false,
+            keeps_sensor: false,
             kept_window: None,
             open: None,
             instead_for_clouds: None,
@@ -155,6 +157,12 @@ impl Session {
     /// wants it. Otherwise every frame gets its own window.
     pub fn with_kept_window(self, keeps_window: bool) -> Self {
         Self { keeps_window, ..self }
+    }
+
+    /// Sets whether the sensor that is estimated from the first frame is that of all frames, as of a video or a folder.
+    /// Otherwise it is estimated from every frame.
+    pub fn with_kept_sensor(self, keeps_sensor: bool) -> Self {
+        Self { keeps_sensor, ..self }
     }
 
     /// Sets options that settings do not have (slots, time stamps, the instruction set); settings override the others.
@@ -224,9 +232,12 @@ impl Session {
             Chosen::Params(_, params) => Ok(((*params).into(), None)),
             Chosen::Settings(settings) if settings.estimates_sensor() && frame.grid().is_some() => {
                 let mut settings = Settings::clone(settings);
-                settings.sensor = self.estimated.map(SensorChoice::Known).or(settings.sensor);
+                let kept = self.estimated.filter(|_| self.keeps_sensor);
+                settings.sensor = kept.map(SensorChoice::Known).or(settings.sensor);
                 let resolved = settings.resolve(frame)?;
-                if let (None, Params::Frame(params)) = (self.estimated, resolved.params) {
+                if let Params::Frame(params) = resolved.params
+                    && self.estimated != Some(params.sensor)
+                {
                     self.estimated = Some(params.sensor);
                     self.events.push(SessionEvent::SensorEstimated { sensor: params.sensor });
                 }
@@ -411,7 +422,7 @@ impl Session {
         std::mem::take(&mut self.events)
     }
 
-    /// Returns the sensor that was estimated from the first frame, if settings ask for that.
+    /// Returns the sensor that was last estimated, if settings ask for that.
     pub fn estimated_sensor(&self) -> Option<SensorModel> {
         self.estimated
     }

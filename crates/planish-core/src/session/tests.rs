@@ -79,11 +79,18 @@ fn settings_change_from_the_next_frame_on() {
 #[test]
 fn a_sensor_is_estimated_once_and_reported() {
     let frame = frame(320);
-    let mut session = session("sensor=auto");
+    let mut kept = session("sensor=auto").with_kept_sensor(true);
     let mut smoothed = Smoothed::default();
-    session.smooth(&frame, &mut smoothed).unwrap();
-    session.smooth(&frame, &mut smoothed).unwrap();
-    assert!(matches!(session.take_events()[..], [SessionEvent::SensorEstimated { .. }]));
+    kept.smooth(&frame, &mut smoothed).unwrap();
+    kept.smooth(&frame, &mut smoothed).unwrap();
+    assert!(matches!(kept.take_events()[..], [SessionEvent::SensorEstimated { .. }]));
+    // Too few depths for an estimate of their own.
+    let few = DepthFrame::new(Camera::new((3, 2), [4.0; 2], [1.0, 0.5]), vec![1000; 6]).unwrap();
+    kept.smooth(&few, &mut smoothed).unwrap();
+    let mut each = session("sensor=auto");
+    each.smooth(&frame, &mut smoothed).unwrap();
+    let error = each.smooth(&few, &mut smoothed).unwrap_err();
+    assert!(error.to_string().contains("too few depths"), "{error}");
 }
 
 #[test]

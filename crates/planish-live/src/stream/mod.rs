@@ -120,7 +120,7 @@ impl StreamOptions {
             }
         };
         let session = session.with_options(self.smoother.clone());
-        Ok(session.with_live(is_live).with_kept_window(true))
+        Ok(session.with_live(is_live).with_kept_window(true).with_kept_sensor(true))
     }
 
     /// The same with frames dealt to these devices; none for the one of the options.
