@@ -5,7 +5,7 @@ use std::hint::black_box;
 use anyhow::{Result, bail};
 use planish::{
     AdapterKind, Engine, EngineError, Error, Frame, FrameParams, FrameTimings, GpuOptions, Outputs, SimdLevel,
-    Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer, Xyz, gpu_adapters,
+    Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer, gpu_adapters,
 };
 
 /// An engine of this machine.
@@ -168,7 +168,7 @@ impl<'a> Load<'a> {
         while self.smoother.receive()?.is_some() {}
         if matches!(self.way, Way::CopiedOut | Way::Batch) {
             self.once()?;
-            return self.results.iter().try_for_each(|Smoothed { points: Xyz { x, y, z }, .. }| look([x, y, z]));
+            return self.results.iter().try_for_each(|result| look(result.points.as_slices()));
         }
         let under_way = if self.way == Way::InPlace { 1 } else { self.smoother.max_in_flight() };
         for _ in 0..2 {

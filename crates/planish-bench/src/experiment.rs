@@ -220,8 +220,7 @@ impl<'a> Bench<'a> {
     pub fn smooth(&self, subject: &Subject, params: FrameParams, input: &Input, points: &mut Xyz) -> Result<()> {
         Load::open(subject, params, Way::CopiedOut, vec![input.frame()?])?.show(|found| {
             self.hold(subject, params, input, found, 1)?;
-            let [x, y, z] = found.map(<[f32]>::to_vec);
-            *points = Xyz { x, y, z };
+            *points = Xyz::from_arrays(found.map(<[f32]>::to_vec)).map_err(Error::from)?;
             Ok(())
         })
     }
@@ -267,8 +266,8 @@ impl<'a> Bench<'a> {
 
 /// A cloud `copies` times in one.
 fn one_under_the_other(cloud: &OrganizedCloud, copies: usize) -> Result<OrganizedCloud> {
-    let Xyz { x, y, z } = cloud.positions();
-    let positions = Xyz { x: x.repeat(copies), y: y.repeat(copies), z: z.repeat(copies) };
+    let positions = cloud.positions().as_slices().map(|axis| axis.repeat(copies));
+    let positions = Xyz::from_arrays(positions).map_err(Error::from)?;
     let tall = OrganizedCloud::from_positions(cloud.width(), copies * cloud.height(), positions);
     Ok(tall.map_err(Error::from)?)
 }
@@ -310,12 +309,10 @@ mod tests {
             .unwrap()
             .smooth(input.frame().unwrap(), &mut right)
             .unwrap();
-        let hold = |points: &Xyz, params, copies| {
-            bench.hold(&subject, params, input, [&points.x, &points.y, &points.z], copies)
-        };
+        let hold = |points: &Xyz, params, copies| bench.hold(&subject, params, input, points.as_slices(), copies);
         hold(&right.points, params, 1).unwrap();
         let mut wrong = right.points.clone();
-        wrong.y.iter_mut().for_each(|y| *y += 1e-4);
+        wrong.as_mut_slices()[1].iter_mut().for_each(|y| *y += 1e-4);
         let error = hold(&wrong, params, 1).unwrap_err().to_string();
         assert!(error.contains("a wrong result is not timed: cpu") && error.contains("simulated table"), "{error}");
         // Another setting is held against a reference of its own.

@@ -206,7 +206,7 @@ fn measure(options: &GeneralOptions, name: &str, cloud: &PointCloud, params: Clo
 }
 
 fn view(positions: &Xyz) -> Result<PointsView<'_>> {
-    Ok(PointsView::from_planes(&positions.x, &positions.y, &positions.z).map_err(Error::from)?)
+    Ok(PointsView::from_planes(positions.x(), positions.y(), positions.z()).map_err(Error::from)?)
 }
 
 /// The points nearest to one in the middle of the file.
@@ -283,7 +283,7 @@ mod tests {
     fn a_cut_is_of_the_nearest_points() {
         let points: Xyz = (0..3 * CHECKED_POINTS).map(|i| [i as f32, 0.0, 0.0]).collect();
         let cut = cut(&points);
-        let (low, high) = cut.x.iter().fold((f32::MAX, f32::MIN), |(low, high), &x| (low.min(x), high.max(x)));
+        let (low, high) = cut.x().iter().fold((f32::MAX, f32::MIN), |(low, high), &x| (low.min(x), high.max(x)));
         assert_eq!((cut.len(), (high - low) as usize + 1), (CHECKED_POINTS, CHECKED_POINTS));
     }
 }

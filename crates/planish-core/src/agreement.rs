@@ -171,7 +171,7 @@ mod tests {
         let reference = Smoothed { width: 10, height: 10, points: points.clone(), ..Smoothed::default() };
         let misses = |found: &Xyz, pixels: Range<usize>| {
             let mut agreement = Agreement::default();
-            agreement.add_points([&found.x, &found.y, &found.z], &reference, pixels, |_| 0.03);
+            agreement.add_points(found.as_slices(), &reference, pixels, |_| 0.03);
             agreement.misses()
         };
         assert!(misses(&points, 0..100).is_empty());

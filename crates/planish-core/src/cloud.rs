@@ -240,7 +240,7 @@ impl PointCloud {
 
     /// Coordinate `axis` of point `i` in the cloud's frame: as the file had it where the point has not moved.
     pub fn coordinate(&self, axis: usize, i: usize) -> f64 {
-        let (origin, here) = (self.origin_m[axis], [&self.positions.x, &self.positions.y, &self.positions.z][axis][i]);
+        let (origin, here) = (self.origin_m[axis], self.positions.as_slices()[axis][i]);
         self.exact(axis, i).unwrap_or(origin + f64::from(here))
     }
 
@@ -250,7 +250,7 @@ impl PointCloud {
     }
 
     fn exact(&self, axis: usize, i: usize) -> Option<f64> {
-        let (origin, here) = (self.origin_m[axis], [&self.positions.x, &self.positions.y, &self.positions.z][axis][i]);
+        let (origin, here) = (self.origin_m[axis], self.positions.as_slices()[axis][i]);
         let exact = self.exact_m.as_ref().and_then(|axes| axes[axis].get(i)).copied();
         exact.filter(|exact| (exact - origin) as f32 == here)
     }
@@ -258,7 +258,7 @@ impl PointCloud {
     /// Keeps the coordinates of a file, if f32 loses digits of them.
     pub fn keep_exact(&mut self, coordinates_m: [Vec<f64>; 3]) {
         let loses = |axis: usize| {
-            let values = [&self.positions.x, &self.positions.y, &self.positions.z][axis];
+            let values = self.positions.as_slices()[axis];
             let origin = self.origin_m[axis];
             coordinates_m[axis]
                 .iter()
@@ -273,8 +273,7 @@ impl PointCloud {
     /// The same with a hole at the end, all of whose fields are 0.
     pub fn with_an_empty_point(&self) -> Self {
         let mut cloud = self.clone();
-        let Xyz { x, y, z } = &mut cloud.positions;
-        [x, y, z].into_iter().for_each(|values| values.push(f32::NAN));
+        cloud.positions.push([f32::NAN; 3]);
         cloud.exact_m = None;
         cloud.attributes.iter_mut().for_each(|attribute| attribute.values.push_zeros(attribute.count));
         cloud
@@ -300,14 +299,13 @@ impl PointCloud {
             let finite = values.iter().filter(|value| value.is_finite());
             finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], &value| [low.min(value), high.max(value)])
         };
-        let Xyz { x, y, z } = &self.positions;
-        [x, y, z].map(|values| finite(values)).map(|[low, high]| (high - low).max(0.0))
+        self.positions.as_slices().map(finite).map(|[low, high]| (high - low).max(0.0))
     }
 
     /// Estimates how many points lie within `radius_m` of a point, from every n-th of them.
     pub fn mean_neighbours(&self, radius_m: f32) -> f64 {
         const QUERIES: usize = 32;
-        let Xyz { x, y, z } = &self.positions;
+        let [x, y, z] = self.positions.as_slices();
         let finite: Vec<usize> = (0..self.len()).filter(|&i| self.positions.is_finite(i)).collect();
         let queries: Vec<usize> =
             finite.iter().copied().step_by((finite.len() / QUERIES).max(1)).take(QUERIES).collect();

@@ -85,7 +85,7 @@ pub use smoothed::Smoothed;
 pub use smoother::Smoother;
 pub use status::Status;
 pub use timings::FrameTimings;
-pub use view::SmoothedView;
+pub use view::{Rows, SmoothedView};
 #[cfg(feature = "wgpu-interop")]
 pub use wgpu;
 pub use xyz::{MAX_PIXELS, Xyz};

@@ -196,7 +196,7 @@ impl<'a> VectorsMut<'a> {
 
 impl<'a> From<&'a mut Xyz> for VectorsMut<'a> {
     fn from(vectors: &'a mut Xyz) -> Self {
-        Self::Planes([&mut vectors.x, &mut vectors.y, &mut vectors.z])
+        Self::Planes(vectors.as_mut_slices())
     }
 }
 

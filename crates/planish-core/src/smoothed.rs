@@ -51,10 +51,10 @@ impl Smoothed {
     pub fn prepare(&mut self, width: usize, height: usize, outputs: Outputs) {
         let len = width * height;
         (self.width, self.height) = (width, height);
-        resize(&mut self.points, if outputs.points { len } else { 0 });
+        self.points.resize(if outputs.points { len } else { 0 }, 0.0);
         keep(&mut self.depth, outputs.depth, |values| values.resize(len, 0));
         keep(&mut self.depth_m, outputs.depth_m, |values| values.resize(len, 0.0));
-        keep(&mut self.normals, outputs.normals, |normals| resize(normals, len));
+        keep(&mut self.normals, outputs.normals, |normals| normals.resize(len, 0.0));
         keep(&mut self.curvature, outputs.curvature, |values| values.resize(len, 0.0));
         keep(&mut self.status, outputs.status, |values| values.resize(len, Status::Hole));
         keep(&mut self.neighbours, outputs.neighbours, |values| values.resize(len, 0));
@@ -62,9 +62,8 @@ impl Smoothed {
 
     /// Bytes of its buffers.
     pub fn bytes(&self) -> usize {
-        let vectors = |vectors: &Xyz| 4 * (vectors.x.capacity() + vectors.y.capacity() + vectors.z.capacity());
-        vectors(&self.points)
-            + self.normals.as_ref().map_or(0, vectors)
+        self.points.bytes()
+            + self.normals.as_ref().map_or(0, Xyz::bytes)
             + 4 * self.curvature.as_ref().map_or(0, Vec::capacity)
             + self.status.as_ref().map_or(0, Vec::capacity)
             + 4 * self.neighbours.as_ref().map_or(0, Vec::capacity)
@@ -93,7 +92,7 @@ impl Smoothed {
         let finite = |values: &[f32]| values.iter().filter(|value| value.is_finite()).count();
         let left = match (&self.depth, &self.depth_m) {
             // Points are holes in all coordinates or in none.
-            _ if !self.points.is_empty() => finite(&self.points.z),
+            _ if !self.points.is_empty() => finite(self.points.z()),
             (_, Some(depth_m)) => finite(depth_m),
             (Some(depth), None) => depth.iter().filter(|raw| **raw != 0).count(),
             (None, None) => return 0,
@@ -194,12 +193,6 @@ impl PointCloud {
             self.face_scanners();
         }
         Ok(())
-    }
-}
-
-fn resize(vectors: &mut Xyz, len: usize) {
-    for values in [&mut vectors.x, &mut vectors.y, &mut vectors.z] {
-        values.resize(len, 0.0);
     }
 }
 

@@ -28,7 +28,7 @@ use crate::xyz::validate_shape;
 /// let mut smoother = Smoother::open(FrameParams::paper(), Engine::Auto, (64, 48))?;
 /// let mut smoothed = Smoothed::default();
 /// smoother.smooth(&cloud, &mut smoothed)?;
-/// assert!((smoothed.points.z[1000] - 1.0).abs() < 1e-6);
+/// assert!((smoothed.points.z()[1000] - 1.0).abs() < 1e-6);
 /// # Ok(())
 /// # }
 /// ```

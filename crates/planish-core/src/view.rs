@@ -3,6 +3,7 @@
 use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::timings::FrameTimings;
+use crate::xyz::Xyz;
 
 /// The result of a frame that was [submitted](crate::Smoother::submit). Read it in place, or copy it out; either from any
 /// thread. One that a GPU wrote gives its memory back to the smoother when it is dropped.
@@ -22,11 +23,51 @@ pub(crate) trait ResultInPlace: Send + Sync {
     fn points(&self) -> Option<[&[f32]; 3]>;
     fn normals(&self) -> Option<[&[f32]; 3]>;
     fn curvature(&self) -> Option<&[f32]>;
-    fn depth_rows(&self) -> Option<Vec<&[u16]>>;
+    fn depth_rows(&self) -> Option<Rows<'_, u16>>;
     fn depth_m(&self) -> Option<&[f32]>;
-    fn status(&self) -> Option<Vec<Status>>;
-    fn neighbours(&self) -> Option<Vec<u32>>;
+    /// The code of each pixel's status.
+    fn status_rows(&self) -> Option<Rows<'_, u8>>;
+    fn neighbours_rows(&self) -> Option<Rows<'_, u8>>;
     fn copy_to(&self, out: &mut Smoothed);
+}
+
+/// The rows of an image in the memory that an engine wrote, where there may be a gap after each.
+#[derive(Debug, Clone)]
+pub struct Rows<'a, T> {
+    rows: std::slice::ChunksExact<'a, T>,
+    width: usize,
+}
+
+impl<'a, T> Rows<'a, T> {
+    /// Rows of `width` values, each of which begins `stride` values after the one before it.
+    pub(crate) fn new(values: &'a [T], width: usize, stride: usize) -> Self {
+        Self { rows: values.chunks_exact(stride.max(1)), width }
+    }
+}
+
+impl<'a, T> Iterator for Rows<'a, T> {
+    type Item = &'a [T];
+
+    fn next(&mut self) -> Option<&'a [T]> {
+        self.rows.next()?.get(..self.width)
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.rows.size_hint()
+    }
+}
+
+impl<T> ExactSizeIterator for Rows<'_, T> {}
+
+impl std::fmt::Debug for SmoothedView {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let storage = match &self.result {
+            Storage::Owned(_) => "owned",
+            Storage::InPlace(_) => "in place",
+        };
+        let mut debug = f.debug_struct("SmoothedView");
+        debug.field("shape", &self.shape()).field("storage", &storage).field("timings", &self.timings).finish()
+    }
 }
 
 impl SmoothedView {
@@ -61,7 +102,7 @@ impl SmoothedView {
     /// x, y and z of the unit normals, NaN where there is none; `None` if they were not asked for.
     pub fn normals(&self) -> Option<[&[f32]; 3]> {
         match &self.result {
-            Storage::Owned(smoothed) => smoothed.normals.as_ref().map(|n| [&n.x[..], &n.y[..], &n.z[..]]),
+            Storage::Owned(smoothed) => smoothed.normals.as_ref().map(Xyz::as_slices),
             Storage::InPlace(result) => result.normals(),
         }
     }
@@ -75,9 +116,9 @@ impl SmoothedView {
     }
 
     /// The rows of raw depth values, 0 for holes; `None` if they were not asked for.
-    pub fn depth_rows(&self) -> Option<Vec<&[u16]>> {
+    pub fn depth_rows(&self) -> Option<Rows<'_, u16>> {
         match &self.result {
-            Storage::Owned(smoothed) => Some(smoothed.depth.as_ref()?.chunks_exact(smoothed.width).collect()),
+            Storage::Owned(smoothed) => Some(Rows::new(smoothed.depth.as_ref()?, smoothed.width, smoothed.width)),
             Storage::InPlace(result) => result.depth_rows(),
         }
     }
@@ -90,20 +131,22 @@ impl SmoothedView {
         }
     }
 
-    /// What became of each pixel; `None` if it was not asked for.
-    pub fn status(&self) -> Option<Vec<Status>> {
-        match &self.result {
-            Storage::Owned(smoothed) => smoothed.status.clone(),
-            Storage::InPlace(result) => result.status(),
-        }
+    /// What became of each pixel, row by row; `None` if it was not asked for.
+    pub fn status(&self) -> Option<impl Iterator<Item = Status> + '_> {
+        let (values, codes) = match &self.result {
+            Storage::Owned(smoothed) => (smoothed.status.as_deref()?, Rows::new(&[], 0, 1)),
+            Storage::InPlace(result) => (&[][..], result.status_rows()?),
+        };
+        Some(values.iter().copied().chain(codes.flatten().map(|&code| Status::of_code(code))))
     }
 
-    /// How many points each fit used; `None` if it was not asked for.
-    pub fn neighbours(&self) -> Option<Vec<u32>> {
-        match &self.result {
-            Storage::Owned(smoothed) => smoothed.neighbours.clone(),
-            Storage::InPlace(result) => result.neighbours(),
-        }
+    /// How many points each fit used, row by row; `None` if it was not asked for.
+    pub fn neighbours(&self) -> Option<impl Iterator<Item = u32> + '_> {
+        let (values, counts) = match &self.result {
+            Storage::Owned(smoothed) => (smoothed.neighbours.as_deref()?, Rows::new(&[], 0, 1)),
+            Storage::InPlace(result) => (&[][..], result.neighbours_rows()?),
+        };
+        Some(values.iter().copied().chain(counts.flatten().map(|&count| u32::from(count))))
     }
 
     /// Where the time of this frame went, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.

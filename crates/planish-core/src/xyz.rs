@@ -17,26 +17,107 @@ pub fn validate_shape(width: usize, height: usize) -> Result<(), FrameError> {
     Ok(())
 }
 
-/// Vectors as three arrays of f32: positions in metres or unit normals.
+/// Vectors as three arrays of f32 of one length: positions in metres or unit normals.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Xyz {
-    /// The x components.
-    pub x: Vec<f32>,
-    /// The y components.
-    pub y: Vec<f32>,
-    /// The z components.
-    pub z: Vec<f32>,
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
 }
 
 impl Xyz {
-    /// `len` vectors of the one value.
+    /// Takes the arrays of x, y and z.
+    ///
+    /// # Errors
+    ///
+    /// If they differ in length.
+    pub fn from_arrays([x, y, z]: [Vec<f32>; 3]) -> Result<Self, FrameError> {
+        for (axis, values) in [("y", &y), ("z", &z)] {
+            if values.len() != x.len() {
+                return Err(FrameError::LengthMismatch { what: axis.into(), len: values.len(), expected: x.len() });
+            }
+        }
+        Ok(Self { x, y, z })
+    }
+
+    /// Returns the arrays of x, y and z.
+    pub fn into_arrays(self) -> [Vec<f32>; 3] {
+        [self.x, self.y, self.z]
+    }
+
+    /// Returns `len` vectors whose components are all `value`.
     pub fn filled(len: usize, value: f32) -> Self {
         Self { x: vec![value; len], y: vec![value; len], z: vec![value; len] }
     }
 
-    /// x, y and z.
+    /// Computes the vectors in parallel.
+    pub fn par_from_fn(len: usize, vector: impl Fn(usize) -> [f32; 3] + Sync) -> Self {
+        let mut xyz = Self::filled(len, 0.0);
+        let components = xyz.x.par_iter_mut().zip(&mut xyz.y).zip(&mut xyz.z).enumerate();
+        components.with_min_len(1 << 12).for_each(|(i, ((x, y), z))| [*x, *y, *z] = vector(i));
+        xyz
+    }
+
+    /// The x components.
+    #[inline]
+    pub fn x(&self) -> &[f32] {
+        &self.x
+    }
+
+    /// The y components.
+    #[inline]
+    pub fn y(&self) -> &[f32] {
+        &self.y
+    }
+
+    /// The z components.
+    #[inline]
+    pub fn z(&self) -> &[f32] {
+        &self.z
+    }
+
+    /// The components x, y and z.
     pub fn as_slices(&self) -> [&[f32]; 3] {
         [&self.x, &self.y, &self.z]
+    }
+
+    /// The components x, y and z, to be changed.
+    pub fn as_mut_slices(&mut self) -> [&mut [f32]; 3] {
+        [&mut self.x, &mut self.y, &mut self.z]
+    }
+
+    /// Changes the number of vectors; new ones are `value` in each component.
+    pub fn resize(&mut self, len: usize, value: f32) {
+        [&mut self.x, &mut self.y, &mut self.z].into_iter().for_each(|axis| axis.resize(len, value));
+    }
+
+    /// Removes all vectors and keeps the memory.
+    pub fn clear(&mut self) {
+        [&mut self.x, &mut self.y, &mut self.z].into_iter().for_each(Vec::clear);
+    }
+
+    /// Adds a vector.
+    pub fn push(&mut self, [x, y, z]: [f32; 3]) {
+        self.x.push(x);
+        self.y.push(y);
+        self.z.push(z);
+    }
+
+    /// How many vectors fit into the memory it has.
+    pub fn capacity(&self) -> usize {
+        self.x.capacity().min(self.y.capacity()).min(self.z.capacity())
+    }
+
+    /// Bytes of its buffers.
+    pub fn bytes(&self) -> usize {
+        4 * (self.x.capacity() + self.y.capacity() + self.z.capacity())
+    }
+
+    /// Appends `len` vectors whose component `axis` of vector `i` is `value(axis, i)`.
+    pub(crate) fn par_extend(&mut self, len: usize, value: impl Fn(usize, usize) -> f32 + Sync) {
+        let extend = |to: &mut Vec<f32>, axis: usize| to.par_extend((0..len).into_par_iter().map(|i| value(axis, i)));
+        let Self { x, y, z } = self;
+        rayon::join(|| extend(x, 0), || rayon::join(|| extend(y, 1), || extend(z, 2)));
     }
 
     /// So many points after each other at a time, in parallel.
@@ -80,29 +161,61 @@ impl Xyz {
     }
 
     /// All vectors in order.
-    pub fn iter(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
-        self.x.iter().zip(&self.y).zip(&self.z).map(|((&x, &y), &z)| [x, y, z])
+    pub fn iter(&self) -> XyzIter<'_> {
+        XyzIter { x: self.x.iter(), y: self.y.iter(), z: self.z.iter() }
     }
 
-    /// Refuses arrays of other lengths.
+    /// Refuses another number of vectors than expected.
     pub fn check_len(&self, what: &str, expected: usize) -> Result<(), FrameError> {
-        for (axis, values) in [("x", &self.x), ("y", &self.y), ("z", &self.z)] {
-            if values.len() != expected {
-                return Err(FrameError::LengthMismatch { what: format!("{what}.{axis}"), len: values.len(), expected });
-            }
+        match self.len() {
+            len if len == expected => Ok(()),
+            len => Err(FrameError::LengthMismatch { what: what.to_owned(), len, expected }),
         }
-        Ok(())
+    }
+}
+
+impl From<Vec<[f32; 3]>> for Xyz {
+    fn from(vectors: Vec<[f32; 3]>) -> Self {
+        vectors.into_iter().collect()
+    }
+}
+
+impl<'a> IntoIterator for &'a Xyz {
+    type Item = [f32; 3];
+    type IntoIter = XyzIter<'a>;
+
+    fn into_iter(self) -> XyzIter<'a> {
+        self.iter()
     }
 }
 
 impl FromIterator<[f32; 3]> for Xyz {
     fn from_iter<I: IntoIterator<Item = [f32; 3]>>(points: I) -> Self {
         let mut xyz = Self::default();
-        for [x, y, z] in points {
-            xyz.x.push(x);
-            xyz.y.push(y);
-            xyz.z.push(z);
-        }
+        points.into_iter().for_each(|point| xyz.push(point));
         xyz
     }
 }
+
+/// The vectors of an [`Xyz`] in order.
+#[derive(Debug, Clone)]
+pub struct XyzIter<'a> {
+    x: std::slice::Iter<'a, f32>,
+    y: std::slice::Iter<'a, f32>,
+    z: std::slice::Iter<'a, f32>,
+}
+
+impl Iterator for XyzIter<'_> {
+    type Item = [f32; 3];
+
+    #[inline]
+    fn next(&mut self) -> Option<[f32; 3]> {
+        Some([*self.x.next()?, *self.y.next()?, *self.z.next()?])
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.x.size_hint()
+    }
+}
+
+impl ExactSizeIterator for XyzIter<'_> {}

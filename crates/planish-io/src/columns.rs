@@ -59,7 +59,7 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
             Some((1, AttributeValues::F32(x))),
             Some((1, AttributeValues::F32(y))),
             Some((1, AttributeValues::F32(z))),
-        ) => (Xyz { x, y, z }, [0.0; 3], None),
+        ) => (Xyz::from_arrays([x, y, z])?, [0.0; 3], None),
         (
             Some((1, AttributeValues::F64(x))),
             Some((1, AttributeValues::F64(y))),
@@ -67,7 +67,8 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
         ) => {
             let origin = [origin_of(&x), origin_of(&y), origin_of(&z)];
             let relative = |values: &[f64], origin: f64| values.iter().map(|v| (v - origin) as f32).collect();
-            let positions = Xyz { x: relative(&x, origin[0]), y: relative(&y, origin[1]), z: relative(&z, origin[2]) };
+            let positions =
+                Xyz::from_arrays([relative(&x, origin[0]), relative(&y, origin[1]), relative(&z, origin[2])])?;
             (positions, origin, Some([x, y, z]))
         }
         _ => {
@@ -103,13 +104,13 @@ pub fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
     let mut columns = cloud.attributes.clone();
     let PositionColumns { index, double } = cloud.position_columns;
     let double = double || cloud.origin_m != [0.0; 3];
-    let mut axes = [(0, &cloud.positions.x), (1, &cloud.positions.y), (2, &cloud.positions.z)];
+    let mut axes = [(0, cloud.positions.x()), (1, cloud.positions.y()), (2, cloud.positions.z())];
     axes.sort_by_key(|&(axis, _)| index[axis]);
     for (axis, values) in axes {
         let values = if double {
             (0..cloud.len()).map(|i| cloud.coordinate(axis, i)).collect::<Vec<f64>>().into()
         } else {
-            AttributeValues::F32(values.clone())
+            AttributeValues::F32(values.to_vec())
         };
         let at = index[axis].min(columns.len());
         columns.insert(at, Attribute { name: AXES[axis].to_owned(), count: 1, values });

@@ -17,11 +17,10 @@ pub(super) fn decode(bytes: &[u8], has_ring: bool, options: &ReadOptions) -> For
         )));
     }
     options.check(bytes.len(), 2)?;
-    let column = |k: usize| -> Vec<f32> {
-        let value = |point: &[u8]| f32::from_le_bytes(std::array::from_fn(|i| point[4 * k + i]));
-        bytes.chunks_exact(record).map(value).collect()
-    };
-    let mut cloud = PointCloud::new(planish_core::Xyz { x: column(0), y: column(1), z: column(2) });
+    let value = |point: &[u8], k: usize| f32::from_le_bytes(std::array::from_fn(|i| point[4 * k + i]));
+    let column = |k: usize| -> Vec<f32> { bytes.chunks_exact(record).map(|point| value(point, k)).collect() };
+    let positions = bytes.chunks_exact(record).map(|point| [0, 1, 2].map(|k| value(point, k))).collect();
+    let mut cloud = PointCloud::new(positions);
     let largest = cloud.extent_m().into_iter().fold(0.0, f32::max);
     // No lidar sees that far: bytes that are no floats.
     if cloud.valid_points() * 2 < cloud.len() || largest > 1e9 {

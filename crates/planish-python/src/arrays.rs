@@ -250,9 +250,9 @@ impl<'a> Slices<'a> {
     }
 
     /// Writes the codes of what became of each pixel.
-    pub fn store_status(&mut self, status: &[Status]) {
+    pub fn store_status(&mut self, status: impl Iterator<Item = Status>) {
         if let Some(codes) = &mut self.status {
-            codes.iter_mut().zip(status).for_each(|(code, &status)| *code = status as u8);
+            codes.iter_mut().zip(status).for_each(|(code, status)| *code = status as u8);
         }
     }
 }

@@ -76,7 +76,7 @@ impl State {
             }
         };
         result.map_err(to_py)?;
-        out.store_status(&status);
+        out.store_status(status.iter().copied());
         self.status = status;
         Ok(self.session.take_events().iter().map(ToString::to_string).collect())
     }
@@ -169,7 +169,7 @@ impl PySmoother {
         let mut state = self.lock()?;
         let session = &mut state.session;
         let received = py.detach(|| match session.receive()? {
-            Some(view) => copy(view, &mut slices).map(|()| true),
+            Some(view) => copy(&view, &mut slices).map(|()| true),
             None => Ok(false),
         });
         if received.is_err() {
@@ -285,7 +285,7 @@ impl PySmoother {
 fn pipelined(session: &mut Session, frames: &[Frame<'_>], slices: &mut [Slices<'_>]) -> Result<(), Error> {
     thread::scope(|scope| {
         let (sender, receiver) = mpsc::sync_channel::<(SmoothedView, &mut Slices<'_>)>(VIEWS_WAITING);
-        let copier = scope.spawn(move || receiver.into_iter().try_for_each(|(view, out)| copy(view, out)));
+        let copier = scope.spawn(move || receiver.into_iter().try_for_each(|(view, out)| copy(&view, out)));
         let mut outs = slices.iter_mut();
         let mut receive = |session: &mut Session| -> Result<(), Error> {
             if let (Some(view), Some(out)) = (session.receive()?, outs.next()) {
@@ -313,7 +313,7 @@ fn pipelined(session: &mut Session, frames: &[Frame<'_>], slices: &mut [Slices<'
 }
 
 /// Copies a result into the caller's arrays.
-fn copy(view: SmoothedView, out: &mut Slices<'_>) -> Result<(), Error> {
+fn copy(view: &SmoothedView, out: &mut Slices<'_>) -> Result<(), Error> {
     for (from, to) in [(view.points(), &mut out.points), (view.normals(), &mut out.normals)] {
         if let (Some([x, y, z]), Some(to)) = (from, to) {
             check_len(to.len(), x.len())?;
@@ -326,20 +326,18 @@ fn copy(view: SmoothedView, out: &mut Slices<'_>) -> Result<(), Error> {
             to.copy_from_slice(from);
         }
     }
+    let (width, height) = view.shape();
     if let (Some(rows), Some(to)) = (view.depth_rows(), &mut out.depth) {
-        let (width, height) = view.shape();
         check_len(to.len(), width * height)?;
         to.chunks_exact_mut(width).zip(rows).for_each(|(to, row)| to.copy_from_slice(row));
     }
     if let (Some(status), Some(to)) = (view.status(), &out.status) {
-        check_len(to.len(), status.len())?;
-        out.store_status(&status);
+        check_len(to.len(), width * height)?;
+        out.store_status(status);
     }
-    if let Some(to) = &mut out.neighbours {
-        // Not part of results in place.
-        let neighbours = view.into_smoothed().neighbours.unwrap_or_default();
-        check_len(to.len(), neighbours.len())?;
-        to.copy_from_slice(&neighbours);
+    if let (Some(neighbours), Some(to)) = (view.neighbours(), &mut out.neighbours) {
+        check_len(to.len(), width * height)?;
+        to.iter_mut().zip(neighbours).for_each(|(to, count)| *to = count);
     }
     Ok(())
 }

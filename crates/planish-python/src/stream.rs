@@ -1,15 +1,11 @@
-//! A running stream, as Python iterates over it: the library's own, with a sink that hands results over.
+//! A running stream, as Python iterates over it.
 
-use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use numpy::{PyArray1, PyArrayMethods};
 use planish::source::{self, Alignment, OwnedFrame, SourceOptions, StreamMode};
-use planish::stream::{self, Sink, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
-use planish::{Error, Outputs, Xyz};
+use planish::stream::{Frames, StreamFrame, StreamOptions, Waited};
+use planish::{Outputs, Xyz};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -18,13 +14,8 @@ use crate::camera::PyCamera;
 use crate::errors::to_py;
 use crate::settings::from_dict;
 
-/// Results that wait to be taken, of a source that is not live.
-const WAITING: usize = 2;
-/// Between two looks at Python's signals.
+/// How often Python's signals are checked.
 const PATIENCE: Duration = Duration::from_millis(50);
-
-/// Warnings that wait to be told.
-const MOST_WARNINGS: usize = 100;
 
 /// A frame with its result, in rows as Python has them.
 struct Delivered {
@@ -120,93 +111,9 @@ impl Delivered {
     }
 }
 
-/// What the stream's threads and Python share.
-#[derive(Default)]
-struct Shared {
-    stop: AtomicBool,
-    state: Mutex<State>,
-    changed: Condvar,
-}
-
-#[derive(Default)]
-struct State {
-    waiting: VecDeque<Delivered>,
-    /// Results of a live source that a newer one replaced before they were taken.
-    replaced: u64,
-    warnings: Vec<String>,
-    has_ended: bool,
-    /// What the stream came to, or why it ended.
-    statistics: Option<StreamStatistics>,
-    error: Option<Error>,
-}
-
-impl Shared {
-    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The next result, once there is one or the stream has ended; `None` if neither is so for a while.
-    fn take(&self) -> Option<Option<Delivered>> {
-        let mut state = self.lock();
-        let until = Instant::now() + PATIENCE;
-        loop {
-            if let Some(delivered) = state.waiting.pop_front() {
-                self.changed.notify_all();
-                return Some(Some(delivered));
-            }
-            if state.has_ended {
-                return Some(None);
-            }
-            let left = until.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return None;
-            }
-            state = self.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
-        }
-    }
-}
-
-/// Hands results over: of a live source the newest, of any other all.
-struct Handover {
-    shared: Arc<Shared>,
-    is_live: bool,
-}
-
-impl Sink for Handover {
-    fn name(&self) -> String {
-        "Python".to_owned()
-    }
-
-    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
-        let delivered = Delivered::of(frame);
-        let mut state = self.shared.lock();
-        if self.is_live {
-            state.replaced += state.waiting.len() as u64;
-            state.waiting.clear();
-        }
-        while state.waiting.len() >= WAITING && !self.shared.stop.load(Ordering::Relaxed) {
-            state = self.shared.changed.wait_timeout(state, PATIENCE).unwrap_or_else(PoisonError::into_inner).0;
-        }
-        state.waiting.push_back(delivered);
-        self.shared.changed.notify_all();
-        Ok(())
-    }
-}
-
-fn alignment_of(name: &str) -> PyResult<Alignment> {
-    match name {
-        "depth" => Ok(Alignment::Depth),
-        "color" => Ok(Alignment::Color),
-        "none" => Ok(Alignment::None),
-        name => Err(PyValueError::new_err(format!("align: {name:?} is not allowed: depth, color or none"))),
-    }
-}
-
 #[pyclass(frozen, name = "Stream", module = "planish._planish")]
 pub struct PyStream {
-    shared: Arc<Shared>,
-    is_live: bool,
-    thread: Mutex<Option<JoinHandle<()>>>,
+    frames: Frames,
     /// The process that has opened it.
     process: u32,
 }
@@ -244,71 +151,41 @@ impl PyStream {
         let source_options = SourceOptions::default()
             .with_camera(camera.map(|camera| camera.0))
             .with_tum_units_per_metre(depth_units_per_metre)
-            .with_alignment(align.map(alignment_of).transpose()?)
+            .with_alignment(align.map(str::parse::<Alignment>).transpose().map_err(to_py)?)
             .with_mode(mode.map(str::parse::<StreamMode>).transpose().map_err(to_py)?)
             .with_fps(fps);
         let source = py.detach(|| source::open(source, &source_options)).map_err(to_py)?;
-        let is_live = source.is_live();
         settings.outputs = Some(outputs);
         let options = StreamOptions::from_settings(settings).map_err(to_py)?.with_max_frames(frames);
-        let shared = Arc::new(Shared::default());
-        let sink = Handover { shared: Arc::clone(&shared), is_live };
-        let work = {
-            let shared = Arc::clone(&shared);
-            move || {
-                let tell = |event: StreamEvent<'_>| {
-                    if let StreamEvent::Warning(text) = event {
-                        let mut state = shared.lock();
-                        // A file that is repeated may have the same fault for ever.
-                        if state.warnings.len() < MOST_WARNINGS && !state.warnings.contains(&text) {
-                            state.warnings.push(text);
-                        }
-                    }
-                };
-                let result = stream::run(source, &options, vec![Box::new(sink)], &shared.stop, tell);
-                let mut state = shared.lock();
-                state.has_ended = true;
-                match result {
-                    Ok(statistics) => state.statistics = Some(statistics),
-                    Err(error) => state.error = Some(error),
-                }
-                shared.changed.notify_all();
-            }
-        };
-        let failed = |error: std::io::Error| PyRuntimeError::new_err(format!("could not start a thread: {error}"));
-        let thread = std::thread::Builder::new().name("planish-stream".into()).spawn(work).map_err(failed)?;
-        Ok(Self { shared, is_live, thread: Mutex::new(Some(thread)), process: std::process::id() })
+        Ok(Self { frames: Frames::start(source, options).map_err(to_py)?, process: std::process::id() })
     }
 
     /// The next frame with its result, if there is one soon; what is to be warned of; and whether that is the end.
     fn next<'py>(&self, py: Python<'py>) -> PyResult<(Option<Bound<'py, PyDict>>, Vec<String>, bool)> {
         self.check_process()?;
         py.check_signals()?;
-        let taken = py.detach(|| self.shared.take());
-        let mut state = self.shared.lock();
-        let warnings = std::mem::take(&mut state.warnings);
-        let has_ended = matches!(taken, Some(None));
-        let delivered = taken.flatten();
-        if has_ended && let Some(error) = state.error.take() {
-            return Err(to_py(error));
-        }
-        drop(state);
-        Ok((delivered.map(|delivered| delivered.into_dict(py)).transpose()?, warnings, has_ended))
+        let delivered = py.detach(|| match self.frames.next_within(PATIENCE) {
+            Ok(Waited::Frame(frame)) => Ok((Some(Delivered::of(&frame)), false)),
+            Ok(Waited::Ended) => Ok((None, true)),
+            Ok(Waited::TimedOut) => Ok((None, false)),
+            Err(error) => Err(error),
+        });
+        let (delivered, has_ended) = delivered.map_err(to_py)?;
+        Ok((delivered.map(|delivered| delivered.into_dict(py)).transpose()?, self.frames.take_warnings(), has_ended))
     }
 
     /// Whether the source is a camera, or plays like one.
     fn is_live(&self) -> bool {
-        self.is_live
+        self.frames.is_live()
     }
 
     /// What the stream came to; `None` while it runs.
     fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
-        let state = self.shared.lock();
-        let Some(statistics) = &state.statistics else { return Ok(None) };
+        let Some(statistics) = self.frames.statistics() else { return Ok(None) };
         let found = PyDict::new(py);
         found.set_item("frames_in", statistics.frames_in)?;
         found.set_item("frames_out", statistics.frames_out)?;
-        found.set_item("dropped", statistics.dropped + statistics.dropped_by_sinks + state.replaced)?;
+        found.set_item("dropped", statistics.dropped + statistics.dropped_by_sinks)?;
         found.set_item("unreadable", statistics.unreadable)?;
         found.set_item("fps", statistics.fps())?;
         let latency = statistics.latency();
@@ -319,24 +196,14 @@ impl PyStream {
         Ok(Some(found))
     }
 
-    /// Ends the stream and waits for its threads.
+    /// Ends the stream and waits until its source is closed.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
-        let is_running = |thread: &Option<JoinHandle<()>>| thread.as_ref().is_some_and(|thread| !thread.is_finished());
-        if self.process != std::process::id() {
-            // Its threads are not there to be waited for.
-            std::mem::forget(self.thread.lock().unwrap_or_else(PoisonError::into_inner).take());
-            return Ok(());
-        }
-        self.shared.stop.store(true, Ordering::Relaxed);
-        self.shared.changed.notify_all();
-        while is_running(&self.thread.lock().unwrap_or_else(PoisonError::into_inner)) {
+        self.frames.stop();
+        // Threads do not survive a fork: in another process there is nothing to wait for.
+        while self.process == std::process::id() && !self.frames.has_ended() {
             py.check_signals()?;
             py.detach(|| std::thread::sleep(PATIENCE / 10));
         }
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        // A panic of the library's is in nobody's hands here.
-        py.detach(|| thread.map(JoinHandle::join));
-        self.shared.lock().waiting.clear();
         Ok(())
     }
 }
@@ -348,12 +215,5 @@ impl PyStream {
             return Ok(());
         }
         Err(PyRuntimeError::new_err("this stream was opened by another process: open one here"))
-    }
-}
-
-impl Drop for PyStream {
-    fn drop(&mut self) {
-        self.shared.stop.store(true, Ordering::Relaxed);
-        self.shared.changed.notify_all();
     }
 }

@@ -22,8 +22,7 @@ pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
 
 /// The bits of all x, all y and all z.
 pub fn of_points(points: &Xyz) -> Vec<u32> {
-    let Xyz { x, y, z } = points;
-    [x, y, z].into_iter().flatten().map(bits_of).collect()
+    points.as_slices().into_iter().flatten().map(bits_of).collect()
 }
 
 fn bits_of(value: &f32) -> u32 {

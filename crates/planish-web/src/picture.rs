@@ -9,7 +9,7 @@ const HOLE: [u8; 3] = [0; 3];
 
 /// The nearest and the farthest depth that colours tell apart, of 98 % of the points.
 pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
-    let mut z: Vec<f32> = points.z.iter().copied().filter(|z| z.is_finite()).collect();
+    let mut z: Vec<f32> = points.z().iter().copied().filter(|z| z.is_finite()).collect();
     if z.is_empty() {
         return [0.0, 1.0];
     }
@@ -60,7 +60,7 @@ pub(crate) fn colours_of(
     };
     let pixels = |rgb: Vec<u8>| rgb.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
     match kind {
-        PictureKind::Depth => cloud.positions().z.iter().map(|&z| depth_colour(z, range)).collect(),
+        PictureKind::Depth => cloud.positions().z().iter().map(|&z| depth_colour(z, range)).collect(),
         PictureKind::Normals => match normals {
             Some(normals) => normals.iter().map(normal_colour).collect(),
             None => between_pixels().iter().map(normal_colour).collect(),
@@ -90,7 +90,7 @@ pub(crate) fn colours_of_general(
             lit(&normals.iter().map(|n| if n[2] > 0.0 { n.map(|value| -value) } else { n }).collect())
         }
         (PictureKind::Relief, Some(rgb), None) => rgb,
-        _ => cloud.positions.z.iter().map(|&z| depth_colour(z, range)).collect(),
+        _ => cloud.positions.z().iter().map(|&z| depth_colour(z, range)).collect(),
     }
 }
 

@@ -9,7 +9,7 @@
 //! let (raw, camera) = (vec![1500u16; 640 * 480], Camera::kinect_v1());
 //! let settings: Settings = "preset=light edges=robust".parse()?;
 //! let smoothed = planish::smooth(DepthView::new(&raw, &camera)?, &settings)?;
-//! # assert!((smoothed.points.z[1000] - 1.5).abs() < 1e-6);
+//! # assert!((smoothed.points.z()[1000] - 1.5).abs() < 1e-6);
 //! # Ok(())
 //! # }
 //! ```

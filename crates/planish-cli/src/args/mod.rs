@@ -283,7 +283,8 @@ pub struct SourceArgs {
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum AlignArg {
     Depth,
-    Color,
+    #[value(name = "color")]
+    Colour,
     None,
 }
 
@@ -291,7 +292,7 @@ impl From<AlignArg> for Alignment {
     fn from(arg: AlignArg) -> Self {
         match arg {
             AlignArg::Depth => Self::Depth,
-            AlignArg::Color => Self::Color,
+            AlignArg::Colour => Self::Colour,
             AlignArg::None => Self::None,
         }
     }

@@ -63,7 +63,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     outln!("  range          pixels   distance to the surface (RMS)     mean error of the normal");
     let normals = smoothed.normals.as_ref().unwrap_or(&raw_normals);
     for (near, far) in [(0.5, 1.5), (1.5, 2.5), (2.5, 4.2)] {
-        let selected = |i: usize| flat[i] && (near..far).contains(&truth.points.z[i]);
+        let selected = |i: usize| flat[i] && (near..far).contains(&truth.points.z()[i]);
         let before = errors(&truth, raw.positions(), &raw_normals, selected);
         let after = errors(&truth, &smoothed.points, normals, selected);
         print_row(near, far, before, after);

@@ -176,7 +176,7 @@ fn normals_field(cloud: &PointCloud) -> Option<Xyz> {
         AttributeValues::F64(values) => Some(values.iter().map(|&value| value as f32).collect()),
         _ => None,
     });
-    Some(Xyz { x: x?, y: y?, z: z? })
+    Xyz::from_arrays([x?, y?, z?]).ok()
 }
 
 /// A cloud's positions relative to another origin.
@@ -292,7 +292,7 @@ impl Method {
         }
         if self.is_general {
             let cloud = frame.deproject().map_err(Error::from)?;
-            let Xyz { x, y, z } = cloud.positions();
+            let [x, y, z] = cloud.positions().as_slices();
             let points = PointsView::from_planes(x, y, z).map_err(Error::from)?;
             let start = Instant::now();
             self.smoother.smooth(points, &mut self.smoothed)?;

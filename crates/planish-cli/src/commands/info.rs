@@ -124,7 +124,7 @@ fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
         info.fields = fields(cloud);
         info.sensor_pose = info.sensor_pose.or(part.sensor_pose);
         let finite = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i));
-        sample.extend(finite.step_by(SAMPLE_STEP).map(|i| cloud.origin_m[2] + f64::from(cloud.positions.z[i])));
+        sample.extend(finite.step_by(SAMPLE_STEP).map(|i| cloud.origin_m[2] + f64::from(cloud.positions.z()[i])));
     })?;
     info.format = format.name();
     info.median_z_m = median(&mut sample);

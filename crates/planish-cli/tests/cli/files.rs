@@ -342,7 +342,7 @@ fn a_cloud_in_another_frame_keeps_its_points_with_its_pose_by_option_or_without(
     assert_eq!(said, "");
     let Contents::Organized(posed) = io::decode(&posed, None).unwrap().1 else { panic!() };
     assert_eq!(posed.points.pose, cloud.points.pose, "the file keeps its viewpoint");
-    assert!(posed.positions().x.iter().all(|x| (x - 2.1).abs() < 1e-5));
+    assert!(posed.positions().x().iter().all(|x| (x - 2.1).abs() < 1e-5));
 
     assert!(refused(&["smooth", str(&input), str(&output), "--sensor-pose", "0,0,0,2,0,0,0"]).contains("length 1"));
     assert!(refused(&["smooth", str(&input), str(&output), "--sensor-pose", "1,2,3"]).contains("7 numbers"));
@@ -475,7 +475,7 @@ fn a_ply_described_in_parts_is_described_as_whole() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("a.ply");
     let mut cloud = planish::PointCloud::new((0..40_000).map(|i| [(i % 97) as f32, 0.5, 1e-3 * i as f32]).collect());
-    (0..40_000).filter(|i| i % 97 < 60).for_each(|i| cloud.positions.x[i] = f32::NAN);
+    (0..40_000).filter(|i| i % 97 < 60).for_each(|i| cloud.positions.as_mut_slices()[0][i] = f32::NAN);
     cloud.pose = planish::SensorPose::from_viewpoint([1.0, 2.0, 3.0, 0.5, -0.5, 0.5, -0.5]);
     for encoding in [Encoding::Binary, Encoding::Ascii] {
         write_cloud(&file, &cloud, encoding).unwrap();

@@ -198,7 +198,7 @@ fn two_frames_of_one_name_are_told_apart_and_an_engine_that_is_not_there_is_refu
     let other = folder.path().join("other");
     fs::create_dir(&other).unwrap();
     let mut nearer = cloud;
-    nearer.points.positions.z.iter_mut().for_each(|z| *z *= 0.9);
+    nearer.points.positions.as_mut_slices()[2].iter_mut().for_each(|z| *z *= 0.9);
     let other = other.join("frame.pcd");
     write_cloud(&other, &nearer, Encoding::Binary).unwrap();
     let out = folder.path().join("out");

@@ -59,7 +59,7 @@ fn seeds(folder: &Path) -> Vec<(&'static str, Vec<u8>)> {
     for name in ["depth.png", "depth.tiff", "depth.npy"] {
         write_depth(&path(name), &image).unwrap();
     }
-    write_depth_metres(&path("metres.npy"), SIZE.0, &cloud.positions().z).unwrap();
+    write_depth_metres(&path("metres.npy"), SIZE.0, cloud.positions().z()).unwrap();
     let names = [
         "ascii.pcd",
         "binary.pcd",

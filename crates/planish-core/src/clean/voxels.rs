@@ -52,8 +52,7 @@ pub fn downsample(cloud: &PointCloud, voxels: &Voxels) -> PointCloud {
         })
         .collect();
     normalize(&mut merged);
-    let axis = |k: usize| centroids.par_iter().map(|centroid| centroid[k]).collect();
-    let positions = Xyz { x: axis(0), y: axis(1), z: axis(2) };
+    let positions = Xyz::par_from_fn(centroids.len(), |i| centroids[i]);
     PointCloud { positions, attributes: merged, ..cloud.without_points() }
 }
 

@@ -127,7 +127,7 @@ impl<'a> DepthView<'a> {
     pub fn deproject_with(&self, rays: &Rays) -> Xyz {
         let (width, height) = self.shape();
         let mut points = Xyz::filled(width * height, 0.0);
-        let Xyz { x, y, z } = &mut points;
+        let [x, y, z] = points.as_mut_slices();
         let rows = x.par_chunks_mut(width).zip(y.par_chunks_mut(width)).zip(z.par_chunks_mut(width)).enumerate();
         rows.with_min_len(ROWS_OF_A_TASK).for_each(|(v, ((x, y), z))| {
             let metres_per_unit = self.camera.metres_per_unit();

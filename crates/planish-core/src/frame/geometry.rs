@@ -319,7 +319,7 @@ mod tests {
     fn pitch_is_estimated_to_a_part_in_a_thousand_on_a_tilted_noisy_plane() {
         let depth_m = (0..480 * 640).map(|i| 1.0 + 0.001 * (i % 640) as f32 + 0.002 * (i % 7) as f32);
         let mut positions = Camera::kinect_v1().deproject_m(depth_m);
-        positions.z.iter_mut().step_by(11).for_each(|z| *z = f32::NAN);
+        positions.as_mut_slices()[2].iter_mut().step_by(11).for_each(|z| *z = f32::NAN);
         let cloud = OrganizedCloud::from_positions(640, 480, positions).unwrap();
         let pitch = cloud.pixel_pitch_at_1m().unwrap();
         assert!((pitch * 525.0 - 1.0).abs() < 1e-3, "{pitch}");

@@ -155,7 +155,7 @@ impl<'a> PointsView<'a> {
         cloud.positions.check_len("positions", cloud.len())?;
         check_origin(cloud.origin_m)?;
         let positions = &cloud.positions;
-        let view = Self::from_planes(&positions.x, &positions.y, &positions.z)?;
+        let view = Self::from_planes(positions.x(), positions.y(), positions.z())?;
         Self { origin_m: DVec3::from_array(cloud.origin_m), ..view }.with_pose(cloud.pose)
     }
 

@@ -6,6 +6,7 @@ use super::layout::Layout;
 use crate::outputs::{SmoothedMut, VectorsMut};
 use crate::smoothed::Smoothed;
 use crate::status::Status;
+use crate::view::Rows;
 
 /// One frame of a result, in the bytes that the device has written.
 #[derive(Clone, Copy)]
@@ -42,39 +43,24 @@ impl<'a> Results<'a> {
         Some(self.values(self.layout.depth_m()?))
     }
 
-    pub(super) fn depth_rows(self) -> Option<impl Iterator<Item = &'a [u16]>> {
+    pub(super) fn depth_rows(self) -> Option<Rows<'a, u16>> {
         Some(self.rows(self.layout.depth()?))
     }
 
     /// Returns rows of codes, one for each status.
-    fn status_rows(self) -> Option<impl Iterator<Item = &'a [u8]>> {
+    pub(super) fn status_rows(self) -> Option<Rows<'a, u8>> {
         Some(self.rows(self.layout.status()?))
     }
 
     /// Returns rows of counts.
-    fn neighbours_rows(self) -> Option<impl Iterator<Item = &'a [u8]>> {
+    pub(super) fn neighbours_rows(self) -> Option<Rows<'a, u8>> {
         Some(self.rows(self.layout.neighbours()?))
     }
 
-    #[cfg(feature = "gpu")]
-    pub(super) fn status(self) -> Option<Vec<Status>> {
-        let mut status = vec![Status::Hole; self.layout.width * self.layout.height];
-        self.copy_rows(self.status_rows()?, &mut status, Status::of_code);
-        Some(status)
-    }
-
-    #[cfg(feature = "gpu")]
-    pub(super) fn neighbours(self) -> Option<Vec<u32>> {
-        let mut neighbours = vec![0; self.layout.width * self.layout.height];
-        self.copy_rows(self.neighbours_rows()?, &mut neighbours, u32::from);
-        Some(neighbours)
-    }
-
     /// Returns rows of packed values, each of the image's width without the padding of up to 3 bytes after it.
-    fn rows<T: bytemuck::AnyBitPattern>(self, words: Range<usize>) -> impl Iterator<Item = &'a [T]> {
+    fn rows<T: bytemuck::AnyBitPattern>(self, words: Range<usize>) -> Rows<'a, T> {
         let values: &[T] = self.values(words);
-        let width = self.layout.width;
-        values.chunks_exact((values.len() / self.layout.height).max(1)).map(move |row| &row[..width])
+        Rows::new(values, self.layout.width, values.len() / self.layout.height)
     }
 
     /// Copies rows of codes as what they stand for.

@@ -17,7 +17,6 @@ use crate::params::{EngineParams, FrameParams};
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
 use crate::testing::{DepthNoise, Random, Scene, simulated, simulated_frame};
-use crate::xyz::Xyz;
 
 /// The device of the tests; says SKIP where there is none.
 fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
@@ -267,7 +266,7 @@ fn frames_on_several_queues_come_back_in_order_and_the_same() {
         expected.prepare(64, 48, Outputs::ALL);
         alone.smooth(frame, expected.as_mut()).unwrap();
         let bits = |smoothed: &Smoothed| {
-            let Xyz { x, y, z } = &smoothed.points;
+            let [x, y, z] = smoothed.points.as_slices();
             [x, y, z].map(|channel| channel.iter().map(|value| value.to_bits()).collect::<Vec<_>>())
         };
         assert_eq!((bits(&found), found.status), (bits(&expected), expected.status));

@@ -8,9 +8,8 @@ use super::slot::Slot;
 use crate::error::EngineError;
 use crate::outputs::SmoothedMut;
 use crate::smoothed::Smoothed;
-use crate::status::Status;
 use crate::timings::FrameTimings;
-use crate::view::ResultInPlace;
+use crate::view::{ResultInPlace, Rows};
 
 /// The mapped result of a submission. Returns its slot when dropped.
 pub(super) struct MappedView {
@@ -68,20 +67,20 @@ impl ResultInPlace for MappedView {
         self.results(0).curvature()
     }
 
-    fn depth_rows(&self) -> Option<Vec<&[u16]>> {
-        Some(self.results(0).depth_rows()?.collect())
+    fn depth_rows(&self) -> Option<Rows<'_, u16>> {
+        self.results(0).depth_rows()
     }
 
     fn depth_m(&self) -> Option<&[f32]> {
         self.results(0).depth_m()
     }
 
-    fn status(&self) -> Option<Vec<Status>> {
-        self.results(0).status()
+    fn status_rows(&self) -> Option<Rows<'_, u8>> {
+        self.results(0).status_rows()
     }
 
-    fn neighbours(&self) -> Option<Vec<u32>> {
-        self.results(0).neighbours()
+    fn neighbours_rows(&self) -> Option<Rows<'_, u8>> {
+        self.results(0).neighbours_rows()
     }
 
     fn copy_to(&self, out: &mut Smoothed) {

@@ -229,7 +229,7 @@ mod tests {
         assert_eq!(size(params.at_resolution_of(&depth)).1, 1, "depth has its camera");
         let short = DepthFrame { raw: vec![1000; 100], ..depth.clone() };
         let mut cut = depth.deproject().unwrap();
-        cut.points.positions.x.truncate(20);
+        cut.points.positions.resize(20, 0.0);
         let bad = DepthFrame { camera: Camera { fx: f64::NAN, ..camera }, ..depth };
         assert_eq!(size(params.at_resolution_of(&short)), size(params));
         assert_eq!(size(params.at_resolution_of(&cut)), size(params));

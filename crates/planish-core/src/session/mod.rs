@@ -498,7 +498,7 @@ impl std::fmt::Debug for Session {
 /// # fn main() -> Result<(), planish::Error> {
 /// let (raw, camera) = (vec![1500u16; 640 * 480], Camera::kinect_v1());
 /// let smoothed = planish::smooth(DepthView::new(&raw, &camera)?, &Settings::default())?;
-/// assert!((smoothed.points.z[1000] - 1.5).abs() < 1e-6);
+/// assert!((smoothed.points.z()[1000] - 1.5).abs() < 1e-6);
 /// # Ok(())
 /// # }
 /// ```

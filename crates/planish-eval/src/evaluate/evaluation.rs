@@ -226,7 +226,7 @@ impl Evaluation {
         for i in (0..flat.len()).filter(|&i| flat[i] && points.is_finite(i)) {
             let n = truth.normals.vector(i);
             let normal_deg = normals.is_finite(i).then(|| angle_deg(n, normals.vector(i)));
-            let z = f64::from(truth.points.z[i]);
+            let z = f64::from(truth.points.z()[i]);
             let off_m = (points.vector(i) - truth.points.vector(i)).dot(n);
             let facet_deg = facet(points, &flat, i, truth.camera.width).map(|facet| angle_deg(n, facet));
             let error = PixelError { off_m, step_m: step_m(z), normal_deg, facet_deg };
@@ -385,7 +385,7 @@ fn second_difference(points: &Xyz, flat: &[bool], i: usize, width: usize) -> Opt
     if at_border || ![i - 1, i, i + 1].iter().all(|&j| flat[j] && points.is_finite(j)) {
         return None;
     }
-    let z = |j: usize| points.z[j];
+    let z = |j: usize| points.z()[j];
     Some((z(i - 1) - 2.0 * z(i) + z(i + 1)).abs() / (z(i) * z(i)))
 }
 
@@ -422,7 +422,7 @@ pub(super) fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
                 continue;
             }
             let (off, n) = (p - truth.points.vector(j), truth.normals.vector(j));
-            let (along, pitch_m) = (off.dot(n), f64::from(truth.points.z[j]) / truth.camera.fx);
+            let (along, pitch_m) = (off.dot(n), f64::from(truth.points.z()[j]) / truth.camera.fx);
             let beside = ((off.length_squared() - along * along).max(0.0).sqrt() - pitch_m).max(0.0);
             nearest = nearest.min(along * along + beside * beside);
         }

@@ -126,7 +126,7 @@ impl RigEvaluation {
             let (truth, is_flat) = (&camera.truth, &flat[i]);
             // Where the true camera would have the points that were placed by the stated pose.
             let placed = |p: DVec3| to_camera(&camera.pose, to_world(&camera.stated, p));
-            let in_range = |p: usize| RANGE_M.contains(&truth.points.z[p]);
+            let in_range = |p: usize| RANGE_M.contains(&truth.points.z()[p]);
             let seen_by = seen_by(case, i);
             for p in (0..is_flat.len()).filter(|&p| is_flat[p] && in_range(p) && points.is_finite(p)) {
                 let n = truth.normals.vector(p);
@@ -168,7 +168,7 @@ impl RigEvaluation {
         let (width, height) = (camera.truth.camera.width, camera.truth.camera.height);
         let apart_m = |p: usize| -> Option<f64> {
             let q = seen_by[p][j].filter(|&q| flat[j][q] && results[j].is_finite(q))?;
-            let usable = flat[i][p] && results[i].is_finite(p) && RANGE_M.contains(&camera.truth.points.z[p]);
+            let usable = flat[i][p] && results[i].is_finite(p) && RANGE_M.contains(&camera.truth.points.z()[p]);
             let n = camera.pose.world_from_camera * camera.truth.normals.vector(p);
             let mine = to_world(&camera.stated, results[i].vector(p));
             let others = to_world(&other.stated, results[j].vector(q));
@@ -213,7 +213,7 @@ fn seen_by(case: &RigCase, i: usize) -> Vec<Vec<Option<usize>>> {
         let other = &case.cameras[j];
         let there = to_camera(&other.pose, to_world(&camera.pose, camera.truth.points.vector(p)));
         let q = other.truth.camera.pixel_of(there.to_array())?;
-        let is_seen = (f64::from(other.truth.points.z[q]) - there.z).abs() < SEEN_WITHIN_M;
+        let is_seen = (f64::from(other.truth.points.z()[q]) - there.z).abs() < SEEN_WITHIN_M;
         let is_measured = other.frame.camera.depth_m(other.frame.raw[q]).is_finite();
         (is_seen && is_measured).then_some(q)
     };

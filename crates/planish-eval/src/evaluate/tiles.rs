@@ -37,7 +37,7 @@ pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> Ti
         for u0 in (0..width.saturating_sub(TILE_PX - 1)).step_by(TILE_PX) {
             let pixels: Vec<usize> =
                 (0..TILE_PX * TILE_PX).map(|k| (v0 + k / TILE_PX) * width + u0 + k % TILE_PX).collect();
-            let depths = || pixels.iter().map(|&i| measured.positions().z[i]);
+            let depths = || pixels.iter().map(|&i| measured.positions().z()[i]);
             let (near, far) = depths().fold((f32::INFINITY, 0f32), |(near, far), z| (near.min(z), far.max(z)));
             if !pixels.iter().all(|&i| measured.positions().is_finite(i)) || far - near > 0.05 * near {
                 continue;

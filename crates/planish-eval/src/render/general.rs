@@ -133,7 +133,7 @@ impl DistantView {
             .unwrap_or_else(|| super::difference_normals(width, height, &points.positions));
         // All rays are parallel: what is seen faces against z.
         let facing: Xyz = normals.iter().map(|n| if n[2] > 0.0 { n.map(|value| -value) } else { n }).collect();
-        for (name, values) in NORMALS.into_iter().zip([facing.x, facing.y, facing.z]) {
+        for (name, values) in NORMALS.into_iter().zip(facing.into_arrays()) {
             points.set_attribute(name, values);
         }
         OrganizedCloud::new(width, height, points)

@@ -42,10 +42,8 @@ pub fn normals_of(cloud: &OrganizedCloud) -> Xyz {
         Some(AttributeValues::F32(values)) if values.len() == cloud.points.len() => Some(values.clone()),
         _ => None,
     };
-    match (field("normal_x"), field("normal_y"), field("normal_z")) {
-        (Some(x), Some(y), Some(z)) => Xyz { x, y, z },
-        _ => difference_normals(cloud.width(), cloud.height(), cloud.positions()),
-    }
+    let fields = || Xyz::from_arrays([field("normal_x")?, field("normal_y")?, field("normal_z")?]).ok();
+    fields().unwrap_or_else(|| difference_normals(cloud.width(), cloud.height(), cloud.positions()))
 }
 
 /// Renders relief: each pixel lit from the upper left by its normal; black where there is none.

@@ -98,7 +98,7 @@ mod tests {
                 // The table is the second object without the wall, things on it come after.
                 let on_table = truth.objects.iter().filter(|&&object| object != super::super::NO_OBJECT && object >= 1);
                 assert!(on_table.count() > truth.objects.len() / 3);
-                let z = truth.points.z[30 * 80 + 40];
+                let z = truth.points.z()[30 * 80 + 40];
                 assert!((0.7..1.3).contains(&z), "{z}");
             }
         }

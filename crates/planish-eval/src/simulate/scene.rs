@@ -203,7 +203,7 @@ impl Truth {
             let (pa, pb, n) = (self.points.get(a), self.points.get(b), self.normals.get(a));
             (0..3).map(|k| (pb[k] - pa[k]) * n[k]).sum::<f32>().abs()
         };
-        off_plane(i, j).min(off_plane(j, i)) > 0.01 * self.points.z[i].min(self.points.z[j])
+        off_plane(i, j).min(off_plane(j, i)) > 0.01 * self.points.z()[i].min(self.points.z()[j])
     }
 }
 

@@ -171,7 +171,7 @@ impl DepthSimulator {
             if shadow[u] || drop_chance < self.dropout_probability(truth.incidence_cosine(i)) {
                 continue;
             }
-            let mut depth_m = f64::from(truth.points.z[i]);
+            let mut depth_m = f64::from(truth.points.z()[i]);
             if let Some(other) = self.beyond_step(truth, u, v, jitter_u, jitter_v) {
                 depth_m = other;
             }
@@ -202,7 +202,7 @@ impl DepthSimulator {
         let mut shadow = vec![false; width];
         let mut leftmost = f64::INFINITY;
         for u in (0..width).rev() {
-            let in_projector = u as f64 - shift / f64::from(truth.points.z[v * width + u]);
+            let in_projector = u as f64 - shift / f64::from(truth.points.z()[v * width + u]);
             // The image of one surface may fold by a fraction of a pixel where it is steep.
             shadow[u] = shift > 0.0 && in_projector > leftmost + 1.0;
             leftmost = leftmost.min(in_projector);
@@ -227,7 +227,7 @@ impl DepthSimulator {
         };
         let (width, height) = (self.camera.width, self.camera.height);
         let (i, j) = (v * width + u, moved(v, jitter_v, height) * width + moved(u, jitter_u, width));
-        (truth.is_step(i, j) && truth.objects[j] != NO_OBJECT).then(|| f64::from(truth.points.z[j]))
+        (truth.is_step(i, j) && truth.objects[j] != NO_OBJECT).then(|| f64::from(truth.points.z()[j]))
     }
 }
 
@@ -245,7 +245,7 @@ fn step_neighbour(truth: &Truth, u: usize, v: usize) -> Option<f64> {
         .into_iter()
         .flatten()
         .find(|&j| truth.objects[j] != NO_OBJECT && truth.is_step(i, j))
-        .map(|j| f64::from(truth.points.z[j]))
+        .map(|j| f64::from(truth.points.z()[j]))
 }
 
 /// Filters white noise by a Gaussian; a deviation of s leaves a correlation of exp(-d²/4s²).

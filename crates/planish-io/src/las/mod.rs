@@ -137,7 +137,7 @@ fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
     };
     let [(x, origin_x, exact_x), (y, origin_y, exact_y), (z, origin_z, exact_z)] =
         [(0, transforms.x), (4, transforms.y), (8, transforms.z)].map(|(at, transform)| axis(at, transform));
-    let mut cloud = PointCloud::new(Xyz { x, y, z });
+    let mut cloud = PointCloud::new(Xyz::from_arrays([x, y, z])?);
     cloud.origin_m = [origin_x, origin_y, origin_z];
     cloud.keep_exact([exact_x, exact_y, exact_z]);
     cloud.position_columns.double = true;
@@ -286,9 +286,9 @@ fn new_builder(cloud: &PointCloud, kept: &[usize], has_colour: bool) -> Result<B
         Transform { scale, offset: origin }
     };
     builder.transforms = las::Vector {
-        x: transform(&cloud.positions.x, cloud.origin_m[0]),
-        y: transform(&cloud.positions.y, cloud.origin_m[1]),
-        z: transform(&cloud.positions.z, cloud.origin_m[2]),
+        x: transform(cloud.positions.x(), cloud.origin_m[0]),
+        y: transform(cloud.positions.y(), cloud.origin_m[1]),
+        z: transform(cloud.positions.z(), cloud.origin_m[2]),
     };
     Ok(builder)
 }

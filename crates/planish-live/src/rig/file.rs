@@ -154,13 +154,8 @@ fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError
         Some(SensorEntry::Named(name)) => Some(name.parse().map_err(|error: ParamError| of(error.to_string()))?),
         Some(SensorEntry::Model { step, sigma }) => Some(SensorModel::new(step, sigma)),
     };
-    let alignment = match align.as_deref() {
-        None => None,
-        Some("depth") => Some(Alignment::Depth),
-        Some("color") => Some(Alignment::Color),
-        Some("none") => Some(Alignment::None),
-        Some(other) => return Err(of(format!("align is {other:?}: it may be \"depth\", \"color\" or \"none\""))),
-    };
+    let alignment = align.map(|align| align.parse()).transpose();
+    let alignment: Option<Alignment> = alignment.map_err(|error: ParamError| of(error.to_string()))?;
     let mode = mode.map(|mode| mode.parse().map_err(|error: ParamError| of(error.to_string()))).transpose()?;
     Ok(RigCamera {
         source: source.map(|source| resolve_source(folder, &source)),
@@ -235,7 +230,7 @@ pub fn rig_to_json(rig: &Rig) -> String {
             None => SensorEntry::Model { step: sensor.step, sigma: sensor.sigma },
         }),
         time_offset_s: (camera.time_offset_s != 0.0).then_some(camera.time_offset_s),
-        align: camera.alignment.map(|alignment| format!("{alignment:?}").to_lowercase()),
+        align: camera.alignment.map(|alignment| alignment.name().to_owned()),
         mode: camera.mode.map(|mode| mode.to_string()),
     };
     let viewpoint = |viewpoint: &Viewpoint| {
@@ -369,7 +364,7 @@ mod tests {
                 "no \"depthscale\"",
             ),
             (format!(r#"{{"name":"left","mode":"big",{POSE}}}"#), "WIDTHxHEIGHT"),
-            (format!(r#"{{"name":"left","align":"up",{POSE}}}"#), "\"depth\""),
+            (format!(r#"{{"name":"left","align":"up",{POSE}}}"#), "align = up is not allowed: depth, color or none"),
             (r#"{"name":"left","pose":{"position_m":[0,0,0]}}"#.to_owned(), "orientation_xyzw"),
             (r#"{"name":"left","pose":{"matrix":[[2,0,0,0],[0,1,0,0],[0,0,1,0]]}}"#.to_owned(), "right angles"),
             (r#"{"name":"left","pose":{"matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,0,0,1]]}}"#.to_owned(), "last row"),

@@ -263,7 +263,8 @@ fn fuse_views((rig_from_points, views): &Placed, outputs: Outputs, out: &mut Poi
 
 /// Those of `fields` that a result has, as fields of a cloud.
 fn fields_of(view: &SmoothedView, fields: Outputs) -> Vec<Attribute> {
-    let (status, neighbours) = (view.status(), view.neighbours());
+    let status: Option<Vec<_>> = fields.status.then(|| view.status()).flatten().map(Iterator::collect);
+    let neighbours: Option<Vec<_>> = fields.neighbours.then(|| view.neighbours()).flatten().map(Iterator::collect);
     let named = named_fields(fields, view.normals(), view.curvature(), status.as_deref(), neighbours.as_deref());
     named.into_iter().map(|(name, values)| Attribute { name: name.to_owned(), count: 1, values }).collect()
 }

@@ -68,8 +68,7 @@ pub(super) fn fuse_parts(parts: &[Part<'_>], cloud: &mut PointCloud) {
             Some(AttributeValues::U8(cameras)) => cameras,
             _ => Vec::new(),
         };
-    let Xyz { x, y, z } = std::mem::take(&mut cloud.positions);
-    *cloud = PointCloud::new(Xyz { x, y, z });
+    *cloud = PointCloud::new(std::mem::take(&mut cloud.positions));
     cloud.origin_m = origin.to_array();
     place(parts, origin, &mut cloud.positions, &mut cameras);
 
@@ -100,16 +99,14 @@ fn place(parts: &[Part<'_>], origin: DVec3, positions: &mut Xyz, cameras: &mut V
     let ranges: Vec<(&Part<'_>, Range<usize>)> = parts.iter().flat_map(ranges).collect();
     let counts: Vec<usize> = ranges.par_iter().map(|(part, range)| part.count(range.clone())).collect();
     let total = counts.iter().sum();
-    let Xyz { x, y, z } = positions;
-    for axis in [&mut *x, y, z] {
-        // New memory is zero as it comes: the tasks are the first to touch it.
-        if axis.capacity() < total {
-            *axis = vec![0.0; total];
-        }
-        axis.resize(total, 0.0);
+    // New memory is zero as it comes: the tasks are the first to touch it.
+    if positions.capacity() < total {
+        *positions = Xyz::filled(total, 0.0);
     }
+    positions.resize(total, 0.0);
+    let [x, y, z] = positions.as_mut_slices();
     cameras.resize(total, 0);
-    let (mut rest, mut rest_of_cameras) = ([&mut x[..], y, z], &mut cameras[..]);
+    let (mut rest, mut rest_of_cameras) = ([x, y, z], &mut cameras[..]);
     let mut tasks = Vec::with_capacity(ranges.len());
     for ((part, range), &count) in ranges.into_iter().zip(&counts) {
         let [x, y, z] = rest.map(|axis| axis.split_at_mut(count));

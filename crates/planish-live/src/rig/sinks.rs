@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::{Rig, RigCamera, RigFrame, rig_to_json};
 use crate::stream::{Consumer, FolderSink, Sink, SinkFormat};
@@ -29,7 +30,7 @@ impl Consumer<RigFrame> for Box<dyn RigSink> {
         RigSink::name(&**self)
     }
 
-    fn write(&mut self, frame: &RigFrame) -> Result<(), Error> {
+    fn write(&mut self, frame: &Arc<RigFrame>) -> Result<(), Error> {
         RigSink::write(&mut **self, frame)
     }
 

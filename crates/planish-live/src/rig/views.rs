@@ -101,7 +101,7 @@ impl Measured {
             .map(|(i, other)| other.as_ref().filter(|of| i != index && !of.is_added).map(|of| self.landings(of)))
             .collect();
         let front_m = self.front_m(&landings);
-        let own_weight = |i: usize| weight(self.sensor.sigma_m(self.points.z[i].into()));
+        let own_weight = |i: usize| weight(self.sensor.sigma_m(self.points.z()[i].into()));
         let mut sums: Vec<[f64; 4]> = (0..width * height)
             .map(|i| match self.points.is_finite(i) {
                 true => with_weight(self.points.get(i), own_weight(i)),
@@ -119,7 +119,7 @@ impl Measured {
                     continue;
                 }
                 let at = *pixel as usize;
-                let sigma_m = other.sensor.sigma_m(other.points.z[i].into());
+                let sigma_m = other.sensor.sigma_m(other.points.z()[i].into());
                 let noise_m = DEVIATIONS * sigma_m.hypot(self.sensor.sigma_m(front_m[at].into()));
                 if f64::from((point[2] - front_m[at]).abs()) > registration_m + noise_m {
                     *pixel = NOWHERE;
@@ -139,9 +139,9 @@ impl Measured {
 
     /// How far along z each pixel's front is. What its own sample does not say is said by the nearest of the others.
     fn front_m(&self, landings: &[Option<Landings>]) -> Vec<f32> {
-        let mut front_m = self.points.z.clone();
+        let mut front_m = self.points.z().to_vec();
         for (pixel, point) in landings.iter().flatten().flat_map(Landings::iter) {
-            if !self.points.z[pixel].is_finite() {
+            if !self.points.z()[pixel].is_finite() {
                 front_m[pixel] = front_m[pixel].min(point[2]);
             }
         }
@@ -238,7 +238,7 @@ impl Measured {
         };
         back.curvature = own.curvature.as_ref().map(where_there);
         back.neighbours = own.neighbours.clone();
-        let depth_m: Vec<f32> = back.points.z.clone();
+        let depth_m: Vec<f32> = back.points.z().to_vec();
         back.depth = outputs.depth.then(|| depth_m.iter().map(|&depth_m| self.camera.raw_depth(depth_m)).collect());
         back.depth_m = outputs.depth_m.then_some(depth_m);
         back.normals = outputs.normals.then_some(normals);
@@ -260,7 +260,7 @@ fn as_dvec(vector: [f32; 3]) -> DVec3 {
 impl View {
     /// It as a frame of its camera.
     pub(super) fn frame<'a>(&'a self, of: &'a Measured) -> Result<Frame<'a>, FrameError> {
-        let Xyz { x, y, z } = &self.points;
+        let [x, y, z] = self.points.as_slices();
         let (width, height) = self.shape;
         Ok(Frame::Points(PointsView::from_planes(x, y, z)?.with_grid(width, height)?.with_camera(&of.camera)?))
     }

@@ -77,10 +77,7 @@ impl InVoxels {
         let positions = &self.together.cloud.positions;
         let on_surface = |i| surface.carry(positions.get(i));
         let carried: Vec<Carried> = (0..positions.len()).into_par_iter().map(on_surface).collect();
-        let vectors = |vector: fn(&Carried) -> [f32; 3]| {
-            let axis = |axis: usize| carried.par_iter().map(|carried| vector(carried)[axis]).collect();
-            Xyz { x: axis(0), y: axis(1), z: axis(2) }
-        };
+        let vectors = |vector: fn(&Carried) -> [f32; 3]| Xyz::par_from_fn(carried.len(), |i| vector(&carried[i]));
         let Smoothed { curvature, status, neighbours, .. } = of_voxels;
         Smoothed {
             width: positions.len(),

@@ -81,9 +81,33 @@ pub enum Alignment {
     /// The depth image: depth is as it was measured, and each pixel has the colour of its point.
     Depth,
     /// The colour image: depth is mapped onto its pixels, by the driver or by the camera.
-    Color,
+    Colour,
     /// Depth is as it was measured, without colour.
     None,
+}
+
+impl Alignment {
+    const ALL: [Self; 3] = [Self::Depth, Self::Colour, Self::None];
+
+    /// Its name in files and options.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Depth => "depth",
+            Self::Colour => "color",
+            Self::None => "none",
+        }
+    }
+}
+
+impl FromStr for Alignment {
+    type Err = ParamError;
+
+    /// Reads a [`name`](Self::name).
+    fn from_str(text: &str) -> Result<Self, ParamError> {
+        let allowed = "depth, color or none";
+        let found = Self::ALL.into_iter().find(|alignment| alignment.name() == text);
+        found.ok_or_else(|| ParamError { field: "align", value: text.to_owned(), allowed })
+    }
 }
 
 /// A size of a camera's depth images, and their rate.

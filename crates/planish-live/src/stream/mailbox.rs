@@ -193,7 +193,7 @@ mod tests {
 
     fn number(item: Item) -> usize {
         match item {
-            Ok(Arrived { frame: OwnedFrame::Cloud { cloud, .. }, .. }) => cloud.positions().x[0] as usize,
+            Ok(Arrived { frame: OwnedFrame::Cloud { cloud, .. }, .. }) => cloud.positions().x()[0] as usize,
             _ => panic!("a cloud"),
         }
     }

@@ -6,6 +6,7 @@
 
 #[cfg(feature = "mcap")]
 mod bag;
+mod frames;
 mod mailbox;
 #[cfg(feature = "rerun")]
 mod rerun;
@@ -31,6 +32,7 @@ pub(crate) use self::rerun::Recording;
 pub use self::rerun::RerunSink;
 #[cfg(feature = "mcap")]
 pub use bag::BagSink;
+pub use frames::{Frames, Waited};
 pub(crate) use mailbox::TimeSpent;
 pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
@@ -54,6 +56,15 @@ pub struct StreamFrame {
     pub latency: Duration,
     /// When its result was available.
     pub received: Instant,
+}
+
+impl std::fmt::Debug for StreamFrame {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let shape = (self.smoothed.width, self.smoothed.height);
+        let mut debug = f.debug_struct("StreamFrame");
+        debug.field("index", &self.index).field("name", &self.name).field("shape", &shape);
+        debug.field("latency", &self.latency).finish_non_exhaustive()
+    }
 }
 
 /// How a stream runs.

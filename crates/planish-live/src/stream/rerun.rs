@@ -199,7 +199,7 @@ fn points(cloud: &OrganizedCloud, positions: &Xyz) -> Points3D {
     let valid = || (0..positions.len()).filter(|&i| positions.is_finite(i));
     Points3D::new(valid().map(|i| positions.get(i)))
         .with_colors(valid().map(|i| colours[i]))
-        .with_radii(valid().map(|i| positions.z[i].abs() * half_pitch_at_1m))
+        .with_radii(valid().map(|i| positions.z()[i].abs() * half_pitch_at_1m))
 }
 
 fn depth_image(source: &OwnedFrame) -> DepthImage {
@@ -211,7 +211,7 @@ fn depth_image(source: &OwnedFrame) -> DepthImage {
             DepthImage::from_gray16(bytes, shape).with_meter(depth.camera.depth_units_per_metre as f32)
         }
         OwnedFrame::Cloud { cloud, .. } => {
-            let metres = cloud.positions().z.iter().map(|&z| if z.is_finite() { z } else { 0.0 });
+            let metres = cloud.positions().z().iter().map(|&z| if z.is_finite() { z } else { 0.0 });
             let bytes: Vec<u8> = metres.flat_map(f32::to_le_bytes).collect();
             DepthImage::from_data_type_and_bytes(bytes, shape, rerun::ChannelDatatype::F32).with_meter(1.0)
         }

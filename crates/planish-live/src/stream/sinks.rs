@@ -22,6 +22,11 @@ pub trait Sink: Send {
     /// Consumes one result.
     fn write(&mut self, frame: &StreamFrame) -> Result<(), Error>;
 
+    /// Consumes one result that it may keep without a copy; calls [`write`](Self::write) by default.
+    fn write_shared(&mut self, frame: &Arc<StreamFrame>) -> Result<(), Error> {
+        self.write(frame)
+    }
+
     /// Called after the last result.
     fn close(&mut self) -> Result<(), Error> {
         Ok(())
@@ -170,7 +175,7 @@ const QUEUE: usize = 8;
 /// Consumes results of a kind: what a thread of its own does with them.
 pub(crate) trait Consumer<T>: Send + 'static {
     fn name(&self) -> String;
-    fn write(&mut self, result: &T) -> Result<(), Error>;
+    fn write(&mut self, result: &Arc<T>) -> Result<(), Error>;
     fn close(&mut self) -> Result<(), Error>;
 }
 
@@ -179,8 +184,8 @@ impl Consumer<StreamFrame> for Box<dyn Sink> {
         Sink::name(&**self)
     }
 
-    fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
-        Sink::write(&mut **self, frame)
+    fn write(&mut self, frame: &Arc<StreamFrame>) -> Result<(), Error> {
+        Sink::write_shared(&mut **self, frame)
     }
 
     fn close(&mut self) -> Result<(), Error> {

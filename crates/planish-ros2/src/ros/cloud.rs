@@ -162,9 +162,8 @@ impl PointCloud2 {
         let origin_m = self.origin_m();
         let mut cloud = self.clone();
         let PointLayout { scalar, offsets, .. } = cloud.layout()?;
-        let Xyz { x, y, z } = &smoothed.points;
         for (at, i) in cloud.point_offsets().zip(0..) {
-            for (axis, values) in [x, y, z].into_iter().enumerate() {
+            for (axis, values) in smoothed.points.as_slices().into_iter().enumerate() {
                 match scalar {
                     Scalar::F64 => write(
                         &mut cloud.data,
@@ -175,12 +174,10 @@ impl PointCloud2 {
                 }
             }
         }
-        let normals = smoothed.normals.as_ref().map(|normals| [&normals.x, &normals.y, &normals.z]);
+        let normals = smoothed.normals.as_ref().map(Xyz::as_slices);
         let normals = normals.into_iter().flat_map(|axes| NORMALS.into_iter().zip(axes));
-        let columns: Vec<(&str, &[f32])> = normals
-            .map(|(name, values)| (name, values.as_slice()))
-            .chain(smoothed.curvature.as_deref().map(|values| ("curvature", values)))
-            .collect();
+        let columns: Vec<(&str, &[f32])> =
+            normals.chain(smoothed.curvature.as_deref().map(|values| ("curvature", values))).collect();
         for (name, values) in columns {
             cloud.set_field(name, values)?;
         }
@@ -250,7 +247,7 @@ impl PointCloud2 {
             data.extend_from_slice(bytemuck::cast_slice(&row));
             if with_normals {
                 let of = |values: &[f32]| values.get(i).copied().unwrap_or(f32::NAN);
-                let row: [f32; 4] = [of(&normals.x), of(&normals.y), of(&normals.z), of(curvature)];
+                let row: [f32; 4] = [of(normals.x()), of(normals.y()), of(normals.z()), of(curvature)];
                 data.extend_from_slice(bytemuck::cast_slice(&row));
             }
         }
@@ -392,7 +389,7 @@ pub(super) mod tests {
         let cloud =
             PointCloud2 { height: 1, width: 2, fields, point_step: 24, row_step: 48, data, ..PointCloud2::default() };
         // Relative to (400000, 5000000, 0).
-        let points = Xyz { x: vec![0.125, 1.0], y: vec![0.5, 1.0], z: vec![12.0, 13.0] };
+        let points = Xyz::from(vec![[0.125, 0.5, 12.0], [1.0, 1.0, 13.0]]);
         let after = cloud.with_smoothed(&Smoothed { width: 2, height: 1, points, ..Smoothed::default() }).unwrap();
         assert_eq!(f64::from_ne_bytes(read(&after.data, 0).unwrap()), 400_000.125);
         assert_eq!(after.data[8..], cloud.data[8..]);

@@ -61,7 +61,7 @@ fn a_crease_stays_sharp_that_is_rounded_off_without() {
     let normals = smoothed.normals.as_ref().unwrap();
     for u in 10..51 {
         let expected = if u < 30 { -1.0 } else { 1.0 } / 2f32.sqrt();
-        assert!(u == 30 || (normals.x[30 * 61 + u] - expected).abs() < 0.05, "{u}: {}", normals.x[30 * 61 + u]);
+        assert!(u == 30 || (normals.x()[30 * 61 + u] - expected).abs() < 0.05, "{u}: {}", normals.x()[30 * 61 + u]);
     }
 }
 
@@ -73,7 +73,7 @@ fn no_point_leaves_both_sides_of_a_step() {
     let between = |edges| {
         let smoothed = smooth(&cloud, edges);
         let off_both = |z: f32| (z - 1.0).abs() > 1e-3 && (z - 1.02).abs() > 1e-3;
-        smoothed.points.z.iter().filter(|&&z| off_both(z)).count()
+        smoothed.points.z().iter().filter(|&&z| off_both(z)).count()
     };
     assert!(between(Edges::Off) > 100, "{}", between(Edges::Off));
     assert_eq!(between(Edges::Robust), 0);

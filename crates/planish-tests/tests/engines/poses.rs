@@ -178,10 +178,14 @@ fn a_georeferenced_grid_keeps_its_points_and_its_millimetres() {
         let smoothed = engine.smooth(view, FrameParams::default().with_stride(1));
         assert!(smoothed.status.as_ref().unwrap().iter().all(|status| status.has_normal()), "{name}");
         let normals = smoothed.normals.as_ref().unwrap();
-        assert!(normals.z.iter().all(|z| *z > 0.0), "{name}: they face up");
+        assert!(normals.z().iter().all(|z| *z > 0.0), "{name}: they face up");
         for i in (0..rows.len()).filter(|i| (8..72).contains(&(i % 80)) && (8..52).contains(&(i / 80))) {
             let z = height(i % 80, i / 80);
-            assert!((f64::from(smoothed.points.z[i]) - z).abs() < 2e-2, "{name}, {i}: {z} {}", smoothed.points.z[i]);
+            assert!(
+                (f64::from(smoothed.points.z()[i]) - z).abs() < 2e-2,
+                "{name}, {i}: {z} {}",
+                smoothed.points.z()[i]
+            );
         }
     }
 }
@@ -196,7 +200,7 @@ fn every_layout_of_input_and_output_has_the_same_bits() {
     for (name, engine) in [("reference", TestEngine::REFERENCE)].into_iter().chain(engines()) {
         for pose in [BASE, SensorPose::IDENTITY] {
             let views = [
-                PointsView::from_planes(&cloud.positions().x, &cloud.positions().y, &cloud.positions().z).unwrap(),
+                PointsView::from_planes(cloud.positions().x(), cloud.positions().y(), cloud.positions().z()).unwrap(),
                 PointsView::from_rows(&rows).unwrap(),
                 PointsView::from_rows_f64(&rows_f64).unwrap(),
             ]
@@ -242,7 +246,7 @@ fn depth_in_metres_and_with_strides_is_the_same_frame() {
     use planish::DepthView;
     let camera = small_camera();
     let cloud = simulated(1, true, camera);
-    let raw: Vec<u16> = cloud.positions().z.iter().map(|&z| camera.raw_depth(z)).collect();
+    let raw: Vec<u16> = cloud.positions().z().iter().map(|&z| camera.raw_depth(z)).collect();
     let metres: Vec<f32> = raw.iter().map(|&raw| camera.depth_m(raw)).collect();
     let padded = |row: &[u16]| row.iter().copied().chain([9; 11]).collect::<Vec<_>>();
     let strided: Vec<u16> = raw.chunks(160).flat_map(padded).collect();
@@ -264,11 +268,11 @@ fn depth_through_a_distorted_lens_agrees_on_all_engines() {
     let distortion = Distortion::from_opencv(&[0.12, -0.25, 1e-3, -5e-4, 0.08]).unwrap();
     let camera = small_camera();
     let cloud = simulated(4, false, camera);
-    let raw: Vec<u16> = cloud.positions().z.iter().map(|&z| camera.raw_depth(z)).collect();
+    let raw: Vec<u16> = cloud.positions().z().iter().map(|&z| camera.raw_depth(z)).collect();
     let camera = camera.with_distortion(distortion);
     let frame = DepthFrame::new(camera, raw).unwrap();
     let straight = frame.deproject().unwrap();
-    assert!((straight.positions().x[300] - cloud.positions().x[300]).abs() > 1e-3, "the lens bends");
+    assert!((straight.positions().x()[300] - cloud.positions().x()[300]).abs() > 1e-3, "the lens bends");
     let outputs = Outputs::ALL.with_depth(true);
     for params in [FrameParams::paper(), FrameParams::default().with_stride(1)] {
         let expected = TestEngine::REFERENCE.smooth_to(&frame, params, outputs);

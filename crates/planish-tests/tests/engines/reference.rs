@@ -96,21 +96,21 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
     // RMS of z against the true z along the ray of each pixel, away from the border and not too grazing.
     let rms = |z: &[f32]| {
         let inner = (0..z.len())
-            .filter(|&i| truth.points.z[i] < 1.6)
+            .filter(|&i| truth.points.z()[i] < 1.6)
             .filter(|i| (15..145).contains(&(i % 160)) && (15..105).contains(&(i / 160)));
-        let errors: Vec<f64> = inner.map(|i| f64::from(z[i] - truth.points.z[i])).filter(|e| e.is_finite()).collect();
+        let errors: Vec<f64> = inner.map(|i| f64::from(z[i] - truth.points.z()[i])).filter(|e| e.is_finite()).collect();
         (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt()
     };
     let raw = frame.deproject().unwrap();
     let along_ray = smoothed.to_depth_m(&camera).unwrap();
-    assert!(rms(&along_ray) < 0.5 * rms(&raw.positions().z), "{} {}", rms(&along_ray), rms(&raw.positions().z));
+    assert!(rms(&along_ray) < 0.5 * rms(raw.positions().z()), "{} {}", rms(&along_ray), rms(raw.positions().z()));
     // Moved along their rays, points have that depth themselves; moved along normals, their z undershoots the correction on a
     // wall at 53°.
-    assert!((rms(&along_ray) / rms(&smoothed.points.z) - 1.0).abs() < 1e-3);
+    assert!((rms(&along_ray) / rms(smoothed.points.z()) - 1.0).abs() < 1e-3);
     assert!(
-        rms(&along_ray) < 0.8 * rms(&along_normals.points.z),
+        rms(&along_ray) < 0.8 * rms(along_normals.points.z()),
         "{} {}",
         rms(&along_ray),
-        rms(&along_normals.points.z)
+        rms(along_normals.points.z())
     );
 }

@@ -171,7 +171,7 @@ fn coordinates_in_f64_far_from_the_origin_keep_their_millimetres() {
     assert_eq!(format, Format::Pcd);
     let Contents::General(cloud) = &contents else { panic!("points") };
     assert_eq!(cloud.origin_m, [637_000.0, 5_800_000.0, 0.0]);
-    assert!((cloud.positions.x[0] - 0.123).abs() < 1e-6);
+    assert!((cloud.positions.x()[0] - 0.123).abs() < 1e-6);
     for name in ["again.pcd", "again.ply"] {
         let again = folder.path().join(name);
         io::write_cloud(&again, cloud, Encoding::Binary).unwrap();

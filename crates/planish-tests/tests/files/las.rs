@@ -144,7 +144,7 @@ fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
     // A small cloud keeps its shape, and what is no number does not become one.
     let mut tiny = PointCloud::new([[1e-6; 3], [2e-6, 0.0, -1e-6]].into_iter().collect());
     let copy = through_las(&tiny).unwrap();
-    assert!((copy.origin_m[0] + f64::from(copy.positions.x[1]) - 2e-6).abs() < 1e-11);
+    assert!((copy.origin_m[0] + f64::from(copy.positions.x()[1]) - 2e-6).abs() < 1e-11);
     tiny.set_attribute("intensity", vec![f32::NAN, 1.0]);
     assert!(through_las(&tiny).unwrap_err().to_string().contains("intensity"));
 }

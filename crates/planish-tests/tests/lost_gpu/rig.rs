@@ -78,7 +78,7 @@ fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_f
             .unwrap();
         for moment in kept.lock().unwrap().iter() {
             let apart =
-                alone.points.z.iter().zip(&moment[i].z).filter(|(a, b)| a.is_finite() && (**a - **b).abs() > 1e-5);
+                alone.points.z().iter().zip(moment[i].z()).filter(|(a, b)| a.is_finite() && (**a - **b).abs() > 1e-5);
             assert!(apart.count() * 1000 < alone.points.len());
         }
     }

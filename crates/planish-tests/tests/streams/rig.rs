@@ -36,7 +36,7 @@ fn cpu() -> SmootherOptions {
 fn same(a: &Xyz, b: &Xyz) -> bool {
     let same =
         |a: &[f32], b: &[f32]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a == b || a.is_nan() && b.is_nan());
-    same(&a.x, &b.x) && same(&a.y, &b.y) && same(&a.z, &b.z)
+    a.as_slices().into_iter().zip(b.as_slices()).all(|(a, b)| same(a, b))
 }
 
 #[test]
@@ -68,9 +68,7 @@ fn merged_is_what_the_general_engine_gives_for_all_points_in_the_rig_s_frame() {
         let fused = planish::rig::fuse(&[(i, rig.cameras[i].pose, &cloud.points)]).unwrap();
         let there = (0..cloud.points.len()).filter(|&p| cloud.points.positions.is_finite(p));
         pixels.extend(there.map(|p| (i, p)));
-        all.x.extend(&fused.positions.x);
-        all.y.extend(&fused.positions.y);
-        all.z.extend(&fused.positions.z);
+        fused.positions.iter().for_each(|point| all.push(point));
     }
     let mut smoothed = Smoothed::default();
     let mut smoother = Smoother::open_clouds(merged_params(), &cpu()).unwrap();

@@ -251,7 +251,7 @@ fn fused_clouds_and_each_camera_s_own_are_saved() {
     };
     assert!(cameras[..768].iter().all(|&camera| camera == 0) && cameras[768..].iter().all(|&camera| camera == 1));
     // The right one is a metre to the right.
-    assert!((cloud.positions.x[768] - cloud.positions.x[0] - 1.0).abs() < 1e-6);
+    assert!((cloud.positions.x()[768] - cloud.positions.x()[0] - 1.0).abs() < 1e-6);
     let list = std::fs::read_to_string(fused.join("points.txt")).unwrap();
     assert!(list.lines().count() == 3 && list.contains("0.040000 000002.pcd"), "{list}");
     assert_eq!(

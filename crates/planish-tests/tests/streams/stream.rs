@@ -167,7 +167,7 @@ fn windows_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
     let mut cloud = frame(small_camera(), 0).deproject().unwrap();
     cloud.camera = None;
     let mut cut = cloud.clone();
-    cut.points.positions.x.truncate(100);
+    cut.points.positions.resize(100, 0.0);
     let mut empty = cloud.clone();
     empty.points.positions = Xyz::filled(160 * 120, f32::NAN);
     let alone = |params: FrameParams| {

@@ -264,7 +264,7 @@ impl GeneralGpu {
     /// Runs all passes on what was gathered.
     fn run_part(&mut self, buffers: &Buffers, work: &mut Work, own: Own) -> Result<(), Error> {
         work.runs_left = work.runs_left.checked_sub(1).ok_or_else(|| self.crowded())?;
-        let Xyz { x, y, z } = &work.points;
+        let [x, y, z] = work.points.as_slices();
         let view = PointsView::from_planes(x, y, z)?.as_part_of(work.whole.0, work.whole.1);
         let frame = AdmittedFrame { frame: Frame::Points(view), geometry: work.geometry };
         Ok(self.run(buffers, &frame, &view, work.wants_radii, own)?)

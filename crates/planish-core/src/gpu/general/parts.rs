@@ -144,7 +144,7 @@ impl Parts {
     ///
     /// The part may be one of these, or have some of their points.
     pub(super) fn gather(&self, part: &Part, halo_m: f64, most: usize, to: &mut Xyz) -> bool {
-        [&mut to.x, &mut to.y, &mut to.z].into_iter().for_each(Vec::clear);
+        to.clear();
         push(to, &part.records);
         let Some([low, high]) = part.bounds else { return to.len() <= most };
         let low = low.map(|value| f64::from(value) - halo_m);
@@ -233,8 +233,7 @@ fn cut(records: &[Record], left: usize) -> [Vec<Record>; 2] {
 }
 
 fn push(to: &mut Xyz, records: &[Record]) {
-    let extend = |to: &mut Vec<f32>, axis: usize| to.par_extend(records.par_iter().map(|record| record.position[axis]));
-    rayon::join(|| extend(&mut to.x, 0), || rayon::join(|| extend(&mut to.y, 1), || extend(&mut to.z, 2)));
+    to.par_extend(records.len(), |axis, i| records[i].position[axis]);
 }
 
 /// Whether other points may have it as a neighbour.

@@ -121,15 +121,16 @@ impl OpenNi2Source {
         }
         // Depth is mapped to colour only where colour comes with it: what else would say what it is seen by? A recording does not
         // say whether it was, but its user may.
-        let wants_color = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Color);
-        let color = if wants_color { color_stream(library, device.handle, &depth, recording.is_some()) } else { None };
+        let wants_colour = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Colour);
+        let color =
+            if wants_colour { colour_stream(library, device.handle, &depth, recording.is_some()) } else { None };
         let is_registered = color.is_some() && (recording.is_some() || register(library, device.handle));
         let color = color.filter(|_| is_registered);
         if !is_registered && recording.is_none() {
             // The device may still be as another program left it.
             let _ = library.set(of_device, api::IMAGE_REGISTRATION, 0);
         }
-        if alignment == Some(Alignment::Color) && !is_registered {
+        if alignment == Some(Alignment::Colour) && !is_registered {
             let what = format!("{description} does not map depth to colour images of its size: align none");
             return Err(DeviceError::Failed { what }.into());
         }
@@ -321,7 +322,7 @@ fn register(library: &Functions, device: Handle) -> bool {
 }
 
 /// Opens the stream of colour images of depth's size, if there is one.
-fn color_stream(library: &'static Functions, device: Handle, depth: &Stream, is_recording: bool) -> Option<Stream> {
+fn colour_stream(library: &'static Functions, device: Handle, depth: &Stream, is_recording: bool) -> Option<Stream> {
     let color = Stream::create(library, device, api::SENSOR_COLOR, "the device has no colour sensor").ok()?;
     let of_depth: VideoMode = library.get(Holder::Stream(depth.handle), api::VIDEO_MODE)?;
     let fits =

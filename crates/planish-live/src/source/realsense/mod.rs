@@ -144,7 +144,7 @@ impl RealSenseSource {
         }
         let named = |error: DeviceError| named(recording.as_deref(), error.into());
         let Started { device, profile, colour } = start(library, &pipeline, input, alignment, mode).map_err(named)?;
-        let to = if alignment == Some(Alignment::Color) { STREAM_COLOR } else { STREAM_DEPTH };
+        let to = if alignment == Some(Alignment::Colour) { STREAM_COLOR } else { STREAM_DEPTH };
         let aligner = (colour != Colour::None).then(|| Aligner::new(library, to)).transpose()?;
         let all_depth = match &recording {
             Some(_) if colour != Colour::None && to == STREAM_DEPTH => Some(AllDepth::open(input, camera)?),

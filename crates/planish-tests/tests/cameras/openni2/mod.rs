@@ -150,7 +150,7 @@ fn a_camera_streams_in_its_mode() {
 }
 
 fn colour_comes_with_depth_that_is_mapped_to_it() {
-    for alignment in [None, Some(Alignment::Color)] {
+    for alignment in [None, Some(Alignment::Colour)] {
         let mut source = open("", alignment, None).unwrap();
         let frames = std::iter::from_fn(|| next(&mut source).unwrap());
         let frame = frames.take(30).find(|frame| frame.rgb.is_some()).expect("a frame with colour");
@@ -203,7 +203,7 @@ fn recordings_play(library: &Path, folder: &Path) {
     drop(source);
     assert!(refused(open(uri, None, mode(320, 240, None))).contains("recording"));
     // It does not say that depth was mapped to colour, but its user may.
-    let mut source = open(uri, Some(Alignment::Color), None).unwrap();
+    let mut source = open(uri, Some(Alignment::Colour), None).unwrap();
     let frame = std::iter::from_fn(|| next(&mut source).unwrap()).find(|frame| frame.rgb.is_some()).unwrap();
     assert_eq!(frame.camera.fx, focal_length(320, 1.1));
     drop(source);

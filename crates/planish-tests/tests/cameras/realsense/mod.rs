@@ -152,7 +152,7 @@ fn colour_and_depth_are_mapped_to_one_image() {
             "{seen:?} {expected:?}"
         );
     }
-    let found = next(&mut open(&file, Some(Alignment::Color)).unwrap()).unwrap().unwrap();
+    let found = next(&mut open(&file, Some(Alignment::Colour)).unwrap()).unwrap().unwrap();
     assert_eq!(found.camera, Camera::new(COLOR_SHAPE, [600.0, 601.0], [323.5, 237.75]));
     assert_eq!(found.raw[640 * 240 + 320], 1000);
     let rgb = found.rgb.unwrap();
@@ -178,7 +178,7 @@ fn depth_that_is_mapped_to_a_distorted_colour_image_stays_on_its_surface() {
         }
         thread::sleep(Duration::from_millis(200));
     });
-    let found = next(&mut open(&file, Some(Alignment::Color)).unwrap()).unwrap().unwrap();
+    let found = next(&mut open(&file, Some(Alignment::Colour)).unwrap()).unwrap().unwrap();
     let cloud = found.deproject().unwrap();
     let (mut seen, mut worst) = (0, 0.0f32);
     for [x, _, z] in cloud.points.positions.iter().filter(|point| point[2].is_finite()) {
@@ -255,7 +255,7 @@ fn a_recording_whose_colour_stops_plays_on_and_what_needs_colour_ends_with_the_r
         let coloured = played.iter().filter(|frame| frame.rgb.is_some()).count();
         assert!(coloured + 1 >= at_start && (at_start > 0 || coloured == 0), "{name}: {coloured}");
 
-        let mut source = open(file, Some(Alignment::Color)).unwrap();
+        let mut source = open(file, Some(Alignment::Colour)).unwrap();
         let mut found = 0;
         let said = loop {
             match next(&mut source) {
@@ -377,7 +377,7 @@ fn modes_that_a_camera_lacks_are_refused() {
     let missing = refused(live(&camera, None, mode(1280, None)));
     assert!(missing.contains("1280x480"), "{missing}");
     // It has no colour.
-    let color = refused(live(&camera, Some(Alignment::Color), None));
+    let color = refused(live(&camera, Some(Alignment::Colour), None));
     assert!(color.contains("colour"), "{color}");
 }
 
