@@ -1,4 +1,5 @@
-//! Any bytes as a NumPy array: an error or contents that pass their own validation, never a panic, never more memory than allowed.
+//! Any bytes as a NumPy array: an error or contents that pass their own validation, never a panic, never more memory
+//! than allowed.
 //!
 //! `cargo fuzz run -s none npy`
 

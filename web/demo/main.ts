@@ -80,7 +80,7 @@ function defaultEdges(): void {
   control("edges").checked = frame?.kind !== "general" && control("preset").value !== "paper";
 }
 
-/** Settings of a file for which the page has no control. */
+/** Settings from a file that have no control on the page. */
 let others: Settings = {};
 
 function settings(): Settings {

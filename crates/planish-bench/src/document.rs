@@ -13,7 +13,7 @@ use super::section::Section;
 /// A document with a block that is to be replaced.
 pub struct Document {
     path: PathBuf,
-    /// What marks its first line, and its last.
+    /// The markers of its first and its last line.
     marks: [String; 2],
     /// From the document to the folder with the figures.
     folder: String,

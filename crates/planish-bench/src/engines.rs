@@ -61,8 +61,8 @@ impl Subject {
     }
 }
 
-/// The engines that were asked for, all of this machine if none were. CPU engines at every SIMD level and with one and all
-/// threads if `all_levels`. One that was asked for by name and is not there is an error.
+/// The engines that were asked for, all of this machine if none were. CPU engines at every SIMD level and with one and
+/// all threads if `all_levels`. One that was asked for by name and is not there is an error.
 pub fn subjects(asked: &[Engine], all_levels: bool) -> Result<Vec<Subject>> {
     let all = asked.is_empty() || asked.contains(&Engine::Auto);
     let wants = |engine| all || asked.contains(&engine);
@@ -134,7 +134,8 @@ impl<'a> Load<'a> {
         Ok(Self { smoother, way, frames, results })
     }
 
-    /// Sends the frames through once; in flight one goes in and one comes out. Gives the engine's own times where it has them.
+    /// Sends the frames through once; in flight one goes in and one comes out. Gives the engine's own times where it
+    /// has them.
     pub fn once(&mut self) -> Result<Option<FrameTimings>> {
         match self.way {
             Way::Batch => self.smoother.smooth_batch(&self.frames, &mut self.results)?,
@@ -162,8 +163,8 @@ impl<'a> Load<'a> {
         Ok(timings)
     }
 
-    /// Sends the frames through once more and shows the points of each, taken as they are when they are timed: with as many under
-    /// way, through every buffer that is used again.
+    /// Sends the frames through once more and shows the points of each, taken as they are when they are timed: with as
+    /// many under way, through every buffer that is used again.
     pub fn show(&mut self, mut look: impl FnMut([&[f32]; 3]) -> Result<()>) -> Result<()> {
         while self.smoother.receive()?.is_some() {}
         if matches!(self.way, Way::CopiedOut | Way::Batch) {

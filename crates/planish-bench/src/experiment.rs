@@ -94,8 +94,8 @@ impl<'a> Bench<'a> {
         Ok(subjects)
     }
 
-    /// What was measured; nothing where the measurement was cut short, or where the engine has no room for such frames or does
-    /// not open, which is said at the end. Anything else that fails is an error, a wrong result before all.
+    /// What was measured; nothing where the measurement was cut short, or where the engine has no room for such frames
+    /// or does not open, which is said at the end. Anything else that fails is an error, a wrong result before all.
     pub fn attempt<T>(&self, what: &str, measured: Result<T>) -> Result<Option<T>> {
         let error = match measured {
             Ok(measured) => return Ok(Some(measured)),
@@ -225,8 +225,8 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Holds points against the reference's; wrong ones are an error. They are of the input's frame, or of `copies` of it one under
-    /// the other, whose rows near a seam see the next copy and are left out.
+    /// Holds points against the reference's; wrong ones are an error. They are of the input's frame, or of `copies` of
+    /// it one under the other, whose rows near a seam see the next copy and are left out.
     fn hold(
         &self,
         subject: &Subject,

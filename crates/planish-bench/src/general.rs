@@ -221,8 +221,8 @@ fn cut(positions: &Xyz) -> Xyz {
     points.into_iter().collect()
 }
 
-/// A terrestrial scan of a yard: ground with waves, four walls and twelve pillars around a scanner 1.8 m up, with 2 mm of noise in
-/// range; at the walls points are tens of times sparser than at its foot.
+/// A terrestrial scan of a yard: ground with waves, four walls and twelve pillars around a scanner 1.8 m up, with 2 mm
+/// of noise in range; at the walls points are tens of times sparser than at its foot.
 fn scan(points: usize) -> PointCloud {
     let columns = (2.0 * points as f64).sqrt().round().max(1.0) as usize;
     let mut state = 1u64;

@@ -1,5 +1,5 @@
-//! The experiments behind `planish bench`: the engines measured on this machine, each result held against the reference before
-//! it is timed. The command converts arguments and calls this.
+//! The experiments behind `planish bench`: the engines measured on this machine, each result held against the reference
+//! before it is timed. The command converts arguments and calls this.
 
 mod connectivity;
 mod document;

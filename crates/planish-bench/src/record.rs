@@ -1,4 +1,4 @@
-//! Where results come from: the machine, the build, the command.
+//! The origin of results: machine, build and command.
 
 use std::fs;
 use std::process::Command;

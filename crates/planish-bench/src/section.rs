@@ -71,7 +71,8 @@ impl Section {
         self.figures.push(Figure { file: file.to_owned(), title: title.to_owned(), content: Drawing::Svg(svg) });
     }
 
-    /// Text and figures as Markdown, for a document that reaches the figures by `folder`, which ends in a slash or is empty.
+    /// Text and figures as Markdown, for a document that reaches the figures by `folder`, which ends in a slash or is
+    /// empty.
     pub fn markdown(&self, folder: &str) -> String {
         let figures = self.figures.iter().map(|figure| format!("\n![{}]({folder}{})\n", figure.title, figure.file));
         self.text.clone() + &figures.collect::<String>()

@@ -1,5 +1,5 @@
-//! Experiment 1: how long a frame takes, from the host's memory to the host's memory, and how many times faster that is than the
-//! general serial method.
+//! Experiment 1: how long a frame takes, from the host's memory to the host's memory, and how many times faster that is
+//! than the general serial method.
 
 use std::time::Instant;
 

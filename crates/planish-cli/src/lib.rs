@@ -1,5 +1,5 @@
-//! The command `planish`: it reads arguments, calls the library and prints; it decides nothing. A library, so that Python's wheel
-//! can hold it beside its own module.
+//! The command `planish`: it reads arguments, calls the library and prints; it decides nothing. A library, so that
+//! Python's wheel can hold it beside its own module.
 //!
 //! Exit codes: 0 done, 1 some frames failed, 2 bad arguments or input, 130 ended by a signal.
 
@@ -15,7 +15,8 @@ use planish_bench::errln;
 
 use args::{Args, Command};
 
-/// Runs the command with its arguments, the program's name first, and returns its exit code. Bad arguments and `--help` end the process.
+/// Runs the command with its arguments, the program's name first, and returns its exit code. Bad arguments and `--help`
+/// end the process.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     quiet_the_window_system();
     quiet_the_decoder_of_laz();
@@ -60,8 +61,8 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
-/// The decoder of LAZ panics on some damaged files. The library catches that and says what is wrong with the file; where in the decoder
-/// it happened is of no use to anybody.
+/// The decoder of LAZ panics on some damaged files. The library catches that and says what is wrong with the file;
+/// where in the decoder it happened is of no use to anybody.
 fn quiet_the_decoder_of_laz() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
@@ -71,8 +72,8 @@ fn quiet_the_decoder_of_laz() {
     }));
 }
 
-/// Where there is no session of a desktop, Mesa's Vulkan drivers look for one nevertheless and complain on standard error of a
-/// missing XDG_RUNTIME_DIR, once for every question. Any folder quiets them.
+/// Where there is no session of a desktop, Mesa's Vulkan drivers look for one nevertheless and complain on standard
+/// error of a missing XDG_RUNTIME_DIR, once for every question. Any folder quiets them.
 fn quiet_the_window_system() {
     if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: the process has no other thread yet that could read the environment.

@@ -35,7 +35,8 @@ pub fn install() -> Result<()> {
     Ok(())
 }
 
-/// The signals that whoever started the process wants ignored: SIGHUP by `nohup`, SIGINT by a shell for what it runs in the background.
+/// The signals that whoever started the process wants ignored: SIGHUP by `nohup`, SIGINT by a shell for what it runs in
+/// the background.
 fn ignored_signals() -> Vec<i32> {
     const HANGUP_AND_INTERRUPT: [i32; 2] = [1, 2];
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -59,7 +60,8 @@ fn ignore(number: i32) {
     let _ = number;
 }
 
-/// Returns the flag that the first signal sets. A command that asks for it looks at it often; any other is ended at once.
+/// Returns the flag that the first signal sets. A command that asks for it looks at it often; any other is ended at
+/// once.
 pub fn stop_flag() -> Arc<AtomicBool> {
     Arc::clone(STOP.get_or_init(Default::default))
 }

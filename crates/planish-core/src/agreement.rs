@@ -53,9 +53,9 @@ impl Agreement {
         }
     }
 
-    /// Adds some pixels of a result that has points alone, x, y and z: its status counts as equal where both have a point or
-    /// neither, and so many of the farthest points are left out as may be of another status. `pixels` are the reference's; what
-    /// the result lacks of them agrees on none.
+    /// Adds some pixels of a result that has points alone, x, y and z: its status counts as equal where both have a
+    /// point or neither, and so many of the farthest points are left out as may be of another status. `pixels` are the
+    /// reference's; what the result lacks of them agrees on none.
     pub fn add_points(
         &mut self,
         [x, y, z]: [&[f32]; 3],
@@ -115,8 +115,8 @@ impl Agreement {
     }
 }
 
-/// The distance of two points, scaled to a range of [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger; a NaN is
-/// infinitely far.
+/// The distance of two points, scaled to a range of [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger; a
+/// NaN is infinitely far.
 fn distance_m(found: [f32; 3], expected: [f32; 3], radius_m: f64) -> f64 {
     let square: f64 = (0..3).map(|k| (f64::from(found[k]) - f64::from(expected[k])).powi(2)).sum();
     let coordinate_m = expected.map(|value| f64::from(value).abs()).into_iter().fold(0.0, f64::max);
@@ -131,7 +131,7 @@ pub fn sensor_position_m<'a>(frame: impl IntoFrame<'a>) -> [f64; 3] {
 }
 
 /// The radius of every point of a frame in f64 (docs/method.md, sections 3 and 11), by its index.
-/// Windows that follow the resolution are those of this frame.
+/// Windows are adapted to this frame's resolution.
 pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<f64> {
     let Ok(frame) = frame.into_frame() else { return Vec::new() };
     let params: EngineParams = match params.into() {

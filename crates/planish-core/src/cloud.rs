@@ -152,9 +152,11 @@ pub struct PointCloud {
     pub attributes: Vec<Attribute>,
     /// Where x, y, z stand among the fields of the file.
     pub position_columns: PositionColumns,
-    /// Where the sensor stood, in the frame of the file (not relative to `origin_m`); the identity where that is not known.
+    /// Where the sensor stood, in the frame of the file (not relative to `origin_m`); the identity where that is not
+    /// known.
     pub pose: SensorPose,
-    /// The coordinates as the file has them, x, y and z, where f32 loses digits (an axis where it does not may be empty): a point that is not moved is written with all of them.
+    /// The coordinates as the file has them, x, y and z, where f32 loses digits (an axis where it does not may be
+    /// empty): a point that is not moved is written with all of them.
     pub exact_m: Option<[Vec<f64>; 3]>,
     /// Format-specific data of the cloud's file; written back to a file of the same format.
     pub provenance: Provenance,

@@ -33,8 +33,8 @@ impl PointCloud {
         Some(r?.iter().zip(g?).zip(b?).map(|((&r, &g), &b)| [r, g, b]).collect())
     }
 
-    /// The colours to show, however the cloud has them; `None` if it has none. Of 16 bits, as LAS has them, the upper 8, or the lower where none has
-    /// upper ones; fractions, as Open3D has them, times 255.
+    /// The colours to show, however the cloud has them; `None` if it has none. Of 16 bits, as LAS has them, the upper
+    /// 8, or the lower where none has upper ones; fractions, as Open3D has them, times 255.
     pub fn shown_rgb(&self) -> Option<Vec<[u8; 3]>> {
         self.rgb().or_else(|| self.wide_rgb())
     }
@@ -63,7 +63,8 @@ impl PointCloud {
         }
     }
 
-    /// Makes 16-bit integers, as LAS has them, of intensities that are fractions from 0 to 1; NaN becomes 0. Returns whether any were converted.
+    /// Makes 16-bit integers, as LAS has them, of intensities that are fractions from 0 to 1; NaN becomes 0. Returns
+    /// whether any were converted.
     pub fn scale_intensity(&mut self) -> bool {
         let Some(Attribute { count: 1, values, .. }) = self.attribute("intensity") else { return false };
         let is_float = matches!(values, AttributeValues::F32(_) | AttributeValues::F64(_));

@@ -37,7 +37,8 @@ pub(crate) const NARROW_WIDTH: f32 = 1.0;
 pub(crate) const BLOCK_WIDTH: f32 = 1.5;
 /// ...with the root of at least this weight.
 pub(crate) const MIN_BLOCK_WEIGHT: f32 = 0.02;
-/// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a disc.
+/// A plane whose points hardly determine it counts as one with more noise: by this share of the noise's variance for a
+/// disc.
 pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
 /// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
 pub(crate) const MIN_INCIDENCE_COSINE: f32 = 0.05;
@@ -56,7 +57,8 @@ pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 pub(crate) const GENERAL_MEAN_REACH: f32 = 0.4;
 /// The weight of that distance, squared, beside the plane's own residual.
 pub(crate) const GENERAL_DISTANCE_WEIGHT: f32 = 0.2;
-/// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they face.
+/// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they
+/// face.
 pub(crate) const FACING_COSINE: f32 = 0.1;
 
 /// The exponents (i, j) of the monomials a^i b^j, ordered by degree (section 5).

@@ -53,21 +53,22 @@ pub enum Transfer {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct GpuOptions {
-    /// The adapter by its index (a number is nothing else) or any part of its name, in any case; `None` is the first real GPU. A
-    /// software adapter is only taken by this. `Engine::Auto` does not look at it.
+    /// The adapter by its index (a number is nothing else) or any part of its name, in any case; `None` is the first
+    /// real GPU. A software adapter is only taken by this. `Engine::Auto` does not look at it.
     pub adapter: Option<String>,
-    /// How many frames may be in flight: submitted and not received. At least 1. 3 keep a GPU busy whose results are read in place, 6 one
-    /// whose results are copied out. Other engines keep to it too.
+    /// How many frames may be in flight: submitted and not received. At least 1. 3 keep a GPU busy whose results are
+    /// read in place, 6 one whose results are copied out. Other engines keep to it too.
     pub slots: usize,
-    /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings). Frames in flight
-    /// may overlap, and each then takes longer than alone. The CPU engine takes its own by the same.
+    /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings).
+    /// Frames in flight may overlap, and each then takes longer than alone. The CPU engine takes its own by the same.
     pub timestamps: bool,
     /// Whether the shader checks every access to memory against its bounds.
     pub bounds_checks: bool,
     /// How frames get there and results back.
     pub transfer: Transfer,
-    /// How many points of a general cloud are on the device at once, at most; `None` for as many as it takes. Larger clouds are smoothed in
-    /// parts, which overlap and take longer; where points reach too many others for that, or too many reach far, [`EngineError::Crowded`](crate::EngineError::Crowded).
+    /// How many points of a general cloud are on the device at once, at most; `None` for as many as it takes. Larger
+    /// clouds are smoothed in parts, which overlap and take longer; where points reach too many others for that, or too
+    /// many reach far, [`EngineError::Crowded`](crate::EngineError::Crowded).
     pub points_at_once: Option<usize>,
 }
 

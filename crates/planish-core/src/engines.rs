@@ -1,5 +1,5 @@
-//! The engines that there are, what each can do, how it is opened, and which one `Auto` takes. Adding an engine touches this
-//! file and its own folder.
+//! The engines that there are, what each can do, how it is opened, and which one `Auto` takes. Adding an engine touches
+//! this file and its own folder.
 
 use crate::cpu::{Cpu, GeneralCpu};
 use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
@@ -53,7 +53,8 @@ pub struct Capabilities {
     pub edges: bool,
     /// Depth as an output.
     pub depth_out: bool,
-    /// Whether submitted frames are computed while the caller goes on, so that several in flight are worth their latency.
+    /// Whether submitted frames are computed while the caller goes on, so that several in flight are worth their
+    /// latency.
     pub pipelined: bool,
 }
 
@@ -122,8 +123,8 @@ impl std::fmt::Display for ChoiceReason {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct SmootherOptions {
-    /// Which engine. One that is asked for by name never falls back to another; only a stream goes on with the CPU when its GPU
-    /// is lost twice.
+    /// Which engine. One that is asked for by name never falls back to another; only a stream goes on with the CPU when
+    /// its GPU is lost twice.
     pub engine: Engine,
     /// Which results to compute.
     pub outputs: Outputs,
@@ -167,8 +168,8 @@ impl SmootherOptions {
     }
 }
 
-/// The GPU adapters of this machine in the order of their indices. Empty without drivers, or in a build without the feature
-/// `gpu`.
+/// The GPU adapters of this machine in the order of their indices. Empty without drivers, or in a build without the
+/// feature `gpu`.
 pub fn gpu_adapters() -> Vec<GpuAdapter> {
     #[cfg(feature = "gpu")]
     return crate::gpu::adapters();

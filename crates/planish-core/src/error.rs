@@ -157,8 +157,8 @@ pub enum EngineError {
         /// What is needed.
         needed: u64,
     },
-    /// A general cloud of which some points reach more others than the device takes at once, or so many reach far that it would take too
-    /// long in parts.
+    /// A general cloud of which some points reach more others than the device takes at once, or so many reach far that
+    /// it would take too long in parts.
     #[error(
         "the GPU {device} takes {points_at_once} points of a cloud at once, and too many points of this one reach far: \
          use a smaller radius, fewer neighbours or the CPU engine"

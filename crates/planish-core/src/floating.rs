@@ -6,13 +6,14 @@ use crate::sensor::SensorModel;
 
 /// A neighbour supports a pixel if their depths differ by no more than this many standard deviations of the noise.
 const SUPPORT_DEVIATIONS: f64 = 6.0;
-/// And by at least this share of the depth, since surfaces slope: 60° at a focal length of 170 pixels, 80° at one of 525.
+/// And by at least this share of the depth, since surfaces slope: 60° at a focal length of 170 pixels, 80° at one of
+/// 525.
 const SUPPORT_SHARE: f64 = 0.01;
 /// A pixel supported by fewer of its eight neighbours floats. A straight edge has four, a wire two, and its end one.
 const MIN_SUPPORT: usize = 2;
 
-/// Which pixels float, by their ranges: fewer than two of their eight neighbours are within six deviations of the noise, or a
-/// hundredth of the range.
+/// Which pixels float, by their ranges: fewer than two of their eight neighbours are within six deviations of the
+/// noise, or a hundredth of the range.
 fn floating(width: usize, ranges_m: &[f64], sensor: &SensorModel) -> Vec<bool> {
     let width = width.max(1);
     let height = ranges_m.len() / width;

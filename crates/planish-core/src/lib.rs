@@ -90,7 +90,7 @@ pub use view::{Rows, SmoothedView};
 pub use wgpu;
 pub use xyz::{MAX_PIXELS, Xyz};
 
-/// What planish's other crates need and its users do not; it may change with every version.
+/// For planish's other crates, not for users; it may change with every version.
 #[doc(hidden)]
 pub mod internal {
     pub use crate::camera::Rays;

@@ -230,8 +230,8 @@ impl<'a> From<&'a mut Vec<[f32; 4]>> for VectorsMut<'a> {
     }
 }
 
-/// The caller's buffers for a result: what is given is written, once, in the order of the input. Each has one entry for each
-/// pixel or point, and must be among the outputs that the smoother was opened for.
+/// The caller's buffers for a result: what is given is written, once, in the order of the input. Each has one entry for
+/// each pixel or point, and must be among the outputs that the smoother was opened for.
 ///
 /// The values are those of [`Smoothed`](crate::Smoothed), which is the same with buffers of its own.
 #[derive(Debug, Default)]

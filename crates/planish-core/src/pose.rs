@@ -12,9 +12,9 @@ const MAX_POSITION_M: f64 = 1e9;
 
 /// Position and orientation of a sensor, as PCD's VIEWPOINT states them: cloud_from_sensor.
 ///
-/// The sensor looks along its own +z, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the origin that
-/// looks along +z; since files state it where nothing is known, a cloud with that pose is checked against it (docs/method.md,
-/// section 11).
+/// The sensor looks along its own +z, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the
+/// origin that looks along +z; since files state it where nothing is known, a cloud with that pose is checked against
+/// it (docs/method.md, section 11).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorPose {
     /// Position of the sensor in metres.
@@ -37,8 +37,8 @@ impl SensorPose {
         Self { position_m, orientation: [w, x, y, z] }
     }
 
-    /// The pose of a position in metres and a rotation matrix (cloud_from_sensor, row by row); `None` if the matrix is no rotation
-    /// within 1 %, or the position is not allowed.
+    /// The pose of a position in metres and a rotation matrix (cloud_from_sensor, row by row); `None` if the matrix is
+    /// no rotation within 1 %, or the position is not allowed.
     pub fn from_rotation(position_m: [f64; 3], rows: [[f64; 3]; 3]) -> Option<Self> {
         let rotation = DMat3::from_cols_array_2d(&rows).transpose();
         let off = rotation * rotation.transpose() - DMat3::IDENTITY;
@@ -62,7 +62,8 @@ impl SensorPose {
         [x, y, z, qw, qx, qy, qz]
     }
 
-    /// Whether it says no more than a file without a pose: the identity, or nothing but zeros, as some writers leave it.
+    /// Whether it says no more than a file without a pose: the identity, or nothing but zeros, as some writers leave
+    /// it.
     pub fn is_identity(&self) -> bool {
         self.position_m == [0.0; 3] && (self.orientation == [1.0, 0.0, 0.0, 0.0] || self.orientation == [0.0; 4])
     }

@@ -19,7 +19,8 @@ impl Progress {
         if total == 0 { 0.0 } else { (done as f32 / total as f32).min(1.0) }
     }
 
-    /// Ends the work on the frame that is being smoothed, soon: it returns [`EngineError::Stopped`]. Has no effect on the next frame.
+    /// Ends the work on the frame that is being smoothed, soon: it returns [`EngineError::Stopped`]. Has no effect on
+    /// the next frame.
     pub fn stop(&self) {
         self.stopped.store(true, Ordering::Relaxed);
     }

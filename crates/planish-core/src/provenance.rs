@@ -1,10 +1,11 @@
-//! What a file states beside its points and only its format understands, carried by the cloud from reader to writer.
+//! Data that only a file's format understands; the cloud carries it from reader to writer.
 
 use std::any::Any;
 use std::fmt;
 use std::sync::Arc;
 
-/// Data of one file format that travels with a cloud: a LAS header, the scans of an E57 file, the comments of a PLY file.
+/// Data of one file format that travels with a cloud: a LAS header, the scans of an E57 file, the comments of a PLY
+/// file.
 ///
 /// The format that stored a value gets it back by its type; all other code passes it on. Clones share the value.
 ///

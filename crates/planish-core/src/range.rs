@@ -1,4 +1,5 @@
-//! What grows with range: radius, the gate of blocks, and noise, as the f32 engines compute it (docs/method.md, sections 2, 3, 10).
+//! What grows with range: radius, the gate of blocks, and noise, as the f32 engines compute it (docs/method.md,
+//! sections 2, 3, 10).
 
 use crate::frame::{FrameGeometry, RangeRule, assumed_range_m};
 use crate::params::{EngineParams, Radius};
@@ -6,8 +7,8 @@ use crate::params::{EngineParams, Radius};
 /// The radius of a sensor's window in half widths of it, for surfaces seen obliquely.
 const REACHES: f64 = 2.0;
 
-/// A radius beyond this makes no difference to any scene, and its square is far from the end of f32: a coordinate of 1e30 has
-/// an infinite radius by the rule, and what is computed from it must stay finite.
+/// A radius beyond this makes no difference to any scene, and its square is far from the end of f32: a coordinate of
+/// 1e30 has an infinite radius by the rule, and what is computed from it must stay finite.
 pub(crate) const MAX_RADIUS_M: f32 = 1e6;
 
 /// No gate is narrower, so that a point that is its own sample is its neighbour, and squares stay within f32.
@@ -16,8 +17,8 @@ pub(crate) const MIN_GATE_M: f32 = 1e-12;
 /// The square of a larger range would leave f32; its radius is at the limit or fixed.
 pub(crate) const MAX_RANGE_M: f32 = 1e18;
 
-/// The rules of one frame: with the range z, r = max(linear z, step polynomial), sigma = sigma polynomial, and the gate of a block
-/// like r.
+/// The rules of one frame: with the range z, r = max(linear z, step polynomial), sigma = sigma polynomial, and the gate
+/// of a block like r.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RangeRules {
     /// Of z in the radius, for the spacing of the pixels.

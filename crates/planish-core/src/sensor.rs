@@ -1,7 +1,7 @@
 //! Sensor models: how depth steps and noise grow with range. Metres throughout.
 //!
-//! Both are polynomials c0 + c1 z + c2 z² in the range z. Triangulating sensors (structured light, stereo) grow with z²,
-//! time-of-flight sensors and lidars nearly linearly from a floor.
+//! Both are polynomials c0 + c1 z + c2 z² in the range z. Triangulating sensors (structured light, stereo) grow with
+//! z², time-of-flight sensors and lidars nearly linearly from a floor.
 
 mod estimate;
 
@@ -9,8 +9,8 @@ use std::str::FromStr;
 
 use crate::error::ParamError;
 
-/// Noise of a Kinect v1 in units of its depth step. The radius must reach over the noise, so the models of sensors without
-/// steps of their own take the step that a Kinect v1 of their noise would have.
+/// Noise of a Kinect v1 in units of its depth step. The radius must reach over the noise, so the models of sensors
+/// without steps of their own take the step that a Kinect v1 of their noise would have.
 const NOISE_IN_STEPS: f64 = 0.63;
 
 /// What the smoother must know of a depth sensor.
@@ -24,8 +24,8 @@ const NOISE_IN_STEPS: f64 = 0.63;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct SensorModel {
-    /// From one depth that the sensor can tell to the next, in metres: coefficients of 1, z and z². At least as far as noise
-    /// makes neighbouring pixels differ, since the radius of section 3 is four of these.
+    /// From one depth that the sensor can tell to the next, in metres: coefficients of 1, z and z². At least as far as
+    /// noise makes neighbouring pixels differ, since the radius of section 3 is four of these.
     pub step: [f32; 3],
     /// Standard deviation of depth in metres: coefficients of 1, z and z².
     pub sigma: [f32; 3],
@@ -33,25 +33,25 @@ pub struct SensorModel {
 
 impl SensorModel {
     /// Kinect v1 and others with its pattern (Xtion, PrimeSense Carmine): one unit of 11-bit disparity is 2.85e-3 z²
-    /// (Khoshelham & Elberink 2012); the noise of real frames after a line is taken out of 8 pixels is 1.66e-3 to 1.88e-3 z²
-    /// (docs/method.md, section 10).
+    /// (Khoshelham & Elberink 2012); the noise of real frames after a line is taken out of 8 pixels is 1.66e-3 to
+    /// 1.88e-3 z² (docs/method.md, section 10).
     pub const KINECT_V1: Self = Self { step: [0.0, 0.0, 2.85e-3], sigma: [0.0, 0.0, 1.8e-3] };
     /// RealSense D415 at 1280x720: baseline 55 mm, focal length 1005 px (horizontal field of view 65°).
     pub const REALSENSE_D415: Self = Self::realsense_d400(0.055, 1005.0);
-    /// RealSense D435 at 848x480: baseline 50 mm, focal length 424 px (90°). The D435i and D405 families differ in baseline:
-    /// [`SensorModel::realsense_d400`] takes it.
+    /// RealSense D435 at 848x480: baseline 50 mm, focal length 424 px (90°). The D435i and D405 families differ in
+    /// baseline: [`SensorModel::realsense_d400`] takes it.
     pub const REALSENSE_D435: Self = Self::realsense_d400(0.050, 424.0);
     /// RealSense D455 at 848x480: baseline 95 mm, focal length 424 px (90°).
     pub const REALSENSE_D455: Self = Self::realsense_d400(0.095, 424.0);
-    /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: standard deviations of 0.61 mm at 0.8 m,
-    /// 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413; of the paper only the bound of 17 mm for
-    /// all modes and ranges is verified here, not these three figures), the polynomial through them.
+    /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: standard deviations of 0.61 mm at 0.8
+    /// m, 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413; of the paper only the bound of
+    /// 17 mm for all modes and ranges is verified here, not these three figures), the polynomial through them.
     pub const AZURE_KINECT: Self = Self::from_noise([4.1e-4, 1.8e-4, 9.3e-5]);
-    /// RealSense L515: standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m on 95 % reflectivity (Intel's product page, quoted
-    /// in librealsense issue 5808), the line through them.
+    /// RealSense L515: standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m on 95 % reflectivity (Intel's product
+    /// page, quoted in librealsense issue 5808), the line through them.
     pub const REALSENSE_L515: Self = Self::from_noise([8.75e-4, 1.625e-3, 0.0]);
-    /// Depth of iPhone and iPad lidars: half of the absolute accuracy of ±1 cm that Luetzenburg et al. 2021 (Scientific Reports
-    /// 11:22221) found for small objects, at any range. The figure is not verified here.
+    /// Depth of iPhone and iPad lidars: half of the absolute accuracy of ±1 cm that Luetzenburg et al. 2021 (Scientific
+    /// Reports 11:22221) found for small objects, at any range. The figure is not verified here.
     pub const APPLE_LIDAR: Self = Self::from_noise([5e-3, 0.0, 0.0]);
     /// Depth without noise: rendered, or averaged for long.
     pub const EXACT: Self = Self { step: [0.0; 3], sigma: [0.0; 3] };
@@ -61,8 +61,9 @@ impl SensorModel {
         Self { step, sigma }
     }
 
-    /// A stereo camera of the RealSense D400 family: the noise is 0.08 pixels of disparity, Intel's figure for well textured
-    /// targets ("Best known methods for tuning Intel RealSense D400"), sigma = 0.08 z²/(focal length x baseline).
+    /// A stereo camera of the RealSense D400 family: the noise is 0.08 pixels of disparity, Intel's figure for well
+    /// textured targets ("Best known methods for tuning Intel RealSense D400"), sigma = 0.08 z²/(focal length x
+    /// baseline).
     pub const fn realsense_d400(baseline_m: f32, focal_length_px: f32) -> Self {
         Self::from_noise([0.0, 0.0, 0.08 / (baseline_m * focal_length_px)])
     }

@@ -111,8 +111,8 @@ impl Smoothed {
 
     /// The smoothed surface as a depth image: what the camera would have measured (docs/method.md, section 7).
     ///
-    /// Ask for normals: without them the depths are the points' own, which are off on slanted surfaces. The result must be in the
-    /// camera's frame: of a cloud with another pose, ask the smoother for depth instead.
+    /// Ask for normals: without them the depths are the points' own, which are off on slanted surfaces. The result must
+    /// be in the camera's frame: of a cloud with another pose, ask the smoother for depth instead.
     pub fn to_depth(&self, camera: &Camera) -> Result<DepthImage, FrameError> {
         let raw = self.to_depth_m(camera)?.into_iter().map(|depth_m| camera.raw_depth(depth_m)).collect();
         Ok(DepthImage { width: self.width, height: self.height, raw })
@@ -120,8 +120,9 @@ impl Smoothed {
 
     /// [`Smoothed::to_depth`] in metres, NaN for holes.
     ///
-    /// With [`Project::Normal`](crate::Project::Normal) a smoothed point leaves the ray of its pixel. The depth is taken where that ray meets
-    /// the tangent plane of the point; where the ray grazes the plane, or the normal is missing, it is the point's own z.
+    /// With [`Project::Normal`](crate::Project::Normal) a smoothed point leaves the ray of its pixel. The depth is
+    /// taken where that ray meets the tangent plane of the point; where the ray grazes the plane, or the normal is
+    /// missing, it is the point's own z.
     pub fn to_depth_m(&self, camera: &Camera) -> Result<Vec<f32>, FrameError> {
         camera.check_shape((self.width, self.height))?;
         self.points.check_len("the smoothed points", self.width * self.height)?;
@@ -170,7 +171,8 @@ pub fn named_fields(
     found
 }
 
-/// Where a ray meets the tangent plane of a point; the point's own depth where the ray grazes that, or it has no normal.
+/// Where a ray meets the tangent plane of a point; the point's own depth where the ray grazes that, or it has no
+/// normal.
 #[inline(always)]
 pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [nx, ny, nz]: [f32; 3]) -> f32 {
     let along = ray_x * nx + ray_y * ny + nz;
@@ -180,9 +182,9 @@ pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [
 }
 
 impl PointCloud {
-    /// Puts the result in place of the positions and adds those of `fields` that the result has: `normal_x`, `normal_y`,
-    /// `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields stay as they are. Normals of a file of several scans face the
-    /// scanner of each point.
+    /// Puts the result in place of the positions and adds those of `fields` that the result has: `normal_x`,
+    /// `normal_y`, `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields stay as they are.
+    /// Normals of a file of several scans face the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         self.positions.clone_from(&smoothed.points);

@@ -33,8 +33,8 @@ use crate::xyz::validate_shape;
 /// # }
 /// ```
 ///
-/// Frames in flight, so that a GPU computes one while the next goes up and the last comes back; results are received in the
-/// order of submission:
+/// Frames in flight, so that a GPU computes one while the next goes up and the last comes back; results are received in
+/// the order of submission:
 ///
 /// ```
 /// # use planish::{Engine, FrameParams, OrganizedCloud, Smoothed, Smoother, Xyz};
@@ -127,10 +127,10 @@ impl Smoother {
 
     /// Opens an engine for frames of one shape (width, height).
     ///
-    /// Limits are checked, kernels compiled and a first frame computed here. `Auto` chooses here and never later; a GPU that
-    /// cannot be opened for these frames leaves it with the CPU. A window that follows the resolution
-    /// ([`Window::Auto`]) is decided by the first frame that shows it; for pixels coarser than a Kinect v1's the engine is
-    /// then opened once more.
+    /// Limits are checked, kernels compiled and a first frame computed here. `Auto` chooses here and never later; a GPU
+    /// that cannot be opened for these frames leaves it with the CPU. A window that follows the resolution
+    /// ([`Window::Auto`]) is decided by the first frame that shows it; for pixels coarser than a Kinect v1's the engine
+    /// is then opened once more.
     ///
     /// # Errors
     /// If a parameter is outside its range, or the engine is not available.
@@ -168,10 +168,10 @@ impl Smoother {
 
     /// Opens the GPU engine on a device that the host program owns, with its queue.
     ///
-    /// The device must not be polled by another thread while this smoother is in use. Its error callbacks are left alone:
-    /// errors of validation reach the host's. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`] frames need no copies, with
-    /// [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS` they can be timed. This function follows the
-    /// versions of wgpu, and so breaks with them.
+    /// The device must not be polled by another thread while this smoother is in use. Its error callbacks are left
+    /// alone: errors of validation reach the host's. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`] frames need no
+    /// copies, with [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS` they can be timed. This
+    /// function follows the versions of wgpu, and so breaks with them.
     ///
     /// # Errors
     /// As [`open_with`](Self::open_with).
@@ -264,8 +264,8 @@ impl Smoother {
         self.opened.smooth(&frame, out.as_mut())
     }
 
-    /// Smooths one frame into buffers of the caller's. Refuses buffers of another length than the frame, and for outputs that
-    /// the smoother was not opened for.
+    /// Smooths one frame into buffers of the caller's. Refuses buffers of another length than the frame, and for
+    /// outputs that the smoother was not opened for.
     pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let frame = self.admit(frame.into_frame()?)?;
         let (width, height) = frame.frame.shape();
@@ -295,14 +295,14 @@ impl Smoother {
         self.opened.smooth_batch(&frames, out)
     }
 
-    /// Where the time of the last [`smooth`](Self::smooth) or [`smooth_batch`](Self::smooth_batch) went on a GPU or in the CPU
-    /// engine, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.
+    /// Where the time of the last [`smooth`](Self::smooth) or [`smooth_batch`](Self::smooth_batch) went on a GPU or in
+    /// the CPU engine, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.opened.timings()
     }
 
-    /// How far the frame has come that another thread smooths, of an engine that may take long: those for general clouds, and the
-    /// reference.
+    /// How far the frame has come that another thread smooths, of an engine that may take long: those for general
+    /// clouds, and the reference.
     pub fn progress(&self) -> Option<Arc<Progress>> {
         self.opened.progress()
     }
@@ -317,16 +317,17 @@ impl Smoother {
         self.opened.own_radius_m(i)
     }
 
-    /// Bytes that the engine keeps for its samples from frame to frame, beside frames and results: the padded frame of the CPU
-    /// engine; the buffers of all slots of the GPU engine, on the device and in memory that both see. The reference keeps none.
+    /// Bytes that the engine keeps for its samples from frame to frame, beside frames and results: the padded frame of
+    /// the CPU engine; the buffers of all slots of the GPU engine, on the device and in memory that both see. The
+    /// reference keeps none.
     pub fn buffer_bytes(&self) -> u64 {
         self.opened.buffer_bytes()
     }
 
     /// Submits a frame, and a buffer for its result; [`receive`](Self::receive) returns the buffer filled.
     ///
-    /// On a GPU the frame has been copied when this returns, and the result is copied out by another thread. The engines of the
-    /// CPU compute the frame here.
+    /// On a GPU the frame has been copied when this returns, and the result is copied out by another thread. The
+    /// engines of the CPU compute the frame here.
     pub fn submit<'a>(&mut self, frame: impl IntoFrame<'a>, buffer: Smoothed) -> Result<(), Error> {
         let frame = self.admit(frame.into_frame()?)?;
         self.opened.submit(&frame, Some(buffer))
@@ -346,8 +347,8 @@ impl Smoother {
         }
     }
 
-    /// Prepares for several frames in flight, which the second of them waits for otherwise: some 0.1 s on a GPU with several queues,
-    /// on which frames overlap. Who smooths one at a time needs neither the time nor the memory.
+    /// Prepares for several frames in flight, which the second of them waits for otherwise: some 0.1 s on a GPU with
+    /// several queues, on which frames overlap. Who smooths one at a time needs neither the time nor the memory.
     pub fn prepare_in_flight(&mut self) {
         self.is_prepared = true;
         self.opened.prepare_in_flight();
@@ -380,7 +381,7 @@ impl Smoother {
     }
 }
 
-/// Returns what an engine computes with, and the window if a frame has to decide it.
+/// Returns an engine's parameters, and the window if it depends on the frame.
 pub(crate) fn for_engine(params: Params) -> (EngineParams, Option<Window>) {
     match params {
         Params::Frame(params) => (params.into(), Some(params.window).filter(|window| window.is_auto())),

@@ -18,8 +18,8 @@ pub(crate) struct AdmittedFrame<'a> {
     pub(crate) geometry: FrameGeometry,
 }
 
-/// An open engine with its buffers. Frames have the shape that it was opened for; buffers have the lengths of the frame, and
-/// are among the outputs.
+/// An open engine with its buffers. Frames have the shape that it was opened for; buffers have the lengths of the
+/// frame, and are among the outputs.
 pub(crate) trait SmoothingEngine: Send {
     /// Smooths one frame.
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error>;
@@ -59,7 +59,8 @@ pub(crate) trait SmoothingEngine: Send {
     /// Keeps the radii by density of the next clouds, where the engine would not.
     fn keep_radii(&mut self) {}
 
-    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was kept.
+    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was
+    /// kept.
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
@@ -91,7 +92,8 @@ pub(crate) trait ImmediateEngine: Send {
     /// Keeps the radii by density of the next clouds, where the engine would not.
     fn keep_radii(&mut self) {}
 
-    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was kept.
+    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was
+    /// kept.
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }

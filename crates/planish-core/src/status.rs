@@ -18,8 +18,8 @@ pub enum Status {
     Polynomial2 = 4,
     /// On a polynomial of degree 3.
     Polynomial3 = 5,
-    /// In a general cloud, fewer than 3 neighbours or about a quarter of those that its radius is chosen for (section 8): the
-    /// point stays as measured and has no normal.
+    /// In a general cloud, fewer than 3 neighbours or about a quarter of those that its radius is chosen for (section
+    /// 8): the point stays as measured and has no normal.
     Isolated = 6,
 }
 

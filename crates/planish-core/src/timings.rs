@@ -9,12 +9,13 @@ use std::time::Instant;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct FrameTimings {
-    /// Copying the input to the device's memory, next to nothing where the kernel reads the host's; on the CPU copying or
-    /// deprojecting it into the padded frame that the kernel reads.
+    /// Copying the input to the device's memory, next to nothing where the kernel reads the host's; on the CPU copying
+    /// or deprojecting it into the padded frame that the kernel reads.
     pub upload: Duration,
     /// The kernel; where edges are kept, with the pass before it.
     pub kernel: Duration,
-    /// Copying the result to the host's memory; next to nothing where the kernel writes it there, as the CPU engine does.
+    /// Copying the result to the host's memory; next to nothing where the kernel writes it there, as the CPU engine
+    /// does.
     pub readback: Duration,
 }
 

@@ -5,8 +5,8 @@ use crate::status::Status;
 use crate::timings::FrameTimings;
 use crate::xyz::Xyz;
 
-/// The result of a frame that was [submitted](crate::Smoother::submit). Read it in place, or copy it out; either from any
-/// thread. One that a GPU wrote gives its memory back to the smoother when it is dropped.
+/// The result of a frame that was [submitted](crate::Smoother::submit). Read it in place, or copy it out; either from
+/// any thread. One that a GPU wrote gives its memory back to the smoother when it is dropped.
 pub struct SmoothedView {
     result: Storage,
     timings: Option<FrameTimings>,
@@ -71,7 +71,7 @@ impl std::fmt::Debug for SmoothedView {
 }
 
 impl SmoothedView {
-    /// Wraps a result in buffers of its own.
+    /// Wraps a result that owns its buffers.
     #[doc(hidden)]
     pub fn owned(smoothed: Smoothed, timings: Option<FrameTimings>) -> Self {
         Self { result: Storage::Owned(Box::new(smoothed)), timings }
@@ -90,7 +90,7 @@ impl SmoothedView {
         }
     }
 
-    /// x, y and z of the points in metres, row by row, NaN for holes; `None` if they were not asked for.
+    /// x, y and z of the points in metres, row by row, NaN for holes; `None` if they were not requested.
     pub fn points(&self) -> Option<[&[f32]; 3]> {
         match &self.result {
             Storage::Owned(smoothed) if smoothed.points.is_empty() => None,
@@ -99,7 +99,7 @@ impl SmoothedView {
         }
     }
 
-    /// x, y and z of the unit normals, NaN where there is none; `None` if they were not asked for.
+    /// x, y and z of the unit normals, NaN where there is none; `None` if they were not requested.
     pub fn normals(&self) -> Option<[&[f32]; 3]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.normals.as_ref().map(Xyz::as_slices),
@@ -107,7 +107,7 @@ impl SmoothedView {
         }
     }
 
-    /// Surface variation, NaN where there is no plane; `None` if it was not asked for.
+    /// Surface variation, NaN where there is no plane; `None` if it was not requested.
     pub fn curvature(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.curvature.as_deref(),
@@ -115,7 +115,7 @@ impl SmoothedView {
         }
     }
 
-    /// The rows of raw depth values, 0 for holes; `None` if they were not asked for.
+    /// The rows of raw depth values, 0 for holes; `None` if they were not requested.
     pub fn depth_rows(&self) -> Option<Rows<'_, u16>> {
         match &self.result {
             Storage::Owned(smoothed) => Some(Rows::new(smoothed.depth.as_ref()?, smoothed.width, smoothed.width)),
@@ -123,7 +123,7 @@ impl SmoothedView {
         }
     }
 
-    /// Depth in metres, row by row, NaN for holes; `None` if it was not asked for.
+    /// Depth in metres, row by row, NaN for holes; `None` if it was not requested.
     pub fn depth_m(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.depth_m.as_deref(),
@@ -131,7 +131,7 @@ impl SmoothedView {
         }
     }
 
-    /// What became of each pixel, row by row; `None` if it was not asked for.
+    /// The status of each pixel, row by row; `None` if it was not requested.
     pub fn status(&self) -> Option<impl Iterator<Item = Status> + '_> {
         let (values, codes) = match &self.result {
             Storage::Owned(smoothed) => (smoothed.status.as_deref()?, Rows::new(&[], 0, 1)),
@@ -140,7 +140,7 @@ impl SmoothedView {
         Some(values.iter().copied().chain(codes.flatten().map(|&code| Status::of_code(code))))
     }
 
-    /// How many points each fit used, row by row; `None` if it was not asked for.
+    /// How many points each fit used, row by row; `None` if it was not requested.
     pub fn neighbours(&self) -> Option<impl Iterator<Item = u32> + '_> {
         let (values, counts) = match &self.result {
             Storage::Owned(smoothed) => (smoothed.neighbours.as_deref()?, Rows::new(&[], 0, 1)),

@@ -120,7 +120,7 @@ impl Xyz {
         rayon::join(|| extend(x, 0), || rayon::join(|| extend(y, 1), || extend(z, 2)));
     }
 
-    /// So many points after each other at a time, in parallel.
+    /// Chunks of `len` points, in parallel.
     pub(crate) fn par_chunks(&self, len: usize) -> impl IndexedParallelIterator<Item = [&[f32]; 3]> {
         let [x, y, z] = self.as_slices().map(|axis| axis.par_chunks(len));
         x.zip(y).zip(z).map(|((x, y), z)| [x, y, z])

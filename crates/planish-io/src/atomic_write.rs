@@ -1,6 +1,7 @@
 //! Files that are there whole or not at all: written under a temporary name in the same folder, then renamed.
 //!
-//! A temporary's name holds the machine and the process that writes it, so that a later process can remove what a killed one left behind.
+//! A temporary's name holds the machine and the process that writes it, so that a later process can remove what a
+//! killed one left behind.
 
 use std::collections::HashSet;
 use std::fs;
@@ -30,7 +31,8 @@ fn known() -> MutexGuard<'static, Known> {
     KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes the temporaries of files that are being written in this process, which is about to end: from now on it can write none.
+/// Removes the temporaries of files that are being written in this process, which is about to end: from now on it can
+/// write none.
 pub fn remove_temporaries() {
     let mut known = known();
     known.is_over = true;
@@ -39,8 +41,8 @@ pub fn remove_temporaries() {
     }
 }
 
-/// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file that is replaced
-/// keeps its permissions, and its place until the new one is on the disk.
+/// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file
+/// that is replaced keeps its permissions, and its place until the new one is on the disk.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     let whole = AtomicFile::new(path)?;
     let mut file = whole.file();
@@ -56,7 +58,7 @@ pub struct AtomicFile {
 }
 
 impl AtomicFile {
-    /// Creates a temporary file beside the place of the target.
+    /// Creates a temporary file in the target's folder.
     pub fn new(path: &Path) -> FormatResult<Self> {
         let path = behind_links(path)?;
         let replaced = check_place(&path)?;
@@ -148,7 +150,8 @@ fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
     Ok(replaced)
 }
 
-/// Refuses a name under which no file can be written: in a folder that is not there or may not be written to, or taken by what is no file.
+/// Refuses a name under which no file can be written: in a folder that is not there or may not be written to, or taken
+/// by what is no file.
 pub(super) fn check_target(path: &Path) -> FormatResult<()> {
     let path = behind_links(path)?;
     check_place(&path)?;

@@ -1,5 +1,5 @@
-//! Camera files: JSON (planish's own and Open3D's), ROS `camera_info` YAML, the 3x3 matrix of 7-Scenes as text, and COLMAP's
-//! `cameras.txt`. Detected from their contents.
+//! Camera files: JSON (planish's own and Open3D's), ROS `camera_info` YAML, the 3x3 matrix of 7-Scenes as text, and
+//! COLMAP's `cameras.txt`. Detected from their contents.
 
 use std::path::Path;
 

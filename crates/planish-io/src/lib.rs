@@ -1,8 +1,9 @@
 //! Reading and writing files, without losing fields and without leaving half-written files.
 //!
-//! A format is detected from the contents first, then from the file's extension. Every reader checks what a header claims against
-//! the bytes that are there before it allocates. One kind of damage ends the process: GPS times of LAZ (point formats 6 to 10) that
-//! send the decoder, laz 0.13, into a recursion that overflows the stack. Read files of strangers in a process of their own.
+//! A format is detected from the contents first, then from the file's extension. Every reader checks what a header
+//! claims against the bytes that are there before it allocates. One kind of damage ends the process: GPS times of LAZ
+//! (point formats 6 to 10) that send the decoder, laz 0.13, into a recursion that overflows the stack. Read files of
+//! strangers in a process of their own.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![deny(
@@ -116,8 +117,8 @@ pub struct RgbImage {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ReadOptions {
-    /// Files are refused before they are read if they are larger than this many bytes, and before they are decoded if what they decompress to
-    /// and its columns or pixels need more. 2 GiB by default.
+    /// Files are refused before they are read if they are larger than this many bytes, and before they are decoded if
+    /// what they decompress to and its columns or pixels need more. 2 GiB by default.
     pub max_memory_bytes: u64,
 }
 
@@ -237,7 +238,8 @@ pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(For
     summarize().map_err(IoError::at(path))
 }
 
-/// Reads a file of any format; `-` is standard input. Refuses what is no regular file, such as pipes, sockets and devices.
+/// Reads a file of any format; `-` is standard input. Refuses what is no regular file, such as pipes, sockets and
+/// devices.
 pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
     read_with(path, &ReadOptions::default())
 }
@@ -247,8 +249,8 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
     read_file(path, options).map(|file| (file.format, file.contents))
 }
 
-/// Reads a LAS, LAZ or PLY file some points at a time, each part a cloud with all fields and an origin of its own; of a file without points
-/// one empty cloud.
+/// Reads a LAS, LAZ or PLY file some points at a time, each part a cloud with all fields and an origin of its own; of a
+/// file without points one empty cloud.
 #[cfg(feature = "scans")]
 pub fn read_in_parts(
     path: &Path,

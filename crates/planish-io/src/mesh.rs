@@ -1,4 +1,5 @@
-//! The vertices of meshes: OBJ and STL. They are read as general clouds; faces are not kept, and neither format is written.
+//! The vertices of meshes: OBJ and STL. They are read as general clouds; faces are not kept, and neither format is
+//! written.
 
 use std::collections::HashMap;
 

@@ -1,4 +1,5 @@
-//! NumPy archives: the positions as `points`, `xyz` or `positions`, or the only [N, 3] there is, and other arrays of N rows as fields.
+//! NumPy archives: the positions as `points`, `xyz` or `positions`, or the only [N, 3] there is, and other arrays of N
+//! rows as fields.
 
 use std::io::{Cursor, Read, Write};
 
@@ -134,7 +135,8 @@ const VECTORS: [(&[&str], [&str; 3]); 2] = [
     (&["rgb", "colors", "colours", "color"], ["red", "green", "blue"]),
 ];
 
-/// Normals and colours as the fields that every other format has, if no other array has their names; any other field as it is.
+/// Normals and colours as the fields that every other format has, if no other array has their names; any other field as
+/// it is.
 fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool) -> Vec<Attribute> {
     let is_colour = |names: &[&str; 3]| names[0] == "red";
     let is_bytes = matches!(attribute.values, AttributeValues::U8(_));

@@ -49,7 +49,8 @@ pub(crate) trait RecordEncoder: Sized {
     /// Whether a hole has a record.
     const KEEPS_HOLES: bool;
 
-    /// For clouds with the columns of this one, of which some points are kept, on their way from a file with this header to another one.
+    /// For clouds with the columns of this one, of which some points are kept, on their way from a file with this
+    /// header to another one.
     fn new(
         header: &Self::Header,
         cloud: &PointCloud,

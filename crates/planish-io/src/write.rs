@@ -53,8 +53,8 @@ impl<'a> From<&'a PointCloud> for CloudRef<'a> {
     }
 }
 
-/// Encodes a cloud as the bytes of a file. Text has a comment with the names of its columns, CSV a line of them; holes are left out of LAS and
-/// LAZ, and NPY has the positions alone.
+/// Encodes a cloud as the bytes of a file. Text has a comment with the names of its columns, CSV a line of them; holes
+/// are left out of LAS and LAZ, and NPY has the positions alone.
 ///
 /// # Errors
 /// If the format has no place for a cloud, or fields differ in length.
@@ -90,8 +90,8 @@ pub fn encode_cloud<'a>(
     }
 }
 
-/// Refuses, before any work is done for it, an output that cannot be written: in a folder that is not there or may not be written to, or in a format
-/// that has no place for the cloud's fields and those that a result adds.
+/// Refuses, before any work is done for it, an output that cannot be written: in a folder that is not there or may not
+/// be written to, or in a format that has no place for the cloud's fields and those that a result adds.
 ///
 /// # Errors
 /// Those of [`write_cloud`], except errors caused by single values.
@@ -124,7 +124,8 @@ pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, Forma
     }
 }
 
-/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), lines of text, CSV, or NPY (positions alone).
+/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), lines of text, CSV, or NPY
+/// (positions alone).
 pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
     let cloud = cloud.into();
     let encode = || match Format::of_output(path)? {

@@ -239,8 +239,8 @@ fn is_byte(value: f64) -> bool {
     (0.0..=255.0).contains(&value) && value.fract() == 0.0
 }
 
-/// What the columns are likely to be, by their number and values; of a file that states the number of its points, as PTS does, intensity stands
-/// before colours.
+/// What the columns are likely to be, by their number and values; of a file that states the number of its points, as
+/// PTS does, intensity stands before colours.
 fn guessed_names(columns: &[Vec<f64>], is_pts: bool) -> Vec<String> {
     let colours = |from: usize| columns[from..from + 3].iter().flatten().all(|&value| is_byte(value));
     let normals = |from: usize| {
@@ -271,7 +271,8 @@ fn guessed_names(columns: &[Vec<f64>], is_pts: bool) -> Vec<String> {
     named.chain((names.len() + 1..=columns.len()).map(|number| format!("column_{number}"))).collect()
 }
 
-/// Writes a far coordinate: all digits of one that has not moved, but for what is only the rounding of f64, as of a LAS file's integer times its scale.
+/// Writes a far coordinate: all digits of one that has not moved, but for what is only the rounding of f64, as of a LAS
+/// file's integer times its scale.
 fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Result {
     if !is_unmoved {
         return write!(text, "{value:.FAR_DIGITS$}");

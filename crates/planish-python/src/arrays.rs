@@ -92,8 +92,9 @@ fn rows<'a, T: Element>(array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<(&'a [
         return Err(PyValueError::new_err("the rows of a depth image must lie apart, and its values side by side"));
     }
     let row_stride = row_bytes / size;
-    // SAFETY: all values from the first to the last of the last row are in the array's allocation, since no stride is negative; those
-    // between rows belong to it too. numpy keeps it alive, and borrowed for reading, as long as `array`.
+    // SAFETY: all values from the first to the last of the last row are in the array's allocation, since no stride is
+    // negative; those between rows belong to it too. numpy keeps it alive, and borrowed for reading, as long as
+    // `array`.
     let values = unsafe { std::slice::from_raw_parts(array.data().cast_const(), (height - 1) * row_stride + width) };
     Ok((values, row_stride))
 }
@@ -117,8 +118,8 @@ fn points<'a, T: Element>(
         (0, _) | (_, 0) => 0,
         _ => (height - 1) * row_stride + (width - 1) * point_stride + 2 * value_stride + size_of::<T>(),
     };
-    // SAFETY: all bytes from the first value to the last are in the array's allocation, since no stride is negative, and stay there,
-    // borrowed for reading, as long as `array`. Any bytes are valid as u8.
+    // SAFETY: all bytes from the first value to the last are in the array's allocation, since no stride is negative,
+    // and stay there, borrowed for reading, as long as `array`. Any bytes are valid as u8.
     let bytes = unsafe { std::slice::from_raw_parts(array.data().cast::<u8>().cast_const(), len) };
     let offsets = [0, value_stride, 2 * value_stride];
     let layout = PointLayout { scalar, offsets, point_stride, row_stride };

@@ -52,7 +52,7 @@ impl<'py> Given<'py> {
 }
 
 impl State {
-    /// Smooths a frame; returns what the session did by itself.
+    /// Smooths a frame; returns the session's decisions as text.
     fn smooth(
         &mut self,
         py: Python<'_>,
@@ -64,7 +64,7 @@ impl State {
         let mut status = std::mem::take(&mut self.status);
         let result = {
             let (session, out) = (&mut self.session, out.smoothed_mut(&mut status));
-            // On a grid a frame takes no longer than a look at the signals.
+            // A frame on a grid takes no longer than a check of the signals.
             if frame.grid().is_some() {
                 py.detach(|| session.smooth_into(frame, out))
             } else {
@@ -90,8 +90,8 @@ impl State {
     }
 }
 
-/// Smooths on another thread, and looks at Python's signals meanwhile: an exception that one of them raises stops the work, and comes
-/// with its result.
+/// Smooths on another thread, and looks at Python's signals meanwhile: an exception that one of them raises stops the
+/// work, and comes with its result.
 fn interruptible(session: &mut Session, frame: Frame<'_>, out: SmoothedMut<'_>) -> (Result<(), Error>, Option<PyErr>) {
     let (this, watch) = (thread::current(), session.watch());
     thread::scope(|scope| {
@@ -144,7 +144,8 @@ impl PySmoother {
         state.smooth(py, frame, outputs, &mut slices)
     }
 
-    /// Hands a frame over; its result is received later. `outputs` has arrays of any size for the outputs that are wanted.
+    /// Hands a frame over; its result is received later. `outputs` has arrays of any size for the outputs that are
+    /// wanted.
     fn submit<'py>(
         &self,
         py: Python<'py>,
@@ -227,7 +228,8 @@ impl PySmoother {
         Ok(())
     }
 
-    /// Milliseconds of so many runs of the library's own call on a frame, into buffers of its own: what Python's is held against.
+    /// Milliseconds of so many runs of the library's own call on a frame, into buffers of its own: what Python's is
+    /// held against.
     fn time_library<'py>(
         &self,
         py: Python<'py>,
@@ -281,7 +283,8 @@ impl PySmoother {
     }
 }
 
-/// Frames in flight, results in the order of the frames. A thread of its own copies them, while this one hands frames over.
+/// Frames in flight, results in the order of the frames. A thread of its own copies them, while this one hands frames
+/// over.
 fn pipelined(session: &mut Session, frames: &[Frame<'_>], slices: &mut [Slices<'_>]) -> Result<(), Error> {
     thread::scope(|scope| {
         let (sender, receiver) = mpsc::sync_channel::<(SmoothedView, &mut Slices<'_>)>(VIEWS_WAITING);

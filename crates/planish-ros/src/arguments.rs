@@ -102,7 +102,8 @@ impl Arguments {
         }
     }
 
-    /// Reads the parameters of this node from a file: those under its name, its full name, or patterns with `*` and `**`.
+    /// Reads the parameters of this node from a file: those under its name, its full name, or patterns with `*` and
+    /// `**`.
     fn read_file(&mut self, path: &Path) -> Result<()> {
         let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
         let file: Value = serde_yaml_ng::from_str(&text).with_context(|| path.display().to_string())?;
@@ -134,8 +135,8 @@ impl Arguments {
         Ok(())
     }
 
-    /// Whether a name in a file stands for this node: `*` is any part of it, `**` any number of parts. A name alone is the node's in any
-    /// namespace.
+    /// Whether a name in a file stands for this node: `*` is any part of it, `**` any number of parts. A name alone is
+    /// the node's in any namespace.
     fn is_meant(&self, name: &str) -> bool {
         fn matches(pattern: &[&str], parts: &[&str]) -> bool {
             match (pattern, parts) {

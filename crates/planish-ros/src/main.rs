@@ -40,9 +40,9 @@ fn main() -> ExitCode {
     }
 }
 
-/// Has the allocator give messages back to the system when they are dropped, for it would keep those that are freed on other threads than
-/// they were made on, some gigabyte of them; but has it take memory in large pieces: a message grows within one while it is written,
-/// and its pages need not be cleared for each anew.
+/// Has the allocator give messages back to the system when they are dropped, for it would keep those that are freed on
+/// other threads than they were made on, some gigabyte of them; but has it take memory in large pieces: a message grows
+/// within one while it is written, and its pages need not be cleared for each anew.
 fn set_up_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
@@ -58,8 +58,8 @@ fn set_up_memory() {
     }
 }
 
-/// Where there is no session of a desktop, as on a robot, Mesa's Vulkan drivers look for one nevertheless and complain on standard error.
-/// Any folder quiets them.
+/// Where there is no session of a desktop, as on a robot, Mesa's Vulkan drivers look for one nevertheless and complain
+/// on standard error. Any folder quiets them.
 fn quiet_the_window_system() {
     if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: the process has no other thread yet that could read the environment.

@@ -154,7 +154,7 @@ fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool) -> Result
     let is_preset = values.get("preset").is_some_and(|value| *value != ParameterValue::NotSet);
     for (name, value) in values.iter().filter(|(name, _)| Settings::NAMES.contains(&name.as_str())) {
         let value = match value {
-            // A declared default, beside the preset that was chosen instead.
+            // A declared default that the chosen preset replaces.
             ParameterValue::Double(value) if name == "strength" && is_preset && *value == DEFAULT_STRENGTH => continue,
             ParameterValue::Integer(0) if name == "threads" => continue,
             ParameterValue::NotSet => SettingValue::None,
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn every_setting_of_the_smoother_is_a_parameter() {
-        // Images have pixels that float, but the node has no use for devices and outputs of its own.
+        // Images have floating pixels; devices and outputs are not the node's parameters.
         let left_out = ["remove_floating", "devices", "outputs"];
         for name in Settings::NAMES.into_iter().filter(|name| !left_out.contains(name)) {
             assert!(declared().iter().any(|(known, ..)| *known == name), "{name}");

@@ -1,7 +1,7 @@
 //! What it costs to have points and normals interleaved, in buffers of the caller's, rather than in planes of our own.
 //!
-//! `cargo bench -p planish-tests --bench buffers`. The layouts take turns, frame by frame, so that whatever slows the machine
-//! slows all of them; the ratio is the median over the rounds.
+//! `cargo bench -p planish-tests --bench buffers`. The layouts take turns, frame by frame, so that whatever slows the
+//! machine slows all of them; the ratio is the median over the rounds.
 
 use std::time::Instant;
 

@@ -92,8 +92,8 @@ impl TestEngine {
     }
 }
 
-/// The adapter that the GPU engine is tested on: the one that `Auto` takes, else the first, be it software. `None` where
-/// there is no adapter.
+/// The adapter that the GPU engine is tested on: the one that `Auto` takes, else the first, be it software. `None`
+/// where there is no adapter.
 ///
 /// # Panics
 /// If there is none and the environment's PLANISH_REQUIRE_GPU says that there must be.
@@ -113,8 +113,9 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
     adapter.as_ref()
 }
 
-/// The corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 8, degrees 1 to 3, blocks averaged or
-/// not, both radius rules; edges off, and kept with one of the rules; a third of them along rays, a few with another ridge.
+/// The corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 8, degrees 1 to 3, blocks
+/// averaged or not, both radius rules; edges off, and kept with one of the rules; a third of them along rays, a few
+/// with another ridge.
 pub fn parameter_grid() -> Vec<FrameParams> {
     let fixed = FrameRadius::Fixed { radius_m: 0.03 };
     let corners = [1, 7].into_iter().flat_map(|window| {

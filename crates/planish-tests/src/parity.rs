@@ -1,5 +1,5 @@
-//! The comparison that every fast engine passes: against the f64 reference over the grid of parameters, on simulated, real and
-//! nasty clouds (docs/method.md, section 9).
+//! The comparison that every fast engine passes: against the f64 reference over the grid of parameters, on simulated,
+//! real and nasty clouds (docs/method.md, section 9).
 
 use planish::agreement::{Agreement, radii_m};
 use planish::{FrameParams, FrameRadius, OrganizedCloud, Project, SensorPose, Smoothed};
@@ -16,8 +16,8 @@ pub type Subject = (String, TestEngine);
 /// A sensor turned about all axes and away from the origin, as an arm holds it.
 const TURNED: SensorPose = SensorPose { position_m: [0.4, -0.7, 0.9], orientation: [0.7, 0.1, -0.5, 0.5] };
 
-/// Runs every engine and the reference on all clouds with each setting, as they are and seen from a turned sensor; says what
-/// section 9 misses.
+/// Runs every engine and the reference on all clouds with each setting, as they are and seen from a turned sensor; says
+/// what section 9 misses.
 fn compare(name: &str, clouds: &[OrganizedCloud], grid: &[FrameParams], subjects: &[Subject]) -> Vec<String> {
     let turned: Vec<_> = clouds.iter().map(|cloud| moved(cloud, TURNED)).collect();
     let mut misses = compare_in_frame(name, clouds, grid, subjects);
@@ -61,7 +61,8 @@ pub fn simulated_frames_agree(subjects: &[Subject]) {
     assert_none(&compare("simulated", &clouds, &parameter_grid(), subjects));
 }
 
-/// The real frames: each as a whole with the usual settings, and quarters of it with those of the grid, which is dealt out among all quarters.
+/// The real frames: each as a whole with the usual settings, and quarters of it with those of the grid, which is dealt
+/// out among all quarters.
 ///
 /// # Panics
 /// If an engine does not agree.

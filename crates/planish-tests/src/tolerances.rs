@@ -3,8 +3,8 @@
 use planish::agreement::sensor_position_m;
 use planish::{OrganizedCloud, Smoothed};
 
-/// The rules every result keeps whatever the engine: nothing appears in holes, points stay within the radius, normals are
-/// unit vectors towards the sensor, and outputs agree with the status.
+/// The rules every result keeps whatever the engine: nothing appears in holes, points stay within the radius, normals
+/// are unit vectors towards the sensor, and outputs agree with the status.
 ///
 /// # Panics
 /// If a rule is broken. Needs all outputs.

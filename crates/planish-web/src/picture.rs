@@ -21,8 +21,8 @@ pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
     [near, far.max(near + 1e-6 * near.abs().max(1.0))]
 }
 
-/// Near is red, far is blue, in hues of even brightness. Positive depths are scaled by their inverse: near ones fill most pixels and are measured most
-/// finely.
+/// Near is red, far is blue, in hues of even brightness. Positive depths are scaled by their inverse: near ones fill
+/// most pixels and are measured most finely.
 fn depth_colour(z: f32, [near, far]: [f32; 2]) -> [u8; 3] {
     if !z.is_finite() {
         return HOLE;
@@ -73,7 +73,8 @@ pub(crate) fn colours_of(
     }
 }
 
-/// The colours of the points of a general cloud: its own, shades or colours of its normals, or those of its depth along z where it has neither.
+/// The colours of the points of a general cloud: its own, shades or colours of its normals, or those of its depth along
+/// z where it has neither.
 pub(crate) fn colours_of_general(
     cloud: &PointCloud,
     normals: Option<&Xyz>,

@@ -7,10 +7,11 @@ use serde_json::json;
 /// What most GPUs of today have: 32 KiB of workgroup memory.
 const LIMITS: WebGpuLimits = WebGpuLimits::new(32 << 10, 128 << 20, 65_535);
 
-/// Plans depth images of 640x480 with each preset to points, normals, status and depth: the names of files and their contents.
+/// Plans depth images of 640x480 with each preset to points, normals, status and depth: the names of files and their
+/// contents.
 ///
-/// `NAME.json` has the [`Plan`] without its kernels, which are `NAME-PASS.wgsl` in the order of their passes. A kernel shared with an earlier plan is
-/// referenced, not written again.
+/// `NAME.json` has the [`Plan`] without its kernels, which are `NAME-PASS.wgsl` in the order of their passes. A kernel
+/// shared with an earlier plan is referenced, not written again.
 ///
 /// # Errors
 /// If a frame cannot be planned.

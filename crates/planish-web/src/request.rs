@@ -89,7 +89,8 @@ pub enum Request {
         /// Which plan; it is gone afterwards.
         plan: u32,
     },
-    /// The reply's bytes are the points of a result and then its normals, x, y and z of each as f32, and the status of each, a byte.
+    /// The reply's bytes are the points of a result and then its normals, x, y and z of each as f32, and the status of
+    /// each, a byte.
     Arrays {
         /// Which result.
         result: u32,

@@ -14,9 +14,9 @@
 //! # }
 //! ```
 //!
-//! Many frames of any shape: a [`Session`] keeps the engine open, opens it again where something changes, and goes on when a GPU
-//! is lost. Frames of one shape, with explicit parameters and no such help: a [`Smoother`], here into interleaved buffers of the
-//! caller's:
+//! For many frames of any shape, use a [`Session`]: it keeps the engine open, reopens it when needed, and recovers when
+//! a GPU is lost. Frames of one shape, with explicit parameters and no such help: a [`Smoother`], here into interleaved
+//! buffers of the caller's:
 //!
 //! ```
 //! use planish::{Camera, DepthView, Engine, FrameParams, Outputs, SmoothedMut, Smoother, SmootherOptions};
@@ -33,7 +33,8 @@
 //! # }
 //! ```
 //!
-//! [`DepthView`] and [`PointsView`] borrow what other programs hold; [`DepthFrame`], [`OrganizedCloud`] and [`PointCloud`] own it.
+//! [`DepthView`] and [`PointsView`] borrow what other programs hold; [`DepthFrame`], [`OrganizedCloud`] and
+//! [`PointCloud`] own it.
 //!
 //! # Features
 //! | feature | default | adds |

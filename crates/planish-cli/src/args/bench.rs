@@ -39,7 +39,8 @@ pub struct ExperimentArgs {
     /// Which engines, separated by commas; else, or with auto, all that this machine has but GPUs in software
     #[arg(long, value_enum, value_delimiter = ',', value_name = "ENGINES")]
     pub engine: Vec<EngineArg>,
-    /// Frames: organized clouds, or depth images with --camera; else the depth of a simulated room and a simulated table
+    /// Frames: organized clouds, or depth images with --camera; else the depth of a simulated room and a simulated
+    /// table
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub input: Vec<PathBuf>,
     #[command(flatten)]

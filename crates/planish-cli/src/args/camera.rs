@@ -10,19 +10,20 @@ pub struct CameraArgs {
     /// Intrinsics of the depth camera in pixels
     #[arg(long, value_name = "FX,FY,CX,CY", conflicts_with = "camera_file", allow_hyphen_values = true)]
     pub camera: Option<Intrinsics>,
-    /// Intrinsics and lens distortion from a file: JSON (fx, fy, cx, cy, or Open3D's), the YAML of a ROS camera_info, a 3x3
-    /// matrix as text, or COLMAP's cameras.txt
+    /// Intrinsics and lens distortion from a file: JSON (fx, fy, cx, cy, or Open3D's), the YAML of a ROS camera_info, a
+    /// 3x3 matrix as text, or COLMAP's cameras.txt
     #[arg(long, value_name = "FILE")]
     pub camera_file: Option<PathBuf>,
-    /// Depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM (the inverse of librealsense's depth scale)
+    /// Depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM (the inverse of librealsense's depth
+    /// scale)
     #[arg(long, value_name = "UNITS", alias = "depth-scale", allow_negative_numbers = true)]
     pub depth_units_per_metre: Option<f64>,
 }
 
 #[derive(clap::Args)]
 pub struct PoseArgs {
-    /// Pose of the sensor in the cloud's frame: position in metres and unit quaternion, instead of the file's. The sensor looks
-    /// along its own z axis, x to the right, y down
+    /// Pose of the sensor in the cloud's frame: position in metres and unit quaternion, instead of the file's. The
+    /// sensor looks along its own z axis, x to the right, y down
     #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", allow_hyphen_values = true)]
     pub sensor_pose: Option<Pose>,
 }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use super::camera::numbers;
 use super::{CameraArgs, EncodingArg, MemoryArgs};
 
-/// The steps are taken in the order of their options here; organized clouds keep their grid, with holes where points were, unless --voxel
-/// makes them general.
+/// The steps are taken in the order of their options here; organized clouds keep their grid, with holes where points
+/// were, unless --voxel makes them general.
 #[derive(clap::Args)]
 pub struct CleanArgs {
     /// A cloud, organized or general, or a depth image with --camera
@@ -16,10 +16,12 @@ pub struct CleanArgs {
     /// Keep what is in a box, in metres in the cloud's frame
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
     pub crop: Option<CropBox>,
-    /// Keep one point for each voxel of this size in metres: the centroid, with the means of colour, intensity, normals and floats
+    /// Keep one point for each voxel of this size in metres: the centroid, with the means of colour, intensity, normals
+    /// and floats
     #[arg(long, value_name = "METRES")]
     pub voxel: Option<f64>,
-    /// Remove points whose mean distance to K nearest others is above the mean of all points by R standard deviations (1 if not given)
+    /// Remove points whose mean distance to K nearest others is above the mean of all points by R standard deviations
+    /// (1 if not given)
     #[arg(long, value_name = "K[,R]", allow_hyphen_values = true)]
     pub statistical: Option<Statistical>,
     /// Remove points with fewer than N others within the radius

@@ -46,7 +46,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Smooth frames live: from a Kinect, a data set, a folder, the simulator
     Stream(StreamArgs),
-    /// Describe a rig of several cameras, make one from a calibration, or simulate one; `planish stream --rig` streams it
+    /// Describe a rig of several cameras, make one from a calibration, or simulate one; `planish stream --rig` streams
+    /// it
     Rig(RigArgs),
     /// Record a source as a data set in TUM layout, or as a recording of ROS 2 (.mcap)
     Record(RecordArgs),
@@ -56,7 +57,8 @@ pub enum Command {
     Evaluate(EvaluateArgs),
     /// Benchmark the engines; each result is checked against the reference first
     Bench(BenchArgs),
-    /// Print the completions of a shell: `planish completions bash > ~/.local/share/bash-completion/completions/planish`
+    /// Print the completions of a shell: `planish completions bash >
+    /// ~/.local/share/bash-completion/completions/planish`
     Completions(CompletionsArgs),
     /// Write the manual pages, planish.1 and one a command
     Man(ManArgs),
@@ -89,11 +91,11 @@ pub struct DemoArgs {
 
 #[derive(clap::Args)]
 pub struct SmoothArgs {
-    /// A cloud (.pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npy, .npz, .bin, .obj, .stl), a depth image (.png, .tiff, .npy), a folder of them,
-    /// or a recording of ROS 2 (.mcap)
+    /// A cloud (.pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npy, .npz, .bin, .obj, .stl), a depth image (.png, .tiff,
+    /// .npy), a folder of them, or a recording of ROS 2 (.mcap)
     pub input: PathBuf,
-    /// The file or folder to write; depth in and .png, .tiff or .npy out gives depth. Of a recording: a recording that is the same but for
-    /// its depth, or a folder of its frames
+    /// The file or folder to write; depth in and .png, .tiff or .npy out gives depth. Of a recording: a recording that
+    /// is the same but for its depth, or a folder of its frames
     pub output: PathBuf,
     #[command(flatten)]
     pub topics: TopicArgs,
@@ -136,8 +138,8 @@ pub struct SmoothArgs {
 /// Topics of a recording of ROS 2.
 #[derive(clap::Args)]
 pub struct TopicArgs {
-    /// For recordings in MCAP: the topic with the depth images or clouds, if there are several. `planish smooth` takes more than one into
-    /// another recording
+    /// For recordings in MCAP: the topic with the depth images or clouds, if there are several. `planish smooth` takes
+    /// more than one into another recording
     #[arg(long, value_name = "TOPIC")]
     pub topic: Vec<String>,
     /// For recordings in MCAP: the topic with the camera, if it is not beside the images'
@@ -147,8 +149,9 @@ pub struct TopicArgs {
 
 #[derive(clap::Args)]
 pub struct MemoryArgs {
-    /// Need no more memory for files and points than this: bytes, or with K, M, G; the program itself takes some 50 MB, and LAZ another 100 MB. `smooth` and `info`
-    /// go through larger LAS, LAZ and PLY in parts; other files that need more are refused
+    /// Need no more memory for files and points than this: bytes, or with K, M, G; the program itself takes some 50 MB,
+    /// and LAZ another 100 MB. `smooth` and `info` go through larger LAS, LAZ and PLY in parts; other files that need
+    /// more are refused
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     pub max_memory: Option<u64>,
 }
@@ -207,7 +210,8 @@ pub struct RenderArgs {
 pub struct StreamArgs {
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Stream several cameras as one sensor: a rig.json that says where each stands (`planish rig` makes one), instead of SOURCE
+    /// Stream several cameras as one sensor: a rig.json that says where each stands (`planish rig` makes one), instead
+    /// of SOURCE
     #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "topic", "camera_info_topic", "camera", "camera_file", "depth_units_per_metre", "align", "mode"])]
     pub rig: Option<PathBuf>,
     /// Of a rig: how the frames of a moment are smoothed
@@ -226,11 +230,12 @@ pub struct StreamArgs {
     /// What to write there
     #[arg(long, value_enum)]
     pub format: Option<StreamFormatArg>,
-    /// Of a rig smoothed by views: how far surfaces of two cameras may be apart for their poses' sake, in millimetres; else 10
+    /// Of a rig smoothed by views: how far surfaces of two cameras may be apart for their poses' sake, in millimetres;
+    /// else 10
     #[arg(long, value_name = "MM", requires = "rig")]
     pub registration: Option<f64>,
-    /// Of a rig whose points are merged: first keep one point for each voxel of this size in metres, as 0.005; the fused cloud then has
-    /// one point a voxel
+    /// Of a rig whose points are merged: first keep one point for each voxel of this size in metres, as 0.005; the
+    /// fused cloud then has one point a voxel
     #[arg(long, value_name = "METRES", requires = "rig")]
     pub voxel: Option<f64>,
     /// Of a rig: keep a picture of its points and cameras from above in this file, drawn anew once a second
@@ -261,16 +266,16 @@ pub struct StreamArgs {
 /// Where frames come from, and until when.
 #[derive(clap::Args)]
 pub struct SourceArgs {
-    /// kinect[:INDEX], realsense[:SERIAL|:FILE.bag|:FILE.db3], openni2[:URI|:FILE.oni], synthetic[:SEED], a data set in TUM layout, a recording of
-    /// libfreenect or of ROS 2 (.mcap), a folder of frames, or one file, repeated
+    /// kinect[:INDEX], realsense[:SERIAL|:FILE.bag|:FILE.db3], openni2[:URI|:FILE.oni], synthetic[:SEED], a data set in
+    /// TUM layout, a recording of libfreenect or of ROS 2 (.mcap), a folder of frames, or one file, repeated
     #[arg(value_name = "SOURCE", required = true)]
     pub name: Option<String>,
     #[command(flatten)]
     pub topics: TopicArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
-    /// RealSense and OpenNI2: map depth and colour to one image. Colour to depth (the RealSense's default), depth to colour (the
-    /// default of OpenNI2 cameras that can), or depth alone
+    /// RealSense and OpenNI2: map depth and colour to one image. Colour to depth (the RealSense's default), depth to
+    /// colour (the default of OpenNI2 cameras that can), or depth alone
     #[arg(long, value_enum)]
     pub align: Option<AlignArg>,
     /// RealSense and OpenNI2: size and rate of depth, as 848x480@30; else the camera's own
@@ -349,25 +354,27 @@ pub struct EvaluateArgs {
     /// Simulate only this seed
     #[arg(long, value_name = "SEED", conflicts_with = "seeds")]
     pub seed: Option<u64>,
-    /// A real cloud, or a depth image with --camera: its flatness tile by tile before and after, of general clouds patch by patch
+    /// A real cloud, or a depth image with --camera: its flatness tile by tile before and after, of general clouds
+    /// patch by patch
     #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "out"])]
     pub input: Option<PathBuf>,
-    /// Frames of a camera that stands still, over which the jitter of points is measured; fewer than 2 leave it out (with --general it takes
-    /// most of the time)
+    /// Frames of a camera that stands still, over which the jitter of points is measured; fewer than 2 leave it out
+    /// (with --general it takes most of the time)
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(..=300), conflicts_with_all = ["input", "rig", "export"])]
     pub still_frames: u64,
     /// Smooth the simulated frames as general clouds, without their grid; the default setting on the grid stands beside
     #[arg(long, conflicts_with_all = ["input", "export", "results"])]
     pub general: bool,
-    /// Smooth simulated rigs of so many cameras (2 to 8) round a table instead, in each of the ways: where several cameras see a surface and
-    /// where one does, and whether it is doubled
+    /// Smooth simulated rigs of so many cameras (2 to 8) round a table instead, in each of the ways: where several
+    /// cameras see a surface and where one does, and whether it is doubled
     #[arg(long, value_name = "CAMERAS", conflicts_with_all = ["input", "general", "export", "results", "out"],
           value_parser = clap::value_parser!(u8).range(2..=8))]
     pub rig: Option<u8>,
     /// Of rigs: how far the stated poses of all cameras but the first are off, in degrees and millimetres
     #[arg(long, value_name = "DEG,MM", requires = "rig")]
     pub pose_errors: Option<PoseErrorsArg>,
-    /// Of rigs whose points are merged: first keep one point for each voxel of this size in metres, as `planish stream` does
+    /// Of rigs whose points are merged: first keep one point for each voxel of this size in metres, as `planish stream`
+    /// does
     #[arg(long, value_name = "METRES", requires = "rig")]
     pub voxel: Option<f64>,
     /// Of rigs smoothed by views: add a viewpoint halfway between every two cameras side by side
@@ -376,8 +383,8 @@ pub struct EvaluateArgs {
     /// Only write the simulated frames into this folder as organized clouds, for other programs to smooth
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
     pub export: Option<PathBuf>,
-    /// Measure the output of another program instead: organized clouds of the same names (normals optional) in this folder, or
-    /// with --input that one file
+    /// Measure the output of another program instead: organized clouds of the same names (normals optional) in this
+    /// folder, or with --input that one file
     #[arg(long, value_name = "DIR|FILE")]
     pub results: Option<PathBuf>,
     /// Folder for report.json, error-over-z.svg and, but with --results, an error map of each frame of the first seed
@@ -398,7 +405,8 @@ pub enum FieldArg {
     Normals,
     /// Surface variation
     Curvature,
-    /// Status of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated
+    /// Status of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6
+    /// isolated
     Status,
     /// Nothing (the default)
     None,

@@ -28,26 +28,30 @@ impl From<RigWayArg> for RigWay {
 
 #[derive(clap::Args)]
 pub struct RigArgs {
-    /// A rig.json, to check and describe; or a calibration to make one of: the static transforms of ROS (`ros2 topic echo /tf_static` in a
-    /// file), a URDF, Kalibr's camchain.yaml, COLMAP's rig_config.json, or a folder with COLMAP's cameras.txt and images.txt
+    /// A rig.json, to check and describe; or a calibration to make one of: the static transforms of ROS (`ros2 topic
+    /// echo /tf_static` in a file), a URDF, Kalibr's camchain.yaml, COLMAP's rig_config.json, or a folder with COLMAP's
+    /// cameras.txt and images.txt
     #[arg(required_unless_present = "simulate")]
     pub file: Option<PathBuf>,
     /// The rig.json to write
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Where a camera's frames come from, as `planish stream` takes it, files and folders as from here: left=realsense:0123, right=recordings/right
+    /// Where a camera's frames come from, as `planish stream` takes it, files and folders as from here:
+    /// left=realsense:0123, right=recordings/right
     #[arg(long, value_name = "NAME=SOURCE")]
     pub source: Vec<String>,
     /// Of transforms of ROS: the frame that becomes the rig's, if not the one that all others hang on
     #[arg(long, value_name = "FRAME")]
     pub base: Option<String>,
-    /// Of transforms of ROS: a frame that is a camera; else those whose names end in depth_optical_frame, or in optical_frame
+    /// Of transforms of ROS: a frame that is a camera; else those whose names end in depth_optical_frame, or in
+    /// optical_frame
     #[arg(long, value_name = "FRAME")]
     pub frame: Vec<String>,
     /// Of COLMAP, whose units are any: metres in one
     #[arg(long, value_name = "METRES")]
     pub scale: Option<f64>,
-    /// Simulate a rig of so many cameras (2 to 8) round a table instead, and write its recordings and rig.json into the folder of --out
+    /// Simulate a rig of so many cameras (2 to 8) round a table instead, and write its recordings and rig.json into the
+    /// folder of --out
     #[arg(long, value_name = "CAMERAS", conflicts_with_all = ["file", "source", "base", "frame", "scale"], requires = "out",
           value_parser = clap::value_parser!(u8).range(2..=8))]
     pub simulate: Option<u8>,

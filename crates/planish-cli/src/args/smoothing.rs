@@ -91,7 +91,8 @@ impl EngineArg {
 /// How to smooth; values not given come from the preset.
 #[derive(clap::Args)]
 pub struct SmoothingArgs {
-    /// Settings in JSON or YAML, as planish.Settings in Python and the browser's page write them; the options below override them
+    /// Settings in JSON or YAML, as planish.Settings in Python and the browser's page write them; the options below
+    /// override them
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
     /// A named setting; the options below override single values
@@ -103,8 +104,8 @@ pub struct SmoothingArgs {
     /// Which sensor took the frames: its depth steps set the radius, its noise what counts as an edge
     #[arg(long, value_enum)]
     pub sensor: Option<SensorArg>,
-    /// Whether creases and steps are kept; by default they are in frames on a grid, and not in general clouds, which then take 1.5 to
-    /// 3.6 times as long
+    /// Whether creases and steps are kept; by default they are in frames on a grid, and not in general clouds, which
+    /// then take 1.5 to 3.6 times as long
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
     /// First turn pixels that float between two surfaces into holes
@@ -113,8 +114,8 @@ pub struct SmoothingArgs {
     /// Half width of the window: (2K+1)² candidates, K from 1 to 7
     #[arg(long, value_name = "K")]
     pub window: Option<u32>,
-    /// Distance between candidates in pixels, 1 to 8. With neither --stride nor --window, pixels coarser than a Kinect v1's get a
-    /// shorter stride and, where needed, a larger K
+    /// Distance between candidates in pixels, 1 to 8. With neither --stride nor --window, pixels coarser than a Kinect
+    /// v1's get a shorter stride and, where needed, a larger K
     #[arg(long, value_name = "S")]
     pub stride: Option<u32>,
     /// Whether each candidate is the mean of its block of pixels, as wide as the stride, so that every pixel counts
@@ -126,7 +127,8 @@ pub struct SmoothingArgs {
     /// Of general clouds instead of a radius: so many neighbours (6 to 1000, else 40), by the density around each point
     #[arg(long, value_name = "K", conflicts_with = "radius")]
     pub neighbours: Option<u32>,
-    /// Of general clouds: turn isolated points into holes, those with fewer than 3 neighbours or a quarter of K; else they stay where they are
+    /// Of general clouds: turn isolated points into holes, those with fewer than 3 neighbours or a quarter of K; else
+    /// they stay where they are
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub remove_isolated: Option<bool>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
@@ -138,13 +140,16 @@ pub struct SmoothingArgs {
     /// How much the surface's slopes and curvatures are damped, 1e-3 (little) to 100 (a plane)
     #[arg(long, value_name = "LAMBDA", allow_negative_numbers = true)]
     pub ridge: Option<f32>,
-    /// Along which line a point is put onto the surface; general clouds, and clouds whose sensor's place is unknown, always along the normal
+    /// Along which line a point is put onto the surface; general clouds, and clouds whose sensor's place is unknown,
+    /// always along the normal
     #[arg(long, value_enum)]
     pub project: Option<ProjectArg>,
-    /// Which engine to use; one requested by name is never replaced by another, except in a stream that loses its GPU twice [default: auto]
+    /// Which engine to use; one requested by name is never replaced by another, except in a stream that loses its GPU
+    /// twice [default: auto]
     #[arg(long, value_enum)]
     pub engine: Option<EngineArg>,
-    /// Which GPU to use with --engine gpu: index or part of the name (see `planish devices`); by default the first real one
+    /// Which GPU to use with --engine gpu: index or part of the name (see `planish devices`); by default the first real
+    /// one
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
     /// Threads of the CPU engines; by default one per core
@@ -155,8 +160,8 @@ pub struct SmoothingArgs {
 /// Several devices at once.
 #[derive(clap::Args)]
 pub struct GpusArgs {
-    /// Deal frames to several devices: all for every GPU, or their indices or parts of their names, separated by commas; cpu is the CPU as
-    /// one more
+    /// Deal frames to several devices: all for every GPU, or their indices or parts of their names, separated by
+    /// commas; cpu is the CPU as one more
     #[arg(long, value_name = "all|LIST", conflicts_with = "adapter")]
     pub gpus: Option<String>,
 }

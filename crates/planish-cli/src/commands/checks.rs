@@ -77,7 +77,8 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
     a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
-/// Refuses a radius that is out of all proportion to the cloud: each point would have most others as neighbours, or thousands.
+/// Refuses a radius that is out of all proportion to the cloud: each point would have most others as neighbours, or
+/// thousands.
 pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<()> {
     let extent_m = cloud.extent_m().into_iter().fold(0.0, f32::max);
     if cloud.valid_points() < FEW_POINTS {

@@ -135,7 +135,8 @@ impl Cloud {
         })
     }
 
-    /// Removes the points that an option marks; returns how many. Errors name the option's number of neighbours or its other value.
+    /// Removes the points that an option marks; returns how many. Errors name the option's number of neighbours or its
+    /// other value.
     fn remove_marked(
         &mut self,
         neighbours: &'static str,

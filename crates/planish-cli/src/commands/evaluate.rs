@@ -313,7 +313,8 @@ impl Method {
     }
 }
 
-/// The one that was asked for, after another to compare with: the 2011 report's setting, or of general clouds the default on the grid.
+/// The one that was asked for, after another to compare with: the 2011 report's setting, or of general clouds the
+/// default on the grid.
 fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     let camera = Suite::default().camera;
     let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;

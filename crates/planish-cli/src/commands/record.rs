@@ -128,7 +128,8 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
                 }
                 frames += 1;
             }
-            // One frame that cannot be read is left out; a camera that is gone ends the recording, which keeps what it has.
+            // One frame that cannot be read is left out; a camera that is gone ends the recording, which keeps what it
+            // has.
             Err(error) => {
                 failures_in_a_row += 1;
                 if matches!(error, Error::Device(_)) || failures_in_a_row == MOST_FAILURES {

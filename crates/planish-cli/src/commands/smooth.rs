@@ -270,7 +270,7 @@ impl Worker<'_> {
         }
     }
 
-    /// Turns pixels that float between two surfaces into holes, if `remove_floating` is set.
+    /// Turns floating pixels into holes, if `remove_floating` is set.
     fn remove_floating(
         &mut self,
         input: &Path,

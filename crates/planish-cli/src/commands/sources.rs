@@ -58,7 +58,7 @@ pub fn open_named(
     if let Some(description) = source.as_ref().and_then(|source| source.description()) {
         errln!("{description}");
     }
-    // Beyond what the clock can count there is no limit.
+    // Times beyond the clock's range count as no limit.
     let until = limits.max_duration()?.and_then(|longest| Instant::now().checked_add(longest));
     let source = match source {
         Some(source) if !limits.reconnect => return Ok(source),

@@ -292,7 +292,8 @@ fn strides_follow_the_resolution_unless_they_are_given() {
         ok(&[&["smooth", str(input), str(&output), "--engine", "cpu"], more].concat());
         fs::read(&output).unwrap()
     };
-    // Pixels four times as coarse as a Kinect's: 5 / 4 is 1, and a window of 2 keeps half of its 10 pixels by becoming 5.
+    // Pixels four times as coarse as a Kinect's: 5 / 4 is 1, and a window of 2 keeps half of its 10 pixels by becoming
+    // 5.
     let found = smooth(&path, &[]);
     assert_eq!(found, smooth(&path, &["--window", "5", "--stride", "1"]));
     assert_eq!(smooth(&path, &["--window", "2"]), smooth(&path, &["--window", "2", "--stride", "5"]));

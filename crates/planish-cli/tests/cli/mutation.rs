@@ -1,5 +1,5 @@
-//! Mutated files of every format, given to the command: an error or a result, never a panic, an abort, a long run, much memory, or a
-//! file that is not whole.
+//! Mutated files of every format, given to the command: an error or a result, never a panic, an abort, a long run, much
+//! memory, or a file that is not whole.
 
 use std::fs;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Lens distortion as OpenCV and ROS define it: Brown-Conrady with up to three radial terms (`plumb_bob`), or the rational
-//! model with six (`rational_polynomial`).
+//! Lens distortion as OpenCV and ROS define it: Brown-Conrady with up to three radial terms (`plumb_bob`), or the
+//! rational model with six (`rational_polynomial`).
 //!
 //! With x, y = X/Z, Y/Z, r² = x² + y² and the radial factor
 //! q = (1 + k1 r² + k2 r⁴ + k3 r⁶)/(1 + k4 r² + k5 r⁴ + k6 r⁶), a point is seen at
@@ -27,7 +27,8 @@ impl Distortion {
     /// A pinhole camera, or an image that was rectified.
     pub const NONE: Self = Self { radial: [0.0; 6], tangential: [0.0; 2] };
 
-    /// The coefficients in the order of OpenCV and ROS: k1, k2, p1, p2, and then k3, and then k4, k5, k6. 0, 4, 5 or 8 of them.
+    /// The coefficients in the order of OpenCV and ROS: k1, k2, p1, p2, and then k3, and then k4, k5, k6. 0, 4, 5 or 8
+    /// of them.
     pub fn from_opencv(coefficients: &[f64]) -> Option<Self> {
         let mut all = [0.0; 8];
         // OpenCV's longer vectors add thin prism and tilt terms; as zeros they mean nothing.
@@ -76,8 +77,8 @@ impl Distortion {
         (seen, [xx, xy, yy])
     }
 
-    /// The direction (x, y, 1) that is seen at a position, in units of the focal length from the principal point; `None` where
-    /// the model is not invertible, beyond what the lens shows.
+    /// The direction (x, y, 1) that is seen at a position, in units of the focal length from the principal point;
+    /// `None` where the model is not invertible, beyond what the lens shows.
     pub fn undistort(&self, seen: [f64; 2]) -> Option<[f64; 2]> {
         let [mut x, mut y] = seen;
         for _ in 0..MAX_STEPS {
@@ -100,8 +101,9 @@ impl Distortion {
 }
 
 impl Distortion {
-    /// Returns the model with five coefficients that maps directions (x, y, 1) to the positions at which they are seen, by least
-    /// squares, and the largest distance that remains: both in units of the focal length. `None` if they determine none.
+    /// Returns the model with five coefficients that maps directions (x, y, 1) to the positions at which they are seen,
+    /// by least squares, and the largest distance that remains: both in units of the focal length. `None` if they
+    /// determine none.
     pub fn fit(pairs: &[([f64; 2], [f64; 2])]) -> Option<(Self, f64)> {
         // The model is linear in k1, k2, k3, p1, p2.
         let (mut a, mut t) = ([[0.0; 5]; 5], [0.0; 5]);

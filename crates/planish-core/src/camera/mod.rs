@@ -1,9 +1,9 @@
 //! The camera: intrinsics, lens distortion, and deprojection.
 //!
-//! Axes: x right, y down, z forward, in metres. Pixel (u, v) has its centre at integer coordinates.
-//! Deprojection (docs/method.md, section 1): z = raw * metres_per_unit, X = z * ray_x, Y = z * ray_y. Without distortion the
-//! rays are (u - cx)/fx and (v - cy)/fy. They are computed in f64 and rounded once to f32, so that every engine gets the same
-//! bits from one multiplication each.
+//! Axes: x right, y down, z forward, in metres. Pixel (u, v) has its centre at integer coordinates. Deprojection
+//! (docs/method.md, section 1): z = raw * metres_per_unit, X = z * ray_x, Y = z * ray_y. Without distortion the rays
+//! are (u - cx)/fx and (v - cy)/fy. They are computed in f64 and rounded once to f32, so that every engine gets the
+//! same bits from one multiplication each.
 
 mod distortion;
 mod rays;
@@ -74,8 +74,8 @@ impl Camera {
         Self { width, height, ..self }
     }
 
-    /// Refuses intrinsics that describe no camera, among them all with which a depth value would become a point that is not
-    /// finite in f32.
+    /// Refuses intrinsics that describe no camera, among them all with which a depth value would become a point that is
+    /// not finite in f32.
     pub fn validate(&self) -> Result<(), FrameError> {
         validate_shape(self.width, self.height)?;
         let within = |field, value: f64, range: std::ops::RangeInclusive<f64>, allowed| {
@@ -137,7 +137,8 @@ impl Camera {
         is_inside.then(|| v as usize * self.width + u as usize)
     }
 
-    /// Deprojects depth in metres, row by row, into x, y and z; what is not finite or not positive becomes NaN in all three.
+    /// Deprojects depth in metres, row by row, into x, y and z; what is not finite or not positive becomes NaN in all
+    /// three.
     #[doc(hidden)]
     pub fn deproject_m(&self, depth_m: impl Iterator<Item = f32>) -> crate::xyz::Xyz {
         let mut rays = Rays::default();

@@ -15,8 +15,8 @@ use crate::frame::PointsView;
 pub use outliers::{radius_outliers, statistical_outliers};
 pub use voxels::voxel_downsample;
 
-/// Marks the points outside the box from `low` to `high`, in metres as the points are; its borders are inside. Points of a
-/// `PointCloud` are relative to its origin, for which there is `cloud_outside_box`.
+/// Marks the points outside the box from `low` to `high`, in metres as the points are; its borders are inside. Points
+/// of a `PointCloud` are relative to its origin, for which there is `cloud_outside_box`.
 ///
 /// # Errors
 /// If the box is empty or not of numbers.
@@ -24,7 +24,8 @@ pub fn outside_box(points: &PointsView<'_>, low: [f64; 3], high: [f64; 3]) -> Re
     outside(points.len(), |i| points.get(i), low, high)
 }
 
-/// Marks the points outside the box from `low` to `high`, in metres in the cloud's frame, as its file has them; its borders are inside.
+/// Marks the points outside the box from `low` to `high`, in metres in the cloud's frame, as its file has them; its
+/// borders are inside.
 ///
 /// # Errors
 /// If the box is empty or not of numbers.

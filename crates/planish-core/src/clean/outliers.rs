@@ -1,7 +1,7 @@
 //! Points far from all others.
 //!
-//! Both tests visit the points leaf by leaf of a [`PointIndex`]: the leaves around one are gathered once for its 16 points, whose
-//! distances to all that was gathered are computed in vectors, whatever the machine has.
+//! Both tests visit the points leaf by leaf of a [`PointIndex`]: the leaves around one are gathered once for its 16
+//! points, whose distances to all that was gathered are computed in vectors, whatever the machine has.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -19,8 +19,8 @@ const MAX_COORDINATE_M: f32 = 1e18;
 /// A leaf wider than so many times the reach has strays, whose neighbours are gathered one by one.
 const WIDEST_LEAF: f32 = 4.0;
 
-/// Marks the points whose mean distance to their nearest `neighbours` is larger than the mean of all such distances by more than
-/// `deviations` of their standard deviations: the statistical test of PCL and Open3D (Rusu et al., 2008).
+/// Marks the points whose mean distance to their nearest `neighbours` is larger than the mean of all such distances by
+/// more than `deviations` of their standard deviations: the statistical test of PCL and Open3D (Rusu et al., 2008).
 ///
 /// `neighbours` does not count the point itself, as in PCL; Open3D's `nb_neighbors` does.
 ///
@@ -199,7 +199,8 @@ impl<'a> Search<'a> {
         1.1 * nearest.last().unwrap_or(0.0).sqrt().max(f32::MIN_POSITIVE.sqrt())
     }
 
-    /// The mean distance from a point to its nearest so many, and the largest; `None` if so many are not within the reach.
+    /// The mean distance from a point to its nearest so many, and the largest; `None` if so many are not within the
+    /// reach.
     #[inline(always)]
     fn mean_of_nearest(&mut self, place: usize, neighbours: usize, reach_m: f32) -> Option<(f32, f32)> {
         self.measure(self.index.point(place));
@@ -233,8 +234,8 @@ impl<'a> Search<'a> {
         Some((((sum + f64::from(farthest_m)) / neighbours as f64) as f32, farthest_m))
     }
 
-    /// Whether the points of a leaf have enough others within the radius in it and the leaves before and after it alone, which
-    /// is so for most and soon found out.
+    /// Whether the points of a leaf have enough others within the radius in it and the leaves before and after it
+    /// alone, which is so for most and soon found out.
     #[inline(always)]
     fn have_company(&self, leaf: usize, most: f32, least: usize) -> bool {
         let [x, y, z] = &self.index.positions;

@@ -19,7 +19,8 @@ const POINTS_OF_A_TASK: usize = 1 << 14;
 /// The key of holes; those of voxels begin at 1.
 const NO_VOXEL: u64 = 0;
 
-/// As many as a voxel has in clouds that are worth thinning: tables begin with room for so many voxels, and grow where there are more.
+/// As many as a voxel has in clouds that are worth thinning: tables begin with room for so many voxels, and grow where
+/// there are more.
 const POINTS_OF_A_VOXEL: usize = 8;
 
 /// More shards than this would each look at all keys for few points.
@@ -27,7 +28,8 @@ const MOST_SHARDS: usize = 64;
 
 /// The points of each voxel that has any.
 ///
-/// A voxel's points ascend, and voxels are in the order of their first points, so that neither depends on the number of threads.
+/// A voxel's points ascend, and voxels are in the order of their first points, so that neither depends on the number of
+/// threads.
 pub struct Voxels {
     grid: Grid,
     shards: Vec<Shard>,
@@ -116,8 +118,8 @@ impl<'a> VoxelMap<'a> {
         self.at_place(self.voxels.grid.place(p).map(f64::floor))
     }
 
-    /// The voxels with points among the eight whose centres are round a point, and the weight of each: that of linear interpolation between
-    /// the centres.
+    /// The voxels with points among the eight whose centres are round a point, and the weight of each: that of linear
+    /// interpolation between the centres.
     pub fn around(&self, p: [f32; 3]) -> impl Iterator<Item = (usize, f64)> {
         let place = self.voxels.grid.place(p).map(|at| at - 0.5);
         let low = place.map(f64::floor);

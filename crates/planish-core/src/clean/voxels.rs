@@ -18,11 +18,11 @@ enum Merge {
     Nearest,
 }
 
-/// Puts one point into each voxel of `size_m` metres that has any: their centroid, with the means of fields that have one (colour,
-/// intensity, normals, floats with fractions) and otherwise the field of the point nearest the centroid.
+/// Puts one point into each voxel of `size_m` metres that has any: their centroid, with the means of fields that have
+/// one (colour, intensity, normals, floats with fractions) and otherwise the field of the point nearest the centroid.
 ///
-/// Voxels begin at multiples of their size in the cloud's frame; results come in the order of the first point of each. Holes are
-/// left out.
+/// Voxels begin at multiples of their size in the cloud's frame; results come in the order of the first point of each.
+/// Holes are left out.
 ///
 /// # Errors
 /// If the size is no positive number, or so small that the cloud is over 2 million voxels wide.

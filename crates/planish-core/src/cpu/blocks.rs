@@ -1,5 +1,5 @@
-//! Block means: each sample of the windows is the mean of its pixel's block (docs/method.md, section 2), and where edges are kept,
-//! of those of its points that are on the pixel's surface (section 10).
+//! Block means: each sample of the windows is the mean of its pixel's block (docs/method.md, section 2), and where
+//! edges are kept, of those of its points that are on the pixel's surface (section 10).
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -55,7 +55,8 @@ impl<'a, S: Simd> Block<'a, S> {
         self.p.add_scaled(splat(simd, 1.0) / total, sum)
     }
 
-    /// The mean of the points that are on the surface of p: they count by how far they are from its plane, in units of `width`.
+    /// The mean of the points that are on the surface of p: they count by how far they are from its plane, in units of
+    /// `width`.
     #[inline(always)]
     pub(super) fn mean_on_surface(&self, simd: S, plane: &Plane<S>, width: S::f32s) -> Vec3<S> {
         let one = splat(simd, 1.0);

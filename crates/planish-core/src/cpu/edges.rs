@@ -1,7 +1,7 @@
 //! Edge preservation: the surface that a point lies on is found from the planes around it (docs/method.md, section 10).
 //!
-//! One pass fits the first planes of all pixels; another one finds from them each pixel's surface, and the mean of the points of its
-//! block that are on it. Each number of a plane is a channel laid out like the padded frame.
+//! One pass fits the first planes of all pixels; another one finds from them each pixel's surface, and the mean of the
+//! points of its block that are on it. Each number of a plane is a channel laid out like the padded frame.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -22,8 +22,8 @@ use crate::range::{MAX_RADIUS_M, RangeRules};
 // The channels.
 const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
-/// Of a first plane, the variance along the normal plus the plane's uncertainty, in m²; more, and at last infinite, where the
-/// neighbours are too few, on a line, or on a plane seen edge-on.
+/// Of a first plane, the variance along the normal plus the plane's uncertainty, in m²; more, and at last infinite,
+/// where the neighbours are too few, on a line, or on a plane seen edge-on.
 const RESIDUAL: usize = 4;
 /// Of a surface, how far from it a neighbour counts, in metres.
 const WIDTH: usize = 4;
@@ -165,8 +165,8 @@ impl Planes {
         Surface { plane: self.plane(simd, at), n, width: self.load(simd, WIDTH, at) }
     }
 
-    /// Finds the surfaces that the points p from an index on lie on, from their own first planes and the eight around them. `mean`
-    /// says how far off a plane they are, `ray` leads from the sensor to them.
+    /// Finds the surfaces that the points p from an index on lie on, from their own first planes and the eight around
+    /// them. `mean` says how far off a plane they are, `ray` leads from the sensor to them.
     #[allow(clippy::too_many_arguments)]
     #[inline(always)]
     fn find_surface<S: Simd>(
@@ -201,7 +201,8 @@ impl Planes {
                     (from_mean * from_mean).mul_add(splat(simd, DISTANCE_WEIGHT), self.load(simd, RESIDUAL, at));
                 let badness = residual.mul_add(per_variance, one);
                 let square = badness * badness;
-                // An unusable plane has an infinite residual, hence no weight. One that is not near may hold anything, and changes nothing.
+                // An unusable plane has an infinite residual, hence no weight. One that is not near may hold anything,
+                // and changes nothing.
                 let weight = nearness / (square * square);
                 normal = normal.add_scaled(weight, n).or(near, normal);
                 height = near.select(weight.mul_add(to_plane, height), height);
@@ -262,8 +263,8 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
     }
 }
 
-/// The pass of the surfaces, for some rows, and where blocks are averaged, the means of the points on them in the place of those of
-/// all points.
+/// The pass of the surfaces, for some rows, and where blocks are averaged, the means of the points on them in the place
+/// of those of all points.
 #[inline(always)]
 pub(super) fn find_surfaces<S: Simd>(
     simd: S,

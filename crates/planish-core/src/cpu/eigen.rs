@@ -1,10 +1,10 @@
 //! The smallest eigenvector of a symmetric 3x3 matrix in every lane (docs/method.md, section 4), in f32.
 //!
-//! The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half their
-//! digits, so each lane first solves for the root that stands alone: the smallest where the points lie on a plane, the
-//! largest where they lie along a line. In the second case the other two come from the matrix restricted to the plane
-//! across the line (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). Errors are then a few ulp of the
-//! largest eigenvalue, as those of the matrix itself. A zero matrix gives zeros and some unit vector.
+//! The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half
+//! their digits, so each lane first solves for the root that stands alone: the smallest where the points lie on a
+//! plane, the largest where they lie along a line. In the second case the other two come from the matrix restricted to
+//! the plane across the line (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). Errors are then a few
+//! ulp of the largest eigenvalue, as those of the matrix itself. A zero matrix gives zeros and some unit vector.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -51,7 +51,8 @@ const LINE_LIKE: f32 = 0.9;
 pub(super) fn smallest_eigenvector<S: Simd>(simd: S, m: &Symmetric<S>) -> Smallest<S> {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
 
-    // M = mean I + p B: B has trace 0, eigenvalues between -2 and 2, and the characteristic polynomial x³ - 3x - det(B).
+    // M = mean I + p B: B has trace 0, eigenvalues between -2 and 2, and the characteristic polynomial x³ - 3x -
+    // det(B).
     let mean = (m.xx + m.yy + m.zz) * splat(simd, 1.0 / 3.0);
     let (dx, dy, dz) = (m.xx - mean, m.yy - mean, m.zz - mean);
     let off = m.xy.mul_add(m.xy, m.xz.mul_add(m.xz, m.yz * m.yz));

@@ -1,11 +1,12 @@
 //! The CPU engine: docs/method.md in f32, a vector of neighbouring pixels at a time, for organized clouds.
 //!
-//! The stages have the reference's names, one file each, and are written once over the SIMD level; [`SimdLevel`] says which
-//! there are. A frame is copied into a padded one ([`padded`]), tasks take bands of its rows ([`row_tasks`], [`output`]), and each
-//! vector of pixels goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`], [`project`]; where blocks are
-//! averaged or edges kept, [`blocks`] and [`edges`] have up to three passes before. All of it is in the cloud's frame; what depends on
-//! the sensor is asked of [`sensor`]. Each pass reads only what passes before it have finished, so threads change nothing; lanes are
-//! independent, so neither does a pixel's place in its vector.
+//! The stages have the reference's names, one file each, and are written once over the SIMD level; [`SimdLevel`] says
+//! which there are. A frame is copied into a padded one ([`padded`]), tasks take bands of its rows ([`row_tasks`],
+//! [`output`]), and each vector of pixels goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`],
+//! [`project`]; where blocks are averaged or edges kept, [`blocks`] and [`edges`] have up to three passes before. All
+//! of it is in the cloud's frame; what depends on the sensor is asked of [`sensor`]. Each pass reads only what passes
+//! before it have finished, so threads change nothing; lanes are independent, so neither does a pixel's place in its
+//! vector.
 
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
@@ -153,7 +154,8 @@ impl Cpu {
         Ok(Self { params, level, threads, padded, means, planes, rays, timings })
     }
 
-    /// Fills the padded frame and smooths all rows, on the threads of the pool that it is called in or on the calling one.
+    /// Fills the padded frame and smooths all rows, on the threads of the pool that it is called in or on the calling
+    /// one.
     fn smooth_rows(&mut self, frame: &AdmittedFrame<'_>, kernel: &Kernel, out: SmoothedMut<'_>, parallel: bool) {
         let level = self.level;
         let start = Stopwatch::start();
@@ -260,7 +262,8 @@ fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
     p.scale(zero).dot(Vec3::splat(simd, 1.0)).simd_eq(zero)
 }
 
-/// Sections 2 to 7 and 10 for one vector of pixels. The terms are kept from vector to vector, so that they are not cleared for each.
+/// Sections 2 to 7 and 10 for one vector of pixels. The terms are kept from vector to vector, so that they are not
+/// cleared for each.
 #[allow(clippy::too_many_arguments)]
 #[inline(always)]
 fn smooth_vector<S: Simd, const D: usize>(

@@ -1,9 +1,9 @@
 //! The frame with a border: the input of every window load.
 //!
 //! Stage: copy or deproject (docs/method.md, section 1), in the cloud's frame. Layout: x, y and z each as rows of
-//! `row_len` values, `border` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 behind its last column, so
-//! that every load of a window, at every vector of pixels, is a plain load inside the buffer. A NaN fails the gate, and so does
-//! everything not finite: an infinite distance is over every radius.
+//! `row_len` values, `border` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 behind its last
+//! column, so that every load of a window, at every vector of pixels, is a plain load inside the buffer. A NaN fails
+//! the gate, and so does everything not finite: an infinite distance is over every radius.
 
 use fearless_simd::{Simd, SimdBase};
 

@@ -1,9 +1,10 @@
 //! The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //!
-//! The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the in-plane coordinates and f the height over the plane, all in units of the
-//! bandwidth over sqrt(log2 e). The reference divides a and b by h; this unit saves a multiplication, and the ridge is converted
-//! to it. Moments: M_ij = sum w a^i b^j for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer
-//! products of the powers of a and b: one fused multiply-add each, and plain additions for j = 0.
+//! The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the
+//! in-plane coordinates and f the height over the plane, all in units of the bandwidth over sqrt(log2 e). The reference
+//! divides a and b by h; this unit saves a multiplication, and the ridge is converted to it. Moments: M_ij = sum w a^i
+//! b^j for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a
+//! and b: one fused multiply-add each, and plain additions for j = 0.
 
 use std::ops::Range;
 
@@ -45,8 +46,8 @@ const CHUNK: usize = 64;
 /// The contribution of each candidate: weight (0 for one that is no neighbour) and coordinates.
 ///
 /// Computing all terms first and summing them in a second loop is a third faster than a single loop, which has so many
-/// operations per candidate that the processor's scheduler cannot overlap two candidates and stalls on the chain of exponential
-/// and powers.
+/// operations per candidate that the processor's scheduler cannot overlap two candidates and stalls on the chain of
+/// exponential and powers.
 pub(super) struct Terms<S: Simd> {
     w: [S::f32s; CHUNK],
     a: [S::f32s; CHUNK],
@@ -207,7 +208,8 @@ impl<S: Simd> Terms<S> {
         );
     }
 
-    /// Turns the first `len` candidates that [`keep`](Self::keep) left into terms. Not inlined, as [`fill`](Self::fill).
+    /// Turns the first `len` candidates that [`keep`](Self::keep) left into terms. Not inlined, as
+    /// [`fill`](Self::fill).
     #[inline(never)]
     fn turn(&mut self, simd: S, len: usize, frame: &Frame<S>) {
         simd.vectorize(

@@ -32,8 +32,8 @@ pub(super) struct Projection {
     pub(super) least_neighbours: f32,
 }
 
-/// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c. `ray` leads from
-/// the sensor to p; lanes that are not `valid` are holes.
+/// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c. `ray`
+/// leads from the sensor to p; lanes that are not `valid` are holes.
 #[allow(clippy::too_many_arguments)]
 #[inline(always)]
 pub(super) fn project<S: Simd, const D: usize>(
@@ -89,8 +89,8 @@ pub(super) fn project<S: Simd, const D: usize>(
     }
 }
 
-/// How far along the ray, in its lengths, the tangent plane lies that is `height` from the ray's end along its normal. Where the
-/// ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
+/// How far along the ray, in its lengths, the tangent plane lies that is `height` from the ray's end along its normal.
+/// Where the ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
 #[inline(always)]
 fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray: Vec3<S>, radius: S::f32s) -> S::f32s {
     // At least so much, since a point at the sensor has no ray.

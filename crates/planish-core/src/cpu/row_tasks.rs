@@ -2,8 +2,8 @@
 
 use std::ops::RangeInclusive;
 
-/// Rows of one task: enough that a task costs nothing beside them, and that its rows find most candidates in its core's cache;
-/// few enough that many threads end together.
+/// Rows of one task: enough that a task costs nothing beside them, and that its rows find most candidates in its core's
+/// cache; few enough that many threads end together.
 const ROWS_PER_TASK: RangeInclusive<usize> = 4..=8;
 
 /// Tasks for each thread, where there are rows enough.

@@ -1,8 +1,8 @@
 //! What the kernels need to know of the sensor's place in the cloud's frame (docs/method.md, section 11).
 //!
-//! Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame would be
-//! rounded once more. A *ray* leads from the sensor to a point, in the cloud's frame. Where that is the sensor's own frame,
-//! the same operations change no bit.
+//! Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame
+//! would be rounded once more. A *ray* leads from the sensor to a point, in the cloud's frame. Where that is the
+//! sensor's own frame, the same operations change no bit.
 
 use fearless_simd::Simd;
 

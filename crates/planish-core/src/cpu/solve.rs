@@ -1,7 +1,7 @@
 //! The normal equations with their ridge, by LDL^T (docs/method.md, section 6).
 //!
-//! Lanes with too few neighbours for degree 3 leave its unknowns out: since the order is by degree, the solution of degree 2
-//! remains.
+//! Lanes with too few neighbours for degree 3 leave its unknowns out: since the order is by degree, the solution of
+//! degree 2 remains.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 

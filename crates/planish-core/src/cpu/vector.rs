@@ -1,7 +1,8 @@
 //! Points in space, one for each lane.
 //!
-//! Kernels write out what they do with each of a few vectors. Adapters of the standard library (`array::map`, `zip` of arrays) are not compiled
-//! for a level's instructions, so that nothing is inlined into them and every vector goes through memory: a third of the time of a frame.
+//! Kernels write out what they do with each of a few vectors. Adapters of the standard library (`array::map`, `zip` of
+//! arrays) are not compiled for a level's instructions, so that nothing is inlined into them and every vector goes
+//! through memory: a third of the time of a frame.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 

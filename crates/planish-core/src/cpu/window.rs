@@ -1,7 +1,7 @@
 //! The neighbours of a vector of pixels: a strided window and a gate on distance (docs/method.md, sections 2 and 3).
 //!
-//! Offsets e = q - p in metres. A hole or an infinity anywhere fails the gate by comparison: NaN is not within, nor is an
-//! infinite distance. A hole has no neighbours at all, not even itself.
+//! Offsets e = q - p in metres. A hole or an infinity anywhere fails the gate by comparison: NaN is not within, nor is
+//! an infinite distance. A hole has no neighbours at all, not even itself.
 
 use std::ops::Range;
 
@@ -73,8 +73,8 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// How many candidates a row has.
     fn row_len(&self) -> usize;
 
-    /// Runs over the candidates of some rows, in order: their offsets from p, zero for one that is no neighbour, how much they
-    /// count by the gate, and how many neighbours they are.
+    /// Runs over the candidates of some rows, in order: their offsets from p, zero for one that is no neighbour, how
+    /// much they count by the gate, and how many neighbours they are.
     fn neighbours(
         &self,
         simd: S,

@@ -8,8 +8,8 @@ const NEWEST_SHARE: f64 = 0.2;
 /// A device that had no frame for this long is tried again: what slowed it down may be over.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(1);
 
-/// Results are in order, so others wait for a slow device: one that needs more than this share of the time in which the fastest does all frames in
-/// flight is only tried now and then.
+/// Results are in order, so others wait for a slow device: one that needs more than this share of the time in which the
+/// fastest does all frames in flight is only tried now and then.
 const SLOWEST_SHARE: f64 = 0.5;
 
 /// How fast a device is, as far as its last frames say.
@@ -38,7 +38,8 @@ impl Pace {
     }
 }
 
-/// The device for the next frame, of those that work, each with its pace and how many frames it has; `window` is how many can be in flight.
+/// The device for the next frame, of those that work, each with its pace and how many frames it has; `window` is how
+/// many can be in flight.
 pub(super) fn choose(
     devices: impl Iterator<Item = (usize, Pace, usize)> + Clone,
     window: usize,

@@ -15,8 +15,8 @@ pub enum FleetDevice {
 }
 
 impl FleetDevice {
-    /// The devices of a list separated by commas: indices or parts of names of GPUs, `all` for every real GPU, `cpu` for the CPU as one
-    /// more.
+    /// The devices of a list separated by commas: indices or parts of names of GPUs, `all` for every real GPU, `cpu`
+    /// for the CPU as one more.
     ///
     /// # Errors
     /// If the list names nothing, what is not there, or one device twice.

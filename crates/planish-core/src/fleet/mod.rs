@@ -1,7 +1,8 @@
 //! Fleets: frames dealt to several devices, results in the order of submission.
 //!
-//! Each device has a [`Smoother`](crate::Smoother) and a thread of its own ([`worker`]). A frame goes to the device that is expected to
-//! have its result first ([`dealing`]). A device that fails for good hands its frames to the others.
+//! Each device has a [`Smoother`](crate::Smoother) and a thread of its own ([`worker`]). A frame goes to the device
+//! that is expected to have its result first ([`dealing`]). A device that fails for good hands its frames to the
+//! others.
 
 mod dealing;
 mod devices;
@@ -33,7 +34,8 @@ fn threads_beside(devices: &[FleetDevice]) -> Option<usize> {
     (gpus > 0).then(|| cores.saturating_sub(gpus * THREADS_OF_A_GPU).max(1))
 }
 
-/// A frame that several threads own: what [`Fleet`] takes in an [`Arc`]. Every type that a reference converts to a [`Frame`] of is one.
+/// A frame that several threads own: what [`Fleet`] takes in an [`Arc`]. Every type that a reference converts to a
+/// [`Frame`] of is one.
 pub trait SharedFrame: Send + Sync + 'static {
     /// The frame.
     ///
@@ -111,7 +113,8 @@ pub struct FleetMember {
 }
 
 impl Fleet {
-    /// Opens a smoother on each device, as [`Smoother::open_with`] does with the options, of which the devices replace engine and adapter.
+    /// Opens a smoother on each device, as [`Smoother::open_with`] does with the options, of which the devices replace
+    /// engine and adapter.
     ///
     /// # Errors
     /// If there are no devices, one does not open, or the parameters are not allowed.
@@ -185,8 +188,8 @@ impl Fleet {
     /// Submits a frame, and a buffer for its result. Returns at once: other threads compute it.
     ///
     /// # Errors
-    /// If as many are in flight as can be, the frame is of another grid, or every device is lost. What else is wrong with a frame is
-    /// received in its place.
+    /// If as many are in flight as can be, the frame is of another grid, or every device is lost. What else is wrong
+    /// with a frame is received in its place.
     pub fn submit<F: SharedFrame>(&mut self, frame: Arc<F>, buffer: Smoothed) -> Result<(), Error> {
         self.deal(frame, Some(buffer))
     }

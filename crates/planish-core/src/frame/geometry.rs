@@ -20,7 +20,8 @@ const MAX_EXTENTS: f64 = 1000.0;
 const MAX_ORIGIN_M: f64 = 20_000.0;
 /// Nor can that be an origin so many extents away beside the cloud.
 const BESIDE_EXTENTS: f64 = 5.0;
-/// Nor one on the surface: of the sampled points around it the 60th is about 3.2 times as far as the 6th there, and so on; these are the limits.
+/// Nor one on the surface: of the sampled points around it the 60th is about 3.2 times as far as the 6th there, and so
+/// on; these are the limits.
 const SURFACE_RATIOS: [f64; 2] = [2.4, 4.2];
 /// Compared with ten times as many, as far as that is at most a quarter of the sample.
 const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
@@ -88,7 +89,8 @@ impl FrameGeometry {
             return distance;
         }
 
-        // Nobody said where the sensor stood. Seen from it, neighbours are the same angle apart, however far away they are.
+        // Nobody said where the sensor stood. Seen from it, neighbours are the same angle apart, however far away they
+        // are.
         let pairs = if horizontal.is_empty() { vertical } else { horizontal };
         let of_angle = spread(pairs.iter().map(|pair| pair.angle), pitches);
         let of_spacing = spread(pairs.iter().map(|pair| pair.spacing_m), pitches);
@@ -106,7 +108,8 @@ impl FrameGeometry {
     }
 }
 
-/// Where the sensor is taken to have stood whose pose a general cloud does not state, if it cannot have been the origin of coordinates.
+/// Where the sensor is taken to have stood whose pose a general cloud does not state, if it cannot have been the origin
+/// of coordinates.
 pub(super) fn assumed_transform(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Option<RigidTransform> {
     if !points.pose().is_identity() {
         return None;
@@ -133,8 +136,8 @@ fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransfo
     (!may_be_sensor).then(|| extent.sensor_beside(None))
 }
 
-/// Whether a place is in the midst of points as they lie on a surface: the number of those around it grows with the square of the distance, where
-/// a sensor has all at some distance.
+/// Whether a place is in the midst of points as they lie on a surface: the number of those around it grows with the
+/// square of the distance, where a sensor has all at some distance.
 fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
     // Zeros stand for no data.
     let squares = sample.iter().map(|point| point.distance_squared(place)).filter(|square| *square > 0.0);
@@ -164,8 +167,9 @@ impl PointsView<'_> {
         self.geometry(&mut GeometryScratch::default()).rule
     }
 
-    /// Where the sensor of a general cloud is taken to have stood, in the frame of the file, if the cloud does not state it and it cannot have been
-    /// the origin of coordinates; else `None` (docs/method.md, section 11). Normals face it.
+    /// Where the sensor of a general cloud is taken to have stood, in the frame of the file, if the cloud does not
+    /// state it and it cannot have been the origin of coordinates; else `None` (docs/method.md, section 11). Normals
+    /// face it.
     pub fn assumed_sensor_m(&self) -> Option<[f64; 3]> {
         let is_general = self.grid().is_none();
         let assumed = is_general.then(|| assumed_transform(self, &mut GeometryScratch::default())).flatten();
@@ -192,8 +196,8 @@ impl PointsView<'_> {
 }
 
 impl OrganizedCloud {
-    /// Metres between neighbouring pixels at a range of 1 m, from the camera where it is known, else from the points (1/fx of a
-    /// camera). `None` where it cannot be told.
+    /// Metres between neighbouring pixels at a range of 1 m, from the camera where it is known, else from the points
+    /// (1/fx of a camera). `None` where it cannot be told.
     pub fn pixel_pitch_at_1m(&self) -> Option<f64> {
         PointsView::from_organized(self).ok()?.range_rule().known_pitch_at_1m()
     }

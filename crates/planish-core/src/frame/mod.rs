@@ -88,7 +88,8 @@ impl DepthFrame {
         }
     }
 
-    /// The organized cloud of this frame (docs/method.md, section 1), with colour as PCL's packed `rgb` if there is any.
+    /// The organized cloud of this frame (docs/method.md, section 1), with colour as PCL's packed `rgb` if there is
+    /// any.
     pub fn deproject(&self) -> Result<OrganizedCloud, FrameError> {
         self.validate()?;
         let mut cloud = DepthView::new(&self.raw, &self.camera)?.deproject()?;
@@ -147,7 +148,8 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// What converts into a well-formed [`Frame`] without copying: views, [`DepthFrame`], [`OrganizedCloud`], [`PointCloud`].
+/// What converts into a well-formed [`Frame`] without copying: views, [`DepthFrame`], [`OrganizedCloud`],
+/// [`PointCloud`].
 ///
 /// The owned types have public fields, so the conversion checks them: lengths, the camera, the pose.
 pub trait IntoFrame<'a> {

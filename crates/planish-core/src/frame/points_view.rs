@@ -33,7 +33,8 @@ pub struct PointLayout {
     pub row_stride: usize,
 }
 
-/// Points, borrowed where they are: three planes or interleaved rows, f32 or f64, on a grid (organized) or not (general).
+/// Points, borrowed where they are: three planes or interleaved rows, f32 or f64, on a grid (organized) or not
+/// (general).
 ///
 /// ```
 /// use planish::{PointsView, SensorPose};
@@ -45,8 +46,8 @@ pub struct PointLayout {
 /// # Ok::<(), planish::FrameError>(())
 /// ```
 ///
-/// Results are in the frame of the points. f32 cannot hold georeferenced coordinates: [`PointsView::with_origin`] makes results
-/// relative to an origin near the data.
+/// Results are in the frame of the points. f32 cannot hold georeferenced coordinates: [`PointsView::with_origin`] makes
+/// results relative to an origin near the data.
 #[derive(Debug, Clone, Copy)]
 pub struct PointsView<'a> {
     positions: Positions<'a>,
@@ -110,7 +111,8 @@ impl<'a> PointsView<'a> {
         Self::from_bytes(bytemuck::cast_slice(points), layout, (points.len(), 1))
     }
 
-    /// Points in bytes of any layout, unaligned too. (width, height) is the grid; a height of 1 means none, as in ROS and PCL.
+    /// Points in bytes of any layout, unaligned too. (width, height) is the grid; a height of 1 means none, as in ROS
+    /// and PCL.
     pub fn from_bytes(
         bytes: &'a [u8],
         layout: PointLayout,
@@ -192,7 +194,8 @@ impl<'a> PointsView<'a> {
         Ok(Self { camera: Some(camera), ..self })
     }
 
-    /// Subtracts an origin near the data from the points and the pose: results are relative to it, and rounded to f32 there.
+    /// Subtracts an origin near the data from the points and the pose: results are relative to it, and rounded to f32
+    /// there.
     pub fn with_origin(self, origin_m: [f64; 3]) -> Result<Self, FrameError> {
         check_origin(origin_m)?;
         let origin_m = DVec3::from_array(origin_m);

@@ -1,4 +1,4 @@
-//! What the range of a point is, and where its sensor stands (docs/method.md, section 11).
+//! The range of a point and the position of its sensor (docs/method.md, section 11).
 
 use glam::DVec3;
 
@@ -19,21 +19,21 @@ pub enum RangeRule {
         /// Metres between neighbouring pixels at a distance of 1 m, of rows or columns, whichever are farther apart.
         pitch_at_1m: f64,
     },
-    /// It is not known where the sensor stood: every point has the range at which pixels of a Kinect v1 are as far apart as
-    /// these points are.
+    /// It is not known where the sensor stood: every point has the range at which pixels of a Kinect v1 are as far
+    /// apart as these points are.
     Constant {
         /// Metres between neighbouring points.
         spacing_m: f64,
     },
 }
 
-/// The focal length of a Kinect v1 in pixels: what is assumed where nothing is known.
+/// The focal length of a Kinect v1 in pixels, assumed if none is known.
 const KINECT_FOCAL_LENGTH_PX: f64 = 525.0;
 /// Sensor models end here: where the range is unknown, none larger than this is assumed.
 const MAX_ASSUMED_RANGE_M: f64 = 5.0;
 
 impl RangeRule {
-    /// Metres between neighbouring pixels at a range of 1 m; that of a Kinect v1 where it is not known.
+    /// Metres between neighbouring pixels at a range of 1 m; a Kinect v1's if unknown.
     pub fn pitch_at_1m(&self) -> f64 {
         self.known_pitch_at_1m().unwrap_or(1.0 / KINECT_FOCAL_LENGTH_PX)
     }
@@ -48,7 +48,7 @@ impl RangeRule {
     }
 }
 
-/// What an engine must know of a frame beside its samples.
+/// The geometry of a frame that an engine needs in addition to its samples.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrameGeometry {
     /// `None` where the cloud's frame is the sensor's.
@@ -61,7 +61,7 @@ impl FrameGeometry {
         Self { cloud_from_sensor: (!transform.is_identity()).then_some(transform), rule }
     }
 
-    /// Where the sensor stands in the cloud's frame.
+    /// The sensor's position in the cloud's frame.
     pub(crate) fn sensor_position(&self) -> DVec3 {
         self.cloud_from_sensor.map_or(DVec3::ZERO, |transform| transform.translation)
     }
@@ -71,7 +71,8 @@ impl FrameGeometry {
         self.cloud_from_sensor.map_or(DVec3::Z, |transform| transform.rotation.z_axis)
     }
 
-    /// Whether points move along their rays (docs/method.md, section 7): if asked to, and if it is known where the sensor stands.
+    /// Whether points move along their rays (docs/method.md, section 7): if asked to, and if it is known where the
+    /// sensor stands.
     pub(crate) fn is_on_rays(&self, project: Project) -> bool {
         project == Project::Ray && !matches!(self.rule, RangeRule::Constant { .. })
     }

@@ -1,4 +1,5 @@
-//! What a sample of a grid's points tells: whether they lie as a camera's do, how far apart they are, and how they extend.
+//! What a sample of a grid's points tells: whether they lie as a camera's do, how far apart they are, and how they
+//! extend.
 
 use glam::{DMat3, DVec3};
 
@@ -14,7 +15,8 @@ const SAMPLED_COLUMNS: usize = 24;
 const LAW_ROWS: usize = 12;
 /// Neighbours for the spacing are so many pixels apart: their distance is larger, and the noise of it no more.
 pub(super) const LAG_PX: usize = 4;
-/// X/z along a column may vary by this share of its extent over the image: lenses distort by less, turned cameras by more.
+/// X/z along a column may vary by this share of its extent over the image: lenses distort by less, turned cameras by
+/// more.
 const RAY_LAW_TOLERANCE: f64 = 0.1;
 /// Points behind the sensor, as a share, from which on the grid is no camera's.
 const MAX_BEHIND: f64 = 0.01;
@@ -60,8 +62,9 @@ impl Sample<'_, '_> {
         (point.is_finite() && self.points.point(i) != DVec3::ZERO).then_some(point)
     }
 
-    /// Whether a camera at the origin of coordinates, rather than at the stated pose, took the points. PCL's grabbers state how
-    /// the camera is turned and write the points in its own frame nevertheless; others do so with its position.
+    /// Whether a camera at the origin of coordinates, rather than at the stated pose, took the points. PCL's grabbers
+    /// state how the camera is turned and write the points in its own frame nevertheless; others do so with its
+    /// position.
     pub(super) fn is_likelier_than(&self, stated: &Self, scratch: &mut GeometryScratch) -> bool {
         if stated.points.pose().position_m == [0.0; 3] {
             return true;
@@ -82,8 +85,8 @@ impl Sample<'_, '_> {
         (0..self.height).step_by(self.height.div_ceil(LAW_ROWS))
     }
 
-    /// Whether the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along rows, and columns go
-    /// to the right where rows go down.
+    /// Whether the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along rows,
+    /// and columns go to the right where rows go down.
     pub(super) fn is_of_a_camera(&self, scratch: &mut GeometryScratch) -> bool {
         let columns = || (0..self.width).step_by(self.width.div_ceil(SAMPLED_COLUMNS));
         let points = self.law_rows().flat_map(|row| columns().map(move |column| row * self.width + column));
@@ -100,8 +103,8 @@ impl Sample<'_, '_> {
             && self.is_constant(self.law_rows(), |row, column| (column, row), |p| p.y / p.z, columns(), scratch)
     }
 
-    /// How many corners of pixels turn right-handed, as a camera's do, and how many the other way: the sign of the determinant of
-    /// three neighbouring rays, whatever the surface and the noise.
+    /// How many corners of pixels turn right-handed, as a camera's do, and how many the other way: the sign of the
+    /// determinant of three neighbouring rays, whatever the surface and the noise.
     pub(super) fn turns(&self) -> [u32; 2] {
         let mut turns = [0, 0];
         for row in self.law_rows().filter(|row| row + 1 < self.height) {
@@ -147,8 +150,8 @@ impl Sample<'_, '_> {
         quantile(spreads, 0.5).is_none_or(|spread| spread <= RAY_LAW_TOLERANCE * extent)
     }
 
-    /// 1/fx of a camera: in a pinhole image X/Z grows by exactly that from a pixel to its right neighbour, whatever the surface;
-    /// the median of that difference over a sample of the rows.
+    /// 1/fx of a camera: in a pinhole image X/Z grows by exactly that from a pixel to its right neighbour, whatever the
+    /// surface; the median of that difference over a sample of the rows.
     pub(super) fn camera_pitch(&self, scratch: &mut GeometryScratch) -> Option<f64> {
         let pitches = &mut scratch.pitches;
         pitches.clear();
@@ -256,8 +259,8 @@ impl Extent {
         to_place.dot(self.normal).abs() > CLEARLY_BESIDE * to_place.length()
     }
 
-    /// A sensor that looks along the cloud's normal, from the side of the origin if that is clearly on one, else from above; not so
-    /// far away that f32 would lose the coordinates.
+    /// A sensor that looks along the cloud's normal, from the side of the origin if that is clearly on one, else from
+    /// above; not so far away that f32 would lose the coordinates.
     pub(super) fn sensor_beside(&self, origin: Option<DVec3>) -> RigidTransform {
         let to_origin = origin.map_or(DVec3::ZERO, |origin| origin - self.centre);
         let is_outside = to_origin.length() > self.radius_m;

@@ -1,4 +1,5 @@
-//! The thread that waits for the frames in flight on a queue and copies their results out, so that the one that submits need not.
+//! The thread that waits for the frames in flight on a queue and copies their results out, so that the one that submits
+//! need not.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{self, JoinHandle};
@@ -35,7 +36,8 @@ pub(super) struct Copied(Receiver<CopyResult>);
 impl Copier {
     pub(super) fn start() -> Result<Self, EngineError> {
         let (jobs, queue) = channel::<Box<Job>>();
-        // Threads of its own: a worker of rayon's pool may be what waits for the copy, and then no other is free for it.
+        // Threads of its own: a worker of rayon's pool may be what waits for the copy, and then no other is free for
+        // it.
         let pool = Threads::open(Some(COPY_THREADS))?;
         let work = move || {
             for job in queue {

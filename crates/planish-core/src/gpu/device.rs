@@ -1,8 +1,9 @@
 //! Devices: listing and opening adapters, compiled kernels, device loss.
 //!
-//! An adapter is opened once, or twice where frames overlap on several queues: quickly for what is smoothed one at a time, and with a
-//! device of wgpu's for each queue. Devices are shared by all smoothers of the process on that adapter, and closed with the last of
-//! them. A fault is kept: once a device is lost, every call returns that error, and the next smoother opens a fresh one.
+//! An adapter is opened once, or twice where frames overlap on several queues: quickly for what is smoothed one at a
+//! time, and with a device of wgpu's for each queue. Devices are shared by all smoothers of the process on that
+//! adapter, and closed with the last of them. A fault is kept: once a device is lost, every call returns that error,
+//! and the next smoother opens a fresh one.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -24,8 +25,8 @@ const STEP: Duration = Duration::from_millis(1);
 /// How long to poll a failing device for its loss.
 const LOSS_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// How long a waiter spins before it blocks: most frames are done by then, and waking up costs 30 to 60 µs. Not on software
-/// adapters, which need the CPU.
+/// How long a waiter spins before it blocks: most frames are done by then, and waking up costs 30 to 60 µs. Not on
+/// software adapters, which need the CPU.
 const SPIN: Duration = Duration::from_millis(1);
 
 /// Locks, ignoring poisoning: the state behind the locks here is consistent at any time.
@@ -58,15 +59,16 @@ pub(super) struct GpuDevice {
     pipeline_layout: wgpu::PipelineLayout,
     kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
     fault: Arc<Mutex<Option<EngineError>>>,
-    /// Serializes polling. If two threads poll at once, wgpu 30 may see an empty queue in one before it records the last
-    /// submission as done in the other, and panics.
+    /// Serializes polling. If two threads poll at once, wgpu 30 may see an empty queue in one before it records the
+    /// last submission as done in the other, and panics.
     turn: Mutex<()>,
     /// Threads waiting to submit; pollers let them go first.
     submitting: AtomicUsize,
     spin: Duration,
 }
 
-/// Returns the adapters of this machine, in order of their indices. Enumerated once, as that takes longer than opening a device.
+/// Returns the adapters of this machine, in order of their indices. Enumerated once, as that takes longer than opening
+/// a device.
 fn adapters() -> &'static [wgpu::Adapter] {
     static ADAPTERS: OnceLock<Vec<wgpu::Adapter>> = OnceLock::new();
     ADAPTERS.get_or_init(|| {
@@ -258,8 +260,8 @@ impl GpuDevice {
         self.loss().or_else(|| self.check().err()).unwrap_or_else(failure)
     }
 
-    /// Returns the loss of the device, if it is lost. wgpu reports it only when polled on an idle queue, and later still if another
-    /// thread polls at the same time.
+    /// Returns the loss of the device, if it is lost. wgpu reports it only when polled on an idle queue, and later
+    /// still if another thread polls at the same time.
     fn loss(&self) -> Option<EngineError> {
         let until = Instant::now() + LOSS_TIMEOUT;
         loop {
@@ -274,7 +276,8 @@ impl GpuDevice {
 
     /// Polls the device; `Ok(false)` means not finished.
     ///
-    /// Never polls a lost device: wgpu would free its buffers, including those still being read, and panic on the driver's error.
+    /// Never polls a lost device: wgpu would free its buffers, including those still being read, and panic on the
+    /// driver's error.
     fn poll(&self, how: wgpu::PollType) -> Result<bool, EngineError> {
         if let Some(lost @ EngineError::Lost { .. }) = &*lock(&self.fault) {
             return Err(lost.clone());
@@ -355,12 +358,12 @@ impl GpuDevice {
             } else {
                 wgpu::ShaderRuntimeChecks::unchecked()
             };
-            // SAFETY: every index into a buffer is derived from the layout that the buffers are sized by, and compared with
-            // the frame's width and height, or the cloud's points, before; or it is a number that earlier passes over the same
-            // cloud computed, which is below the number of its points: places in its sort, which are a permutation, and places of
-            // its positions, nodes and leaves. Loops end after a constant number of rounds; walks, since the number of their
-            // node only advances; searches for a radius, since what they try grows up to a limit. No divisor is zero. The tests
-            // run every kernel with the checks on as well, and compare.
+            // SAFETY: every index into a buffer is derived from the layout that the buffers are sized by, and compared
+            // with the frame's width and height, or the cloud's points, before; or it is a number that earlier passes
+            // over the same cloud computed, which is below the number of its points: places in its sort, which are a
+            // permutation, and places of its positions, nodes and leaves. Loops end after a constant number of rounds;
+            // walks, since the number of their node only advances; searches for a radius, since what they try grows up
+            // to a limit. No divisor is zero. The tests run every kernel with the checks on as well, and compare.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),

@@ -144,8 +144,8 @@ impl Gpu {
         Ok(engine)
     }
 
-    /// Deals frames to several queues from now on, where the adapter has them and unless that has been tried; else frames in flight
-    /// take turns on the one that is open.
+    /// Deals frames to several queues from now on, where the adapter has them and unless that has been tried; else
+    /// frames in flight take turns on the one that is open.
     fn open_several(&mut self) {
         let Some(open) = self.several.take().filter(|_| self.options.slots > 1) else { return };
         let Ok(several) = open() else { return };
@@ -173,8 +173,8 @@ impl Gpu {
         })
     }
 
-    /// Computes a frame of holes in every slot and starts the copiers, so that the driver's one-time work per buffer and kernel
-    /// does not delay the first frames of a camera.
+    /// Computes a frame of holes in every slot and starts the copiers, so that the driver's one-time work per buffer
+    /// and kernel does not delay the first frames of a camera.
     fn warm_up(&mut self) -> Result<(), EngineError> {
         while self.copiers.len() < self.adapter.devices.len() {
             self.copiers.push(Copier::start()?);
@@ -230,8 +230,8 @@ impl Gpu {
         4 * layout.input_words().max(layout.output_words()).max(points).max(planes) as u64
     }
 
-    /// Returns how many frames of a batch one submission holds: within the device's limits, and short enough for its other users
-    /// and for desktop watchdogs.
+    /// Returns how many frames of a batch one submission holds: within the device's limits, and short enough for its
+    /// other users and for desktop watchdogs.
     fn frames_at_once(&self, layout: Layout) -> usize {
         let bytes = self.buffer_limit().min(MAX_BATCH_BYTES);
         (bytes / Self::frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize

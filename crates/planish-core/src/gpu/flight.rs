@@ -8,7 +8,7 @@ use crate::error::EngineError;
 /// Free slots; views return theirs from any thread.
 pub(super) type FreeSlots = Arc<Mutex<Vec<Slot>>>;
 
-/// A submission in progress, or whose result has not been received.
+/// A submission that runs, or waits for its result to be received.
 pub(super) struct Flight {
     pub(super) slot: Slot,
     pub(super) submission: wgpu::SubmissionIndex,

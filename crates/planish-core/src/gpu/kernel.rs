@@ -1,7 +1,8 @@
 //! Generates a kernel's WGSL: the shader files with their constants, and the sums and the solve unrolled for a degree.
 //!
-//! Indexed arrays of moments would live in memory rather than registers, so each moment is a variable of its own, and the
-//! statements over them are generated here (docs/method.md, sections 5 and 6), as `unroll!` does for the CPU engine.
+//! Indexed arrays of moments would live in memory rather than registers, so each moment is a variable of its own, and
+//! the statements over them are generated here (docs/method.md, sections 5 and 6), as `unroll!` does for the CPU
+//! engine.
 
 use std::fmt::Write;
 
@@ -68,8 +69,9 @@ pub(super) struct KernelKey {
     pub(super) tiled: bool,
 }
 
-/// Columns and rows of pixels per workgroup, one per thread: 32 columns, so that a store is a whole line of 128 bytes (over the
-/// bus, narrower ones cost a tenth of the throughput), and half as many threads for degree 3, whose moments fill the registers.
+/// Columns and rows of pixels per workgroup, one per thread: 32 columns, so that a store is a whole line of 128 bytes
+/// (over the bus, narrower ones cost a tenth of the throughput), and half as many threads for degree 3, whose moments
+/// fill the registers.
 const fn tile_of(degree: u32) -> [usize; 2] {
     if degree == 3 { [32, 4] } else { [32, 8] }
 }
@@ -249,7 +251,8 @@ fn moment_sums(degree: usize) -> String {
 
 /// `fn solve`: c_00, c_10 and c_01 by LDL^T of the normal equations with their ridge.
 ///
-/// With too few neighbours for degree 3 its unknowns are left out; as the order is by degree, the solution of degree 2 remains.
+/// With too few neighbours for degree 3 its unknowns are left out; as the order is by degree, the solution of degree 2
+/// remains.
 pub(super) fn solve(degree: usize) -> String {
     let count = coefficient_count(degree);
     let entry =

@@ -1,11 +1,11 @@
-//! The memory layout of uploads and results: the single description from which the shader's constants and the host's reads and
-//! writes derive.
+//! The memory layout of uploads and results: the single description from which the shader's constants and the host's
+//! reads and writes derive.
 //!
-//! Everything is in 32-bit words. A frame of the input is its [`FrameHeader`], the rays of its columns and rows, and its
-//! samples: raw depth, two pixels per word, depth in metres, or x, y and z, one channel each. A frame of the output is its
-//! requested channels of f32 (points, normals, curvature), then rows of packed codes: status and neighbours, four pixels per word,
-//! and depth, two. A packed row starts at a whole word. Frames of a batch are contiguous. What passes leave for one another
-//! stays on the device.
+//! Everything is in 32-bit words. A frame of the input is its [`FrameHeader`], the rays of its columns and rows, and
+//! its samples: raw depth, two pixels per word, depth in metres, or x, y and z, one channel each. A frame of the output
+//! is its requested channels of f32 (points, normals, curvature), then rows of packed codes: status and neighbours,
+//! four pixels per word, and depth, two. A packed row starts at a whole word. Frames of a batch are contiguous. What
+//! passes leave for one another stays on the device.
 
 use std::fmt::Write;
 use std::ops::Range;
@@ -81,7 +81,8 @@ impl InputKind {
     #[cfg(feature = "gpu")]
     pub(super) const ALL: [Self; 3] = [Self::Depth, Self::DepthMetres, Self::Points];
 
-    /// Returns how a frame is uploaded. Depth seen through a distorted lens is deprojected by the host, which has a ray per pixel.
+    /// Returns how a frame is uploaded. Depth seen through a distorted lens is deprojected by the host, which has a ray
+    /// per pixel.
     pub(super) fn of(frame: &Frame<'_>) -> Self {
         match frame {
             Frame::Depth(depth) if !depth.camera().distortion.is_none() => Self::Points,

@@ -11,8 +11,8 @@ pub(super) struct Mapped(Arc<Counts>);
 
 /// How many buffers are still the device's, and whether one of the others will not come back.
 ///
-/// Any thread that calls the device may run the callbacks that count, also a little after another has seen the submission
-/// done: a thread that needs the buffers waits for the counts.
+/// Any thread that calls the device may run the callbacks that count, also a little after another has seen the
+/// submission done: a thread that needs the buffers waits for the counts.
 #[derive(Default)]
 struct Counts {
     missing: Mutex<(usize, bool)>,

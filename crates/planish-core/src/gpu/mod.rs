@@ -1,11 +1,12 @@
 //! The GPU engine: docs/method.md in f32, one thread per pixel, through wgpu: Vulkan, Metal or DirectX 12.
 //!
-//! One kernel for each pass of a setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the requested outputs from
-//! depth or points; where blocks are averaged or edges kept, others before it leave points and planes for it. [`layout`] describes uploads
-//! ([`upload`]) and results ([`results`]). These parts know nothing of wgpu: [`plan`] hands them to other hosts of WebGPU.
+//! One kernel for each pass of a setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the
+//! requested outputs from depth or points; where blocks are averaged or edges kept, others before it leave points and
+//! planes for it. [`layout`] describes uploads ([`upload`]) and results ([`results`]). These parts know nothing of
+//! wgpu: [`plan`] hands them to other hosts of WebGPU.
 //!
-//! The rest is the host on wgpu: the engine, slots with the buffers of one frame or batch in flight, results read in mapped memory or copied
-//! out, for frames in flight by a thread of its own.
+//! The rest is the host on wgpu: the engine, slots with the buffers of one frame or batch in flight, results read in
+//! mapped memory or copied out, for frames in flight by a thread of its own.
 
 #[cfg(feature = "gpu")]
 mod copier;

@@ -1,8 +1,8 @@
 //! The GPU engine for hosts of WebGPU that are not wgpu: a browser, or another program's own device.
 //!
-//! A [`Plan`] says what such a host has to do for one frame: which kernels to compile and dispatch in which order, how large its buffers
-//! are and what to write into them; and it reads what comes back. The host needs no knowledge of the method. Every kernel has one bind
-//! group:
+//! A [`Plan`] says what such a host has to do for one frame: which kernels to compile and dispatch in which order, how
+//! large its buffers are and what to write into them; and it reads what comes back. The host needs no knowledge of the
+//! method. Every kernel has one bind group:
 //!
 //! | binding | buffer | bytes |
 //! |---|---|---|
@@ -30,7 +30,8 @@ use crate::smoothing_engine::AdmittedFrame;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct WebGpuLimits {
-    /// `maxComputeWorkgroupStorageSize`, in bytes. With the default of 16 KiB some kernels read from buffers what they would keep there.
+    /// `maxComputeWorkgroupStorageSize`, in bytes. With the default of 16 KiB some kernels read from buffers what they
+    /// would keep there.
     pub workgroup_bytes: u64,
     /// The smaller of `maxStorageBufferBindingSize` and `maxBufferSize`, in bytes.
     pub buffer_bytes: u64,
@@ -86,7 +87,7 @@ impl Plan {
         limits: &WebGpuLimits,
     ) -> Result<Self, Error> {
         let frame = frame.into_frame()?;
-        // The kernels are those of one window.
+        // The kernels for one window.
         let params = params.at_resolution_of(frame);
         let Some((width, height)) = frame.grid() else {
             let reason = "WebGPU smooths frames on a grid; general clouds take the CPU engine".to_owned();

@@ -1,17 +1,18 @@
 //! Devices of wgpu's with their queues: one, or several on which frames in flight overlap.
 //!
-//! A queue runs what is submitted to it in order, and wgpu puts barriers between the passes of a frame, each of which waits for
-//! all passes of the frame before, whose last is held up by the bus. On queues of their own frames overlap: on an H100 three queues
-//! sustain 1.3 times the frames of one. wgpu gives a device one queue. With Vulkan its parts take a device that the caller
-//! made, so that several of wgpu's devices are made on one of Vulkan's, each with one of its queues. Devices of Vulkan's own, or of
-//! other processes, would not do: the GPU takes turns between those.
+//! A queue runs what is submitted to it in order, and wgpu puts barriers between the passes of a frame, each of which
+//! waits for all passes of the frame before, whose last is held up by the bus. On queues of their own frames overlap:
+//! on an H100 three queues sustain 1.3 times the frames of one. wgpu gives a device one queue. With Vulkan its parts
+//! take a device that the caller made, so that several of wgpu's devices are made on one of Vulkan's, each with one of
+//! its queues. Devices of Vulkan's own, or of other processes, would not do: the GPU takes turns between those.
 
 /// Opens the adapter with the one queue that wgpu chooses.
 pub(super) fn open_one(adapter: &wgpu::Adapter) -> Result<(wgpu::Device, wgpu::Queue), wgpu::RequestDeviceError> {
     pollster::block_on(adapter.request_device(&descriptor(adapter)))
 }
 
-/// Opens the adapter with several queues. `None` where it has none that run side by side, as far as is known, or the driver refuses.
+/// Opens the adapter with several queues. `None` where it has none that run side by side, as far as is known, or the
+/// driver refuses.
 #[cfg(target_vendor = "apple")]
 pub(super) fn open_several(_: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
     None
@@ -45,8 +46,8 @@ mod vulkan {
     /// Their priorities, which say nothing among equals.
     static PRIORITIES: [f32; QUEUES] = [1.0; QUEUES];
 
-    /// Opens the adapter with several queues. `None` where it has none that run side by side, as far as is known, or the driver
-    /// refuses.
+    /// Opens the adapter with several queues. `None` where it has none that run side by side, as far as is known, or
+    /// the driver refuses.
     pub(crate) fn open_several(adapter: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
         // SAFETY: nothing of the adapter is destroyed.
         let raw_adapter = unsafe { adapter.as_hal::<api::Vulkan>() }?;
@@ -61,8 +62,8 @@ mod vulkan {
             let added = vk::DeviceQueueCreateInfo::default().queue_family_index(family);
             device.queue_create_infos.push(added.queue_priorities(&PRIORITIES[..queues]));
         });
-        // SAFETY: features and limits are the adapter's own. The callback adds queues that it has, of another family than wgpu's own
-        // queue, which can draw.
+        // SAFETY: features and limits are the adapter's own. The callback adds queues that it has, of another family
+        // than wgpu's own queue, which can draw.
         let owner =
             unsafe { raw_adapter.open_with_callback(features, limits, &descriptor.memory_hints, Some(add_queues)) };
         // It destroys Vulkan's device when the last of wgpu's devices is gone. Its own queue is not used.
@@ -71,8 +72,9 @@ mod vulkan {
         let open = |index: u32| {
             let kept = Arc::clone(&owner);
             let drop_owner: DropCallback = Box::new(move || drop(kept));
-            // SAFETY: the device was made from this adapter with these features, the extensions that they need, and this queue, which
-            // nothing else uses. It lives until wgpu has called the callback, which is after its last use of it.
+            // SAFETY: the device was made from this adapter with these features, the extensions that they need, and
+            // this queue, which nothing else uses. It lives until wgpu has called the callback, which is after its last
+            // use of it.
             let opened = unsafe {
                 raw_adapter.device_from_raw(
                     owner.device.raw_device().clone(),
@@ -91,7 +93,8 @@ mod vulkan {
         (0..queues as u32).map(open).collect()
     }
 
-    /// Returns a family of queues that compute but do not draw, and how many it has: on GPUs that have several they run side by side.
+    /// Returns a family of queues that compute but do not draw, and how many it has: on GPUs that have several they run
+    /// side by side.
     fn compute_family(adapter: &vulkan::Adapter) -> Option<(u32, usize)> {
         let instance = adapter.shared_instance().raw_instance();
         // SAFETY: the physical device is one of this instance's.

@@ -63,7 +63,7 @@ impl<'a> Results<'a> {
         Rows::new(values, self.layout.width, values.len() / self.layout.height)
     }
 
-    /// Copies rows of codes as what they stand for.
+    /// Decodes rows of codes.
     fn copy_rows<T>(self, rows: impl Iterator<Item = &'a [u8]>, to: &mut [T], value: impl Fn(u8) -> T) {
         for (to, row) in to.chunks_exact_mut(self.layout.width).zip(rows) {
             for (to, &code) in to.iter_mut().zip(row) {

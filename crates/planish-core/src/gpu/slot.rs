@@ -1,8 +1,8 @@
 //! A slot: the buffers of one frame, or one batch of frames, in flight: upload, kernel, readback.
 //!
-//! Two ways. *Staged*: the host writes an upload buffer, the device copies it, the kernel runs on memory of its own, and the
-//! result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes the host's buffers itself, so that
-//! the way over the bus overlaps with its arithmetic.
+//! Two ways. *Staged*: the host writes an upload buffer, the device copies it, the kernel runs on memory of its own,
+//! and the result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes the host's buffers
+//! itself, so that the way over the bus overlaps with its arithmetic.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -140,7 +140,8 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the frames to kernels, each with its workgroups across and down, and asks for the buffers back when they are done.
+    /// Submits the frames to kernels, each with its workgroups across and down, and asks for the buffers back when they
+    /// are done.
     pub(super) fn submit(&self, kernels: &[(wgpu::ComputePipeline, [usize; 2])]) -> wgpu::SubmissionIndex {
         self.upload.unmap();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

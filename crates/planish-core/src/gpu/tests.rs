@@ -29,8 +29,8 @@ fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
     Some((OpenAdapter::open(&adapter, Purpose::OneAtATime).unwrap(), adapter))
 }
 
-/// Runs `body` once for each `inputs` values of `input`, with `at` the first of its own; it writes `outputs` values from
-/// `to` on.
+/// Runs `body` once for each `inputs` values of `input`, with `at` the first of its own; it writes `outputs` values
+/// from `to` on.
 fn run(gpu: &GpuDevice, functions: &str, body: &str, input: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
     let count = input.len() / inputs;
     let text = format!(

@@ -1,7 +1,9 @@
-//! The halo of a part of a cloud: the points around the part that its own points need, to get what they get in the whole cloud.
+//! The halo of a part of a cloud: the points around the part that its own points need, to get what they get in the
+//! whole cloud.
 //!
-//! With a fixed radius its width is known. Radii by density are known only when they have been computed, and those of points whose
-//! neighbours are missing come out too large: a part of which too many points reach beyond the halo is computed again with a wider one.
+//! With a fixed radius its width is known. Radii by density are known only when they have been computed, and those of
+//! points whose neighbours are missing come out too large: a part of which too many points reach beyond the halo is
+//! computed again with a wider one.
 
 use rayon::prelude::*;
 
@@ -24,8 +26,9 @@ pub struct NeededHalo {
     pub is_wider: bool,
 }
 
-/// Returns how far away, in its radii, other points influence what a point gets: radii by density follow those of the neighbours, and
-/// where edges are kept, the planes of points twice as far away count, whose own radii may be larger by the same factor.
+/// Returns how far away, in its radii, other points influence what a point gets: radii by density follow those of the
+/// neighbours, and where edges are kept, the planes of points twice as far away count, whose own radii may be larger by
+/// the same factor.
 pub(crate) fn reach(params: &EngineParams) -> f64 {
     let by_density = matches!(params.radius, Radius::Neighbours { .. });
     let growth = if by_density { 2.0 } else { 1.0 };
@@ -33,8 +36,8 @@ pub(crate) fn reach(params: &EngineParams) -> f64 {
     GATE_REACH * (growth + of_planes)
 }
 
-/// Returns a width to begin with, for a part of so many points over an area: exact for a fixed radius, else about twice what points
-/// reach at that density.
+/// Returns a width to begin with, for a part of so many points over an area: exact for a fixed radius, else about twice
+/// what points reach at that density.
 pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => reach(params) * f64::from(radius_m),

@@ -1,9 +1,9 @@
 //! The points of a general cloud in an order that keeps neighbours together, and a tree of boxes over them.
 //!
-//! Distinct positions are sorted along a Hilbert curve; runs of 16 are the leaves, runs of 8 nodes a node of the next level. The tree
-//! has no pointers: where a node's children are follows from its number, and boxes are those of the points, so that a stray point or
-//! an uneven density costs nothing elsewhere. Points at the same position become one with a count: what each of them gets is
-//! computed once.
+//! Distinct positions are sorted along a Hilbert curve; runs of 16 are the leaves, runs of 8 nodes a node of the next
+//! level. The tree has no pointers: where a node's children are follows from its number, and boxes are those of the
+//! points, so that a stray point or an uneven density costs nothing elsewhere. Points at the same position become one
+//! with a count: what each of them gets is computed once.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -353,8 +353,8 @@ struct Curve {
 }
 
 impl Curve {
-    /// Through all but stray points: the middle of a sample, and as much again on either side. What is outside is moved to the
-    /// border, which changes the order and nothing else.
+    /// Through all but stray points: the middle of a sample, and as much again on either side. What is outside is moved
+    /// to the border, which changes the order and nothing else.
     fn of(raw: &[Vec<f32>; 3]) -> Self {
         let middle = raw.each_ref().map(|values| middle(values.len(), |i| f64::from(values[i])).unwrap_or_default());
         let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
@@ -364,7 +364,8 @@ impl Curve {
         Self { low: range.map(|[low, _]| low as f32), cells_per_metre, extent_m }
     }
 
-    /// How far along the curve the cell of a point is: Skilling's transposition ("Programming the Hilbert curve", 2004).
+    /// How far along the curve the cell of a point is: Skilling's transposition ("Programming the Hilbert curve",
+    /// 2004).
     fn key(&self, point: [f32; 3]) -> u64 {
         let largest = (1u32 << CURVE_BITS) - 1;
         // The cast saturates.

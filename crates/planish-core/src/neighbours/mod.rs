@@ -16,7 +16,8 @@ pub use search::NeighbourSearch;
 /// Points from which an extent is taken.
 const SAMPLE: usize = 10_000;
 
-/// The least and the largest of some values, but for stray ones: one of a hundred on either side. `None` if none is finite.
+/// The least and the largest of some values, but for stray ones: one of a hundred on either side. `None` if none is
+/// finite.
 pub fn middle(len: usize, value: impl Fn(usize) -> f64) -> Option<[f64; 2]> {
     let step = len.div_ceil(SAMPLE).max(1);
     let mut sample: Vec<f64> = (0..len).step_by(step).map(value).filter(|value| value.is_finite()).collect();

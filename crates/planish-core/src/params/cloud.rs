@@ -10,8 +10,8 @@ const NEIGHBOURS: u32 = 40;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum CloudRadius {
-    /// The radius within which evenly spread points would have this many neighbours, by the density around each point; at
-    /// most one and a half times the mean radius of its neighbours.
+    /// The radius within which evenly spread points would have this many neighbours, by the density around each point;
+    /// at most one and a half times the mean radius of its neighbours.
     Neighbours {
         /// The number of neighbours, 6 to 1000.
         count: u32,
@@ -31,7 +31,7 @@ pub struct CloudParams {
     pub fit: Fit,
     /// The gate: points further away than this from a point are no neighbours.
     pub radius: CloudRadius,
-    /// Whether isolated points become holes, those with fewer than three neighbours or a quarter of
+    /// Whether points become holes if they have fewer than three neighbours or a quarter of
     /// [`CloudRadius::Neighbours`]; otherwise they stay as measured.
     pub remove_isolated: bool,
 }

@@ -15,7 +15,7 @@ pub(crate) enum Radius {
     Sensor,
 }
 
-/// What an engine computes with.
+/// Parameters in the form that engines compute with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct EngineParams {
     pub(crate) window: u32,
@@ -91,7 +91,8 @@ impl EngineParams {
         (self.window * self.stride) as usize
     }
 
-    /// Half width of the blocks that are averaged, in pixels: blocks are as wide as the stride, or a pixel wider where that is even.
+    /// Half width of the blocks that are averaged, in pixels: blocks are as wide as the stride, or a pixel wider where
+    /// that is even.
     pub(crate) fn block_half_px(&self) -> usize {
         self.stride as usize / 2
     }
@@ -116,8 +117,8 @@ impl EngineParams {
     }
 }
 
-/// How far away in pixels the planes are that say which surface a point lies on: a little more than the reach k s of a window, so
-/// that one of them is clear of an edge that the point itself is near to.
+/// The distance in pixels to the planes that tell surfaces apart: a little more than the reach k s of a window, so one
+/// of them is clear of an edge that the point itself is near to.
 pub(crate) fn edge_shift_px(reach_px: usize) -> usize {
     (13 * reach_px + 6) / 12
 }

@@ -1,4 +1,4 @@
-//! What frames and clouds share: how the surface is fitted, and ranges of values.
+//! Parameters of the fit, shared by frames and clouds, and ranges of values.
 
 use crate::error::ParamError;
 
@@ -6,7 +6,8 @@ use crate::error::ParamError;
 pub(super) const RIDGE: f32 = 2.5e-2;
 /// The ridge of [`Strength::LIGHT`](super::Strength::LIGHT).
 pub(super) const LIGHT_RIDGE: f32 = 1e-2;
-/// The ridge of [`FrameParams::paper`](super::FrameParams::paper) and of sensors without noise: shapes are those of the plain polynomial.
+/// The ridge of [`FrameParams::paper`](super::FrameParams::paper) and of sensors without noise: it leaves the plain
+/// polynomial as it is.
 pub(super) const SMALL_RIDGE: f32 = 1e-3;
 
 /// How the surface is fitted over the neighbours of a point, in frames and in clouds.
@@ -69,15 +70,15 @@ macro_rules! fit_setters {
 }
 pub(super) use fit_setters;
 
-/// What becomes of creases and steps (docs/method.md, section 10).
+/// How creases and steps are treated (docs/method.md, section 10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Edges {
     /// Every neighbour counts: the surface is rounded off within a window's reach of an edge.
     Off,
     /// The surface of each point is found from the planes around it, and neighbours off that surface by more than the
-    /// sensor's noise do not count: edges stay, and flat surfaces become smoother too. In unorganized clouds the noise is
-    /// that of the planes around a point.
+    /// sensor's noise do not count: edges stay, and flat surfaces become smoother too. In unorganized clouds, the
+    /// planes around a point give its noise.
     Robust,
 }
 
@@ -90,8 +91,8 @@ impl Edges {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Project {
-    /// Along the ray on which it was measured, as depth noise acts: points stay on the rays of their pixels. Falls back to
-    /// the normal where the position of the sensor is unknown.
+    /// Along the ray on which it was measured, as depth noise acts: points stay on the rays of their pixels. Falls back
+    /// to the normal where the position of the sensor is unknown.
     Ray,
     /// Along the normal of its plane.
     Normal,

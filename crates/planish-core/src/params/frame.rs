@@ -9,14 +9,15 @@ use crate::sensor::SensorModel;
 
 /// The range at which sensors' noise is compared, in metres.
 const TUNED_RANGE_M: f64 = 1.5;
-/// Less noise than this at 1 m needs no wide windows: it is no more than what rounding to millimetres makes.
+/// Noise below this at 1 m needs no wide windows: rounding to millimetres makes as much.
 const LITTLE_SIGMA_M: f64 = 3e-4;
 
 /// How the radius of a neighbourhood is found in frames (docs/method.md, section 3).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum FrameRadius {
-    /// r(z) = max(2 k s pitch z, 4 step(z)): wide enough for the window at this range, and for the sensor's depth steps.
+    /// r(z) = max(2 k s pitch z, 4 step(z)): wide enough for the window at this range, and for the sensor's depth
+    /// steps.
     Sensor,
     /// One radius for every point, in metres.
     Fixed {
@@ -42,8 +43,8 @@ pub struct FrameParams {
     pub fit: Fit,
     /// The window of samples around each pixel.
     pub window: Window,
-    /// Whether every sample is the mean of its block of pixels, as wide as the stride or a pixel wider where that is even, so
-    /// that every pixel of the window counts.
+    /// Whether every sample is the mean of its block of pixels, as wide as the stride or a pixel wider where that is
+    /// even, so that every pixel of the window counts.
     pub average_blocks: bool,
     /// The gate: samples further away than this from the point are no neighbours.
     pub radius: FrameRadius,
@@ -54,8 +55,8 @@ pub struct FrameParams {
 }
 
 impl Default for FrameParams {
-    /// [`FrameParams::for_sensor`] of a Kinect v1 and [`Strength::DEFAULT`]: on correlated Kinect noise this leaves a fifth of
-    /// the error, and less than half of what [`FrameParams::paper`] leaves.
+    /// [`FrameParams::for_sensor`] of a Kinect v1 and [`Strength::DEFAULT`]: on correlated Kinect noise this leaves a
+    /// fifth of the error, and less than half of what [`FrameParams::paper`] leaves.
     fn default() -> Self {
         Self::for_sensor(SensorModel::KINECT_V1, Strength::default())
     }
@@ -64,9 +65,10 @@ impl Default for FrameParams {
 impl FrameParams {
     /// Returns the parameters for a sensor: degree 2, edges kept, the radius and the noise of the sensor.
     ///
-    /// The width of windows grows with the cube root of the noise at 1.5 m, where the remaining noise and the flattening of
-    /// curved surfaces balance: 25x25 pixels for a Kinect v1, 31x31 for a RealSense D435, 15x15 for an Azure Kinect. A sensor
-    /// with hardly any noise (under 0.3 mm at 1 m) gets 11x11: there is little to gain, and small things to lose.
+    /// The width of windows grows with the cube root of the noise at 1.5 m, where the remaining noise and the
+    /// flattening of curved surfaces balance: 25x25 pixels for a Kinect v1, 31x31 for a RealSense D435, 15x15 for an
+    /// Azure Kinect. A sensor with hardly any noise (under 0.3 mm at 1 m) gets 11x11: there is little to gain, and
+    /// small things to lose.
     pub fn for_sensor(sensor: SensorModel, strength: Strength) -> Self {
         let has_noise = sensor.sigma_m(1.0) >= LITTLE_SIGMA_M;
         let noise = sensor.sigma_m(TUNED_RANGE_M) / SensorModel::KINECT_V1.sigma_m(TUNED_RANGE_M);
@@ -133,8 +135,8 @@ impl FrameParams {
         Self { sensor, ..self }
     }
 
-    /// Returns these parameters with the window fixed for the resolution of a frame; fixed windows stay, and so does the
-    /// nominal size where the frame's resolution is unknown. Smoothers do this themselves.
+    /// Returns these parameters with the window fixed for the resolution of a frame; fixed windows stay, and so does
+    /// the nominal size where the frame's resolution is unknown. Smoothers do this themselves.
     ///
     /// ```
     /// use planish::{Camera, DepthFrame, FrameParams};

@@ -1,7 +1,8 @@
-//! What the caller may choose of the method: one struct for frames on a grid, one for unorganized clouds, and what both share.
+//! The parameters of the method: one struct for frames on a grid, one for unorganized clouds, and one for what they
+//! share.
 //!
-//! What has no effect on an input does not exist in its type. Each default is written once, in the constructors of
-//! [`FrameParams`] and [`CloudParams`].
+//! A parameter without effect on an input does not exist in its type. Each default is written once, in the constructors
+//! of [`FrameParams`] and [`CloudParams`].
 
 mod cloud;
 mod engine;

@@ -26,7 +26,7 @@ impl Strength {
     /// 1: windows of 29x29 pixels, with 49 samples instead of 25: for walls, floors and far ranges.
     pub const STRONG: Self = Self(1.0);
 
-    /// Returns a strength; refuses what is not 0 to 1.
+    /// Creates a strength from 0 to 1; refuses other values.
     pub fn new(strength: f32) -> Result<Self, ParamError> {
         if (0.0..=1.0).contains(&strength) {
             Ok(Self(strength))
@@ -40,16 +40,17 @@ impl Strength {
         self.0
     }
 
-    /// Returns the window for a sensor whose noise is this multiple of a Kinect v1's: the nearest of light, default and strong.
+    /// Returns the window for a sensor whose noise is this multiple of a Kinect v1's: the nearest of light, default and
+    /// strong.
     pub(super) fn noisy_window(self, noise: f64) -> WindowSize {
         let (half_width, kinect_stride) = if self.0 < 0.75 { (2, 3.0 + 4.0 * self.0.min(0.5)) } else { (3, 4.0) };
-        // Light and default differ by two pixels of stride, so the one between them is a step of its own.
+        // Light and default differ by two pixels of stride; the stride between them is a third step.
         let stride = f64::from(kinect_stride).round() * noise.cbrt();
         WindowSize { half_width, stride: (stride.round() as u32).clamp(1, 8) }
     }
 
-    /// Returns the window for a sensor without noise: half widths of 2, 5 and 7 pixels at 0, 0.5 and 1, and the whole numbers
-    /// between.
+    /// Returns the window for a sensor without noise: half widths of 2, 5 and 7 pixels at 0, 0.5 and 1, and the whole
+    /// numbers between.
     pub(super) fn exact_window(self) -> WindowSize {
         let half_px = if self.0 < 0.5 { 2.0 + 6.0 * self.0 } else { 3.0 + 4.0 * self.0 };
         WindowSize { half_width: half_px.round() as u32, stride: 1 }

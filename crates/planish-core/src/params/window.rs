@@ -7,8 +7,8 @@ use crate::error::ParamError;
 
 /// The focal length that strides are chosen for: a Kinect v1's, in pixels.
 const TUNED_FOCAL_LENGTH_PX: f64 = 525.0;
-/// Added before a stride is cut to a whole number: it is rounded up from 0.4 on, so that halves, of half the resolution, do not
-/// depend on an estimate's last digits.
+/// Added before a stride is cut to a whole number: it is rounded up from 0.4 on, so that halves, of half the
+/// resolution, do not depend on an estimate's last digits.
 const ROUNDING: f64 = 0.6;
 /// The share of its reach in pixels that a window keeps on coarse pixels, as far as windows go.
 const LEAST_REACH: f64 = 0.5;
@@ -44,11 +44,11 @@ impl WindowSize {
         check("stride", self.stride, STRIDES, "1 to 8")
     }
 
-    /// Returns the size for pixels of a pitch in metres at 1 m. Strides are chosen for pixels of a Kinect v1, 1/525 of the
-    /// range; where a frame's are coarser, they are as much shorter, so that windows span about as much of the scene, down
-    /// to 1. (At 160x120 the default's windows would reach over whole objects and mix them.) Windows get wider where that
-    /// leaves them less than half of their reach in pixels, since it is pixels that noise is averaged over. Finer pixels
-    /// change nothing.
+    /// Returns the size for pixels of a pitch in metres at 1 m. Strides are chosen for pixels of a Kinect v1, 1/525 of
+    /// the range; where a frame's are coarser, they are as much shorter, so that windows span about as much of the
+    /// scene, down to 1. (At 160x120 the default's windows would reach over whole objects and mix them.) Windows get
+    /// wider where that leaves them less than half of their reach in pixels, since it is pixels that noise is averaged
+    /// over. Finer pixels change nothing.
     fn at_pitch(self, pitch_at_1m: f64) -> Self {
         if !STRIDES.contains(&self.stride) {
             return self;
@@ -65,8 +65,8 @@ impl WindowSize {
 /// The window of a frame's pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Window {
-    /// Follows the resolution of the frames: this size for pixels as fine as a Kinect v1's or finer, shorter strides for
-    /// coarser ones. A smoother decides by its first frame with a known resolution.
+    /// Follows the resolution of the frames: this size for pixels as fine as a Kinect v1's or finer, shorter strides
+    /// for coarser ones. A smoother decides by its first frame with a known resolution.
     Auto(WindowSize),
     /// This size for every frame.
     Fixed(WindowSize),
@@ -109,7 +109,7 @@ mod tests {
             .into();
         assert_eq!(of_default, [(2, 5), (2, 5), (2, 4), (2, 4), (2, 3), (3, 2), (5, 1), (5, 1)]);
         assert_eq!((at(525.0, 1), at(262.5, 2), at(262.5, 8)), ((2, 1), (2, 1), (2, 4)));
-        // What is not allowed stays so, and is refused later.
+        // Values out of range stay as they are and are refused later.
         assert_eq!((at(100.0, 0), at(100.0, 12)), ((2, 0), (2, 12)));
     }
 }

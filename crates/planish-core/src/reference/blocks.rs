@@ -1,4 +1,5 @@
-//! Block means: each sample of the windows is the mean of its pixel's block of points (docs/method.md, sections 2 and 10). Metres.
+//! Block means: each sample of the windows is the mean of its pixel's block of points (docs/method.md, sections 2 and
+//! 10). Metres.
 
 use glam::DVec3;
 
@@ -23,8 +24,8 @@ fn gate_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     (STEPS * params.sensor.step_m(geometry.range_m(p))).max(HALF_WIDTHS * width_m)
 }
 
-/// The offset from the valid point p of a pixel to the mean of its block. Where edges are kept, points count by how far they are from
-/// the surface that p lies on.
+/// The offset from the valid point p of a pixel to the mean of its block. Where edges are kept, points count by how far
+/// they are from the surface that p lies on.
 pub(super) fn mean_offset(
     grid: &Grid,
     (u, v): (usize, usize),

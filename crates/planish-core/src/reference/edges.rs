@@ -1,5 +1,5 @@
-//! Edge preservation: the surface that a point lies on is found from the planes around it, and neighbours off that surface are
-//! excluded (docs/method.md, section 10). Metres.
+//! Edge preservation: the surface that a point lies on is found from the planes around it, and neighbours off that
+//! surface are excluded (docs/method.md, section 10). Metres.
 
 use glam::DVec3;
 
@@ -49,9 +49,9 @@ pub(super) struct FirstPlanes<'a, N> {
 }
 
 impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
-    /// The point of a pixel, its first plane, and the variance of its points about it plus its own uncertainty, in m²: more and
-    /// more, without a limit, where the neighbours are too few, nearly on a line, or on a plane seen edge-on. `None` for a hole, and
-    /// where the limit is reached.
+    /// The point of a pixel, its first plane, and the variance of its points about it plus its own uncertainty, in m²:
+    /// more and more, without a limit, where the neighbours are too few, nearly on a line, or on a plane seen edge-on.
+    /// `None` for a hole, and where the limit is reached.
     fn usable(&self, u: usize, v: usize) -> Option<(DVec3, &Plane, f64)> {
         let first = self.surfaces[v * self.grid.width + u].as_ref()?;
         let (p, plane) = (self.grid.point(u, v)?, first.plane.as_ref()?);
@@ -65,8 +65,8 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         (usable > 0.0).then(|| (p, plane, variance / usable))
     }
 
-    /// Returns the surface that p of a pixel lies on, from its own and the eight first planes around it; what its first plane is,
-    /// where there is none. The mean of its block, by its offset from p, says how far off a plane it is.
+    /// Returns the surface that p of a pixel lies on, from its own and the eight first planes around it; what its first
+    /// plane is, where there is none. The mean of its block, by its offset from p, says how far off a plane it is.
     pub(super) fn surface(
         &self,
         (u, v): (usize, usize),

@@ -1,5 +1,5 @@
-//! Edge preservation in general clouds: the surface that a point lies on is found from the first planes of the positions around it
-//! (docs/method.md, section 10). Metres.
+//! Edge preservation in general clouds: the surface that a point lies on is found from the first planes of the
+//! positions around it (docs/method.md, section 10). Metres.
 
 use glam::DVec3;
 
@@ -14,7 +14,8 @@ const MEAN_REACH: f64 = 0.4;
 /// The weight of that distance, squared, beside the plane's own residual.
 const DISTANCE_WEIGHT: f64 = 0.2;
 
-/// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they face.
+/// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they
+/// face.
 const FACING_COSINE: f64 = 0.1;
 
 /// What the neighbours of a position say.
@@ -22,7 +23,8 @@ const FACING_COSINE: f64 = 0.1;
 pub(super) struct FirstPlane {
     pub(super) surface: Surface,
     pub(super) radius_m: f64,
-    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or on a line.
+    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or
+    /// on a line.
     residual: f64,
 }
 
@@ -32,7 +34,8 @@ impl FirstPlane {
         Self { surface, radius_m, residual }
     }
 
-    /// The surface that its position p lies on, by the first planes `around` it, its own among them, with their offsets from p.
+    /// The surface that its position p lies on, by the first planes `around` it, its own among them, with their offsets
+    /// from p.
     pub(super) fn surface(&self, around: &[(DVec3, &Self)], from_sensor: DVec3) -> Surface {
         let Some(own_plane) = self.surface.plane else { return self.surface };
         let radius_squared = self.radius_m * self.radius_m;

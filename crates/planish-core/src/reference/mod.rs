@@ -1,9 +1,9 @@
-//! The reference engine: docs/method.md to the letter, in f64, written for readability. It is the oracle of the fast engines,
-//! so it shares no code with them and is never optimised.
+//! The reference engine: docs/method.md to the letter, in f64, written for readability. It is the oracle of the fast
+//! engines, so it shares no code with them and is never optimised.
 //!
-//! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and [`solve`] (5, 6),
-//! [`project`] (7), [`edges`] (10). General clouds differ in the neighbours only: [`general`] (8). All compute in the sensor's
-//! frame (11); results are turned back at the end.
+//! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and
+//! [`solve`] (5, 6), [`project`] (7), [`edges`] (10). General clouds differ in the neighbours only: [`general`] (8).
+//! All compute in the sensor's frame (11); results are turned back at the end.
 
 mod blocks;
 mod edges;
@@ -283,7 +283,8 @@ mod tests {
         frame.deproject().unwrap().positions().iter().map(|p| p.map(f64::from)).collect()
     }
 
-    /// Section 11: a cloud and its pose that are moved together give the same result, moved; here in f64, on a grid and without.
+    /// Section 11: a cloud and its pose that are moved together give the same result, moved; here in f64, on a grid and
+    /// without.
     #[test]
     fn a_rigid_motion_moves_the_result_to_a_nanometre() {
         let own = noisy_points(Scene::room(2));

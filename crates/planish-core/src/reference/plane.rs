@@ -22,8 +22,8 @@ pub(super) struct Plane {
     pub foot: DVec3,
     /// Variance along the normal, l0, in m².
     pub smallest_variance: f64,
-    /// How little the points determine the normal: l2/(l1 - l0), 1 for a disc and more, up to [`MAX_DOUBT`], for what is
-    /// nearly a line.
+    /// How little the points determine the normal: l2/(l1 - l0), 1 for a disc and more, up to [`MAX_DOUBT`], for what
+    /// is nearly a line.
     pub doubt: f64,
     /// Variance along the middle principal axis, l1, in m².
     pub middle_variance: f64,
@@ -35,8 +35,8 @@ pub(super) struct Plane {
     pub total: f64,
 }
 
-/// Fits the plane to the neighbours `offsets` = q - p within the radius; `None` if they lie on a line. `from_sensor` is p as the
-/// sensor sees it.
+/// Fits the plane to the neighbours `offsets` = q - p within the radius; `None` if they lie on a line. `from_sensor` is
+/// p as the sensor sees it.
 pub(super) fn fit(offsets: &[DVec3], radius_m: f64, from_sensor: DVec3) -> Option<Plane> {
     let weighted = || offsets.iter().map(|&offset| (fading_gate(offset, radius_m), offset));
     let total: f64 = weighted().map(|(weight, _)| weight).sum();

@@ -31,7 +31,8 @@ fn monomials(degree: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..=degree).flat_map(|total| (0..=total).map(move |j| (total - j, j)))
 }
 
-/// The weight of a monomial in the ridge, so that the ridge is the same in every frame: the binomial norm of the derivatives.
+/// The weight of a monomial in the ridge, so that the ridge is the same in every frame: the binomial norm of the
+/// derivatives.
 fn ridge_weight((i, j): (u32, u32)) -> f64 {
     if i + j == 0 {
         return 0.0;

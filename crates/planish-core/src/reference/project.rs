@@ -21,8 +21,8 @@ pub(super) struct Projected {
     pub depth_scale: f64,
 }
 
-/// Puts the point p onto the plane or the polynomial over it, along its ray or along the plane's normal. A polynomial further away
-/// than the radius gives way to the plane; no point moves by more than the radius.
+/// Puts the point p onto the plane or the polynomial over it, along its ray or along the plane's normal. A polynomial
+/// further away than the radius gives way to the plane; no point moves by more than the radius.
 pub(super) fn project(
     p: DVec3,
     sensor: DVec3,
@@ -51,8 +51,9 @@ pub(super) fn project(
     Projected { displacement, normal, status, depth_scale: 1.0 + along }
 }
 
-/// How far along the ray, in its lengths, the tangent plane through `surface` lies from the ray's end, which is the origin here.
-/// With c the cosine of the angle of incidence, c/max(c², 0.2²) instead of 1/c: where the ray grazes the plane, it says little.
+/// How far along the ray, in its lengths, the tangent plane through `surface` lies from the ray's end, which is the
+/// origin here. With c the cosine of the angle of incidence, c/max(c², 0.2²) instead of 1/c: where the ray grazes the
+/// plane, it says little.
 fn along_ray(surface: DVec3, normal: DVec3, ray: DVec3, radius_m: f64) -> f64 {
     let length = ray.length();
     let cosine = ray.dot(normal) / length;

@@ -24,7 +24,8 @@ impl Grid {
 /// The gate fades out over this share of the squared radius, half of it on either side.
 const FADE: f64 = 1.0 / 16.0;
 
-/// How much a point counts by its offset from another: fully up to 0.984 of the radius, half at the radius, not at all from 1.016 of it on.
+/// How much a point counts by its offset from another: fully up to 0.984 of the radius, half at the radius, not at all
+/// from 1.016 of it on.
 pub(super) fn fading_gate(offset: DVec3, radius_m: f64) -> f64 {
     (0.5 + (1.0 - offset.length_squared() / (radius_m * radius_m)) / FADE).clamp(0.0, 1.0)
 }

@@ -4,13 +4,13 @@ use super::{NOISE_IN_STEPS, SensorModel};
 use crate::cloud::OrganizedCloud;
 use crate::frame::{Frame, PointsView, RangeRule};
 
-/// Pixels between the three depths of a second difference: far enough that noise is hardly correlated, near enough that most
-/// surfaces are straight.
+/// Pixels between the three depths of a second difference: far enough that noise is hardly correlated, near enough that
+/// most surfaces are straight.
 const LAG_PX: usize = 4;
 /// Second differences beyond this share of all are those of edges.
 const STRAIGHT_SHARE: f64 = 0.75;
-/// The mean of the others, of independent normal noise, is this many of its deviations: 0.515 sqrt(6). (Their median would jump
-/// from one whole depth step to the next.)
+/// The mean of the others, of independent normal noise, is this many of its deviations: 0.515 sqrt(6). (Their median
+/// would jump from one whole depth step to the next.)
 const MEAN_DEVIATIONS: f64 = 1.262;
 /// Fewer second differences than this say nothing, of a frame or of one interval of its ranges.
 const MIN_SAMPLES: usize = 1000;
@@ -32,16 +32,18 @@ struct Interval {
 }
 
 impl SensorModel {
-    /// Estimates the model from a frame: the step from the gaps between the ranges that occur, the noise from how much ranges
-    /// in a row deviate from a straight line. `None` where too little is seen, or ranges are unknown.
+    /// Estimates the model from a frame: the step from the gaps between the ranges that occur, the noise from how much
+    /// ranges in a row deviate from a straight line. `None` where too little is seen, or ranges are unknown.
     ///
-    /// Both are robust means over intervals of the range, and as many coefficients are fitted as the spread of ranges supports: one
-    /// surface at 1 m says nothing of how noise grows, and gets the z² law. A scene of nothing but leaves is taken for noise.
+    /// Both are robust means over intervals of the range, and as many coefficients are fitted as the spread of ranges
+    /// supports: one surface at 1 m says nothing of how noise grows, and gets the z² law. A scene of nothing but leaves
+    /// is taken for noise.
     pub fn estimate(cloud: &OrganizedCloud) -> Option<Self> {
         Self::estimate_from(Frame::Points(PointsView::from_organized(cloud).ok()?))
     }
 
-    /// Estimates the model from a view of a frame, as [`estimate`](Self::estimate) does; nothing is copied but the ranges.
+    /// Estimates the model from a view of a frame, as [`estimate`](Self::estimate) does; nothing is copied but the
+    /// ranges.
     pub fn estimate_from(frame: Frame<'_>) -> Option<Self> {
         let (width, _) = frame.grid()?;
         let ranges = match frame {
@@ -93,7 +95,8 @@ fn larger(a: [f64; 3], b: [f64; 3], samples: &[(f64, f64)]) -> [f64; 3] {
     if at(a) >= at(b) { a } else { b }
 }
 
-/// What is typical of the values over intervals of the range that have enough samples; all samples as one where none has.
+/// What is typical of the values over intervals of the range that have enough samples; all samples as one where none
+/// has.
 fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64]) -> f64) -> Vec<Interval> {
     let mut by_interval: std::collections::BTreeMap<i32, Vec<(f64, f64)>> = Default::default();
     for &(range_m, value_m) in samples {
@@ -111,7 +114,8 @@ fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64])
     if found.is_empty() && !samples.is_empty() { vec![measure(samples)] } else { found }
 }
 
-/// The polynomial with the fewest coefficients that fits the intervals, none below zero: c2 alone, then with c0, then all.
+/// The polynomial with the fewest coefficients that fits the intervals, none below zero: c2 alone, then with c0, then
+/// all.
 fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
     let nearest = intervals.iter().map(|i| i.range_m).fold(f64::INFINITY, f64::min);
     let farthest = intervals.iter().map(|i| i.range_m).fold(0.0, f64::max);
@@ -130,11 +134,13 @@ fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
         }
     }
     let (coefficients, _) = best?;
-    // A frame of one wall at one depth has no gap to speak of, and one of noise has few depths: a bound keeps either usable.
+    // A frame of one wall at one depth has no gap to speak of, and one of noise has few depths: a bound keeps either
+    // usable.
     Some(coefficients.map(|c| c.min(max_at_1m)))
 }
 
-/// Least squares of relative residuals over the monomials z^powers; `None` if a coefficient is negative or undetermined.
+/// Least squares of relative residuals over the monomials z^powers; `None` if a coefficient is negative or
+/// undetermined.
 fn least_squares(intervals: &[Interval], powers: &[i32]) -> Option<([f64; 3], f64)> {
     let n = powers.len();
     let mut matrix = vec![vec![0.0; n + 1]; n];

@@ -1,4 +1,4 @@
-//! What happens to a session beside results.
+//! What a session reports in addition to results.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use crate::error::EngineError;
 use crate::fleet::FleetDevice;
 use crate::sensor::SensorModel;
 
-/// Something that a session did by itself. [`Display`](fmt::Display) gives one line for a user.
+/// A decision that a session made without being asked. [`Display`](fmt::Display) gives one line for a user.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SessionEvent {

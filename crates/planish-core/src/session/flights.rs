@@ -11,8 +11,8 @@ use crate::smoothed::Smoothed;
 use crate::view::SmoothedView;
 
 impl Session {
-    /// Submits a frame whose result [`receive`](Self::receive) returns, in order. If its device is lost, the frame is smoothed
-    /// again.
+    /// Submits a frame whose result [`receive`](Self::receive) returns, in order. If its device is lost, the frame is
+    /// smoothed again.
     ///
     /// # Errors
     /// If as many are in flight as can be, the frame is malformed, or the engine fails and nothing may take over.
@@ -47,7 +47,7 @@ impl Session {
 
     fn check_room(&self) -> Result<(), EngineError> {
         match (self.in_flight(), self.max_in_flight()) {
-            // What is in flight is finished before another engine is opened, so that a first frame always fits.
+            // Frames in flight are finished before another engine is opened, so a first frame always fits.
             (in_flight, most) if in_flight >= most && in_flight > 0 => Err(EngineError::Full { in_flight }),
             _ => Ok(()),
         }

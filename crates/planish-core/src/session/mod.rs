@@ -1,5 +1,4 @@
-//! Smooths whatever comes: opens the engine for each kind of frame, opens it again when something changes, and goes on when
-//! a GPU is lost or too small.
+//! Smooths frames of any shape: opens and reopens engines, and recovers when a GPU is lost or too small.
 
 mod event;
 mod flights;
@@ -32,10 +31,10 @@ pub use watch::ProgressWatch;
 
 /// Smooths frames and clouds of any shape, one after another or several in flight.
 ///
-/// A session opens the engine with the first frame, and again when the grid, the outputs or the settings change. A cloud that
-/// does not fit the GPU that [`Engine::Auto`] chose is smoothed on the CPU. A GPU that is lost is opened once more; if it is
-/// lost again, [`Engine::Auto`] and streams go on with the CPU. [`take_events`](Self::take_events) reports all of it.
-/// [`Smoother`](crate::Smoother) is the lower level, for one kind of frame and without any of this.
+/// A session opens the engine with the first frame, and again when the grid, the outputs or the settings change. A
+/// cloud that does not fit the GPU that [`Engine::Auto`] chose is smoothed on the CPU. A lost GPU is reopened once; if
+/// it is lost again, [`Engine::Auto`] and streams continue on the CPU. [`take_events`](Self::take_events) reports each
+/// of these steps. [`Smoother`](crate::Smoother) is the lower level, for one kind of frame and without any of this.
 ///
 /// ```
 /// use planish::{OrganizedCloud, Session, Settings, Smoothed, Xyz};
@@ -153,13 +152,13 @@ impl Session {
         Self { is_live, ..self }
     }
 
-    /// Sets whether all frames of a shape keep the window that the first one with a known resolution decides, as a video
-    /// wants it. Otherwise every frame gets its own window.
+    /// Sets whether all frames of a shape keep the window that the first one with a known resolution decides, as a
+    /// video wants it. Otherwise every frame gets its own window.
     pub fn with_kept_window(self, keeps_window: bool) -> Self {
         Self { keeps_window, ..self }
     }
 
-    /// Sets whether the sensor that is estimated from the first frame is that of all frames, as of a video or a folder.
+    /// Sets whether the sensor estimated from the first frame serves all frames, as in a video or a folder.
     /// Otherwise it is estimated from every frame.
     pub fn with_kept_sensor(self, keeps_sensor: bool) -> Self {
         Self { keeps_sensor, ..self }
@@ -174,7 +173,7 @@ impl Session {
         self
     }
 
-    /// Sets the devices that frames are dealt to, instead of those of the settings.
+    /// Sets the devices that share the frames; they replace the settings' devices.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, device: 0, ..self }
     }
@@ -218,7 +217,7 @@ impl Session {
         }
     }
 
-    /// Returns the parameters that a frame is smoothed with, and its sensor where pixels that float are to be removed first.
+    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first.
     ///
     /// # Errors
     /// As [`Settings::resolve`](crate::Settings::resolve).
@@ -452,7 +451,7 @@ impl Session {
         self.open.as_ref()?.one()?.chosen_because()
     }
 
-    /// Returns where the time of the last frame went, if time stamps were asked for.
+    /// Returns the timings of the last frame, if time stamps were requested.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.open.as_ref()?.one()?.timings()
     }
@@ -472,7 +471,7 @@ impl Session {
     }
 }
 
-/// Returns the number of this process. WebAssembly has no processes, and the standard library panics when asked for one.
+/// Returns the number of this process. WebAssembly has no processes; the standard library panics there.
 fn process_id() -> u32 {
     if cfg!(target_family = "wasm") { 0 } else { std::process::id() }
 }
@@ -490,7 +489,7 @@ impl std::fmt::Debug for Session {
     }
 }
 
-/// Smooths one frame or cloud: opens what the settings ask for, smooths, and closes it. For several frames use a [`Session`].
+/// Smooths one frame or cloud with an engine opened for this call. For several frames use a [`Session`].
 ///
 /// ```
 /// use planish::{Camera, DepthView, Settings};

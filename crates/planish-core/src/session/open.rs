@@ -1,4 +1,4 @@
-//! What a session has open: a smoother, or a fleet.
+//! The smoother or fleet that a session has open.
 
 use std::sync::Arc;
 
@@ -13,10 +13,11 @@ use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::view::SmoothedView;
 
-/// Frames of a live source in flight on a device, at most: more would wait for those before, and the newest would come late.
+/// Frames of a live source in flight on a device, at most: more would wait for those before, and the newest would come
+/// late.
 pub const LIVE_IN_FLIGHT: usize = 3;
 
-/// What an engine is open for; another frame needs another one.
+/// The kind of frame that an engine was opened for; other kinds need another engine.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct OpenFor {
     pub(super) grid: Option<(usize, usize)>,
@@ -36,14 +37,14 @@ enum Smoothing {
     One(Box<Smoother>),
     Fleet {
         fleet: Box<Fleet>,
-        /// Its devices, and those of them whose loss was reported.
+        /// Its devices, and the lost ones that were reported.
         devices: Vec<FleetDevice>,
         reported: Vec<FleetDevice>,
     },
 }
 
 impl Open {
-    /// Opens a fleet where there are devices, else a smoother.
+    /// Opens a fleet if devices are given, otherwise a smoother.
     pub(super) fn new(open_for: OpenFor, devices: &[FleetDevice]) -> Result<Self, Error> {
         let OpenFor { grid, params, options, .. } = &open_for;
         let smoothing = if devices.is_empty() {

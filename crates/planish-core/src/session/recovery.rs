@@ -1,20 +1,20 @@
-//! What to do when a GPU fails: one policy for sessions and rigs.
+//! The policy for GPUs that fail, shared by sessions and rigs.
 
 use crate::error::{EngineError, Error};
 
-/// What to do after an error.
+/// The next step after an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Recovery {
     /// Open the GPU once more and smooth the frames in flight again.
     Reopen,
-    /// Go on with the CPU engine.
+    /// Continue with the CPU engine.
     UseCpu,
     /// Report the error.
     Fail,
 }
 
-/// What has become of the GPU so far: it is opened once more, and given up when it fails again.
+/// Failures of the GPU so far: after the first it is reopened, after the second it is given up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GpuLosses {
     has_reopened: bool,
@@ -22,8 +22,8 @@ pub struct GpuLosses {
 }
 
 impl GpuLosses {
-    /// Decides what to do after an error. A GPU that never opened is not a lost one; `was_open` says that it has smoothed, and
-    /// `may_use_cpu` that the CPU engine may take over.
+    /// Decides what to do after an error. A GPU that never opened is not a lost one; `was_open` says that it has
+    /// smoothed, and `may_use_cpu` that the CPU engine may take over.
     pub fn next(&mut self, error: &Error, was_gpu: bool, was_open: bool, may_use_cpu: bool) -> Recovery {
         let is_loss = matches!(error, Error::Engine(error) if !matches!(error, EngineError::Stopped));
         // While it is opened again, nothing is open.

@@ -84,7 +84,7 @@ fn a_sensor_is_estimated_once_and_reported() {
     kept.smooth(&frame, &mut smoothed).unwrap();
     kept.smooth(&frame, &mut smoothed).unwrap();
     assert!(matches!(kept.take_events()[..], [SessionEvent::SensorEstimated { .. }]));
-    // Too few depths for an estimate of their own.
+    // Too few depths for an estimate.
     let few = DepthFrame::new(Camera::new((3, 2), [4.0; 2], [1.0, 0.5]), vec![1000; 6]).unwrap();
     kept.smooth(&few, &mut smoothed).unwrap();
     let mut each = session("sensor=auto");

@@ -1,8 +1,8 @@
-//! What a user may choose, as data: the one place where presets, sensors and overrides become parameters.
+//! A user's choices as data. Here presets, sensors and overrides become parameters.
 //!
 //! The command, Python, the ROS node, the browser and the experiments fill in a [`Settings`] and nothing else; the same
-//! JSON or YAML works in each. [`Settings::set`] is the only way in for values by name, so a field has one spelling, one
-//! range and one error everywhere.
+//! JSON or YAML works in each. [`Settings::set`] is the only way in for values by name, so a field has one spelling,
+//! one range and one error everywhere.
 
 mod merge;
 mod resolve;
@@ -63,7 +63,7 @@ pub enum RadiusChoice {
     Metres(f32),
 }
 
-/// What a user may choose. A field that is `None` takes the value of the preset.
+/// A user's choices. A field that is `None` takes the value of the preset.
 ///
 /// ```
 /// use planish::{Camera, DepthFrame, IntoFrame, Params, Settings};
@@ -122,7 +122,7 @@ pub struct Settings {
     pub outputs: Option<Outputs>,
 }
 
-/// What settings come to for one kind of input.
+/// Settings resolved for one kind of input.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Resolved {
@@ -248,8 +248,8 @@ impl Settings {
         self.sensor == Some(SensorChoice::Auto)
     }
 
-    /// Returns the sensor whose noise decides which pixels float, if those are to be removed and the sensor is not to be
-    /// estimated.
+    /// Returns the sensor whose noise decides which pixels float, if those are to be removed and the sensor is not to
+    /// be estimated.
     pub fn frame_floating_sensor(&self) -> Option<SensorModel> {
         self.known_sensor().filter(|_| self.remove_floating == Some(true))
     }
@@ -327,8 +327,8 @@ impl Settings {
 impl FromStr for Settings {
     type Err = ParamError;
 
-    /// Reads `name=value` pairs separated by spaces, commas or line ends, as in `preset=strong edges=off`. Lists are separated
-    /// by `+`: `outputs=points+normals`.
+    /// Reads `name=value` pairs separated by spaces, commas or line ends, as in `preset=strong edges=off`. Lists are
+    /// separated by `+`: `outputs=points+normals`.
     fn from_str(text: &str) -> Result<Self, ParamError> {
         let mut settings = Self::default();
         for pair in text.split([' ', ',', '\n', '\t', '\r']).filter(|pair| !pair.is_empty()) {

@@ -7,8 +7,8 @@ use crate::params::{CloudParams, CloudRadius, Fit, FrameParams, FrameRadius, Str
 use crate::sensor::SensorModel;
 
 impl Settings {
-    /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from the
-    /// frame if the settings ask for it.
+    /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from
+    /// the frame if the settings ask for it.
     ///
     /// # Errors
     /// If settings contradict each other or the input, or the sensor cannot be estimated from this frame.

@@ -17,7 +17,7 @@ pub enum SettingValue {
     Text(String),
     /// Several texts.
     List(Vec<String>),
-    /// A sensor that has no name.
+    /// An unnamed sensor.
     Sensor(SensorModel),
 }
 

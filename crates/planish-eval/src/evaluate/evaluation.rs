@@ -50,7 +50,8 @@ pub struct RangeReport {
     pub normal_median_deg: f64,
     /// Share of normals off by less than 10°.
     pub normal_under_10_deg: f64,
-    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees: what a mesh or a shader shows.
+    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees: what a mesh or a shader
+    /// shows.
     pub facet_mean_deg: f64,
     /// Angle that 95 % of the facets keep below.
     pub facet_95_deg: f64,
@@ -66,7 +67,8 @@ pub struct AngleReport {
     pub to_deg: f64,
     /// Pixels with a point.
     pub pixels: usize,
-    /// Root of the mean squared distance to the true surface along its normal, in depth steps of a Kinect v1 at that range.
+    /// Root of the mean squared distance to the true surface along its normal, in depth steps of a Kinect v1 at that
+    /// range.
     pub rmse_steps: f64,
     /// Mean angle between the normal and the true one, in degrees.
     pub normal_mean_deg: f64,
@@ -92,7 +94,8 @@ pub struct Report {
     pub edge_mean_mm: f64,
     /// Share of the points there that float between two surfaces: more than 1 cm and three depth steps from either.
     pub flying_share: f64,
-    /// Mean error of the angle of a 90° edge at 1 m, between planes through the points up to 6 pixels from it, in degrees.
+    /// Mean error of the angle of a 90° edge at 1 m, between planes through the points up to 6 pixels from it, in
+    /// degrees.
     pub crease_deg: f64,
     /// Mean distance of a sphere's points from its centre over its radius, less 1.
     pub sphere_radius_bias: f64,
@@ -348,8 +351,9 @@ impl Evaluation {
     }
 }
 
-/// Returns the temporal noise of a static camera before a static scene: the root mean square, over flat pixels and `results`, of
-/// the deviation along the true normal from its mean, in millimetres. Pixels that are not in every result are left out.
+/// Returns the temporal noise of a static camera before a static scene: the root mean square, over flat pixels and
+/// `results`, of the deviation along the true normal from its mean, in millimetres. Pixels that are not in every result
+/// are left out.
 pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     let flat = flat_pixels(truth, FLAT_MARGIN_PX);
     let mut stir = Sum::default();
@@ -364,8 +368,8 @@ pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     if results.is_empty() { f64::NAN } else { 1e3 * stir.rms() }
 }
 
-/// The unit normal of the triangle between pixel i and its right and lower neighbours, where all three are `usable` and have points;
-/// zero for one without an area, which counts as edge-on.
+/// The unit normal of the triangle between pixel i and its right and lower neighbours, where all three are `usable` and
+/// have points; zero for one without an area, which counts as edge-on.
 pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Option<DVec3> {
     let [right, below] = [i + 1, i + width];
     if right % width == 0
@@ -410,8 +414,8 @@ fn measured_point(frame: &DepthFrame, i: usize, raw: u16) -> DVec3 {
     DVec3::new((u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy, z)
 }
 
-/// Returns the distance of a point to the true surface around pixel i; each pixel's surface is a disc in its tangent plane, as
-/// wide as a pixel.
+/// Returns the distance of a point to the true surface around pixel i; each pixel's surface is a disc in its tangent
+/// plane, as wide as a pixel.
 pub(super) fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
     let (width, height) = (truth.camera.width, truth.camera.height);
     let (u, v) = (i % width, i / width);
@@ -430,8 +434,8 @@ pub(super) fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
     nearest.sqrt()
 }
 
-/// Fits a plane to points: its normal, towards the camera, their centroid on it, and their RMS distance from it. `None` for too
-/// few.
+/// Fits a plane to points: its normal, towards the camera, their centroid on it, and their RMS distance from it. `None`
+/// for too few.
 pub(super) fn plane(points: Vec<DVec3>) -> Option<(DVec3, DVec3, f64)> {
     if points.len() < 12 {
         return None;

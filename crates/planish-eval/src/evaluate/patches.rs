@@ -13,7 +13,8 @@ use planish_core::{
 const PATCH_POINTS: usize = 64;
 /// Patches that are measured, at most.
 const MOST_PATCHES: usize = 10_000;
-/// Points whose variance across the patch is more than this share of their whole variance lie on no surface, or on several.
+/// Points whose variance across the patch is more than this share of their whole variance lie on no surface, or on
+/// several.
 const LARGEST_VARIATION: f64 = 0.1;
 /// Points whose second variance is below this share of the first lie on a line: a scanner's, whose normal is arbitrary.
 const LEAST_WIDTH: f64 = 0.01;
@@ -26,14 +27,15 @@ pub struct PatchReport {
     pub patches: usize,
     /// Median over the patches of the RMS distance from their plane, in millimetres.
     pub rms_mm: f64,
-    /// Mean over the patches of the mean angle between a point's normal and the patch's, whichever way they point, in degrees; NaN
-    /// without normals.
+    /// Mean over the patches of the mean angle between a point's normal and the patch's, whichever way they point, in
+    /// degrees; NaN without normals.
     pub normal_deg: f64,
 }
 
-/// Fits planes to patches: points spread evenly over the file, each with its nearest ones, 64 together. Which points form a patch, and
-/// whether they lie on one surface, is decided by those `measured`, so that every method is measured on the same patches, but for those of which it leaves fewer than 12
-/// points; `points` and `normals` are one for each of them.
+/// Fits planes to patches: points spread evenly over the file, each with its nearest ones, 64 together. Which points
+/// form a patch, and whether they lie on one surface, is decided by those `measured`, so that every method is measured
+/// on the same patches, but for those of which it leaves fewer than 12 points; `points` and `normals` are one for each
+/// of them.
 ///
 /// # Errors
 /// [`EngineError::Unavailable`](planish_core::EngineError::Unavailable) for more points than the search takes.

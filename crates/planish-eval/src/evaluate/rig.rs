@@ -1,4 +1,5 @@
-//! How good the surfaces of a rig are: where several cameras see them and where one does, whether they are doubled, and their edges.
+//! How good the surfaces of a rig are: where several cameras see them and where one does, whether they are doubled, and
+//! their edges.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -79,7 +80,8 @@ pub struct RigCaseCamera {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RigReport {
-    /// Where several cameras see a flat surface: root of the mean squared distance to it along its normal, in millimetres.
+    /// Where several cameras see a flat surface: root of the mean squared distance to it along its normal, in
+    /// millimetres.
     pub overlap_rmse_mm: f64,
     /// The same where one camera sees it.
     pub single_rmse_mm: f64,
@@ -87,8 +89,8 @@ pub struct RigReport {
     pub overlap_facet_deg: f64,
     /// The same where one camera sees it.
     pub single_facet_deg: f64,
-    /// How far the surfaces of two cameras are apart: root of the mean square, over blocks of 8x8 pixels, of the mean distance, in
-    /// millimetres.
+    /// How far the surfaces of two cameras are apart: root of the mean square, over blocks of 8x8 pixels, of the mean
+    /// distance, in millimetres.
     pub ghosting_mm: f64,
     /// Within 3 pixels of a step: mean distance to the nearest true surface, in millimetres.
     pub edge_mean_mm: f64,

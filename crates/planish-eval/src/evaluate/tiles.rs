@@ -26,8 +26,8 @@ pub struct TileReport {
     pub speck_share: f64,
 }
 
-/// Fits a plane to every tile of 8x8 pixels whose points are all in `measured`, so that every method is measured on the same
-/// tiles. Tiles that span more than a twentieth of their range in z are left out.
+/// Fits a plane to every tile of 8x8 pixels whose points are all in `measured`, so that every method is measured on the
+/// same tiles. Tiles that span more than a twentieth of their range in z are left out.
 pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> TileReport {
     let (width, height) = (measured.width(), measured.height());
     let (mut rms_m, mut angles_deg, mut facets_deg) = (Vec::new(), Vec::new(), Vec::new());
@@ -87,7 +87,8 @@ const REFITS: usize = 4;
 /// Inliers are within this many standard deviations of a Kinect v1's noise.
 const ON_PLANE_DEVIATIONS: f64 = 3.0;
 
-/// A pixel belongs to the plane only if its neighbours up to this far do, so that other objects crossing it are left out.
+/// A pixel belongs to the plane only if its neighbours up to this far do, so that other objects crossing it are left
+/// out.
 const INNER_PX: usize = 2;
 
 /// A dominant plane of a frame.
@@ -107,7 +108,8 @@ impl LargestPlane {
     }
 }
 
-/// Finds the plane with the most inliers by random sample consensus, deterministically. `None` for fewer than a hundred points.
+/// Finds the plane with the most inliers by random sample consensus, deterministically. `None` for fewer than a hundred
+/// points.
 pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
     let (width, height, points) = (cloud.width(), cloud.height(), cloud.positions());
     let valid: Vec<usize> = (0..points.len()).filter(|&i| points.is_finite(i)).collect();

@@ -8,7 +8,8 @@ use planish_core::{FrameError, OrganizedCloud, ParamError, PointCloud, Xyz};
 const STRAY_SHARE: f64 = 0.002;
 /// Empty space around the points, as a share of the picture.
 const MARGIN: f64 = 0.02;
-/// Points that are not further behind the nearest of their pixel than so many pixels are of one surface: their mean is drawn.
+/// Points that are not further behind the nearest of their pixel than so many pixels are of one surface: their mean is
+/// drawn.
 const SURFACE_PIXELS: f32 = 3.0;
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 /// Pixels around its own that a point of a sparse cloud covers at most.
@@ -16,11 +17,12 @@ const MOST_SPREAD: i64 = 8;
 /// Pixels for each point at most: a picture of few points is a small one.
 const PIXELS_A_POINT: f64 = 40.0;
 
-/// What is seen of a cloud from a direction (from the points towards the viewer), as a grid of points in the viewer's frame: x to the
-/// right, y down, z away, in metres.
+/// What is seen of a cloud from a direction (from the points towards the viewer), as a grid of points in the viewer's
+/// frame: x to the right, y down, z away, in metres.
 ///
-/// The longer side has at most `longest_side` pixels. Each has the mean depth of the front surface's points and the fields of the nearest;
-/// `normal_x`, `normal_y` and `normal_z` are the cloud's own, else those of the picture's positions.
+/// The longer side has at most `longest_side` pixels. Each has the mean depth of the front surface's points and the
+/// fields of the nearest; `normal_x`, `normal_y` and `normal_z` are the cloud's own, else those of the picture's
+/// positions.
 ///
 /// # Errors
 /// If the direction is no direction, or the cloud has no points.

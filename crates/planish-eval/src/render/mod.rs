@@ -67,8 +67,8 @@ pub fn colours(cloud: &OrganizedCloud) -> Option<RgbImage> {
     Some(RgbImage { width: cloud.width(), height: cloud.height(), rgb })
 }
 
-/// Renders the distance of the points from the truth along its normal: blue in front of the surface, red behind it, white on it,
-/// saturated at `full_scale_m`; black where there is no point.
+/// Renders the distance of the points from the truth along its normal: blue in front of the surface, red behind it,
+/// white on it, saturated at `full_scale_m`; black where there is no point.
 pub fn error_map(truth: &Truth, points: &Xyz, full_scale_m: f32) -> RgbImage {
     let colour = |i: usize| {
         if truth.objects[i] == NO_OBJECT || !points.is_finite(i) {

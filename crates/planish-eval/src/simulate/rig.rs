@@ -59,8 +59,8 @@ impl RigScene {
         Self { scene, poses: (0..cameras).map(pose).collect() }
     }
 
-    /// The poses that a calibration with such errors states: the first camera's is right, each other is turned about an axis and shifted
-    /// in a direction of its own.
+    /// The poses that a calibration with such errors states: the first camera's is right, each other is turned about an
+    /// axis and shifted in a direction of its own.
     pub fn poses_with_errors(&self, errors: PoseErrors, seed: u64) -> Vec<Pose> {
         let mut random = Random::new(seed, STREAM_POSES);
         let mut direction = || {

@@ -192,8 +192,8 @@ impl Truth {
         -n.dot(p) / p.length()
     }
 
-    /// Whether the surface jumps between two pixels: each lies off the other's tangent plane by more than a hundredth of their
-    /// distance, or only one of them has a surface.
+    /// Whether the surface jumps between two pixels: each lies off the other's tangent plane by more than a hundredth
+    /// of their distance, or only one of them has a surface.
     pub fn is_step(&self, i: usize, j: usize) -> bool {
         let seen = |k: usize| self.objects[k] != NO_OBJECT;
         if !(seen(i) && seen(j)) {

@@ -10,7 +10,8 @@ const TABLE_HEIGHT_M: f64 = 0.75;
 const CAMERA_OVER_TABLE_M: f64 = 0.45;
 
 impl Scene {
-    /// A table at 0.6 to 1.5 m with spheres, boxes and cylinders on it, in front of a wall; the camera looks down on it.
+    /// A table at 0.6 to 1.5 m with spheres, boxes and cylinders on it, in front of a wall; the camera looks down on
+    /// it.
     pub fn tabletop(seed: u64) -> (Self, Pose) {
         let mut random = Random::new(seed, 1);
         let floor_y = TABLE_HEIGHT_M + CAMERA_OVER_TABLE_M;
@@ -56,8 +57,8 @@ impl Scene {
         (Self { objects }, Pose::looking(DVec3::ZERO, random.between(-0.2, 0.2), random.between(0.1, 0.25)))
     }
 
-    /// Shapes of known size before a wall: the 90° edge of a box at 1 m, a sphere and a cylinder of 60 to 100 mm radius at 0.8
-    /// to 1.4 m. The camera stands at the origin and looks along z.
+    /// Shapes of known size before a wall: the 90° edge of a box at 1 m, a sphere and a cylinder of 60 to 100 mm radius
+    /// at 0.8 to 1.4 m. The camera stands at the origin and looks along z.
     pub fn gauges(seed: u64) -> (Self, Pose, Gauge) {
         let mut random = Random::new(seed, u64::MAX);
         let turn = std::f64::consts::FRAC_PI_4 + random.between(-0.2, 0.2);

@@ -1,10 +1,11 @@
 //! A model of a depth sensor's noise; each part is a parameter.
 //!
-//! The noise of triangulating sensors (structured light, stereo) lives in disparity: D = 1/(step z) in units of one disparity step, so
-//! that an error of one unit is step * z² metres of depth (Khoshelham & Elberink 2012); that of others in depth itself. A pixel gets
-//! a fixed pattern that is correlated over a few pixels (most of the error of a single frame, which averaging frames does not
-//! remove) and temporal noise; disparities are rounded. At depth steps the sensor looks past the edge, mixes both sides, and cannot
-//! see what its projector, or its second camera, does not. Output: u16 millimetres, 0 for no measurement.
+//! The noise of triangulating sensors (structured light, stereo) lives in disparity: D = 1/(step z) in units of one
+//! disparity step, so that an error of one unit is step * z² metres of depth (Khoshelham & Elberink 2012); that of
+//! others in depth itself. A pixel gets a fixed pattern that is correlated over a few pixels (most of the error of a
+//! single frame, which averaging frames does not remove) and temporal noise; disparities are rounded. At depth steps
+//! the sensor looks past the edge, mixes both sides, and cannot see what its projector, or its second camera, does not.
+//! Output: u16 millimetres, 0 for no measurement.
 
 use rayon::prelude::*;
 
@@ -84,12 +85,13 @@ impl DepthNoise {
         max_range_m: f64::INFINITY,
     };
 
-    /// Returns the noise of a sensor of its kind: a Kinect v1; else a stereo camera where the noise grows with z² alone; else
-    /// a time-of-flight camera; none where the model has none.
+    /// Returns the noise of a sensor of its kind: a Kinect v1; else a stereo camera where the noise grows with z²
+    /// alone; else a time-of-flight camera; none where the model has none.
     ///
-    /// Of the model comes the standard deviation. How it is correlated, and what happens at steps, are assumptions: stereo matches
-    /// windows of some 7 pixels, so that errors hang together over 3 and edges fray, and resolves 1/32 of a pixel where its noise is 0.08
-    /// (RealSense D400); time of flight has almost independent pixels, no shadow, and mixes both sides of an edge.
+    /// Of the model comes the standard deviation. How it is correlated, and what happens at steps, are assumptions:
+    /// stereo matches windows of some 7 pixels, so that errors hang together over 3 and edges fray, and resolves 1/32
+    /// of a pixel where its noise is 0.08 (RealSense D400); time of flight has almost independent pixels, no shadow,
+    /// and mixes both sides of an edge.
     pub fn of_sensor(sensor: &SensorModel) -> Self {
         let sigma = sensor.sigma.map(f64::from);
         match sigma {
@@ -194,8 +196,8 @@ impl DepthSimulator {
         if in_range { self.camera.raw_depth(measured as f32) } else { 0 }
     }
 
-    /// Marks the pixels of row v that the projector does not light. Away from the projector, light that starts further left must
-    /// also arrive further left; where something nearer has already caught it, there is shadow.
+    /// Marks the pixels of row v that the projector does not light. Away from the projector, light that starts further
+    /// left must also arrive further left; where something nearer has already caught it, there is shadow.
     fn shadow(&self, truth: &Truth, v: usize) -> Vec<bool> {
         let width = self.camera.width;
         let shift = self.noise.projector_baseline_m * self.camera.fx;

@@ -1,7 +1,8 @@
 //! ASTM E57: the scans of one file as one cloud in the file's frame, each point with the number of its scan.
 //!
-//! What a scan is beside its points (name, pose, sensor, times) is kept with the cloud and written back. Spherical coordinates become Cartesian
-//! ones; images and the sections of other programs' extensions, their point fields apart, are not kept.
+//! What a scan is beside its points (name, pose, sensor, times) is kept with the cloud and written back. Spherical
+//! coordinates become Cartesian ones; images and the sections of other programs' extensions, their point fields apart,
+//! are not kept.
 
 mod scans;
 

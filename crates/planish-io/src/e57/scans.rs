@@ -56,7 +56,8 @@ fn limit(value: Option<&RecordValue>, read: &Record, written: &Record) -> Option
     })
 }
 
-/// The range of intensities and colours that a scan's sensor has, where the scan says so; without, the writer states that of the type.
+/// The range of intensities and colours that a scan's sensor has, where the scan says so; without, the writer states
+/// that of the type.
 pub(super) fn set_limits<T: Read + Write + Seek>(
     points: &mut PointCloudWriter<'_, T>,
     scan: &e57::PointCloud,

@@ -1,5 +1,5 @@
-//! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; everything else in the file, such as its
-//! coordinate system, stays with the cloud and is written back.
+//! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; everything else in
+//! the file, such as its coordinate system, stays with the cloud and is written back.
 
 mod fields;
 mod stream;

@@ -82,7 +82,8 @@ pub(super) fn claims(bytes: &(impl FileBytes + ?Sized)) -> Option<Claims> {
     Some(Claims { points, record, extended })
 }
 
-/// Refuses headers that are shorter than their version's: the decoder would find what follows elsewhere than [`check_chunks`] does.
+/// Refuses headers that are shorter than their version's: the decoder would find what follows elsewhere than
+/// [`check_chunks`] does.
 pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatResult<()>> {
     let [major, minor] = read_at(bytes, 24)?;
     let (size, needed) = (u16::from_le_bytes(read_at(bytes, 94)?), las::Version::new(major, minor).header_size());
@@ -147,8 +148,8 @@ fn item_bytes(item: &LazItem) -> usize {
     }
 }
 
-/// Refuses layers that are larger than their chunk: from version 3 on each chunk begins with a point, the number of points, and the
-/// sizes of the layers of which the others consist.
+/// Refuses layers that are larger than their chunk: from version 3 on each chunk begins with a point, the number of
+/// points, and the sizes of the layers of which the others consist.
 fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record: usize) -> Option<FormatResult<()>> {
     if description.items().iter().all(|item| item.version() < 3) {
         return Some(Ok(()));

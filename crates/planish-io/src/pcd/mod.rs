@@ -1,8 +1,8 @@
 //! PCD v0.7, the format of the Point Cloud Library: ascii, binary, binary_compressed.
 //!
 //! Every field is kept with its size, type and count, padding (`_`) included, and so are the grid and the viewpoint.
-//! Binary values are little-endian, point after point; compressed ones are field after field through LZF.
-//! Like PCL, ascii files store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float: the bits of an
+//! Binary values are little-endian, point after point; compressed ones are field after field through LZF. Like PCL,
+//! ascii files store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float: the bits of an
 //! opaque colour are those of a NaN, and would be lost.
 
 mod binary;

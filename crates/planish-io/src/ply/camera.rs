@@ -1,8 +1,8 @@
 //! The element `camera`: the sensor's pose and the grid, as PCL writes them behind the vertices.
 //!
-//! PCL has the rows of cloud_from_sensor's rotation in `x_axis`, `y_axis` and `z_axis`, and width and height in the viewport. Of the
-//! rest it uses nothing, and writes 0. MeshLab has an element of the same name whose axes mean something else; it is told by its
-//! focal length, and its pose is not taken.
+//! PCL has the rows of cloud_from_sensor's rotation in `x_axis`, `y_axis` and `z_axis`, and width and height in the
+//! viewport. Of the rest it uses nothing, and writes 0. MeshLab has an element of the same name whose axes mean
+//! something else; it is told by its focal length, and its pose is not taken.
 
 use ply_rs_bw::ply::{ElementDef, Property};
 

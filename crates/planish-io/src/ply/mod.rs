@@ -1,8 +1,8 @@
 //! PLY, ascii and binary: the vertices with all their properties. Faces and other elements are not kept.
 //!
-//! A grid is stated as by range scanners and PCL: `obj_info num_cols W` and `obj_info num_rows H`, with a vertex for every
-//! pixel, or with an element `range_grid` that says which pixels have one; or, with the sensor's pose, by PCL's element
-//! [`camera`].
+//! A grid is stated as by range scanners and PCL: `obj_info num_cols W` and `obj_info num_rows H`, with a vertex for
+//! every pixel, or with an element `range_grid` that says which pixels have one; or, with the sensor's pose, by PCL's
+//! element [`camera`].
 
 mod camera;
 #[cfg(feature = "scans")]
@@ -117,8 +117,8 @@ struct Body {
     camera: PlyCamera,
 }
 
-/// The elements up to the last one of interest, each with whether it must be whole: those behind the vertices and their grid need not be,
-/// since a camera is no more than a hint.
+/// The elements up to the last one of interest, each with whether it must be whole: those behind the vertices and their
+/// grid need not be, since a camera is no more than a hint.
 fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef, bool)> {
     let last = |names: &[&str]| header.elements.keys().rposition(|name| names.contains(&name.as_str())).unwrap_or(0);
     let (needed, last) = (last(&["vertex", "range_grid"]), last(&["vertex", "range_grid", "camera"]));
@@ -277,8 +277,8 @@ fn stated_properties(header_lines: &[&str]) -> Vec<usize> {
     counts
 }
 
-/// Refuses elements that the library would read wrongly: of properties that have the same name it forgets all but one, and reads the others'
-/// bytes as the next; one without properties has no bytes, however many are announced.
+/// Refuses elements that the library would read wrongly: of properties that have the same name it forgets all but one,
+/// and reads the others' bytes as the next; one without properties has no bytes, however many are announced.
 fn check_properties(element: &ElementDef, stated: usize) -> Result<(), FormatError> {
     if stated != element.properties.len() {
         return malformed(format!("two properties of element {} have the same name", quoted(&element.name)));

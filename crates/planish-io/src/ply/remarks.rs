@@ -5,7 +5,7 @@ use ply_rs_bw::ply::Header;
 use super::super::brief;
 use planish_core::Provenance;
 
-/// Lines of the header of a PLY file, without those that state a grid.
+/// Header lines of a PLY file, except lines that state a grid.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Remarks {
     pub(super) comments: Vec<String>,
@@ -17,7 +17,7 @@ const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
 pub(super) const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
 
 impl Remarks {
-    /// Returns what a cloud carries of them; nothing if there are none.
+    /// Returns the lines that a cloud carries, or none.
     pub(super) fn into_provenance(self) -> Provenance {
         if self == Self::default() { Provenance::default() } else { Provenance::new(self) }
     }

@@ -1,8 +1,8 @@
 //! Clouds that do not fit memory: LAS, LAZ and PLY files, smoothed tile by tile into another such file.
 //!
 //! The file is read once, and its records are dealt to temporary files, one a tile of cells seen from above. A tile is
-//! smoothed with a halo of the points around it, as wide as its points reach, so that each gets what it gets in the whole cloud; the
-//! records of its own points are kept. At the end they are put together in the order of the input.
+//! smoothed with a halo of the points around it, as wide as its points reach, so that each gets what it gets in the
+//! whole cloud; the records of its own points are kept. At the end they are put together in the order of the input.
 
 mod plan;
 mod spill;
@@ -86,7 +86,8 @@ pub struct TilesReport {
     pub reaching_beyond: usize,
     /// Whether the file states its sensor's pose, or the options do.
     pub has_pose: bool,
-    /// Where the sensor is taken to have stood, if neither the file nor the options say it and it cannot have been the origin of coordinates.
+    /// Where the sensor is taken to have stood, if neither the file nor the options say it and it cannot have been the
+    /// origin of coordinates.
     pub assumed_sensor_m: Option<[f64; 3]>,
     /// What of the file was left out: one clause each, for a user to read.
     pub notes: Vec<String>,
@@ -99,7 +100,8 @@ pub fn are_tiled(input: &Path, output: &Path) -> bool {
     (is_las(input) && is_las(output)) || (is_ply(input) && is_ply(output))
 }
 
-/// The bytes that smoothing a LAS, LAZ or PLY file whole takes; `None` for other files, organized clouds and what cannot be read.
+/// The bytes that smoothing a LAS, LAZ or PLY file whole takes; `None` for other files, organized clouds and what
+/// cannot be read.
 pub fn bytes_in_memory(path: &Path) -> Option<u64> {
     fn needed<R: RecordReader>(path: &Path) -> Option<u64> {
         let reader = R::open(path).ok()?;
@@ -120,8 +122,8 @@ fn bytes_a_point(record: usize) -> u64 {
     COPIES * record as u64 + ENGINE_BYTES_A_POINT
 }
 
-/// Smooths a LAS, LAZ or PLY file into another of the same kind, in as much memory as is allowed. Beside the output as much room is needed as three
-/// times the records take.
+/// Smooths a LAS, LAZ or PLY file into another of the same kind, in as much memory as is allowed. Beside the output as
+/// much room is needed as three times the records take.
 ///
 /// Results are those of the whole cloud, relative to an origin in each tile.
 ///

@@ -1,4 +1,5 @@
-//! The records of a file, dealt to temporary files, one a tile; and the smoothed ones put together in the order of the input.
+//! The records of a file, dealt to temporary files, one a tile; and the smoothed ones put together in the order of the
+//! input.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};

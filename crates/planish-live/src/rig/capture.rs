@@ -20,7 +20,8 @@ const MOST_FAILURES_TOLD: u64 = 5;
 /// Frames a second of a recording without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// When each of two cameras has had this many moments alone since the last match, their clocks are taken to be unrelated.
+/// When each of two cameras has had this many moments alone since the last match, their clocks are taken to be
+/// unrelated.
 const UNMATCHED_ARE_TOLD: u32 = 10;
 
 /// A frame that has arrived from a camera.

@@ -11,7 +11,8 @@ pub(super) const PIXELS_OF_A_TASK: usize = 4096;
 /// Half the distance in pixels over which the side that a surface faces is told.
 const NORMAL_PX: usize = 6;
 
-/// The middle of two pixels is off the surface between them by so many standard deviations, and by how a curved surface bulges.
+/// The middle of two pixels is off the surface between them by so many standard deviations, and by how a curved surface
+/// bulges.
 const MIDDLE_DEVIATIONS: f64 = 4.0;
 
 /// Normals by the differences of pixels some way apart, towards the camera; NaN beside holes and steps.

@@ -170,7 +170,8 @@ fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError
     })
 }
 
-/// The camera of an object, or of the camera file that a text names, and how many units of depth are a metre, if it says so.
+/// The camera of an object, or of the camera file that a text names, and how many units of depth are a metre, if it
+/// says so.
 fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Option<f64>), String> {
     let parse = |text: &str| {
         let camera = io::parse_camera(text, None)?;

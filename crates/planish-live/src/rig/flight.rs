@@ -7,13 +7,13 @@ use super::voxels::InVoxels;
 
 /// A moment in flight.
 pub(super) struct Flight {
-    /// Of each camera that has a frame, what takes its points into the rig's frame.
+    /// The transform into the rig's frame for each camera with a frame.
     pub(super) rig_from_points: Vec<Option<RigidTransform>>,
     pub(super) results: FlightResults,
 }
 
 pub(super) enum FlightResults {
-    /// Where each camera's frame is.
+    /// The state of each camera's frame.
     Submitted(Vec<Submitted>),
     Landed(RigViews),
     /// All points together, which wait to be brought into voxels.
@@ -33,12 +33,12 @@ impl FlightResults {
 }
 
 pub(super) enum Submitted {
-    /// The camera has no frame.
+    /// No frame from this camera.
     Nothing,
     /// In its smoother.
     Flying,
     Refused(FrameError),
 }
 
-/// Of each camera its result, wherever that is.
+/// Each camera's result.
 pub(super) type RigViews = Vec<Option<Result<SmoothedView, FrameError>>>;

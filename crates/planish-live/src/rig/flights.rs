@@ -28,7 +28,8 @@ enum Landed {
 impl RigSmoother {
     /// Submits the frames of a moment; moments are received in the order of submission.
     ///
-    /// Where a GPU smooths each camera's frames, they are computed while the caller goes on. Every other way computes them here.
+    /// Where a GPU smooths each camera's frames, they are computed while the caller goes on. Every other way computes
+    /// them here.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth), and if as many moments are in flight as can be.
@@ -36,7 +37,8 @@ impl RigSmoother {
         self.submit_as(frames, true)
     }
 
-    /// The same for [`receive_fused`](Self::receive_fused): results stay where the device puts them until they are fused.
+    /// The same for [`receive_fused`](Self::receive_fused): results stay where the device puts them until they are
+    /// fused.
     pub fn submit_in_place(&mut self, frames: &[Option<Frame<'_>>]) -> Result<(), Error> {
         self.submit_as(frames, false)
     }
@@ -105,9 +107,10 @@ impl RigSmoother {
         Ok(Some(results))
     }
 
-    /// Waits for the oldest moment in flight and puts its results together in the rig's frame: the points of all cameras, the fields that were
-    /// computed, and `camera`; of points thinned to voxels one for each. Frames that could not be smoothed have no points; false if no moment
-    /// is in flight. Uses the memory of `out` again, except for voxels.
+    /// Waits for the oldest moment in flight and puts its results together in the rig's frame: the points of all
+    /// cameras, the fields that were computed, and `camera`; of points thinned to voxels one for each. Frames that
+    /// could not be smoothed have no points; false if no moment is in flight. Uses the memory of `out` again, except
+    /// for voxels.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth).
@@ -122,8 +125,8 @@ impl RigSmoother {
     }
 
     /// Submits the frames of a moment and, once as many are in flight as are worth it, receives the oldest as
-    /// [`receive_fused`](Self::receive_fused) does: it is put together while the next goes up. False as long as none was received; at the end
-    /// `receive_fused` gives those that are left.
+    /// [`receive_fused`](Self::receive_fused) does: it is put together while the next goes up. False as long as none
+    /// was received; at the end `receive_fused` gives those that are left.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth); the oldest moment is lost with the others then, and `out` may be either's.
@@ -147,8 +150,8 @@ impl RigSmoother {
         Ok(landed.is_some())
     }
 
-    /// The same where points are thinned: while the oldest moment is smoothed, the one before the next is brought into voxels, and the points of
-    /// the next are put together.
+    /// The same where points are thinned: while the oldest moment is smoothed, the one before the next is brought into
+    /// voxels, and the points of the next are put together.
     fn next_in_voxels(
         &mut self,
         frames: &[Option<Frame<'_>>],
@@ -193,8 +196,9 @@ impl RigSmoother {
         self.flights.len()
     }
 
-    /// How many moments in flight are worth their latency: those of one slot each where a GPU smooths each camera's frames, else 1, since
-    /// [`submit`](Self::submit) then does all the work. [`next_fused`](Self::next_fused) keeps two where points are thinned to voxels.
+    /// How many moments in flight are worth their latency: those of one slot each where a GPU smooths each camera's
+    /// frames, else 1, since [`submit`](Self::submit) then does all the work. [`next_fused`](Self::next_fused) keeps
+    /// two where points are thinned to voxels.
     pub fn max_in_flight(&self) -> usize {
         let is_pipelined = self.way == RigWay::Each && self.engine.capabilities().pipelined;
         if is_pipelined { self.options.gpu.slots } else { 1 }

@@ -13,7 +13,8 @@ use planish_core::{
     internal::RigidTransform,
 };
 
-/// Farther from the rig's origin than this, f32 would lose tenths of a millimetre: positions are relative to the first camera then.
+/// Farther from the rig's origin than this, f32 would lose tenths of a millimetre: positions are relative to the first
+/// camera then.
 const MOST_WITHOUT_ORIGIN_M: f64 = 1000.0;
 
 /// Fields that are directions, one component each.
@@ -35,11 +36,12 @@ pub(super) struct Part<'a> {
 /// Points that one task looks at.
 const POINTS_OF_A_TASK: usize = 1 << 14;
 
-/// Puts clouds together in the rig's frame: for each its camera's index, its pose (rig_from_camera) and its points in the camera's frame.
+/// Puts clouds together in the rig's frame: for each its camera's index, its pose (rig_from_camera) and its points in
+/// the camera's frame.
 ///
-/// Holes are left out. Fields of one name become one field, zero for points of cameras without it; normals are turned; the field `camera`
-/// has each point's camera. Positions are relative to [`PointCloud::origin_m`], which is zero unless the rig is more than 1 km from its
-/// origin.
+/// Holes are left out. Fields of one name become one field, zero for points of cameras without it; normals are turned;
+/// the field `camera` has each point's camera. Positions are relative to [`PointCloud::origin_m`], which is zero unless
+/// the rig is more than 1 km from its origin.
 ///
 /// # Errors
 /// If a pose is none.
@@ -197,8 +199,8 @@ pub(super) fn rig_from_points(rig_from_camera: RigidTransform, frame: Frame<'_>)
 }
 
 impl Rig {
-    /// Puts the results of a moment together in the rig's frame: the smoothed points of each camera with all fields of its frame, those of
-    /// `fields` that were computed, and the index of its camera. Holes are left out.
+    /// Puts the results of a moment together in the rig's frame: the smoothed points of each camera with all fields of
+    /// its frame, those of `fields` that were computed, and the index of its camera. Holes are left out.
     pub fn fuse(&self, frames: &[Option<(&OwnedFrame, &Smoothed)>], fields: Outputs) -> Result<PointCloud, FrameError> {
         let placed = self.cameras.iter().zip(frames).enumerate();
         let parts = placed.filter_map(|(i, (camera, frame))| frame.map(|frame| part(i, camera, frame, fields)));
@@ -225,7 +227,7 @@ fn part<'a>(
     Ok(Part { camera: index, rig_from_points, positions: smoothed.points.as_slices(), attributes })
 }
 
-/// Returns the fields beside positions: those of a cloud, or the colour of a depth image.
+/// Returns a cloud's fields or a depth image's colour, without positions.
 fn attributes_of(frame: &OwnedFrame) -> Vec<Cow<'_, Attribute>> {
     match frame {
         OwnedFrame::Cloud { cloud, .. } => cloud.points.attributes.iter().map(Cow::Borrowed).collect(),

@@ -18,7 +18,8 @@ pub(super) struct General {
 pub(super) struct Stopper(Arc<Mutex<Option<Arc<Progress>>>>);
 
 impl Stopper {
-    /// Ends the work that is under way, which becomes [`EngineError::Stopped`](planish_core::EngineError::Stopped); has no effect if there is none.
+    /// Ends the work that is under way, which becomes [`EngineError::Stopped`](planish_core::EngineError::Stopped);
+    /// without such work it has no effect.
     pub(super) fn stop(&self) {
         if let Some(progress) = &*self.0.lock().unwrap_or_else(PoisonError::into_inner) {
             progress.stop();
@@ -51,7 +52,7 @@ impl General {
         self.smoother = None;
     }
 
-    /// Opens the engine, if it is not, on the device or on that of the options.
+    /// Opens the engine, if it is closed, on the device or on the options' device.
     pub(super) fn open(
         &mut self,
         options: &SmootherOptions,

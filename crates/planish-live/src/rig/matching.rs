@@ -1,14 +1,16 @@
 //! Which frames of several cameras are of one moment, by their time stamps.
 //!
-//! Frames of a camera wait in its queue. The earliest of all that wait opens a moment; of every other camera the first that waits
-//! belongs to it if its time stamp is within the tolerance, and not closer to the next frame of the camera that opened it. Of a
-//! recording every camera is waited for until its frame is there or it has ended. A live camera is waited for no longer than
-//! a given time after the first frame of the moment came, and not at all once it has been missing for a while.
+//! Frames of a camera wait in its queue. The earliest of all that wait opens a moment; of every other camera the first
+//! that waits belongs to it if its time stamp is within the tolerance, and not closer to the next frame of the camera
+//! that opened it. Of a recording every camera is waited for until its frame is there or it has ended. A live camera is
+//! waited for no longer than a given time after the first frame of the moment came, and not at all once it has been
+//! missing for a while.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// A time stamp that is this far before the one before it is of a clock that was set anew; less is a frame out of order.
+/// A time stamp that is this far before the one before it is of a clock that was set anew; less is a frame out of
+/// order.
 const CLOCK_JUMP_S: f64 = 0.5;
 
 /// A live camera that was missing from so many moments in a row is not waited for.
@@ -81,8 +83,8 @@ struct Waiting<T> {
 }
 
 impl<T> Matcher<T> {
-    /// For so many cameras. Frames of one moment are at most `tolerance_s` apart, and wait for each other no longer than `patience` or the
-    /// time between two frames; `None` is for recordings, of which nothing may be left out.
+    /// For so many cameras. Frames of one moment are at most `tolerance_s` apart, and wait for each other no longer
+    /// than `patience` or the time between two frames; `None` is for recordings, of which nothing may be left out.
     pub fn new(cameras: usize, tolerance_s: f64, patience: Option<Duration>) -> Self {
         Self { cameras: (0..cameras).map(|_| Queue::new()).collect(), tolerance_s, patience, last_s: f64::NEG_INFINITY }
     }

@@ -53,7 +53,8 @@ impl RigSmoother {
     }
 }
 
-/// Smooths the points of all cameras as one cloud; each camera gets its own back, on its grid and in the frame of its points.
+/// Smooths the points of all cameras as one cloud; each camera gets its own back, on its grid and in the frame of its
+/// points.
 fn smooth(smoother: &mut Smoother, together: &Together) -> Result<Vec<Option<Smoothed>>, Error> {
     let mut smoothed = Smoothed::default();
     if !together.cloud.is_empty() {

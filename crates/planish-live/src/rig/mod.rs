@@ -1,9 +1,9 @@
 //! Rigs: several cameras as one sensor.
 //!
-//! A [`Rig`] says which cameras there are and where each stands; [`Rig::read`] reads it from a `rig.json`, [`calibration`] makes one
-//! from what ROS, Kalibr and COLMAP calibrated. [`run`] streams it: a thread for each camera, frames of one moment
-//! matched by their time stamps ([`Matcher`]), smoothed in one of the ways of [`RigWay`], and given to [`RigSink`]s as each camera's own
-//! frame and as one [fused](RigFrame::fused) cloud in the rig's frame.
+//! A [`Rig`] says which cameras there are and where each stands; [`Rig::read`] reads it from a `rig.json`,
+//! [`calibration`] makes one from what ROS, Kalibr and COLMAP calibrated. [`run`] streams it: a thread for each camera,
+//! frames of one moment matched by their time stamps ([`Matcher`]), smoothed in one of the ways of [`RigWay`], and
+//! given to [`RigSink`]s as each camera's own frame and as one [fused](RigFrame::fused) cloud in the rig's frame.
 
 pub mod calibration;
 mod capture;
@@ -92,8 +92,8 @@ pub struct Rig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Clock {
-    /// The frames' own time stamps. Frames without are matched by their arrival if their camera is live, and by their number, 30 a
-    /// second, if it is not.
+    /// The frames' own time stamps. Frames without are matched by their arrival if their camera is live, and by their
+    /// number, 30 a second, if it is not.
     #[default]
     Source,
     /// When frames arrive, for live cameras whose clocks have nothing in common.
@@ -108,13 +108,14 @@ pub struct RigCamera {
     pub name: String,
     /// Where its frames come from, as [`source::open`](crate::source::open) takes it. A calibration alone has none.
     pub source: Option<String>,
-    /// Its intrinsics and distortion, where its source does not know them. Width and height 0 stand for the frames' shape.
+    /// Its intrinsics and distortion, where its source does not know them. Width and height 0 stand for the frames'
+    /// shape.
     pub camera: Option<Camera>,
-    /// How many units of its depth images are a metre, where the rig says so; else what the source says, which of a data set in TUM layout is
-    /// 5000.
+    /// How many units of its depth images are a metre, where the rig says so; else what the source says, which of a
+    /// data set in TUM layout is 5000.
     pub depth_units_per_metre: Option<f64>,
-    /// rig_from_camera: where it stands in the rig's frame. It looks along its own +z, with x to the right and y down, as optical
-    /// frames of ROS do.
+    /// rig_from_camera: where it stands in the rig's frame. It looks along its own +z, with x to the right and y down,
+    /// as optical frames of ROS do.
     pub pose: SensorPose,
     /// Whose steps and noise its depth has; `None` is what the parameters say.
     pub sensor: Option<SensorModel>,
@@ -150,8 +151,8 @@ impl Rig {
         Self { viewpoints, ..self }
     }
 
-    /// The same rig for a `rig.json` in this folder: sources that are files or folders, and that are named as from the working directory, are
-    /// named as from there.
+    /// The same rig for a `rig.json` in this folder: sources that are files or folders, and that are named as from the
+    /// working directory, are named as from there.
     pub fn seen_from(&self, folder: &Path) -> Self {
         let mut rig = self.clone();
         for camera in &mut rig.cameras {
@@ -165,8 +166,8 @@ impl Rig {
         self.cameras.iter().position(|camera| camera.name == name)
     }
 
-    /// Refuses rigs without cameras, names that are no names or not one camera's own, poses and times that are none, two
-    /// cameras behind one device, and viewpoints that are none.
+    /// Refuses rigs without cameras, names that are no names or not one camera's own, poses and times that are none,
+    /// two cameras behind one device, and viewpoints that are none.
     pub fn validate(&self) -> Result<(), ParamError> {
         let bad = |field, value: String, allowed| Err(ParamError { field, value, allowed });
         if self.cameras.is_empty() || self.cameras.len() > MOST_CAMERAS {
@@ -296,12 +297,14 @@ impl RigCamera {
     }
 }
 
-/// A setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points without neighbours left out.
+/// A setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points without
+/// neighbours left out.
 pub fn merged_params() -> CloudParams {
     CloudParams::default().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
 }
 
-/// The same for points thinned to one for each voxel of this size in metres: everything within 3 cm, or three voxels where that is more.
+/// The same for points thinned to one for each voxel of this size in metres: everything within 3 cm, or three voxels
+/// where that is more.
 pub fn merged_params_in_voxels(voxel_m: f64) -> CloudParams {
     merged_params().with_radius_m(MERGED_RADIUS_M.max(VOXELS_IN_RADIUS * voxel_m as f32))
 }
@@ -320,7 +323,8 @@ fn resolve_source(folder: &Path, source: &str) -> String {
     }
 }
 
-/// The same of a rig whose file is to lie in another folder: paths become relative to that where they are within, and whole otherwise.
+/// The same of a rig whose file is to lie in another folder: paths become relative to that where they are within, and
+/// whole otherwise.
 fn source_seen_from(folder: &Path, source: &str) -> String {
     let seen = |path: &str| {
         let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));

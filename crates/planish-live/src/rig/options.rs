@@ -56,9 +56,9 @@ impl RigOptions {
         }
     }
 
-    /// Creates options from settings. Each camera has the sensor of the settings, or its own where they name none; all points
-    /// as one cloud have the parameters of merged points ([`merged_params`](super::merged_params)), in voxels if given, with
-    /// these settings in their place.
+    /// Creates options from settings. Each camera has the sensor of the settings, or its own where they name none; all
+    /// points as one cloud have the parameters of merged points ([`merged_params`](super::merged_params)), in voxels if
+    /// given, with these settings in their place.
     ///
     /// # Errors
     /// If settings contradict each other, a sensor is to be estimated, or a device is not there.
@@ -83,7 +83,8 @@ impl RigOptions {
     /// Refuses options that contradict each other; [`run`](super::run) does so before it begins.
     ///
     /// # Errors
-    /// If `registration_m` is above 0.1, or if `voxel_m` is set for another way than merged, below 0.1 mm, or above half a fixed radius.
+    /// If `registration_m` is above 0.1, or if `voxel_m` is set for another way than merged, below 0.1 mm, or above
+    /// half a fixed radius.
     pub fn validate(&self) -> Result<(), ParamError> {
         if !(0.0..=0.1).contains(&self.registration_m) {
             let value = self.registration_m.to_string();
@@ -118,8 +119,8 @@ impl RigOptions {
     }
 
     /// The same with points that are merged thinned to one for each voxel of this size in metres
-    /// ([`RigSmoother::with_voxel_m`](super::RigSmoother::with_voxel_m)), or with all of them. The parameters should be for it
-    /// ([`merged_params_in_voxels`](super::merged_params_in_voxels)).
+    /// ([`RigSmoother::with_voxel_m`](super::RigSmoother::with_voxel_m)), or with all of them. The parameters should be
+    /// for it ([`merged_params_in_voxels`](super::merged_params_in_voxels)).
     pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
         Self { voxel_m, ..self }
     }

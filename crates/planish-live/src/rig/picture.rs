@@ -1,4 +1,5 @@
-//! A rig from above: the fused cloud, each camera's points in a colour of their own, and where the cameras stand and look.
+//! A rig from above: the fused cloud, each camera's points in a colour of their own, and where the cameras stand and
+//! look.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -198,7 +199,8 @@ mod tests {
         let wall = PointCloud::new((0..100).map(|i| [0.01 * i as f32 - 0.5, 0.0, 3.0]).collect());
         let fused = fuse(&[(0, ahead(0.0), &wall), (1, ahead(2.0), &wall)]).unwrap();
         let image = draw(&rig, &fused);
-        // The mean pixel of a colour, of the cameras in the left half of the picture and of their walls in the right one.
+        // The mean pixel of a colour, of the cameras in the left half of the picture and of their walls in the right
+        // one.
         let seen = |colour: [u8; 3], right: bool| {
             let at = |i: usize| DVec2::new((i % SIZE_PX) as f64, (i / SIZE_PX) as f64);
             let pixels = image.rgb.chunks_exact(3).enumerate().filter(|(_, pixel)| *pixel == colour);

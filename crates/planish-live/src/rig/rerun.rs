@@ -19,7 +19,8 @@ const POINT_M: f32 = 0.0015;
 /// How far from the lens a camera's view is drawn, in metres.
 const FRUSTUM_M: f32 = 0.15;
 
-/// Shows every moment of a rig in Rerun. The outputs must include points; a moment of four cameras of 640x480 is about 35 MB.
+/// Shows every moment of a rig in Rerun. The outputs must include points; a moment of four cameras of 640x480 is about
+/// 35 MB.
 pub struct RigRerunSink {
     recording: Recording,
     /// Of each camera, whether its intrinsics are logged.

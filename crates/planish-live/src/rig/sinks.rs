@@ -39,8 +39,8 @@ impl Consumer<RigFrame> for Box<dyn RigSink> {
     }
 }
 
-/// Writes the fused cloud of every moment to a folder, as `000000.pcd` and so on, each file atomically; `points.txt` lists them with their
-/// times, `rig.json` is the rig.
+/// Writes the fused cloud of every moment to a folder, as `000000.pcd` and so on, each file atomically; `points.txt`
+/// lists them with their times, `rig.json` is the rig.
 pub struct FusedSink {
     folder: PathBuf,
     format: SinkFormat,
@@ -107,8 +107,8 @@ impl RigSink for FusedSink {
     }
 }
 
-/// Writes every camera's frames into a folder of its own, as [`FolderSink`] does, and beside them the `rig.json`, which streams them again if they
-/// are data sets of depth images.
+/// Writes every camera's frames into a folder of its own, as [`FolderSink`] does, and beside them the `rig.json`, which
+/// streams them again if they are data sets of depth images.
 pub struct CamerasSink {
     folder: PathBuf,
     format: SinkFormat,

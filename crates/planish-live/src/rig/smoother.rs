@@ -15,7 +15,8 @@ use planish_core::{
     internal::{Rays, RigidTransform, Threads},
 };
 
-/// How the frames of a moment are smoothed. The results are of the same kind: for each camera its points, on its grid and in its frame.
+/// How the frames of a moment are smoothed. The results are of the same kind: for each camera its points, on its grid
+/// and in its frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum RigWay {
@@ -24,8 +25,8 @@ pub enum RigWay {
     Each,
     /// All points as one general cloud, so that what several cameras see is supported by all of them.
     Merged,
-    /// As range images from where each camera stands, of what all cameras see from there: each is smoothed as a frame of its
-    /// camera, and every point is the mean of what the views say of it. The cameras' intrinsics must be known.
+    /// As range images from where each camera stands, of what all cameras see from there: each is smoothed as a frame
+    /// of its camera, and every point is the mean of what the views say of it. The cameras' intrinsics must be known.
     Views,
 }
 
@@ -137,21 +138,24 @@ impl RigSmoother {
         })
     }
 
-    /// The same with its cameras spread over these devices, each to the one that has the fewest pixels; with none for the one of the
-    /// options. All points as one cloud are smoothed by the first. A device that fails is an error as any engine's is; a smoother without it goes on.
+    /// The same with its cameras spread over these devices, each to the one that has the fewest pixels; with none for
+    /// the one of the options. All points as one cloud are smoothed by the first. A device that fails is an error as
+    /// any engine's is; a smoother without it goes on.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }
 
-    /// The same with another bound of how far surfaces of two cameras are apart for their poses' sake, in metres: of views.
+    /// The same with another bound of how far surfaces of two cameras are apart for their poses' sake, in metres: of
+    /// views.
     pub fn with_registration_m(self, registration_m: f64) -> Self {
         Self { registration_m, ..self }
     }
 
     /// The same with points that are merged thinned to one for each voxel of this size in metres, or with all of them.
     ///
-    /// A fused cloud has then one point a voxel: the centroid of the points in it, smoothed among the other centroids, with the camera of the
-    /// point nearest to it. Each camera's own points are put onto the surface that those make (docs/method.md, section 13).
+    /// A fused cloud has then one point a voxel: the centroid of the points in it, smoothed among the other centroids,
+    /// with the camera of the point nearest to it. Each camera's own points are put onto the surface that those make
+    /// (docs/method.md, section 13).
     pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
         Self { general: self.general.with_voxel_m(voxel_m), ..self }
     }
@@ -187,8 +191,8 @@ impl RigSmoother {
     /// Smooths one frame of each camera that has one. Results are in the frames of their cameras' points.
     ///
     /// # Errors
-    /// If the engine fails; moments in flight are lost then, and the next frames open the engines again. A frame that cannot be smoothed is
-    /// an error in its own place.
+    /// If the engine fails; moments in flight are lost then, and the next frames open the engines again. A frame that
+    /// cannot be smoothed is an error in its own place.
     pub fn smooth(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
         self.check_count(frames)?;
         let result = self.land_all().and_then(|()| self.smooth_now(frames));

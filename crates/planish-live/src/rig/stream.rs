@@ -50,9 +50,9 @@ pub struct RigFrame {
 }
 
 impl RigFrame {
-    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index of the camera. If points
-    /// were thinned, one for each voxel: the mean of the smoothed points of all cameras in it, with their fields. Put together when it is
-    /// first asked for.
+    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index
+    /// of the camera. If points were thinned, one for each voxel: the mean of the smoothed points of all cameras in it,
+    /// with their fields. Put together when it is first asked for.
     pub fn fused(&self) -> Result<&PointCloud, FrameError> {
         let fused = self.fused.get_or_init(|| {
             let frames = self.cameras.iter().map(|frame| frame.as_ref().map(|frame| (&frame.source, &frame.smoothed)));
@@ -76,12 +76,12 @@ pub enum RigEvent<'a> {
     Warning(String),
 }
 
-/// Streams a rig until all its cameras end, its limits are reached, all its sinks have failed, or `stop` is set; then waits for the sinks and
-/// closes them.
+/// Streams a rig until all its cameras end, its limits are reached, all its sinks have failed, or `stop` is set; then
+/// waits for the sinks and closes them.
 ///
-/// `sources` are those of its cameras, in their order: all live, of which the newest moment wins, or none, of which every frame is smoothed. A
-/// camera that fails or ends is reported and counted, and the others go on. A lost GPU is reopened once, after which the CPU engine takes over;
-/// of several devices the others take its cameras.
+/// `sources` are those of its cameras, in their order: all live, of which the newest moment wins, or none, of which
+/// every frame is smoothed. A camera that fails or ends is reported and counted, and the others go on. A lost GPU is
+/// reopened once, after which the CPU engine takes over; of several devices the others take its cameras.
 ///
 /// # Errors
 /// If the options are not allowed, an engine fails for good, or every camera failed before it gave a frame.
@@ -182,7 +182,7 @@ struct RigStream<'a> {
     is_live: bool,
     /// Whether an engine has taken a moment.
     was_open: bool,
-    /// What has become of the GPU.
+    /// Losses of the GPU so far.
     losses: GpuLosses,
     sinks: Vec<SinkThread<RigFrame>>,
     statistics: RigStatistics,
@@ -390,8 +390,8 @@ impl RigStream<'_> {
         Ok(())
     }
 
-    /// After an error of a GPU: its cameras go to the other devices; of one alone the engines are opened once more, then the CPU takes over.
-    /// Moments in flight are submitted again.
+    /// After an error of a GPU: its cameras go to the other devices; of one alone the engines are opened once more,
+    /// then the CPU takes over. Moments in flight are submitted again.
     fn recover(&mut self, mut error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
         loop {
             let was_gpu = self.smoother.engine() == Engine::Gpu;

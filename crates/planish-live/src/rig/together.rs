@@ -15,9 +15,9 @@ use planish_core::{
 pub(super) struct PlacedFrames<'a> {
     /// Each with what takes its points into the rig's frame.
     pub(super) frames: Vec<Option<(Frame<'a>, RigidTransform)>>,
-    /// Of those that are depth images.
+    /// For depth images.
     pub(super) rays: Vec<Arc<Rays>>,
-    /// Where each camera stands in the rig's frame.
+    /// The position of each camera in the rig's frame.
     pub(super) lenses: Vec<DVec3>,
 }
 
@@ -28,12 +28,12 @@ pub(super) struct Together {
     cameras: Vec<Option<Measured>>,
 }
 
-/// What a camera measured, in its own frame.
+/// A camera's measurements in its own frame.
 struct Measured {
     positions: Xyz,
     shape: (usize, usize),
     rig_from_points: RigidTransform,
-    /// Where the camera stands in the rig's frame.
+    /// The camera's position in the rig's frame.
     lens: DVec3,
 }
 
@@ -57,7 +57,7 @@ impl Together {
         lens.unwrap_or_default() - DVec3::from_array(self.cloud.origin_m)
     }
 
-    /// Of each camera what was found for its points, from results for all.
+    /// Splits results for all points into results for each camera.
     pub(super) fn given_back(&self, all: &Smoothed) -> Vec<Option<Smoothed>> {
         let origin = DVec3::from_array(self.cloud.origin_m);
         let pixels = self.cameras.par_iter().map(|camera| camera.as_ref().map_or_else(Vec::new, Measured::pixels));
@@ -91,12 +91,13 @@ impl Measured {
         Part { camera, rig_from_points, positions, attributes: Vec::new() }
     }
 
-    /// Those that are no holes.
+    /// Points without holes.
     fn pixels(&self) -> Vec<usize> {
         (0..self.positions.len()).filter(|&i| self.positions.is_finite(i)).collect()
     }
 
-    /// What was found for the points of these pixels, which begin at `first` of all, in the frame that they came from; normals face the camera.
+    /// What was found for the points of these pixels, which begin at `first` of all, in the frame that they came from;
+    /// normals face the camera.
     fn given_back(&self, all: &Smoothed, first: usize, its_pixels: &[usize], origin: DVec3) -> Smoothed {
         let (width, height) = self.shape;
         let pixels = width * height;

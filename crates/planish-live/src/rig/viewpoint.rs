@@ -4,7 +4,8 @@ use glam::{DQuat, DVec3};
 
 use planish_core::{Camera, FrameError, ParamError, SensorPose};
 
-/// A place from which what all cameras see is smoothed besides their own ([`RigWay::Views`](super::RigWay::Views)); other ways take no notice.
+/// A place from which what all cameras see is smoothed besides their own ([`RigWay::Views`](super::RigWay::Views));
+/// other ways take no notice.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Viewpoint {

@@ -1,11 +1,12 @@
 //! The way of views: what all cameras see, as range images from where each of them stands.
 //!
-//! Each camera's grid is a view, and so is that of every viewpoint that was added. A pixel's own sample, or the nearest point that falls into it if it has none, is its front; samples of other
-//! cameras that fall into the pixel no farther from its front than the cameras' registration and noise allow, on surfaces that face
-//! the view, are of the same surface. The view is the mean of them, weighted by the inverse of their noise squared, and is smoothed as a frame of its
-//! camera. Then every point moves along its own ray to the tangent planes of the pixels that it was counted in, and is the mean of
-//! those by the squared cosine of their incidence. So a surface that several cameras see, and that errors of their poses have
-//! doubled, becomes one.
+//! Each camera's grid is a view, and so is that of every viewpoint that was added. A pixel's own sample, or the nearest
+//! point that falls into it if it has none, is its front; samples of other cameras that fall into the pixel no farther
+//! from its front than the cameras' registration and noise allow, on surfaces that face the view, are of the same
+//! surface. The view is the mean of them, weighted by the inverse of their noise squared, and is smoothed as a frame of
+//! its camera. Then every point moves along its own ray to the tangent planes of the pixels that it was counted in, and
+//! is the mean of those by the squared cosine of their incidence. So a surface that several cameras see, and that
+//! errors of their poses have doubled, becomes one.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -22,11 +23,12 @@ const DEVIATIONS: f64 = 3.0;
 /// Surfaces seen at more than 80° are not taken for facing a view.
 const FACING_COSINE: f64 = 0.17;
 
-/// Samples in adjacent pixels are up to two pixels apart, and a surface that counts is at most 80° steep: by so many widths of a pixel it
-/// can lie deeper in one of them.
+/// Samples in adjacent pixels are up to two pixels apart, and a surface that counts is at most 80° steep: by so many
+/// widths of a pixel it can lie deeper in one of them.
 const STEEPEST_PX: f32 = 2.0 * 5.67;
 
-/// Pixels of one smooth surface have normals less than 30° apart, and it passes no farther than this from where a tangent plane has it.
+/// Pixels of one smooth surface have normals less than 30° apart, and it passes no farther than this from where a
+/// tangent plane has it.
 const SAME_SURFACE_COSINE: f64 = 0.866;
 const SAME_SURFACE_M: f64 = 0.003;
 
@@ -92,7 +94,8 @@ impl Measured {
         (self.camera.width, self.camera.height)
     }
 
-    /// What is seen from here, of this camera and of others. Surfaces of two cameras are at most `registration_m` apart for their poses' sake.
+    /// What is seen from here, of this camera and of others. Surfaces of two cameras are at most `registration_m` apart
+    /// for their poses' sake.
     pub(super) fn view(&self, index: usize, all: &[Option<Self>], registration_m: f64) -> View {
         let (width, height) = self.shape();
         let landings: Vec<Option<Landings>> = all
@@ -148,8 +151,8 @@ impl Measured {
         if !self.is_added {
             return front_m;
         }
-        // Where nothing stands, what is behind a surface would be seen through the gaps between its samples. It is not, where the surface cannot
-        // be as steep as to lead there from a pixel beside.
+        // Where nothing stands, what is behind a surface would be seen through the gaps between its samples. It is not,
+        // where the surface cannot be as steep as to lead there from a pixel beside.
         let (width, height) = self.shape();
         let deeper = 1.0 + STEEPEST_PX / self.camera.fx.min(self.camera.fy) as f32;
         let screened = |i: usize| {
@@ -266,8 +269,8 @@ impl View {
     }
 }
 
-/// Forgets in which pixels samples were counted beside which no other camera's were: what is seen of them from where nothing stands says no more
-/// than their own camera's view.
+/// Forgets in which pixels samples were counted beside which no other camera's were: what is seen of them from where
+/// nothing stands says no more than their own camera's view.
 fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], shape: (usize, usize)) {
     const SEVERAL: u16 = u16::MAX;
     let mut seen_by = vec![None; shape.0 * shape.1];

@@ -7,8 +7,8 @@ use libloading::Library;
 
 use planish_core::DeviceError;
 
-/// Declares the functions that are used of a C library: `find` looks them up, by their names behind a prefix. They are valid as
-/// long as the struct is.
+/// Declares the functions that are used of a C library: `find` looks them up, by their names behind a prefix. They are
+/// valid as long as the struct is.
 macro_rules! c_functions {
     ($(#[$about:meta])* $visible:vis struct $name:ident($prefix:literal) {
         $($(#[$note:meta])* $function:ident($($argument:ty),* $(,)?) $(-> $result:ty)?;)*

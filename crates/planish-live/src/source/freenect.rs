@@ -1,8 +1,9 @@
-//! Recordings of libfreenect: a folder with INDEX.txt, depth in d-*.pgm, colour in r-*.ppm, as its tool `fakenect-record` writes.
+//! Recordings of libfreenect: a folder with INDEX.txt, depth in d-*.pgm, colour in r-*.ppm, as its tool
+//! `fakenect-record` writes.
 //!
-//! Depth there is the Kinect's raw 11-bit disparity, two bytes a pixel, least significant first; 2047 is a hole. A name is
-//! KIND-SECONDS-TICKS.EXTENSION, in order of time. Disparity is the infrared camera's and colour that of the colour camera beside
-//! it: each point takes the colour of the pixel that it projects to there.
+//! Depth there is the Kinect's raw 11-bit disparity, two bytes a pixel, least significant first; 2047 is a hole. A name
+//! is KIND-SECONDS-TICKS.EXTENSION, in order of time. Disparity is the infrared camera's and colour that of the colour
+//! camera beside it: each point takes the colour of the pixel that it projects to there.
 
 use std::f64::consts::PI;
 #[cfg(any(test, feature = "internal"))]
@@ -25,8 +26,8 @@ const REACH_M: f64 = 10.0;
 /// The infrared camera, which raw disparity is in: N. Burrus, "Kinect calibration", 2011.
 const INFRARED_CAMERA: Camera = Camera::new((640, 480), [594.21434, 591.04054], [339.30781, 242.73914]);
 
-/// The colour camera beside it, and the transform from the infrared camera to it, from the same source. Axes are ours: x to the
-/// right, y down.
+/// The colour camera beside it, and the transform from the infrared camera to it, from the same source. Axes are ours:
+/// x to the right, y down.
 const COLOUR_CAMERA: Camera = Camera::new((640, 480), [529.21508, 525.56394], [328.94272, 267.48068]);
 const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
     0.999_846_29,
@@ -41,8 +42,8 @@ const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
 ]);
 const COLOUR_OFFSET_M: DVec3 = DVec3::new(0.019_985_24, -0.000_744_24, -0.010_916_74);
 
-/// Returns a colour for each pixel of a depth frame from disparities: black for holes and points outside the colour camera's
-/// picture.
+/// Returns a colour for each pixel of a depth frame from disparities: black for holes and points outside the colour
+/// camera's picture.
 fn colour_of_depth(frame: &DepthFrame, rgb: &[u8]) -> Vec<u8> {
     let camera = &frame.camera;
     let colour_at = |(i, &raw): (usize, &u16)| -> Option<[u8; 3]> {
@@ -61,7 +62,8 @@ fn colour_of_depth(frame: &DepthFrame, rgb: &[u8]) -> Vec<u8> {
 }
 
 /// Depth in metres of a Kinect v1's raw 11-bit disparity: z = 0.1236 tan(d/2842.5 + 1.1863), the fit of S. Magnenat
-/// (OpenKinect, "Imaging Information", 2010), good to some 4 mm at 1 m. NaN for a hole, and beyond the 10 m that the sensor reaches.
+/// (OpenKinect, "Imaging Information", 2010), good to some 4 mm at 1 m. NaN for a hole, and beyond the 10 m that the
+/// sensor reaches.
 pub fn disparity_depth_m(disparity: u16) -> f64 {
     let angle = f64::from(disparity) / 2842.5 + 1.1863;
     // The tangent is negative beyond its pole.
@@ -76,8 +78,8 @@ fn depth_disparity(depth_m: f32) -> u16 {
     if disparity >= 0.0 && disparity < f64::from(HOLE_DISPARITY) { disparity.round() as u16 } else { HOLE_DISPARITY }
 }
 
-/// Converts a Kinect's raw disparities, two bytes each, least significant first, to a depth frame in millimetres. `rgb` is the
-/// picture of its colour camera.
+/// Converts a Kinect's raw disparities, two bytes each, least significant first, to a depth frame in millimetres. `rgb`
+/// is the picture of its colour camera.
 pub(super) fn frame_of_disparities(
     bytes: &[u8],
     rgb: Option<&[u8]>,
@@ -137,8 +139,8 @@ impl Source for FreenectRecording {
     }
 }
 
-/// Returns the pixels of an image of a recording. Its header is one line, such as "P5 640 480 65535", and 16-bit pixels are
-/// little-endian, against the PGM standard.
+/// Returns the pixels of an image of a recording. Its header is one line, such as "P5 640 480 65535", and 16-bit pixels
+/// are little-endian, against the PGM standard.
 fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>, Error> {
     let mut bytes = fs::read(file).map_err(|error| IoError { path: file.to_path_buf(), problem: error.into() })?;
     let end = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |at| at + 1);
@@ -152,7 +154,8 @@ fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>,
     Ok(bytes.split_off(end))
 }
 
-/// Writes frames of a Kinect v1 as a recording for libfreenect's playback library: depth as the nearest disparity, with colour.
+/// Writes frames of a Kinect v1 as a recording for libfreenect's playback library: depth as the nearest disparity, with
+/// colour.
 #[cfg(any(test, feature = "internal"))]
 pub fn write_freenect_recording(folder: &Path, frames: &[DepthFrame]) -> Result<(), Error> {
     fs::create_dir_all(folder).map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
@@ -206,7 +209,8 @@ mod tests {
         let frame = frame_of_disparities(&bytes, Some(&rgb), None, None);
         let colours = frame.rgb.unwrap();
         assert_eq!(colours[..3], [0; 3], "a hole has no colour");
-        // The point straight ahead at 1 m is 2 cm to the right of the colour camera's axis, which is turned by a degree.
+        // The point straight ahead at 1 m is 2 cm to the right of the colour camera's axis, which is turned by a
+        // degree.
         let i = 3 * (640 * 243 + 339);
         let z = f64::from(frame.camera.depth_m(frame.raw[640 * 243 + 339]));
         let u = COLOUR_CAMERA.cx + COLOUR_CAMERA.fx * (0.019_985 - 0.017_487 * z) / (0.999_772 * z - 0.010_917);

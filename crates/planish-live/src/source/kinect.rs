@@ -1,12 +1,13 @@
 //! A live Kinect v1 through libfreenect, loaded at run time and never linked.
 //!
-//! The library is `libfreenect.so.0.5`, or the path in the environment variable PLANISH_LIBFREENECT. Where the driver supports it,
-//! depth is registered to the colour camera, in millimetres. Otherwise it is raw 11-bit disparity, converted by
-//! [`disparity_depth_m`](super::disparity_depth_m), and each point gets the colour of the pixel that it projects to. One thread owns
-//! the device and turns the driver's events into frames; only the newest is kept.
+//! The library is `libfreenect.so.0.5`, or the path in the environment variable PLANISH_LIBFREENECT. Where the driver
+//! supports it, depth is registered to the colour camera, in millimetres. Otherwise it is raw 11-bit disparity,
+//! converted by [`disparity_depth_m`](super::disparity_depth_m), and each point gets the colour of the pixel that it
+//! projects to. One thread owns the device and turns the driver's events into frames; only the newest is kept.
 //!
-//! The playback library of libfreenect has the same name and plays a recording. It exits the process without a recording, and
-//! aborts it on a mode that it lacks. It is recognized by the functions it lacks, and asked for 11 bits and RGB, which it has.
+//! The playback library of libfreenect has the same name and plays a recording. It exits the process without a
+//! recording, and aborts it on a mode that it lacks. It is recognized by the functions it lacks, and asked for 11 bits
+//! and RGB, which it has.
 
 use std::ffi::{c_int, c_void};
 use std::path::Path;
@@ -262,7 +263,8 @@ fn run(
 ) -> Result<(), DeviceError> {
     let failed = |what: &str, code: c_int| DeviceError::Failed { what: format!("{what} (libfreenect says {code})") };
     let mut context: Context = std::ptr::null_mut();
-    // SAFETY: every call is libfreenect's own, with pointers that it gave or that outlive their use; all on this thread.
+    // SAFETY: every call is libfreenect's own, with pointers that it gave or that outlive their use; all on this
+    // thread.
     unsafe {
         match (freenect.init)(&mut context, std::ptr::null_mut()) {
             code if code < 0 => return Err(failed("libfreenect does not start", code)),
@@ -304,8 +306,8 @@ unsafe fn run_device(
     opened: &SyncSender<()>,
     stopped: &Receiver<()>,
 ) -> Result<(), DeviceError> {
-    // SAFETY: as for `run`; `events` outlives the streams that use it: they are stopped, and the pointer to it taken back,
-    // whatever failed before.
+    // SAFETY: as for `run`; `events` outlives the streams that use it: they are stopped, and the pointer to it taken
+    // back, whatever failed before.
     unsafe {
         let registered =
             !freenect.is_playback && (freenect.find_depth_mode)(RESOLUTION_MEDIUM, DEPTH_REGISTERED).is_valid != 0;

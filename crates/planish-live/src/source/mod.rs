@@ -1,7 +1,7 @@
 //! Where frames come from: a camera, a data set, a folder, a file, the simulator.
 //!
-//! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To use a camera of your
-//! own, implement [`Source`]; [`stream`](crate::stream) takes any.
+//! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To use a camera
+//! of your own, implement [`Source`]; [`stream`](crate::stream) takes any.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -49,7 +49,8 @@ pub trait Source: Send {
     /// A frame that cannot be read is an error; the caller may go on with the one after it.
     fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error>;
 
-    /// Returns the name of the frame delivered last, where it has one of its own: that of its file, without the extension.
+    /// Returns the name of the frame delivered last, where it has one of its own: that of its file, without the
+    /// extension.
     fn frame_name(&self) -> Option<String> {
         None
     }
@@ -59,7 +60,8 @@ pub trait Source: Send {
         None
     }
 
-    /// Takes a flag that a stream sets when it ends, before the first frame. A source that may wait for long looks at it.
+    /// Takes a flag that a stream sets when it ends, before the first frame. A source that may wait for long looks at
+    /// it.
     fn end_with(&mut self, _ended: Arc<AtomicBool>) {}
 
     /// Returns how many frames a live source has replaced by newer ones before they were taken.
@@ -67,8 +69,8 @@ pub trait Source: Send {
         0
     }
 
-    /// Whether frames arrive at their own pace and are lost if not taken in time. A stream then wants the newest frame; of any
-    /// other source it wants every frame.
+    /// Whether frames arrive at their own pace and are lost if not taken in time. A stream then wants the newest frame;
+    /// of any other source it wants every frame.
     fn is_live(&self) -> bool {
         false
     }
@@ -208,9 +210,9 @@ impl SourceOptions {
     }
 }
 
-/// Opens `kinect[:INDEX]`, `realsense[:SERIAL]`, `realsense:RECORDING`, `openni2[:URI]`, `synthetic[:SEED]`, a data set in TUM RGB-D
-/// layout, a recording of libfreenect, one of ROS 2 in MCAP (with the feature `mcap`), a folder of frames, or one file, which is
-/// repeated without end.
+/// Opens `kinect[:INDEX]`, `realsense[:SERIAL]`, `realsense:RECORDING`, `openni2[:URI]`, `synthetic[:SEED]`, a data set
+/// in TUM RGB-D layout, a recording of libfreenect, one of ROS 2 in MCAP (with the feature `mcap`), a folder of frames,
+/// or one file, which is repeated without end.
 pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
     let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
     let &SourceOptions { camera, alignment, mode, fps, frames, .. } = options;

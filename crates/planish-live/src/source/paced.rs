@@ -42,7 +42,8 @@ impl Source for Paced {
             }
             thread::sleep(left.min(PATIENCE));
         }
-        // Counted from when it was due, not from when it came, so that delays do not add up; frames of a longer delay are dropped.
+        // Counted from when it was due, not from when it came, so that delays do not add up; frames of a longer delay
+        // are dropped.
         let missed = now.saturating_duration_since(due).as_nanos() / self.interval.as_nanos().max(1);
         let missed = u32::try_from(missed).unwrap_or(u32::MAX);
         self.next =

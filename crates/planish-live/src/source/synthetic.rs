@@ -11,7 +11,8 @@ const ROUND: u64 = 60;
 
 /// A Kinect v1 that circles before a table endlessly, at 30 frames/s by its time stamps.
 ///
-/// The first round is rendered when the source is opened, since rendering takes longer than smoothing; later rounds repeat it.
+/// The first round is rendered when the source is opened, since rendering takes longer than smoothing; later rounds
+/// repeat it.
 pub struct SyntheticSource {
     scene: Scene,
     start: Pose,

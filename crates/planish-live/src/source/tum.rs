@@ -1,7 +1,7 @@
 //! Data sets in the layout of the TUM RGB-D benchmark: depth/ and rgb/ with PNGs, and lists of time stamps and files.
 //!
-//! Depth has 5000 units per metre. The camera is the caller's, else that of `camera.json` beside the lists, which [`TumRecorder`]
-//! writes, else the benchmark's default of 525, 525, 319.5, 239.5.
+//! Depth has 5000 units per metre. The camera is the caller's, else that of `camera.json` beside the lists, which
+//! [`TumRecorder`] writes, else the benchmark's default of 525, 525, 319.5, 239.5.
 
 use std::fs;
 use std::io::Write;
@@ -40,8 +40,8 @@ struct Entry {
 impl TumSource {
     /// Opens a folder that has depth.txt and optionally rgb.txt, or associations.txt.
     ///
-    /// Depth has 5000 units per metre whatever the camera says, unless `units_per_metre` or the data set's own camera.json
-    /// says otherwise.
+    /// Depth has 5000 units per metre whatever the camera says, unless `units_per_metre` or the data set's own
+    /// camera.json says otherwise.
     pub fn open(folder: &Path, camera: Option<Camera>, units_per_metre: Option<f64>) -> Result<Self, Error> {
         let lists = ["associations.txt", "associate.txt"].map(|name| folder.join(name));
         let entries = match lists.iter().find(|list| list.is_file()) {
@@ -149,10 +149,11 @@ fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
     Ok(depths.into_iter().map(entry).collect())
 }
 
-/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units a metre, as the layout has it, if the camera's unit is a whole
-/// multiple of that, as a millimetre is. Finer units are kept, and `camera.json` states them.
+/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units a metre, as the layout has it, if the camera's
+/// unit is a whole multiple of that, as a millimetre is. Finer units are kept, and `camera.json` states them.
 ///
-/// Files are named by time stamps in microseconds; one that repeats or goes back becomes 1 us later than the one before.
+/// Files are named by time stamps in microseconds; one that repeats or goes back becomes 1 us later than the one
+/// before.
 pub struct TumRecorder {
     folder: PathBuf,
     units: Option<Units>,

@@ -9,7 +9,7 @@ use planish_ros2::bag::BagWriter;
 
 use super::{Sink, StreamFrame};
 
-/// A sink of a stream that writes results as a recording: depth if the stream's outputs have it, else clouds.
+/// A sink that writes results to a recording: depth if the stream's outputs include it, otherwise clouds.
 pub struct BagSink {
     writer: Option<BagWriter>,
     name: String,
@@ -23,7 +23,7 @@ impl BagSink {
         Ok(Self { writer: Some(BagWriter::create(path)?), name: path.display().to_string(), outputs, discard: None })
     }
 
-    /// The same, but that nothing is left if this flag is set at the end: a part is not what was wanted.
+    /// Sets a flag that discards the recording if it is set at the end, so that no partial one is left.
     pub fn discarding_if(self, discard: Arc<AtomicBool>) -> Self {
         Self { discard: Some(discard), ..self }
     }

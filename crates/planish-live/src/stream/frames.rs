@@ -19,7 +19,7 @@ const PATIENCE: Duration = Duration::from_millis(50);
 
 /// A running stream as an iterator over its frames.
 ///
-/// From a live source the newest frame replaces one that has not been taken; from any other, the stream waits for the caller. When
+/// A live source's newest frame replaces a frame that waits; any other source waits for the caller. When
 /// this is dropped, the stream stops.
 #[derive(Debug)]
 pub struct Frames {
@@ -57,7 +57,7 @@ struct State {
 }
 
 impl Frames {
-    /// Starts a stream on a thread of its own; see [`run`].
+    /// Starts a stream on another thread; see [`run`].
     ///
     /// # Errors
     ///
@@ -120,7 +120,8 @@ impl Frames {
         Some(statistics)
     }
 
-    /// Tells the stream to stop; frames that wait can still be taken. [`has_ended`](Self::has_ended) says when it has.
+    /// Asks the stream to stop, after which [`has_ended`](Self::has_ended) becomes true. Frames that wait can still be
+    /// taken.
     pub fn stop(&self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         self.shared.changed.notify_all();
@@ -278,7 +279,7 @@ mod tests {
         let mut frames = start(options());
         frames.next().unwrap().unwrap();
         frames.stop();
-        // Those that waited, and no more.
+        // Only frames that waited.
         assert!(frames.by_ref().count() < 20);
         assert!(frames.has_ended() && frames.statistics().is_some());
     }

@@ -1,8 +1,9 @@
 //! Streams: source, smoother, sinks; frames are smoothed as they arrive.
 //!
-//! A capture thread moves frames from the source into a mailbox: of a live source only the newest waits, and dropped ones are
-//! counted; of any other every frame is kept, in order. The calling thread smooths, with several frames in flight on a GPU. Each
-//! sink has a thread and a short queue of its own, so that none blocks the source or another sink.
+//! A capture thread moves frames from the source into a mailbox: of a live source only the newest waits, and dropped
+//! ones are counted; of any other every frame is kept, in order. The calling thread smooths, with several frames in
+//! flight on a GPU. Each sink has a thread and a short queue of its own, so that none blocks the source or another
+//! sink.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -83,7 +84,7 @@ pub struct StreamOptions {
     pub max_duration: Option<Duration>,
 }
 
-/// Where the parameters of a stream come from.
+/// The origin of a stream's parameters.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum StreamParams {
@@ -160,10 +161,12 @@ pub enum StreamEvent<'a> {
     Warning(String),
 }
 
-/// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes them.
+/// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes
+/// them.
 ///
-/// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over; of several devices
-/// the others go on. Frames keep their order. A frame or sink that fails is reported and counted, and the stream continues.
+/// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over;
+/// of several devices the others go on. Frames keep their order. A frame or sink that fails is reported and counted,
+/// and the stream continues.
 pub fn run(
     mut source: Box<dyn Source>,
     options: &StreamOptions,
@@ -237,8 +240,8 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
     let _end = EndOf(mailbox);
     // A live source that fails repeatedly counts as gone; any other ends by itself.
     let mut failures = 0;
-    // Frames that came while an engine was opened, which takes longer than many frames, do not count as dropped. A source may
-    // know of them only with the frame after them.
+    // Frames that came while an engine was opened, which takes longer than many frames, do not count as dropped. A
+    // source may know of them only with the frame after them.
     let (mut is_ready, mut missed_before) = (false, Some(0));
     while !mailbox.is_closed() {
         if let Some(missed) = missed_before {
@@ -363,7 +366,7 @@ impl Stream<'_> {
         Ok(())
     }
 
-    /// Reports what the session did by itself.
+    /// Reports the session's decisions.
     fn tell_events(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) {
         for event in self.session.take_events() {
             tell(StreamEvent::Warning(event.to_string()));

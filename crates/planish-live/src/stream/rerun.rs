@@ -1,5 +1,5 @@
-//! Rerun as a sink [feature `rerun`]: the raw and the smoothed cloud side by side, the depth image, latency and rate, in its
-//! viewer or as a file for it.
+//! Rerun as a sink [feature `rerun`]: the raw and the smoothed cloud side by side, the depth image, latency and rate,
+//! in its viewer or as a file for it.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -39,8 +39,8 @@ impl RerunSink {
         Self::start(Recording::spawn()?)
     }
 
-    /// Writes a file for Rerun's viewer. It is called `FILE.partial` until it is closed; if the process is killed before, the
-    /// viewer opens the part that was written.
+    /// Writes a file for Rerun's viewer. It is called `FILE.partial` until it is closed; if the process is killed
+    /// before, the viewer opens the part that was written.
     pub fn save(file: &Path) -> Result<Self, Error> {
         Self::start(Recording::save(file)?)
     }
@@ -115,7 +115,8 @@ impl Recording {
         }
     }
 
-    /// Waits until the viewer has all, so that results which it is too slow for are dropped, and counted, by the stream.
+    /// Waits until the viewer has all, so that results which it is too slow for are dropped, and counted, by the
+    /// stream.
     pub(crate) fn flush(&self) -> Result<(), DeviceError> {
         let gone = |error| DeviceError::Gone { what: format!("{} takes no more frames: {error}", self.name) };
         self.stream.as_ref().map_or(Ok(()), |stream| stream.flush_with_timeout(SILENCE).map_err(gone))

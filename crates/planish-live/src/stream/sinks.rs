@@ -55,10 +55,11 @@ impl SinkFormat {
     }
 }
 
-/// Writes every result to a folder, under the name of its frame or else as `000000.pcd` and so on, each file atomically.
+/// Writes every result to a folder, under the name of its frame or else as `000000.pcd` and so on, each file
+/// atomically.
 ///
-/// Depth becomes a data set in TUM layout: `depth.txt` with the time stamps, `camera.json` with intrinsics and units, and colour in `rgb`
-/// with `rgb.txt`. Clouds whose source has time stamps are listed in `points.txt`.
+/// Depth becomes a data set in TUM layout: `depth.txt` with the time stamps, `camera.json` with intrinsics and units,
+/// and colour in `rgb` with `rgb.txt`. Clouds whose source has time stamps are listed in `points.txt`.
 pub struct FolderSink {
     folder: PathBuf,
     format: SinkFormat,
@@ -73,8 +74,8 @@ pub struct FolderSink {
 const OF_A_DATA_SET: [&str; 4] = ["depth.txt", "rgb.txt", "points.txt", "camera.json"];
 
 impl FolderSink {
-    /// Creates the folder. `outputs` are the fields to add to points. Refuses a folder that has a data set already, whose lists and camera
-    /// would be mixed with the new ones.
+    /// Creates the folder. `outputs` are the fields to add to points. Refuses a folder that has a data set already,
+    /// whose lists and camera would be mixed with the new ones.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
         std::fs::create_dir_all(folder)
             .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
@@ -169,7 +170,8 @@ const FRAMES_PER_SECOND: f64 = 30.0;
 /// Reported when a stream ends because nobody would get its results.
 pub(crate) const ALL_SINKS_FAILED: &str = "every sink has failed: the stream ends";
 
-/// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full a live stream drops results; any other waits.
+/// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full a live stream drops results; any
+/// other waits.
 const QUEUE: usize = 8;
 
 /// Consumes results of a kind: what a thread of its own does with them.

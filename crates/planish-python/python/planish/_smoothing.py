@@ -90,7 +90,7 @@ class Smoother:
         # A pool of its own: threads that are shared do not survive a fork.
         own_threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self._engine = Engine({"threads": own_threads, **self._settings})
-        # What has no effect on points without a grid; reported once, if such points come.
+        # Settings without effect on points without a grid, reported once.
         self._unused = self._engine.unused_by_clouds()
         # Of each frame in flight its kind, and its points where they are float64.
         self._in_flight: deque[tuple[_Kind, NDArray[Any] | None]] = deque()

@@ -95,13 +95,14 @@ impl Decompressor for Zstd {
     }
 }
 
-/// Decompresses LZ4 frames, one after another. lz4_flex decompresses their blocks; its own frames need a reader that waits.
+/// Decompresses LZ4 frames, one after another. lz4_flex decompresses their blocks; its own frames need a reader that
+/// waits.
 #[derive(Default)]
 struct Lz4 {
     frame: Option<Lz4Frame>,
     /// The last block, and the 64 KiB before it that it may refer to.
     window: Vec<u8>,
-    /// Where in `window` the bytes begin that were not handed out.
+    /// The offset in `window` of the first byte not yet returned.
     unread: usize,
     skipping: usize,
 }

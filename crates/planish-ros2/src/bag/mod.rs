@@ -1,8 +1,8 @@
-//! Recordings of ROS 2 in MCAP: smoothed into recordings that are the same but for that, read as a source of frames, and written from
-//! one.
+//! Recordings of ROS 2 in MCAP: smoothed into recordings that are the same but for that, read as a source of frames,
+//! and written from one.
 //!
-//! Recordings are read and written record by record: memory holds a chunk and a message, whatever the length. The messages are those of
-//! [`ros`](crate::ros).
+//! Recordings are read and written record by record: memory holds a chunk and a message, whatever the length. The
+//! messages are those of [`ros`](crate::ros).
 
 mod decompress;
 mod records;
@@ -63,7 +63,8 @@ pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
     }
 }
 
-/// Refuses recordings of other kinds by name: those of ROS 1, of ROS 2 in SQLite and in compressed files, with the line that converts them.
+/// Refuses recordings of other kinds by name: those of ROS 1, of ROS 2 in SQLite and in compressed files, with the line
+/// that converts them.
 pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
     let name = path.display();
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_ascii_lowercase();

@@ -116,7 +116,8 @@ fn read_some(file: &mut impl Read, to: &mut [u8]) -> std::io::Result<usize> {
     }
 }
 
-/// Whether the texts, tables and data of a record lie in it: the parser would allocate whatever they are said to take, or panic.
+/// Whether the texts, tables and data of a record lie in it: the parser would allocate whatever they are said to take,
+/// or panic.
 fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
     /// Skips what has its length in four bytes before it.
     fn skip(data: &[u8]) -> Option<&[u8]> {
@@ -132,7 +133,8 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
         }
         Some(after)
     }
-    /// Skips the data of an attachment, whose length is in eight bytes before it and whose checksum is in four behind it.
+    /// Skips the data of an attachment, whose length is in eight bytes before it and whose checksum is in four behind
+    /// it.
     fn skip_attached(data: &[u8]) -> Option<&[u8]> {
         let (length, rest) = data.split_first_chunk::<8>()?;
         rest.get(usize::try_from(u64::from_le_bytes(*length)).ok()?.checked_add(4)?..)
@@ -201,7 +203,8 @@ impl Summary {
     }
 }
 
-/// How the first chunk of a recording is compressed; nothing where a message comes before any chunk, `None` where neither comes.
+/// How the first chunk of a recording is compressed; nothing where a message comes before any chunk, `None` where
+/// neither comes.
 pub(super) fn first_compression(path: &Path) -> Option<String> {
     /// Both times, the size without compression and the checksum of a chunk.
     const BEFORE_COMPRESSION: i64 = 8 + 8 + 8 + 4;

@@ -95,15 +95,17 @@ pub struct SmoothBagReport {
     pub not_chosen: Vec<String>,
 }
 
-/// Smooths the depth images and clouds of a recording. All else is copied bit for bit: other topics, stamps, log times, sequence numbers,
-/// channels with their numbers and metadata, attachments and private records. The chunks are compressed as those of the input are.
+/// Smooths the depth images and clouds of a recording. All else is copied bit for bit: other topics, stamps, log times,
+/// sequence numbers, channels with their numbers and metadata, attachments and private records. The chunks are
+/// compressed as those of the input are.
 ///
-/// A message that cannot be smoothed is copied and counted. A recording that was cut off is smoothed up to there. `tell` is called after
-/// each message smoothed with their number so far and that of all to come, where it is known. The output is there whole or not at all.
+/// A message that cannot be smoothed is copied and counted. A recording that was cut off is smoothed up to there.
+/// `tell` is called after each message smoothed with their number so far and that of all to come, where it is known.
+/// The output is there whole or not at all.
 ///
 /// # Errors
-/// If the recording has no such topics or cameras, is no recording, or damaged at once; if the engine fails; if the output cannot be written;
-/// [`EngineError::Stopped`] if `stop` was set.
+/// If the recording has no such topics or cameras, is no recording, or damaged at once; if the engine fails; if the
+/// output cannot be written; [`EngineError::Stopped`] if `stop` was set.
 pub fn smooth_bag(
     input: &Path,
     output: &Path,
@@ -219,8 +221,8 @@ fn empty_report(chosen: &Chosen) -> TopicReport {
     TopicReport { topic: chosen.topic.clone(), kind: chosen.kind, smoothed: 0, failed: 0, first_failure: None }
 }
 
-/// Opens a writer whose chunks are compressed as those of the input, or by zstd where that is not known; not at all in
-/// builds without `mcap-compression`.
+/// Opens a writer with the input's compression, or zstd if unknown; without compression in builds without
+/// `mcap-compression`.
 fn open_writer(
     whole: &AtomicFile,
     header: &FileHeader,

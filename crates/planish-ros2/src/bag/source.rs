@@ -23,7 +23,8 @@ pub struct BagSource {
 }
 
 impl BagSource {
-    /// Opens a recording. `topic` may be left out where only one has depth; `camera` is taken instead of the recording's.
+    /// Opens a recording. `topic` may be left out where only one has depth; `camera` is taken instead of the
+    /// recording's.
     ///
     /// # Errors
     /// If it is no recording, has no such topic, several, or none of the camera.
@@ -53,7 +54,7 @@ impl BagSource {
         })
     }
 
-    /// Returns the next frame; `None` at the end. After an error the caller may go on with the frame after it.
+    /// Returns the next frame; `None` at the end. After an error the caller may ask for the next frame.
     ///
     /// # Errors
     /// If the recording is damaged, or a message cannot be converted.

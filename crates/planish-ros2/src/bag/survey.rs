@@ -117,9 +117,9 @@ impl Survey {
         survey(path, options).map_err(IoError::at(path))
     }
 
-    /// Chooses what to smooth: the topics named, or else the only one with depth images, else the only one with compressed depth, else
-    /// the only one with clouds. A depth image needs its camera: that on the topic named, by convention beside it, or else the only one in
-    /// the same frame; none if the caller has one.
+    /// Chooses what to smooth: the topics named, or else the only one with depth images, else the only one with
+    /// compressed depth, else the only one with clouds. A depth image needs its camera: that on the topic named, by
+    /// convention beside it, or else the only one in the same frame; none if the caller has one.
     pub(super) fn choose(
         &self,
         path: &Path,
@@ -211,7 +211,8 @@ impl Survey {
 }
 
 impl Chosen {
-    /// Takes the newer camera of a message, if it is from the topic of this camera; one that is damaged changes nothing.
+    /// Takes the newer camera of a message, if it is from the topic of this camera; one that is damaged changes
+    /// nothing.
     pub(super) fn note_camera(&mut self, topic: &str, kind: MessageKind, data: &[u8]) {
         if let (MessageKind::CameraInfo, Some((camera_topic, info))) = (kind, &mut self.camera)
             && camera_topic == topic

@@ -33,10 +33,10 @@ pub(super) fn channel_metadata() -> BTreeMap<String, String> {
 
 /// Writes frames to a recording, which is there whole after [`finish`](Self::finish) or not at all.
 ///
-/// Depth goes to `/camera/depth/image_rect` (`image_raw` with distortion) with `camera_info` beside it: as 16UC1 if the camera's unit is the
-/// millimetre, else as 32FC1 in metres. Clouds go to
-/// `/camera/depth/points`, colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames in
-/// microseconds (those before 0 are 0), else 30 a second.
+/// Depth goes to `/camera/depth/image_rect` (`image_raw` with distortion) with `camera_info` beside it: as 16UC1 if the
+/// camera's unit is the millimetre, else as 32FC1 in metres. Clouds go to `/camera/depth/points`, colour registered to
+/// depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames
+/// in microseconds (those before 0 are 0), else 30 a second.
 pub struct BagWriter {
     path: PathBuf,
     whole: AtomicFile,
@@ -166,7 +166,8 @@ impl BagWriter {
     }
 }
 
-/// Depth in whole millimetres if that is the camera's unit, else in metres, so that a topic has one encoding and nothing is rounded.
+/// Depth in whole millimetres if that is the camera's unit, else in metres, so that a topic has one encoding and
+/// nothing is rounded.
 fn depth_pixels(image: &DepthImage, camera: &Camera) -> DepthPixels {
     if camera.depth_units_per_metre == 1000.0 {
         return DepthPixels::Millimetres(image.clone());

@@ -4,8 +4,9 @@ use super::{CameraInfo, Header};
 use planish_core::{Camera, Distortion, FormatError};
 
 impl CameraInfo {
-    /// Returns the camera of a depth image of that shape in pixels. A rectified image is seen through P, any other through K and the
-    /// distortion; binning and the region that was sent are taken into account. Depth is in millimetres.
+    /// Returns the camera of a depth image of that shape in pixels. A rectified image is seen through P, any other
+    /// through K and the distortion; binning and the region that was sent are taken into account. Depth is in
+    /// millimetres.
     ///
     /// # Errors
     /// If the message is of an image of another size, is not calibrated, or has a distortion other than `plumb_bob` or
@@ -81,8 +82,8 @@ impl CameraInfo {
     }
 }
 
-/// Whether the name of a topic says that its images are rectified, as in `image_rect` and `image_rect_raw`; a transport's name behind the
-/// image's is left out.
+/// Whether the name of a topic says that its images are rectified, as in `image_rect` and `image_rect_raw`; a
+/// transport's name behind the image's is left out.
 pub fn is_rectified(topic: &str) -> bool {
     let name = without_transport(topic).rsplit('/').next().unwrap_or_default();
     name.split('_').any(|word| matches!(word, "rect" | "rectified"))
@@ -93,7 +94,8 @@ fn without_transport(topic: &str) -> &str {
     transports.iter().find_map(|suffix| topic.strip_suffix(suffix)).unwrap_or(topic)
 }
 
-/// The topic of an image's camera by convention: `camera_info` beside it; a transport's name behind the image's is left out.
+/// The topic of an image's camera by convention: `camera_info` beside it; a transport's name behind the image's is left
+/// out.
 pub fn camera_info_topic(image_topic: &str) -> String {
     match without_transport(image_topic).rsplit_once('/') {
         Some((namespace, _)) => format!("{namespace}/camera_info"),

@@ -33,8 +33,8 @@ impl PointCloud2 {
     /// The points as they lie in the message.
     ///
     /// # Errors
-    /// If x, y and z are not all float32 or all float64, the fields reach beyond a point, the data are too short, or values are
-    /// big-endian: [`into_native`](Self::into_native) first.
+    /// If x, y and z are not all float32 or all float64, the fields reach beyond a point, the data are too short, or
+    /// values are big-endian: [`into_native`](Self::into_native) first.
     pub fn view(&self) -> Result<PointsView<'_>, FormatError> {
         let layout = self.layout()?;
         if self.is_bigendian != cfg!(target_endian = "big") {
@@ -150,8 +150,8 @@ impl PointCloud2 {
         Ok(self)
     }
 
-    /// The same cloud at its smoothed positions, holes as NaN; with normals and curvature if the result has them, in the fields of
-    /// those names where the cloud has such, else behind the others. All other bytes stay.
+    /// The same cloud at its smoothed positions, holes as NaN; with normals and curvature if the result has them, in
+    /// the fields of those names where the cloud has such, else behind the others. All other bytes stay.
     ///
     /// # Errors
     /// If the result is not that of this cloud.
@@ -229,8 +229,8 @@ impl PointCloud2 {
         Ok(())
     }
 
-    /// The cloud of a smoothed frame: x, y, z in 16 bytes a point, with normals and curvature in 32; the fields are float32, as in PCL's
-    /// structs.
+    /// The cloud of a smoothed frame: x, y, z in 16 bytes a point, with normals and curvature in 32; the fields are
+    /// float32, as in PCL's structs.
     pub fn of_smoothed(header: Header, smoothed: &Smoothed) -> Self {
         let with_normals = smoothed.normals.is_some() || smoothed.curvature.is_some();
         let point_step: u32 = if with_normals { 32 } else { 16 };

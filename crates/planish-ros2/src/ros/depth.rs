@@ -1,7 +1,8 @@
 //! Depth images: `Image` in 16UC1, mono16 and 32FC1, and `CompressedImage` of the transport `compressedDepth`.
 //!
-//! 16-bit depth is in millimetres and 0 is a hole; depth in floats is in metres and a hole is not finite (REP 118). compressedDepth puts
-//! 12 bytes before a 16-bit PNG: a format, and two parameters A and B by which a float was made an integer, q = A/z + B.
+//! 16-bit depth is in millimetres and 0 is a hole; depth in floats is in metres and a hole is not finite (REP 118).
+//! compressedDepth puts 12 bytes before a 16-bit PNG: a format, and two parameters A and B by which a float was made an
+//! integer, q = A/z + B.
 
 use super::{CompressedImage, Header, Image};
 use planish_core::{DepthImage, FormatError, internal::validate_shape};

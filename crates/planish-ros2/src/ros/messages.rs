@@ -1,5 +1,5 @@
-//! The messages, field by field as in the packages `std_msgs` and `sensor_msgs`, in the order of their definitions: their
-//! serialization is CDR.
+//! The messages, field by field as in the packages `std_msgs` and `sensor_msgs`, in the order of their definitions:
+//! their serialization is CDR.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,8 @@
-//! Messages of ROS 2 that hold depth, clouds and cameras, and their conversion: what recordings in MCAP and a node have in common.
+//! Messages of ROS 2 that hold depth, clouds and cameras, and their conversion: what recordings in MCAP and a node have
+//! in common.
 //!
-//! [`from_cdr`] and [`to_cdr`] read and write them as ROS 2 does, byte for byte. [`MessageSmoother`] smooths the data of one message
-//! after another and gives messages of the same type.
+//! [`from_cdr`] and [`to_cdr`] read and write them as ROS 2 does, byte for byte. [`MessageSmoother`] smooths the data
+//! of one message after another and gives messages of the same type.
 
 mod camera;
 mod cdr;

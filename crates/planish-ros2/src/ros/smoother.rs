@@ -37,7 +37,7 @@ impl From<FrameError> for MessageError {
 /// Smooths depth images and clouds one after another, whatever their shape.
 pub struct MessageSmoother {
     session: Session,
-    /// The fields that clouds get beside points.
+    /// The fields that are added to clouds.
     outputs: Outputs,
     read: ReadOptions,
     smoothed: Smoothed,
@@ -50,7 +50,7 @@ pub struct MessageSmoother {
 }
 
 impl MessageSmoother {
-    /// Creates a smoother; the outputs of the settings are the fields that clouds get beside points.
+    /// Creates a smoother; the settings' outputs are the fields added to clouds.
     ///
     /// # Errors
     /// If settings are outside their ranges or contradict each other, or a device is not there.
@@ -86,7 +86,7 @@ impl MessageSmoother {
         Self { read, ..self }
     }
 
-    /// Sets the settings from the next message on; their outputs are the fields that clouds get beside points.
+    /// Sets the settings from the next message on; their outputs are the fields added to clouds.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -102,8 +102,8 @@ impl MessageSmoother {
         self.wants_normals_image = wanted;
     }
 
-    /// The normals of the last message in the camera's optical frame, as an image of 32FC3; `None` if they were not asked for, or for a
-    /// cloud without a grid.
+    /// The normals of the last message in the camera's optical frame, as an image of 32FC3; `None` if they were not
+    /// asked for, or for a cloud without a grid.
     pub fn normals_image(&self, header: Header) -> Option<Image> {
         let normals = self.normals.as_ref().or(self.smoothed.normals.as_ref()).filter(|_| self.wants_normals_image)?;
         let Smoothed { width, height, .. } = self.smoothed;
@@ -130,8 +130,8 @@ impl MessageSmoother {
         &self.smoothed
     }
 
-    /// Smooths a depth image with the camera that is found for its shape. Returns the smoothed depth, in the unit of the image, and if `points`
-    /// is set leaves points and the fields beside them in [`smoothed`](Self::smoothed).
+    /// Smooths a depth image with the camera that is found for its shape. Returns the smoothed depth, in the unit of
+    /// the image, and if `points` is set leaves points and the fields beside them in [`smoothed`](Self::smoothed).
     ///
     /// # Errors
     /// If the message is none of depth, or the camera is of another shape, or the engine fails.

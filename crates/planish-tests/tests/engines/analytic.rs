@@ -43,8 +43,8 @@ fn a_plane_stays_where_it_is_at_every_degree() {
 
 #[test]
 fn a_sphere_keeps_its_radius_from_degree_2_on() {
-    // Radius 0.1 m; a window reaches 9 mm. A plane cuts the cap off by about half its height; a parabola differs from the
-    // sphere in the fourth order only.
+    // Radius 0.1 m; a window reaches 9 mm. A plane cuts the cap off by about half its height; a parabola differs from
+    // the sphere in the fourth order only.
     let sphere = height_field(41, 0.003, |x, y| 1.1 - (0.01 - x * x - y * y).max(0.0).sqrt());
     let distance = |[x, y, z]: [f64; 3]| (x * x + y * y + (z - 1.1) * (z - 1.1)).sqrt() - 0.1;
     let inner = |degree| {
@@ -63,8 +63,8 @@ fn a_quadratic_surface_is_reproduced_from_degree_2_on() {
     let cloud = height_field(31, 0.002, quadratic);
     let distance = |[x, y, z]: [f64; 3]| z - quadratic(x, y);
     let errors = [1, 2, 3].map(|degree| worst(&cloud, &smooth(&cloud, params(degree)), distance));
-    // Degree 1: the mean of the quadratic over the window, 2 * 3 * (4 mm)² and less. Of that the ridge leaves a share of some
-    // 2 % at 1e-3, in proportion to it.
+    // Degree 1: the mean of the quadratic over the window, 2 * 3 * (4 mm)² and less. Of that the ridge leaves a share
+    // of some 2 % at 1e-3, in proportion to it.
     assert!((2e-5..1e-4).contains(&errors[0]), "{errors:?}");
     assert!(errors[1] < 2e-6, "{errors:?}");
     assert!(errors[2] < 2e-6, "{errors:?}");

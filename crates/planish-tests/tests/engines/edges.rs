@@ -40,7 +40,8 @@ fn planes_and_paraboloids_stay_where_they_are() {
     let off = |[x, y, z]: [f64; 3]| (z - 1.0 - 0.3 * x + 0.2 * y) / slope;
     assert!(worst(41, &smooth(&plane, Edges::Robust), off) < 1e-7);
 
-    // Curved by 1/4 m: the planes around a point are off it by up to 0.2 mm, which is less than the least noise, 0.3 mm.
+    // Curved by 1/4 m: the planes around a point are off it by up to 0.2 mm, which is less than the least noise, 0.3
+    // mm.
     let bowl = |x: f64, y: f64| 1.0 + 2.0 * (x * x + y * y);
     let smoothed = smooth(&height_field(41, 0.003, bowl), Edges::Robust);
     let off = worst(41, &smoothed, |[x, y, z]| z - bowl(x, y));
@@ -168,7 +169,8 @@ fn what_has_no_noise_is_hardly_changed() {
     }
 }
 
-/// The gate of a block grows with the spacing of the pixels, whatever the radius, and that is estimated where no camera says it.
+/// The gate of a block grows with the spacing of the pixels, whatever the radius, and that is estimated where no camera
+/// says it.
 #[test]
 fn blocks_know_the_spacing_of_pixels_without_intrinsics() {
     let cloud = simulated(1, false, small_camera());

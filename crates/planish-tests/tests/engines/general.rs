@@ -55,7 +55,8 @@ pub(super) fn smooth(engine: TestEngine, points: &[[f32; 3]], params: CloudParam
     engine.smooth(PointsView::from_rows(points).unwrap(), params)
 }
 
-/// A noisy sphere, denser towards one pole by a factor of thousands as a scanner's view is, with stray points and repeated ones.
+/// A noisy sphere, denser towards one pole by a factor of thousands as a scanner's view is, with stray points and
+/// repeated ones.
 pub(super) fn uneven_sphere(count: usize, seed: u64) -> Points {
     let mut random = Random(seed);
     let mut points: Points = (0..count)
@@ -144,7 +145,8 @@ fn every_engine_agrees_with_the_reference_in_every_setting() {
         assert_agree(&engines, "bunny", &bunny, params);
         [1, 2, 7, 33].into_iter().for_each(|n| assert_agree(&engines, "few", &uneven_sphere(33, 5)[..n], params));
     }
-    // With so many neighbours the sphere's stray points reach the pole, where their radii hang on the last digits of sums.
+    // With so many neighbours the sphere's stray points reach the pole, where their radii hang on the last digits of
+    // sums.
     let wide = CloudParams::default().with_edges(Edges::Robust).with_degree(3);
     let wide = wide.with_radius(CloudRadius::Neighbours { count: 100 });
     assert_agree(&engines, "frame", &frame_points(1), wide);
@@ -290,8 +292,8 @@ fn points_at_one_place_count_each_and_cost_nothing() {
 
 #[test]
 fn a_dense_cluster_in_a_wide_cloud_costs_what_it_costs_alone() {
-    // All of it lies in one cell of the CPU index's curve. Were it searched as one, this would take minutes. Stray points have all of it
-    // as neighbours: more than lavapipe has rounds for, were it as large for the GPU.
+    // All of it lies in one cell of the CPU index's curve. Were it searched as one, this would take minutes. Stray
+    // points have all of it as neighbours: more than lavapipe has rounds for, were it as large for the GPU.
     let mut random = Random(9);
     let mut within = |count: usize, low: f64, high: f64| -> Points {
         (0..count).map(|_| [0.0; 3].map(|_: f64| random.between(low, high) as f32)).collect()

@@ -1,12 +1,13 @@
-//! General clouds on a GPU: in parts where they are larger than it takes at once, and drivers that do not do all they were asked.
+//! General clouds on a GPU: in parts where they are larger than it takes at once, and drivers that do not do all they
+//! were asked.
 
 use planish::{CloudParams, Edges, EngineError, Error, Outputs, PointsView, Smoothed, Smoother};
 use planish_tests::engines::{TestEngine, test_adapter};
 
 use super::general::{Points, Random, few_frame_points, frame_points, settings, smooth, uneven_sphere};
 
-/// How many points differ by more than rounding between a cloud smoothed on the GPU in parts and at once; `None` if its points reach too
-/// many others for parts.
+/// How many points differ by more than rounding between a cloud smoothed on the GPU in parts and at once; `None` if its
+/// points reach too many others for parts.
 fn differing_in_parts(points: &[[f32; 3]], params: CloudParams, points_at_once: usize) -> Option<usize> {
     let whole = smooth(TestEngine::gpu(false), points, params);
     let options = TestEngine { bounds_checks: false, ..TestEngine::in_parts(points_at_once) }.options(Outputs::ALL);
@@ -33,7 +34,8 @@ fn clouds_in_parts_are_as_those_at_once() {
     if test_adapter().is_none() {
         return;
     }
-    // A point may miss that reaches more of the cloud than the device takes, and one whose neighbours' radii are much larger than its own.
+    // A point may miss that reaches more of the cloud than the device takes, and one whose neighbours' radii are much
+    // larger than its own.
     let room = few_frame_points(2);
     let general = CloudParams::default();
     let robust = general.with_edges(Edges::Robust);
@@ -92,8 +94,8 @@ fn a_driver_that_ends_loops_early_is_an_error() {
     if test_adapter().is_none() {
         return;
     }
-    // The centre of a ball has more neighbours than lavapipe has rounds for; a GPU takes them all. The others, on its surface, reach a
-    // quarter of each other.
+    // The centre of a ball has more neighbours than lavapipe has rounds for; a GPU takes them all. The others, on its
+    // surface, reach a quarter of each other.
     let mut random = Random(3);
     let on_surface = |random: &mut Random| {
         let (turn, z) = (random.between(0.0, std::f64::consts::TAU), random.between(-1.0, 1.0));

@@ -1,4 +1,5 @@
-//! Clouds in any frame (docs/method.md, section 11): rigid motions change nothing but the frame, and no cloud loses its points.
+//! Clouds in any frame (docs/method.md, section 11): rigid motions change nothing but the frame, and no cloud loses its
+//! points.
 
 use planish::agreement::{Agreement, POSITION_999_M, radii_m};
 use planish::{

@@ -104,8 +104,8 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
     let raw = frame.deproject().unwrap();
     let along_ray = smoothed.to_depth_m(&camera).unwrap();
     assert!(rms(&along_ray) < 0.5 * rms(raw.positions().z()), "{} {}", rms(&along_ray), rms(raw.positions().z()));
-    // Moved along their rays, points have that depth themselves; moved along normals, their z undershoots the correction on a
-    // wall at 53°.
+    // Moved along their rays, points have that depth themselves; moved along normals, their z undershoots the
+    // correction on a wall at 53°.
     assert!((rms(&along_ray) / rms(smoothed.points.z()) - 1.0).abs() < 1e-3);
     assert!(
         rms(&along_ray) < 0.8 * rms(along_normals.points.z()),

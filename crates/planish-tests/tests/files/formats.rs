@@ -88,7 +88,8 @@ proptest! {
 
     #[test]
     fn ply_keeps_every_scalar_field_it_can_hold(mut cloud in cloud()) {
-        // No padding, no 64-bit integers, one value a property; the pose by another test, since it is written as a matrix.
+        // No padding, no 64-bit integers, one value a property; the pose by another test, since it is written as a
+        // matrix.
         cloud.points.attributes.retain(|a| {
             a.name != "_" && a.count == 1 && !matches!(a.values, AttributeValues::I64(_) | AttributeValues::U64(_))
         });

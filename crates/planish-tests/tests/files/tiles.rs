@@ -19,7 +19,8 @@ fn read(path: &Path) -> PointCloud {
     }
 }
 
-/// A wavy field far from the origin, four times as dense on one side, with repeated points and a stray one, in an order that jumps.
+/// A wavy field far from the origin, four times as dense on one side, with repeated points and a stray one, in an order
+/// that jumps.
 fn field(points: usize) -> PointCloud {
     let position = |i: usize| {
         let i = (i * 7919) % points;
@@ -344,7 +345,8 @@ fn a_file_in_parts_has_every_point_once() {
 fn points_on_the_border_of_a_tile_and_far_away_ones_end_no_run() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (folder.path().join("a.las"), folder.path().join("out.las"));
-    // A pole on a border of the tiles, with as many points as small tiles hold, and a point at the file's origin, as real files have them.
+    // A pole on a border of the tiles, with as many points as small tiles hold, and a point at the file's origin, as
+    // real files have them.
     let mut cloud = field(12_000);
     let pole = (0..1500).map(|i| [30.0, 15.0, 0.001 * i as f32]);
     cloud = PointCloud::new(cloud.positions.iter().chain(pole).chain([[-637_000.0, -849_000.0, -100.0]]).collect());

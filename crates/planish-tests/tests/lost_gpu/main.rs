@@ -1,4 +1,5 @@
-//! What becomes of frames when a GPU is lost. Alone in its process, one test at a time: every device of it is destroyed.
+//! What becomes of frames when a GPU is lost. Alone in its process, one test at a time: every device of it is
+//! destroyed.
 
 mod fleet;
 mod rig;

@@ -1,7 +1,8 @@
-//! Eight live cameras for ten minutes, one of them unplugged for a while: too long for the gate, and more than a few cores can smooth.
+//! Eight live cameras for ten minutes, one of them unplugged for a while: too long for the gate, and more than a few
+//! cores can smooth.
 //!
-//! `cargo test --release -p planish-tests --test streams -- --ignored --nocapture`; `PLANISH_ENDURANCE_S` is how long, `PLANISH_ENDURANCE_PX` the
-//! width of the frames.
+//! `cargo test --release -p planish-tests --test streams -- --ignored --nocapture`; `PLANISH_ENDURANCE_S` is how long,
+//! `PLANISH_ENDURANCE_PX` the width of the frames.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -17,7 +18,8 @@ const CAMERAS: usize = 8;
 const UNPLUGGED: usize = 3;
 const INTERVAL: Duration = Duration::from_nanos(1_000_000_000 / 30);
 
-/// Plays frames over and over as they fall due; drops those for which it was asked too late, and has none while it is unplugged.
+/// Plays frames over and over as they fall due; drops those for which it was asked too late, and has none while it is
+/// unplugged.
 struct Live {
     frames: Vec<DepthFrame>,
     start: Instant,

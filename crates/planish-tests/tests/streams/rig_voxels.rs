@@ -1,5 +1,5 @@
-//! Merged points thinned to voxels: what is fused is the general engine's result for the centroids, and every camera gets its own points
-//! back on the surface that they make.
+//! Merged points thinned to voxels: what is fused is the general engine's result for the centroids, and every camera
+//! gets its own points back on the surface that they make.
 
 use planish::clean::voxel_downsample;
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};

@@ -1,5 +1,5 @@
-//! Every frame of a folder: several at once, each by a worker with one thread, so that reading and writing go on beside smoothing. Of several
-//! devices each worker has one.
+//! Every frame of a folder: several at once, each by a worker with one thread, so that reading and writing go on beside
+//! smoothing. Of several devices each worker has one.
 
 use std::collections::{HashMap, HashSet};
 use std::fs;
@@ -143,8 +143,8 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
     }
 }
 
-/// How many workers to have for so many frames, the largest of which has so many bytes: as many as threads, if there are frames and memory
-/// for all. The reference has its threads for one frame.
+/// How many workers to have for so many frames, the largest of which has so many bytes: as many as threads, if there
+/// are frames and memory for all. The reference has its threads for one frame.
 fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
     let engine = worker.session.engine();
     let is_fast = engine.is_some_and(|engine| engine != Engine::Reference);
@@ -183,7 +183,7 @@ fn beside_each_other(
     let next = AtomicUsize::new(0);
     let results = Mutex::new(done);
     let Worker { args, pose, ref settings, ref noted, .. } = *like;
-    // What the first frames have shown of the sensor and the devices holds for all others.
+    // The sensor and the devices found for the first frames serve all others.
     let mut settings = settings.clone();
     settings.threads = Some(1);
     settings.sensor = like.session.estimated_sensor().map(SensorChoice::Known).or(settings.sensor);

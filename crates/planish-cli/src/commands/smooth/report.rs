@@ -24,7 +24,8 @@ pub struct Report {
     /// How many of those became holes.
     pub points_lost: usize,
     pub status: StatusCounts,
-    /// How many tiles a file was smoothed in that is larger than memory; the time to smooth then includes reading and writing.
+    /// How many tiles a file was smoothed in that is larger than memory; the time to smooth then includes reading and
+    /// writing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<usize>,
     pub read_ms: f64,
@@ -106,7 +107,8 @@ pub fn print_report(report: &Report) {
     outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
 }
 
-/// Reports in one line if the ranges of a grid are not the depths of a camera. Whoever gives a pose knows where the sensor stands.
+/// Reports in one line if the ranges of a grid are not the depths of a camera. Whoever gives a pose knows where the
+/// sensor stands.
 pub fn report_range_rule(input: &Path, frame: Frame<'_>, rule: Option<RangeRule>, pose_is_given: bool) {
     let Frame::Points(points) = frame else { return };
     let input = input.display();
@@ -127,7 +129,8 @@ pub fn report_range_rule(input: &Path, frame: Frame<'_>, rule: Option<RangeRule>
     }
 }
 
-/// Reports where the sensor of a general cloud is taken to have stood whose file does not tell; `None` for the origin of the coordinates.
+/// Reports where the sensor of a general cloud is taken to have stood whose file does not tell; `None` for the origin
+/// of the coordinates.
 pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
     let (input, what) = (input.display(), "(give the sensor's place with --sensor-pose)");
     match position_m {

@@ -1,5 +1,5 @@
-//! Edge preservation in general clouds: the surface that a point lies on is found from the first planes of the positions around it
-//! (docs/method.md, section 10).
+//! Edge preservation in general clouds: the surface that a point lies on is found from the first planes of the
+//! positions around it (docs/method.md, section 10).
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -21,7 +21,8 @@ pub(super) struct FirstPlane {
     normal: [f32; 3],
     /// The foot of the position is this times the normal.
     height: f32,
-    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or on a line.
+    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or
+    /// on a line.
     residual: f32,
     curvature: f32,
     /// The number of neighbours; negative where they are on a line.

@@ -1,8 +1,8 @@
 //! General clouds (docs/method.md, section 8): a vector of points that lie together at a time.
 //!
-//! The points are sorted by [`PointIndex`]; the neighbours of a vector's points are gathered once for all of them ([`gather`]), and
-//! the stages are those of frames on a grid. Results are computed in the order of the index, each by itself, and put into the order
-//! of the cloud at the end, so threads do not change a bit.
+//! The points are sorted by [`PointIndex`]; the neighbours of a vector's points are gathered once for all of them
+//! ([`gather`]), and the stages are those of frames on a grid. Results are computed in the order of the index, each by
+//! itself, and put into the order of the cloud at the end, so threads do not change a bit.
 
 mod edges;
 mod gather;
@@ -288,7 +288,8 @@ fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S::f32s {
     }
 }
 
-/// The mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without neighbours.
+/// The mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without
+/// neighbours.
 #[inline(always)]
 fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));

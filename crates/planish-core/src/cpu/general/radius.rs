@@ -120,8 +120,8 @@ fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
 
 /// The radii of lanes whose candidates within `reach` are enough; NaN for the others.
 ///
-/// The sum of 1 - d²/r² is convex and falls in u = 1/r², and it is a straight line between two candidates: from a large radius on,
-/// Newton's method goes to the solution without passing it, and ends there.
+/// The sum of 1 - d²/r² is convex and falls in u = 1/r², and it is a straight line between two candidates: from a large
+/// radius on, Newton's method goes to the solution without passing it, and ends there.
 #[inline(always)]
 fn radii_within<S: Simd>(
     simd: S,

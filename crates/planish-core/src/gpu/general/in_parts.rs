@@ -1,8 +1,8 @@
 //! Clouds of more points than the device takes at once, part by part.
 //!
-//! Radii by density are known only when a part has been computed. Where many of its points reach beyond the halo, it is computed again with
-//! a wider one; where few do, they alone are, with a halo of their own. Radii for which neighbours were missing come out too large, so
-//! that a halo by them suffices.
+//! Radii by density are known only when a part has been computed. Where many of its points reach beyond the halo, it is
+//! computed again with a wider one; where few do, they alone are, with a halo of their own. Radii for which neighbours
+//! were missing come out too large, so that a halo by them suffices.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -34,7 +34,8 @@ const FIRST_SHARE: f64 = 0.8;
 const MAY_BE_INEXACT: f64 = 1e-3;
 /// A halo is widened by so much at a time.
 const MOST_WIDENING: f64 = 4.0;
-/// So many times the points that the device takes are surely too many around one point, though they are estimated from a sample.
+/// So many times the points that the device takes are surely too many around one point, though they are estimated from
+/// a sample.
 const SURELY_TOO_MANY: f64 = 2.0;
 /// Points closer than this are at one place, with as many others as the device does not take.
 const LEAST_HALO_M: f64 = 1e-9;
@@ -61,7 +62,8 @@ struct Work {
     /// Points of the whole cloud that are no holes, and how far it spans in metres.
     whole: (usize, f64),
     wants_radii: bool,
-    /// The points that reach beyond the halo of their part, by their numbers, and how far each of them reaches, in metres.
+    /// The points that reach beyond the halo of their part, by their numbers, and how far each of them reaches, in
+    /// metres.
     far: HashMap<u32, f64>,
     far_records: Vec<Record>,
     /// The halo of the part before, in those by its density.
@@ -75,7 +77,8 @@ struct Work {
 }
 
 impl Work {
-    /// Takes the points that reach far, in the order of the cloud: of each place the first, and the pairs of that and each other one.
+    /// Takes the points that reach far, in the order of the cloud: of each place the first, and the pairs of that and
+    /// each other one.
     fn far_places(&mut self) -> (Vec<Record>, Vec<(u32, u32)>) {
         let mut records = std::mem::take(&mut self.far_records);
         // -0 and 0 are one place.
@@ -176,7 +179,8 @@ impl GeneralGpu {
         Ok(())
     }
 
-    /// Smooths a part, and notes its points that reach beyond its halo; false if the device does not take it with its halo.
+    /// Smooths a part, and notes its points that reach beyond its halo; false if the device does not take it with its
+    /// halo.
     fn smooth_part(
         &mut self,
         buffers: &Buffers,
@@ -222,7 +226,8 @@ impl GeneralGpu {
         }
     }
 
-    /// Smooths points that reach beyond the halo of their part; false if they are to be tried in halves, or one of them again.
+    /// Smooths points that reach beyond the halo of their part; false if they are to be tried in halves, or one of them
+    /// again.
     fn smooth_far(
         &mut self,
         buffers: &Buffers,
@@ -246,7 +251,8 @@ impl GeneralGpu {
         self.run_part(buffers, work, Own { points: part.len(), steps: 0, largest_radius_m: halo_m as f32 })?;
         let radii = self.take_results(buffers, work, part, out)?;
         let (Some(&radius_m), Some(record)) = (radii.first(), part.own().first()) else { return Ok(true) };
-        // With more points around it than in its part its radius is smaller. One that still reaches more than the device takes is left.
+        // With more points around it than in its part its radius is smaller. One that still reaches more than the
+        // device takes is left.
         let smaller_m = reach(&self.params) * f64::from(radius_m);
         let is_left = halo_m == reach_m || smaller_m > NARROWER * reach_m;
         work.far.insert(record.number, smaller_m);
@@ -256,7 +262,8 @@ impl GeneralGpu {
         Ok(is_left)
     }
 
-    /// The error of clouds of which points reach more than the device takes, or so many reach far that parts would take too long.
+    /// The error of clouds of which points reach more than the device takes, or so many reach far that parts would take
+    /// too long.
     fn crowded(&self) -> EngineError {
         EngineError::Crowded { device: self.gpu.name.clone(), points_at_once: self.most_points as u64 }
     }
@@ -270,7 +277,8 @@ impl GeneralGpu {
         Ok(self.run(buffers, &frame, &view, work.wants_radii, own)?)
     }
 
-    /// Copies the results of a part's own points to where those are in the cloud, and returns their radii by density, if there are any.
+    /// Copies the results of a part's own points to where those are in the cloud, and returns their radii by density,
+    /// if there are any.
     fn take_results(
         &mut self,
         buffers: &Buffers,

@@ -1,9 +1,9 @@
-//! General clouds on the GPU (docs/method.md, section 8): the points are sorted on the device along a curve, boxes are built over
-//! them, and each position is fitted by a thread that walks through the boxes within its reach. Nothing comes back before the
-//! results.
+//! General clouds on the GPU (docs/method.md, section 8): the points are sorted on the device along a curve, boxes are
+//! built over them, and each position is fitted by a thread that walks through the boxes within its reach. Nothing
+//! comes back before the results.
 //!
-//! [`passes`] has the kernels, in the order in which they run, [`buffers`] what they work with. Passes over all positions are
-//! submitted in parts, so that none is long enough for a desktop's watchdog, and progress can be told.
+//! [`passes`] has the kernels, in the order in which they run, [`buffers`] what they work with. Passes over all
+//! positions are submitted in parts, so that none is long enough for a desktop's watchdog, and progress can be told.
 //!
 //! Clouds that the device does not take at once are smoothed in parts of their own ([`in_parts`]).
 
@@ -163,8 +163,8 @@ impl GeneralGpu {
         }
     }
 
-    /// Writes a cloud, runs all passes, and waits for the results, which are behind each other in the buffer for reading: those of the
-    /// points, the state, and radii by density if they are wanted.
+    /// Writes a cloud, runs all passes, and waits for the results, which are behind each other in the buffer for
+    /// reading: those of the points, the state, and radii by density if they are wanted.
     fn run(
         &mut self,
         buffers: &Buffers,
@@ -316,7 +316,8 @@ impl GeneralGpu {
 /// A part of a pass, over so many points, places or nodes.
 type Step = (Pass, usize, usize);
 
-/// What sorts the points and builds the boxes, by submission: the lowest bits of the keys, the middle ones, the highest, the rest.
+/// What sorts the points and builds the boxes, by submission: the lowest bits of the keys, the middle ones, the
+/// highest, the rest.
 fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
     let sort = |digits: std::ops::Range<usize>| {
         digits.flat_map(|digit| {

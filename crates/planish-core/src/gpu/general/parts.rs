@@ -1,5 +1,5 @@
-//! Clouds of more points than the device takes at once: dealt to boxes by medians, each of which is smoothed with a halo of the points
-//! around it (`neighbours/halo.rs`).
+//! Clouds of more points than the device takes at once: dealt to boxes by medians, each of which is smoothed with a
+//! halo of the points around it (`neighbours/halo.rs`).
 //!
 //! The points of a part lie in the order of the cloud, so that results are put in their places in parallel.
 
@@ -30,7 +30,8 @@ pub(super) struct Record {
 #[derive(Debug)]
 pub(super) struct Part {
     records: Vec<Record>,
-    /// The least and the largest coordinates; `None` for points that are no neighbours of others: holes, and those too far away.
+    /// The least and the largest coordinates; `None` for points that are no neighbours of others: holes, and those too
+    /// far away.
     bounds: Option<[[f32; 3]; 2]>,
 }
 
@@ -172,7 +173,8 @@ impl Parts {
 }
 
 impl Cuts {
-    /// Cuts a sample of points into so many parts of about the same size, which are numbered from `part` on; fewer if it has no more.
+    /// Cuts a sample of points into so many parts of about the same size, which are numbered from `part` on; fewer if
+    /// it has no more.
     fn of(sample: &mut [Record], parts: usize, part: &mut usize) -> Self {
         let left = sample.len() * (parts / 2) / parts.max(1);
         if left == 0 {

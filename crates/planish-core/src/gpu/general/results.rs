@@ -1,4 +1,5 @@
-//! What a run leaves in the buffer for reading: the results of the points, channel by channel, and their radii by density.
+//! What a run leaves in the buffer for reading: the results of the points, channel by channel, and their radii by
+//! density.
 
 use std::ops::Range;
 
@@ -44,7 +45,8 @@ impl<'a> GeneralResults<'a> {
         });
     }
 
-    /// Copies the results of a part's own points, which come first and lie in the order of the cloud, to where those are in it.
+    /// Copies the results of a part's own points, which come first and lie in the order of the cloud, to where those
+    /// are in it.
     pub(super) fn scatter_into(&self, own: &[Record], out: SmoothedMut<'_>) {
         fn put<T: Send, U: Copy + Sync>(own: &[Record], to: &mut [T], from: &[U], set: impl Fn(&mut T, U) + Sync) {
             put_from(0, own, to, from, &set);

@@ -131,7 +131,8 @@ cam2:
         assert!(is_camchain(CHAIN));
         let cameras = camchain(CHAIN).unwrap();
         let places: Vec<[f64; 3]> = cameras.iter().map(|camera| camera.pose.position_m).collect();
-        // The second camera is 11 cm to the right of the first; the third 20 cm to the right of that, turned to the left.
+        // The second camera is 11 cm to the right of the first; the third 20 cm to the right of that, turned to the
+        // left.
         let expected = [[0.0, 0.0, 0.0], [0.11, 0.0, 0.0], [0.31, 0.0, 0.0]];
         let off = |i: usize, k: usize| (places[i][k] - expected[i][k]).abs();
         assert!((0..3).all(|i| (0..3).all(|k| off(i, k) < 1e-12)), "{places:?}");

@@ -1,7 +1,9 @@
-//! Rigs from the calibrations that other programs make: static transforms of ROS (as `ros2 topic echo /tf_static` prints them, or a URDF),
-//! Kalibr's camchain, and COLMAP (its rig_config.json, or a model as text). Which one a file is, is detected from its contents.
+//! Rigs from the calibrations that other programs make: static transforms of ROS (as `ros2 topic echo /tf_static`
+//! prints them, or a URDF), Kalibr's camchain, and COLMAP (its rig_config.json, or a model as text). Which one a file
+//! is, is detected from its contents.
 //!
-//! A calibration says where cameras stand, and some of them what their intrinsics are; where their frames come from is added afterwards.
+//! A calibration says where cameras stand, and some of them what their intrinsics are; where their frames come from is
+//! added afterwards.
 
 mod colmap;
 mod kalibr;
@@ -23,8 +25,8 @@ const HELP: &str = "a calibration is a list of static transforms (ros2 topic ech
 pub struct CalibrationOptions {
     /// Of transforms of ROS: the frame that becomes the rig's; `None` is the one that all others hang on.
     pub base: Option<String>,
-    /// Of transforms of ROS: which frames are cameras; empty are those whose names end in `depth_optical_frame`, or else in
-    /// `optical_frame`.
+    /// Of transforms of ROS: which frames are cameras; empty are those whose names end in `depth_optical_frame`, or
+    /// else in `optical_frame`.
     pub frames: Vec<String>,
     /// Of COLMAP's models, whose scale is any: metres in a unit.
     pub metres_per_unit: f64,

@@ -127,8 +127,8 @@ c_functions! {
 }
 
 impl Functions {
-    /// Loads and starts OpenNI2, once in a process. It is never shut down: that unloads its drivers, whose threads may still run (those
-    /// of its dummy device do).
+    /// Loads and starts OpenNI2, once in a process. It is never shut down: that unloads its drivers, whose threads may
+    /// still run (those of its dummy device do).
     pub(super) fn load() -> Result<&'static Self, DeviceError> {
         static LOADED: Mutex<Option<&'static Functions>> = Mutex::new(None);
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);

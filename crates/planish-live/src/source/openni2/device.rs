@@ -1,5 +1,5 @@
-//! What is open of OpenNI2: a device, its streams, a frame, and the watch over whether the device is still there. Each is closed when it
-//! is dropped.
+//! What is open of OpenNI2: a device, its streams, a frame, and the watch over whether the device is still there. Each
+//! is closed when it is dropped.
 
 use std::ffi::{CString, c_int, c_void};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,11 +1,12 @@
-//! Cameras of OpenNI2 (Xtion, Carmine, Astra, Structure), and recordings of them, through its library, loaded at run time and never
-//! linked.
+//! Cameras of OpenNI2 (Xtion, Carmine, Astra, Structure), and recordings of them, through its library, loaded at run
+//! time and never linked.
 //!
-//! The library is `libOpenNI2.so.0`, or the path in the environment variable PLANISH_LIBOPENNI2. Depth is mapped to the colour camera
-//! where the device can and has colour images of the same size. The library states fields of view and no intrinsics: the focal length follows from them, and the principal
-//! point is taken to be the centre. Images are turned back if the device mirrors them. Of a live camera the newest frame wins, and frames that
-//! are missing by their numbers are counted; of a recording (.oni) every frame of depth
-//! comes, in order; should the library lose one, it is counted too.
+//! The library is `libOpenNI2.so.0`, or the path in the environment variable PLANISH_LIBOPENNI2. Depth is mapped to the
+//! colour camera where the device can and has colour images of the same size. The library states fields of view and no
+//! intrinsics: the focal length follows from them, and the principal point is taken to be the centre. Images are turned
+//! back if the device mirrors them. Of a live camera the newest frame wins, and frames that are missing by their
+//! numbers are counted; of a recording (.oni) every frame of depth comes, in order; should the library lose one, it is
+//! counted too.
 
 mod api;
 mod device;
@@ -65,8 +66,8 @@ struct Image {
 }
 
 impl OpenNi2Source {
-    /// Opens the device or the recording with a URI, or the first device for an empty one. Its 640x480 at 30 frames a second unless
-    /// another mode is asked for, and depth mapped to colour if it can and is not told otherwise.
+    /// Opens the device or the recording with a URI, or the first device for an empty one. Its 640x480 at 30 frames a
+    /// second unless another mode is asked for, and depth mapped to colour if it can and is not told otherwise.
     pub fn open(
         uri: &str,
         camera: Option<Camera>,
@@ -119,8 +120,8 @@ impl OpenNi2Source {
                 depth.set_mode(mode)?;
             }
         }
-        // Depth is mapped to colour only where colour comes with it: what else would say what it is seen by? A recording does not
-        // say whether it was, but its user may.
+        // Depth is mapped to colour only where colour comes with it: what else would say what it is seen by? A
+        // recording does not say whether it was, but its user may.
         let wants_colour = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Colour);
         let color =
             if wants_colour { colour_stream(library, device.handle, &depth, recording.is_some()) } else { None };
@@ -206,7 +207,8 @@ impl OpenNi2Source {
         Ok(depth.with_timestamp_s(1e-6 * frame.timestamp_us as f64))
     }
 
-    /// Returns the camera with the field of view that the library states, of the colour camera if depth is mapped to it.
+    /// Returns the camera with the field of view that the library states, of the colour camera if depth is mapped to
+    /// it.
     fn camera_of(&self, frame: &Frame) -> Result<Camera, DeviceError> {
         let stream = self.color.as_ref().unwrap_or(&self.depth);
         let angle = |property| {
@@ -293,8 +295,8 @@ impl Source for OpenNi2Source {
     }
 }
 
-/// Returns the mode to set: the one that was asked for, else 640x480 at 30 frames a second if there is one, in millimetres or tenths
-/// of them.
+/// Returns the mode to set: the one that was asked for, else 640x480 at 30 frames a second if there is one, in
+/// millimetres or tenths of them.
 fn mode_of(modes: &[VideoMode], asked: Option<StreamMode>) -> Result<Option<VideoMode>, DeviceError> {
     let usable = |mode: &&VideoMode| matches!(mode.format, api::DEPTH_1_MM | api::DEPTH_100_UM);
     let wanted = asked.unwrap_or(StreamMode { width: 640, height: 480, fps: Some(30) });

@@ -1,7 +1,7 @@
 //! All depth of a recording, of which some has colour.
 //!
-//! The library puts depth and colour together from the first image to the last; depth before and after those does not come with
-//! them. A second player, of depth alone, has it.
+//! The library puts depth and colour together from the first image to the last; depth before and after those does not
+//! come with them. A second player, of depth alone, has it.
 
 use super::{RealSenseInput, RealSenseSource};
 use crate::source::{Alignment, OwnedFrame, Source};

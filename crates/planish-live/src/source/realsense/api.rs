@@ -150,7 +150,8 @@ impl Functions {
             return Ok(functions);
         }
         let help = "install librealsense2, or name its file in PLANISH_LIBREALSENSE (the Python package pyrealsense2 has it too)";
-        // Debian and Ubuntu have the minor version in the name; the name without it comes with the packages for development.
+        // Debian and Ubuntu have the minor version in the name; the name without it comes with the packages for
+        // development.
         let numbered = (39..100).rev().map(|minor| format!("librealsense2.so.2.{minor}"));
         let usual = std::iter::once("librealsense2.so".to_owned()).chain(numbered);
         let library = driver::load("PLANISH_LIBREALSENSE", usual, help)?;
@@ -246,8 +247,8 @@ impl Functions {
         self.call("", call).is_ok_and(|status| status != PLAYBACK_STOPPED)
     }
 
-    /// Returns the next frames that belong together, if they come in time. (The library's own wait starts a pipeline anew if its device
-    /// is gone, on any other device, and takes 15 s to find none.)
+    /// Returns the next frames that belong together, if they come in time. (The library's own wait starts a pipeline
+    /// anew if its device is gone, on any other device, and takes 15 s to find none.)
     pub(super) fn wait(&self, pipeline: &Owned, timeout: Duration) -> Result<Option<Owned>, DeviceError> {
         let deadline = Instant::now() + timeout;
         loop {

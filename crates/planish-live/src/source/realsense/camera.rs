@@ -1,11 +1,11 @@
 //! A RealSense's intrinsics as a [`Camera`].
 //!
-//! Depth images are rectified, mostly. Where Intel gives distortion by models of its own, in which tangential distortion is applied to
-//! what is radially distorted already, it is replaced by OpenCV's with five coefficients, fitted over the image: to a hundredth of a
-//! pixel for the lenses of these cameras.
+//! Depth images are rectified, mostly. Where Intel gives distortion by models of its own, in which tangential
+//! distortion is applied to what is radially distorted already, it is replaced by OpenCV's with five coefficients,
+//! fitted over the image: to a hundredth of a pixel for the lenses of these cameras.
 //!
-//! Depth that is aligned to the colour camera states that camera's distortion, but the library's `align` applies it for one model alone
-//! (sse-align.cpp and neon-align.cpp): for the others its image is one without distortion.
+//! Depth that is aligned to the colour camera states that camera's distortion, but the library's `align` applies it for
+//! one model alone (sse-align.cpp and neon-align.cpp): for the others its image is one without distortion.
 
 use std::ffi::c_int;
 
@@ -24,8 +24,8 @@ const SAMPLES: u32 = 25;
 /// The largest error of a fit, in pixels.
 const MOST_ERROR_PX: f64 = 0.1;
 
-/// Returns the camera of an image of depth in units of so many metres, as the camera measured it or as `align` mapped it onto the colour
-/// image.
+/// Returns the camera of an image of depth in units of so many metres, as the camera measured it or as `align` mapped
+/// it onto the colour image.
 pub(super) fn camera_of(
     intrinsics: &Intrinsics,
     metres_per_unit: f32,
@@ -115,7 +115,8 @@ mod tests {
         let camera = camera_of(&given, 0.001, false).unwrap();
         assert_eq!(camera.depth_units_per_metre, 1000.0);
         assert_eq!(camera.distortion.to_opencv()[..5], COEFFICIENTS.map(f64::from));
-        // rs2_project_point_to_pixel (2.59) of the direction (0.9, -0.5, 1) for models 1 and 2, in units of the focal length.
+        // rs2_project_point_to_pixel (2.59) of the direction (0.9, -0.5, 1) for models 1 and 2, in units of the focal
+        // length.
         let (r2, [k1, k2, p1, p2, k3]) = (0.9f64 * 0.9 + 0.25, COEFFICIENTS.map(f64::from));
         let q = 1.0 + k1 * r2 + k2 * r2 * r2 + k3 * r2 * r2 * r2;
         let (x, y) = (0.9 * q, -0.5 * q);

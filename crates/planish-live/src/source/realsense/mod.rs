@@ -1,10 +1,10 @@
 //! Intel RealSense cameras, and recordings of them, through librealsense2, loaded at run time and never linked.
 //!
-//! The library is `librealsense2.so`, or the path in the environment variable PLANISH_LIBREALSENSE. Its pipeline chooses the
-//! device's default modes, or one that was asked for, and puts depth and colour of one time together; its `align` maps one onto the
-//! other. Of a live camera the newest frames win and frames that are missing by their numbers are counted. Of a recording every
-//! frame of depth comes once, from the first colour image to the last with the one closest in time ([`all_depth`]). Depth that is
-//! mapped onto colour comes where there is colour alone.
+//! The library is `librealsense2.so`, or the path in the environment variable PLANISH_LIBREALSENSE. Its pipeline
+//! chooses the device's default modes, or one that was asked for, and puts depth and colour of one time together; its
+//! `align` maps one onto the other. Of a live camera the newest frames win and frames that are missing by their numbers
+//! are counted. Of a recording every frame of depth comes once, from the first colour image to the last with the one
+//! closest in time ([`all_depth`]). Depth that is mapped onto colour comes where there is colour alone.
 
 mod all_depth;
 mod api;
@@ -103,8 +103,8 @@ struct Aligner {
 }
 
 impl RealSenseSource {
-    /// Starts a camera or a recording; with the camera's own intrinsics unless others are given. Its own mode, and colour mapped onto
-    /// depth if it has any, unless others are asked for.
+    /// Starts a camera or a recording; with the camera's own intrinsics unless others are given. Its own mode, and
+    /// colour mapped onto depth if it has any, unless others are asked for.
     pub fn open(
         input: &RealSenseInput,
         camera: Option<Camera>,

@@ -167,8 +167,8 @@ impl SoftwareCamera {
         Self { library, device, depth, color, metres_per_unit }
     }
 
-    /// Makes a context and a pipeline with this device, for a source to own. (A context loses devices that are added to it in librealsense
-    /// 2.56 to 2.59.)
+    /// Makes a context and a pipeline with this device, for a source to own. (A context loses devices that are added to
+    /// it in librealsense 2.56 to 2.59.)
     pub fn pipeline(&self) -> [Object; 2] {
         let version = rs2!(self.library, "get_api_version",; c_int);
         let context = rs2!(self.library, "create_context", version => c_int; Object);
