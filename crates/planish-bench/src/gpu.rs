@@ -1,5 +1,7 @@
 //! `planish bench gpu`: kernels by time stamps of the device, frames by the host's clock.
 
+mod report;
+
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,75 +13,13 @@ use planish::{
     Camera, DepthFrame, Edges, Engine, Error, Fleet, FleetDevice, FrameParams, FrameRadius, IntoFrame, OrganizedCloud,
     Outputs, Smoothed, SmoothedView, Smoother, SmootherOptions, Transfer, WindowSize,
 };
-use serde::Serialize;
 
 use super::timing::Spread;
+use report::{BatchRow, FleetRow, KernelRow, LatencyRow, Report, ThroughputRow, print_text};
 
 const KINECT_SHAPE: (usize, usize) = (640, 480);
 /// How long frames run before the first that is timed: a GPU that was idle takes as long to come to its full clock.
 const WARM_UP: Duration = Duration::from_millis(300);
-
-#[derive(Serialize)]
-struct Report {
-    adapter: String,
-    input: String,
-    frames: u32,
-    kernels: Vec<KernelRow>,
-    one_at_a_time: Vec<LatencyRow>,
-    in_flight: Vec<ThroughputRow>,
-    batches: Vec<BatchRow>,
-    fleets: Vec<FleetRow>,
-    /// From a device that is open to a smoother: kernel compiled, memory had.
-    open_ms: f64,
-    first_frame_ms: f64,
-}
-
-#[derive(Serialize)]
-struct KernelRow {
-    window: u32,
-    stride: u32,
-    degree: u32,
-    keeps_edges: bool,
-    kernel_us: Spread,
-    /// The same with the shader's checks of bounds on.
-    checked_kernel_us: Spread,
-}
-
-#[derive(Serialize)]
-struct LatencyRow {
-    setting: &'static str,
-    what: &'static str,
-    transfer: String,
-    microseconds: Spread,
-}
-
-#[derive(Serialize)]
-struct ThroughputRow {
-    setting: &'static str,
-    what: &'static str,
-    transfer: String,
-    slots: usize,
-    frames_per_second: f64,
-}
-
-#[derive(Serialize)]
-struct FleetRow {
-    setting: &'static str,
-    what: &'static str,
-    devices: usize,
-    frames_per_second: f64,
-    /// Over the first of them alone.
-    times: f64,
-    /// Frames that each device computed.
-    shares: Vec<u64>,
-}
-
-#[derive(Serialize)]
-struct BatchRow {
-    frames: usize,
-    kernel_us: f64,
-    kernel_us_a_frame: f64,
-}
 
 /// How a result is taken.
 #[derive(Clone, Copy, PartialEq)]
@@ -440,55 +380,5 @@ impl Bench<'_> {
             Ok(BatchRow { frames: count, kernel_us, kernel_us_a_frame: kernel_us / count as f64 })
         };
         [1, 2, 6, 16, 64].into_iter().map(row).collect()
-    }
-}
-
-fn print_text(report: &Report) {
-    crate::outln!("{}, {}, 640x480, medians of {} frames", report.adapter, report.input, report.frames);
-    crate::outln!(
-        "every setting agrees with the reference; a smoother opens in {:.0} ms, its first frame takes {:.2} ms",
-        report.open_ms,
-        report.first_frame_ms
-    );
-    if report.kernels.is_empty() {
-        return print_fleets(&report.fleets);
-    }
-    crate::outln!(
-        "\n| window, stride, degree | edges | kernel, µs (p5 to p95) | with bounds checks, µs |\n|---|---|---|---|"
-    );
-    for row in &report.kernels {
-        let Spread { p5, median, p95, .. } = row.kernel_us;
-        crate::outln!(
-            "| {}, {}, {} | {} | {median:.1} ({p5:.1} to {p95:.1}) | {:.1} |",
-            row.window,
-            row.stride,
-            row.degree,
-            if row.keeps_edges { "robust" } else { "off" },
-            row.checked_kernel_us.median
-        );
-    }
-    crate::outln!("\n| one frame at a time | setting | transfer | p50, µs | p99, µs |\n|---|---|---|---|---|");
-    for LatencyRow { setting, what, transfer, microseconds } in &report.one_at_a_time {
-        crate::outln!("| {what} | {setting} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
-    }
-    crate::outln!("\n| frames in flight | setting | transfer | slots | frames a second |\n|---|---|---|---|---|");
-    for ThroughputRow { setting, what, transfer, slots, frames_per_second } in &report.in_flight {
-        crate::outln!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
-    }
-    print_fleets(&report.fleets);
-    crate::outln!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
-    for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {
-        crate::outln!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
-    }
-}
-
-fn print_fleets(rows: &[FleetRow]) {
-    if !rows.is_empty() {
-        crate::outln!(
-            "\n| dealt to devices | setting | devices | frames a second | times one | each |\n|---|---|---|---|---|---|"
-        );
-    }
-    for FleetRow { setting, what, devices, frames_per_second, times, shares } in rows {
-        crate::outln!("| {what} | {setting} | {devices} | {frames_per_second:.0} | {times:.2} | {shares:?} |");
     }
 }

@@ -2,6 +2,7 @@
 
 mod arguments;
 mod diagnostics;
+mod inbox;
 mod node;
 mod settings;
 

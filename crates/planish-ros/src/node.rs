@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -21,6 +21,7 @@ use ros2_client::{
 
 use crate::arguments::Arguments;
 use crate::diagnostics::{DiagnosticArray, Statistics};
+use crate::inbox::{Arrived, Shared};
 use crate::settings::{Input, NodeSettings, declared};
 
 /// How often diagnostics are published, and the same warning is repeated at most.
@@ -28,51 +29,6 @@ const REPORT_EVERY: Duration = Duration::from_secs(1);
 const WARN_EVERY: Duration = Duration::from_secs(10);
 /// How long a wait for a message lasts before the node looks whether it is to end.
 const PATIENCE: Duration = Duration::from_millis(50);
-
-/// A message as it arrived.
-enum Arrived {
-    Depth(DepthMessage),
-    Cloud(PointCloud2),
-}
-
-/// What the receiving thread leaves for the smoothing one: the newest message and the newest camera.
-#[derive(Default)]
-struct Inbox {
-    newest: Option<(Arrived, Instant)>,
-    camera: Option<CameraInfo>,
-    received: u64,
-    replaced: u64,
-    damaged: u64,
-    /// Why no more can be received.
-    broken: Option<String>,
-}
-
-#[derive(Default)]
-struct Shared {
-    inbox: Mutex<Inbox>,
-    arrived: Condvar,
-}
-
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Inbox> {
-        self.inbox.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn put(&self, message: Arrived) {
-        let mut inbox = self.lock();
-        inbox.received += 1;
-        if inbox.newest.replace((message, Instant::now())).is_some() {
-            inbox.replaced += 1;
-        }
-        self.arrived.notify_one();
-    }
-
-    fn damaged(&self) {
-        let mut inbox = self.lock();
-        inbox.received += 1;
-        inbox.damaged += 1;
-    }
-}
 
 /// Where results go.
 struct Publishers {

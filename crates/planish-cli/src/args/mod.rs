@@ -3,6 +3,7 @@
 mod bench;
 mod camera;
 mod clean;
+mod memory;
 mod rig;
 mod smoothing;
 
@@ -10,12 +11,13 @@ use std::path::PathBuf;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use planish::Outputs;
-use planish::io::{Encoding, ReadOptions};
+use planish::io::Encoding;
 use planish::source::{Alignment, StreamMode};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, ExperimentArgs};
 pub use camera::{CameraArgs, Direction, PoseArgs};
 pub use clean::CleanArgs;
+pub use memory::MemoryArgs;
 pub use rig::{PoseErrorsArg, RigArgs, RigWayArg};
 pub use smoothing::{
     EdgesArg, EngineArg, GpusArgs, SmoothingArgs, by_option, by_option_of_error, option_of, params_of_voxels,
@@ -145,34 +147,6 @@ pub struct TopicArgs {
     /// For recordings in MCAP: the topic with the camera, if it is not beside the images'
     #[arg(long, value_name = "TOPIC")]
     pub camera_info_topic: Option<String>,
-}
-
-#[derive(clap::Args)]
-pub struct MemoryArgs {
-    /// Need no more memory for files and points than this: bytes, or with K, M, G; the program itself takes some 50 MB,
-    /// and LAZ another 100 MB. `smooth` and `info` go through larger LAS, LAZ and PLY in parts; other files that need
-    /// more are refused
-    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
-    pub max_memory: Option<u64>,
-}
-
-impl MemoryArgs {
-    pub fn read_options(&self) -> ReadOptions {
-        let default = ReadOptions::default();
-        self.max_memory.map_or(default, |bytes| default.with_max_memory_bytes(bytes))
-    }
-}
-
-/// A number of bytes, as 500M or 4G.
-fn parse_bytes(text: &str) -> Result<u64, String> {
-    let (number, shift) = match text.strip_suffix(['B', 'b']).unwrap_or(text) {
-        text if text.ends_with(['K', 'k']) => (&text[..text.len() - 1], 10),
-        text if text.ends_with(['M', 'm']) => (&text[..text.len() - 1], 20),
-        text if text.ends_with(['G', 'g']) => (&text[..text.len() - 1], 30),
-        text => (text, 0),
-    };
-    let bytes = number.parse::<u64>().ok().and_then(|number| number.checked_mul(1 << shift));
-    bytes.ok_or_else(|| "a number of bytes, as 500M or 4G".to_owned())
 }
 
 #[derive(clap::Args)]

@@ -3,6 +3,7 @@
 #[cfg(feature = "mcap")]
 mod bag;
 mod folder;
+mod memory;
 mod progress;
 mod report;
 mod tiles;
@@ -95,18 +96,6 @@ struct Worker<'a> {
     /// What was said of the inputs of all workers.
     noted: Arc<Mutex<HashSet<String>>>,
 }
-
-/// A frame needs more memory than its worker has.
-#[derive(Debug)]
-struct NeedsMemory(String);
-
-impl std::fmt::Display for NeedsMemory {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for NeedsMemory {}
 
 /// What is written, once the input has been smoothed.
 enum Output {
@@ -392,23 +381,6 @@ impl Worker<'_> {
         }
     }
 
-    /// Refuses a frame for which an engine and its results need more memory than allowed.
-    fn check_memory(&self, frame: Frame<'_>) -> Result<()> {
-        let (width, height) = frame.shape();
-        let points = width * height;
-        let needed = points as u64 * ENGINE_BYTES_A_POINT;
-        let allowed = self.read_options().max_memory_bytes;
-        if needed <= allowed {
-            return Ok(());
-        }
-        let text = format!(
-            "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
-            needed.div_ceil(1 << 20),
-            allowed >> 20
-        );
-        Err(NeedsMemory(text).into())
-    }
-
     /// Puts the result into the cloud.
     fn apply(&self, cloud: &mut PointCloud) -> Result<()> {
         Ok(cloud.apply(&self.smoothed, self.outputs()).map_err(Error::from)?)
@@ -446,9 +418,6 @@ impl Worker<'_> {
 fn is_depth(path: &Path) -> bool {
     matches!(Format::of_extension(path), Some(Format::DepthPng | Format::DepthTiff))
 }
-
-/// What an engine and its results take at most for each point (the default setting and all outputs: 130 to 150 bytes).
-const ENGINE_BYTES_A_POINT: u64 = 200;
 
 /// How many points came in, and how many of those became holes.
 struct PointCounts {

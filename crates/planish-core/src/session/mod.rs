@@ -2,6 +2,7 @@
 
 mod event;
 mod flights;
+mod inspect;
 mod open;
 mod pending;
 mod recovery;
@@ -9,7 +10,7 @@ mod watch;
 
 use std::collections::VecDeque;
 
-use crate::engines::{ChoiceReason, Engine, SmootherOptions};
+use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
 use crate::fleet::FleetDevice;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, RangeRule};
@@ -20,11 +21,10 @@ use crate::settings::{SensorChoice, Settings};
 use crate::smoothed::Smoothed;
 use crate::smoother::{check_frame, check_options, for_engine, needs_range};
 use crate::smoothing_engine::AdmittedFrame;
-use crate::timings::FrameTimings;
 
 pub use event::SessionEvent;
 pub use open::LIVE_IN_FLIGHT;
-use open::{Open, OpenFor};
+use open::{Open, OpenFor, process_id};
 use pending::Pending;
 pub use recovery::{GpuLosses, Recovery};
 pub use watch::ProgressWatch;
@@ -413,54 +413,6 @@ impl Session {
         self.open.as_mut().and_then(Open::smoother).ok_or_else(|| closed().into())
     }
 
-    /// Takes what has happened since the last call, in order.
-    pub fn take_events(&mut self) -> Vec<SessionEvent> {
-        if let Some(open) = &mut self.open {
-            self.events.extend(open.losses(&mut self.devices));
-        }
-        std::mem::take(&mut self.events)
-    }
-
-    /// Returns the sensor that was last estimated, if settings ask for that.
-    pub fn estimated_sensor(&self) -> Option<SensorModel> {
-        self.estimated
-    }
-
-    /// Returns the devices that are left of those of the settings.
-    pub fn devices(&self) -> &[FleetDevice] {
-        &self.devices
-    }
-
-    /// Returns how ranges were measured in the last frame, and the pitch of its pixels (docs/method.md, section 11).
-    pub fn range_rule(&self) -> Option<RangeRule> {
-        self.rule
-    }
-
-    /// Returns the engine that is open; `None` before the first frame.
-    pub fn engine(&self) -> Option<Engine> {
-        self.open.as_ref().map(Open::engine)
-    }
-
-    /// Returns the name of the GPU that is open.
-    pub fn gpu_name(&self) -> Option<&str> {
-        self.open.as_ref()?.one()?.gpu_name()
-    }
-
-    /// Returns why `Auto` chose its engine; `None` if the engine was asked for by name.
-    pub fn chosen_because(&self) -> Option<&ChoiceReason> {
-        self.open.as_ref()?.one()?.chosen_because()
-    }
-
-    /// Returns the timings of the last frame, if time stamps were requested.
-    pub fn timings(&self) -> Option<FrameTimings> {
-        self.open.as_ref()?.one()?.timings()
-    }
-
-    /// Returns a handle that shows the progress of the frame being smoothed, for other threads.
-    pub fn watch(&self) -> ProgressWatch {
-        self.watch.clone()
-    }
-
     /// Closes the engine and frees its memory; the next frame opens it again. Frames in flight are discarded.
     pub fn close(&mut self) {
         self.forget_other_process();
@@ -468,24 +420,6 @@ impl Session {
         self.pending.clear();
         self.ready.clear();
         self.watch.set(None);
-    }
-}
-
-/// Returns the number of this process. WebAssembly has no processes; the standard library panics there.
-fn process_id() -> u32 {
-    if cfg!(target_family = "wasm") { 0 } else { std::process::id() }
-}
-
-impl std::fmt::Debug for Session {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { chosen, options, devices, open, .. } = self;
-        f.debug_struct("Session")
-            .field("chosen", chosen)
-            .field("options", options)
-            .field("devices", devices)
-            .field("open", open)
-            .field("in_flight", &self.in_flight())
-            .finish()
     }
 }
 

@@ -3,6 +3,7 @@
 //! [`Suite`] has the frames, [`Evaluation`] the scores of any method on them. [`tile_planes`] needs no ground truth.
 
 mod evaluation;
+mod geometry;
 mod patches;
 mod rig;
 mod suite;

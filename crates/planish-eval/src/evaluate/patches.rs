@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use serde::Serialize;
 
-use super::evaluation::{angle_deg, plane};
+use super::geometry::{angle_deg, plane};
 use planish_core::{
     Error, PointCloud, Xyz,
     internal::{NeighbourSearch, symmetric_eigen},

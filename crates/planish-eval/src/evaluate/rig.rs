@@ -4,7 +4,8 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use super::evaluation::{EDGE_MARGIN_PX, FLAT_MARGIN_PX, Sum, angle_deg, distance_to_surface, facet};
+use super::evaluation::{EDGE_MARGIN_PX, FLAT_MARGIN_PX, Sum, facet};
+use super::geometry::{angle_deg, distance_to_surface};
 use super::{edge_band, flat_pixels};
 use crate::simulate::{DepthNoise, DepthSimulator, NO_OBJECT, Pose, PoseErrors, RigScene, Truth};
 use planish_core::{Camera, DepthFrame, FrameError, Xyz};

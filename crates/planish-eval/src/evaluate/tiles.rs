@@ -3,7 +3,8 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use super::evaluation::{SPECK_DEG, angle_deg, facet, plane};
+use super::evaluation::{SPECK_DEG, facet};
+use super::geometry::{angle_deg, plane};
 use crate::simulate::Random;
 use planish_core::{OrganizedCloud, SensorModel, Xyz};
 

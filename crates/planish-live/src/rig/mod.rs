@@ -11,6 +11,7 @@ mod facing;
 mod file;
 mod flight;
 mod flights;
+mod frame;
 mod fused;
 mod general;
 mod matching;
@@ -36,6 +37,7 @@ use planish_core::{Camera, CloudParams, Edges, FrameError, ParamError, SensorMod
 #[cfg(feature = "rerun")]
 pub use self::rerun::RigRerunSink;
 pub use file::rig_to_json;
+pub use frame::RigFrame;
 pub use fused::fuse;
 pub use matching::{Matcher, MatcherCounts, Moment};
 pub use options::RigOptions;
@@ -43,7 +45,7 @@ pub use picture::{PictureSink, top_down};
 pub use sinks::{CamerasSink, FusedSink, RigSink};
 pub use smoother::{RigResults, RigSmoother, RigWay};
 pub use statistics::{CameraStatistics, RigStatistics};
-pub use stream::{RigEvent, RigFrame, run};
+pub use stream::{RigEvent, run};
 pub use viewpoint::Viewpoint;
 
 /// How far time stamps of one moment may be apart if a rig does not say: half the time between frames at 30 Hz.

@@ -10,16 +10,15 @@ use std::time::{Duration, Instant};
 
 use super::capture::{Arrived, Inbox, Received, Taken};
 use super::{
-    CameraStatistics, Clock, MatcherCounts, Moment, Rig, RigCamera, RigOptions, RigResults, RigSink, RigSmoother,
-    RigStatistics, RigWay,
+    CameraStatistics, Clock, MatcherCounts, Moment, Rig, RigCamera, RigFrame, RigOptions, RigResults, RigSink,
+    RigSmoother, RigStatistics, RigWay,
 };
 use crate::{
     source::Source,
     stream::{SinkThread, StreamFrame, StreamStatistics},
 };
 use planish_core::{
-    Engine, EngineError, Error, FrameError, IntoFrame, Outputs, ParamError, PointCloud,
-    clean::voxel_downsample,
+    Engine, EngineError, Error, IntoFrame, ParamError,
     internal::{GpuLosses, LIVE_IN_FLIGHT, Recovery},
 };
 
@@ -28,43 +27,6 @@ const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 /// Between two looks at whether the stream is to stop.
 const PATIENCE: Duration = Duration::from_millis(100);
-
-/// The frames of a moment with their results, as sinks get them.
-#[non_exhaustive]
-pub struct RigFrame {
-    /// Its index among the moments smoothed, from 0.
-    pub index: u64,
-    /// The earliest time stamp of its frames, in seconds, time offsets added.
-    pub time_s: f64,
-    /// Each camera's frame and result, in the order of the rig's cameras; `None` for one without a frame.
-    pub cameras: Vec<Option<StreamFrame>>,
-    /// The rig.
-    pub rig: Arc<Rig>,
-    /// The fields that were computed.
-    pub outputs: Outputs,
-    /// From the arrival of its first frame until its result was available.
-    pub latency: Duration,
-    /// The size of the voxels that its points were thinned to, in metres, if they were.
-    pub voxel_m: Option<f64>,
-    fused: OnceLock<Result<PointCloud, FrameError>>,
-}
-
-impl RigFrame {
-    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index
-    /// of the camera. If points were thinned, one for each voxel: the mean of the smoothed points of all cameras in it,
-    /// with their fields. Put together when it is first asked for.
-    pub fn fused(&self) -> Result<&PointCloud, FrameError> {
-        let fused = self.fused.get_or_init(|| {
-            let frames = self.cameras.iter().map(|frame| frame.as_ref().map(|frame| (&frame.source, &frame.smoothed)));
-            let fused = self.rig.fuse(&frames.collect::<Vec<_>>(), self.outputs)?;
-            match self.voxel_m {
-                Some(size_m) => voxel_downsample(&fused, size_m).map_err(FrameError::BadVoxel),
-                None => Ok(fused),
-            }
-        });
-        fused.as_ref().map_err(Clone::clone)
-    }
-}
 
 /// What a running rig reports to the caller.
 #[derive(Debug)]

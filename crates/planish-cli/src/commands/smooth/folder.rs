@@ -16,8 +16,9 @@ use planish::{Engine, Error, FormatError, IoError, SensorChoice, Session, Smooth
 use planish_bench::{errln, outln};
 
 use super::super::checks::check_output;
+use super::Worker;
+use super::memory::NeedsMemory;
 use super::report::{Failure, FolderReport, Report};
-use super::{NeedsMemory, Worker};
 use crate::args::SmoothArgs;
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};

@@ -11,9 +11,10 @@ use planish_bench::errln;
 
 use super::super::checks::report_notes;
 use super::super::ms_since;
+use super::memory::NeedsMemory;
 use super::progress::with_progress;
 use super::report::{Report, StatusCounts, report_assumed_sensor, summarize};
-use super::{LOST_SHARE_TOLD, NeedsMemory, Worker};
+use super::{LOST_SHARE_TOLD, Worker};
 
 impl Worker<'_> {
     /// Smooths a LAS, LAZ or PLY file tile by tile into another, if it does not fit the memory that is allowed.

@@ -1,0 +1,117 @@
+//! What `bench gpu` reports.
+
+use serde::Serialize;
+
+use crate::timing::Spread;
+
+#[derive(Serialize)]
+pub(super) struct Report {
+    pub(super) adapter: String,
+    pub(super) input: String,
+    pub(super) frames: u32,
+    pub(super) kernels: Vec<KernelRow>,
+    pub(super) one_at_a_time: Vec<LatencyRow>,
+    pub(super) in_flight: Vec<ThroughputRow>,
+    pub(super) batches: Vec<BatchRow>,
+    pub(super) fleets: Vec<FleetRow>,
+    /// From a device that is open to a smoother: kernel compiled, memory had.
+    pub(super) open_ms: f64,
+    pub(super) first_frame_ms: f64,
+}
+
+#[derive(Serialize)]
+pub(super) struct KernelRow {
+    pub(super) window: u32,
+    pub(super) stride: u32,
+    pub(super) degree: u32,
+    pub(super) keeps_edges: bool,
+    pub(super) kernel_us: Spread,
+    /// The same with the shader's checks of bounds on.
+    pub(super) checked_kernel_us: Spread,
+}
+
+#[derive(Serialize)]
+pub(super) struct LatencyRow {
+    pub(super) setting: &'static str,
+    pub(super) what: &'static str,
+    pub(super) transfer: String,
+    pub(super) microseconds: Spread,
+}
+
+#[derive(Serialize)]
+pub(super) struct ThroughputRow {
+    pub(super) setting: &'static str,
+    pub(super) what: &'static str,
+    pub(super) transfer: String,
+    pub(super) slots: usize,
+    pub(super) frames_per_second: f64,
+}
+
+#[derive(Serialize)]
+pub(super) struct FleetRow {
+    pub(super) setting: &'static str,
+    pub(super) what: &'static str,
+    pub(super) devices: usize,
+    pub(super) frames_per_second: f64,
+    /// Over the first of them alone.
+    pub(super) times: f64,
+    /// Frames that each device computed.
+    pub(super) shares: Vec<u64>,
+}
+
+#[derive(Serialize)]
+pub(super) struct BatchRow {
+    pub(super) frames: usize,
+    pub(super) kernel_us: f64,
+    pub(super) kernel_us_a_frame: f64,
+}
+
+pub(super) fn print_text(report: &Report) {
+    crate::outln!("{}, {}, 640x480, medians of {} frames", report.adapter, report.input, report.frames);
+    crate::outln!(
+        "every setting agrees with the reference; a smoother opens in {:.0} ms, its first frame takes {:.2} ms",
+        report.open_ms,
+        report.first_frame_ms
+    );
+    if report.kernels.is_empty() {
+        return print_fleets(&report.fleets);
+    }
+    crate::outln!(
+        "\n| window, stride, degree | edges | kernel, µs (p5 to p95) | with bounds checks, µs |\n|---|---|---|---|"
+    );
+    for row in &report.kernels {
+        let Spread { p5, median, p95, .. } = row.kernel_us;
+        crate::outln!(
+            "| {}, {}, {} | {} | {median:.1} ({p5:.1} to {p95:.1}) | {:.1} |",
+            row.window,
+            row.stride,
+            row.degree,
+            if row.keeps_edges { "robust" } else { "off" },
+            row.checked_kernel_us.median
+        );
+    }
+    crate::outln!("\n| one frame at a time | setting | transfer | p50, µs | p99, µs |\n|---|---|---|---|---|");
+    for LatencyRow { setting, what, transfer, microseconds } in &report.one_at_a_time {
+        crate::outln!("| {what} | {setting} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
+    }
+    crate::outln!("\n| frames in flight | setting | transfer | slots | frames a second |\n|---|---|---|---|---|");
+    for ThroughputRow { setting, what, transfer, slots, frames_per_second } in &report.in_flight {
+        crate::outln!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
+    }
+    print_fleets(&report.fleets);
+    crate::outln!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
+    for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {
+        crate::outln!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
+    }
+}
+
+fn print_fleets(rows: &[FleetRow]) {
+    if !rows.is_empty() {
+        crate::outln!(
+            "\n| dealt to devices | setting | devices | frames a second | times one | each |\n|---|---|---|---|---|---|"
+        );
+    }
+    for FleetRow { setting, what, devices, frames_per_second, times, shares } in rows {
+        crate::outln!("| {what} | {setting} | {devices} | {frames_per_second:.0} | {times:.2} | {shares:?} |");
+    }
+}

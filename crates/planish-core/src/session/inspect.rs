@@ -1,0 +1,74 @@
+//! The state of a session, for callers.
+
+use super::Session;
+use super::event::SessionEvent;
+use super::open::Open;
+use super::watch::ProgressWatch;
+use crate::engines::{ChoiceReason, Engine};
+use crate::fleet::FleetDevice;
+use crate::frame::RangeRule;
+use crate::sensor::SensorModel;
+use crate::timings::FrameTimings;
+
+impl Session {
+    /// Takes what has happened since the last call, in order.
+    pub fn take_events(&mut self) -> Vec<SessionEvent> {
+        if let Some(open) = &mut self.open {
+            self.events.extend(open.losses(&mut self.devices));
+        }
+        std::mem::take(&mut self.events)
+    }
+
+    /// Returns the sensor that was last estimated, if settings ask for that.
+    pub fn estimated_sensor(&self) -> Option<SensorModel> {
+        self.estimated
+    }
+
+    /// Returns the devices that are left of those of the settings.
+    pub fn devices(&self) -> &[FleetDevice] {
+        &self.devices
+    }
+
+    /// Returns how ranges were measured in the last frame, and the pitch of its pixels (docs/method.md, section 11).
+    pub fn range_rule(&self) -> Option<RangeRule> {
+        self.rule
+    }
+
+    /// Returns the engine that is open; `None` before the first frame.
+    pub fn engine(&self) -> Option<Engine> {
+        self.open.as_ref().map(Open::engine)
+    }
+
+    /// Returns the name of the GPU that is open.
+    pub fn gpu_name(&self) -> Option<&str> {
+        self.open.as_ref()?.one()?.gpu_name()
+    }
+
+    /// Returns why `Auto` chose its engine; `None` if the engine was asked for by name.
+    pub fn chosen_because(&self) -> Option<&ChoiceReason> {
+        self.open.as_ref()?.one()?.chosen_because()
+    }
+
+    /// Returns the timings of the last frame, if time stamps were requested.
+    pub fn timings(&self) -> Option<FrameTimings> {
+        self.open.as_ref()?.one()?.timings()
+    }
+
+    /// Returns a handle that shows the progress of the frame being smoothed, for other threads.
+    pub fn watch(&self) -> ProgressWatch {
+        self.watch.clone()
+    }
+}
+
+impl std::fmt::Debug for Session {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { chosen, options, devices, open, .. } = self;
+        f.debug_struct("Session")
+            .field("chosen", chosen)
+            .field("options", options)
+            .field("devices", devices)
+            .field("open", open)
+            .field("in_flight", &self.in_flight())
+            .finish()
+    }
+}

@@ -1,0 +1,162 @@
+//! PLY as it is written.
+
+use super::camera::PlyCamera;
+use super::records::Layout;
+use super::remarks::{GRID_INFOS, Remarks};
+use super::{Record, malformed};
+use crate::columns::{EXACT_INTEGERS, columns_from_cloud, with_values};
+use crate::{CloudRef, Encoding, quoted, text};
+use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, SensorPose};
+use ply_rs_bw::ply::{Addable, ElementDef, Encoding as PlyEncoding, Header, PropertyDef, PropertyType, ScalarType};
+use ply_rs_bw::writer::Writer;
+
+pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
+    let columns = columns_of(cloud.points())?;
+    let PointCloud { pose, provenance, .. } = cloud.points();
+    let remarks = provenance.get::<Remarks>();
+    let points = cloud.points().len();
+    let grid = matches!(cloud, CloudRef::Organized(_)).then(|| cloud.grid());
+    let [mut bytes, behind] = Around { grid, pose, remarks, encoding }.encode(&columns, points)?;
+    bytes.extend(encode_rows(&columns, points, encoding)?);
+    bytes.extend(behind);
+    Ok(bytes)
+}
+
+/// The columns of a cloud as PLY has them, each with a name of its own.
+pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatError> {
+    let mut columns = columns_from_cloud(cloud);
+    let has = |columns: &[Attribute], name: &str| columns.iter().any(|column| column.name == name);
+    if NORMALS.iter().all(|(_, pcl)| has(&columns, pcl)) {
+        // A file of an earlier version has both: those that the rest of the library knows are newer.
+        columns.retain(|column| NORMALS.iter().all(|(ply, _)| column.name != *ply));
+        for (ply, pcl) in NORMALS {
+            columns.iter_mut().filter(|column| column.name == pcl).for_each(|column| column.name = ply.to_owned());
+        }
+    }
+    let parts = columns.into_iter().map(ply_columns);
+    let columns = parts.collect::<Result<Vec<_>, _>>()?.concat();
+    if element_of("vertex", 0, &columns).properties.len() != columns.len() {
+        return Err(FormatError::Unsupported("two fields have the same name; PLY allows each once".into()));
+    }
+    Ok(columns)
+}
+
+/// What stands before and behind the vertices of a file.
+pub(super) struct Around<'a> {
+    pub(super) grid: Option<(usize, usize)>,
+    pub(super) pose: &'a SensorPose,
+    pub(super) remarks: Option<&'a Remarks>,
+    pub(super) encoding: Encoding,
+}
+
+impl Around<'_> {
+    /// The header, and the camera where there is a pose, around so many vertices with these columns.
+    pub(super) fn encode(&self, columns: &[Attribute], points: usize) -> Result<[Vec<u8>; 2], FormatError> {
+        let &Self { grid, pose, remarks, encoding } = self;
+        let camera =
+            if pose.is_identity() { Vec::new() } else { PlyCamera::columns(pose, grid.unwrap_or((points, 1))) };
+        let mut header = Header::new();
+        header.encoding = match encoding {
+            Encoding::Ascii => PlyEncoding::Ascii,
+            Encoding::Binary | Encoding::BinaryCompressed => PlyEncoding::BinaryLittleEndian,
+        };
+        if let Some(remarks) = remarks {
+            header.comments = remarks.comments.clone();
+            header.obj_infos = remarks.obj_infos.clone();
+        }
+        if let Some((width, height)) = grid {
+            let stated = GRID_INFOS.iter().zip([width, height]).map(|(key, number)| format!("{key} {number}"));
+            header.obj_infos.extend(stated);
+        }
+        header.elements.add(element_of("vertex", points, columns));
+        if !camera.is_empty() {
+            header.elements.add(element_of("camera", 1, &camera));
+        }
+        let mut before = Vec::new();
+        Writer::<Record>::new().write_header(&mut before, &header)?;
+        let behind = if camera.is_empty() { Vec::new() } else { encode_rows(&camera, 1, encoding)? };
+        Ok([before, behind])
+    }
+}
+
+/// The lines or records of the columns.
+fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
+    if encoding == Encoding::Ascii {
+        let mut lines = Vec::new();
+        text::write(columns, rows, &mut lines);
+        return Ok(lines);
+    }
+    match Layout::of(&element_of("rows", rows, columns)) {
+        Some(layout) => Ok(layout.encode(columns, 0..rows)),
+        None => malformed("a field is a list"),
+    }
+}
+
+/// The definition of an element with these columns.
+pub(super) fn element_of(name: &str, count: usize, columns: &[Attribute]) -> ElementDef {
+    let mut element = ElementDef::new(name.into());
+    element.count = count;
+    for column in columns {
+        let scalar = match column.values {
+            AttributeValues::I8(_) => ScalarType::Char,
+            AttributeValues::U8(_) => ScalarType::UChar,
+            AttributeValues::I16(_) => ScalarType::Short,
+            AttributeValues::U16(_) => ScalarType::UShort,
+            AttributeValues::I32(_) => ScalarType::Int,
+            AttributeValues::U32(_) => ScalarType::UInt,
+            AttributeValues::F32(_) => ScalarType::Float,
+            AttributeValues::F64(_) | AttributeValues::I64(_) | AttributeValues::U64(_) => ScalarType::Double,
+        };
+        element.properties.add(PropertyDef::new(column.name.clone(), PropertyType::Scalar(scalar)));
+    }
+    element
+}
+
+/// What PLY's programs call normals, and what PCL does.
+const NORMALS: [(&str, &str); 3] = [("nx", "normal_x"), ("ny", "normal_y"), ("nz", "normal_z")];
+
+/// Gives the normals of a file PCL's names, by which the rest of the library knows them.
+pub(super) fn rename_normals(columns: &mut [Attribute]) {
+    let has = |name: &str| columns.iter().any(|column| column.name == name);
+    if NORMALS.iter().all(|(ply, pcl)| has(ply) && !has(pcl)) {
+        for column in columns {
+            if let Some((_, pcl)) = NORMALS.iter().find(|(ply, _)| column.name == *ply) {
+                column.name = (*pcl).to_owned();
+            }
+        }
+    }
+}
+
+/// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers.
+fn ply_columns(column: Attribute) -> Result<Vec<Attribute>, FormatError> {
+    if column.name == "_" {
+        return Ok(Vec::new());
+    }
+    let count = column.count;
+    let rounded = || {
+        FormatError::Unsupported(format!(
+            "the field {} has 64-bit integers that PLY, which has none, would round: write .pcd",
+            quoted(&column.name)
+        ))
+    };
+    let values = match &column.values {
+        AttributeValues::I64(values) => {
+            let exact = |&value: &i64| (value.unsigned_abs() <= EXACT_INTEGERS).then_some(value as f64);
+            values.iter().map(exact).collect::<Option<Vec<f64>>>().ok_or_else(rounded)?.into()
+        }
+        AttributeValues::U64(values) => {
+            let exact = |&value: &u64| (value <= EXACT_INTEGERS).then_some(value as f64);
+            values.iter().map(exact).collect::<Option<Vec<f64>>>().ok_or_else(rounded)?.into()
+        }
+        values => values.clone(),
+    };
+    if count == 1 {
+        return Ok(vec![Attribute { values, ..column }]);
+    }
+    let part = |k: usize| {
+        let values =
+            with_values!(&values, values => values.iter().skip(k).step_by(count).copied().collect::<Vec<_>>().into());
+        Attribute { name: format!("{}_{k}", column.name), count: 1, values }
+    };
+    Ok((0..count).map(part).collect())
+}

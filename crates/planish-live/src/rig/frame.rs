@@ -1,0 +1,46 @@
+//! The results of a moment.
+
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use super::Rig;
+use crate::stream::StreamFrame;
+use planish_core::clean::voxel_downsample;
+use planish_core::{FrameError, Outputs, PointCloud};
+
+/// The frames of a moment with their results, as sinks get them.
+#[non_exhaustive]
+pub struct RigFrame {
+    /// Its index among the moments smoothed, from 0.
+    pub index: u64,
+    /// The earliest time stamp of its frames, in seconds, time offsets added.
+    pub time_s: f64,
+    /// Each camera's frame and result, in the order of the rig's cameras; `None` for one without a frame.
+    pub cameras: Vec<Option<StreamFrame>>,
+    /// The rig.
+    pub rig: Arc<Rig>,
+    /// The fields that were computed.
+    pub outputs: Outputs,
+    /// From the arrival of its first frame until its result was available.
+    pub latency: Duration,
+    /// The size of the voxels that its points were thinned to, in metres, if they were.
+    pub voxel_m: Option<f64>,
+    pub(super) fused: OnceLock<Result<PointCloud, FrameError>>,
+}
+
+impl RigFrame {
+    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index
+    /// of the camera. If points were thinned, one for each voxel: the mean of the smoothed points of all cameras in it,
+    /// with their fields. Put together when it is first asked for.
+    pub fn fused(&self) -> Result<&PointCloud, FrameError> {
+        let fused = self.fused.get_or_init(|| {
+            let frames = self.cameras.iter().map(|frame| frame.as_ref().map(|frame| (&frame.source, &frame.smoothed)));
+            let fused = self.rig.fuse(&frames.collect::<Vec<_>>(), self.outputs)?;
+            match self.voxel_m {
+                Some(size_m) => voxel_downsample(&fused, size_m).map_err(FrameError::BadVoxel),
+                None => Ok(fused),
+            }
+        });
+        fused.as_ref().map_err(Clone::clone)
+    }
+}

@@ -1,0 +1,50 @@
+//! Messages between the thread that receives them and the one that smooths.
+
+use planish::ros::{CameraInfo, DepthMessage, PointCloud2};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// A message as it arrived.
+pub enum Arrived {
+    Depth(DepthMessage),
+    Cloud(PointCloud2),
+}
+
+/// What the receiving thread leaves for the smoothing one: the newest message and the newest camera.
+#[derive(Default)]
+pub struct Inbox {
+    pub newest: Option<(Arrived, Instant)>,
+    pub camera: Option<CameraInfo>,
+    pub received: u64,
+    pub replaced: u64,
+    pub damaged: u64,
+    /// Why no more can be received.
+    pub broken: Option<String>,
+}
+
+#[derive(Default)]
+pub struct Shared {
+    pub inbox: Mutex<Inbox>,
+    pub arrived: Condvar,
+}
+
+impl Shared {
+    pub fn lock(&self) -> MutexGuard<'_, Inbox> {
+        self.inbox.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub fn put(&self, message: Arrived) {
+        let mut inbox = self.lock();
+        inbox.received += 1;
+        if inbox.newest.replace((message, Instant::now())).is_some() {
+            inbox.replaced += 1;
+        }
+        self.arrived.notify_one();
+    }
+
+    pub fn damaged(&self) {
+        let mut inbox = self.lock();
+        inbox.received += 1;
+        inbox.damaged += 1;
+    }
+}
