@@ -64,6 +64,7 @@ impl WindowSize {
 
 /// The window of a frame's pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Window {
     /// Follows the resolution of the frames: this size for pixels as fine as a Kinect v1's or finer, shorter strides
     /// for coarser ones. A smoother decides by its first frame with a known resolution.

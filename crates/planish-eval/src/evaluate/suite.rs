@@ -20,6 +20,7 @@ impl Default for Suite {
 
 /// What is measured on a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum Gauges {
     /// Surfaces and edges, by range and angle.
     Surfaces,

@@ -10,6 +10,7 @@ pub const NO_OBJECT: u16 = u16::MAX;
 
 /// A solid or a plane, in world coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum Shape {
     /// An infinite plane through a point.
     Plane {

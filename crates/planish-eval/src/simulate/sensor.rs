@@ -15,6 +15,7 @@ use planish_core::{Camera, DepthFrame, FrameError, SensorModel};
 
 /// What the errors of a sensor are counted in.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum ErrorUnit {
     /// Steps of disparity, to which depth is rounded.
     Disparity {

@@ -13,6 +13,7 @@ const CONFIGURATION_BYTES: usize = 12;
 
 /// A depth image taken out of its message.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum DepthPixels {
     /// Millimetres; 0 and 65535 are holes.
     Millimetres(DepthImage),
