@@ -18,7 +18,8 @@ use args::{Args, Command};
 /// Runs the command with its arguments, the program's name first, and returns its exit code. Bad arguments and `--help`
 /// end the process.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    quiet_the_window_system();
+    // SAFETY: the process has no other thread yet.
+    unsafe { planish::silence_vulkan_drivers() };
     quiet_the_decoder_of_laz();
     if let Err(error) = signals::install() {
         errln!("warning: {error:#}");
@@ -70,13 +71,4 @@ fn quiet_the_decoder_of_laz() {
             usual(panic);
         }
     }));
-}
-
-/// Where there is no session of a desktop, Mesa's Vulkan drivers look for one nevertheless and complain on standard
-/// error of a missing XDG_RUNTIME_DIR, once for every question. Any folder quiets them.
-fn quiet_the_window_system() {
-    if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: the process has no other thread yet that could read the environment.
-        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
-    }
 }

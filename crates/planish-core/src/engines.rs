@@ -168,6 +168,18 @@ impl SmootherOptions {
     }
 }
 
+/// Gives Mesa's Vulkan drivers a runtime folder on Linux if the session has none (`XDG_RUNTIME_DIR`), as on a robot;
+/// otherwise they print an error for each query.
+///
+/// # Safety
+/// No other thread may run: it changes the environment.
+pub unsafe fn silence_vulkan_drivers() {
+    if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // SAFETY: no other thread reads the environment.
+        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
+    }
+}
+
 /// The GPU adapters of this machine in the order of their indices. Empty without drivers, or in a build without the
 /// feature `gpu`.
 pub fn gpu_adapters() -> Vec<GpuAdapter> {

@@ -64,7 +64,9 @@ pub mod webgpu {
 pub use camera::{Camera, Distortion, SATURATED_DEPTH};
 pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns};
 pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
-pub use engines::{Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters};
+pub use engines::{
+    Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters, silence_vulkan_drivers,
+};
 pub use error::{DeviceError, EngineError, Error, FormatError, FrameError, IoError, ParamError};
 pub use fleet::{Fleet, FleetDevice, FleetMember, SharedFrame};
 pub use frame::{

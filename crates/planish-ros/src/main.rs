@@ -25,7 +25,8 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     set_up_memory();
-    quiet_the_window_system();
+    // SAFETY: the process has no other thread yet.
+    unsafe { planish::silence_vulkan_drivers() };
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let run = || {
@@ -56,15 +57,6 @@ fn set_up_memory() {
             // SAFETY: the C library's own function, with parameters that it defines; no other thread runs yet.
             unsafe { mallopt(parameter, bytes) };
         }
-    }
-}
-
-/// Where there is no session of a desktop, as on a robot, Mesa's Vulkan drivers look for one nevertheless and complain
-/// on standard error. Any folder quiets them.
-fn quiet_the_window_system() {
-    if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: the process has no other thread yet that could read the environment.
-        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::error::Error;
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use libloading::Library;
 
@@ -35,6 +36,20 @@ macro_rules! c_functions {
     };
 }
 pub(super) use c_functions;
+
+/// Loads a library once in a process. It is never unloaded, since it keeps threads.
+pub(super) fn load_once<T>(
+    loaded: &Mutex<Option<&'static T>>,
+    load: impl FnOnce() -> Result<T, DeviceError>,
+) -> Result<&'static T, DeviceError> {
+    let mut loaded = loaded.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(functions) = *loaded {
+        return Ok(functions);
+    }
+    let functions: &'static T = Box::leak(Box::new(load()?));
+    *loaded = Some(functions);
+    Ok(functions)
+}
 
 /// Loads the file that the environment variable names, or else the first of the usual names that is there.
 pub(super) fn load(

@@ -1,7 +1,7 @@
 //! The part of OpenNI2's C API that is used (OniCAPI.h, OniCTypes.h, version 2.2).
 
 use std::ffi::{CStr, c_char, c_int, c_void};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::source::driver::{self, c_functions};
 use planish_core::DeviceError;
@@ -131,21 +131,17 @@ impl Functions {
     /// still run (those of its dummy device do).
     pub(super) fn load() -> Result<&'static Self, DeviceError> {
         static LOADED: Mutex<Option<&'static Functions>> = Mutex::new(None);
-        let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(functions) = *loaded {
-            return Ok(functions);
-        }
         let help = "install OpenNI2 (Debian: libopenni2-0), or name its file in PLANISH_LIBOPENNI2";
-        let library =
-            driver::load("PLANISH_LIBOPENNI2", ["libOpenNI2.so.0", "libOpenNI2.so"].map(str::to_owned), help)?;
-        // SAFETY: the signatures are those of OniCAPI.h 2.2.
-        let functions = unsafe { Self::find(library) }
-            .map_err(|error| DeviceError::Driver { what: format!("no OpenNI2 of version 2.2: {error}"), help })?;
-        // SAFETY: needs nothing.
-        functions.check("OpenNI2 does not start", unsafe { (functions.Initialize)(VERSION) })?;
-        let functions: &'static Self = Box::leak(Box::new(functions));
-        *loaded = Some(functions);
-        Ok(functions)
+        driver::load_once(&LOADED, || {
+            let usual = ["libOpenNI2.so.0", "libOpenNI2.so"].map(str::to_owned);
+            let library = driver::load("PLANISH_LIBOPENNI2", usual, help)?;
+            // SAFETY: the signatures are those of OniCAPI.h 2.2.
+            let functions = unsafe { Self::find(library) }
+                .map_err(|error| DeviceError::Driver { what: format!("no OpenNI2 of version 2.2: {error}"), help })?;
+            // SAFETY: needs nothing.
+            functions.check("OpenNI2 does not start", unsafe { (functions.Initialize)(VERSION) })?;
+            Ok(functions)
+        })
     }
 
     /// Turns a status into an error.

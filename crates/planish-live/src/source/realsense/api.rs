@@ -1,7 +1,7 @@
 //! The part of librealsense2's C API that is used (rs.h and its parts, since version 2.39).
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -145,22 +145,17 @@ impl Functions {
     /// Loads librealsense, once in a process: it keeps threads of its own and is never unloaded.
     pub(super) fn load() -> Result<&'static Self, DeviceError> {
         static LOADED: Mutex<Option<&'static Functions>> = Mutex::new(None);
-        let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(functions) = *loaded {
-            return Ok(functions);
-        }
         let help = "install librealsense2, or name its file in PLANISH_LIBREALSENSE (the Python package pyrealsense2 has it too)";
         // Debian and Ubuntu have the minor version in the name; the name without it comes with the packages for
         // development.
         let numbered = (39..100).rev().map(|minor| format!("librealsense2.so.2.{minor}"));
         let usual = std::iter::once("librealsense2.so".to_owned()).chain(numbered);
-        let library = driver::load("PLANISH_LIBREALSENSE", usual, help)?;
-        // SAFETY: the signatures are those of rs.h, the same in all versions 2.
-        let functions = unsafe { Self::find(library) }
-            .map_err(|error| DeviceError::Driver { what: format!("no librealsense2 since 2.39: {error}"), help })?;
-        let functions: &'static Self = Box::leak(Box::new(functions));
-        *loaded = Some(functions);
-        Ok(functions)
+        driver::load_once(&LOADED, || {
+            let library = driver::load("PLANISH_LIBREALSENSE", usual, help)?;
+            // SAFETY: the signatures are those of rs.h, the same in all versions 2.
+            unsafe { Self::find(library) }
+                .map_err(|error| DeviceError::Driver { what: format!("no librealsense2 since 2.39: {error}"), help })
+        })
     }
 
     /// Makes a call, and turns what it reports into an error.
