@@ -114,6 +114,7 @@ impl Xyz {
     }
 
     /// Appends `len` vectors whose component `axis` of vector `i` is `value(axis, i)`.
+    #[cfg(feature = "gpu")]
     pub(crate) fn par_extend(&mut self, len: usize, value: impl Fn(usize, usize) -> f32 + Sync) {
         let extend = |to: &mut Vec<f32>, axis: usize| to.par_extend((0..len).into_par_iter().map(|i| value(axis, i)));
         let Self { x, y, z } = self;

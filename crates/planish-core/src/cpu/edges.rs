@@ -7,7 +7,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::blocks::Block;
 use super::padded::{PaddedFrame, PaddedRows};
-use super::plane::{self, Plane};
+use super::plane::{self, Plane, Points, Surface};
 use super::row_tasks::SplitRows;
 use super::vector::{Mask, Vec3, share, splat};
 use super::window::{Candidates, Gate, Window};
@@ -104,15 +104,6 @@ impl PlaneRows<'_> {
     }
 }
 
-/// The surface that points lie on.
-pub(super) struct Surface<S: Simd> {
-    pub(super) plane: Plane<S>,
-    /// How many neighbours.
-    pub(super) n: S::f32s,
-    /// How far from the plane a neighbour counts, in metres; infinite where there is no plane.
-    pub(super) width: S::f32s,
-}
-
 impl Planes {
     /// Room for the planes of frames with this padding.
     pub(super) fn new(params: &EngineParams, padded: &PaddedFrame) -> Self {
@@ -162,25 +153,22 @@ impl Planes {
     #[inline(always)]
     pub(super) fn surface<S: Simd>(&self, simd: S, at: usize) -> Surface<S> {
         let n = self.load(simd, COUNT, at).abs();
-        Surface { plane: self.plane(simd, at), n, width: self.load(simd, WIDTH, at) }
+        Surface { plane: self.plane(simd, at), n, width: Some(self.load(simd, WIDTH, at)) }
     }
 
-    /// Finds the surfaces that the points p from an index on lie on, from their own first planes and the eight around
-    /// them. `mean` says how far off a plane they are, `ray` leads from the sensor to them.
-    #[allow(clippy::too_many_arguments)]
+    /// Finds the surfaces of the points from an index on, from their own first planes and the eight around them; returns
+    /// plane, number of neighbours and width. The distance of `mean` from a plane decides how well it fits.
     #[inline(always)]
     fn find_surface<S: Simd>(
         &self,
         simd: S,
         measured: &PaddedFrame,
         here: usize,
-        p: Vec3<S>,
+        points: Points<S>,
         mean: Vec3<S>,
-        ray: Vec3<S>,
-        valid: Mask<S>,
-        radius: S::f32s,
         noise: S::f32s,
-    ) -> Surface<S> {
+    ) -> (Plane<S>, S::f32s, S::f32s) {
+        let Points { p, ray, radius, valid } = points;
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
         let per_variance = one / (noise * noise);
         let gate = Gate::new(simd, radius * splat(simd, PLANE_REACH));
@@ -220,7 +208,7 @@ impl Planes {
         plane.normal = normal.scale(sign / length).or(has_plane, plane.normal);
         plane.height = has_plane.select(sign * height, plane.height);
         let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY));
-        Surface { plane, n: self.load(simd, COUNT, here).abs(), width }
+        (plane, self.load(simd, COUNT, here).abs(), width)
     }
 }
 
@@ -287,11 +275,12 @@ pub(super) fn find_surfaces<S: Simd>(
             let radius = kernel.rules.radius(simd, range);
             let noise = noise(simd, &kernel.rules, range, radius);
             let mean = rows.means.as_ref().map_or(p, |means| means.load(simd, at));
-            let surface = first_planes.find_surface(simd, measured, here, p, mean, ray, valid, radius, noise);
-            rows.store(at, &surface.plane, surface.width, surface.n);
+            let points = Points { p, ray, radius, valid };
+            let (plane, n, width) = first_planes.find_surface(simd, measured, here, points, mean, noise);
+            rows.store(at, &plane, width, n);
             if let Some(means) = &mut rows.means {
                 let block = Block::around(simd, measured, kernel, here, p, range);
-                let mean = block.mean_on_surface(simd, &surface.plane, surface.width);
+                let mean = block.mean_on_surface(simd, &plane, width);
                 means.store(at, mean.or(valid, Vec3::splat(simd, f32::NAN)));
             }
         }

@@ -49,7 +49,7 @@ use edges::{PlaneRows, Planes};
 pub(crate) use general::GeneralCpu;
 use output::OutputRows;
 use padded::{PaddedFrame, PaddedRows};
-use plane::Plane;
+use plane::{Points, Surface};
 use polynomial::{Source, Terms, Weighting};
 use project::{Projected, Projection};
 use row_tasks::{SplitRows, run_on_rows};
@@ -250,7 +250,7 @@ fn smooth_rows_simd<S: Simd, const D: usize>(
     let mut terms = Terms::new(simd);
     for row in 0..rows.count() {
         for u in (0..rows.width).step_by(S::f32s::LEN) {
-            smooth_vector::<S, D>(simd, kernel, input, surfaces, &mut terms, rows, row, u);
+            smooth_vector::<S, D>(simd, kernel, input, surfaces, &mut terms, rows, (u, row));
         }
     }
 }
@@ -264,7 +264,6 @@ fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
 
 /// Sections 2 to 7 and 10 for one vector of pixels. The terms are kept from vector to vector, so that they are not
 /// cleared for each.
-#[allow(clippy::too_many_arguments)]
 #[inline(always)]
 fn smooth_vector<S: Simd, const D: usize>(
     simd: S,
@@ -273,8 +272,7 @@ fn smooth_vector<S: Simd, const D: usize>(
     surfaces: Option<&Planes>,
     terms: &mut Terms<S>,
     rows: &mut OutputRows<'_>,
-    row: usize,
-    u: usize,
+    (u, row): (usize, usize),
 ) {
     let here = input.measured.index(u, rows.first + row);
     let p = input.measured.load(simd, here);
@@ -287,54 +285,51 @@ fn smooth_vector<S: Simd, const D: usize>(
     let range = kernel.range(simd, ray);
     let radius = kernel.rules.radius(simd, range);
     let window = Window::at(input.samples, kernel, u, rows.first + row);
-    let (plane, n, width, source) = match surfaces {
+    let (surface, source) = match surfaces {
         None => {
             let (sums, source) = terms.keep(simd, window, p, radius);
-            (plane::fit(simd, ray, &sums), sums.n, None, source)
+            (Surface { plane: plane::fit(simd, ray, &sums), n: sums.n, width: None }, source)
         }
         Some(surfaces) => {
             let surface = surfaces.surface(simd, here);
             let n = valid.select(surface.n, splat(simd, 0.0));
-            (surface.plane, n, Some(surface.width), Source::Of(window))
+            (Surface { n, ..surface }, Source::Of(window))
         }
     };
     let projection = rows.projection(kernel.on_ray);
     let fitting = &kernel.fitting;
-    let projected = fitting.fit::<S, _, D>(simd, source, p, ray, &plane, width, radius, n, valid, projection, terms);
-    rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &plane, n);
+    let points = Points { p, ray, radius, valid };
+    let projected = fitting.fit::<S, _, D>(simd, source, points, &surface, projection, terms);
+    rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &surface);
 }
 
 impl Fitting {
-    /// Sections 5 to 7 for the points p over their planes, narrowed to `width` around those where edges are kept.
-    #[allow(clippy::too_many_arguments)]
+    /// Sections 5 to 7 for points over their surfaces.
     #[inline(always)]
     fn fit<S: Simd, C: Candidates<S>, const D: usize>(
         &self,
         simd: S,
         source: Source<C>,
-        p: Vec3<S>,
-        ray: Vec3<S>,
-        plane: &Plane<S>,
-        width: Option<S::f32s>,
-        radius: S::f32s,
-        n: S::f32s,
-        valid: Mask<S>,
+        points: Points<S>,
+        surface: &Surface<S>,
         projection: Projection,
         terms: &mut Terms<S>,
     ) -> Projected<S> {
+        let Points { p, radius, .. } = points;
+        let Surface { plane, n, width } = surface;
         let Self { keeps_isolated, least_neighbours, .. } = *self;
         let projection = Projection { keeps_isolated, least_neighbours, ..projection };
         if D == 1 {
-            return project::project::<S, D>(simd, p, ray, plane, None, radius, n, valid, projection);
+            return project::project::<S, D>(simd, points, surface, None, projection);
         }
         let bandwidth = self.bandwidth_m.map_or(
             radius,
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
-        let weighting = Weighting { radius, bandwidth, width };
+        let weighting = Weighting { radius, bandwidth, width: *width };
         let fit = polynomial::moments::<S, C, D>(simd, source, p, plane, &weighting, terms);
-        let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, self.ridge, n);
-        project::project::<S, D>(simd, p, ray, plane, Some((&fit, c)), radius, n, valid, projection)
+        let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, self.ridge, *n);
+        project::project::<S, D>(simd, points, surface, Some((&fit, c)), projection)
     }
 }

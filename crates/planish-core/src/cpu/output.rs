@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
-use super::plane::Plane;
+use super::plane::Surface;
 use super::project::{Projected, Projection};
 use super::row_tasks::SplitRows;
 use super::vector::Vec3;
@@ -89,9 +89,9 @@ impl<'a> OutputRows<'a> {
         u: usize,
         depth: S::f32s,
         projected: &Projected<S>,
-        plane: &Plane<S>,
-        n: S::f32s,
+        surface: &Surface<S>,
     ) {
+        let Surface { plane, n, .. } = surface;
         let end = self.width.min(u + S::f32s::LEN);
         let at = row * self.width + u..row * self.width + end;
         if let Some(points) = &mut self.out.points {

@@ -28,6 +28,28 @@ pub(super) struct Plane<S: Simd> {
     pub(super) degenerate: Mask<S>,
 }
 
+/// Points to be smoothed, one per lane.
+#[derive(Clone, Copy)]
+pub(super) struct Points<S: Simd> {
+    pub(super) p: Vec3<S>,
+    /// From the sensor to p.
+    pub(super) ray: Vec3<S>,
+    /// The radius of their neighbourhoods, in metres.
+    pub(super) radius: S::f32s,
+    /// False for holes.
+    pub(super) valid: Mask<S>,
+}
+
+/// The surface that points lie on.
+pub(super) struct Surface<S: Simd> {
+    pub(super) plane: Plane<S>,
+    /// The number of neighbours.
+    pub(super) n: S::f32s,
+    /// The distance from the plane within which neighbours count, in metres, infinite without a plane; `None` if edges
+    /// are not kept.
+    pub(super) width: Option<S::f32s>,
+}
+
 /// `ray` leads from the sensor to p.
 #[inline(always)]
 pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {

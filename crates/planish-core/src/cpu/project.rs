@@ -2,7 +2,7 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
-use super::plane::Plane;
+use super::plane::{Points, Surface};
 use super::polynomial::Fit;
 use super::vector::{Mask, Vec3, splat};
 use crate::constants::{GRAZING_COSINE, MAX_ALONG, coefficient_count};
@@ -32,21 +32,18 @@ pub(super) struct Projection {
     pub(super) least_neighbours: f32,
 }
 
-/// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c. `ray`
-/// leads from the sensor to p; lanes that are not `valid` are holes.
-#[allow(clippy::too_many_arguments)]
+/// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c.
 #[inline(always)]
 pub(super) fn project<S: Simd, const D: usize>(
     simd: S,
-    p: Vec3<S>,
-    ray: Vec3<S>,
-    plane: &Plane<S>,
+    points: Points<S>,
+    surface: &Surface<S>,
     fit: Option<(&Fit<S>, [S::f32s; 3])>,
-    radius: S::f32s,
-    n: S::f32s,
-    valid: Mask<S>,
     projection: Projection,
 ) -> Projected<S> {
+    let Points { p, ray, radius, valid } = points;
+    let Surface { plane, n, .. } = surface;
+    let n = *n;
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let mut moved = plane.height;
     let mut normal = plane.normal;

@@ -3,7 +3,7 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
-use super::super::plane::{self, Plane};
+use super::super::plane::{self, Plane, Surface};
 use super::super::row_tasks::SplitRows;
 use super::super::vector::{Mask, Vec3, share, splat};
 use super::super::window::{Candidates, Gate};
@@ -112,15 +112,6 @@ impl FirstPlanes {
         };
         (plane, count.abs())
     }
-}
-
-/// The surface that points lie on.
-pub(super) struct Surface<S: Simd> {
-    pub(super) plane: Plane<S>,
-    /// How many neighbours.
-    pub(super) n: S::f32s,
-    /// How far from the plane a neighbour counts, in metres; infinite where there is no plane.
-    pub(super) width: S::f32s,
 }
 
 /// The pass of the first planes, for some leaves.
@@ -248,5 +239,5 @@ pub(super) fn find_surfaces<S: Simd>(
     plane.height = has_plane.select(sign * height, plane.height);
     let noise = (one / per_variance).sqrt();
     let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, infinity);
-    Surface { plane, n, width }
+    Surface { plane, n, width: Some(width) }
 }

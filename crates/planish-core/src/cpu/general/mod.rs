@@ -12,13 +12,14 @@ use std::sync::Arc;
 
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
+use super::Fitting;
 use super::output::OutputRows;
+use super::plane::{self, Points, Surface};
 use super::polynomial::{Source, Terms};
 use super::row_tasks::{SplitRows, halve};
 use super::sensor::Sensor;
 use super::vector::{Mask, Vec3, splat};
 use super::window::Candidates;
-use super::{Fitting, plane};
 use crate::constants::{GATE_FADE, MAX_RADIUS_RATIO};
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
@@ -222,38 +223,28 @@ fn smooth_vector<S: Simd, const D: usize>(
         rows.store_holes(row, u, S::f32s::LEN);
         return;
     }
-    let (plane, n, width, radius) = match kernel.first_planes {
+    let (surface, radius) = match kernel.first_planes {
         None => {
             let radius = kernel.gather(simd, gathered, p, valid, place);
             let sums = (&*gathered).sums(simd, p, radius);
-            (plane::fit(simd, kernel.sensor.ray(simd, p), &sums), sums.n, None, radius)
+            (Surface { plane: plane::fit(simd, kernel.sensor.ray(simd, p), &sums), n: sums.n, width: None }, radius)
         }
         Some(first_planes) => {
             let surface = edges::find_surfaces(simd, kernel, first_planes, gathered, p, valid, place);
             let radii = Radii::Known(first_planes.radii());
             let radius = Kernel { radii, ..*kernel }.gather(simd, gathered, p, valid, place);
-            (surface.plane, surface.n, Some(surface.width), radius)
+            (surface, radius)
         }
     };
     // Farther away than squares can say.
     let is_far = p.x.abs().max(p.y.abs()).max(p.z.abs()).simd_gt(splat(simd, MAX_RANGE_M));
-    let n = valid.select(is_far.select(splat(simd, 1.0), n), splat(simd, 0.0));
-    let ray = kernel.sensor.ray(simd, p);
+    let n = valid.select(is_far.select(splat(simd, 1.0), surface.n), splat(simd, 0.0));
+    let surface = Surface { n, ..surface };
+    let points = Points { p, ray: kernel.sensor.ray(simd, p), radius, valid };
     let projection = rows.projection(false);
-    let projected = kernel.fitting.fit::<S, _, D>(
-        simd,
-        Source::Of(&*gathered),
-        p,
-        ray,
-        &plane,
-        width,
-        radius,
-        n,
-        valid,
-        projection,
-        terms,
-    );
-    rows.store(row, u, splat(simd, 0.0), &projected, &plane, n);
+    let source = Source::Of(&*gathered);
+    let projected = kernel.fitting.fit::<S, _, D>(simd, source, points, &surface, projection, terms);
+    rows.store(row, u, splat(simd, 0.0), &projected, &surface);
 }
 
 impl Kernel<'_> {
