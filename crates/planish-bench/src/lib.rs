@@ -8,6 +8,7 @@ mod experiment;
 mod frames;
 mod general;
 mod gpu;
+mod options;
 pub mod output;
 mod plot;
 mod profile;
@@ -19,17 +20,16 @@ mod section;
 mod speedup;
 mod timing;
 
-use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, bail};
-use planish::Engine;
 
 use document::Document;
 use experiment::Bench;
 pub use frames::{Input, simulated_inputs};
 pub use general::{GeneralOptions, run as run_general};
 pub use gpu::{GpuOptions as GpuBenchOptions, run as run_gpu};
+pub use options::Options;
 use record::Origin;
 pub use rig::{RigBenchOptions, run as run_rig};
 use section::Section;
@@ -62,23 +62,6 @@ impl Experiment {
             Self::Quality => quality::run(bench),
         }
     }
-}
-
-/// What to measure, and where the results go.
-#[derive(Debug, Clone, Default)]
-pub struct Options {
-    /// Which engines; none, or `Auto` among them, are all that this machine has but GPUs in software.
-    pub engines: Vec<Engine>,
-    /// Fewer and shorter measurements: all five in about a minute on two cores.
-    pub quick: bool,
-    /// Folder for each experiment's JSON, Markdown and plots.
-    pub out: Option<PathBuf>,
-    /// A Markdown file whose block of results is written again.
-    pub update: Option<PathBuf>,
-    /// The program's version and compiler, for the record.
-    pub version: &'static str,
-    /// The compiler it was built with.
-    pub rustc: &'static str,
 }
 
 /// How a run ended.

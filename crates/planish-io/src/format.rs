@@ -165,3 +165,27 @@ pub(super) fn las_or_laz(bytes: &[u8]) -> Format {
         _ => Format::Las,
     }
 }
+
+/// How the points of a PCD or PLY file are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Encoding {
+    /// Text.
+    Ascii,
+    /// Little-endian binary.
+    #[default]
+    Binary,
+    /// Binary compressed by LZF (PCD only; PLY writes plain binary).
+    BinaryCompressed,
+}
+
+/// Of a format that this build was made without.
+#[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+pub(crate) fn left_out(format: Format) -> FormatError {
+    let feature = match format {
+        Format::Npz => "npz",
+        Format::DepthTiff => "tiff",
+        _ => "scans",
+    };
+    FormatError::Unsupported(format!("{}, which this build leaves out (planish's feature `{feature}`)", format.name()))
+}

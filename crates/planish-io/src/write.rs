@@ -10,48 +10,10 @@ use super::left_out;
 #[cfg(feature = "npz")]
 use super::npz;
 use super::xyz_text::Heading;
-use super::{Encoding, Format, depth_png, kitti, npy, pcd, ply, write_whole, xyz_text};
+use super::{CloudRef, Encoding, Format, depth_png, kitti, npy, pcd, ply, write_whole, xyz_text};
 #[cfg(feature = "scans")]
 use super::{e57, las};
-use planish_core::{DepthImage, FormatError, IoError, OrganizedCloud, Outputs, PointCloud, Smoothed};
-
-/// A cloud to write: on a grid or not.
-#[derive(Debug, Clone, Copy)]
-pub enum CloudRef<'a> {
-    /// Points on a pixel grid.
-    Organized(&'a OrganizedCloud),
-    /// A general cloud.
-    General(&'a PointCloud),
-}
-
-impl<'a> CloudRef<'a> {
-    pub(super) fn points(self) -> &'a PointCloud {
-        match self {
-            Self::Organized(cloud) => &cloud.points,
-            Self::General(points) => points,
-        }
-    }
-
-    /// Width and height as files state them.
-    pub(super) fn grid(self) -> (usize, usize) {
-        match self {
-            Self::Organized(cloud) => (cloud.width(), cloud.height()),
-            Self::General(points) => (points.len(), 1),
-        }
-    }
-}
-
-impl<'a> From<&'a OrganizedCloud> for CloudRef<'a> {
-    fn from(cloud: &'a OrganizedCloud) -> Self {
-        Self::Organized(cloud)
-    }
-}
-
-impl<'a> From<&'a PointCloud> for CloudRef<'a> {
-    fn from(cloud: &'a PointCloud) -> Self {
-        Self::General(cloud)
-    }
-}
+use planish_core::{DepthImage, FormatError, IoError, Outputs, Smoothed};
 
 /// Encodes a cloud as the bytes of a file. Text has a comment with the names of its columns, CSV a line of them; holes
 /// are left out of LAS and LAZ, and NPY has the positions alone.

@@ -6,19 +6,21 @@
 
 mod dealing;
 mod devices;
+mod member;
 mod worker;
 
 use std::sync::Arc;
 use std::thread;
 
 use crate::engines::{Engine, SmootherOptions};
-use crate::error::{EngineError, Error, FrameError};
-use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
+use crate::error::{EngineError, Error};
+use crate::frame::{Frame, FrameGeometry, GeometryScratch};
 use crate::params::{CloudParams, EngineParams, FrameParams, Params, Window, WindowSize};
 use crate::smoothed::Smoothed;
 use crate::smoother::{Smoother, check_grid, check_options, for_engine};
 use crate::view::SmoothedView;
 pub use devices::FleetDevice;
+pub use member::{FleetMember, SharedFrame};
 use worker::{Job, Shared, Worker};
 
 /// Frames that wait at a device beside those in its slots, for each slot: its thread never waits for the caller's.
@@ -32,25 +34,6 @@ fn threads_beside(devices: &[FleetDevice]) -> Option<usize> {
     let gpus = devices.iter().filter(|device| matches!(device, FleetDevice::Gpu(_))).count();
     let cores = thread::available_parallelism().map_or(1, usize::from);
     (gpus > 0).then(|| cores.saturating_sub(gpus * THREADS_OF_A_GPU).max(1))
-}
-
-/// A frame that several threads own: what [`Fleet`] takes in an [`Arc`]. Every type that a reference converts to a
-/// [`Frame`] of is one.
-pub trait SharedFrame: Send + Sync + 'static {
-    /// The frame.
-    ///
-    /// # Errors
-    /// If buffers contradict the shape, or the camera or the pose is none.
-    fn frame(&self) -> Result<Frame<'_>, FrameError>;
-}
-
-impl<T: Send + Sync + 'static> SharedFrame for T
-where
-    for<'a> &'a T: IntoFrame<'a>,
-{
-    fn frame(&self) -> Result<Frame<'_>, FrameError> {
-        self.into_frame()
-    }
 }
 
 /// Smoothers on several devices, for frames of one grid, or for general clouds.
@@ -96,20 +79,6 @@ pub struct Fleet {
     /// Numbers of the frame that is submitted next, and of the one that is received next.
     next_in: u64,
     next_out: u64,
-}
-
-/// What a device of a fleet is, and what it has done.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct FleetMember {
-    /// Its name: that of the GPU, or of the engine.
-    pub name: String,
-    /// Its engine.
-    pub engine: Engine,
-    /// How many frames it has computed.
-    pub frames: u64,
-    /// Why it is out; `None` while it works.
-    pub lost: Option<EngineError>,
 }
 
 impl Fleet {

@@ -6,7 +6,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
 use super::dealing::{self, Pace};
-use super::{FleetMember, SharedFrame};
+use super::member::{FleetMember, SharedFrame};
 use crate::engines::Engine;
 use crate::error::{EngineError, Error};
 use crate::params::WindowSize;

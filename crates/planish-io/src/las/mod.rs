@@ -1,9 +1,11 @@
 //! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; everything else in
 //! the file, such as its coordinate system, stays with the cloud and is written back.
 
+mod errors;
 mod fields;
 mod stream;
 mod validate;
+mod writer;
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -15,8 +17,9 @@ use super::format::las_or_laz;
 use super::{Format, FormatResult, ReadOptions};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance, Xyz, internal::middle};
 pub(crate) use stream::LasReader;
-use stream::LasWriter;
+use writer::LasWriter;
 
+use errors::{cannot, damaged, unreadable};
 use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
 use validate::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
 
@@ -24,16 +27,6 @@ use validate::{Claims, FileBytes, check_chunks, check_header, claims, extended_r
 const SCALE_M: f64 = 1e-5;
 /// The most that 32 bits hold, with room to move points.
 const LARGEST_INTEGER: f64 = 2e9;
-
-fn damaged(error: las::Error) -> FormatError {
-    let is_cut = |error: &std::io::Error| error.kind() == std::io::ErrorKind::UnexpectedEof;
-    if matches!(&error, las::Error::Io(error) if is_cut(error))
-        || error.to_string().contains("failed to fill whole buffer")
-    {
-        return FormatError::Malformed("damaged LAS: it is cut short, or its sizes are wrong".into());
-    }
-    FormatError::Malformed(format!("damaged LAS: {}", super::brief(&error.to_string())))
-}
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
     let Checked { points, record, extended } = Checked::of(bytes, las_or_laz(bytes))?;
@@ -54,10 +47,6 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
         )));
     }
     cloud_of(Arc::new(header), found.raw_bytes())
-}
-
-fn unreadable() -> FormatError {
-    FormatError::Malformed("damaged LAZ: its points cannot be decompressed".into())
 }
 
 /// What a header says, checked against the file.
@@ -163,10 +152,6 @@ pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u
 
 /// Before LAS 1.4 headers count points by their return only up to the fifth.
 const MOST_RETURNS: u8 = 5;
-
-fn cannot(error: las::Error) -> FormatError {
-    FormatError::Unsupported(format!("no LAS of this cloud: {}", super::brief(&error.to_string())))
-}
 
 /// The colour channels of a record.
 const CHANNELS: [&str; 3] = ["red", "green", "blue"];

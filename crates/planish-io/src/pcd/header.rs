@@ -2,9 +2,18 @@
 
 use std::fmt::Write;
 
-use super::Encoding;
-use crate::quoted;
+use crate::{Encoding, quoted};
 use planish_core::{Attribute, AttributeValues, FormatError, MAX_PIXELS, SensorPose};
+
+impl Encoding {
+    pub(super) fn keyword(self) -> &'static str {
+        match self {
+            Self::Ascii => "ascii",
+            Self::Binary => "binary",
+            Self::BinaryCompressed => "binary_compressed",
+        }
+    }
+}
 
 /// The largest header accepted, in bytes; real ones have a few hundred.
 const MAX_HEADER_BYTES: usize = 64 * 1024;

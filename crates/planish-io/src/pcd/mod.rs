@@ -10,35 +10,12 @@ mod header;
 pub mod lzf;
 
 use crate::{
-    CloudRef, Gridded, ReadOptions,
+    CloudRef, Encoding, Gridded, ReadOptions,
     columns::{cloud_from_columns, columns_from_cloud},
     text,
 };
 use header::{Field, Header};
 use planish_core::{Attribute, AttributeValues, FormatError, SensorPose};
-
-/// How the points of a PCD or PLY file are stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[non_exhaustive]
-pub enum Encoding {
-    /// Text.
-    Ascii,
-    /// Little-endian binary.
-    #[default]
-    Binary,
-    /// Binary compressed by LZF (PCD only; PLY writes plain binary).
-    BinaryCompressed,
-}
-
-impl Encoding {
-    fn keyword(self) -> &'static str {
-        match self {
-            Self::Ascii => "ascii",
-            Self::Binary => "binary",
-            Self::BinaryCompressed => "binary_compressed",
-        }
-    }
-}
 
 /// Reads a PCD file.
 pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {

@@ -1,9 +1,9 @@
 //! PLY as it is written.
 
 use super::camera::PlyCamera;
+use super::common::{NORMALS, Record, malformed};
 use super::records::Layout;
 use super::remarks::{GRID_INFOS, Remarks};
-use super::{Record, malformed};
 use crate::columns::{EXACT_INTEGERS, columns_from_cloud, with_values};
 use crate::{CloudRef, Encoding, quoted, text};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, SensorPose};
@@ -110,21 +110,6 @@ pub(super) fn element_of(name: &str, count: usize, columns: &[Attribute]) -> Ele
         element.properties.add(PropertyDef::new(column.name.clone(), PropertyType::Scalar(scalar)));
     }
     element
-}
-
-/// What PLY's programs call normals, and what PCL does.
-const NORMALS: [(&str, &str); 3] = [("nx", "normal_x"), ("ny", "normal_y"), ("nz", "normal_z")];
-
-/// Gives the normals of a file PCL's names, by which the rest of the library knows them.
-pub(super) fn rename_normals(columns: &mut [Attribute]) {
-    let has = |name: &str| columns.iter().any(|column| column.name == name);
-    if NORMALS.iter().all(|(ply, pcl)| has(ply) && !has(pcl)) {
-        for column in columns {
-            if let Some((_, pcl)) = NORMALS.iter().find(|(ply, _)| column.name == *ply) {
-                column.name = (*pcl).to_owned();
-            }
-        }
-    }
 }
 
 /// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers.

@@ -5,6 +5,7 @@
 //! element [`camera`].
 
 mod camera;
+mod common;
 mod encode;
 #[cfg(feature = "scans")]
 mod parts;
@@ -12,14 +13,11 @@ mod records;
 mod remarks;
 
 use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{
-    ElementDef, Encoding as PlyEncoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyDef,
-    PropertyType, ScalarType,
-};
+use ply_rs_bw::ply::{ElementDef, Encoding as PlyEncoding, Header, Property, PropertyDef, PropertyType, ScalarType};
 
 use camera::PlyCamera;
+use common::{Record, malformed, rename_normals};
 pub(super) use encode::encode;
-use encode::{Around, columns_of, element_of, rename_normals};
 #[cfg(feature = "scans")]
 pub(crate) use parts::PlyReader;
 use records::{Layout, take_records};
@@ -28,25 +26,6 @@ use remarks::{GRID_INFOS, left_out, remarks_of};
 use super::columns::{cloud_from_columns, with_values};
 use super::{Encoding, Gridded, ReadOptions, brief, quoted, text};
 use planish_core::{Attribute, AttributeValues, FormatError, MAX_PIXELS};
-
-/// A vertex or grid cell as it is read: its values in the order of the properties.
-#[derive(Default)]
-struct Record(Vec<Property>);
-
-impl PropertyAccess for Record {
-    fn new() -> Self {
-        Self::default()
-    }
-
-    fn set_property(&mut self, _name: &str, property: Property) -> PropertyAccessResult {
-        self.0.push(property);
-        PropertyAccessResult::Set
-    }
-}
-
-fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
-    Err(FormatError::Malformed(text.into()))
-}
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Gridded, FormatError> {
     let Some(lines) = header_lines(bytes) else {

@@ -12,11 +12,13 @@ use super::super::columns::{cloud_from_columns, with_values};
 use super::super::records::{RecordEncoder, RecordReader};
 use super::super::{Encoding, FormatResult, text};
 use super::camera::PlyCamera;
+use super::common::{Record, malformed, rename_normals};
+use super::encode::{Around, columns_of, element_of};
 use super::records::Layout;
 use super::remarks::Remarks;
 use super::{
-    Around, GRID_INFOS, MAX_HEADER_BYTES, Record, check_properties, check_size, columns_of, damaged, empty_columns,
-    info, left_out, malformed, read_camera, remarks_of, rename_normals, stated_properties,
+    GRID_INFOS, MAX_HEADER_BYTES, check_properties, check_size, damaged, empty_columns, info, left_out, read_camera,
+    remarks_of, stated_properties,
 };
 use planish_core::{Attribute, FormatError, PointCloud, SensorPose};
 
@@ -251,7 +253,7 @@ impl RecordEncoder for PlyEncoder {
         for column in &mut columns {
             with_values!(&mut column.values, values => values.clear());
         }
-        let element = super::element_of("vertex", 0, &columns);
+        let element = element_of("vertex", 0, &columns);
         let Some(layout) = Layout::of(&element) else { return malformed("vertices have no lists") };
         let (pose, remarks) = (cloud.pose, header.remarks.clone());
         Ok(Self { encoding: encoding.unwrap_or(own), layout, columns, pose, remarks })

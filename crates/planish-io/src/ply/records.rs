@@ -4,7 +4,7 @@ use ply_rs_bw::ply::{ElementDef, Encoding as PlyEncoding, PropertyType, ScalarTy
 
 use super::super::FormatResult;
 use super::super::columns::with_values;
-use super::malformed;
+use super::common::malformed;
 use planish_core::{Attribute, AttributeValues};
 
 /// A value of a record.

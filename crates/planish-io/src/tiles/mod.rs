@@ -11,7 +11,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use crate::{AtomicFile, Encoding, Format, LasReader, PlyReader, RecordEncoder, RecordReader, Temporary, folder_of};
-use plan::Tile;
+use plan::{Tile, bytes_a_point};
 use planish_core::{
     CloudParams, CloudRadius, Engine, EngineError, Error, FormatError, IntoFrame, IoError, Outputs, PointCloud,
     PointsView, Progress, SensorPose, Smoothed, Smoother, SmootherOptions,
@@ -19,10 +19,6 @@ use planish_core::{
 };
 use spill::{Spill, too_large};
 
-/// What a point of a tile takes beside its records: positions twice, an engine and its results.
-const ENGINE_BYTES_A_POINT: u64 = 250;
-/// A tile's records take so many times their size: as read, in columns, and as written.
-const COPIES: u64 = 3;
 /// More of a tile's points than this share, whose radius reaches beyond the halo, ask for a wider one.
 const MAY_REACH_BEYOND: f64 = 1e-4;
 /// Where memory does not hold a wider one, no more than this share of a tile's points, or of those of a usual tile.
@@ -116,10 +112,6 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
         Format::Ply => needed::<PlyReader>(path),
         _ => None,
     }
-}
-
-fn bytes_a_point(record: usize) -> u64 {
-    COPIES * record as u64 + ENGINE_BYTES_A_POINT
 }
 
 /// Smooths a LAS, LAZ or PLY file into another of the same kind, in as much memory as is allowed. Beside the output as

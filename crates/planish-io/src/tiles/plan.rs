@@ -112,6 +112,16 @@ impl Cells {
     }
 }
 
+/// What a point of a tile takes beside its records: positions twice, an engine and its results.
+const ENGINE_BYTES_A_POINT: u64 = 250;
+/// A tile's records take so many times their size: as read, in columns, and as written.
+const COPIES: u64 = 3;
+
+/// Returns the memory that a point of a tile takes, in bytes.
+pub(super) fn bytes_a_point(record: usize) -> u64 {
+    COPIES * record as u64 + ENGINE_BYTES_A_POINT
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -5,8 +5,7 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::bytes_a_point;
-use super::plan::{Cells, Tile};
+use super::plan::{Cells, Tile, bytes_a_point};
 
 use crate::{AtomicFile, RecordEncoder, RecordReader, Temporary};
 use planish_core::{

@@ -3,116 +3,18 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
-use super::super::plane::{self, Plane, Surface};
-use super::super::row_tasks::SplitRows;
+use super::super::plane::{self, Surface};
 use super::super::vector::{Mask, Vec3, share, splat};
 use super::super::window::{Candidates, Gate};
+use super::first_planes::{FirstPlane, FirstPlaneRows, FirstPlanes};
+use super::gather::load;
 use super::gather::{Gathered, Reach};
-use super::{Kernel, Radii, load, load_radius};
+use super::kernel::{Kernel, Radii, load_radius};
 use crate::constants::{
     DOUBT_WEIGHT, FACING_COSINE, GATE_FADE, GENERAL_DISTANCE_WEIGHT, GENERAL_MEAN_REACH, MIN_NOISE, MIN_TOTAL,
     NARROW_WIDTH, OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
 };
 use crate::neighbours::LEAF;
-
-/// What the neighbours of a position say.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct FirstPlane {
-    normal: [f32; 3],
-    /// The foot of the position is this times the normal.
-    height: f32,
-    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or
-    /// on a line.
-    residual: f32,
-    curvature: f32,
-    /// The number of neighbours; negative where they are on a line.
-    count: f32,
-    /// The square of the extent in m².
-    extent_squared: f32,
-}
-
-/// The first planes of all positions, in the order of the index, and the radii that were taken for them.
-#[derive(Default)]
-pub(super) struct FirstPlanes {
-    planes: Vec<FirstPlane>,
-    radii: Vec<f32>,
-}
-
-/// Those of some leaves.
-pub(super) struct FirstPlaneRows<'a> {
-    first: usize,
-    planes: &'a mut [FirstPlane],
-    radii: &'a mut [f32],
-}
-
-impl SplitRows for FirstPlaneRows<'_> {
-    fn count(&self) -> usize {
-        self.radii.len() / LEAF
-    }
-
-    fn split_at(self, leaves: usize) -> (Self, Self) {
-        let (planes, planes_after) = self.planes.split_at_mut(LEAF * leaves);
-        let (radii, radii_after) = self.radii.split_at_mut(LEAF * leaves);
-        (
-            Self { first: self.first, planes, radii },
-            Self { first: self.first + leaves, planes: planes_after, radii: radii_after },
-        )
-    }
-}
-
-impl FirstPlanes {
-    /// Room for so many leaves.
-    pub(super) fn rows(&mut self, leaves: usize) -> FirstPlaneRows<'_> {
-        // No more room than is needed: clouds are large.
-        let places = LEAF * leaves;
-        self.planes.reserve_exact(places.saturating_sub(self.planes.len()));
-        self.planes.resize(places, FirstPlane::default());
-        self.radii.reserve_exact(places.saturating_sub(self.radii.len()));
-        self.radii.resize(places, f32::NAN);
-        FirstPlaneRows { first: 0, planes: &mut self.planes, radii: &mut self.radii }
-    }
-
-    /// The radii that were taken, for all positions.
-    pub(super) fn radii(&self) -> &[f32] {
-        &self.radii
-    }
-
-    pub(super) fn bytes(&self) -> usize {
-        size_of::<FirstPlane>() * self.planes.capacity() + 4 * self.radii.capacity()
-    }
-
-    /// A number of the planes from a place on.
-    #[inline(always)]
-    fn load<S: Simd>(&self, simd: S, place: usize, number: impl Fn(&FirstPlane) -> f32) -> S::f32s {
-        let mut lanes = [0.0; LEAF];
-        for (lane, plane) in lanes.iter_mut().zip(&self.planes[place..place + S::f32s::LEN]) {
-            *lane = number(plane);
-        }
-        S::f32s::from_slice(simd, &lanes[..S::f32s::LEN])
-    }
-
-    /// The planes of the positions from a place on, as their own neighbours say, and how many those are.
-    #[inline(always)]
-    fn own<S: Simd>(&self, simd: S, place: usize) -> (Plane<S>, S::f32s) {
-        let normal = Vec3::new(
-            self.load(simd, place, |plane| plane.normal[0]),
-            self.load(simd, place, |plane| plane.normal[1]),
-            self.load(simd, place, |plane| plane.normal[2]),
-        );
-        let count = self.load(simd, place, |plane| plane.count);
-        let plane = Plane {
-            normal,
-            height: self.load(simd, place, |plane| plane.height),
-            residual: splat(simd, 0.0),
-            doubt: splat(simd, 1.0),
-            extent_squared: self.load(simd, place, |plane| plane.extent_squared),
-            curvature: self.load(simd, place, |plane| plane.curvature),
-            off_line: splat(simd, 0.0),
-            degenerate: count.simd_lt(splat(simd, 0.0)),
-        };
-        (plane, count.abs())
-    }
-}
 
 /// The pass of the first planes, for some leaves.
 #[inline(always)]

@@ -264,3 +264,15 @@ impl<S: Simd> Candidates<S> for &Gathered {
         sums
     }
 }
+
+/// The points from a place on; NaN after the last.
+#[inline(always)]
+pub(super) fn load<S: Simd>(simd: S, index: &PointIndex, place: usize) -> Vec3<S> {
+    let [x, y, z] = &index.positions;
+    let lanes = place..place + S::f32s::LEN;
+    Vec3::new(
+        S::f32s::from_slice(simd, &x[lanes.clone()]),
+        S::f32s::from_slice(simd, &y[lanes.clone()]),
+        S::f32s::from_slice(simd, &z[lanes]),
+    )
+}

@@ -5,12 +5,14 @@
 //! itself, and put into the order of the cloud at the end, so threads do not change a bit.
 
 mod edges;
+mod first_planes;
 mod gather;
+mod kernel;
 mod radius;
 
 use std::sync::Arc;
 
-use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdMask, dispatch};
 
 use super::Fitting;
 use super::output::OutputRows;
@@ -18,22 +20,22 @@ use super::plane::{self, Points, Surface};
 use super::polynomial::{Source, Terms};
 use super::row_tasks::{SplitRows, halve};
 use super::sensor::Sensor;
-use super::vector::{Mask, Vec3, splat};
+use super::vector::{Mask, splat};
 use super::window::Candidates;
-use crate::constants::{GATE_FADE, MAX_RADIUS_RATIO};
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
 use crate::neighbours::{LEAF, PointIndex};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams, Radius};
 use crate::progress::Progress;
-use crate::range::{MAX_RANGE_M, MIN_GATE_M};
+use crate::range::MAX_RANGE_M;
 use crate::simd_level::SimdLevel;
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
 use crate::threads::Threads;
-use edges::{FirstPlaneRows, FirstPlanes};
-use gather::{Gathered, Reach};
+use first_planes::{FirstPlaneRows, FirstPlanes};
+use gather::{Gathered, load};
+use kernel::{Kernel, Radii};
 use radius::{Density, RadiusRows};
 
 /// Leaves of a task: enough that what a task begins with costs nothing beside them.
@@ -52,26 +54,6 @@ pub(crate) struct GeneralCpu {
     first_planes: FirstPlanes,
     sorted: Smoothed,
     progress: Arc<Progress>,
-}
-
-/// What a kernel needs to know beside the points.
-#[derive(Clone, Copy)]
-struct Kernel<'a> {
-    fitting: Fitting,
-    sensor: Sensor,
-    index: &'a PointIndex,
-    radii: Radii<'a>,
-    /// `None` where edges are not kept, or these are about to be fitted.
-    first_planes: Option<&'a FirstPlanes>,
-}
-
-#[derive(Clone, Copy)]
-enum Radii<'a> {
-    Fixed(f32),
-    /// By the density around each point, before those around it limit it.
-    Of(&'a [f32]),
-    /// After that limit.
-    Known(&'a [f32]),
 }
 
 impl GeneralCpu {
@@ -183,18 +165,6 @@ impl ImmediateEngine for GeneralCpu {
     }
 }
 
-/// The points from a place on; NaN after the last.
-#[inline(always)]
-fn load<S: Simd>(simd: S, index: &PointIndex, place: usize) -> Vec3<S> {
-    let [x, y, z] = &index.positions;
-    let lanes = place..place + S::f32s::LEN;
-    Vec3::new(
-        S::f32s::from_slice(simd, &x[lanes.clone()]),
-        S::f32s::from_slice(simd, &y[lanes.clone()]),
-        S::f32s::from_slice(simd, &z[lanes]),
-    )
-}
-
 #[inline(always)]
 fn smooth_leaves<S: Simd, const D: usize>(simd: S, kernel: &Kernel<'_>, rows: &mut OutputRows<'_>) {
     let mut terms = Terms::new(simd);
@@ -245,59 +215,4 @@ fn smooth_vector<S: Simd, const D: usize>(
     let source = Source::Of(&*gathered);
     let projected = kernel.fitting.fit::<S, _, D>(simd, source, points, &surface, projection, terms);
     rows.store(row, u, splat(simd, 0.0), &projected, &surface);
-}
-
-impl Kernel<'_> {
-    /// Gathers the candidates of the points p from a place on, and gives their radii.
-    #[inline(always)]
-    fn gather<S: Simd>(&self, simd: S, gathered: &mut Gathered, p: Vec3<S>, valid: Mask<S>, place: usize) -> S::f32s {
-        let radius = load_radius(simd, self.radii, place);
-        // Where the gate has faded out; and where it begins to, a little within.
-        let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), splat(simd, f32::NAN));
-        let inner = match self.radii {
-            Radii::Fixed(_) | Radii::Known(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
-            // The radius that counts is known only when its candidates are.
-            Radii::Of(_) => splat(simd, 0.0),
-        };
-        gathered.fill(simd, self.index, p, Reach { outer, inner });
-        let radius = match self.radii {
-            Radii::Fixed(_) | Radii::Known(_) => radius,
-            Radii::Of(radii) => {
-                radius.min(mean_radius(simd, gathered, radii, p, radius) * splat(simd, MAX_RADIUS_RATIO))
-            }
-        };
-        valid.select(radius, splat(simd, 1.0)).max(splat(simd, MIN_GATE_M))
-    }
-}
-
-/// The radii of the points from a place on.
-#[inline(always)]
-fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S::f32s {
-    match radii {
-        Radii::Fixed(radius_m) => splat(simd, radius_m),
-        Radii::Of(radii) | Radii::Known(radii) => S::f32s::from_slice(simd, &radii[place..place + S::f32s::LEN]),
-    }
-}
-
-/// The mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without
-/// neighbours.
-#[inline(always)]
-fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {
-    let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-    let (mut total, mut sum) = (zero, zero);
-    let slope = -one / (radius * radius).max(splat(simd, f32::MIN_POSITIVE));
-    gathered.for_each_square(
-        simd,
-        p,
-        #[inline(always)]
-        |square, place| {
-            // The point itself does not count.
-            let other: Mask<S> = square.simd_gt(zero);
-            let weight = other.select(square.mul_add(slope, one).max(zero), zero);
-            total += weight;
-            sum = weight.mul_add(splat(simd, radii[place]), sum);
-        },
-    );
-    let alone: Mask<S> = total.simd_le(zero);
-    alone.select(splat(simd, f32::INFINITY), sum / total.max(splat(simd, f32::MIN_POSITIVE)))
 }

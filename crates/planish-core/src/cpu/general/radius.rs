@@ -4,8 +4,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::super::row_tasks::SplitRows;
 use super::super::vector::{Mask, Vec3, splat};
-use super::gather::{Gathered, Reach};
-use super::load;
+use super::gather::{Gathered, Reach, load};
 use crate::neighbours::{LEAF, PointIndex};
 
 /// The first reach that is tried, in radii of the points before.

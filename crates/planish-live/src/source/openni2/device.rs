@@ -2,10 +2,10 @@
 //! is closed when it is dropped.
 
 use std::ffi::{CString, c_int, c_void};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use super::OpenNi2Source;
 use super::api::{self, DeviceCallbacks, DeviceInfo, Frame, Functions, Handle, Holder, VideoMode};
 use planish_core::DeviceError;
 
@@ -36,7 +36,7 @@ impl Device {
         let Err(error) = library.check("the device cannot be opened", status) else {
             return Ok(Self { library, handle });
         };
-        if OpenNi2Source::is_recording(uri) {
+        if is_recording(uri) {
             return Err(error);
         }
         let there = library.devices();
@@ -215,4 +215,10 @@ unsafe fn end(device: *const DeviceInfo, watched: *mut c_void) {
     {
         watched.is_over.store(true, Ordering::Relaxed);
     }
+}
+
+/// Whether a URI is a file's.
+pub(super) fn is_recording(uri: &str) -> bool {
+    let path = Path::new(uri);
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("oni")) || path.is_file()
 }

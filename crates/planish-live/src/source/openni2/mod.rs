@@ -95,8 +95,7 @@ impl OpenNi2Source {
 
     /// Whether a URI is a file's.
     pub(super) fn is_recording(uri: &str) -> bool {
-        let path = Path::new(uri);
-        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("oni")) || path.is_file()
+        device::is_recording(uri)
     }
 
     fn start(

@@ -3,21 +3,20 @@
 //! The library puts depth and colour together from the first image to the last; depth before and after those does not
 //! come with them. A second player, of depth alone, has it.
 
-use super::{RealSenseInput, RealSenseSource};
-use crate::source::{Alignment, OwnedFrame, Source};
-use planish_core::{Camera, DepthFrame, Error};
+use crate::source::{OwnedFrame, Source};
+use planish_core::{DepthFrame, Error};
 
 /// The second player, and what the first has ready.
 pub(super) struct AllDepth {
-    pub(super) player: Box<RealSenseSource>,
+    pub(super) player: Box<dyn Source>,
     coloured: Option<DepthFrame>,
     is_colour_over: bool,
 }
 
 impl AllDepth {
-    pub(super) fn open(input: &RealSenseInput, camera: Option<Camera>) -> Result<Self, Error> {
-        let player = RealSenseSource::open(input, camera, Some(Alignment::None), None)?;
-        Ok(Self { player: Box::new(player), coloured: None, is_colour_over: false })
+    /// Takes a player of the same recording that gives depth alone.
+    pub(super) fn new(player: Box<dyn Source>) -> Self {
+        Self { player, coloured: None, is_colour_over: false }
     }
 
     /// Returns the next frame of depth, with colour where `next_coloured` has it.

@@ -9,6 +9,7 @@
 mod all_depth;
 mod api;
 mod camera;
+mod input;
 mod start;
 
 use std::ffi::c_int;
@@ -22,6 +23,7 @@ use super::{Alignment, OwnedFrame, Source, StreamMode, malformed, with_shape};
 use all_depth::AllDepth;
 use api::{Functions, Intrinsics, Owned, STREAM_COLOR, STREAM_DEPTH};
 use camera::camera_of;
+pub use input::RealSenseInput;
 use planish_core::{Camera, DepthFrame, DeviceError, Error, IoError, ParamError};
 use start::{Colour, Started, check_device, start};
 
@@ -33,32 +35,6 @@ const WAITS_AT_END: u32 = 5;
 
 /// Numbers of frames that jump further than this are not of frames that were lost.
 const MOST_LOST: u64 = 10_000;
-
-/// Which RealSense.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum RealSenseInput {
-    /// The first that is found.
-    Any,
-    /// The one with this serial number.
-    Serial(String),
-    /// A recording that librealsense wrote: .bag, or .db3 since version 2.58.
-    Recording(PathBuf),
-}
-
-impl RealSenseInput {
-    /// What is behind the colon of a source's name: nothing, a file, or a serial number.
-    pub(super) fn parse(name: &str) -> Self {
-        let path = Path::new(name);
-        let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
-        let is_recording = matches!(extension.as_deref(), Some("bag" | "db3")) || path.is_file();
-        match name {
-            "" => Self::Any,
-            _ if is_recording => Self::Recording(path.to_path_buf()),
-            serial => Self::Serial(serial.to_owned()),
-        }
-    }
-}
 
 /// A RealSense camera that is running, or a recording of one.
 pub struct RealSenseSource {
@@ -147,7 +123,10 @@ impl RealSenseSource {
         let to = if alignment == Some(Alignment::Colour) { STREAM_COLOR } else { STREAM_DEPTH };
         let aligner = (colour != Colour::None).then(|| Aligner::new(library, to)).transpose()?;
         let all_depth = match &recording {
-            Some(_) if colour != Colour::None && to == STREAM_DEPTH => Some(AllDepth::open(input, camera)?),
+            Some(_) if colour != Colour::None && to == STREAM_DEPTH => {
+                let player = Self::open(input, camera, Some(Alignment::None), None)?;
+                Some(AllDepth::new(Box::new(player)))
+            }
             _ => None,
         };
         let name = library.name_of(&device);

@@ -2,8 +2,8 @@
 
 use std::ffi::{CString, c_int};
 
-use super::RealSenseInput;
 use super::api::{DeviceName, FORMAT_RGB8, FORMAT_Z16, Functions, Owned, STREAM_COLOR, STREAM_DEPTH};
+use super::input::RealSenseInput;
 use crate::source::{Alignment, StreamMode};
 use planish_core::DeviceError;
 

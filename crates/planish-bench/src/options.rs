@@ -1,0 +1,22 @@
+//! What to measure.
+
+use std::path::PathBuf;
+
+use planish::Engine;
+
+/// What to measure, and where the results go.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// Which engines; none, or `Auto` among them, are all that this machine has but GPUs in software.
+    pub engines: Vec<Engine>,
+    /// Fewer and shorter measurements: all five in about a minute on two cores.
+    pub quick: bool,
+    /// Folder for each experiment's JSON, Markdown and plots.
+    pub out: Option<PathBuf>,
+    /// A Markdown file whose block of results is written again.
+    pub update: Option<PathBuf>,
+    /// The program's version and compiler, for the record.
+    pub version: &'static str,
+    /// The compiler it was built with.
+    pub rustc: &'static str,
+}

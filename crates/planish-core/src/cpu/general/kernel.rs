@@ -1,0 +1,94 @@
+//! What the kernels of unorganized clouds read, and the gathering of candidates.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
+
+use super::super::Fitting;
+use super::super::sensor::Sensor;
+use super::super::vector::{Mask, Vec3, splat};
+use super::first_planes::FirstPlanes;
+use super::gather::{Gathered, Reach};
+use crate::constants::{GATE_FADE, MAX_RADIUS_RATIO};
+use crate::neighbours::PointIndex;
+use crate::range::MIN_GATE_M;
+
+/// What a kernel needs to know beside the points.
+#[derive(Clone, Copy)]
+pub(super) struct Kernel<'a> {
+    pub(super) fitting: Fitting,
+    pub(super) sensor: Sensor,
+    pub(super) index: &'a PointIndex,
+    pub(super) radii: Radii<'a>,
+    /// `None` where edges are not kept, or these are about to be fitted.
+    pub(super) first_planes: Option<&'a FirstPlanes>,
+}
+
+#[derive(Clone, Copy)]
+pub(super) enum Radii<'a> {
+    Fixed(f32),
+    /// By the density around each point, before those around it limit it.
+    Of(&'a [f32]),
+    /// After that limit.
+    Known(&'a [f32]),
+}
+
+impl Kernel<'_> {
+    /// Gathers the candidates of the points p from a place on, and gives their radii.
+    #[inline(always)]
+    pub(super) fn gather<S: Simd>(
+        &self,
+        simd: S,
+        gathered: &mut Gathered,
+        p: Vec3<S>,
+        valid: Mask<S>,
+        place: usize,
+    ) -> S::f32s {
+        let radius = load_radius(simd, self.radii, place);
+        // Where the gate has faded out; and where it begins to, a little within.
+        let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), splat(simd, f32::NAN));
+        let inner = match self.radii {
+            Radii::Fixed(_) | Radii::Known(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
+            // The radius that counts is known only when its candidates are.
+            Radii::Of(_) => splat(simd, 0.0),
+        };
+        gathered.fill(simd, self.index, p, Reach { outer, inner });
+        let radius = match self.radii {
+            Radii::Fixed(_) | Radii::Known(_) => radius,
+            Radii::Of(radii) => {
+                radius.min(mean_radius(simd, gathered, radii, p, radius) * splat(simd, MAX_RADIUS_RATIO))
+            }
+        };
+        valid.select(radius, splat(simd, 1.0)).max(splat(simd, MIN_GATE_M))
+    }
+}
+
+/// The radii of the points from a place on.
+#[inline(always)]
+pub(super) fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S::f32s {
+    match radii {
+        Radii::Fixed(radius_m) => splat(simd, radius_m),
+        Radii::Of(radii) | Radii::Known(radii) => S::f32s::from_slice(simd, &radii[place..place + S::f32s::LEN]),
+    }
+}
+
+/// The mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without
+/// neighbours.
+#[inline(always)]
+fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {
+    let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+    let (mut total, mut sum) = (zero, zero);
+    let slope = -one / (radius * radius).max(splat(simd, f32::MIN_POSITIVE));
+    gathered.for_each_square(
+        simd,
+        p,
+        #[inline(always)]
+        |square, place| {
+            // The point itself does not count.
+            let other: Mask<S> = square.simd_gt(zero);
+            let weight = other.select(square.mul_add(slope, one).max(zero), zero);
+            total += weight;
+            sum = weight.mul_add(splat(simd, radii[place]), sum);
+        },
+    );
+    let alone: Mask<S> = total.simd_le(zero);
+    alone.select(splat(simd, f32::INFINITY), sum / total.max(splat(simd, f32::MIN_POSITIVE)))
+}

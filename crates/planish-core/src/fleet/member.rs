@@ -1,0 +1,38 @@
+//! Frames and devices of a fleet.
+
+use crate::engines::Engine;
+use crate::error::{EngineError, FrameError};
+use crate::frame::{Frame, IntoFrame};
+
+/// A frame that several threads own: what [`Fleet`](crate::Fleet) takes in an [`Arc`](std::sync::Arc). Every type that a reference converts to a
+/// [`Frame`] of is one.
+pub trait SharedFrame: Send + Sync + 'static {
+    /// The frame.
+    ///
+    /// # Errors
+    /// If buffers contradict the shape, or the camera or the pose is none.
+    fn frame(&self) -> Result<Frame<'_>, FrameError>;
+}
+
+impl<T: Send + Sync + 'static> SharedFrame for T
+where
+    for<'a> &'a T: IntoFrame<'a>,
+{
+    fn frame(&self) -> Result<Frame<'_>, FrameError> {
+        self.into_frame()
+    }
+}
+
+/// What a device of a fleet is, and what it has done.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct FleetMember {
+    /// Its name: that of the GPU, or of the engine.
+    pub name: String,
+    /// Its engine.
+    pub engine: Engine,
+    /// How many frames it has computed.
+    pub frames: u64,
+    /// Why it is out; `None` while it works.
+    pub lost: Option<EngineError>,
+}

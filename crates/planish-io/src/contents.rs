@@ -1,0 +1,141 @@
+//! The contents of a file, of any format.
+
+use planish_core::{DepthImage, OrganizedCloud, PointCloud};
+
+use super::input::FormatResult;
+
+/// The contents of a file.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Contents {
+    /// A 16-bit depth image; it needs a camera to become points.
+    Depth(DepthImage),
+    /// Depth in metres; it needs a camera to become points.
+    DepthMetres {
+        /// Width in pixels.
+        width: usize,
+        /// Height in pixels.
+        height: usize,
+        /// Depth in metres, row by row; holes are not finite, 0 or negative.
+        depth_m: Vec<f32>,
+    },
+    /// Points on a pixel grid.
+    Organized(OrganizedCloud),
+    /// A general cloud: points in any order.
+    General(PointCloud),
+}
+
+impl Contents {
+    /// Width and height in pixels; the number of points and 1 for a general cloud.
+    pub fn shape(&self) -> (usize, usize) {
+        match self {
+            Self::Depth(image) => (image.width, image.height),
+            Self::DepthMetres { width, height, .. } => (*width, *height),
+            Self::Organized(cloud) => (cloud.width(), cloud.height()),
+            Self::General(cloud) => (cloud.len(), 1),
+        }
+    }
+
+    /// Whether it is depth and needs a camera.
+    pub fn is_depth(&self) -> bool {
+        matches!(self, Self::Depth(_) | Self::DepthMetres { .. })
+    }
+}
+
+/// What a depth image of 16 bits holds, in brief.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct DepthSummary {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Pixels with a depth: neither 0 nor [`SATURATED_DEPTH`](planish_core::SATURATED_DEPTH).
+    pub valid: usize,
+    /// The smallest and largest of their raw values.
+    pub raw: Option<[u16; 2]>,
+}
+
+impl DepthSummary {
+    /// Adds pixels.
+    pub(crate) fn add(&mut self, raw: impl Iterator<Item = u16>) {
+        for raw in raw.filter(|&raw| raw != 0 && raw != planish_core::SATURATED_DEPTH) {
+            self.valid += 1;
+            let [low, high] = self.raw.unwrap_or([raw; 2]);
+            self.raw = Some([low.min(raw), high.max(raw)]);
+        }
+    }
+}
+
+impl From<&DepthImage> for DepthSummary {
+    fn from(image: &DepthImage) -> Self {
+        let mut summary = Self { width: image.width, height: image.height, ..Self::default() };
+        summary.add(image.raw.iter().copied());
+        summary
+    }
+}
+
+/// A picture, 3 bytes (red, green, blue) a pixel, row by row.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RgbImage {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// 3 * width * height bytes.
+    pub rgb: Vec<u8>,
+}
+
+/// A cloud with the grid its file states; a height of 1 means none.
+pub(crate) struct Gridded {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) points: PointCloud,
+}
+
+pub(crate) fn organized_if_grid(gridded: Gridded) -> FormatResult<Contents> {
+    let Gridded { width, height, points } = gridded;
+    if height > 1 {
+        Ok(Contents::Organized(OrganizedCloud::new(width, height, points)?))
+    } else {
+        Ok(Contents::General(points))
+    }
+}
+
+/// A cloud to write: on a grid or not.
+#[derive(Debug, Clone, Copy)]
+pub enum CloudRef<'a> {
+    /// Points on a pixel grid.
+    Organized(&'a OrganizedCloud),
+    /// A general cloud.
+    General(&'a PointCloud),
+}
+
+impl<'a> CloudRef<'a> {
+    pub(super) fn points(self) -> &'a PointCloud {
+        match self {
+            Self::Organized(cloud) => &cloud.points,
+            Self::General(points) => points,
+        }
+    }
+
+    /// Width and height as files state them.
+    pub(super) fn grid(self) -> (usize, usize) {
+        match self {
+            Self::Organized(cloud) => (cloud.width(), cloud.height()),
+            Self::General(points) => (points.len(), 1),
+        }
+    }
+}
+
+impl<'a> From<&'a OrganizedCloud> for CloudRef<'a> {
+    fn from(cloud: &'a OrganizedCloud) -> Self {
+        Self::Organized(cloud)
+    }
+}
+
+impl<'a> From<&'a PointCloud> for CloudRef<'a> {
+    fn from(cloud: &'a PointCloud) -> Self {
+        Self::General(cloud)
+    }
+}

@@ -1,0 +1,20 @@
+//! Texts of files in error messages.
+
+/// The beginning of a text from a file, for error messages.
+pub fn quoted(text: &str) -> String {
+    const MOST: usize = 80;
+    match text.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{:?}...", &text[..end]),
+        None => format!("{text:?}"),
+    }
+}
+
+/// The beginning of a message that may quote a file, on one line.
+pub fn brief(message: &str) -> String {
+    const MOST: usize = 160;
+    let message = message.split_whitespace().collect::<Vec<_>>().join(" ");
+    match message.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}...", &message[..end]),
+        None => message,
+    }
+}

@@ -1,0 +1,67 @@
+//! Bytes of files, and limits of memory.
+
+use std::fs;
+use std::io::Read;
+use std::path::Path;
+
+use planish_core::FormatError;
+
+/// The name that stands for standard input.
+const STANDARD_INPUT: &str = "-";
+
+pub(crate) type FormatResult<T> = Result<T, FormatError>;
+
+/// How to read files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ReadOptions {
+    /// Files are refused before they are read if they are larger than this many bytes, and before they are decoded if
+    /// what they decompress to and its columns or pixels need more. 2 GiB by default.
+    pub max_memory_bytes: u64,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self { max_memory_bytes: 2 << 30 }
+    }
+}
+
+impl ReadOptions {
+    /// The same with another limit in bytes.
+    pub const fn with_max_memory_bytes(self, max_memory_bytes: u64) -> Self {
+        Self { max_memory_bytes }
+    }
+
+    /// Refuses what needs more: a number of things of so many bytes each.
+    pub fn check(&self, count: usize, bytes_each: usize) -> FormatResult<()> {
+        let (needed, allowed) = (count as u64 as u128 * bytes_each as u128, self.max_memory_bytes);
+        if needed <= u128::from(allowed) {
+            return Ok(());
+        }
+        Err(FormatError::TooLarge { needed: u64::try_from(needed).unwrap_or(u64::MAX), allowed })
+    }
+}
+
+/// The bytes of a regular file, or of standard input.
+pub fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
+    let most = options.max_memory_bytes;
+    let mut bytes = Vec::new();
+    if path == Path::new(STANDARD_INPUT) {
+        std::io::stdin().lock().take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+        options.check(bytes.len(), 1)?;
+        return Ok(bytes);
+    }
+    // Asked before it is opened: opening a pipe waits for its other end.
+    let metadata = fs::metadata(path)?;
+    if metadata.is_dir() {
+        return Err(FormatError::Unsupported("a folder, not a file".into()));
+    }
+    if !metadata.is_file() {
+        return Err(FormatError::Unsupported(
+            "a pipe or a device, not a regular file; standard input is read with the name -".into(),
+        ));
+    }
+    options.check(usize::try_from(metadata.len()).unwrap_or(usize::MAX), 1)?;
+    fs::File::open(path)?.take(most).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}

@@ -1,0 +1,23 @@
+//! Errors of LAS and LAZ.
+
+use planish_core::FormatError;
+
+use crate::brief;
+
+pub(super) fn damaged(error: las::Error) -> FormatError {
+    let is_cut = |error: &std::io::Error| error.kind() == std::io::ErrorKind::UnexpectedEof;
+    if matches!(&error, las::Error::Io(error) if is_cut(error))
+        || error.to_string().contains("failed to fill whole buffer")
+    {
+        return FormatError::Malformed("damaged LAS: it is cut short, or its sizes are wrong".into());
+    }
+    FormatError::Malformed(format!("damaged LAS: {}", brief(&error.to_string())))
+}
+
+pub(super) fn unreadable() -> FormatError {
+    FormatError::Malformed("damaged LAZ: its points cannot be decompressed".into())
+}
+
+pub(super) fn cannot(error: las::Error) -> FormatError {
+    FormatError::Unsupported(format!("no LAS of this cloud: {}", brief(&error.to_string())))
+}

@@ -1,0 +1,200 @@
+//! Reading files of any format.
+
+use std::fs;
+use std::io::Read;
+use std::path::Path;
+
+#[cfg(feature = "scans")]
+use planish_core::PointCloud;
+use planish_core::{Camera, DepthFrame, FormatError, IoError, OrganizedCloud};
+
+use super::contents::{Contents, DepthSummary, organized_if_grid};
+#[cfg(feature = "tiff")]
+use super::depth_tiff;
+#[cfg(feature = "scans")]
+use super::e57;
+#[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+use super::format::left_out;
+use super::format::{self, Encoding, Format};
+use super::input::{FormatResult, ReadOptions, read_bytes};
+#[cfg(feature = "scans")]
+use super::las::{self, LasReader};
+#[cfg(feature = "npz")]
+use super::npz;
+#[cfg(feature = "scans")]
+use super::ply::PlyReader;
+#[cfg(feature = "scans")]
+use super::records::RecordReader;
+use super::{depth_png, kitti, mesh, npy, pcd, ply, xyz_text};
+
+/// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
+pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
+    /// A file of these formats begins with no more.
+    const MAGIC_BYTES: u64 = 8;
+    let summarize = || {
+        if !fs::metadata(path)?.is_file() {
+            return Ok(None);
+        }
+        let mut start = Vec::new();
+        fs::File::open(path)?.take(MAGIC_BYTES).read_to_end(&mut start)?;
+        let format = Format::of_contents(&start);
+        let summarize = match format {
+            Some(Format::DepthPng) => depth_png::summarize,
+            #[cfg(feature = "tiff")]
+            Some(Format::DepthTiff) => depth_tiff::summarize,
+            _ => return Ok(None),
+        };
+        let summary = summarize(&read_bytes(path, options)?, options)?;
+        Ok(format.map(|format| (format, summary)))
+    };
+    summarize().map_err(IoError::at(path))
+}
+
+/// Reads a file of any format; `-` is standard input. Refuses what is no regular file, such as pipes, sockets and
+/// devices.
+pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
+    read_with(path, &ReadOptions::default())
+}
+
+/// [`read`] with other options than the default.
+pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents), IoError> {
+    read_file(path, options).map(|file| (file.format, file.contents))
+}
+
+/// Reads a LAS, LAZ or PLY file some points at a time, each part a cloud with all fields and an origin of its own; of a
+/// file without points one empty cloud.
+#[cfg(feature = "scans")]
+pub fn read_in_parts(
+    path: &Path,
+    points_at_once: usize,
+    mut visit: impl FnMut(&PointCloud),
+) -> Result<Format, IoError> {
+    fn read<R: RecordReader>(
+        path: &Path,
+        at_once: usize,
+        visit: &mut dyn FnMut(&PointCloud),
+    ) -> FormatResult<R::Header> {
+        let mut reader = R::open(path)?;
+        let header = reader.header().clone();
+        let is_empty = reader.points() == 0;
+        loop {
+            let records = reader.next_records(at_once.max(1))?;
+            let is_last = records.is_empty();
+            if !is_last || is_empty {
+                visit(&R::cloud_of(&header, records)?);
+            }
+            if is_last {
+                return Ok(header);
+            }
+        }
+    }
+    let read = match Format::of_extension(path) {
+        Some(Format::Ply) => read::<PlyReader>(path, points_at_once, &mut visit).map(|_| Format::Ply),
+        _ => read::<LasReader>(path, points_at_once, &mut visit)
+            .map(|header| if header.point_format().is_compressed { Format::Laz } else { Format::Las }),
+    };
+    read.map_err(IoError::at(path))
+}
+
+/// A file that was read.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct FileRead {
+    /// Its format.
+    pub format: Format,
+    /// How a PCD or PLY file stores its points; `None` for other formats.
+    pub encoding: Option<Encoding>,
+    /// What it holds.
+    pub contents: Contents,
+    /// What of it was left out, or taken for something that its name does not say: one clause each, for a user to read.
+    pub notes: Vec<String>,
+}
+
+/// [`read_with`], with how the file stores its points.
+pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError> {
+    let read = || {
+        let bytes = read_bytes(path, options)?;
+        if let (None, None, Some(what)) =
+            (Format::of_contents(&bytes), Format::of_extension(path), format::what_converts(path))
+        {
+            return Err(FormatError::Unsupported(what.into()));
+        }
+        let mut notes = Vec::new();
+        let (format, contents) = decode_noting(&bytes, Format::of_extension(path), options, &mut notes)?;
+        let encoding = match format {
+            Format::Pcd => pcd::encoding(&bytes),
+            Format::Ply => ply::encoding(&bytes),
+            _ => None,
+        };
+        Ok(FileRead { format, encoding, contents, notes })
+    };
+    read().map_err(IoError::at(path))
+}
+
+/// Decodes a file's contents; `announced` is the format of its extension, used where the contents are ambiguous.
+pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, Contents)> {
+    decode_with(bytes, announced, &ReadOptions::default())
+}
+
+/// [`decode`] with other options than the default.
+pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOptions) -> FormatResult<(Format, Contents)> {
+    decode_noting(bytes, announced, options, &mut Vec::new())
+}
+
+/// The same, with [`FileRead::notes`].
+fn decode_noting(
+    bytes: &[u8],
+    announced: Option<Format>,
+    options: &ReadOptions,
+    notes: &mut Vec<String>,
+) -> FormatResult<(Format, Contents)> {
+    if bytes.is_empty() {
+        return Err(FormatError::Malformed("the file is empty".into()));
+    }
+    let likely = || xyz_text::is_likely(bytes).then_some(Format::Text);
+    let format = Format::of_contents(bytes).or(announced).or_else(likely).ok_or_else(|| {
+        FormatError::Unsupported(
+            "not a point cloud or depth image: it is none of PCD, PLY, LAS, LAZ, E57, XYZ text, CSV, NPY, NPZ, lidar .bin, OBJ, STL, 16-bit PNG or TIFF".into(),
+        )
+    })?;
+    let contents = match format {
+        Format::Pcd => organized_if_grid(pcd::decode(bytes, options)?),
+        Format::Ply => organized_if_grid(ply::decode(bytes, options, notes)?),
+        Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
+        #[cfg(feature = "tiff")]
+        Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
+        Format::Npy => npy::decode(bytes, options),
+        #[cfg(feature = "scans")]
+        Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options)?)),
+        Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options, notes)?)),
+        #[cfg(feature = "npz")]
+        Format::Npz => npz::decode(bytes, options, notes),
+        #[cfg(feature = "scans")]
+        Format::E57 => Ok(Contents::General(e57::decode(bytes, options, notes)?)),
+        Format::KittiBin => Ok(Contents::General(kitti::decode(bytes, false, options)?)),
+        Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options)?)),
+        Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options)?)),
+        Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
+        #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+        _ => Err(left_out(format)),
+    }?;
+    Ok((format, contents))
+}
+
+/// Reads a 16-bit depth image (PNG, TIFF or NPY) and combines it with its camera.
+pub fn read_depth_frame(path: &Path, camera: Camera) -> Result<DepthFrame, IoError> {
+    match read(path)?.1 {
+        Contents::Depth(image) => DepthFrame::from_image(camera, image).map_err(FormatError::from),
+        _ => Err(FormatError::Unsupported("not a 16-bit depth image".into())),
+    }
+    .map_err(IoError::at(path))
+}
+
+/// Reads an organized cloud (PCD, PLY or NPY).
+pub fn read_organized(path: &Path) -> Result<OrganizedCloud, IoError> {
+    match read(path)?.1 {
+        Contents::Organized(cloud) => Ok(cloud),
+        _ => Err(FormatError::Unsupported("not an organized cloud".into())),
+    }
+    .map_err(IoError::at(path))
+}
