@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use numpy::{PyArray1, PyArrayMethods};
+use planish::Xyz;
 use planish::source::{self, Alignment, OwnedFrame, SourceOptions, StreamMode};
 use planish::stream::{Frames, StreamFrame, StreamOptions, Waited};
-use planish::{Outputs, Xyz};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -137,17 +137,7 @@ impl PyStream {
         mode: Option<&str>,
     ) -> PyResult<Self> {
         let mut settings = from_dict(settings)?;
-        let outputs =
-            outputs.iter().try_fold(Outputs::POINTS.with_points(false), |outputs, name| match name.as_str() {
-                "points" => Ok(outputs.with_points(true)),
-                "normals" => Ok(outputs.with_normals(true)),
-                "curvature" => Ok(outputs.with_curvature(true)),
-                "status" => Ok(outputs.with_status(true)),
-                "neighbours" => Ok(outputs.with_neighbours(true)),
-                "depth" => Ok(outputs.with_depth(true)),
-                "depth_m" => Ok(outputs.with_depth_m(true)),
-                name => Err(PyValueError::new_err(format!("outputs: {name:?} is not allowed"))),
-            })?;
+        settings.set("outputs", outputs).map_err(to_py)?;
         let source_options = SourceOptions::default()
             .with_camera(camera.map(|camera| camera.0))
             .with_tum_units_per_metre(depth_units_per_metre)
@@ -155,7 +145,6 @@ impl PyStream {
             .with_mode(mode.map(str::parse::<StreamMode>).transpose().map_err(to_py)?)
             .with_fps(fps);
         let source = py.detach(|| source::open(source, &source_options)).map_err(to_py)?;
-        settings.outputs = Some(outputs);
         let options = StreamOptions::from_settings(settings).map_err(to_py)?.with_max_frames(frames);
         Ok(Self { frames: Frames::start(source, options).map_err(to_py)?, process: std::process::id() })
     }
