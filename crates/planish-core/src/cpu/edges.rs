@@ -156,8 +156,8 @@ impl Planes {
         Surface { plane: self.plane(simd, at), n, width: Some(self.load(simd, WIDTH, at)) }
     }
 
-    /// Finds the surfaces of the points from an index on, from their own first planes and the eight around them; returns
-    /// plane, number of neighbours and width. The distance of `mean` from a plane decides how well it fits.
+    /// Finds the surfaces of the points from an index on, from their own first planes and the eight around them;
+    /// returns plane, number of neighbours and width. The distance of `mean` from a plane decides how well it fits.
     #[inline(always)]
     fn find_surface<S: Simd>(
         &self,

@@ -4,8 +4,8 @@ use crate::engines::Engine;
 use crate::error::{EngineError, FrameError};
 use crate::frame::{Frame, IntoFrame};
 
-/// A frame that several threads own: what [`Fleet`](crate::Fleet) takes in an [`Arc`](std::sync::Arc). Every type that a reference converts to a
-/// [`Frame`] of is one.
+/// A frame that several threads own: what [`Fleet`](crate::Fleet) takes in an [`Arc`](std::sync::Arc). Every type that
+/// a reference converts to a [`Frame`] of is one.
 pub trait SharedFrame: Send + Sync + 'static {
     /// The frame.
     ///
