@@ -272,7 +272,7 @@ impl PointCloud {
         }
     }
 
-    /// The same with a hole at the end, all of whose fields are 0.
+    /// Returns the cloud with a hole appended whose fields are 0.
     pub fn with_an_empty_point(&self) -> Self {
         let mut cloud = self.clone();
         cloud.positions.push([f32::NAN; 3]);
@@ -372,7 +372,7 @@ impl OrganizedCloud {
         &self.points.positions
     }
 
-    /// The same cloud with the camera that took it.
+    /// Sets the camera that took the cloud.
     pub fn with_camera(self, camera: Camera) -> Self {
         Self { camera: Some(camera), ..self }
     }

@@ -73,27 +73,27 @@ pub struct GpuOptions {
 }
 
 impl GpuOptions {
-    /// The same on an adapter, by its index or any part of its name; `None` is the first real GPU.
+    /// Sets the adapter by its index or a part of its name; `None` is the first real GPU.
     pub fn with_adapter(self, adapter: impl Into<Option<String>>) -> Self {
         Self { adapter: adapter.into(), ..self }
     }
 
-    /// The same with so many frames in flight.
+    /// Sets the number of frames in flight.
     pub fn with_slots(self, slots: usize) -> Self {
         Self { slots, ..self }
     }
 
-    /// The same with times taken, or not.
+    /// Sets whether times are measured.
     pub fn with_timestamps(self, timestamps: bool) -> Self {
         Self { timestamps, ..self }
     }
 
-    /// The same with bounds checked, or not.
+    /// Sets whether shaders check bounds.
     pub fn with_bounds_checks(self, bounds_checks: bool) -> Self {
         Self { bounds_checks, ..self }
     }
 
-    /// The same with another transfer.
+    /// Sets how data get to the device and back.
     pub fn with_transfer(self, transfer: Transfer) -> Self {
         Self { transfer, ..self }
     }

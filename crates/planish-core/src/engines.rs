@@ -142,27 +142,27 @@ impl SmootherOptions {
         Self { engine, outputs, ..Self::default() }
     }
 
-    /// The same with another engine.
+    /// Sets the engine.
     pub fn with_engine(self, engine: Engine) -> Self {
         Self { engine, ..self }
     }
 
-    /// The same with other outputs.
+    /// Sets the outputs.
     pub fn with_outputs(self, outputs: Outputs) -> Self {
         Self { outputs, ..self }
     }
 
-    /// The same with so many threads of the CPU engines; `None` is one for each core.
+    /// Sets the number of threads of the CPU engines; `None` is one per core.
     pub fn with_threads(self, threads: Option<usize>) -> Self {
         Self { threads, ..self }
     }
 
-    /// The same with another instruction set of the CPU engine; `None` is the widest of this machine.
+    /// Sets the instruction set of the CPU engine; `None` is the widest of this machine.
     pub fn with_simd(self, simd: Option<SimdLevel>) -> Self {
         Self { simd, ..self }
     }
 
-    /// The same with other options of the GPU engine.
+    /// Sets the options of the GPU engine.
     pub fn with_gpu(self, gpu: GpuOptions) -> Self {
         Self { gpu, ..self }
     }

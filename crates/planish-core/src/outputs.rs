@@ -1,10 +1,10 @@
-//! Which results are wanted, and the caller's buffers that they are written into.
+//! Outputs of a smoother, and the caller's buffers for them.
 
 use crate::error::{FrameError, ParamError};
 use crate::status::Status;
 use crate::xyz::Xyz;
 
-/// Which results are wanted; each costs a little time and memory, and on a GPU its share of the readback.
+/// Outputs to compute. Each takes some time and memory, and on a GPU its share of the readback.
 ///
 /// ```
 /// use planish::Outputs;
@@ -25,14 +25,14 @@ pub struct Outputs {
     pub normals: bool,
     /// Surface variation l0/(l0+l1+l2), as PCL defines it.
     pub curvature: bool,
-    /// What became of each pixel.
+    /// The status of each pixel.
     pub status: bool,
-    /// How many neighbours each pixel had.
+    /// The number of neighbours of each pixel.
     pub neighbours: bool,
 }
 
 impl Outputs {
-    /// Nothing: what others are made from.
+    /// No output.
     pub(crate) const NONE: Self = Self {
         points: false,
         depth: false,
@@ -42,25 +42,25 @@ impl Outputs {
         status: false,
         neighbours: false,
     };
-    /// Points and nothing else.
+    /// Points only.
     pub const POINTS: Self = Self { points: true, ..Self::NONE };
-    /// Depth and nothing else.
+    /// Depth only.
     pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
-    /// Everything that every frame has: all but depth, which needs a camera.
+    /// All outputs except depth, which needs a camera.
     pub const ALL: Self =
         Self { points: true, normals: true, curvature: true, status: true, neighbours: true, ..Self::NONE };
 
-    /// The same with points or without.
+    /// Sets whether points are computed.
     pub const fn with_points(self, points: bool) -> Self {
         Self { points, ..self }
     }
 
-    /// The same with depth or without.
+    /// Sets whether raw depth is computed.
     pub const fn with_depth(self, depth: bool) -> Self {
         Self { depth, ..self }
     }
 
-    /// The same with depth in metres or without.
+    /// Sets whether depth in metres is computed.
     pub const fn with_depth_m(self, depth_m: bool) -> Self {
         Self { depth_m, ..self }
     }
@@ -70,22 +70,22 @@ impl Outputs {
         self.depth || self.depth_m
     }
 
-    /// The same with normals or without.
+    /// Sets whether normals are computed.
     pub const fn with_normals(self, normals: bool) -> Self {
         Self { normals, ..self }
     }
 
-    /// The same with curvature or without.
+    /// Sets whether curvature is computed.
     pub const fn with_curvature(self, curvature: bool) -> Self {
         Self { curvature, ..self }
     }
 
-    /// The same with status or without.
+    /// Sets whether the status is computed.
     pub const fn with_status(self, status: bool) -> Self {
         Self { status, ..self }
     }
 
-    /// The same with the number of neighbours or without.
+    /// Sets whether neighbours are counted.
     pub const fn with_neighbours(self, neighbours: bool) -> Self {
         Self { neighbours, ..self }
     }
@@ -128,21 +128,21 @@ impl Outputs {
 }
 
 impl Default for Outputs {
-    /// Points and nothing else.
+    /// Points only.
     fn default() -> Self {
         Self::POINTS
     }
 }
 
-/// A buffer of the caller's for vectors, one for each pixel.
+/// The caller's buffer for vectors, one per pixel.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum VectorsMut<'a> {
-    /// x, y and z in slices of their own.
+    /// Separate slices of x, y and z.
     Planes([&'a mut [f32]; 3]),
-    /// x, y and z of each vector together.
+    /// Interleaved x, y and z.
     Rows(&'a mut [[f32; 3]]),
-    /// The same with a fourth value, which is left as it is.
+    /// x, y, z and a fourth value, which is not written.
     Rows4(&'a mut [[f32; 4]]),
 }
 
@@ -155,7 +155,7 @@ impl<'a> VectorsMut<'a> {
         }
     }
 
-    /// The first so many vectors, and the rest.
+    /// Splits off the first vectors.
     pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
         match self {
             Self::Planes([x, y, z]) => {
@@ -243,7 +243,7 @@ pub struct SmoothedMut<'a> {
     pub normals: Option<VectorsMut<'a>>,
     /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
     pub curvature: Option<&'a mut [f32]>,
-    /// What became of each pixel.
+    /// The status of each pixel.
     pub status: Option<&'a mut [Status]>,
     /// Number of neighbours, the point's own sample included if within the radius; 0 for holes.
     pub neighbours: Option<&'a mut [u32]>,
@@ -259,37 +259,37 @@ impl<'a> SmoothedMut<'a> {
         Self::default()
     }
 
-    /// The same with a buffer for points.
+    /// Sets the buffer for points.
     pub fn with_points(self, points: impl Into<VectorsMut<'a>>) -> Self {
         Self { points: Some(points.into()), ..self }
     }
 
-    /// The same with a buffer for normals.
+    /// Sets the buffer for normals.
     pub fn with_normals(self, normals: impl Into<VectorsMut<'a>>) -> Self {
         Self { normals: Some(normals.into()), ..self }
     }
 
-    /// The same with a buffer for curvature.
+    /// Sets the buffer for curvature.
     pub fn with_curvature(self, curvature: &'a mut [f32]) -> Self {
         Self { curvature: Some(curvature), ..self }
     }
 
-    /// The same with a buffer for status.
+    /// Sets the buffer for status.
     pub fn with_status(self, status: &'a mut [Status]) -> Self {
         Self { status: Some(status), ..self }
     }
 
-    /// The same with a buffer for the number of neighbours.
+    /// Sets the buffer for the number of neighbours.
     pub fn with_neighbours(self, neighbours: &'a mut [u32]) -> Self {
         Self { neighbours: Some(neighbours), ..self }
     }
 
-    /// The same with a buffer for raw depth values.
+    /// Sets the buffer for raw depth values.
     pub fn with_depth(self, depth: &'a mut [u16]) -> Self {
         Self { depth: Some(depth), ..self }
     }
 
-    /// The same with a buffer for depth in metres.
+    /// Sets the buffer for depth in metres.
     pub fn with_depth_m(self, depth_m: &'a mut [f32]) -> Self {
         Self { depth_m: Some(depth_m), ..self }
     }

@@ -26,7 +26,7 @@ pub struct Smoothed {
     pub normals: Option<Xyz>,
     /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
     pub curvature: Option<Vec<f32>>,
-    /// What became of each pixel.
+    /// The status of each pixel.
     pub status: Option<Vec<Status>>,
     /// Number of neighbours, the point's own sample included if within the radius; 0 for holes.
     pub neighbours: Option<Vec<u32>>,

@@ -333,7 +333,7 @@ impl Smoother {
         self.opened.submit(&frame, Some(buffer))
     }
 
-    /// The same with the result left where the device puts it, to be read there: nothing is copied.
+    /// Submits a frame whose result is read where the device writes it, without a copy.
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = self.admit(frame.into_frame()?)?;
         self.opened.submit(&frame, None)

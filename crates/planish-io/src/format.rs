@@ -54,11 +54,11 @@ pub enum Format {
     Npy,
     /// ASPRS LAS 1.0 to 1.4.
     Las,
-    /// The same compressed, COPC included.
+    /// Compressed LAS, COPC included.
     Laz,
     /// Lines of numbers (XYZ, TXT, ASC, PTS): x, y, z and what else there is.
     Text,
-    /// The same with commas, and names above.
+    /// Comma-separated values with a line of names.
     Csv,
     /// A NumPy archive of points and their fields, or of depth.
     Npz,
@@ -66,7 +66,7 @@ pub enum Format {
     E57,
     /// KITTI's lidar scans: x, y, z, intensity as f32.
     KittiBin,
-    /// The same of nuScenes, with a ring.
+    /// nuScenes' points, with a ring.
     NuScenesBin,
     /// The vertices of a Wavefront OBJ; read, not written.
     Obj,

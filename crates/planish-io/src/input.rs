@@ -27,7 +27,7 @@ impl Default for ReadOptions {
 }
 
 impl ReadOptions {
-    /// The same with another limit in bytes.
+    /// Sets the limit in bytes.
     pub const fn with_max_memory_bytes(self, max_memory_bytes: u64) -> Self {
         Self { max_memory_bytes }
     }

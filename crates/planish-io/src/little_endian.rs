@@ -5,7 +5,7 @@ pub(super) trait LittleEndian: Copy {
     /// Reads a number from exactly its bytes.
     fn read(bytes: &[u8]) -> Self;
 
-    /// The same, big-endian.
+    /// Reads a big-endian value.
     fn read_big_endian(bytes: &[u8]) -> Self;
 
     /// Writes all these bytes.

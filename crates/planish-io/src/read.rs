@@ -141,7 +141,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
     decode_noting(bytes, announced, options, &mut Vec::new())
 }
 
-/// The same, with [`FileRead::notes`].
+/// Decodes a file and collects [`FileRead::notes`].
 fn decode_noting(
     bytes: &[u8],
     announced: Option<Format>,

@@ -59,7 +59,7 @@ pub(crate) trait RecordEncoder: Sized {
         encoding: Option<Encoding>,
     ) -> FormatResult<Self>;
 
-    /// The same in the latest version of the format.
+    /// Converts the header to the latest version of the format.
     fn in_latest_version(self) -> FormatResult<Self>;
 
     /// Bytes of a record.

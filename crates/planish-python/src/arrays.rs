@@ -151,7 +151,7 @@ pub struct Buffers<'py> {
     status: Option<PyReadwriteArrayDyn<'py, u8>>,
 }
 
-/// The same as slices.
+/// Output arrays as slices.
 #[derive(Default)]
 pub struct Slices<'a> {
     pub points: Option<&'a mut [[f32; 3]]>,

@@ -37,7 +37,7 @@ impl TestEngine {
         Self { engine: Engine::Gpu, bounds_checks, ..Self::REFERENCE }
     }
 
-    /// The same with so many points of a general cloud on the GPU at once.
+    /// A GPU engine that holds at most this many points of a cloud.
     pub fn in_parts(points_at_once: usize) -> Self {
         Self { points_at_once: Some(points_at_once), ..Self::gpu(true) }
     }

@@ -22,7 +22,7 @@ impl OneByOne {
         Self { frame, next: 0, frames, results, lost_before: Vec::new() }
     }
 
-    /// The same with all GPUs lost before these frames.
+    /// Loses all GPUs before these frames.
     pub fn losing_gpus_before(self, frames: &[u64]) -> Self {
         Self { lost_before: frames.to_vec(), ..self }
     }

@@ -95,7 +95,7 @@ pub(crate) fn colours_of_general(
     }
 }
 
-/// The same with an opaque alpha; holes are transparent.
+/// Adds alpha: opaque for points, transparent for holes.
 pub(crate) fn rgba(colours: &[[u8; 3]], points: &Xyz) -> Vec<u8> {
     let pixel = |(i, &[red, green, blue]): (usize, &[u8; 3])| {
         let alpha = if points.is_finite(i) { 255 } else { 0 };

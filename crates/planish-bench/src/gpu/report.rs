@@ -26,7 +26,7 @@ pub(super) struct KernelRow {
     pub(super) degree: u32,
     pub(super) keeps_edges: bool,
     pub(super) kernel_us: Spread,
-    /// The same with the shader's checks of bounds on.
+    /// Kernel time with the shader's bounds checks.
     pub(super) checked_kernel_us: Spread,
 }
 

@@ -59,17 +59,17 @@ impl Camera {
         Self::new((640, 480), [525.0, 525.0], [319.5, 239.5])
     }
 
-    /// The same camera with depth in other units.
+    /// Sets the number of depth units per metre.
     pub const fn with_depth_units_per_metre(self, depth_units_per_metre: f64) -> Self {
         Self { depth_units_per_metre, ..self }
     }
 
-    /// The same camera with lens distortion.
+    /// Sets the lens distortion.
     pub const fn with_distortion(self, distortion: Distortion) -> Self {
         Self { distortion, ..self }
     }
 
-    /// The same intrinsics for images of another size.
+    /// Sets the size of images, with the same intrinsics.
     pub const fn with_shape(self, (width, height): (usize, usize)) -> Self {
         Self { width, height, ..self }
     }

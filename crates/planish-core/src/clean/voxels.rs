@@ -30,7 +30,7 @@ pub fn voxel_downsample(cloud: &PointCloud, size_m: f64) -> Result<PointCloud, P
     Ok(downsample(cloud, &Voxels::of(cloud, size_m)?))
 }
 
-/// The same for voxels that are there.
+/// Thins a cloud to its voxels.
 pub fn downsample(cloud: &PointCloud, voxels: &Voxels) -> PointCloud {
     let centroids: Vec<[f32; 3]> = voxels.iter().map(|voxel| centroid(&cloud.positions, voxel)).collect();
     let ways: Vec<Merge> = cloud.attributes.iter().map(how_to_merge).collect();

@@ -163,7 +163,7 @@ impl Fleet {
         self.deal(frame, Some(buffer))
     }
 
-    /// The same with the result left where the device puts it, to be read there: nothing is copied.
+    /// Submits a frame whose result is read where the device writes it, without a copy.
     pub fn submit_in_place<F: SharedFrame>(&mut self, frame: Arc<F>) -> Result<(), Error> {
         self.deal(frame, None)
     }

@@ -60,18 +60,18 @@ impl DepthFrame {
         Self { camera, raw, rgb: None, timestamp_s: None }
     }
 
-    /// The same of a depth image.
+    /// Creates a frame from a depth image.
     pub fn from_image(camera: Camera, image: DepthImage) -> Result<Self, FrameError> {
         camera.check_shape((image.width, image.height))?;
         Self::new(camera, image.raw)
     }
 
-    /// The same frame with colour registered to it, 3 bytes a pixel.
+    /// Sets the registered colour, 3 bytes per pixel.
     pub fn with_rgb(self, rgb: Vec<u8>) -> Self {
         Self { rgb: Some(rgb), ..self }
     }
 
-    /// The same frame with a time stamp in seconds of the source's clock.
+    /// Sets the time stamp in seconds of the source's clock.
     pub fn with_timestamp_s(self, timestamp_s: f64) -> Self {
         Self { timestamp_s: Some(timestamp_s), ..self }
     }

@@ -84,7 +84,7 @@ impl<'a> PointsView<'a> {
         Ok(Self::of(Positions::Planes([x, y, z]), x.len()))
     }
 
-    /// The same in f64.
+    /// Borrows planes of f64.
     pub fn from_planes_f64(x: &'a [f64], y: &'a [f64], z: &'a [f64]) -> Result<Self, FrameError> {
         check_planes([x.len(), y.len(), z.len()])?;
         Ok(Self::of(Positions::PlanesF64([x, y, z]), x.len()))
@@ -270,7 +270,7 @@ impl<'a> PointsView<'a> {
         RigidTransform { translation: transform.translation - self.origin_m, ..transform }
     }
 
-    /// The same of a sensor at the origin of the file's coordinates that is not turned.
+    /// Returns the transform of an unrotated sensor at the origin of the file's coordinates.
     pub fn origin_transform(&self) -> RigidTransform {
         RigidTransform { translation: -self.origin_m, ..RigidTransform::IDENTITY }
     }

@@ -50,17 +50,17 @@ impl TileOptions {
         Self { params, smoother, fields: Outputs::POINTS, pose: None, encoding: None, max_memory_bytes }
     }
 
-    /// The same with other fields written.
+    /// Sets the fields to write.
     pub fn with_fields(self, fields: Outputs) -> Self {
         Self { fields, ..self }
     }
 
-    /// The same with another encoding of PLY files.
+    /// Sets the encoding of PLY files.
     pub fn with_encoding(self, encoding: Option<Encoding>) -> Self {
         Self { encoding, ..self }
     }
 
-    /// The same with the sensor's pose.
+    /// Sets the sensor's pose.
     pub fn with_pose(self, pose: Option<SensorPose>) -> Self {
         Self { pose, ..self }
     }

@@ -138,17 +138,17 @@ impl Rig {
         Ok(rig)
     }
 
-    /// The same with another tolerance, in seconds.
+    /// Sets the tolerance in seconds.
     pub fn with_tolerance_s(self, tolerance_s: f64) -> Self {
         Self { tolerance_s, ..self }
     }
 
-    /// The same with frames matched by another clock.
+    /// Sets the clock by which frames are matched.
     pub fn with_clock(self, clock: Clock) -> Self {
         Self { clock, ..self }
     }
 
-    /// The same with views from these places too.
+    /// Sets places without a camera from which views are smoothed too.
     pub fn with_viewpoints(self, viewpoints: Vec<Viewpoint>) -> Self {
         Self { viewpoints, ..self }
     }
@@ -231,27 +231,27 @@ impl RigCamera {
         }
     }
 
-    /// The same with a source, or without.
+    /// Sets the source.
     pub fn with_source(self, source: Option<String>) -> Self {
         Self { source, ..self }
     }
 
-    /// The same with intrinsics, or with its source's own.
+    /// Sets the intrinsics; `None` for the source's.
     pub fn with_camera(self, camera: Option<Camera>) -> Self {
         Self { camera, ..self }
     }
 
-    /// The same with so many units of depth a metre, or as many as its source says.
+    /// Sets the number of depth units per metre; `None` for the source's.
     pub fn with_depth_units_per_metre(self, depth_units_per_metre: Option<f64>) -> Self {
         Self { depth_units_per_metre, ..self }
     }
 
-    /// The same with another sensor, or with that of the parameters.
+    /// Sets the sensor; `None` for the parameters'.
     pub fn with_sensor(self, sensor: Option<SensorModel>) -> Self {
         Self { sensor, ..self }
     }
 
-    /// The same with something added to its time stamps, in seconds.
+    /// Sets an offset that is added to time stamps, in seconds.
     pub fn with_time_offset_s(self, time_offset_s: f64) -> Self {
         Self { time_offset_s, ..self }
     }

@@ -108,7 +108,7 @@ impl RigOptions {
         Ok(())
     }
 
-    /// The same with other parameters: one set for each camera, and those of all points as one cloud.
+    /// Sets the parameters: one set per camera, and one for all points as one cloud.
     pub fn with_params(self, params: Vec<FrameParams>, general_params: CloudParams) -> Self {
         Self { params, general_params, ..self }
     }
@@ -118,24 +118,24 @@ impl RigOptions {
         Self { registration_m, ..self }
     }
 
-    /// The same with points that are merged thinned to one for each voxel of this size in metres
+    /// Thins merged points to one per voxel of this size in metres
     /// ([`RigSmoother::with_voxel_m`](super::RigSmoother::with_voxel_m)), or with all of them. The parameters should be
     /// for it ([`merged_params_in_voxels`](super::merged_params_in_voxels)).
     pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
         Self { voxel_m, ..self }
     }
 
-    /// The same with cameras spread over these devices; none for the one of the options.
+    /// Distributes cameras over these devices; with none, the options' device smooths all.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }
 
-    /// The same with an end after so many moments, or without.
+    /// Sets the maximum number of moments.
     pub fn with_max_moments(self, max_moments: Option<u64>) -> Self {
         Self { max_moments, ..self }
     }
 
-    /// The same with an end after so long, or without.
+    /// Sets the maximum duration.
     pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
         Self { max_duration, ..self }
     }

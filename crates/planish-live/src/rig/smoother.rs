@@ -151,7 +151,7 @@ impl RigSmoother {
         Self { registration_m, ..self }
     }
 
-    /// The same with points that are merged thinned to one for each voxel of this size in metres, or with all of them.
+    /// Thins merged points to one per voxel of this size in metres; `None` keeps all.
     ///
     /// A fused cloud has then one point a voxel: the centroid of the points in it, smoothed among the other centroids,
     /// with the camera of the point nearest to it. Each camera's own points are put onto the surface that those make

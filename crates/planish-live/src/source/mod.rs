@@ -174,37 +174,37 @@ pub struct SourceOptions {
 }
 
 impl SourceOptions {
-    /// The same with a camera, or without.
+    /// Sets the camera.
     pub fn with_camera(self, camera: Option<Camera>) -> Self {
         Self { camera, ..self }
     }
 
-    /// The same with other units of a data set in TUM layout, or its own.
+    /// Sets the depth units per metre of data sets in TUM layout; `None` for the data set's.
     pub fn with_tum_units_per_metre(self, tum_units_per_metre: Option<f64>) -> Self {
         Self { tum_units_per_metre, ..self }
     }
 
-    /// The same with topics of a recording in MCAP: that of the depth, and that of its camera.
+    /// Sets the topics of an MCAP recording: depth and camera.
     pub fn with_topics(self, topic: Option<String>, camera_info_topic: Option<String>) -> Self {
         Self { topic, camera_info_topic, ..self }
     }
 
-    /// The same with depth and colour mapped to an image of the camera's.
+    /// Sets the image to which depth and colour are mapped.
     pub fn with_alignment(self, alignment: Option<Alignment>) -> Self {
         Self { alignment, ..self }
     }
 
-    /// The same with a mode of the camera's.
+    /// Sets the camera's mode.
     pub fn with_mode(self, mode: Option<StreamMode>) -> Self {
         Self { mode, ..self }
     }
 
-    /// The same for so many frames, or any number of them.
+    /// Sets the maximum number of frames; `None` for any.
     pub fn with_frames(self, frames: Option<u64>) -> Self {
         Self { frames, ..self }
     }
 
-    /// The same paced as live, or not.
+    /// Sets the pace in frames per second; `None` for as fast as possible.
     pub fn with_fps(self, fps: Option<f64>) -> Self {
         Self { fps, ..self }
     }

@@ -135,17 +135,17 @@ impl StreamOptions {
         Ok(session.with_live(is_live).with_kept_window(true).with_kept_sensor(true))
     }
 
-    /// The same with frames dealt to these devices; none for the one of the options.
+    /// Distributes frames over these devices; with none, the options' device smooths all.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }
 
-    /// The same with an end after so many frames, or without.
+    /// Sets the maximum number of frames.
     pub fn with_max_frames(self, max_frames: Option<u64>) -> Self {
         Self { max_frames, ..self }
     }
 
-    /// The same with an end after so long, or without.
+    /// Sets the maximum duration.
     pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
         Self { max_duration, ..self }
     }

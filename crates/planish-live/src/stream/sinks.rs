@@ -39,7 +39,7 @@ pub trait Sink: Send {
 pub enum SinkFormat {
     /// Organized clouds, binary.
     Pcd,
-    /// The same as PLY.
+    /// PLY files.
     Ply,
     /// 16-bit depth; the stream's outputs must include depth.
     DepthPng,

@@ -35,27 +35,27 @@ pub struct SmoothBagOptions {
 }
 
 impl SmoothBagOptions {
-    /// The same for these topics.
+    /// Sets the topics.
     pub fn with_topics(self, topics: Vec<String>) -> Self {
         Self { topics, ..self }
     }
 
-    /// The same with the camera from that topic.
+    /// Sets the topic of the camera.
     pub fn with_camera_info_topic(self, camera_info_topic: Option<String>) -> Self {
         Self { camera_info_topic, ..self }
     }
 
-    /// The same with a camera instead of the recording's.
+    /// Sets a camera that replaces the recording's.
     pub fn with_camera(self, camera: Option<Camera>) -> Self {
         Self { camera, ..self }
     }
 
-    /// The same with clouds of the depth images on that topic, or without.
+    /// Sets a topic for clouds of the depth images; `None` for none.
     pub fn with_points_topic(self, points_topic: Option<String>) -> Self {
         Self { points_topic, ..self }
     }
 
-    /// The same with another limit to the memory that a message or a chunk may take.
+    /// Sets the memory limit for a message or chunk.
     pub fn with_read_options(self, read: ReadOptions) -> Self {
         Self { read, ..self }
     }

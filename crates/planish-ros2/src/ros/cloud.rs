@@ -125,7 +125,7 @@ impl PointCloud2 {
         (0..self.height as usize).flat_map(move |v| (0..width).map(move |u| v * row_step + u * step))
     }
 
-    /// The same cloud with its values in the byte order of this machine.
+    /// Converts values to this machine's byte order.
     pub fn into_native(mut self) -> Result<Self, FormatError> {
         if self.is_bigendian == cfg!(target_endian = "big") {
             return Ok(self);

@@ -67,7 +67,7 @@ impl DepthMessage {
         }
     }
 
-    /// The same message with other depth of the same kind and shape.
+    /// Returns the message with other depth of the same type and shape.
     pub fn with_pixels(&self, pixels: &DepthPixels) -> Result<Self, FormatError> {
         match self {
             Self::Image(image) => Ok(Self::Image(with_image_pixels(image, pixels))),

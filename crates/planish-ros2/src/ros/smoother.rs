@@ -81,7 +81,7 @@ impl MessageSmoother {
         }
     }
 
-    /// The same with another limit to the memory that a message may take.
+    /// Sets the memory limit for a message.
     pub fn with_read_options(self, read: ReadOptions) -> Self {
         Self { read, ..self }
     }

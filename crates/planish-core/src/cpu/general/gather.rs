@@ -16,7 +16,7 @@ const LARGEST_SQUARE: f32 = 1e24;
 pub(super) struct Gathered {
     /// Of leaves that count wholly for every lane: no gate is needed.
     whole: Copied,
-    /// The same leaves as sums.
+    /// The sums over the leaves.
     moments: Vec<LeafMoments>,
     /// Of all other leaves, those within reach of some lane.
     others: Copied,

@@ -39,17 +39,17 @@ impl Default for CalibrationOptions {
 }
 
 impl CalibrationOptions {
-    /// The same with another frame of ROS as the rig's.
+    /// Sets the ROS frame of the rig.
     pub fn with_base(self, base: Option<String>) -> Self {
         Self { base, ..self }
     }
 
-    /// The same with these frames of ROS as cameras.
+    /// Sets the ROS frames of the cameras.
     pub fn with_frames(self, frames: Vec<String>) -> Self {
         Self { frames, ..self }
     }
 
-    /// The same with another scale.
+    /// Sets the scale.
     pub fn with_metres_per_unit(self, metres_per_unit: f64) -> Self {
         Self { metres_per_unit, ..self }
     }
