@@ -107,7 +107,7 @@ impl AttributeValues {
     }
 }
 
-/// One field of a cloud beside its positions: colour, intensity, ring, label, padding.
+/// A field of a cloud other than positions: colour, intensity, ring, label, padding.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Attribute {
     /// The field's name in the file. Padding is called `_`, as in PCD.
@@ -125,7 +125,7 @@ impl Attribute {
     }
 }
 
-/// Where a file has its columns x, y and z, and how wide, so that it is written as it was read.
+/// The places and widths of columns x, y and z in a file, so it is written as it was read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PositionColumns {
     /// Indices of x, y and z among all columns; the attributes fill the others in order.
@@ -146,14 +146,13 @@ impl Default for PositionColumns {
 pub struct PointCloud {
     /// Positions in metres, relative to `origin_m`. A non-finite one is a hole.
     pub positions: Xyz,
-    /// What to add to every position, in f64, so that georeferenced clouds lose nothing to f32. Zero for a camera.
+    /// An offset added to every position, in f64, so georeferenced clouds lose no digits to f32. Zero for a camera.
     pub origin_m: [f64; 3],
-    /// Every field beside x, y, z, in the order of the file.
+    /// All fields except x, y and z, in the order of the file.
     pub attributes: Vec<Attribute>,
-    /// Where x, y, z stand among the fields of the file.
+    /// The places of x, y and z among the fields of the file.
     pub position_columns: PositionColumns,
-    /// Where the sensor stood, in the frame of the file (not relative to `origin_m`); the identity where that is not
-    /// known.
+    /// The sensor's pose in the frame of the file (not relative to `origin_m`); the identity if unknown.
     pub pose: SensorPose,
     /// The coordinates as the file has them, x, y and z, where f32 loses digits (an axis where it does not may be
     /// empty): a point that is not moved is written with all of them.
@@ -281,7 +280,7 @@ impl PointCloud {
         cloud
     }
 
-    /// What a cloud is beside its points: origin, pose, columns, header.
+    /// Returns the cloud without points: origin, pose, columns, header.
     pub fn without_points(&self) -> Self {
         Self {
             positions: Xyz::default(),

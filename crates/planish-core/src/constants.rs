@@ -1,6 +1,6 @@
 //! Constants of the method for the f32 engines, once for CPU and GPU; the reference has its own (docs/method.md).
 
-/// With fewer neighbours there is no plane (section 7).
+/// The smallest number of neighbours for a plane (section 7).
 pub(crate) const LEAST_NEIGHBOURS: f32 = 3.0;
 
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line (section 4).
@@ -16,7 +16,7 @@ pub const GRAZING_COSINE: f32 = 0.2;
 /// No point moves along its ray by more than this share of its distance (section 7).
 pub(crate) const MAX_ALONG: f32 = 0.5;
 
-/// No radius of a general cloud is more than so many times the mean of those around it (section 8).
+/// Maximum ratio of a point's radius to the mean radius around it, in unorganized clouds (section 8).
 pub(crate) const MAX_RADIUS_RATIO: f32 = 1.5;
 
 // Section 10.
@@ -31,7 +31,7 @@ pub(crate) const MIN_NOISE: f32 = 0.01;
 pub(crate) const DISTANCE_WEIGHT: f32 = 0.3;
 /// Planes of points up to so many radii away are considered: on oblique surfaces those of a window's reach are as far.
 pub(crate) const PLANE_REACH: f32 = 2.0;
-/// Neighbours count up to so many deviations of the noise from the surface.
+/// Distance from the surface within which neighbours count, in standard deviations of the noise.
 pub(crate) const NARROW_WIDTH: f32 = 1.0;
 /// The points of a block count up to so many times that width from the surface...
 pub(crate) const BLOCK_WIDTH: f32 = 1.5;

@@ -2,14 +2,14 @@
 
 use crate::error::EngineError;
 
-/// What kind of device an adapter is.
+/// The kind of an adapter's device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "lowercase"))]
 #[non_exhaustive]
 pub enum AdapterKind {
     /// A graphics card.
     Discrete,
-    /// A GPU beside the CPU's cores, with the same memory.
+    /// A GPU that shares memory with the CPU.
     Integrated,
     /// A GPU lent to a virtual machine.
     Virtual,
@@ -24,11 +24,11 @@ pub enum AdapterKind {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct GpuAdapter {
-    /// Its number, by which it can be asked for.
+    /// Its index, for selection.
     pub index: usize,
-    /// Its name, by any part of which it can be asked for.
+    /// Its name; any part of it selects it.
     pub name: String,
-    /// What kind of device it is.
+    /// The kind of device.
     pub kind: AdapterKind,
     /// The interface it is reached by: vulkan, metal, dx12.
     pub backend: String,
@@ -98,7 +98,7 @@ impl GpuOptions {
         Self { transfer, ..self }
     }
 
-    /// The same with so many points of a general cloud on the device at most; `None` for as many as it takes.
+    /// Sets the maximum number of points of an unorganized cloud on the device; `None` for the device's limit.
     pub fn with_points_at_once(self, points_at_once: Option<usize>) -> Self {
         Self { points_at_once, ..self }
     }
@@ -118,13 +118,13 @@ impl Default for GpuOptions {
     }
 }
 
-/// The real GPU to take if none is asked for.
+/// The real GPU to use by default.
 pub(crate) fn real_gpu(adapters: &[GpuAdapter]) -> Option<&GpuAdapter> {
     let of = |kind| adapters.iter().find(|adapter| adapter.kind == kind);
     of(AdapterKind::Discrete).or_else(|| of(AdapterKind::Integrated)).or_else(|| of(AdapterKind::Virtual))
 }
 
-/// The adapter that is asked for by index or name, or the first real GPU.
+/// Returns the adapter with this index or name, or the first real GPU.
 pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Result<&'a GpuAdapter, EngineError> {
     let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
     if adapters.is_empty() {

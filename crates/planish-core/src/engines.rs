@@ -1,4 +1,4 @@
-//! The engines that there are, what each can do, how it is opened, and which one `Auto` takes. Adding an engine touches
+//! All engines: their capabilities, how they are opened, and the choice of `Auto`. Adding an engine touches
 //! this file and its own folder.
 
 use crate::cpu::{Cpu, GeneralCpu};
@@ -17,7 +17,7 @@ use crate::smoothing_engine::{Immediate, SmoothingEngine};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Engine {
-    /// A real GPU if there is one, else the CPU. [`Smoother::engine`] says which.
+    /// A real GPU if there is one, otherwise the CPU. [`Smoother::engine`] returns the choice.
     ///
     /// [`Smoother::engine`]: crate::Smoother::engine
     #[default]
@@ -41,7 +41,7 @@ impl std::str::FromStr for Engine {
     }
 }
 
-/// What an engine can do.
+/// Capabilities of an engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Capabilities {
@@ -53,8 +53,7 @@ pub struct Capabilities {
     pub edges: bool,
     /// Depth as an output.
     pub depth_out: bool,
-    /// Whether submitted frames are computed while the caller goes on, so that several in flight are worth their
-    /// latency.
+    /// Whether submitted frames are computed in the background, so several in flight are worth their latency.
     pub pipelined: bool,
 }
 
@@ -93,11 +92,11 @@ impl Engine {
 pub enum ChoiceReason {
     /// This adapter is a real GPU.
     RealGpu(GpuAdapter),
-    /// The build has no GPU engine.
+    /// This build lacks the GPU engine.
     NoGpuInBuild,
     /// There is no adapter.
     NoAdapter,
-    /// The adapters that there are, are no GPUs.
+    /// Only software adapters were found.
     NoRealGpu(Vec<GpuAdapter>),
     /// There is a GPU, but it did not open.
     GpuFailed(GpuAdapter, String),
@@ -119,12 +118,12 @@ impl std::fmt::Display for ChoiceReason {
     }
 }
 
-/// How to open a smoother, beside the parameters of the method.
+/// Options for opening a smoother, other than the method's parameters.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct SmootherOptions {
-    /// Which engine. One that is asked for by name never falls back to another; only a stream goes on with the CPU when
-    /// its GPU is lost twice.
+    /// Which engine. An engine chosen by name never falls back to another; only a stream continues on the CPU if its
+    /// GPU is lost twice.
     pub engine: Engine,
     /// Which results to compute.
     pub outputs: Outputs,
@@ -168,8 +167,8 @@ impl SmootherOptions {
     }
 }
 
-/// Gives Mesa's Vulkan drivers a runtime folder on Linux if the session has none (`XDG_RUNTIME_DIR`), as on a robot;
-/// otherwise they print an error for each query.
+/// Sets `XDG_RUNTIME_DIR` on Linux if it is missing, as on a robot. Without it, Mesa's Vulkan drivers print an error
+/// for each query.
 ///
 /// # Safety
 /// No other thread may run: it changes the environment.
@@ -189,7 +188,7 @@ pub fn gpu_adapters() -> Vec<GpuAdapter> {
     Vec::new()
 }
 
-/// The engine that [`Engine::Auto`] takes among these adapters, and why: a real GPU if there is one, else
+/// Returns the choice of [`Engine::Auto`] among these adapters, with the reason: a real GPU if there is one, otherwise
 /// the CPU.
 pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
     match real_gpu(adapters) {

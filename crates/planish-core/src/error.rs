@@ -104,7 +104,7 @@ pub enum FrameError {
     /// A cloud without any finite point, where there must be one.
     #[error("the cloud has no points")]
     NoPoints,
-    /// A sensor pose that is none.
+    /// An invalid sensor pose.
     #[error("sensor pose: {0}")]
     BadPose(ParamError),
     /// Voxels of a size that a cloud cannot have.
@@ -120,7 +120,7 @@ pub enum FrameError {
         /// The length it should have.
         expected: usize,
     },
-    /// Something needs a camera and there is none.
+    /// A camera is required.
     #[error("{what} needs the camera's intrinsics (fx, fy, cx, cy), and none are known")]
     MissingCamera {
         /// What needs it.
@@ -138,7 +138,7 @@ pub enum EngineError {
     /// The engine is not in this build or not on this machine.
     #[error("engine {engine} is not available: {reason}")]
     Unavailable {
-        /// The name of the engine that was asked for.
+        /// The name of the requested engine.
         engine: &'static str,
         /// Why it is not there, and what would help.
         reason: String,
@@ -174,7 +174,7 @@ pub enum EngineError {
     OutOfMemory {
         /// The device's name.
         device: String,
-        /// How many bytes were asked for.
+        /// The requested number of bytes.
         bytes: u64,
         /// What the driver said.
         reason: String,
@@ -207,7 +207,7 @@ pub enum EngineError {
     /// The pool of threads could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
-        /// How many were asked for.
+        /// The requested number.
         threads: usize,
         /// What the system said.
         reason: String,
@@ -241,7 +241,7 @@ pub enum DeviceError {
         /// What would help.
         help: &'static str,
     },
-    /// It does not do what it should.
+    /// It misbehaves.
     #[error("{what}")]
     Failed {
         /// What failed.
@@ -255,17 +255,17 @@ pub enum DeviceError {
     },
 }
 
-/// What is wrong with a file, without its name.
+/// A fault of a file, without its name.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FormatError {
     /// The operating system could not read or write it.
     #[error(transparent)]
     Os(#[from] std::io::Error),
-    /// The contents contradict the format. The text says what is wrong and what would be right.
+    /// The contents contradict the format. The text names the fault and the remedy.
     #[error("{0}")]
     Malformed(String),
-    /// A legitimate file that planish cannot use. The text says why and what can be used.
+    /// A legitimate file that planish cannot use. The text gives the reason and the alternative.
     #[error("{0}")]
     Unsupported(String),
     /// The contents make no frame.
@@ -287,7 +287,7 @@ pub enum FormatError {
 pub struct IoError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The fault.
     pub problem: FormatError,
 }
 

@@ -19,7 +19,7 @@ pub struct Outputs {
     pub points: bool,
     /// The smoothed surface as raw depth values (docs/method.md, section 7); the frame's camera must be known.
     pub depth: bool,
-    /// The same in metres, as precise as the points.
+    /// Depth of the smoothed surface in metres, as precise as the points.
     pub depth_m: bool,
     /// Unit normals, towards the sensor.
     pub normals: bool,
@@ -230,18 +230,18 @@ impl<'a> From<&'a mut Vec<[f32; 4]>> for VectorsMut<'a> {
     }
 }
 
-/// The caller's buffers for a result: what is given is written, once, in the order of the input. Each has one entry for
+/// The caller's buffers for a result, written once, in the order of the input. Each has one entry for
 /// each pixel or point, and must be among the outputs that the smoother was opened for.
 ///
-/// The values are those of [`Smoothed`](crate::Smoothed), which is the same with buffers of its own.
+/// [`Smoothed`](crate::Smoothed) has the same values and owns its buffers.
 #[derive(Debug, Default)]
 #[non_exhaustive]
 pub struct SmoothedMut<'a> {
     /// The points in metres, NaN for holes.
     pub points: Option<VectorsMut<'a>>,
-    /// Unit normals towards the sensor; NaN where there is none.
+    /// Unit normals towards the sensor; NaN without a normal.
     pub normals: Option<VectorsMut<'a>>,
-    /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
+    /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN without a plane.
     pub curvature: Option<&'a mut [f32]>,
     /// The status of each pixel.
     pub status: Option<&'a mut [Status]>,

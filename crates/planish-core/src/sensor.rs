@@ -13,7 +13,7 @@ use crate::error::ParamError;
 /// without steps of their own take the step that a Kinect v1 of their noise would have.
 const NOISE_IN_STEPS: f64 = 0.63;
 
-/// What the smoother must know of a depth sensor.
+/// The properties of a depth sensor that the smoother uses.
 ///
 /// ```
 /// use planish::SensorModel;

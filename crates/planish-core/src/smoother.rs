@@ -241,7 +241,7 @@ impl Smoother {
         self.engine
     }
 
-    /// What the open engine can do.
+    /// The capabilities of the open engine.
     pub fn capabilities(&self) -> Capabilities {
         self.engine.capabilities()
     }
@@ -251,7 +251,7 @@ impl Smoother {
         self.opened.device_name()
     }
 
-    /// Why `Auto` chose as it did; `None` if the engine was asked for by name.
+    /// Why `Auto` chose as it did; `None` if the engine was chosen by name.
     pub fn chosen_because(&self) -> Option<&ChoiceReason> {
         self.chosen_because.as_ref()
     }
@@ -348,7 +348,7 @@ impl Smoother {
     }
 
     /// Prepares for several frames in flight, which the second of them waits for otherwise: some 0.1 s on a GPU with
-    /// several queues, on which frames overlap. Who smooths one at a time needs neither the time nor the memory.
+    /// several queues, on which frames overlap. Not needed when smoothing one frame at a time.
     pub fn prepare_in_flight(&mut self) {
         self.is_prepared = true;
         self.opened.prepare_in_flight();

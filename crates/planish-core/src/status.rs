@@ -1,6 +1,6 @@
-//! What became of a pixel.
+//! The status of a pixel.
 
-/// What became of a pixel (docs/method.md, section 7).
+/// The status of a pixel (docs/method.md, section 7).
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
@@ -38,7 +38,7 @@ impl Status {
         matches!(self, Self::Plane | Self::Polynomial2 | Self::Polynomial3)
     }
 
-    /// The status of a code; a hole for codes that there are not.
+    /// Returns the status with a code; a hole for unknown codes.
     #[inline(always)]
     pub(crate) fn of_code(code: u8) -> Self {
         // With room for every 3-bit index: no code needs a check.

@@ -42,7 +42,7 @@ impl Contents {
     }
 }
 
-/// What a depth image of 16 bits holds, in brief.
+/// A summary of a 16-bit depth image.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DepthSummary {

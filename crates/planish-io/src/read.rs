@@ -50,8 +50,7 @@ pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(For
     summarize().map_err(IoError::at(path))
 }
 
-/// Reads a file of any format; `-` is standard input. Refuses what is no regular file, such as pipes, sockets and
-/// devices.
+/// Reads a file of any format; `-` is standard input. Refuses pipes, sockets and devices.
 pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
     read_with(path, &ReadOptions::default())
 }
@@ -61,8 +60,8 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
     read_file(path, options).map(|file| (file.format, file.contents))
 }
 
-/// Reads a LAS, LAZ or PLY file some points at a time, each part a cloud with all fields and an origin of its own; of a
-/// file without points one empty cloud.
+/// Reads a LAS, LAZ or PLY file in parts, each a cloud with all fields and its own origin; a file without points is one
+/// empty cloud.
 #[cfg(feature = "scans")]
 pub fn read_in_parts(
     path: &Path,
@@ -106,7 +105,7 @@ pub struct FileRead {
     pub encoding: Option<Encoding>,
     /// What it holds.
     pub contents: Contents,
-    /// What of it was left out, or taken for something that its name does not say: one clause each, for a user to read.
+    /// Data that were dropped and guesses that were made, one clause each, for users to read.
     pub notes: Vec<String>,
 }
 

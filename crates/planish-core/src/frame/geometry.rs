@@ -1,6 +1,6 @@
-//! Where the sensor of a frame stands, and what the range of a point is (docs/method.md, section 11).
+//! The position of a frame's sensor and the range of a point (docs/method.md, section 11).
 //!
-//! The sensor's frame is the one in which it stands at the origin and looks along +z.
+//! In the sensor's frame, the sensor is at the origin and looks along +z.
 
 use glam::DVec3;
 
@@ -12,13 +12,13 @@ use super::{Frame, PointsView};
 use crate::cloud::OrganizedCloud;
 use crate::pose::RigidTransform;
 
-/// Angles of this spread are the same, lenses and scanners being what they are: a factor of 1.6.
+/// Angles whose spread is at most this count as equal: lenses and scanners vary by a factor of 1.6.
 const SMALL_SPREAD: f64 = 0.5;
-/// An unknown sensor may be assumed at the origin of coordinates that is at most so many extents of the cloud away.
+/// Maximum distance of an assumed sensor at the origin of coordinates, in extents of the cloud.
 const MAX_EXTENTS: f64 = 1000.0;
-/// That of a general cloud also at most so far: beyond, coordinates are those of a map.
+/// Maximum sensor distance assumed for an unorganized cloud; larger coordinates are taken to be map coordinates.
 const MAX_ORIGIN_M: f64 = 20_000.0;
-/// Nor can that be an origin so many extents away beside the cloud.
+/// Maximum distance of that origin to the side of the cloud, in extents.
 const BESIDE_EXTENTS: f64 = 5.0;
 /// Nor one on the surface: of the sampled points around it the 60th is about 3.2 times as far as the 6th there, and so
 /// on; these are the limits.
@@ -29,7 +29,7 @@ const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
 const GENERAL_SAMPLE: usize = 4096;
 
 impl FrameGeometry {
-    /// Of a frame for an engine that needs to know ranges, or not.
+    /// Finds the geometry of a frame; ranges only if the engine needs them.
     pub(crate) fn of(frame: Frame<'_>, needs_range: bool, scratch: &mut GeometryScratch) -> Self {
         match frame {
             Frame::Depth(depth) => {
@@ -41,15 +41,15 @@ impl FrameGeometry {
         }
     }
 
-    /// Of points without a grid.
+    /// Finds the geometry of points without a grid.
     fn of_general(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Self {
-        // Of a part it was decided by the whole.
+        // For a part, the whole cloud has decided it.
         let assumed = points.extent_m().is_none().then(|| assumed_transform(points, scratch)).flatten();
         let transform = assumed.unwrap_or_else(|| points.transform());
         Self::new(transform, RangeRule::Depth { pitch_at_1m: None })
     }
 
-    /// Of points on a grid.
+    /// Finds the geometry of points on a grid.
     pub(super) fn of_points(points: &PointsView<'_>, needs_range: bool, scratch: &mut GeometryScratch) -> Self {
         let assumed = Self::new(points.transform(), RangeRule::Depth { pitch_at_1m: None });
         let Some(grid @ (width, height)) = points.grid() else { return assumed };
@@ -125,7 +125,7 @@ pub(super) fn assumed_transform(points: &PointsView<'_>, scratch: &mut GeometryS
     assumed_sensor(sample, points.origin_transform().translation)
 }
 
-/// The same by a sample of the points; `origin` is that of the coordinates.
+/// Decides by a sample of the points; `origin` is the origin of coordinates.
 fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransform> {
     let is_on_surface = is_on_surface(sample, origin);
     let extent = Extent::of(sample)?;
@@ -139,7 +139,7 @@ fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransfo
 /// Whether a place is in the midst of points as they lie on a surface: the number of those around it grows with the
 /// square of the distance, where a sensor has all at some distance.
 fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
-    // Zeros stand for no data.
+    // Zeros mean no data.
     let squares = sample.iter().map(|point| point.distance_squared(place)).filter(|square| *square > 0.0);
     let mut squares: Vec<f64> = squares.collect();
     squares.sort_by(f64::total_cmp);
@@ -197,7 +197,7 @@ impl PointsView<'_> {
 
 impl OrganizedCloud {
     /// Metres between neighbouring pixels at a range of 1 m, from the camera where it is known, else from the points
-    /// (1/fx of a camera). `None` where it cannot be told.
+    /// (1/fx of a camera). `None` if unknown.
     pub fn pixel_pitch_at_1m(&self) -> Option<f64> {
         PointsView::from_organized(self).ok()?.range_rule().known_pitch_at_1m()
     }
@@ -213,7 +213,7 @@ mod tests {
     const WIDTH: usize = 64;
     const HEIGHT: usize = 48;
 
-    /// What a small camera sees of a slanted wall with a step, in its own frame.
+    /// A slanted wall with a step, seen by a small camera, in its frame.
     fn seen_by_a_camera() -> Vec<DVec3> {
         let camera = Camera::new((WIDTH, HEIGHT), [52.5; 2], [31.5, 23.5]);
         let depth = |u: usize, v: usize| if u < 20 { 1.0 } else { 2.0 } + 0.01 * v as f64;

@@ -1,4 +1,4 @@
-//! What a smoother takes: borrowed views of depth images and points, and the owned types that convert into them.
+//! Input of a smoother: borrowed views of depth images and points, and owned types that convert into them.
 
 mod depth_view;
 mod geometry;
@@ -32,7 +32,7 @@ pub struct DepthImage {
     pub raw: Vec<u16>,
 }
 
-/// A depth image with its camera: what a depth sensor delivers. [`DepthView`] is the same without a copy.
+/// A depth image with its camera. [`DepthView`] is the same without a copy.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct DepthFrame {
@@ -123,7 +123,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Width and height as results state them: a general cloud is as wide as it has points, and 1 high.
+    /// Width and height of results; for an unorganized cloud, the number of points and 1.
     pub fn shape(&self) -> (usize, usize) {
         match self {
             Self::Depth(depth) => depth.shape(),
@@ -156,7 +156,7 @@ pub trait IntoFrame<'a> {
     /// The frame.
     ///
     /// # Errors
-    /// If buffers contradict the shape, or the camera or the pose is none.
+    /// If buffers contradict the shape, or the camera or the pose is invalid.
     fn into_frame(self) -> Result<Frame<'a>, FrameError>;
 }
 

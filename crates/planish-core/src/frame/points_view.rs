@@ -20,7 +20,7 @@ pub enum Scalar {
     F64,
 }
 
-/// Where the coordinates of interleaved points are, as ROS' PointCloud2 and PCL's structs have them.
+/// The layout of interleaved points, as in ROS' PointCloud2 and PCL's structs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PointLayout {
     /// The type of x, y and z, in the byte order of this machine.
@@ -55,7 +55,7 @@ pub struct PointsView<'a> {
     grid: Option<(usize, usize)>,
     /// In the frame of the file: not relative to the origin.
     pose: SensorPose,
-    /// What is added to a result to come back to that frame.
+    /// Added to a result to return to that frame.
     origin_m: DVec3,
     /// What is subtracted from the positions; those of a [`PointCloud`] are relative to its origin already.
     subtracted_m: DVec3,
@@ -203,7 +203,7 @@ impl<'a> PointsView<'a> {
         Ok(Self { origin_m, subtracted_m: self.subtracted_m + (origin_m - self.origin_m), ..self })
     }
 
-    /// The same as a part of a cloud of so many points, which span so many metres.
+    /// Marks the view as part of a cloud with this number of points and extent.
     pub fn as_part_of(self, points: usize, extent_m: f64) -> Self {
         Self { whole: Some((extent_m, points)), ..self }
     }
@@ -233,12 +233,12 @@ impl<'a> PointsView<'a> {
         self.grid
     }
 
-    /// Where the sensor stands; the identity where that is not known.
+    /// The sensor's pose; the identity if unknown.
     pub fn pose(&self) -> SensorPose {
         self.pose
     }
 
-    /// What positions are relative to.
+    /// The origin of positions.
     pub fn origin_m(&self) -> [f64; 3] {
         self.origin_m.to_array()
     }
@@ -265,7 +265,7 @@ impl<'a> PointsView<'a> {
 
     /// cloud_from_sensor, relative to the origin.
     pub fn transform(&self) -> RigidTransform {
-        // A view with a pose that is none does not exist.
+        // A view's pose is always valid.
         let transform = self.pose.transform().unwrap_or(RigidTransform::IDENTITY);
         RigidTransform { translation: transform.translation - self.origin_m, ..transform }
     }

@@ -32,7 +32,7 @@ pub struct Errors {
 /// Compares points and normals with the truth over the pixels that `selected` is true for.
 ///
 /// The distance is to the tangent plane of the true surface at the pixel, so that a shift along the surface is no
-/// error. Pixels without a point are left out, those without a normal of the normal error only.
+/// error. Pixels without a point are skipped; pixels without a normal are skipped only in the normal error.
 pub fn errors(truth: &Truth, points: &Xyz, normals: &Xyz, selected: impl Fn(usize) -> bool) -> Errors {
     let (mut pixels, mut squares, mut with_normal, mut angles) = (0usize, 0.0, 0usize, 0.0);
     for i in (0..truth.objects.len()).filter(|&i| truth.objects[i] != NO_OBJECT && selected(i)) {

@@ -56,7 +56,7 @@ const MOST_CAMERAS: usize = 256;
 
 /// Each holds what all cameras see from there.
 const MOST_VIEWPOINTS: usize = 64;
-/// Of all viewpoints together: each takes some 80 bytes while a moment is smoothed.
+/// Limit for all viewpoints together; each pixel takes about 80 bytes while a moment is smoothed.
 const MOST_VIEWPOINT_PIXELS: usize = 1 << 24;
 
 /// As far as the windows of single frames reach at some 1.2 m.
@@ -78,7 +78,7 @@ const LONGEST_NAME: usize = 64;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Rig {
-    /// The cameras, 1 to 256 of them, each with a name of its own.
+    /// 1 to 256 cameras with distinct names.
     pub cameras: Vec<RigCamera>,
     /// What the rig's frame is called, as a `frame_id` of ROS; of no effect on what is computed.
     pub frame: Option<String>,
@@ -86,11 +86,11 @@ pub struct Rig {
     pub tolerance_s: f64,
     /// Which clock frames are matched by.
     pub clock: Clock,
-    /// Places from which views are smoothed besides those of the cameras, 64 at most.
+    /// Up to 64 places without a camera from which views are smoothed too.
     pub viewpoints: Vec<Viewpoint>,
 }
 
-/// What frames are matched by.
+/// The clock by which frames are matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Clock {
@@ -256,7 +256,7 @@ impl RigCamera {
         Self { time_offset_s, ..self }
     }
 
-    /// What its source is opened with.
+    /// The options with which its source is opened.
     pub fn source_options(&self) -> SourceOptions {
         SourceOptions::default()
             .with_camera(self.camera)
@@ -348,7 +348,7 @@ fn source_seen_from(folder: &Path, source: &str) -> String {
     }
 }
 
-/// The folder that a file lies in.
+/// The folder of a file.
 fn folder_of(path: &Path) -> PathBuf {
     path.parent().map(Path::to_path_buf).unwrap_or_default()
 }

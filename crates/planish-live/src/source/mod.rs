@@ -1,4 +1,4 @@
-//! Where frames come from: a camera, a data set, a folder, a file, the simulator.
+//! Sources of frames: cameras, data sets, folders, files, the simulator.
 //!
 //! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To use a camera
 //! of your own, implement [`Source`]; [`stream`](crate::stream) takes any.
@@ -46,16 +46,15 @@ pub use tum::{TumRecorder, TumSource};
 pub trait Source: Send {
     /// Returns the next frame; `None` at the end. A live source waits for it.
     ///
-    /// A frame that cannot be read is an error; the caller may go on with the one after it.
+    /// An unreadable frame is an error, after which the caller may ask for the next frame.
     fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error>;
 
-    /// Returns the name of the frame delivered last, where it has one of its own: that of its file, without the
-    /// extension.
+    /// Returns the name of the last frame, if it has one: its file's name without the extension.
     fn frame_name(&self) -> Option<String> {
         None
     }
 
-    /// Returns what the device calls itself, of a camera that does.
+    /// Returns the camera's description, if it has one.
     fn description(&self) -> Option<String> {
         None
     }
@@ -151,11 +150,11 @@ impl fmt::Display for StreamMode {
     }
 }
 
-/// What a source named on the command line may need besides its name.
+/// Options of a source that is opened by name.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SourceOptions {
-    /// The camera; depth images need one. Width and height 0 stand for the frames' shape; any other must match it.
+    /// The camera; depth images need one. Width and height 0 mean the frames' shape; other values must match it.
     pub camera: Option<Camera>,
     /// Depth units per metre of a data set in TUM layout, if not its standard 5000.
     pub tum_units_per_metre: Option<f64>,
