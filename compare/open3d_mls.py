@@ -21,7 +21,7 @@ cloud, is_there = open3d.t.io.read_point_cloud(file, remove_nan_points=False).re
 if max_neighbours > 0:
     search = open3d.geometry.KDTreeSearchParamHybrid(radius_m, max_neighbours)
 else:
-    # The hybrid search with a large maximum takes hundreds of times as long; the tensor API has no other.
+    # The hybrid search with a large maximum takes hundreds of times as long; the tensor API offers no alternative.
     search, max_neighbours = open3d.geometry.KDTreeSearchParamRadius(radius_m), 4096
 legacy = cloud.to_legacy()
 times = []

@@ -22,7 +22,7 @@ def relief(file: Path, folder: Path, *arguments: str) -> Image.Image:
     picture = folder / "relief.png"
     subprocess.run(["planish", "render", file, picture, *arguments], check=True, capture_output=True)
     image = Image.open(picture).convert("RGB")
-    # Colours, where there are any, stand beside the relief.
+    # If the file has colours, they are next to the relief.
     return image.crop((0, 0, image.width // 2, image.height)) if image.width > 2 * image.height else image
 
 

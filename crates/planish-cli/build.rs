@@ -10,7 +10,7 @@ fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
 
 fn main() {
     let version = std::env::var("CARGO_PKG_VERSION").unwrap_or_default();
-    // A package from a registry has no repository of its own, but may lie in another.
+    // A package from a registry has no repository, but may be inside another one.
     let own_repository = Path::new("../../.git").exists() && Path::new("../planish/Cargo.toml").exists();
     let git_folder = own_repository.then(|| first_line("git", &["rev-parse", "--git-common-dir"])).flatten();
     let commit = match git_folder {
@@ -25,7 +25,7 @@ fn main() {
             {
                 println!("cargo::rerun-if-changed={path}");
             }
-            // What the program is built from, and not what documents it has written.
+            // Consider only the sources of the program, not documents that it has written.
             let sources = ["diff", "--quiet", "HEAD", "--", "..", "../../Cargo.toml", "../../Cargo.lock"];
             let clean = Command::new("git").args(sources).status().is_ok_and(|status| status.success());
             let commit = first_line("git", &["rev-parse", "--short", "HEAD"]);

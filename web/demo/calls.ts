@@ -1,4 +1,4 @@
-// What the page asks its worker for.
+// Requests from the page to its worker.
 
 import type { CameraLike, Frame, PictureKind, Result, Settings, Side } from "../src/index";
 

@@ -1,4 +1,4 @@
-// The page: a frame in, its smoothed self beside it.
+// The page: shows a frame and its smoothed version side by side.
 
 import type { About, Camera, CameraLike, Frame, PictureKind, Result, Settings, Side } from "../src/index";
 import { ask } from "./calls";
@@ -25,10 +25,10 @@ let hasGpu = false;
 let withoutGpu: string | undefined;
 /** Grows with every change: results of older ones are dropped. */
 let version = 0;
-/** Grows with every frame that is asked for: the newest request wins, whichever file is read first. */
+/** Incremented with every requested frame: the newest request wins, whichever file is read first. */
 let asked = 0;
 let isComputing = false;
-/** What was said last of a frame, which stays if another cannot be opened. */
+/** Last status of a frame, restored if another cannot be opened. */
 let settledStatus = "";
 
 function say(text: string): void {
@@ -55,7 +55,7 @@ function why(of: string, reason: string): void {
   named.disabled = reason !== "";
 }
 
-/** Switches off what changes nothing, and says why. */
+/** Disables controls without effect, and explains why. */
 function explain(): void {
   const isGeneral = frame?.kind === "general";
   const noGrid = isGeneral ? "A cloud without a pixel grid has no window and no sensor." : "";
@@ -75,7 +75,7 @@ function explain(): void {
   }
 }
 
-/** What the command does by default: edges are kept but with the 2011 setting, and in clouds without a grid. */
+/** The command's default: edges are kept, except with the 2011 setting and in clouds without a grid. */
 function defaultEdges(): void {
   control("edges").checked = frame?.kind !== "general" && control("preset").value !== "paper";
 }
@@ -274,7 +274,7 @@ async function compute(at: number): Promise<void> {
   }
 }
 
-/** Takes another frame in place of the one that is there, unless one was asked for after it; returns whether it did. */
+/** Replaces the current frame, unless a newer request was made; returns whether it did. */
 async function take(opening: () => Promise<Frame>, called: string): Promise<boolean> {
   const ticket = ++asked;
   say(`Reading ${called}...`);
@@ -342,7 +342,7 @@ function listen(): void {
     }
   });
   for (const selector of ["#file", "#camera-file", "#settings-file"]) {
-    // So that the same file, changed or not, can be chosen again.
+    // Allows choosing the same file again, changed or not.
     find(selector).addEventListener("click", ({ target }) => ((target as HTMLInputElement).value = ""));
   }
   find("#file").addEventListener("change", ({ target }) => void openFiles((target as HTMLInputElement).files));

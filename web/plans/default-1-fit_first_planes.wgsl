@@ -75,8 +75,9 @@ const KEEPS_EDGES: bool = false;
 const READS_MEANS: bool = true;
 // The buffers that the kernels read and write, by the word (layout.rs).
 //
-// What is not finite, or outside the image, is NO_POINT in every coordinate: a finite number so far away that no radius
-// reaches it. Shaders need not keep NaN by the rules of Vulkan, so none is ever computed with; finiteness is read from the bits.
+// Points that are not finite or outside the image are NO_POINT in every coordinate: a finite number so far away that no
+// radius reaches it. Vulkan lets shaders assume that NaN never occurs, so they never compute with it; finiteness is
+// read from the bits.
 
 struct Batch {
     width: u32,
@@ -103,26 +104,27 @@ fn header_bits(frame: u32, field: u32) -> u32 {
 fn is_finite(bits: u32) -> bool {
     return (bits & 0x7f800000u) != 0x7f800000u;
 }
-// What the passes of a frame leave on the device for one another: points and planes, a channel for each number, frame after frame
-// (docs/method.md, sections 2 and 10).
+// Intermediate data that passes of a frame leave on the device: points and planes, one channel per number, frame after
+// frame (docs/method.md, sections 2 and 10).
 
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
-// Of the points as measured, and of the samples of the windows: block means. NO_POINT for a hole.
+// Points as measured, and samples of the windows (block means). NO_POINT for a hole.
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// Of the first planes: the normal, the height over the point, the variance along the normal plus the plane's uncertainty in m²
-// (more, up to NOT_USABLE, where the neighbours are too few, on a line, or on a plane seen edge-on), the curvature, the number of neighbours,
-// negative where they are on a line, and the square of the extent in m².
+// First planes: the normal; the height over the point; the variance along the normal plus the plane's uncertainty in m²
+// (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on); the curvature; the number
+// of neighbours, negative if they are collinear; and the squared extent in m².
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_HEIGHT: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 4u;
 const FIRST_CURVATURE: u32 = 5u;
 const FIRST_COUNT: u32 = 6u;
 const FIRST_EXTENT: u32 = 7u;
-// Of the surfaces found from them: the normal, the height over the point, and how far from it a neighbour counts in metres.
+// Surfaces found from them: the normal, the height over the point, and the distance in metres within which neighbours
+// count.
 const SURFACE_NORMAL: u32 = 8u;
 const SURFACE_HEIGHT: u32 = 11u;
 const SURFACE_WIDTH: u32 = 12u;
@@ -192,9 +194,9 @@ fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
 }
 // The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
 //
-// One workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so that the rows of all their windows are
-// the rows of the tile and WINDOW more at either side; columns are neighbours, so that loads and stores are whole lines. x, y
-// and z are in arrays of their own, where the threads of a row read neighbouring words.
+// A workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so its windows cover the rows of
+// the tile and WINDOW more on either side. Columns are adjacent, so loads and stores cover whole cache lines. x, y and
+// z are separate arrays, in which the threads of a row read adjacent words.
 
 const REACH: u32 = WINDOW * STRIDE;
 const PITCH: u32 = TILE_WIDTH + 2u * REACH;
@@ -204,7 +206,7 @@ var<workgroup> tile_x: array<f32, TILE_AREA>;
 var<workgroup> tile_y: array<f32, TILE_AREA>;
 var<workgroup> tile_z: array<f32, TILE_AREA>;
 
-// Where a pixel's candidates are: the index of the first.
+// Index of a pixel's first candidate.
 alias WindowOrigin = u32;
 
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
@@ -226,10 +228,10 @@ fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
     let at = window + row * PITCH + column * STRIDE;
     return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
 }
-// How much a candidate counts by its distance, and the sums over those that do (docs/method.md, sections 2 and 3).
+// Weight of a candidate by its distance, and sums over candidates within the gate (docs/method.md, sections 2 and 3).
 
 struct Gate {
-    // Of the weight over the squared distance.
+    // Slope of the weight over the squared distance.
     slope: f32,
 }
 
@@ -265,8 +267,8 @@ fn square(e: vec3<f32>) -> f32 {
 
 const SIDE: u32 = 2u * WINDOW + 1u;
 
-// One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: a tile's first pixel. STRIDE workgroups
-// share a block of rows, each with its rows STRIDE apart.
+// Returns the first pixel of a tile. One thread per pixel, one workgroup per tile, one layer of workgroups per frame.
+// STRIDE workgroups share a block of rows, each with rows STRIDE apart.
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
     return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
 }
@@ -320,7 +322,7 @@ fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
 // they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
 // (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
 
-// Where det(B)/2 is beyond this, the largest root stands alone by far and the smaller two are close.
+// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 struct Symmetric {
@@ -389,7 +391,7 @@ fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
             length_squared = other_squared;
         }
     }
-    // A zero matrix has no direction; any will do.
+    // A zero matrix has no direction; any is valid.
     if length_squared > MIN_POSITIVE {
         return longest * (1.0 / sqrt(length_squared));
     }
@@ -470,10 +472,10 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
     let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
     return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
 }
-// Where the sensor stands in the cloud's frame (docs/method.md, section 11).
+// Position of the sensor in the cloud's frame (docs/method.md, section 11).
 //
-// Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame would be
-// rounded once more. A ray leads from the sensor to a point, in the cloud's frame. Where that is the sensor's own, the same
+// Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
+// once more. A ray leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
 // operations change no bit (up to 1e18 m).
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
@@ -484,7 +486,7 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     if !IS_POINTS {
         return p;
     }
-    // Clamped, so that what is computed from it stays finite.
+    // Clamped, so that derived values stay finite.
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
@@ -510,13 +512,13 @@ struct Plane {
     extent_squared: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // By what share the second extent exceeds that of a line, l1/(1e-4 l2) - 1.
+    // Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
     off_line: f32,
     // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
 }
 
-// The plane that a point lies on, as one of the passes found it.
+// The plane of a point, as found by one of the passes.
 struct LocalSurface {
     plane: Plane,
     // How many neighbours.

@@ -75,8 +75,9 @@ const KEEPS_EDGES: bool = false;
 const READS_MEANS: bool = false;
 // The buffers that the kernels read and write, by the word (layout.rs).
 //
-// What is not finite, or outside the image, is NO_POINT in every coordinate: a finite number so far away that no radius
-// reaches it. Shaders need not keep NaN by the rules of Vulkan, so none is ever computed with; finiteness is read from the bits.
+// Points that are not finite or outside the image are NO_POINT in every coordinate: a finite number so far away that no
+// radius reaches it. Vulkan lets shaders assume that NaN never occurs, so they never compute with it; finiteness is
+// read from the bits.
 
 struct Batch {
     width: u32,
@@ -103,26 +104,27 @@ fn header_bits(frame: u32, field: u32) -> u32 {
 fn is_finite(bits: u32) -> bool {
     return (bits & 0x7f800000u) != 0x7f800000u;
 }
-// What the passes of a frame leave on the device for one another: points and planes, a channel for each number, frame after frame
-// (docs/method.md, sections 2 and 10).
+// Intermediate data that passes of a frame leave on the device: points and planes, one channel per number, frame after
+// frame (docs/method.md, sections 2 and 10).
 
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
-// Of the points as measured, and of the samples of the windows: block means. NO_POINT for a hole.
+// Points as measured, and samples of the windows (block means). NO_POINT for a hole.
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// Of the first planes: the normal, the height over the point, the variance along the normal plus the plane's uncertainty in m²
-// (more, up to NOT_USABLE, where the neighbours are too few, on a line, or on a plane seen edge-on), the curvature, the number of neighbours,
-// negative where they are on a line, and the square of the extent in m².
+// First planes: the normal; the height over the point; the variance along the normal plus the plane's uncertainty in m²
+// (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on); the curvature; the number
+// of neighbours, negative if they are collinear; and the squared extent in m².
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_HEIGHT: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 4u;
 const FIRST_CURVATURE: u32 = 5u;
 const FIRST_COUNT: u32 = 6u;
 const FIRST_EXTENT: u32 = 7u;
-// Of the surfaces found from them: the normal, the height over the point, and how far from it a neighbour counts in metres.
+// Surfaces found from them: the normal, the height over the point, and the distance in metres within which neighbours
+// count.
 const SURFACE_NORMAL: u32 = 8u;
 const SURFACE_HEIGHT: u32 = 11u;
 const SURFACE_WIDTH: u32 = 12u;
@@ -168,8 +170,8 @@ fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
 }
 // The input frame: depth or points (layout.rs).
 //
-// Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. What depth becomes is finite, since
-// Camera::validate keeps rays and units within bounds.
+// Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. Deprojected depth is finite,
+// since Camera::validate bounds rays and units.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
@@ -219,9 +221,9 @@ fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
 }
 // The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
 //
-// One workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so that the rows of all their windows are
-// the rows of the tile and WINDOW more at either side; columns are neighbours, so that loads and stores are whole lines. x, y
-// and z are in arrays of their own, where the threads of a row read neighbouring words.
+// A workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so its windows cover the rows of
+// the tile and WINDOW more on either side. Columns are adjacent, so loads and stores cover whole cache lines. x, y and
+// z are separate arrays, in which the threads of a row read adjacent words.
 
 const REACH: u32 = WINDOW * STRIDE;
 const PITCH: u32 = TILE_WIDTH + 2u * REACH;
@@ -231,7 +233,7 @@ var<workgroup> tile_x: array<f32, TILE_AREA>;
 var<workgroup> tile_y: array<f32, TILE_AREA>;
 var<workgroup> tile_z: array<f32, TILE_AREA>;
 
-// Where a pixel's candidates are: the index of the first.
+// Index of a pixel's first candidate.
 alias WindowOrigin = u32;
 
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
@@ -253,10 +255,10 @@ fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
     let at = window + row * PITCH + column * STRIDE;
     return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
 }
-// How much a candidate counts by its distance, and the sums over those that do (docs/method.md, sections 2 and 3).
+// Weight of a candidate by its distance, and sums over candidates within the gate (docs/method.md, sections 2 and 3).
 
 struct Gate {
-    // Of the weight over the squared distance.
+    // Slope of the weight over the squared distance.
     slope: f32,
 }
 
@@ -292,8 +294,8 @@ fn square(e: vec3<f32>) -> f32 {
 
 const SIDE: u32 = 2u * WINDOW + 1u;
 
-// One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: a tile's first pixel. STRIDE workgroups
-// share a block of rows, each with its rows STRIDE apart.
+// Returns the first pixel of a tile. One thread per pixel, one workgroup per tile, one layer of workgroups per frame.
+// STRIDE workgroups share a block of rows, each with rows STRIDE apart.
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
     return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
 }
@@ -347,7 +349,7 @@ fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
 // they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
 // (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
 
-// Where det(B)/2 is beyond this, the largest root stands alone by far and the smaller two are close.
+// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 struct Symmetric {
@@ -416,7 +418,7 @@ fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
             length_squared = other_squared;
         }
     }
-    // A zero matrix has no direction; any will do.
+    // A zero matrix has no direction; any is valid.
     if length_squared > MIN_POSITIVE {
         return longest * (1.0 / sqrt(length_squared));
     }
@@ -497,10 +499,10 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
     let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
     return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
 }
-// Where the sensor stands in the cloud's frame (docs/method.md, section 11).
+// Position of the sensor in the cloud's frame (docs/method.md, section 11).
 //
-// Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame would be
-// rounded once more. A ray leads from the sensor to a point, in the cloud's frame. Where that is the sensor's own, the same
+// Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
+// once more. A ray leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
 // operations change no bit (up to 1e18 m).
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
@@ -511,7 +513,7 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     if !IS_POINTS {
         return p;
     }
-    // Clamped, so that what is computed from it stays finite.
+    // Clamped, so that derived values stay finite.
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
@@ -537,13 +539,13 @@ struct Plane {
     extent_squared: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // By what share the second extent exceeds that of a line, l1/(1e-4 l2) - 1.
+    // Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
     off_line: f32,
     // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
 }
 
-// The plane that a point lies on, as one of the passes found it.
+// The plane of a point, as found by one of the passes.
 struct LocalSurface {
     plane: Plane,
     // How many neighbours.
@@ -569,7 +571,7 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
     return Plane(normal, dot(c, normal), residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }
-// The plane that a point lies on: that of its own window (docs/method.md, section 4).
+// Computes the plane of a point from its window (docs/method.md, section 4).
 
 fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
     let ray = ray_to(frame, p);
@@ -596,7 +598,7 @@ fn is_on_ray(frame: u32) -> bool {
     return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
 }
 
-// Puts p onto the surface that is `height` away along the plane's normal, and has a normal of its own.
+// Moves p onto the surface `height` away along the plane's normal; `normal` is the normal of that surface.
 fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
     let on_ray = is_on_ray(frame);
     var point = fma(vec3<f32>(height), plane_normal, p);
@@ -611,8 +613,8 @@ fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32
     return Projected(point, normal, status, 1.0 + along);
 }
 
-// How far along the ray, in its lengths, the tangent plane lies that is `height` from the ray's end along its normal. Where the
-// ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
+// Returns the distance along the ray, in ray lengths, to the tangent plane, which is `height` from the ray's end along
+// its normal. At grazing incidence, 1/c is replaced by c/max(c², 0.2²), with c the cosine of the angle of incidence.
 fn along_ray(height: f32, normal: vec3<f32>, ray: vec3<f32>, radius: f32) -> f32 {
     let square = max(dot(ray, ray), MIN_POSITIVE);
     let across = dot(ray, normal);
@@ -667,11 +669,12 @@ struct Moments {
 }
 // The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //
-// The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the in-plane coordinates and f the height over the plane, all in units of the
-// bandwidth over sqrt(log2 e). Moments: m_ij = sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for
-// i + j <= DEGREE, summed as outer products of the powers of a and b. kernel.rs writes the struct Moments, and in the place of the
-// lines that name them the loop over the candidates (e is the offset of one from p, count how many points it stands for) and the
-// sums, one statement for each moment; loops stay rolled, or the kernel outgrows the instruction cache.
+// The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface if edges are kept. a and b are the
+// in-plane coordinates and f the height over the plane, in units of the bandwidth over sqrt(log2 e). Moments: m_ij =
+// sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for i + j <= DEGREE, summed as outer products of the
+// powers of a and b. kernel.rs generates the struct Moments and replaces the lines that name them by the loop over the
+// candidates (e is a candidate's offset from p, count the number of points it stands for) and by the sums, one
+// statement per moment. Loops are not unrolled: the kernel would exceed the instruction cache.
 
 struct Fit {
     moments: Moments,
@@ -684,7 +687,7 @@ struct Fit {
     extent_squared: f32,
 }
 
-// Second pass over the window. The gate is that of the first pass in these units.
+// Second pass over the window. Uses the gate of the first pass, in these units.
 fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
     let plane = surface.plane;
     let tangents = tangents_of(plane.normal);
@@ -694,7 +697,7 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let f_axis = plane.normal * per_metre;
     let f_offset = plane.height * per_metre;
     let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
-    // f² counts so many times more in the weight of section 10.
+    // Factor of f² in the weight of section 10.
     let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
     var s: Moments;
     for (var row = 0u; row < SIDE; row++) { for (var column = 0u; column < SIDE; column++) {
@@ -1167,8 +1170,8 @@ return vec3<f32>(c0, c1, c2);
 }
 // The point on the polynomial over the plane (docs/method.md, section 7).
 
-// `c` is c_00, c_10 and c_01 in the units of the fit. A surface further away than the radius gives way to the plane; so does one
-// whose height is no number.
+// `c` is c_00, c_10 and c_01 in the units of the fit. If the surface is farther away than the radius, or its height is
+// NaN, the plane is used.
 fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
     let height = c.x / fit.per_metre + plane.height;
     if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {
@@ -1201,15 +1204,15 @@ struct PixelResult {
     normal: vec3<u32>,
     curvature: u32,
     depth_m: u32,
-    // Status in the low byte, the number of neighbours in the next, raw depth in the upper half; of general clouds the number of
-    // neighbours in all others, as far as it goes.
+    // Frames: status in the low byte, the number of neighbours in the next, raw depth in the upper half. Unorganized
+    // clouds: status in the low byte, the clamped number of neighbours in the upper three.
     codes: u32,
 }
 
 fn no_result(status: u32, n: u32) -> PixelResult {
     return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, NAN_BITS, status | (n << 8u));
 }
-// What becomes of a point: from the plane that it lies on, sections 5 to 7 of docs/method.md.
+// Computes the result of a point from its plane: sections 5 to 7 of docs/method.md.
 
 // The depth at which the ray of p meets the surface, in metres and in raw units.
 fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) -> PixelResult {
@@ -1225,7 +1228,7 @@ fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) 
     return result;
 }
 
-// Of a point with 3 neighbours or more.
+// Result of a point with at least 3 neighbours.
 fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
     let n = u32(surface.n);
     if surface.plane.is_degenerate {
@@ -1254,7 +1257,7 @@ fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
     output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;
 }
 
-// Packed rows of `shift`ed fields of `bits` bits each, behind the channels; one thread a word.
+// Stores packed rows of `shift`ed fields of `bits` bits each, after the channels; one thread per word.
 fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
     let in_word = 32u / bits;
     let words_in_tile_row = TILE_WIDTH / in_word;

@@ -1,6 +1,6 @@
 // The WebAssembly module: requests in JSON with bytes, replies likewise (crates/planish-web/src/request.rs).
 
-/** What was wrong, in words. */
+/** An error with a message for users. */
 export class PlanishError extends Error {
   override name = "PlanishError";
 }
@@ -17,10 +17,10 @@ interface Exports {
 
 const NO_BYTES = new Uint8Array();
 
-/** A module that stops with so much of its 4096 MiB in use most likely needed more. */
+/** If a module stops with this much of its 4096 MiB in use, it most likely ran out of memory. */
 const NEARLY_FULL_MIB = 1024;
 
-/** The module, and what it holds: frames, plans and results by their numbers. */
+/** The module and its contents: frames, plans and results by their numbers. */
 export class Core {
   private exports: Exports;
   /** The last number that was given to something held. */
@@ -83,7 +83,7 @@ export class Core {
     return { ok: renamed(reply.ok, camelCase) as T, bytes: answer };
   }
 
-  /** After a trap, whose instance cannot be trusted. Numbers go on, so that old numbers are never reused. */
+  /** Starts a new instance after a trap, since the old one cannot be trusted. Numbers are never reused. */
   private startAnew(): void {
     this.exports = new WebAssembly.Instance(this.module, {}).exports as unknown as Exports;
     this.ask(new TextEncoder().encode(JSON.stringify({ op: "continue", after: this.last })), NO_BYTES);
@@ -108,7 +108,7 @@ export class Core {
   }
 }
 
-/** Names of the module are in snake_case, those of TypeScript in camelCase. */
+/** The module's names are snake_case, TypeScript's are camelCase. */
 function snakeCase(name: string): string {
   return name.replace(/[A-Z]/g, (letter) => `_${letter.toLowerCase()}`);
 }

@@ -5,7 +5,7 @@ import { FrameTooLarge, Gpu, type Plan } from "./webgpu.js";
 
 export { PlanishError } from "./core.js";
 
-/** Beside this file, in the package. */
+/** Next to this file, in the package. */
 const MODULE_FILE = "./planish.wasm";
 
 /** Settings; a missing field has the value of the preset. The command, Python and ROS have the same in snake_case. */
@@ -18,14 +18,14 @@ export interface Settings {
   edges?: "robust" | "off";
   /** Isolated points of clouds without a grid become holes. */
   removeIsolated?: boolean;
-  /** Half width of the window in samples, 1 to 7. */
+  /** Half-width of the window in samples, 1 to 7. */
   window?: number;
   /** Pixels between samples, 1 to 8. */
   stride?: number;
   averageBlocks?: boolean;
   /** A radius in metres, or "sensor": growing with distance as the sensor's noise does. */
   radiusM?: number | "sensor";
-  /** Neighbours of a point of a cloud without a grid, 6 to 1000, instead of a radius. */
+  /** For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius. */
   neighbours?: number;
   /** Degree of the surface, 1 to 3. */
   degree?: number;
@@ -61,7 +61,7 @@ export interface Frame {
   valid: number;
   format: string;
   hasColour: boolean;
-  /** Of depth: a camera with a Kinect's field of view, to begin with. */
+  /** For depth: an initial camera with a Kinect's field of view. */
   assumedCamera?: Camera;
 }
 
@@ -78,7 +78,7 @@ export interface Result {
   engine: "webgpu" | "wasm";
   /** From the call to the result, in milliseconds; compiling kernels, which happens once, counts in. */
   milliseconds: number;
-  /** Why WebGPU did not compute it, though it was asked for. */
+  /** Why WebGPU was not used although it was requested. */
   withoutGpu?: string;
 }
 
@@ -88,13 +88,13 @@ export interface Smoothed {
   height: number;
   /** x, y and z of each pixel in metres, NaN for holes. */
   points: Float32Array;
-  /** The unit normal of each pixel towards the sensor, NaN where there is none. */
+  /** The unit normal of each pixel towards the sensor, NaN for pixels without one. */
   normals: Float32Array;
-  /** What became of each pixel: an index into {@link About.statuses}. */
+  /** Status of each pixel: an index into {@link About.statuses}. */
   status: Uint8Array;
   engine: "webgpu" | "wasm";
   milliseconds: number;
-  /** Why WebGPU did not compute it, though it was asked for. */
+  /** Why WebGPU was not used although it was requested. */
   withoutGpu?: string;
 }
 
@@ -114,7 +114,7 @@ export type PictureKind = "relief" | "depth" | "normals" | "colour";
 export type Side = "raw" | { result: number };
 
 export interface LoadOptions {
-  /** The module's bytes, or where it is; else `planish.wasm` beside this file. */
+  /** The module's bytes or URL; by default `planish.wasm` next to this file. */
   wasm?: BufferSource | URL | string;
   /** False leaves WebGPU alone. */
   webgpu?: boolean;
@@ -215,7 +215,7 @@ export class Planish {
     return this.core.call<Frame>({ op: "simulate", seed, width, height }).ok;
   }
 
-  /** Smooths a frame: on WebGPU, or in WebAssembly where there is none, it was lost, or the frame is more than it takes. */
+  /** Smooths a frame: on WebGPU, or in WebAssembly if WebGPU is missing, was lost, or cannot hold the frame. */
   async smoothFrame(frame: Frame, settings: Settings = {}, camera?: CameraLike): Promise<Result> {
     const start = performance.now();
     let withoutGpu: string | undefined;

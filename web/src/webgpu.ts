@@ -1,4 +1,5 @@
-// A host for planish's kernels on WebGPU. What to compile, bind and dispatch is planned by the module (crates/planish/src/gpu/plan.rs).
+// A host for planish's kernels on WebGPU. The module plans what to compile, bind and dispatch
+// (crates/planish-core/src/gpu/plan.rs).
 
 /** A plan of a frame. */
 export interface Plan {
@@ -25,7 +26,7 @@ const SLOTS = 3;
 /** How long an adapter may take to answer, in milliseconds. */
 const PATIENCE_MS = 5000;
 
-/** A frame that the device cannot take, though it goes on with others. */
+/** The device cannot hold this frame, but still accepts others. */
 export class FrameTooLarge extends Error {}
 
 /** Kernels and buffers on a device. */
@@ -81,7 +82,7 @@ export class Gpu {
     return [maxComputeWorkgroupStorageSize, Math.min(maxStorageBufferBindingSize, maxBufferSize), maxComputeWorkgroupsPerDimension];
   }
 
-  /** Runs a plan on what it uploads and returns the bytes that its kernels wrote. */
+  /** Uploads a plan's data, runs its kernels, and returns their output. */
   async run(plan: Plan, upload: Uint8Array<ArrayBuffer>): Promise<Uint8Array<ArrayBuffer>> {
     const pipelines = await Promise.all(plan.passes.map((pass) => this.pipeline(pass.entryPoint, pass.wgsl)));
     const { device } = this;

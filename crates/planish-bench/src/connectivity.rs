@@ -12,7 +12,7 @@ use super::timing::Timing;
 
 /// The 2011 report's fit of a straight line.
 const REPORT_R2: f64 = 0.96;
-/// The report's radius: so much for each step of the window.
+/// The report's radius per pixel of the window's half-width.
 const RADIUS_M_A_STEP: f32 = 0.01;
 
 #[derive(Serialize)]
@@ -25,7 +25,7 @@ struct Curve {
     degree: u32,
     candidates: Vec<usize>,
     times: Vec<Timing>,
-    /// Of the straight line through the medians: milliseconds, milliseconds a candidate, R².
+    /// Linear fit through the medians: intercept in milliseconds, milliseconds per candidate, R².
     intercept_ms: f64,
     slope_ms: f64,
     r2: f64,
@@ -76,14 +76,15 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     }
     bar.finish_and_clear();
     if subjects.is_empty() {
-        section.note("Not run with the reference alone where it is to be quick.");
+        section.note("Not run with the reference engine alone in a quick run.");
     }
     curves.retain(|curve| curve.times.len() > 2);
     for curve in &mut curves {
         (curve.intercept_ms, curve.slope_ms, curve.r2) = line_through(&curve.points());
     }
     section.note(format!(
-        "Milliseconds of a frame over the candidates of its window: {}; radius 1 cm a step of the window.",
+        "Milliseconds per frame over the number of candidates in its window: {}; radius 1 cm per pixel of the \
+         half-width.",
         input.describe()
     ));
     let mut header = vec!["engine, degree".to_owned()];
@@ -101,15 +102,15 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         }),
     );
     section.note(format!(
-        "The last two columns are of the straight line through the others. The report's R² was {REPORT_R2}. A GPU's frame is read \
-         where the device puts it, and its way over the bus takes as long whatever the window; its kernel alone is timed by the \
-         device's clock, with the frame copied there before."
+        "The last two columns are the slope and R² of a linear fit. The report's R² was {REPORT_R2}. A GPU's result \
+         is read in place, and its transfer takes equally long for every window; the kernel alone is timed by the \
+         device's clock, after the frame was copied there."
     ));
     section.note_noise(curves.iter().flat_map(|curve| curve.times.iter().map(|time| time.noisy)));
     for (i, of_engine) in curves.chunk_by(|a, b| a.subject == b.subject).enumerate() {
         let named: Vec<_> =
             of_engine.iter().map(|c| (format!("{}, degree {}", c.engine, c.degree), c.points())).collect();
-        let title = format!("Time of a frame over candidates, {}", subjects[of_engine[0].subject].name);
+        let title = format!("Time per frame over candidates, {}", subjects[of_engine[0].subject].name);
         section.svg(&format!("connectivity-{i}.svg"), &title, lines(&title, "candidates", "ms", &named)?);
     }
     section.json = serde_json::to_value(&curves)?;

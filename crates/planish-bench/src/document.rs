@@ -27,7 +27,7 @@ impl Document {
         let below = whole_path.parent().and_then(|parent| whole_folder.strip_prefix(parent).ok());
         let (Some(below), Some(name)) = (below, folder.file_name()) else {
             bail!(
-                "--out {}: must lie below the folder of {}, which shows its figures",
+                "--out {}: must be inside the folder of {}, which shows its pictures",
                 folder.display(),
                 path.display()
             );
@@ -41,7 +41,7 @@ impl Document {
         Ok(document)
     }
 
-    /// The text before the block and after it, with the lines that mark it.
+    /// Returns the text before the block and after it, with the lines that mark it.
     fn around(&self) -> Result<[String; 2]> {
         let text = fs::read_to_string(&self.path).with_context(|| self.path.display().to_string())?;
         let [start, end] = &self.marks;
@@ -51,7 +51,7 @@ impl Document {
                 let from = from + start.len();
                 Ok([text[..from].to_owned(), text[to..].to_owned()])
             }
-            _ => bail!("{}: no block for these results; add the lines, once\n{start}\n{end}", self.path.display()),
+            _ => bail!("{}: has no block for these results; add these lines once\n{start}\n{end}", self.path.display()),
         }
     }
 

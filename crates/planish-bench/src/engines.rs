@@ -29,7 +29,7 @@ impl Subject {
         self.options.engine == Engine::Gpu
     }
 
-    /// The engine with its stages timed; a GPU's copies are then stages of their own.
+    /// Returns the engine with timed stages; a GPU's copies are then separate stages.
     pub fn with_time_stamps(&self) -> Self {
         let mut subject = self.clone();
         subject.options.gpu.timestamps = true;
@@ -61,8 +61,8 @@ impl Subject {
     }
 }
 
-/// The engines that were asked for, all of this machine if none were. CPU engines at every SIMD level and with one and
-/// all threads if `all_levels`. One that was asked for by name and is not there is an error.
+/// Returns the requested engines, or all of this machine by default. With `all_levels`, CPU engines at every SIMD level
+/// and with one and all threads. An unavailable engine that was requested by name is an error.
 pub fn subjects(asked: &[Engine], all_levels: bool) -> Result<Vec<Subject>> {
     let all = asked.is_empty() || asked.contains(&Engine::Auto);
     let wants = |engine| all || asked.contains(&engine);
@@ -88,9 +88,9 @@ pub fn subjects(asked: &[Engine], all_levels: bool) -> Result<Vec<Subject>> {
         let named = asked.contains(&Engine::Gpu);
         let adapters = gpu_adapters();
         if named && adapters.is_empty() {
-            bail!("--engine gpu: there is no adapter (`planish devices` lists what there is, and why)");
+            bail!("--engine gpu: no GPU was found; run `planish devices` for the reason");
         }
-        // A software adapter is measured if asked for: it is slower than the CPU that it runs on.
+        // A software adapter is measured only on request: it is slower than the CPU that it runs on.
         for adapter in adapters.iter().filter(|adapter| named || adapter.kind != AdapterKind::Software) {
             let adapter_index = Some(adapter.index.to_string());
             let gpu = GpuOptions::default().with_adapter(adapter_index).with_bounds_checks(false);
@@ -110,7 +110,7 @@ pub enum Way {
     CopiedOut,
     /// One after the other, each result read where the engine puts it.
     InPlace,
-    /// The same with as many under way as the engine has room for.
+    /// Copied out, with as many frames in flight as the engine allows.
     CopiedOutInFlight,
     InPlaceInFlight,
     /// Several at once, copied out.
@@ -177,9 +177,7 @@ impl<'a> Load<'a> {
                 self.submit()?;
             }
             for _ in 0..under_way {
-                let Some(view) = self.smoother.receive()? else {
-                    bail!("a frame that was submitted did not come back")
-                };
+                let Some(view) = self.smoother.receive()? else { bail!("a submitted frame was not returned") };
                 look(view.points().unwrap_or_default())?;
                 self.take_back(view);
             }

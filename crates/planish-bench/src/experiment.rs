@@ -1,4 +1,4 @@
-//! What the experiments share: frames, results held against the reference, and timing.
+//! Shared by all experiments: frames, comparison with the reference, and timing.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,47 +17,47 @@ use super::frames::Input;
 use super::timing::Timing;
 use crate::Options;
 
-/// What an engine is timed at.
+/// Input and transfer of a measurement.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Frames {
     /// One frame; on a GPU its result is read where the device puts it.
     One,
     /// One frame, its result copied to the host's own memory on a GPU too.
     OneCopiedOut,
-    /// So many copies of the frame, as points, one under the other in one.
+    /// This many copies of the frame, as points, stacked vertically into one.
     Tall(usize),
-    /// So many times the frame at once; the results are copied out.
+    /// This many frames per call; results are copied out.
     Batch(usize),
 }
 
-/// How long a measurement goes on.
+/// Duration of a measurement.
 #[derive(Clone, Copy)]
 pub enum Patience {
-    /// For a figure that stands by itself: 100 frames and 3 s, but no more than 20 s unless three take longer.
+    /// For single figures: 100 frames and 3 s, but at most 20 s unless three frames take longer.
     Long,
     /// For one of many: 20 frames and 1 s, but no more than 3 s.
     Short,
 }
 
-/// A measurement with what was in memory meanwhile.
+/// A measurement, and the memory used during it.
 pub struct Timed {
     pub time: Timing,
     /// The engine's stages in each of the measurements, where it tells them.
     pub stages: Vec<FrameTimings>,
     pub buffer_bytes: u64,
-    /// Of the process, where the system tells it.
+    /// Memory of the process, if the system reports it.
     pub process_mib: Option<f64>,
 }
 
-/// What the experiments run with.
+/// Context of the experiments.
 pub struct Bench<'a> {
     pub options: &'a Options,
     pub inputs: Vec<Input>,
-    /// Set by Ctrl-C: what is measured until then is kept.
+    /// Set by Ctrl-C: finished measurements are kept.
     pub stop: &'a AtomicBool,
     /// The reference's last result, with the frame and the setting that it is of.
     reference: RefCell<Option<(usize, FrameParams, Smoothed)>>,
-    /// What could not be measured, and why.
+    /// Skipped measurements and the reasons.
     skipped: RefCell<Vec<String>>,
 }
 
@@ -76,13 +76,13 @@ impl<'a> Bench<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// A bar over so many steps; nothing where standard error is no terminal.
+    /// Creates a progress bar; hidden if standard error is not a terminal.
     pub fn bar(&self, name: &'static str, steps: usize) -> Result<ProgressBar> {
         let style = ProgressStyle::with_template("{msg} {bar:30} {pos} of {len}, {eta} left")?;
         Ok(ProgressBar::new(steps as u64).with_style(style).with_message(name))
     }
 
-    /// The engines to measure. CPU engines at every SIMD level and with one and all threads if `all_levels`.
+    /// Returns the engines to measure. CPU engines at every SIMD level and with one and all threads if `all_levels`.
     pub fn subjects(&self, all_levels: bool) -> Result<Vec<Subject>> {
         engines::subjects(&self.options.engines, all_levels)
     }
@@ -94,8 +94,8 @@ impl<'a> Bench<'a> {
         Ok(subjects)
     }
 
-    /// What was measured; nothing where the measurement was cut short, or where the engine has no room for such frames
-    /// or does not open, which is said at the end. Anything else that fails is an error, a wrong result before all.
+    /// Returns the measurement. Returns `None` if it was interrupted, or if the engine does not open or has no room for
+    /// such frames, which is reported at the end. Any other failure is an error, in particular a wrong result.
     pub fn attempt<T>(&self, what: &str, measured: Result<T>) -> Result<Option<T>> {
         let error = match measured {
             Ok(measured) => return Ok(Some(measured)),
@@ -115,7 +115,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// What could not be measured since this was asked the last time.
+    /// Returns the measurements skipped since the last call.
     pub fn take_skipped(&self) -> Vec<String> {
         self.skipped.take()
     }
@@ -131,7 +131,7 @@ impl<'a> Bench<'a> {
         let [least, most, warm_up] = [least_ms, most_ms, warm_up_ms].map(Duration::from_millis);
         let (mut values, mut start) = (Vec::new(), Instant::now());
         values.push(one()?);
-        // What takes long is as warm as it gets.
+        // A long run needs no further warm-up.
         if start.elapsed() < warm_up {
             while start.elapsed() < warm_up && !self.stopped() {
                 one()?;
@@ -208,15 +208,15 @@ impl<'a> Bench<'a> {
             match (clock, told) {
                 (Clock::Host, _) => Ok(waited),
                 (Clock::Device, Some(told)) => Ok(ms(told.kernel)),
-                (Clock::Device, None) => bail!("{}: no time stamps came back", subject.name),
+                (Clock::Device, None) => bail!("{}: the device returned no time stamps", subject.name),
             }
         })?;
-        // Those of the warming up came first.
+        // Drop the times of the warm-up.
         let stages = stages.split_off(stages.len().saturating_sub(time.runs));
         Ok(Timed { time, stages, buffer_bytes: load.buffer_bytes(), process_mib: resident_mib() })
     }
 
-    /// What an engine makes of a frame.
+    /// Smooths a frame with an engine.
     pub fn smooth(&self, subject: &Subject, params: FrameParams, input: &Input, points: &mut Xyz) -> Result<()> {
         Load::open(subject, params, Way::CopiedOut, vec![input.frame()?])?.show(|found| {
             self.hold(subject, params, input, found, 1)?;
@@ -258,13 +258,18 @@ impl<'a> Bench<'a> {
         *known = Some((input.index, params, expected));
         let misses = agreement.misses();
         if !misses.is_empty() {
-            bail!("a wrong result is not timed: {}, {}: {}", subject.name, input.describe(), misses.join("; "));
+            bail!(
+                "the result is wrong, so it is not timed: {}, {}: {}",
+                subject.name,
+                input.describe(),
+                misses.join("; ")
+            );
         }
         Ok(())
     }
 }
 
-/// A cloud `copies` times in one.
+/// Returns a cloud `copies` times in one.
 fn one_under_the_other(cloud: &OrganizedCloud, copies: usize) -> Result<OrganizedCloud> {
     let positions = cloud.positions().as_slices().map(|axis| axis.repeat(copies));
     let positions = Xyz::from_arrays(positions).map_err(Error::from)?;
@@ -272,7 +277,7 @@ fn one_under_the_other(cloud: &OrganizedCloud, copies: usize) -> Result<Organize
     Ok(tall.map_err(Error::from)?)
 }
 
-/// What the process has in memory, by the system's word; `None` where it has none.
+/// Returns the resident memory of the process; `None` if the system does not report it.
 fn resident_mib() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
@@ -314,8 +319,11 @@ mod tests {
         let mut wrong = right.points.clone();
         wrong.as_mut_slices()[1].iter_mut().for_each(|y| *y += 1e-4);
         let error = hold(&wrong, params, 1).unwrap_err().to_string();
-        assert!(error.contains("a wrong result is not timed: cpu") && error.contains("simulated table"), "{error}");
-        // Another setting is held against a reference of its own.
+        assert!(
+            error.contains("the result is wrong, so it is not timed: cpu") && error.contains("simulated table"),
+            "{error}"
+        );
+        // Each setting is compared with a reference of the same setting.
         assert!(hold(&right.points, params.with_window(2), 1).is_err());
         // Two copies, the second of them wrong away from the seam.
         let twice = |second: &Xyz| -> Xyz { right.points.iter().chain(second.iter()).collect() };

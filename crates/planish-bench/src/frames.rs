@@ -9,14 +9,14 @@ pub struct Input {
     /// Its place among the others: two may have one name.
     pub(crate) index: usize,
     name: String,
-    /// Where the frame is depth.
+    /// Set if the frame is a depth image.
     depth: Option<DepthFrame>,
     /// The frame, or what its depth is as points.
     pub(crate) cloud: OrganizedCloud,
 }
 
 impl Input {
-    /// A depth frame under a name; `index` is its place among the others.
+    /// Returns a depth frame under a name; `index` is its place among the others.
     ///
     /// # Errors
     /// If the frame is malformed.
@@ -25,12 +25,12 @@ impl Input {
         Ok(Self { index, name, depth: Some(depth), cloud })
     }
 
-    /// An organized cloud under a name.
+    /// Returns an organized cloud under a name.
     pub fn of_cloud(index: usize, name: String, cloud: OrganizedCloud) -> Self {
         Self { index, name, depth: None, cloud }
     }
 
-    /// What the engines are given.
+    /// Returns the input of the engines.
     pub(crate) fn frame(&self) -> Result<Frame<'_>> {
         let frame = self.depth.as_ref().map_or_else(|| (&self.cloud).into_frame(), |depth| depth.into_frame());
         Ok(frame.map_err(Error::from)?)
@@ -52,7 +52,7 @@ impl Input {
     }
 }
 
-/// The frames of the experiments if the user gives none: a simulated room and a simulated table.
+/// Returns the frames of the experiments if the user gives none: a simulated room and a simulated table.
 ///
 /// # Errors
 /// If the simulator fails.

@@ -1,4 +1,4 @@
-//! `planish bench general`: general clouds, from points in the host's memory to points and normals there.
+//! `planish bench general`: unorganized clouds, from points in the host's memory to points and normals there.
 
 use std::time::{Duration, Instant};
 
@@ -12,12 +12,12 @@ use serde::Serialize;
 
 use super::timing::{Spread, Timing, milliseconds};
 
-/// Points that are held against the reference, which takes a second for some ten thousand.
+/// Number of points compared with the reference, which needs a second for about ten thousand.
 const CHECKED_POINTS: usize = 10_000;
 /// No further runs begin after this long.
 const LONGEST: Duration = Duration::from_secs(20);
 
-/// What to measure of general clouds.
+/// Options of the experiment on unorganized clouds.
 #[derive(Debug, Clone)]
 pub struct GeneralOptions {
     /// Clouds under their names.
@@ -36,9 +36,9 @@ pub struct GeneralOptions {
     pub every_simd: bool,
     /// Threads of the CPU engine.
     pub threads: Option<usize>,
-    /// Which GPU, by its index or part of its name; else the first real one.
+    /// The GPU, by index or part of its name; by default the first real one.
     pub adapter: Option<String>,
-    /// How many points are on the GPU at once, at most; `None` for as many as it takes.
+    /// Maximum number of points on the GPU at once; `None` for the device's limit.
     pub points_at_once: Option<usize>,
     /// Runs for each figure, at most.
     pub runs: usize,
@@ -55,18 +55,18 @@ struct Row {
     mean_neighbours: f64,
     engine: String,
     timing: Timing,
-    /// On the device, for engines that say so.
+    /// Time on the device, if the engine reports it.
     kernel_ms: Option<f64>,
     /// Bytes that the engine keeps, for each point.
     bytes_a_point: f64,
-    /// How far points are from those of the first engine, in metres: 999 of 1000, and all.
+    /// Distance in metres from the points of the first engine: 99.9th percentile and maximum.
     from_first_m: Option<[f64; 2]>,
 }
 
 /// Measures and prints the figures.
 ///
 /// # Errors
-/// If an engine that was asked for is not there, or a result is wrong.
+/// If a requested engine is unavailable, or a result is wrong.
 pub fn run(options: &GeneralOptions) -> Result<()> {
     let mut rows = Vec::new();
     let scans = options.scans.iter().map(|&points| ("a simulated scan".to_owned(), scan(points)));
@@ -82,7 +82,8 @@ pub fn run(options: &GeneralOptions) -> Result<()> {
         return Ok(());
     }
     crate::outln!(
-        "| cloud | points | radius | neighbours | engine | ms | kernels, ms | bytes a point | from the first |"
+        "| cloud | points | radius | neighbours | engine | ms | kernels, ms | bytes per point | distance from the \
+         first engine |"
     );
     crate::outln!("|---|---|---|---|---|---|---|---|---|");
     for row in rows {
@@ -103,7 +104,7 @@ pub fn run(options: &GeneralOptions) -> Result<()> {
     Ok(())
 }
 
-/// The engines to measure, each with the instruction set where that is chosen.
+/// Returns the engines to measure, each with the instruction set where that is chosen.
 fn engines(options: &GeneralOptions) -> Vec<(Engine, Option<SimdLevel>)> {
     let engines = if !options.engines.is_empty() && !options.engines.contains(&Engine::Auto) {
         options.engines.clone()
@@ -150,7 +151,7 @@ fn measure(options: &GeneralOptions, name: &str, cloud: &PointCloud, params: Clo
         agreement.add(&found, &expected, |_| radius_m);
         let misses = agreement.misses();
         if !misses.is_empty() {
-            bail!("a wrong result is not timed: {}: {}", engine.name(), misses.join("; "));
+            bail!("the result is wrong, so it is not timed: {}: {}", engine.name(), misses.join("; "));
         }
         smoother.smooth(view(&cloud.positions)?, &mut found)?;
         let neighbours = found.neighbours.iter().flatten().map(|&count| f64::from(count)).sum::<f64>();
@@ -209,7 +210,7 @@ fn view(positions: &Xyz) -> Result<PointsView<'_>> {
     Ok(PointsView::from_planes(positions.x(), positions.y(), positions.z()).map_err(Error::from)?)
 }
 
-/// The points nearest to one in the middle of the file.
+/// Returns the points nearest to one in the middle of the file.
 fn cut(positions: &Xyz) -> Xyz {
     let mut points: Vec<[f32; 3]> = positions.iter().filter(|p| p.iter().all(|value| value.is_finite())).collect();
     let Some(&middle) = points.get(points.len() / 2) else { return Xyz::default() };
@@ -221,8 +222,8 @@ fn cut(positions: &Xyz) -> Xyz {
     points.into_iter().collect()
 }
 
-/// A terrestrial scan of a yard: ground with waves, four walls and twelve pillars around a scanner 1.8 m up, with 2 mm
-/// of noise in range; at the walls points are tens of times sparser than at its foot.
+/// Returns a terrestrial scan of a yard: ground with waves, four walls and twelve pillars around a scanner 1.8 m up,
+/// with 2 mm of noise in range; at the walls points are tens of times sparser than at its foot.
 fn scan(points: usize) -> PointCloud {
     let columns = (2.0 * points as f64).sqrt().round().max(1.0) as usize;
     let mut state = 1u64;
@@ -254,7 +255,7 @@ fn range_m(ray: [f64; 3]) -> f64 {
     for pillar in 0..12 {
         let angle = std::f64::consts::TAU * f64::from(pillar) / 12.0;
         let (centre, radius) = ([9.0 * angle.cos(), 9.0 * angle.sin()], 0.25);
-        // In the plane, where the ray is so much shorter.
+        // Measured in the plane, where the ray is shorter by this ratio.
         let flat = x.hypot(y).max(1e-9);
         let along = (x * centre[0] + y * centre[1]) / flat;
         let beside = (81.0 - along * along).max(0.0);

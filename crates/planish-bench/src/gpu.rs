@@ -51,22 +51,22 @@ impl Take {
     }
 }
 
-/// The settings that whole frames are timed with, each both ways over the bus.
+/// Returns the settings that whole frames are timed with, each both ways over the bus.
 fn timed_settings() -> impl Iterator<Item = ((&'static str, FrameParams), Transfer)> {
     let settings = [("paper", FrameParams::paper()), ("default", FrameParams::default())];
     settings.into_iter().flat_map(|setting| [Transfer::Staged, Transfer::Direct].map(|transfer| (setting, transfer)))
 }
 
-/// What to measure of the GPU engine.
+/// Options of the experiment on the GPU engine.
 #[derive(Debug, Clone)]
 pub struct GpuOptions {
-    /// A frame of a camera at 640x480 with a focal length of 525, under a name; else a simulated one.
+    /// A named frame of a 640x480 camera with a focal length of 525; by default a simulated one.
     pub input: Option<(String, OrganizedCloud)>,
-    /// Which GPU, by its index or part of its name; else the first real one.
+    /// The GPU, by index or part of its name; by default the first real one.
     pub adapter: Option<String>,
     /// Devices that frames are dealt to, one alone and all of them; none for no such figures.
     pub devices: Vec<FleetDevice>,
-    /// Measure nothing but what several devices do.
+    /// Measure only several devices.
     pub only_devices: bool,
     /// Frames for each figure.
     pub runs: u32,
@@ -83,7 +83,7 @@ struct Bench<'a> {
 /// Measures the GPU engine and prints the figures.
 ///
 /// # Errors
-/// If there is no such GPU, or a result is wrong.
+/// If the GPU is unavailable, or a result is wrong.
 pub fn run(args: &GpuOptions) -> Result<()> {
     let (input, depth) = frame(args)?;
     let cloud = depth.deproject().map_err(Error::from)?;
@@ -116,7 +116,7 @@ pub fn run(args: &GpuOptions) -> Result<()> {
     Ok(())
 }
 
-/// The frame of a file, or a simulated one, as a Kinect's depth.
+/// Returns the frame of a file, or a simulated one, as a Kinect's depth.
 fn frame(args: &GpuOptions) -> Result<(String, DepthFrame)> {
     let camera = Camera::kinect_v1();
     let Some((name, cloud)) = &args.input else {
@@ -163,20 +163,22 @@ impl Bench<'_> {
                 agreement.add(result, reference, |i| radii_m[i]);
                 let misses = agreement.misses();
                 if !misses.is_empty() {
-                    bail!("a wrong result is not timed: {params:?}: {}", misses.join("; "));
+                    bail!("the result is wrong, so it is not timed: {params:?}: {}", misses.join("; "));
                 }
                 let (found, expected) = (result.depth.iter().flatten(), reference.depth.iter().flatten());
                 let far = found.zip(expected).filter(|(a, b)| a.abs_diff(**b) > 1).count();
-                // Where the reference has another status, its depth may be another too.
+                // If the status differs from the reference, depth may differ too.
                 if far > self.depth.raw.len() / 10_000 {
-                    bail!("a wrong result is not timed: {params:?}: {far} depths are off by more than a unit");
+                    bail!(
+                        "the result is wrong, so it is not timed: {params:?}: {far} depths differ by more than one unit"
+                    );
                 }
             }
         }
         Ok(())
     }
 
-    /// Of what `one` measures, once it is warm.
+    /// Returns the spread of `one`'s measurements after a warm-up.
     fn spread(&self, mut one: impl FnMut() -> Result<f64>) -> Result<Spread> {
         let start = Instant::now();
         while start.elapsed() < WARM_UP {
@@ -258,7 +260,7 @@ impl Bench<'_> {
         Ok(rows)
     }
 
-    /// Frames a second with as many in flight as there are slots.
+    /// Measures frames per second with one frame in flight per slot.
     fn in_flight(&self) -> Result<Vec<ThroughputRow>> {
         let mut rows = Vec::new();
         for ((setting, params), transfer) in timed_settings() {

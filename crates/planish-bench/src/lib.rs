@@ -1,5 +1,5 @@
-//! The experiments behind `planish bench`: the engines measured on this machine, each result held against the reference
-//! before it is timed. The command converts arguments and calls this.
+//! The experiments behind `planish bench`: measures the engines on this machine, after comparing each result with the
+//! reference. The command converts arguments and calls this.
 
 mod connectivity;
 mod document;
@@ -43,7 +43,7 @@ pub enum Experiment {
     Connectivity,
     /// The scene several times over, as a tall cloud and as a batch; threads.
     Scaleup,
-    /// Where the time of a frame goes.
+    /// Time per stage of a frame.
     Profile,
     /// A frame raw and smoothed, and its largest plane before and after.
     Quality,
@@ -69,18 +69,18 @@ impl Experiment {
 pub enum Ended {
     /// All was measured.
     Whole,
-    /// `stop` was set: what was measured until then is kept.
+    /// `stop` was set: finished measurements are kept.
     Interrupted,
 }
 
 /// Runs experiments on frames and prints their tables.
 ///
 /// # Errors
-/// If a result is wrong, an engine that was asked for is not there, or a file cannot be written.
+/// If a result is wrong, a requested engine is unavailable, or a file cannot be written.
 pub fn run(experiments: &[Experiment], options: &Options, inputs: Vec<Input>, stop: &AtomicBool) -> Result<Ended> {
     let out = options.out.as_deref();
     if options.update.is_some() && experiments.len() < Experiment::ALL.len() {
-        bail!("--update writes a block with all experiments: use it with `planish bench all`");
+        bail!("--update needs all experiments: use `planish bench all`");
     }
     let document = options.update.as_ref().zip(out).map(|(file, out)| Document::open(file, out)).transpose()?;
     let bench = Bench::new(options, inputs, stop);
@@ -91,7 +91,7 @@ pub fn run(experiments: &[Experiment], options: &Options, inputs: Vec<Input>, st
         let mut section = experiment.run(&bench)?;
         section.note_skipped(bench.take_skipped());
         if bench.stopped() {
-            section.note("Ended by Ctrl-C: not all was measured.");
+            section.note("Interrupted by Ctrl-C: incomplete.");
         }
         section.print();
         if let Some(out) = out {
@@ -99,7 +99,7 @@ pub fn run(experiments: &[Experiment], options: &Options, inputs: Vec<Input>, st
         }
         sections.push(section);
         if bench.stopped() {
-            crate::errln!("ended by Ctrl-C; what was measured until then is above");
+            crate::errln!("interrupted by Ctrl-C; finished measurements are above");
             return Ok(Ended::Interrupted);
         }
     }

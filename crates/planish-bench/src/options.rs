@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use planish::Engine;
 
-/// What to measure, and where the results go.
+/// The experiments to run, and the folder for results.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
     /// Which engines; none, or `Auto` among them, are all that this machine has but GPUs in software.

@@ -11,8 +11,8 @@ const FAILED: i32 = 2;
 /// Nobody reads standard output any more.
 static CLOSED: AtomicBool = AtomicBool::new(false);
 
-/// Writes to standard output. Where nobody reads it any more, as behind `head`, the command goes on without it; any
-/// other failure ends the process with an error.
+/// Writes to standard output. If the reader has closed it, as `head` does, the command continues silently; any other
+/// failure ends the process with an error.
 pub fn print(text: Arguments<'_>) {
     if CLOSED.load(Ordering::Relaxed) {
         return;

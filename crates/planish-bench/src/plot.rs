@@ -21,7 +21,7 @@ const COLOURS: [RGBColor; 8] = [
 const WIDTH_PX: u32 = 900;
 /// The names of lines, under them.
 const NAME_PX: u32 = 20;
-/// A bar with its room, and the names beside.
+/// Height of a bar with its margin, and width of the names.
 const BAR_PX: u32 = 22;
 const BAR_NAMES_PX: u32 = 380;
 
@@ -64,11 +64,11 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[(String, Vec<(f64, f64)>)])
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     FromZero,
-    /// By the logarithm of what they stand for.
+    /// Logarithmic axis.
     Logarithmic,
 }
 
-/// A bar for each of `rows`, with its number; `marks` are lines across all of them.
+/// Returns a bar for each of `rows`, with its number; `marks` are lines across all of them.
 pub fn bars(title: &str, x: &str, scale: Scale, rows: &[(String, f64)], marks: &[f64]) -> Result<String> {
     let values = || rows.iter().map(|row| row.1).chain(marks.iter().copied());
     let (low, high) = values().fold((f64::INFINITY, 0.0), |(low, high), value| (value.min(low), value.max(high)));
@@ -129,7 +129,7 @@ where
     Ok(())
 }
 
-/// A number with the digits that a picture needs.
+/// Returns a number with the digits that a picture needs.
 fn short(value: f64) -> String {
     let digits = match value {
         _ if value < 1.0 => 3,
@@ -139,7 +139,8 @@ fn short(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
-/// The straight line through points by least squares: intercept, slope, and how much of the variance it explains (R²).
+/// Returns the straight line through points by least squares: intercept, slope, and how much of the variance it
+/// explains (R²).
 pub fn line_through(points: &[(f64, f64)]) -> (f64, f64, f64) {
     let n = points.len() as f64;
     let (mean_x, mean_y) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);

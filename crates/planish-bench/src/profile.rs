@@ -45,7 +45,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     for subject in subjects.iter().filter(|_| !context.stopped()) {
         bar.inc(1);
         if subject.is_gpu() && !subject.clocks()?.contains(&Clock::Device) {
-            section.note(format!("{} takes no time stamps.", subject.name));
+            section.note(format!("{} has no time stamps.", subject.name));
             continue;
         }
         let row = if subject.is_gpu() { of_gpu(context, subject, input) } else { of_cpu(context, subject, input) };
@@ -53,14 +53,14 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     }
     bar.finish_and_clear();
     section.note(format!(
-        "{}; window 3, degree 3, 3 cm. Neighbours and plane are what a frame of planes alone takes (degree 1), polynomial and solve \
-         the difference. A CPU's stages follow each other; its results are written where they are wanted. A GPU's copies are \
-         made stages of their own for this (its kernel otherwise reads and writes the host's memory itself); copying out is what a \
-         frame takes longer by it than one that is read where the device puts it. The report's own shares are not known here.",
+        "{}; window 3, degree 3, 3 cm. The stage neighbours and plane is timed as a frame of degree 1; polynomial and \
+         solve is the difference. A CPU's stages run one after the other and write results directly to the output. \
+         For this measurement, a GPU's copies are separate stages (its kernel otherwise reads and writes host \
+         memory); copying out is the difference to reading in place. The report does not state its shares.",
         input.describe()
     ));
     if subjects.is_empty() {
-        section.note("Not run with the reference alone.");
+        section.note("Not run with the reference engine alone.");
     }
     section.table(
         &["engine", "stage", "ms", "share"],
@@ -75,7 +75,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     );
     section.note_noise(rows.iter().map(|row| row.noisy));
     for (i, row) in rows.iter().enumerate() {
-        let title = format!("Where a frame's time goes, {}", row.engine);
+        let title = format!("Time per stage, {}", row.engine);
         let stages: Vec<_> = row.stages.iter().map(|stage| (stage.name.to_owned(), stage.ms)).collect();
         section.svg(&format!("profile-{i}.svg"), &title, bars(&title, "ms", Scale::FromZero, &stages, &[])?);
     }
@@ -93,7 +93,7 @@ fn of_cpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> 
             Stage { name: "copy in, deproject", ms: all.upload },
             Stage { name: "neighbours and plane", ms: planes.kernel },
             Stage { name: "polynomial and solve", ms: all.kernel - planes.kernel },
-            Stage { name: "room for the result, going to the threads", ms: all.whole - all.engine },
+            Stage { name: "allocation of the result, start of the threads", ms: all.whole - all.engine },
         ],
     })
 }
@@ -116,13 +116,13 @@ fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> 
     })
 }
 
-/// The stages of a frame smoothed by a degree.
+/// Returns the stages of a frame smoothed by a degree.
 fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, frames: Frames) -> Result<Stages> {
     let params = FrameParams::paper().with_degree(degree);
     let stamped = subject.with_time_stamps();
     let Timed { time, stages, .. } = context.time_frames(&stamped, Clock::Host, params, input, frames)?;
     if stages.is_empty() {
-        bail!("{}: no time stamps came back", subject.name);
+        bail!("{}: the device returned no time stamps", subject.name);
     }
     let median = |of: &dyn Fn(&FrameTimings) -> f64| Spread::of(stages.iter().map(of).collect()).median;
     Ok(Stages {

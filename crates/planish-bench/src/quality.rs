@@ -22,7 +22,7 @@ struct Row {
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("quality", "Quality");
-    // The CPU engine, which is everywhere, unless others were asked for.
+    // By default the CPU engine, which is available everywhere.
     let asked = &context.options.engines;
     let by_cpu = asked.is_empty() || asked.contains(&Engine::Cpu) || asked.contains(&Engine::Auto);
     let subjects = if by_cpu { subjects(&[Engine::Cpu], false)? } else { context.subjects(false)? };
@@ -61,8 +61,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         });
     }
     section.note(format!(
-        "By {}. Variance of the largest plane's points about it, before and after; the pictures, at half their size, are raw, paper, \
-         default.",
+        "By {}. Variance of the points around the largest plane, before and after; the pictures (half size) show raw, \
+         paper, default.",
         subject.name
     ));
     section.table(

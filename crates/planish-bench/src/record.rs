@@ -7,7 +7,7 @@ use crate::Options;
 use planish::{SimdLevel, gpu_adapters};
 use serde::Serialize;
 
-/// What the results depend on beside the frames.
+/// Everything that results depend on, except the frames.
 #[derive(Serialize)]
 pub struct Origin {
     pub version: &'static str,
@@ -25,7 +25,7 @@ pub struct Origin {
 
 impl Origin {
     pub fn here(options: &Options) -> Self {
-        // The program by its name: where it lies on this machine is nobody's concern.
+        // Record only the program's name: its path on this machine is private.
         let arguments = std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned());
         let quoted = arguments.map(|text| if text.contains(char::is_whitespace) { format!("'{text}'") } else { text });
         let command = std::iter::once("planish".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ");
@@ -53,13 +53,14 @@ impl Origin {
         let memory = memory_gib.map_or(String::new(), |gib| format!(", {gib:.0} GiB"));
         let gpus = if gpus.is_empty() { "none".to_owned() } else { gpus.join("; ") };
         format!(
-            "`{command}`\n\nCPU: {cpu}, {threads} threads, {simd}{memory}; {system}. GPU: {gpus}. planish {version}, {rustc}. No engine is \
+            "`{command}`\n\nCPU: {cpu}, {threads} threads, {simd}{memory}; {system}. GPU: {gpus}. planish {version}, \
+             {rustc}. No engine is \
              timed before its points, taken the way that is timed, agree with the f64 reference.\n"
         )
     }
 }
 
-/// The processor by the system's name for it, with its family where names hide it.
+/// Returns the processor by the system's name for it, with its family where names hide it.
 fn cpu() -> String {
     let of =
         |key: &str| line_after("/proc/cpuinfo", key).map(|value| value.trim_start_matches([' ', '\t', ':']).to_owned());
@@ -77,7 +78,7 @@ fn cpu() -> String {
     }
 }
 
-/// The rest of the first line of a file that starts with `key`.
+/// Returns the rest of the first line of a file that starts with `key`.
 fn line_after(file: &str, key: &str) -> Option<String> {
     let text = fs::read_to_string(file).ok()?;
     text.lines().find_map(|line| line.strip_prefix(key)).map(|rest| rest.trim().to_owned())

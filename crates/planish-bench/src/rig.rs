@@ -18,7 +18,7 @@ const WARM_UP: Duration = Duration::from_millis(500);
 /// No way is timed for longer than this.
 const LONGEST: Duration = Duration::from_secs(20);
 
-/// What to measure of rigs.
+/// Options of the experiment on rigs.
 #[derive(Debug, Clone)]
 pub struct RigBenchOptions {
     /// How many simulated cameras of 640x480 stand round the table.
@@ -54,7 +54,7 @@ struct Row {
 /// Measures rigs and prints the figures.
 ///
 /// # Errors
-/// If there is no such engine, or a fused cloud is wrong.
+/// If the engine is unavailable, or a fused cloud is wrong.
 pub fn run(options: &RigBenchOptions) -> Result<()> {
     let (rig, frames) = simulated(options.cameras)?;
     let views = frames.iter().map(|frame| frame.into_frame().map(Some)).collect::<Result<Vec<_>, _>>();
@@ -64,9 +64,9 @@ pub fn run(options: &RigBenchOptions) -> Result<()> {
         crate::outln!("{}", serde_json::to_string(&rows)?);
         return Ok(());
     }
-    crate::outln!("{} cameras of 640x480 round a simulated table, default setting", options.cameras);
+    crate::outln!("{} cameras of 640x480 around a simulated table, default setting", options.cameras);
     crate::outln!(
-        "| way | engine | points | one moment, ms | in flight | moments a second |\n|---|---|--:|--:|--:|--:|"
+        "| way | engine | points | one moment, ms | in flight | moments per second |\n|---|---|--:|--:|--:|--:|"
     );
     for Row { way, engine, points, one_ms, moments_a_second, in_flight } in &rows {
         crate::outln!("| {way} | {engine} | {points} | {} | {in_flight} | {moments_a_second:.1} |", one_ms.cell());
@@ -74,7 +74,7 @@ pub fn run(options: &RigBenchOptions) -> Result<()> {
     Ok(())
 }
 
-/// A rig with a frame of each camera.
+/// Returns a rig with a frame of each camera.
 fn simulated(cameras: usize) -> Result<(Rig, Vec<DepthFrame>)> {
     let (scene, camera) = (RigScene::tabletop(1, cameras), Camera::kinect_v1());
     let mut placed = Vec::new();
@@ -128,11 +128,12 @@ fn measure(way: RigWay, rig: &Rig, frames: &[Option<Frame<'_>>], options: &RigBe
     })
 }
 
-/// A wrong result is not timed: the table is there, with at least so many of a hundred points of all cameras.
+/// Checks a result before it is timed: the table is present, with at least this percentage of the points of all
+/// cameras.
 fn check(fused: &PointCloud, frames: &[Option<Frame<'_>>], least_percent: usize) -> Result<()> {
     let measured: usize = frames.iter().flatten().map(Frame::valid_points).sum();
     if fused.is_empty() || 100 * fused.len() < least_percent * measured || fused.valid_points() != fused.len() {
-        bail!("a wrong result is not timed: {} of {measured} points are in the fused cloud", fused.len());
+        bail!("the result is wrong, so it is not timed: {} of {measured} points are in the fused cloud", fused.len());
     }
     Ok(())
 }

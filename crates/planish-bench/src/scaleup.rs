@@ -20,9 +20,9 @@ struct Row {
     nanoseconds_a_pixel: f64,
     /// Copies times the time of one, over the time of all: 1 if all the copies take as many times as long.
     scaleup: f64,
-    /// What the engine keeps, on the device or in the host's memory.
+    /// Memory of the engine, on the device or on the host.
     buffers_mib: f64,
-    /// What the process has in the host's memory meanwhile, where the system tells it.
+    /// Host memory of the process during the measurement, if the system reports it.
     process_mib: Option<f64>,
 }
 
@@ -39,7 +39,7 @@ struct Results {
     threads: Vec<ThreadsRow>,
 }
 
-/// Up to so many threads each number of them is timed, beyond it the powers of two and all.
+/// Up to this number, every thread count is timed; beyond it, powers of two and the maximum.
 const EACH_UP_TO: usize = 16;
 /// One thread at the start and at the end should take as long.
 const THREADS_DRIFT: f64 = 0.05;
@@ -79,13 +79,13 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     }
     bar.finish_and_clear();
     section.note(format!(
-        "{}, several times over: as points in one tall cloud, on a GPU read in place, and in a batch of frames, copied out; window 3, \
-         degree 3, 3 cm. Scale-up is the copies times the time of one over the time of all. A GPU's kernel alone is timed by the \
-         device's clock, with the frames copied there before.",
+        "Several copies of {}: as points in one tall cloud (on a GPU read in place), and in a batch of frames (copied \
+         out); window 3, degree 3, 3 cm. Scale-up = copies x t(1) / t(copies). A GPU's kernel alone is timed by the \
+         device's clock, after the frames were copied there.",
         input.describe()
     ));
     if clocked.is_empty() {
-        section.note("Not run with the reference alone.");
+        section.note("Not run with the reference engine alone.");
     }
     section.table(
         &["engine", "as", "copies", "ms", "ns a pixel", "scale-up", "engine's buffers, MiB", "process, MiB"],
@@ -113,7 +113,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     Ok(section)
 }
 
-/// A frame on one and more threads; one is timed again at the end, and a machine that changed meanwhile is said.
+/// Times a frame on one and more threads. One thread is timed again at the end, to report a machine that changed
+/// meanwhile.
 fn over_threads(
     context: &Bench<'_>,
     subject: &Subject,
@@ -143,7 +144,8 @@ fn over_threads(
         let (first, again) = (first.time.ms.median, again.ms.median);
         if (again / first - 1.0).abs() > THREADS_DRIFT {
             section.note(format!(
-                "One thread took {} ms at first and {} ms at the end: the machine changed between the rows of the table of threads.",
+                "One thread took {} ms at first and {} ms at the end: the machine's speed changed while the table of \
+                 threads was measured.",
                 milliseconds(first),
                 milliseconds(again)
             ));

@@ -61,9 +61,7 @@ impl Section {
     pub fn note_noise(&mut self, timings: impl IntoIterator<Item = bool>) {
         let (all, noisy) = timings.into_iter().fold((0, 0), |(all, noisy), is| (all + 1, noisy + usize::from(is)));
         if noisy > 0 {
-            self.note(format!(
-                "The machine was not quiet: {noisy} of {all} times varied by more than they should (marked ~)."
-            ));
+            self.note(format!("The machine was not quiet: {noisy} of {all} times varied too much (marked ~)."));
         }
     }
 

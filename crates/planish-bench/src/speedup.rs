@@ -14,20 +14,20 @@ use super::plot::{Scale, bars};
 use super::section::Section;
 use super::timing::Timing;
 
-/// The 2011 report: frames a second by its GPU, a frame by the general method on its CPU, its two speedups.
+/// The 2011 report: frames per second by its GPU, a frame by the general method on its CPU, its two speedups.
 const REPORT_FPS: f64 = 7.0;
 const REPORT_CPU_S: f64 = 4.76;
 const REPORT_SPEEDUPS: [f64; 2] = [32.9, 57.6];
-/// Of fewer measurements than this the 99th percentile is not told.
+/// Minimum number of measurements for a 99th percentile.
 const FRAMES_FOR_P99: usize = 100;
-/// Frames in one measurement of those in flight, which come in bursts.
+/// Frames per measurement of those in flight, which finish in bursts.
 const BLOCK: usize = 16;
 
 #[derive(Serialize)]
 struct Row {
     frame: String,
     engine: String,
-    /// Of a frame; with frames in flight from one result to the next, over blocks.
+    /// Time per frame; with frames in flight, from one result to the next, averaged over blocks.
     time: Timing,
     frames: usize,
     frames_per_second: f64,
@@ -45,9 +45,9 @@ const GPU_WAYS: [(&str, Way, usize); 4] = [
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("speedup", "Speedup");
     section.note(
-        "The 2011 report's setting (window 3, degree 3, 3 cm), from the frame in the host's memory to the points in the host's \
-         memory. The serial method takes all neighbours within 3 cm by a k-d tree, on one thread, in f64; it computes something \
-         else, and is not held against the reference.",
+        "The 2011 report's setting (window 3, degree 3, 3 cm), from the frame to the points, both in host memory. The \
+         serial method uses all neighbours within 3 cm from a k-d tree, on one thread, in f64; its result differs, so \
+         it is not compared with the reference.",
     );
     let subjects = context.subjects(true)?;
     let inputs = if context.options.quick { &context.inputs[..1] } else { &context.inputs[..] };
@@ -78,22 +78,30 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     }
     bar.finish_and_clear();
     let [low, high] = REPORT_SPEEDUPS;
-    let across = format!("times as many frames a second (lines: the report's {low} and {high})");
+    let across = format!("speedup in frames per second (lines: the report's {low} and {high})");
     for (i, (of_input, input)) in rows.iter().zip(inputs).enumerate() {
         section.note(format!("{}:", input.describe()));
         section.table(
-            &["engine", "ms a frame, median", "ms, p99", "of frames", "frames a second", "times the serial method"],
+            &[
+                "engine",
+                "ms per frame, median",
+                "ms, p99",
+                "of frames",
+                "frames per second",
+                "speedup over the serial method",
+            ],
             of_input.iter().map(cells),
         );
-        let title = format!("Times the serial method, {}", input.describe());
+        let title = format!("Speedup over the serial method, {}", input.describe());
         let bars_of: Vec<_> = of_input.iter().map(|row| (row.engine.clone(), row.times_the_serial_method)).collect();
         let svg = bars(&title, &across, Scale::Logarithmic, &bars_of, &REPORT_SPEEDUPS)?;
         section.svg(&format!("speedup-{i}.svg"), &title, svg);
     }
     section.note(format!(
-        "The report had {REPORT_FPS:.0} frames a second, {low} and {high} times its CPU, which took up to {REPORT_CPU_S} s a \
-         frame. In flight, a frame's time is from one result to the next, over blocks of {BLOCK}; each is under way as long as one \
-         alone or longer. p99 is given for {FRAMES_FOR_P99} measurements or more."
+        "The report states {REPORT_FPS:.0} frames per second, {low} and {high} times as fast as its CPU, which took \
+         up to {REPORT_CPU_S} s per frame. In flight, the time of a frame is the interval between results, averaged \
+         over blocks of {BLOCK}; the latency of each is at least that of a single frame. p99 is reported for \
+         {FRAMES_FOR_P99} or more measurements."
     ));
     section.note_noise(rows.iter().flatten().map(|row| row.time.noisy));
     section.json = serde_json::to_value(rows.iter().flatten().collect::<Vec<_>>())?;
@@ -107,7 +115,7 @@ fn cells(row: &Row) -> Vec<String> {
     vec![engine.clone(), time.cell(), p99, frames.to_string(), fps, significant(*times_the_serial_method)]
 }
 
-/// A rate or a ratio in a table.
+/// Returns a rate or a ratio in a table.
 fn significant(value: f64) -> String {
     let digits = match value {
         _ if value < 10.0 => 2,

@@ -5,7 +5,7 @@ use serde::Serialize;
 /// A measurement whose halves differ by more than this, or whose spread is wider than the next, is called noisy.
 const HALVES_DIFFER: f64 = 0.05;
 const WIDE_SPREAD: f64 = 1.5;
-/// Of fewer values nothing is said about noise.
+/// Minimum number of values for a statement about noise.
 const ENOUGH: usize = 8;
 
 /// The spread of repeated measurements.
@@ -18,11 +18,11 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of at least one value; of an even number of them the median is the mean of the middle two.
+    /// Requires at least one value; the median of an even number is the mean of the middle two.
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
         let n = values.len();
-        // The smallest value that so large a share of them is not over.
+        // Quantile: the smallest value that at least this share does not exceed.
         let at = |share: f64| values[((n as f64 * share).ceil() as usize).clamp(1, n) - 1];
         Self { p5: at(0.05), median: 0.5 * (values[(n - 1) / 2] + values[n / 2]), p95: at(0.95), p99: at(0.99) }
     }
@@ -34,12 +34,12 @@ pub struct Timing {
     pub ms: Spread,
     /// How many measurements.
     pub runs: usize,
-    /// The machine did something else in between, or changed its clock.
+    /// True if the machine was busy with other work, or its clock changed.
     pub noisy: bool,
 }
 
 impl Timing {
-    /// Of at least one value in milliseconds.
+    /// Requires at least one value, in milliseconds.
     pub fn of(values: Vec<f64>) -> Self {
         let middle = |values: &[f64]| Spread::of(values.to_vec()).median;
         let runs = values.len();
@@ -49,13 +49,13 @@ impl Timing {
         Self { ms, runs, noisy: drifts || (runs >= ENOUGH && ms.p95 > WIDE_SPREAD * ms.p5) }
     }
 
-    /// The median in a table; `~` where it was noisy.
+    /// Returns the median in a table; `~` where it was noisy.
     pub fn cell(&self) -> String {
         format!("{}{}", milliseconds(self.ms.median), if self.noisy { " ~" } else { "" })
     }
 }
 
-/// A time in a table, with three digits or more.
+/// Returns a time in a table, with three digits or more.
 pub fn milliseconds(ms: f64) -> String {
     let digits = match ms.abs() {
         size if size < 1.0 => 3,

@@ -1,7 +1,7 @@
-//! What the command ends with.
+//! Exit codes of the command.
 
-/// An exit code: 0 done, 1 some frames failed, 2 bad arguments or input, 130 ended by a signal. That of the standard
-/// library does not tell its number, which Python's side needs.
+/// An exit code: 0 done, 1 some frames failed, 2 bad arguments or input, 130 ended by a signal. The standard library's
+/// type does not expose its number, which the Python package needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ExitCode(u8);
 

@@ -1,5 +1,5 @@
-//! The command `planish`: it reads arguments, calls the library and prints; it decides nothing. A library, so that
-//! Python's wheel can hold it beside its own module.
+//! The command `planish`: parses arguments, calls the library and prints. It is a library so that the Python wheel can
+//! include it.
 //!
 //! Exit codes: 0 done, 1 some frames failed, 2 bad arguments or input, 130 ended by a signal.
 
@@ -48,7 +48,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     }
 }
 
-/// Reads the arguments. What is below zero reaches an option's own check instead of being taken for another option.
+/// Parses the arguments. A negative number is passed to its option instead of being parsed as another option.
 fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
     fn with_negative_numbers(command: clap::Command) -> clap::Command {
         let takes_value = |argument: &clap::Arg| {
@@ -62,8 +62,8 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
-/// The decoder of LAZ panics on some damaged files. The library catches that and says what is wrong with the file;
-/// where in the decoder it happened is of no use to anybody.
+/// The LAZ decoder panics on some damaged files. The library catches that and reports the damage; the panic message
+/// would not help anyone.
 fn quiet_the_decoder_of_laz() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

@@ -19,7 +19,7 @@ const FILE_TOO_LARGE: i32 = 25;
 /// Handles the signals from here on.
 pub fn install() -> Result<()> {
     let handler = || match STOP.get() {
-        // The command ends by itself; asked twice, something does not.
+        // At the first signal the command ends in an orderly way; a second one means that something hangs.
         Some(stop) if !stop.swap(true, Ordering::Relaxed) => {}
         _ => {
             planish::io::remove_temporaries();
@@ -27,16 +27,16 @@ pub fn install() -> Result<()> {
         }
     };
     let ignored = ignored_signals();
-    ctrlc::set_handler(handler).context("signals cannot be handled")?;
+    ctrlc::set_handler(handler).context("cannot install the signal handlers")?;
     ignored.into_iter().for_each(ignore);
-    // What is written beyond the limit on a file's size becomes an error then, not the end of the process.
+    // Exceeding the limit on file sizes then becomes an error instead of killing the process.
     #[cfg(unix)]
     ignore(FILE_TOO_LARGE);
     Ok(())
 }
 
-/// The signals that whoever started the process wants ignored: SIGHUP by `nohup`, SIGINT by a shell for what it runs in
-/// the background.
+/// Returns the signals that the parent process wants ignored: SIGHUP under `nohup`, SIGINT for a shell's background
+/// jobs.
 fn ignored_signals() -> Vec<i32> {
     const HANGUP_AND_INTERRUPT: [i32; 2] = [1, 2];
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -53,9 +53,9 @@ impl Agreement {
         }
     }
 
-    /// Adds some pixels of a result that has points alone, x, y and z: its status counts as equal where both have a
-    /// point or neither, and so many of the farthest points are left out as may be of another status. `pixels` are the
-    /// reference's; what the result lacks of them agrees on none.
+    /// Compares some pixels of a result that contains only points (x, y and z). Status counts as equal if both results
+    /// have a point or both have a hole. As many of the farthest points are left out as may differ in status. `pixels`
+    /// index the reference; pixels missing in the result count as disagreeing.
     pub fn add_points(
         &mut self,
         [x, y, z]: [&[f32]; 3],
@@ -87,16 +87,16 @@ impl Agreement {
         self.equal as f64 / self.pixels as f64
     }
 
-    /// The distance that this share of the positions with equal status keeps, in metres.
+    /// Returns the distance that this share of the positions with equal status keeps, in metres.
     pub fn position_m(&mut self, share: f64) -> f64 {
         self.distances_m.sort_by(f64::total_cmp);
         let place = (self.distances_m.len() as f64 * share) as usize;
         self.distances_m.get(place).or(self.distances_m.last()).copied().unwrap_or(0.0)
     }
 
-    /// What breaks section 9's figures, each in words. (That no point moves by more than the radius is not among them.)
+    /// Returns the violated limits of section 9 as messages. (The limit on motion, the radius, is checked elsewhere.)
     pub fn misses(mut self) -> Vec<String> {
-        // Of a small cloud a single pixel is more than the share that may differ.
+        // In a small cloud, one pixel already exceeds the share that may differ.
         let one_pixel = 1.0 / self.pixels as f64;
         let mut misses = Vec::new();
         if self.pixels == 0 {
@@ -108,7 +108,10 @@ impl Agreement {
         for (share, tolerance_m) in [(0.999, POSITION_999_M), (0.9999, POSITION_9999_M), (1.0, POSITION_WORST_M)] {
             let found_m = self.position_m(share);
             if found_m > tolerance_m {
-                misses.push(format!("{} % within {found_m:e} m instead of {tolerance_m:e} m", 100.0 * share));
+                misses.push(format!(
+                    "{} % within {found_m:e} m, above the tolerance of {tolerance_m:e} m",
+                    100.0 * share
+                ));
             }
         }
         misses
@@ -124,13 +127,13 @@ fn distance_m(found: [f32; 3], expected: [f32; 3], radius_m: f64) -> f64 {
     if square.is_nan() { f64::INFINITY } else { square.sqrt() / scale }
 }
 
-/// Where the sensor of a frame stands, or is taken to, in the frame of its points.
+/// Returns the stated or assumed position of the sensor, in the frame of the points.
 pub fn sensor_position_m<'a>(frame: impl IntoFrame<'a>) -> [f64; 3] {
     let geometry = |frame| FrameGeometry::of(frame, true, &mut GeometryScratch::default());
     frame.into_frame().map_or([0.0; 3], |frame| geometry(frame).sensor_position().to_array())
 }
 
-/// The radius of every point of a frame in f64 (docs/method.md, sections 3 and 11), by its index.
+/// Returns the radius of every point of a frame in f64 (docs/method.md, sections 3 and 11), by its index.
 /// Windows are adapted to this frame's resolution.
 pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<f64> {
     let Ok(frame) = frame.into_frame() else { return Vec::new() };
@@ -146,7 +149,7 @@ pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<
     };
     let radius_m = |range_m: f64| match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
-        // Of general clouds; within the radius up to which tolerances hold, or they are told otherwise.
+        // Unorganized clouds; within the radius up to which the tolerances hold.
         Radius::Neighbours { .. } => 0.0,
         Radius::Sensor => {
             let spacing_m = match geometry.rule {

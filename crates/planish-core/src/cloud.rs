@@ -22,7 +22,7 @@ macro_rules! attribute_values {
         }
 
         impl AttributeValues {
-            /// How many values there are: points times values a point.
+            /// How many values there are: points times values per point.
             pub fn len(&self) -> usize {
                 match self { $(Self::$variant(values) => values.len(),)* }
             }
@@ -72,7 +72,7 @@ macro_rules! attribute_values {
                 }
             }
 
-            /// The values of some points, `count` each.
+            /// Returns the values of some points, `count` each.
             fn select(&self, points: &[usize], count: usize) -> Self {
                 match self { $(Self::$variant(values) => {
                     let of_point = |&i: &usize| values[count * i..count * (i + 1)].iter().copied();
@@ -101,7 +101,7 @@ attribute_values! {
 }
 
 impl AttributeValues {
-    /// Whether there are no values.
+    /// Returns true if there are no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -119,7 +119,7 @@ pub struct Attribute {
 }
 
 impl Attribute {
-    /// The field of some points.
+    /// Returns the field of some points.
     pub fn select(&self, points: &[usize]) -> Self {
         Self { name: self.name.clone(), count: self.count, values: self.values.select(points, self.count) }
     }
@@ -164,7 +164,7 @@ pub struct PointCloud {
 }
 
 impl PointCloud {
-    /// A cloud of positions alone.
+    /// Returns a cloud of positions alone.
     pub fn new(positions: Xyz) -> Self {
         Self {
             positions,
@@ -188,7 +188,7 @@ impl PointCloud {
         self.positions.len()
     }
 
-    /// Whether there are no points at all.
+    /// Returns true if there are no points at all.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -198,7 +198,7 @@ impl PointCloud {
         (0..self.len()).filter(|&i| self.positions.is_finite(i)).count()
     }
 
-    /// The field of that name.
+    /// Returns the field of that name.
     pub fn attribute(&self, name: &str) -> Option<&Attribute> {
         self.attributes.iter().find(|attribute| attribute.name == name)
     }
@@ -239,13 +239,13 @@ impl PointCloud {
         Self { positions, attributes, exact_m, ..self.without_points() }
     }
 
-    /// Coordinate `axis` of point `i` in the cloud's frame: as the file had it where the point has not moved.
+    /// Returns coordinate `axis` of point `i` in the cloud's frame: exactly as in the file if the point has not moved.
     pub fn coordinate(&self, axis: usize, i: usize) -> f64 {
         let (origin, here) = (self.origin_m[axis], self.positions.as_slices()[axis][i]);
         self.exact(axis, i).unwrap_or(origin + f64::from(here))
     }
 
-    /// Whether that coordinate is known as the file had it.
+    /// Returns true if that coordinate is known as the file had it.
     pub fn is_unmoved(&self, axis: usize, i: usize) -> bool {
         self.exact(axis, i).is_some()
     }
@@ -294,7 +294,7 @@ impl PointCloud {
         }
     }
 
-    /// The sides of the box around all finite points, in metres; zeros without any.
+    /// Returns the sides of the box around all finite points, in metres; zeros without any.
     pub fn extent_m(&self) -> [f32; 3] {
         let finite = |values: &[f32]| {
             let finite = values.iter().filter(|value| value.is_finite());
@@ -351,7 +351,7 @@ impl OrganizedCloud {
         Ok(Self { width, height, points, camera: None })
     }
 
-    /// A cloud of positions alone on a grid.
+    /// Returns a cloud of positions alone on a grid.
     pub fn from_positions(width: usize, height: usize, positions: Xyz) -> Result<Self, FrameError> {
         Self::new(width, height, PointCloud::new(positions))
     }
@@ -366,7 +366,7 @@ impl OrganizedCloud {
         self.height
     }
 
-    /// The positions, row by row.
+    /// Returns the positions, row by row.
     pub fn positions(&self) -> &Xyz {
         &self.points.positions
     }

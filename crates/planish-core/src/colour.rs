@@ -4,7 +4,7 @@ use crate::cloud::{Attribute, AttributeValues, PointCloud};
 
 const CHANNELS: [&str; 4] = ["red", "green", "blue", "alpha"];
 
-/// The bits of a packed colour field: 0xAARRGGBB for each point.
+/// Returns the bits of a packed colour field: 0xAARRGGBB for each point.
 pub(crate) fn packed(attribute: &Attribute) -> Option<Vec<u32>> {
     if attribute.count != 1 {
         return None;
@@ -18,7 +18,7 @@ pub(crate) fn packed(attribute: &Attribute) -> Option<Vec<u32>> {
 }
 
 impl PointCloud {
-    /// The index of the packed colour field and its bits.
+    /// Returns the index of the packed colour field and its bits.
     fn packed_colour(&self) -> Option<(usize, Vec<u32>)> {
         let index = self.attributes.iter().position(|a| a.name == "rgb" || a.name == "rgba")?;
         Some((index, packed(&self.attributes[index])?))
@@ -33,8 +33,9 @@ impl PointCloud {
         Some(r?.iter().zip(g?).zip(b?).map(|((&r, &g), &b)| [r, g, b]).collect())
     }
 
-    /// The colours to show, however the cloud has them; `None` if it has none. Of 16 bits, as LAS has them, the upper
-    /// 8, or the lower where none has upper ones; fractions, as Open3D has them, times 255.
+    /// Returns 8-bit colours in any representation of the field; `None` for a cloud without colours. Of 16-bit colours
+    /// (LAS) the upper 8 bits are used, or the lower if the upper are all zero; fractions (Open3D) are multiplied by
+    /// 255.
     pub fn shown_rgb(&self) -> Option<Vec<[u8; 3]>> {
         self.rgb().or_else(|| self.wide_rgb())
     }

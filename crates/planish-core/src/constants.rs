@@ -21,19 +21,19 @@ pub(crate) const MAX_RADIUS_RATIO: f32 = 1.5;
 
 // Section 10.
 
-/// More doubt than this makes no difference, and its square is far from the end of f32.
+/// Larger doubt has no effect; the square of this limit fits f32 easily.
 pub(crate) const MAX_DOUBT: f32 = 1e6;
 /// A plane whose points count less than this together says too little; it counts wholly from one more on.
 pub(crate) const MIN_TOTAL: f32 = 5.0;
 /// The noise is at least this share of the radius.
 pub(crate) const MIN_NOISE: f32 = 0.01;
-/// How much a plane's distance from p weighs beside its own residual, both squared.
+/// Weight of a plane's squared distance from p, relative to its squared residual.
 pub(crate) const DISTANCE_WEIGHT: f32 = 0.3;
-/// Planes of points up to so many radii away are considered: on oblique surfaces those of a window's reach are as far.
+/// Planes of points up to this many radii away are considered: on oblique surfaces a window reaches as far.
 pub(crate) const PLANE_REACH: f32 = 2.0;
 /// Distance from the surface within which neighbours count, in standard deviations of the noise.
 pub(crate) const NARROW_WIDTH: f32 = 1.0;
-/// The points of a block count up to so many times that width from the surface...
+/// Points of a block count up to this many times that width from the surface...
 pub(crate) const BLOCK_WIDTH: f32 = 1.5;
 /// ...with the root of at least this weight.
 pub(crate) const MIN_BLOCK_WEIGHT: f32 = 0.02;
@@ -44,18 +44,18 @@ pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
 pub(crate) const MIN_INCIDENCE_COSINE: f32 = 0.05;
 /// From this much more on, the plane counts wholly.
 pub(crate) const COSINE_FADE: f32 = 0.01;
-/// What it weighs that a point stays where it was measured, beside the planes around it.
+/// Weight of a zero displacement, relative to the surrounding planes.
 pub(crate) const STAY_WEIGHT: f32 = 1e-3;
-/// What the normal of a pixel's own window weighs besides.
+/// Additional weight of the normal of the pixel's window.
 pub(crate) const OWN_NORMAL_WEIGHT: f32 = 1e-12;
-/// A neighbour far from the surface weighs exp(-8) of what it would on it, and no less; here as a power of two.
+/// Upper bound of the exponent: a neighbour far from the surface keeps exp(-8) of its weight. Stored as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 
-// Section 10 in general clouds.
+// Section 10 in unorganized clouds.
 
-/// The mean of the positions up to this share of the radius away stands for p where its distance from a plane is asked.
+/// The mean of positions within this share of the radius replaces p when its distance from a plane is measured.
 pub(crate) const GENERAL_MEAN_REACH: f32 = 0.4;
-/// The weight of that distance, squared, beside the plane's own residual.
+/// Weight of that squared distance, relative to the plane's squared residual.
 pub(crate) const GENERAL_DISTANCE_WEIGHT: f32 = 0.2;
 /// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they
 /// face.

@@ -66,9 +66,9 @@ pub struct GpuOptions {
     pub bounds_checks: bool,
     /// How frames get there and results back.
     pub transfer: Transfer,
-    /// How many points of a general cloud are on the device at once, at most; `None` for as many as it takes. Larger
-    /// clouds are smoothed in parts, which overlap and take longer; where points reach too many others for that, or too
-    /// many reach far, [`EngineError::Crowded`](crate::EngineError::Crowded).
+    /// Maximum number of points of an unorganized cloud on the device at once; `None` for the device's limit. Larger
+    /// clouds are smoothed in overlapping parts, which takes longer. If neighbourhoods are too large for that,
+    /// smoothing returns [`EngineError::Crowded`](crate::EngineError::Crowded).
     pub points_at_once: Option<usize>,
 }
 
@@ -105,7 +105,7 @@ impl GpuOptions {
 }
 
 impl Default for GpuOptions {
-    /// The first real GPU, 6 slots, no time stamps; bounds are checked in debug builds.
+    /// Returns the first real GPU, 6 slots, no time stamps; bounds are checked in debug builds.
     fn default() -> Self {
         Self {
             adapter: None,
@@ -118,7 +118,7 @@ impl Default for GpuOptions {
     }
 }
 
-/// The real GPU to use by default.
+/// Returns the real GPU to use by default.
 pub(crate) fn real_gpu(adapters: &[GpuAdapter]) -> Option<&GpuAdapter> {
     let of = |kind| adapters.iter().find(|adapter| adapter.kind == kind);
     of(AdapterKind::Discrete).or_else(|| of(AdapterKind::Integrated)).or_else(|| of(AdapterKind::Virtual))
@@ -129,16 +129,15 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
     let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
     if adapters.is_empty() {
         return Err(unavailable(
-            "no adapter was found: it needs a GPU with a driver for Vulkan, Metal or DirectX 12 (on Linux the loader \
-             libvulkan.so.1 too)"
+            "no adapter was found; a GPU with a driver for Vulkan, Metal or DirectX 12 is needed (on Linux also the \
+             loader libvulkan.so.1)"
                 .to_owned(),
         ));
     }
     let names = || adapters.iter().map(|a| format!("{} {}", a.index, a.name)).collect::<Vec<_>>().join(", ");
     match wanted {
-        None => real_gpu(adapters).ok_or_else(|| {
-            unavailable(format!("no real GPU; a software adapter is only used if selected by name ({})", names()))
-        }),
+        None => real_gpu(adapters)
+            .ok_or_else(|| unavailable(format!("no real GPU; select a software adapter by name ({})", names()))),
         Some(wanted) => {
             let lower = wanted.to_lowercase();
             // A number is an index and nothing else: many names have numbers in them.
@@ -148,7 +147,7 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
                 Err(_) => adapters.iter().find(|a| a.name.to_lowercase().contains(&lower)),
             };
             found.ok_or_else(|| {
-                unavailable(format!("no adapter has the index or, in its name, '{wanted}'; there are {}", names()))
+                unavailable(format!("no adapter has the index or name '{wanted}'; available are {}", names()))
             })
         }
     }

@@ -47,7 +47,7 @@ impl std::str::FromStr for Engine {
 pub struct Capabilities {
     /// Frames on a grid: depth images and organized clouds.
     pub grids: bool,
-    /// General clouds.
+    /// Unorganized clouds.
     pub general: bool,
     /// Keeping edges.
     pub edges: bool,
@@ -65,7 +65,7 @@ impl Engine {
     pub const NAMED: [(&'static str, Self); 4] =
         [("auto", Self::Auto), ("cpu", Self::Cpu), ("gpu", Self::Gpu), ("reference", Self::Reference)];
 
-    /// The name used on the command line.
+    /// Returns the name used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
@@ -75,7 +75,7 @@ impl Engine {
         }
     }
 
-    /// What this engine can do; of `Auto` what it finds an engine for, if frames in flight are left out.
+    /// Returns the features of this engine. `Auto` has every feature that some engine has, except frames in flight.
     pub fn capabilities(self) -> Capabilities {
         let on_grids = Capabilities { grids: true, general: false, edges: true, depth_out: true, pipelined: false };
         match self {
@@ -109,7 +109,7 @@ impl std::fmt::Display for ChoiceReason {
             Self::NoGpuInBuild => f.write_str("this build has no GPU engine"),
             Self::NoAdapter => f.write_str("no GPU adapter was found"),
             Self::NoRealGpu(adapters) => match &adapters[..] {
-                [only] => write!(f, "the only adapter, {}, is no GPU", only.name),
+                [only] => write!(f, "the only adapter, {}, is not a GPU", only.name),
                 _ => f.write_str("none of the adapters is a GPU"),
             },
             Self::GpuFailed(adapter, error) => write!(f, "{} did not open: {error}", adapter.name),
@@ -136,7 +136,7 @@ pub struct SmootherOptions {
 }
 
 impl SmootherOptions {
-    /// An engine and what it is to compute.
+    /// Sets the engine and its outputs.
     pub fn new(engine: Engine, outputs: Outputs) -> Self {
         Self { engine, outputs, ..Self::default() }
     }
@@ -179,8 +179,8 @@ pub unsafe fn silence_vulkan_drivers() {
     }
 }
 
-/// The GPU adapters of this machine in the order of their indices. Empty without drivers, or in a build without the
-/// feature `gpu`.
+/// Returns the GPU adapters of this machine in the order of their indices. Empty without drivers, or in a build without
+/// the feature `gpu`.
 pub fn gpu_adapters() -> Vec<GpuAdapter> {
     #[cfg(feature = "gpu")]
     return crate::gpu::adapters();
@@ -202,7 +202,7 @@ pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
 /// An engine that was opened, which one it is, and why `Auto` took it.
 pub(crate) type Opened = (Box<dyn SmoothingEngine>, Engine, Option<ChoiceReason>);
 
-/// Opens the engine of the options for frames on a grid, or for general clouds.
+/// Opens the engine of the options for frames on a grid, or for unorganized clouds.
 pub(crate) fn open(
     params: EngineParams,
     options: &SmootherOptions,

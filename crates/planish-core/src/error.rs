@@ -41,7 +41,7 @@ pub fn memory(bytes: u64) -> String {
 pub enum FrameError {
     /// A frame has other dimensions than the smoother was opened for.
     #[error(
-        "the frame is {frame_width}x{frame_height}, but the smoother was opened for {width}x{height}: open another one"
+        "the frame is {frame_width}x{frame_height}, but the smoother was opened for {width}x{height}; open another one"
     )]
     ShapeMismatch {
         /// Width of the frame in pixels.
@@ -64,7 +64,9 @@ pub enum FrameError {
         allowed: &'static str,
     },
     /// A camera of another shape than the frame.
-    #[error("the camera is {width}x{height}, the frame {frame_width}x{frame_height}: give the camera of this frame")]
+    #[error(
+        "the camera is {width}x{height}, but the frame {frame_width}x{frame_height}; give the camera of this frame"
+    )]
     CameraShapeMismatch {
         /// Width of the frame in pixels.
         frame_width: usize,
@@ -75,9 +77,9 @@ pub enum FrameError {
         /// Height of the camera's images in pixels.
         height: usize,
     },
-    /// A frame with a grid for a smoother of general clouds, or a general cloud for one of frames.
+    /// A frame with a grid for a smoother of unorganized clouds, or an unorganized cloud for one of frames.
     #[error(
-        "the frame {found}, but the smoother was opened for {expected}: open another one, or give the view its grid"
+        "the frame {found}, but the smoother was opened for {expected}; open another one, or give the view its grid"
     )]
     GridMismatch {
         /// What the frame is.
@@ -86,7 +88,7 @@ pub enum FrameError {
         expected: String,
     },
     /// Strides that would make rows or points overlap.
-    #[error("a {what} of {stride} is not allowed: {least} or more")]
+    #[error("a {what} of {stride} is not allowed; at least {least} is needed")]
     BadStride {
         /// Which stride.
         what: &'static str,
@@ -96,7 +98,7 @@ pub enum FrameError {
         least: usize,
     },
     /// A buffer for an output that the smoother was not opened for.
-    #[error("the smoother was opened without {output}: ask for it in the outputs")]
+    #[error("the smoother was opened without {output}; request it in the outputs")]
     OutputNotOpened {
         /// Which output.
         output: &'static str,
@@ -121,7 +123,7 @@ pub enum FrameError {
         expected: usize,
     },
     /// A camera is required.
-    #[error("{what} needs the camera's intrinsics (fx, fy, cx, cy), and none are known")]
+    #[error("{what} needs the camera's intrinsics (fx, fy, cx, cy), which are unknown")]
     MissingCamera {
         /// What needs it.
         what: &'static str,
@@ -145,7 +147,8 @@ pub enum EngineError {
     },
     /// A frame, or a batch of them, that is larger than the device can take.
     #[error(
-        "the GPU {device} allows {what} of {allowed}, and this needs {needed}: smooth smaller frames or use the CPU engine"
+        "the GPU {device} allows {what} of {allowed}, but {needed} are needed; smooth smaller frames or use the CPU \
+         engine"
     )]
     Limit {
         /// The device's name.
@@ -157,11 +160,11 @@ pub enum EngineError {
         /// What is needed.
         needed: u64,
     },
-    /// A general cloud of which some points reach more others than the device takes at once, or so many reach far that
-    /// it would take too long in parts.
+    /// The neighbourhoods of an unorganized cloud exceed the memory of the device, or smoothing it in parts would take
+    /// too long.
     #[error(
-        "the GPU {device} takes {points_at_once} points of a cloud at once, and too many points of this one reach far: \
-         use a smaller radius, fewer neighbours or the CPU engine"
+        "the GPU {device} holds {points_at_once} points of a cloud at once, but neighbourhoods of this one are too \
+         large; use a smaller radius, fewer neighbours or the CPU engine"
     )]
     Crowded {
         /// The device's name.
@@ -196,7 +199,7 @@ pub enum EngineError {
         reason: String,
     },
     /// The maximum number of frames is in flight: receive one first.
-    #[error("{in_flight} frames are in flight, the maximum: receive one before submitting the next")]
+    #[error("{in_flight} frames are in flight, the maximum; receive one before submitting the next")]
     Full {
         /// How many are in flight.
         in_flight: usize,
@@ -272,7 +275,7 @@ pub enum FormatError {
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// Reading it would take more memory than allowed.
-    #[error("needs {} of memory, and {} are allowed: raise the limit if the file is what it should be", memory(needed.saturating_add(KIB - 1)), memory(*allowed))]
+    #[error("needs {} of memory, but only {} are allowed; raise the limit if the file is correct", memory(needed.saturating_add(KIB - 1)), memory(*allowed))]
     TooLarge {
         /// Bytes that would be needed.
         needed: u64,

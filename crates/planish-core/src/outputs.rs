@@ -65,7 +65,7 @@ impl Outputs {
         Self { depth_m, ..self }
     }
 
-    /// Whether a camera must be known.
+    /// Returns true if a camera must be known.
     pub fn needs_camera(self) -> bool {
         self.depth || self.depth_m
     }
@@ -90,7 +90,7 @@ impl Outputs {
         Self { neighbours, ..self }
     }
 
-    /// Adds the output of a name; `None` if there is none.
+    /// Adds the output with this name; `None` for an unknown name.
     pub(crate) fn with_named(self, name: &str) -> Option<Self> {
         Some(match name {
             "points" => self.with_points(true),
@@ -104,7 +104,7 @@ impl Outputs {
         })
     }
 
-    /// The names of these outputs.
+    /// Returns the names of these outputs.
     pub fn names(self) -> Vec<&'static str> {
         let Self { points, depth, depth_m, normals, curvature, status, neighbours } = self;
         let all = [

@@ -1,4 +1,4 @@
-//! Where the sensor stands that took a cloud: its position and orientation in the frame of the cloud's points.
+//! Position and orientation of the sensor in the frame of a cloud's points.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -37,8 +37,8 @@ impl SensorPose {
         Self { position_m, orientation: [w, x, y, z] }
     }
 
-    /// The pose of a position in metres and a rotation matrix (cloud_from_sensor, row by row); `None` if the matrix is
-    /// no rotation within 1 %, or the position is not allowed.
+    /// Creates a pose from a position in metres and a rotation matrix (cloud_from_sensor, row by row). `None` if the
+    /// matrix differs from a rotation by more than 1 %, or the position is out of range.
     pub fn from_rotation(position_m: [f64; 3], rows: [[f64; 3]; 3]) -> Option<Self> {
         let rotation = DMat3::from_cols_array_2d(&rows).transpose();
         let off = rotation * rotation.transpose() - DMat3::IDENTITY;
@@ -50,20 +50,19 @@ impl SensorPose {
         (is_rotation && pose.validate().is_ok()).then_some(pose)
     }
 
-    /// The rotation from the sensor's frame to the cloud's, row by row.
+    /// Returns the rotation from the sensor's frame to the cloud's, row by row.
     pub fn rotation(&self) -> [[f64; 3]; 3] {
         let rotation = self.transform().unwrap_or(RigidTransform::IDENTITY).rotation;
         rotation.transpose().to_cols_array_2d()
     }
 
-    /// The seven numbers of a PCD VIEWPOINT.
+    /// Returns the seven numbers of a PCD VIEWPOINT.
     pub fn viewpoint(&self) -> [f64; 7] {
         let ([x, y, z], [qw, qx, qy, qz]) = (self.position_m, self.orientation);
         [x, y, z, qw, qx, qy, qz]
     }
 
-    /// Whether it says no more than a file without a pose: the identity, or nothing but zeros, as some writers leave
-    /// it.
+    /// Returns true if the pose carries no information: the identity, or all zeros, as some writers leave it.
     pub fn is_identity(&self) -> bool {
         self.position_m == [0.0; 3] && (self.orientation == [1.0, 0.0, 0.0, 0.0] || self.orientation == [0.0; 4])
     }
@@ -73,13 +72,13 @@ impl SensorPose {
         self.transform().map(drop)
     }
 
-    /// The pose of a transform from the sensor's frame to the cloud's.
+    /// Returns the pose of a transform from the sensor's frame to the cloud's.
     pub fn from_transform(transform: &RigidTransform) -> Self {
         let quaternion = DQuat::from_mat3(&transform.rotation).normalize();
         Self::from_xyzw(transform.translation.to_array(), quaternion.to_array())
     }
 
-    /// The transform from the sensor's frame to the cloud's.
+    /// Returns the transform from the sensor's frame to the cloud's.
     pub fn transform(&self) -> Result<RigidTransform, FrameError> {
         let bad = |field, value: String, allowed| Err(FrameError::BadPose(ParamError { field, value, allowed }));
         if self.is_identity() {
@@ -128,7 +127,7 @@ impl RigidTransform {
         *self == Self::IDENTITY
     }
 
-    /// A point of the sensor's frame in the cloud's.
+    /// Returns a point of the sensor's frame in the cloud's.
     pub fn to_cloud(self, point_in_sensor: DVec3) -> DVec3 {
         self.rotation * point_in_sensor + self.translation
     }
@@ -138,19 +137,19 @@ impl RigidTransform {
         Self { rotation: DMat3::IDENTITY, translation: DVec3::from_array(origin_m) }
     }
 
-    /// The transform that does first `other`, then this one.
+    /// Returns the transform that does first `other`, then this one.
     pub fn after(self, other: Self) -> Self {
         let translation = self.rotation * other.translation + self.translation;
         Self { rotation: self.rotation * other.rotation, translation }
     }
 
-    /// The transform the other way.
+    /// Returns the transform the other way.
     pub fn inverse(self) -> Self {
         let rotation = self.rotation.transpose();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// A point of the cloud in the sensor's frame.
+    /// Returns a point of the cloud in the sensor's frame.
     pub fn to_sensor(self, point_in_cloud: DVec3) -> DVec3 {
         self.rotation.transpose() * (point_in_cloud - self.translation)
     }

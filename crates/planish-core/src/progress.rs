@@ -19,8 +19,8 @@ impl Progress {
         if total == 0 { 0.0 } else { (done as f32 / total as f32).min(1.0) }
     }
 
-    /// Ends the work on the frame that is being smoothed, soon: it returns [`EngineError::Stopped`]. Has no effect on
-    /// the next frame.
+    /// Cancels smoothing of the current frame, which then returns [`EngineError::Stopped`] soon. The next frame is not
+    /// affected.
     pub fn stop(&self) {
         self.stopped.store(true, Ordering::Relaxed);
     }
@@ -30,7 +30,7 @@ impl Progress {
         self.stopped.load(Ordering::Relaxed)
     }
 
-    /// An error if the frame was stopped.
+    /// Returns an error if the frame was stopped.
     pub fn check(&self) -> Result<(), EngineError> {
         if self.is_stopped() { Err(EngineError::Stopped) } else { Ok(()) }
     }
@@ -41,13 +41,13 @@ impl Progress {
         self.begin(0);
     }
 
-    /// Begins a frame of so many steps.
+    /// Begins a frame with this many steps.
     pub fn begin(&self, steps: usize) {
         self.done.store(0, Ordering::Relaxed);
         self.total.store(steps as u64, Ordering::Relaxed);
     }
 
-    /// So many steps more are done.
+    /// Adds completed steps.
     pub fn add(&self, steps: usize) {
         self.done.fetch_add(steps as u64, Ordering::Relaxed);
     }

@@ -1,5 +1,5 @@
-//! What grows with range: radius, the gate of blocks, and noise, as the f32 engines compute it (docs/method.md,
-//! sections 2, 3, 10).
+//! Quantities that grow with range: radius, the gate of blocks, and noise, as the f32 engines compute them
+//! (docs/method.md, sections 2, 3, 10).
 
 use crate::frame::{FrameGeometry, RangeRule, assumed_range_m};
 use crate::params::{EngineParams, Radius};
@@ -7,8 +7,8 @@ use crate::params::{EngineParams, Radius};
 /// The radius of a sensor's window in half widths of it, for surfaces seen obliquely.
 const REACHES: f64 = 2.0;
 
-/// A radius beyond this makes no difference to any scene, and its square is far from the end of f32: a coordinate of
-/// 1e30 has an infinite radius by the rule, and what is computed from it must stay finite.
+/// Upper bound of a radius, larger than any scene; its square fits f32 easily. A coordinate of 1e30 would give an
+/// infinite radius, and values computed from the radius must stay finite.
 pub(crate) const MAX_RADIUS_M: f32 = 1e6;
 
 /// No gate is narrower, so that a point that is its own sample is its neighbour, and squares stay within f32.
@@ -21,11 +21,11 @@ pub(crate) const MAX_RANGE_M: f32 = 1e18;
 /// of a block like r.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RangeRules {
-    /// Of z in the radius, for the spacing of the pixels.
+    /// Coefficient of z in the radius, from the pixel spacing.
     pub(crate) linear: f32,
     /// Coefficients of 1, z and z² in the radius: four depth steps, or the fixed radius.
     pub(crate) radius: [f32; 3],
-    /// Of z in the gate of the blocks, for the spacing of the pixels.
+    /// Coefficient of z in the gate of blocks, from the pixel spacing.
     pub(crate) block_linear: f32,
     /// Coefficients of 1, z and z² in the gate of the blocks: two and a half depth steps.
     pub(crate) block: [f32; 3],
@@ -47,7 +47,7 @@ impl RangeRules {
         };
         match params.radius {
             Radius::Fixed { radius_m } => rules.radius[0] = radius_m,
-            // Of general clouds, which have rules of their own.
+            // For unorganized clouds, which have different rules.
             Radius::Neighbours { .. } => {}
             Radius::Sensor => {
                 rules.linear = (REACHES * params.reach_px() as f64 * geometry.rule.pitch_at_1m()) as f32;

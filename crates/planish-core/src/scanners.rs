@@ -9,8 +9,8 @@ const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 impl PointCloud {
     /// Returns where each scanner stood, in metres in the cloud's frame, indexed by the field `scan`.
     ///
-    /// `None` if the scanners are unknown, if the cloud has no field `scan`, or its own pose is stated. An entry is
-    /// `None` if the file does not state the pose of that scan.
+    /// Returns the scanner positions in metres. `None` if they are unknown, if the cloud lacks the field `scan`, or if
+    /// it states one pose. An entry is `None` if the file does not state the pose of that scan.
     pub fn scanners_m(&self) -> Option<&[Option<[f64; 3]>]> {
         self.attribute(SCAN).filter(|_| self.pose.is_identity())?;
         self.scanners_m.as_deref()

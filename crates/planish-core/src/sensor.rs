@@ -9,8 +9,8 @@ use std::str::FromStr;
 
 use crate::error::ParamError;
 
-/// Noise of a Kinect v1 in units of its depth step. The radius must reach over the noise, so the models of sensors
-/// without steps of their own take the step that a Kinect v1 of their noise would have.
+/// Noise of a Kinect v1 in units of its depth step. The radius must cover the noise; sensor models without depth steps
+/// use the step of a Kinect v1 with their noise.
 const NOISE_IN_STEPS: f64 = 0.63;
 
 /// The properties of a depth sensor that the smoother uses.
@@ -61,8 +61,8 @@ impl SensorModel {
         Self { step, sigma }
     }
 
-    /// A stereo camera of the RealSense D400 family: the noise is 0.08 pixels of disparity, Intel's figure for well
-    /// textured targets ("Best known methods for tuning Intel RealSense D400"), sigma = 0.08 z²/(focal length x
+    /// Returns a stereo camera of the RealSense D400 family: the noise is 0.08 pixels of disparity, Intel's figure for
+    /// well textured targets ("Best known methods for tuning Intel RealSense D400"), sigma = 0.08 z²/(focal length x
     /// baseline).
     pub const fn realsense_d400(baseline_m: f32, focal_length_px: f32) -> Self {
         Self::from_noise([0.0, 0.0, 0.08 / (baseline_m * focal_length_px)])
@@ -75,12 +75,12 @@ impl SensorModel {
         Self { step: [c0 / noise, c1 / noise, c2 / noise], sigma }
     }
 
-    /// The depth step at a range, in metres.
+    /// Returns the depth step at a range, in metres.
     pub fn step_m(&self, range_m: f64) -> f64 {
         evaluate(self.step, range_m)
     }
 
-    /// The standard deviation of depth at a range, in metres.
+    /// Returns the standard deviation of depth at a range, in metres.
     pub fn sigma_m(&self, range_m: f64) -> f64 {
         evaluate(self.sigma, range_m)
     }
@@ -91,7 +91,7 @@ impl SensorModel {
             // False for a NaN.
             if !coefficients.iter().all(|c| (0.0..=1.0).contains(c)) {
                 let value = format!("{coefficients:?}");
-                return Err(ParamError { field, value, allowed: "three coefficients of 0 to 1 each, in metres" });
+                return Err(ParamError { field, value, allowed: "three coefficients in metres, 0 to 1 each" });
             }
         }
         Ok(())
@@ -111,7 +111,7 @@ impl SensorModel {
         ("exact", Self::EXACT),
     ];
 
-    /// The name of this sensor, if it is one of [`SensorModel::NAMED`].
+    /// Returns the name of this sensor, if it is one of [`SensorModel::NAMED`].
     pub fn name(&self) -> Option<&'static str> {
         Self::NAMED.iter().find(|(_, sensor)| sensor == self).map(|(name, _)| *name)
     }
@@ -120,7 +120,7 @@ impl SensorModel {
 impl FromStr for SensorModel {
     type Err = ParamError;
 
-    /// The sensor of a name of [`SensorModel::NAMED`].
+    /// Returns the sensor of a name of [`SensorModel::NAMED`].
     fn from_str(name: &str) -> Result<Self, ParamError> {
         let named = Self::NAMED.iter().find(|(known, _)| *known == name).map(|(_, sensor)| *sensor);
         let allowed = "kinect1, d415, d435, d455, azure-kinect, l515, iphone or exact";

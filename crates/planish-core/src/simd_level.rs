@@ -2,7 +2,7 @@
 
 use fearless_simd::Level;
 
-/// An instruction set. The engine takes the widest that the machine has; a narrower one can be asked for to compare.
+/// An instruction set. The engine uses the widest available; you can choose a narrower one for comparisons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SimdLevel {
@@ -27,7 +27,7 @@ impl SimdLevel {
     pub const ALL: [Self; 7] =
         [Self::Scalar, Self::Sse2, Self::Sse4_2, Self::Avx2, Self::Avx512, Self::Neon, Self::Simd128];
 
-    /// The name used on the command line.
+    /// Returns the name used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Scalar => "scalar",
@@ -40,19 +40,19 @@ impl SimdLevel {
         }
     }
 
-    /// The widest level that this machine has.
+    /// Returns the widest level that this machine has.
     pub fn best() -> Self {
         let level = Level::new();
         Self::ALL.into_iter().rev().find(|candidate| candidate.token(level).is_some()).unwrap_or(Self::Scalar)
     }
 
-    /// The levels that this machine has and the library is compiled for.
+    /// Returns the levels that this machine has and the library is compiled for.
     pub fn available() -> impl Iterator<Item = Self> {
         let level = Level::new();
         Self::ALL.into_iter().filter(move |candidate| candidate.token(level).is_some())
     }
 
-    /// The proof that the machine has this level.
+    /// Returns the proof that the machine has this level.
     pub(crate) fn token(self, machine: Level) -> Option<Level> {
         match self {
             Self::Scalar => machine.is_fallback().then_some(machine),

@@ -9,22 +9,22 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::status::Status;
 use crate::xyz::Xyz;
 
-/// Smoothed points and what was asked for beside them. Reuse one for all frames: its buffers are kept.
+/// Smoothed points and the requested outputs. Reuse one for all frames to keep its buffers.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Smoothed {
-    /// Width in pixels; the number of points for a general cloud.
+    /// Width in pixels; the number of points for an unorganized cloud.
     pub width: usize,
-    /// Height in pixels; 1 for a general cloud.
+    /// Height in pixels; 1 for an unorganized cloud.
     pub height: usize,
-    /// The points in metres, NaN for holes; empty if they were not asked for.
+    /// The points in metres, NaN for holes; empty if they were not requested.
     pub points: Xyz,
     /// Raw depth values of the smoothed surface, 0 for holes.
     pub depth: Option<Vec<u16>>,
     /// Depth of the smoothed surface in metres, NaN for holes.
     pub depth_m: Option<Vec<f32>>,
-    /// Unit normals towards the sensor; NaN where there is none.
+    /// Unit normals towards the sensor; NaN for pixels without a plane.
     pub normals: Option<Xyz>,
-    /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
+    /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN for pixels without a plane.
     pub curvature: Option<Vec<f32>>,
     /// The status of each pixel.
     pub status: Option<Vec<Status>>,
@@ -36,13 +36,13 @@ pub struct Smoothed {
 const LOST_SHARE_TOLD: f64 = 0.01;
 
 impl Smoothed {
-    /// Returns what to say of a frame that lost more than a hundredth of its points.
+    /// Returns a warning for a frame that lost more than a hundredth of its points.
     pub fn lost_points_warning(&self, frame: Frame<'_>) -> Option<String> {
         let (lost, valid) = (self.lost_points(frame), frame.valid_points());
         (lost as f64 > LOST_SHARE_TOLD * valid as f64).then(|| {
             format!(
-                "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the radius; \
-                 a larger radius keeps them, or the sensor's pose where it is missing"
+                "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the \
+                 radius; use a larger radius, or give the sensor's pose if it is missing"
             )
         })
     }
@@ -71,7 +71,7 @@ impl Smoothed {
             + 4 * self.depth_m.as_ref().map_or(0, Vec::capacity)
     }
 
-    /// The buffers, to be written into.
+    /// Returns the buffers, to be written into.
     pub(crate) fn as_mut(&mut self) -> SmoothedMut<'_> {
         SmoothedMut {
             points: (!self.points.is_empty()).then(|| (&mut self.points).into()),
@@ -100,7 +100,8 @@ impl Smoothed {
         frame.valid_points().saturating_sub(left)
     }
 
-    /// How many pixels have each status, in the order of [`Status::ALL`]; `None` if the status was not asked for.
+    /// Returns the number of pixels with each status, in the order of [`Status::ALL`]; `None` if status was not
+    /// requested.
     pub fn status_counts(&self) -> Option<[usize; Status::ALL.len()]> {
         let mut counts = [0; Status::ALL.len()];
         for &status in self.status.as_ref()? {
@@ -109,7 +110,7 @@ impl Smoothed {
         Some(counts)
     }
 
-    /// The smoothed surface as a depth image: what the camera would have measured (docs/method.md, section 7).
+    /// Returns the smoothed surface as a depth image, as the camera would have measured it (docs/method.md, section 7).
     ///
     /// Ask for normals: without them the depths are the points' own, which are off on slanted surfaces. The result must
     /// be in the camera's frame: of a cloud with another pose, ask the smoother for depth instead.
@@ -140,14 +141,14 @@ impl Smoothed {
 }
 
 impl Smoothed {
-    /// Those of `fields` that it has, by the names that clouds have for them.
+    /// Returns the available outputs among `fields`, under the field names of clouds.
     pub fn fields(&self, fields: Outputs) -> Vec<(&'static str, AttributeValues)> {
         let normals = self.normals.as_ref().map(Xyz::as_slices);
         named_fields(fields, normals, self.curvature.as_deref(), self.status.as_deref(), self.neighbours.as_deref())
     }
 }
 
-/// Those of `fields` that there are, by the names that clouds have for them.
+/// Returns the available outputs among `fields`, under the field names of clouds.
 pub fn named_fields(
     fields: Outputs,
     normals: Option<[&[f32]; 3]>,
@@ -171,8 +172,8 @@ pub fn named_fields(
     found
 }
 
-/// Where a ray meets the tangent plane of a point; the point's own depth where the ray grazes that, or it has no
-/// normal.
+/// Returns the depth at which a ray meets the tangent plane of a point; at grazing incidence, or without a normal, the
+/// point's depth.
 #[inline(always)]
 pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [nx, ny, nz]: [f32; 3]) -> f32 {
     let along = ray_x * nx + ray_y * ny + nz;
@@ -182,9 +183,9 @@ pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [
 }
 
 impl PointCloud {
-    /// Puts the result in place of the positions and adds those of `fields` that the result has: `normal_x`,
-    /// `normal_y`, `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields stay as they are.
-    /// Normals of a file of several scans face the scanner of each point.
+    /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
+    /// `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields are kept. In a file of
+    /// several scans, normals face the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         self.positions.clone_from(&smoothed.points);

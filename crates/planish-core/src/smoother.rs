@@ -1,4 +1,4 @@
-//! The front door: open an engine once for a grid or for general clouds, then smooth any number of frames.
+//! The front door: open an engine once for a grid or for unorganized clouds, then smooth any number of frames.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 use crate::xyz::validate_shape;
 
-/// An open engine with its buffers, for frames of one grid, or for general clouds.
+/// An open engine with its buffers, for frames of one grid, or for unorganized clouds.
 ///
 /// One frame at a time:
 ///
@@ -236,17 +236,17 @@ impl Smoother {
         Ok(())
     }
 
-    /// The engine that is open: what `Auto` chose.
+    /// Returns the engine that is open: what `Auto` chose.
     pub fn engine(&self) -> Engine {
         self.engine
     }
 
-    /// The capabilities of the open engine.
+    /// Returns the capabilities of the open engine.
     pub fn capabilities(&self) -> Capabilities {
         self.engine.capabilities()
     }
 
-    /// The name of the GPU, if this is the GPU engine.
+    /// Returns the name of the GPU, if this is the GPU engine.
     pub fn gpu_name(&self) -> Option<&str> {
         self.opened.device_name()
     }
@@ -295,8 +295,9 @@ impl Smoother {
         self.opened.smooth_batch(&frames, out)
     }
 
-    /// Where the time of the last [`smooth`](Self::smooth) or [`smooth_batch`](Self::smooth_batch) went on a GPU or in
-    /// the CPU engine, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.
+    /// Returns the time spent in each stage of the last [`smooth`](Self::smooth) or
+    /// [`smooth_batch`](Self::smooth_batch), on a GPU or in the CPU engine, if
+    /// [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) is set.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.opened.timings()
     }
@@ -312,14 +313,13 @@ impl Smoother {
         self.opened.keep_radii();
     }
 
-    /// The radius by density that point `i` of the last cloud had before its limit, if radii are kept.
+    /// Returns the radius by density that point `i` of the last cloud had before its limit, if radii are kept.
     pub fn own_radius_m(&self, i: usize) -> Option<f32> {
         self.opened.own_radius_m(i)
     }
 
-    /// Bytes that the engine keeps for its samples from frame to frame, beside frames and results: the padded frame of
-    /// the CPU engine; the buffers of all slots of the GPU engine, on the device and in memory that both see. The
-    /// reference keeps none.
+    /// Returns the size in bytes of buffers kept between frames, without frames and results: padded frames of the CPU
+    /// engine; slots of the GPU engine, in device memory and in shared memory. The reference keeps none.
     pub fn buffer_bytes(&self) -> u64 {
         self.opened.buffer_bytes()
     }
@@ -339,7 +339,7 @@ impl Smoother {
         self.opened.submit(&frame, None)
     }
 
-    /// Waits for the oldest frame in flight; `None` if there is none.
+    /// Waits for the oldest frame in flight; `None` if no frame is in flight.
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         match self.ready.pop_front() {
             Some(result) => result.map(Some),
@@ -413,11 +413,11 @@ pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize,
         (found, expected) => {
             let describe = |grid: Option<(usize, usize)>| match grid {
                 Some((width, height)) => format!("a grid of {width}x{height}"),
-                None => "general clouds (no grid)".to_owned(),
+                None => "unorganized clouds (no grid)".to_owned(),
             };
             let found = match found {
                 Some(_) => format!("has {}", describe(found)),
-                None => "is a general cloud".to_owned(),
+                None => "is an unorganized cloud".to_owned(),
             };
             Err(FrameError::GridMismatch { found, expected: describe(expected) })
         }

@@ -1,4 +1,4 @@
-//! What every engine implements: the one interface between the front door and an implementation of the method.
+//! The trait that every engine implements.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::smoothed::Smoothed;
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 
-/// A frame that was checked against what the smoother was opened for, and its geometry.
+/// A frame that fits the open smoother, and its geometry.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AdmittedFrame<'a> {
     pub(crate) frame: Frame<'a>,
@@ -33,20 +33,20 @@ pub(crate) trait SmoothingEngine: Send {
     /// Waits for the result of the oldest frame in flight.
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error>;
 
-    /// Does what else the second frame in flight would wait for.
+    /// Prepares everything else that the second frame in flight would wait for.
     fn prepare_in_flight(&mut self) {}
 
     fn in_flight(&self) -> usize;
 
     fn max_in_flight(&self) -> usize;
 
-    /// Where the time of the last call of `smooth` or `smooth_batch` went, if that was asked for.
+    /// Returns the time spent in each stage of the last call of `smooth` or `smooth_batch`, if requested.
     fn timings(&self) -> Option<FrameTimings>;
 
     /// Bytes that it keeps from frame to frame.
     fn buffer_bytes(&self) -> u64;
 
-    /// The device it computes on, where that has a name.
+    /// Returns the device it computes on, where that has a name.
     fn device_name(&self) -> Option<&str> {
         None
     }
@@ -59,8 +59,8 @@ pub(crate) trait SmoothingEngine: Send {
     /// Keeps the radii by density of the next clouds, where the engine would not.
     fn keep_radii(&mut self) {}
 
-    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was
-    /// kept.
+    /// Returns the radius by density that point `i` of the last cloud had before its limit, where there was one and it
+    /// was kept.
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
@@ -70,7 +70,7 @@ pub(crate) trait SmoothingEngine: Send {
 pub(crate) trait ImmediateEngine: Send {
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error>;
 
-    /// Where the time of the last frame went, if it knows.
+    /// Returns the time spent in each stage of the last frame, if measured.
     fn timings(&self) -> Option<FrameTimings> {
         None
     }
@@ -84,7 +84,7 @@ pub(crate) trait ImmediateEngine: Send {
         None
     }
 
-    /// The device it computes on, where that has a name.
+    /// Returns the device it computes on, where that has a name.
     fn device_name(&self) -> Option<&str> {
         None
     }
@@ -92,8 +92,8 @@ pub(crate) trait ImmediateEngine: Send {
     /// Keeps the radii by density of the next clouds, where the engine would not.
     fn keep_radii(&mut self) {}
 
-    /// The radius by density that point `i` of the last cloud had before its limit, where there was one and it was
-    /// kept.
+    /// Returns the radius by density that point `i` of the last cloud had before its limit, where there was one and it
+    /// was kept.
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
@@ -105,7 +105,7 @@ pub(crate) struct Immediate<E> {
     outputs: Outputs,
     submitted: VecDeque<(Smoothed, Option<FrameTimings>)>,
     slots: usize,
-    /// Of the last call, where times are wanted.
+    /// Times of the last call, if requested.
     timings: Option<FrameTimings>,
     wants_timings: bool,
 }

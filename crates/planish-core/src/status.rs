@@ -10,7 +10,7 @@ pub enum Status {
     Hole = 0,
     /// Fewer than 3 neighbours, or an isolated point that was to be removed: the output is a hole.
     TooFew = 1,
-    /// The neighbours lie on a line: the point stays as measured and has no normal.
+    /// The neighbours are collinear: the point is unchanged and has no normal.
     Degenerate = 2,
     /// The foot of the point on the plane.
     Plane = 3,
@@ -18,8 +18,8 @@ pub enum Status {
     Polynomial2 = 4,
     /// On a polynomial of degree 3.
     Polynomial3 = 5,
-    /// In a general cloud, fewer than 3 neighbours or about a quarter of those that its radius is chosen for (section
-    /// 8): the point stays as measured and has no normal.
+    /// In an unorganized cloud, fewer than 3 neighbours, or fewer than about a quarter of the number that its radius
+    /// was chosen for (section 8): the point is unchanged and has no normal.
     Isolated = 6,
 }
 
@@ -28,12 +28,12 @@ impl Status {
     pub const ALL: [Self; 7] =
         [Self::Hole, Self::TooFew, Self::Degenerate, Self::Plane, Self::Polynomial2, Self::Polynomial3, Self::Isolated];
 
-    /// Whether the output has a finite point.
+    /// Returns true if the output has a finite point.
     pub fn has_point(self) -> bool {
         self >= Self::Degenerate
     }
 
-    /// Whether the output has a normal and a curvature.
+    /// Returns true if the output has a normal and a curvature.
     pub fn has_normal(self) -> bool {
         matches!(self, Self::Plane | Self::Polynomial2 | Self::Polynomial3)
     }
@@ -49,7 +49,7 @@ impl Status {
         BY_CODE[usize::from(code & 7)]
     }
 
-    /// The status of a point that was put on a polynomial of that degree.
+    /// Returns the status of a point that was put on a polynomial of that degree.
     pub fn of_degree(degree: u32) -> Self {
         match degree {
             3 => Self::Polynomial3,

@@ -1,4 +1,4 @@
-//! Where parallel work runs: the process's own pool, or one of a given size.
+//! The thread pool of parallel work: the process-wide pool, or one of a given size.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ impl Threads {
             return Ok(Self(None));
         }
         if threads > MAX_THREADS {
-            return Err(EngineError::Threads { threads, reason: format!("{MAX_THREADS} are the most allowed") });
+            return Err(EngineError::Threads { threads, reason: format!("at most {MAX_THREADS} are allowed") });
         }
         let pool = ThreadPoolBuilder::new()
             .num_threads(threads)

@@ -1,11 +1,11 @@
-//! Where the time of a frame went.
+//! Time per stage of a frame.
 
 use std::ops::AddAssign;
 use std::time::Duration;
 #[cfg(not(target_family = "wasm"))]
 use std::time::Instant;
 
-/// Where the time of one frame or batch went: on a GPU's device, or in the CPU engine.
+/// Time per stage of one frame or batch, on a GPU's device or in the CPU engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct FrameTimings {
@@ -27,7 +27,8 @@ impl AddAssign for FrameTimings {
     }
 }
 
-/// A point in time that others are measured from. WebAssembly has no clock of its own: there all times are zero.
+/// A point in time for measuring durations. WebAssembly has no clock in the standard library; there, all durations are
+/// zero.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stopwatch(#[cfg(not(target_family = "wasm"))] Instant);
 

@@ -1,4 +1,4 @@
-//! A result that was received: in the memory that the device wrote, or a buffer of its own.
+//! A received result, in memory written by the device or in an owned buffer.
 
 use crate::smoothed::Smoothed;
 use crate::status::Status;
@@ -25,7 +25,7 @@ pub(crate) trait ResultInPlace: Send + Sync {
     fn curvature(&self) -> Option<&[f32]>;
     fn depth_rows(&self) -> Option<Rows<'_, u16>>;
     fn depth_m(&self) -> Option<&[f32]>;
-    /// The code of each pixel's status.
+    /// Returns the code of each pixel's status.
     fn status_rows(&self) -> Option<Rows<'_, u8>>;
     fn neighbours_rows(&self) -> Option<Rows<'_, u8>>;
     fn copy_to(&self, out: &mut Smoothed);
@@ -99,7 +99,7 @@ impl SmoothedView {
         }
     }
 
-    /// x, y and z of the unit normals, NaN where there is none; `None` if they were not requested.
+    /// x, y and z of the unit normals, NaN for pixels without one; `None` if they were not requested.
     pub fn normals(&self) -> Option<[&[f32]; 3]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.normals.as_ref().map(Xyz::as_slices),
@@ -107,7 +107,7 @@ impl SmoothedView {
         }
     }
 
-    /// Surface variation, NaN where there is no plane; `None` if it was not requested.
+    /// Surface variation, NaN for pixels without a plane; `None` if it was not requested.
     pub fn curvature(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.curvature.as_deref(),
@@ -115,7 +115,7 @@ impl SmoothedView {
         }
     }
 
-    /// The rows of raw depth values, 0 for holes; `None` if they were not requested.
+    /// Returns the rows of raw depth values, 0 for holes; `None` if they were not requested.
     pub fn depth_rows(&self) -> Option<Rows<'_, u16>> {
         match &self.result {
             Storage::Owned(smoothed) => Some(Rows::new(smoothed.depth.as_ref()?, smoothed.width, smoothed.width)),
@@ -131,7 +131,7 @@ impl SmoothedView {
         }
     }
 
-    /// The status of each pixel, row by row; `None` if it was not requested.
+    /// Returns the status of each pixel, row by row; `None` if it was not requested.
     pub fn status(&self) -> Option<impl Iterator<Item = Status> + '_> {
         let (values, codes) = match &self.result {
             Storage::Owned(smoothed) => (smoothed.status.as_deref()?, Rows::new(&[], 0, 1)),
@@ -149,7 +149,7 @@ impl SmoothedView {
         Some(values.iter().copied().chain(counts.flatten().map(|&count| u32::from(count))))
     }
 
-    /// Where the time of this frame went, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) were asked for.
+    /// Time spent in each stage of this frame, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) is set.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.timings
     }
@@ -162,7 +162,7 @@ impl SmoothedView {
         }
     }
 
-    /// The result in a buffer of its own: the one that was submitted with the frame, or a copy.
+    /// Returns the result in an owned buffer: the one submitted with the frame, or a copy.
     pub fn into_smoothed(self) -> Smoothed {
         match self.result {
             Storage::Owned(smoothed) => *smoothed,

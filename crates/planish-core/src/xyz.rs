@@ -58,30 +58,30 @@ impl Xyz {
         xyz
     }
 
-    /// The x components.
+    /// Returns the x components.
     #[inline]
     pub fn x(&self) -> &[f32] {
         &self.x
     }
 
-    /// The y components.
+    /// Returns the y components.
     #[inline]
     pub fn y(&self) -> &[f32] {
         &self.y
     }
 
-    /// The z components.
+    /// Returns the z components.
     #[inline]
     pub fn z(&self) -> &[f32] {
         &self.z
     }
 
-    /// The components x, y and z.
+    /// Returns the components x, y and z.
     pub fn as_slices(&self) -> [&[f32]; 3] {
         [&self.x, &self.y, &self.z]
     }
 
-    /// The components x, y and z, to be changed.
+    /// Returns the components x, y and z, to be changed.
     pub fn as_mut_slices(&mut self) -> [&mut [f32]; 3] {
         [&mut self.x, &mut self.y, &mut self.z]
     }
@@ -132,7 +132,7 @@ impl Xyz {
         self.x.len()
     }
 
-    /// Whether there are none.
+    /// Returns true if there are none.
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
     }
@@ -155,7 +155,7 @@ impl Xyz {
         [self.x[i], self.y[i], self.z[i]] = value;
     }
 
-    /// Whether all components of vector `i` are finite.
+    /// Returns true if all components of vector `i` are finite.
     #[inline]
     pub fn is_finite(&self, i: usize) -> bool {
         self.x[i].is_finite() && self.y[i].is_finite() && self.z[i].is_finite()

@@ -1,7 +1,7 @@
 //! Files that are there whole or not at all: written under a temporary name in the same folder, then renamed.
 //!
-//! A temporary's name holds the machine and the process that writes it, so that a later process can remove what a
-//! killed one left behind.
+//! The name of a temporary file contains the machine and the process that writes it, so a later process can delete
+//! leftovers of a killed one.
 
 use std::collections::HashSet;
 use std::fs;
@@ -91,7 +91,7 @@ pub(crate) struct Temporary {
     _noted: Noted,
 }
 
-/// The name of a temporary among those that are being written.
+/// Registers the name of a temporary file while it is being written.
 struct Noted(PathBuf);
 
 impl Temporary {
@@ -134,7 +134,7 @@ impl Drop for Noted {
     }
 }
 
-/// Refuses a place where no file can be; returns what is there.
+/// Refuses a path at which no file can be created; returns the metadata of an existing file.
 fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
     let folder = folder_of(path);
     if !folder.is_dir() {
@@ -142,23 +142,23 @@ fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
     }
     let replaced = fs::metadata(path).ok();
     if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
-        return Err(FormatError::Unsupported("a folder has this name already; give a file's name".into()));
+        return Err(FormatError::Unsupported("a folder has this name; choose a file name".into()));
     }
     if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
-        return Err(FormatError::Unsupported("a pipe or a device has this name; give a file's name".into()));
+        return Err(FormatError::Unsupported("a pipe or a device has this name; choose a file name".into()));
     }
     Ok(replaced)
 }
 
-/// Refuses a name under which no file can be written: in a folder that is not there or may not be written to, or taken
-/// by what is no file.
+/// Refuses a path that cannot be written: its folder does not exist or is read-only, or it names something other than a
+/// file.
 pub(super) fn check_target(path: &Path) -> FormatResult<()> {
     let path = behind_links(path)?;
     check_place(&path)?;
     Temporary::new(folder_of(&path)).map(drop)
 }
 
-/// The folder that a file is in.
+/// Returns the folder that a file is in.
 pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -166,7 +166,7 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// The file that a name stands for in the end, whether it exists or not.
+/// Resolves links to the final file, whether it exists or not.
 fn behind_links(path: &Path) -> FormatResult<PathBuf> {
     let mut path = path.to_path_buf();
     for _ in 0..MOST_LINKS {
@@ -174,7 +174,7 @@ fn behind_links(path: &Path) -> FormatResult<PathBuf> {
         // Relative to the link's own folder.
         path = path.parent().map_or_else(|| target.clone(), |folder| folder.join(&target));
     }
-    Err(FormatError::Unsupported("a link that leads to itself".into()))
+    Err(FormatError::Unsupported("a link that points to itself".into()))
 }
 
 /// Removes what killed processes of this user and this machine left behind in a folder; once for each folder.
@@ -193,14 +193,15 @@ fn sweep(folder: &Path) {
     }
 }
 
-/// The process of this machine that a temporary's name holds.
+/// Returns the process of this machine that a temporary's name holds.
 fn process_of(name: &str) -> Option<u32> {
     let (of, rest) = name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?;
     (of == machine()).then_some(())?;
     rest.split_once('-')?.0.parse().ok()
 }
 
-/// A short text that tells apart where process numbers mean something: the machine, and on Linux the container on it.
+/// Returns a short text that tells apart where process numbers mean something: the machine, and on Linux the container
+/// on it.
 fn machine() -> String {
     let host = fs::read("/proc/sys/kernel/hostname").unwrap_or_default();
     let container = fs::read_link("/proc/self/ns/pid").unwrap_or_default();
@@ -210,7 +211,7 @@ fn machine() -> String {
     format!("{hash:08x}")
 }
 
-/// Whether a file belongs to the user of this process: the processes of others may be invisible.
+/// Returns true if a file belongs to the user of this process: the processes of others may be invisible.
 fn is_own(metadata: &fs::Metadata) -> bool {
     #[cfg(unix)]
     {
@@ -224,7 +225,7 @@ fn is_own(metadata: &fs::Metadata) -> bool {
     }
 }
 
-/// Whether a process runs; where that cannot be asked, it is taken to.
+/// Returns true if a process runs; where that cannot be asked, it is taken to.
 fn is_alive(process: u32) -> bool {
     let processes = Path::new("/proc");
     !processes.join("self").exists() || processes.join(process.to_string()).exists()

@@ -8,7 +8,8 @@ use serde::Deserialize;
 use super::{FormatResult, ReadOptions};
 use planish_core::{Camera, Distortion, FormatError, IoError};
 
-const HELP: &str = "a camera file is JSON with fx, fy, cx, cy or Open3D's intrinsic_matrix, the YAML of a ROS camera_info, a \
+const HELP: &str = "expected a camera file: JSON with fx, fy, cx, cy or Open3D's intrinsic_matrix, the YAML of a ROS \
+                    camera_info, a \
                     3x3 matrix as text, or COLMAP's cameras.txt";
 
 /// The largest camera file accepted, in bytes.
@@ -21,7 +22,7 @@ pub fn read_camera(path: &Path, shape: Option<(usize, usize)>) -> Result<Camera,
     read_text(path).and_then(|text| parse_camera(&text, shape)).map_err(IoError::at(path))
 }
 
-/// The text of a camera file.
+/// Returns the text of a camera file.
 pub fn read_text(path: &Path) -> FormatResult<String> {
     let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
     let bytes = bytes.map_err(|error| match error {
@@ -56,13 +57,13 @@ pub fn parse_camera(text: &str, shape: Option<(usize, usize)>) -> FormatResult<C
     Ok(camera)
 }
 
-/// Whether a camera file in JSON says what the units of depth are.
+/// Returns true if a JSON camera file states the units of depth.
 pub fn states_depth_scale(text: &str) -> bool {
     serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(text)
         .is_ok_and(|file| ["depth_scale", "depth_units_per_metre"].iter().any(|key| file.contains_key(*key)))
 }
 
-/// The camera as JSON, as [`parse_camera`] reads it.
+/// Returns the camera as JSON, as [`parse_camera`] reads it.
 pub fn camera_to_json(camera: &Camera) -> String {
     let Camera { width, height, fx, fy, cx, cy, depth_units_per_metre, distortion, .. } = camera;
     let mut json = serde_json::json!({
@@ -81,20 +82,18 @@ fn malformed(what: String) -> FormatError {
 fn distortion_of(coefficients: &[f64]) -> FormatResult<Distortion> {
     Distortion::from_opencv(coefficients).ok_or_else(|| {
         malformed(format!(
-            "{} distortion coefficients: 4 (k1 k2 p1 p2), 5 (and k3) or 8 (and k4 k5 k6) are understood",
+            "{} distortion coefficients; 4 (k1 k2 p1 p2), 5 (and k3) or 8 (and k4 k5 k6) are supported",
             coefficients.len()
         ))
     })
 }
 
-/// The size of the images; 0 by 0 where none is stated.
+/// Returns the size of the images; 0 by 0 where none is stated.
 fn shape_of(width: Option<usize>, height: Option<usize>) -> FormatResult<(usize, usize)> {
     match (width, height) {
         (Some(width), Some(height)) => Ok((width, height)),
         (None, None) => Ok((0, 0)),
-        _ => Err(FormatError::Malformed(
-            "the camera has a width or a height, but not both: give both, or neither".into(),
-        )),
+        _ => Err(FormatError::Malformed("the camera has only one of width and height; give both or neither".into())),
     }
 }
 
@@ -176,7 +175,7 @@ fn from_json(text: &str) -> FormatResult<Camera> {
         .with_distortion(distortion_of(&coefficients)?))
 }
 
-/// A 3x3 matrix: nine numbers and nothing else.
+/// Returns a 3x3 matrix: nine numbers and nothing else.
 fn from_matrix(text: &str) -> Option<Camera> {
     let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
     let [fx, skew, cx, zero_a, fy, cy, zero_b, zero_c, one]: [f64; 9] = numbers?.try_into().ok()?;
@@ -203,14 +202,14 @@ fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<FormatResult
         }
         match cameras[..] {
             [camera] => Ok(camera),
-            _ => Err(FormatError::Unsupported(
-                "it lists several cameras, and it cannot be told which one took the frame: leave that one alone".into(),
-            )),
+            _ => {
+                Err(FormatError::Unsupported("it lists several cameras; keep only the one that took the frame".into()))
+            }
         }
     }))
 }
 
-/// The camera of a line of COLMAP's `cameras.txt`.
+/// Returns the camera of a line of COLMAP's `cameras.txt`.
 pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let parsed = |range: std::ops::RangeFrom<usize>| {
@@ -230,8 +229,8 @@ pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
         ("FULL_OPENCV", &[fx, fy, cx, cy, ref d @ ..]) if d.len() == 8 => ([fx, fy], [cx, cy], d.to_vec()),
         (model, _) => {
             return Err(FormatError::Unsupported(format!(
-                "COLMAP's camera model {} with {} parameters: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and \
-                 FULL_OPENCV are understood",
+                "COLMAP's camera model {} with {} parameters: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV \
+                 and FULL_OPENCV are supported",
                 super::quoted(model),
                 parameters.len()
             )));
@@ -241,7 +240,7 @@ pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
     Ok(camera.with_distortion(distortion_of(&distortion)?))
 }
 
-/// The YAML of a ROS camera_info, as calibration files have it or as `topic echo` prints the message.
+/// Returns the YAML of a ROS camera_info, as calibration files have it or as `topic echo` prints the message.
 fn from_camera_info(text: &str) -> FormatResult<Camera> {
     #[derive(Deserialize)]
     struct Matrix {
@@ -275,7 +274,8 @@ fn from_camera_info(text: &str) -> FormatResult<Camera> {
     match file.distortion_model.as_deref() {
         Some(model) if !is_known(model) => {
             return Err(FormatError::Unsupported(format!(
-                "the distortion model {}: plumb_bob and rational_polynomial are understood; rectify the images first",
+                "the distortion model {}: only plumb_bob and rational_polynomial are supported; rectify the images \
+                 first",
                 super::quoted(model)
             )));
         }
@@ -305,7 +305,8 @@ mod tests {
             "image_width: 640\nimage_height: 480\ncamera_name: depth\ncamera_matrix:\n  rows: 3\n  cols: 3\n  \
              data: [525.0, 0, 319.5, 0, 525.0, 239.5, 0, 0, 1]\ndistortion_model: plumb_bob\n\
              distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [0, 0, 0, 0, 0]\n",
-            "header:\n  frame_id: camera\nheight: 480\nwidth: 640\ndistortion_model: plumb_bob\nd:\n- 0.0\n- 0.0\n- 0.0\n\
+            "header:\n  frame_id: camera\nheight: 480\nwidth: 640\ndistortion_model: plumb_bob\nd:\n- 0.0\n- 0.0\n- \
+             0.0\n\
              - 0.0\n- 0.0\nk:\n- 525.0\n- 0.0\n- 319.5\n- 0.0\n- 525.0\n- 239.5\n- 0.0\n- 0.0\n- 1.0\nr: [1.0]\n---\n",
         ];
         for text in files {
@@ -321,7 +322,8 @@ mod tests {
         assert_eq!(parse_camera(&camera_to_json(&expected), SHAPE).unwrap(), expected);
         let colmap = "1 FULL_OPENCV 640 480 525 525 320 240 0.1 -0.2 0.001 0.002 0.03 0 0 0";
         assert_eq!(parse_camera(colmap, SHAPE).unwrap(), expected);
-        let info = "image_width: 640\nimage_height: 480\ncamera_matrix: {data: [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}\n\
+        let info = "image_width: 640\nimage_height: 480\ncamera_matrix: {data: [525, 0, 319.5, 0, 525, 239.5, 0, 0, \
+                    1]}\n\
                     distortion_model: plumb_bob\ndistortion_coefficients: {data: [0.1, -0.2, 0.001, 0.002, 0.03]}";
         assert_eq!(parse_camera(info, SHAPE).unwrap(), expected);
         let single = r#"{"fx":525,"fy":525,"cx":319.5,"cy":239.5,"k1":0.1,"k2":-0.2,"p1":0.001,"p2":0.002,"k3":0.03}"#;

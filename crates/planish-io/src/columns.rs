@@ -41,7 +41,7 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
         index[axis] = columns.iter().position(|column| column.name == *name).ok_or_else(|| {
             let names: Vec<_> = columns.iter().map(|column| column.name.as_str()).collect();
             FormatError::Malformed(format!(
-                "no field {name}: a point cloud has x, y and z, this one {}",
+                "no field {name}; a point cloud needs x, y and z, but this one has {}",
                 quoted(&names.join(" "))
             ))
         })?;
@@ -73,7 +73,7 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
         }
         _ => {
             return Err(FormatError::Unsupported(
-                "x, y and z must be all 4-byte or all 8-byte floats, one value each".into(),
+                "x, y and z must all be 4-byte floats or all 8-byte floats, with one value each".into(),
             ));
         }
     };

@@ -21,12 +21,12 @@ pub enum Contents {
     },
     /// Points on a pixel grid.
     Organized(OrganizedCloud),
-    /// A general cloud: points in any order.
+    /// An unorganized cloud: points in any order.
     General(PointCloud),
 }
 
 impl Contents {
-    /// Width and height in pixels; the number of points and 1 for a general cloud.
+    /// Width and height in pixels; the number of points and 1 for an unorganized cloud.
     pub fn shape(&self) -> (usize, usize) {
         match self {
             Self::Depth(image) => (image.width, image.height),
@@ -36,7 +36,7 @@ impl Contents {
         }
     }
 
-    /// Whether it is depth and needs a camera.
+    /// Returns true if it is depth and needs a camera.
     pub fn is_depth(&self) -> bool {
         matches!(self, Self::Depth(_) | Self::DepthMetres { .. })
     }
@@ -107,7 +107,7 @@ pub(crate) fn organized_if_grid(gridded: Gridded) -> FormatResult<Contents> {
 pub enum CloudRef<'a> {
     /// Points on a pixel grid.
     Organized(&'a OrganizedCloud),
-    /// A general cloud.
+    /// An unorganized cloud.
     General(&'a PointCloud),
 }
 

@@ -35,7 +35,7 @@ type Opened<'a> = (png::Reader<Cursor<&'a [u8]>>, (usize, usize));
 
 fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, FormatError> {
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
-    // Of what is no picture: texts and profiles.
+    // Limits the other chunks: texts and colour profiles.
     decoder.set_limits(png::Limits { bytes: options.max_memory_bytes.min(64 << 20) as usize });
     decoder.set_ignore_text_chunk(true);
     let reader = decoder.read_info().map_err(malformed)?;
@@ -43,14 +43,14 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
     let kind = (reader.info().color_type, reader.info().bit_depth);
     if kind != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
         return Err(FormatError::Unsupported(format!(
-            "a PNG of {:?}, {} bits: a depth image is 16-bit grayscale",
+            "a PNG of {:?}, {} bits; a depth image is 16-bit grayscale",
             kind.0, kind.1 as u8
         )));
     }
     validate_shape(width, height)?;
     // Deflate compresses by 1032 at most.
     if 2 * width * height / 1100 > bytes.len() {
-        return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
+        return Err(FormatError::Malformed(format!("the PNG is truncated: its header states {width}x{height} pixels")));
     }
     Ok((reader, (width, height)))
 }
@@ -64,7 +64,7 @@ fn for_each_row(
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     let mut rows = 0;
     if reader.info().interlaced {
-        // Such frames are put together in memory of their own.
+        // Such frames are assembled in additional memory.
         options.check(width * height, 4)?;
         let mut buffer = vec![0; 2 * width * height];
         reader.next_frame(&mut buffer).map_err(malformed)?;
@@ -77,7 +77,7 @@ fn for_each_row(
         }
     }
     if rows != height {
-        return Err(FormatError::Malformed("the PNG is cut short: rows are missing".into()));
+        return Err(FormatError::Malformed("the PNG is truncated: rows are missing".into()));
     }
     Ok(())
 }
@@ -88,7 +88,7 @@ pub fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
     encode_png(image.width, image.height, png::ColorType::Grayscale, png::BitDepth::Sixteen, &bytes)
 }
 
-/// A PNG of big-endian samples.
+/// Returns a PNG of big-endian samples.
 pub(super) fn encode_png(
     width: usize,
     height: usize,
@@ -96,7 +96,9 @@ pub(super) fn encode_png(
     depth: png::BitDepth,
     data: &[u8],
 ) -> Result<Vec<u8>, FormatError> {
-    let failed = |error: png::EncodingError| FormatError::Unsupported(format!("no PNG of {width}x{height}: {error}"));
+    let failed = |error: png::EncodingError| {
+        FormatError::Unsupported(format!("cannot encode a PNG of {width}x{height}: {error}"))
+    };
     let (Ok(columns), Ok(rows)) = (u32::try_from(width), u32::try_from(height)) else {
         return Err(FormatError::Unsupported(format!("{width}x{height} pixels are too many for a PNG")));
     };

@@ -56,7 +56,7 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
     let (width, height) = (width as usize, height as usize);
     let kind = decoder.colortype().map_err(malformed)?;
     if kind != ColorType::Gray(16) {
-        return Err(FormatError::Unsupported(format!("a TIFF of {kind:?}: a depth image is 16-bit grayscale")));
+        return Err(FormatError::Unsupported(format!("a TIFF of {kind:?}; a depth image is 16-bit grayscale")));
     }
     validate_shape(width, height)?;
     Ok((decoder, (width, height)))
@@ -64,7 +64,8 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
 
 pub(super) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
     let (width, height) = (image.width, image.height);
-    let failed = |error: TiffError| FormatError::Unsupported(format!("no TIFF of {width}x{height}: {error}"));
+    let failed =
+        |error: TiffError| FormatError::Unsupported(format!("cannot encode a TIFF of {width}x{height}: {error}"));
     let mut bytes = Cursor::new(Vec::new());
     let mut encoder = TiffEncoder::new(&mut bytes)
         .map_err(failed)?

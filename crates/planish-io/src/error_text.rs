@@ -1,6 +1,6 @@
 //! Texts of files in error messages.
 
-/// The beginning of a text from a file, for error messages.
+/// Returns the beginning of a text from a file, for error messages.
 pub fn quoted(text: &str) -> String {
     const MOST: usize = 80;
     match text.char_indices().nth(MOST) {
@@ -9,7 +9,7 @@ pub fn quoted(text: &str) -> String {
     }
 }
 
-/// The beginning of a message that may quote a file, on one line.
+/// Returns the beginning of a message that may quote a file, on one line.
 pub fn brief(message: &str) -> String {
     const MOST: usize = 160;
     let message = message.split_whitespace().collect::<Vec<_>>().join(" ");

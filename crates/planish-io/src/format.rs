@@ -1,4 +1,4 @@
-//! The formats of files: how they are recognized, and what converts those that are not read.
+//! File formats: how to recognize them, and which programs convert unsupported ones.
 
 use std::path::Path;
 
@@ -16,7 +16,8 @@ const CONVERTIBLE: [(&[&str], &str); 7] = [
     ),
     (
         &["bag", "db3", "mcap"],
-        "a recording of ROS: MCAP is smoothed and read by `planish smooth` and `planish stream`; convert others with `pip install rosbags` and \
+        "a ROS recording: `planish smooth` and `planish stream` read MCAP; convert others with `pip install rosbags` \
+         and \
          `rosbags-convert --src FILE --dst converted --dst-storage mcap`",
     ),
     (&["pcap", "pcapng"], "packets of a lidar: extract clouds with its driver (ouster-cli, VeloView, pcap tools)"),
@@ -32,7 +33,7 @@ const CONVERTIBLE: [(&[&str], &str); 7] = [
     (&["ptx", "ptg"], "a scanner's text: convert it to E57 (CloudCompare) to keep its poses"),
 ];
 
-/// What to do about a file of an ending that is not read, if that is known.
+/// Returns advice for files with an unsupported extension, if known.
 pub(super) fn what_converts(path: &Path) -> Option<&'static str> {
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
     CONVERTIBLE.iter().find(|(endings, _)| endings.contains(&extension.as_str())).map(|(_, what)| *what)
@@ -56,7 +57,7 @@ pub enum Format {
     Las,
     /// Compressed LAS, COPC included.
     Laz,
-    /// Lines of numbers (XYZ, TXT, ASC, PTS): x, y, z and what else there is.
+    /// Lines of numbers (XYZ, TXT, ASC, PTS): x, y, z and optional further columns.
     Text,
     /// Comma-separated values with a line of names.
     Csv,
@@ -75,7 +76,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The common name.
+    /// Returns the common name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pcd => "PCD",
@@ -96,7 +97,7 @@ impl Format {
         }
     }
 
-    /// The format of a file's extension.
+    /// Returns the format of a file's extension.
     pub fn of_extension(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "pcd" => Some(Self::Pcd),
@@ -118,7 +119,8 @@ impl Format {
         }
     }
 
-    /// Whether a file of this extension in a folder is taken for a frame: .txt, .csv, .obj and .stl may be anything.
+    /// Returns true if a file with this extension in a folder is a frame; .txt, .csv, .obj and .stl are ambiguous and
+    /// excluded.
     pub fn is_of_frames(path: &Path) -> bool {
         let may_be_anything = |extension: &std::ffi::OsStr| {
             ["txt", "csv", "obj", "stl"].iter().any(|name| extension.eq_ignore_ascii_case(name))
@@ -126,7 +128,7 @@ impl Format {
         Self::of_extension(path).is_some() && !path.extension().is_some_and(may_be_anything)
     }
 
-    /// The format that a file's first bytes identify.
+    /// Returns the format that a file's first bytes identify.
     pub(super) fn of_contents(bytes: &[u8]) -> Option<Self> {
         let starts = |magic: &[u8]| bytes.starts_with(magic);
         if starts(b"ply\n") || starts(b"ply\r") {
@@ -151,13 +153,12 @@ impl Format {
     }
 
     pub(super) fn of_output(path: &Path) -> FormatResult<Self> {
-        Self::of_extension(path).ok_or_else(|| {
-            FormatError::Unsupported(format!("cannot tell the format to write: end the name in {WRITTEN}"))
-        })
+        Self::of_extension(path)
+            .ok_or_else(|| FormatError::Unsupported(format!("the name has no known extension: end it in {WRITTEN}")))
     }
 }
 
-/// LAS or LAZ, by the bit of the point format that says which.
+/// Distinguishes LAS and LAZ by a bit of the point format.
 pub(super) fn las_or_laz(bytes: &[u8]) -> Format {
     const POINT_FORMAT_AT: usize = 104;
     match bytes.get(POINT_FORMAT_AT) {
@@ -179,7 +180,7 @@ pub enum Encoding {
     BinaryCompressed,
 }
 
-/// Of a format that this build was made without.
+/// Returns the error for a format that is disabled in this build.
 #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) fn left_out(format: Format) -> FormatError {
     let feature = match format {
@@ -187,5 +188,8 @@ pub(crate) fn left_out(format: Format) -> FormatError {
         Format::DepthTiff => "tiff",
         _ => "scans",
     };
-    FormatError::Unsupported(format!("{}, which this build leaves out (planish's feature `{feature}`)", format.name()))
+    FormatError::Unsupported(format!(
+        "{}, which this build does not include (planish's feature `{feature}`)",
+        format.name()
+    ))
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use planish_core::FormatError;
 
-/// The name that stands for standard input.
+/// The name of standard input.
 const STANDARD_INPUT: &str = "-";
 
 pub(crate) type FormatResult<T> = Result<T, FormatError>;
@@ -15,8 +15,8 @@ pub(crate) type FormatResult<T> = Result<T, FormatError>;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ReadOptions {
-    /// Files are refused before they are read if they are larger than this many bytes, and before they are decoded if
-    /// what they decompress to and its columns or pixels need more. 2 GiB by default.
+    /// Memory limit in bytes, 2 GiB by default. A larger file is refused before it is read; a file whose decompressed
+    /// contents and columns or pixels exceed it, before it is decoded.
     pub max_memory_bytes: u64,
 }
 
@@ -32,7 +32,7 @@ impl ReadOptions {
         Self { max_memory_bytes }
     }
 
-    /// Refuses what needs more: a number of things of so many bytes each.
+    /// Refuses `count` items of `bytes_each` bytes if they exceed the limit.
     pub fn check(&self, count: usize, bytes_each: usize) -> FormatResult<()> {
         let (needed, allowed) = (count as u64 as u128 * bytes_each as u128, self.max_memory_bytes);
         if needed <= u128::from(allowed) {
@@ -42,7 +42,7 @@ impl ReadOptions {
     }
 }
 
-/// The bytes of a regular file, or of standard input.
+/// Returns the bytes of a regular file, or of standard input.
 pub fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     let most = options.max_memory_bytes;
     let mut bytes = Vec::new();

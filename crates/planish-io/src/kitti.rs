@@ -1,6 +1,6 @@
 //! Scans of lidars as plain f32: KITTI's `.bin` of x, y, z, intensity, and nuScenes' `.pcd.bin` with a ring besides.
 //!
-//! The files say nothing about themselves: the name's ending decides.
+//! The files have no header: the file name's extension decides.
 
 use super::{CloudRef, FormatResult, ReadOptions};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud};
@@ -12,7 +12,8 @@ pub(super) fn decode(bytes: &[u8], has_ring: bool, options: &ReadOptions) -> For
     let record = 4 * columns;
     if !bytes.len().is_multiple_of(record) {
         return Err(FormatError::Malformed(format!(
-            "{} bytes are no whole number of points of {columns} floats of 4 bytes, as a lidar's .bin has: cut short, or in another layout",
+            "{} bytes are not a multiple of {columns} floats of 4 bytes, the points of a lidar's .bin: truncated, or \
+             in another layout",
             bytes.len()
         )));
     }
@@ -25,7 +26,7 @@ pub(super) fn decode(bytes: &[u8], has_ring: bool, options: &ReadOptions) -> For
     // No lidar sees that far: bytes that are no floats.
     if cloud.valid_points() * 2 < cloud.len() || largest > 1e9 {
         return Err(FormatError::Malformed(
-            "its numbers are no positions in metres: not a lidar's .bin of floats".into(),
+            "its values are not positions in metres: not a lidar's .bin of floats".into(),
         ));
     }
     for (k, name) in FIELDS.into_iter().enumerate().take(columns - 3) {
@@ -34,14 +35,14 @@ pub(super) fn decode(bytes: &[u8], has_ring: bool, options: &ReadOptions) -> For
     Ok(cloud)
 }
 
-/// Encodes x, y, z, intensity, and the ring if asked for; 0 where the cloud has none.
+/// Encodes x, y, z, intensity, and optionally the ring; missing fields become 0.
 pub(super) fn encode(cloud: CloudRef<'_>, has_ring: bool) -> FormatResult<Vec<u8>> {
     let points = cloud.points();
     let fields = &FIELDS[..if has_ring { 2 } else { 1 }];
     let other = points.attributes.iter().find(|attribute| !fields.contains(&attribute.name.as_str()));
     if let Some(Attribute { name, .. }) = other {
         return Err(FormatError::Unsupported(format!(
-            "a lidar's .bin holds x, y, z and {}, and the cloud has the field {name}: write .pcd, .ply or .las",
+            "a lidar's .bin stores x, y, z and {}, but the cloud has the field {name}; write .pcd, .ply or .las",
             fields.join(", ")
         )));
     }

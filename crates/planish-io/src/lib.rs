@@ -1,9 +1,9 @@
 //! Reading and writing files, without losing fields and without leaving half-written files.
 //!
-//! A format is detected from the contents first, then from the file's extension. Every reader checks what a header
-//! claims against the bytes that are there before it allocates. One kind of damage ends the process: GPS times of LAZ
-//! (point formats 6 to 10) that send the decoder, laz 0.13, into a recursion that overflows the stack. Read files of
-//! strangers in a process of their own.
+//! A format is detected from the contents first, then from the file's extension. Before it allocates, every reader
+//! checks the sizes that a header claims against the size of the file. One kind of damage aborts the process: certain
+//! GPS times in LAZ files (point formats 6 to 10) make the decoder, laz 0.13, recurse until the stack overflows. Read
+//! untrusted files in a separate process.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![deny(

@@ -1,4 +1,4 @@
-//! The vertices of meshes: OBJ and STL. They are read as general clouds; faces are not kept, and neither format is
+//! The vertices of meshes: OBJ and STL. They are read as unorganized clouds; faces are not kept, and neither format is
 //! written.
 
 use std::collections::HashMap;
@@ -21,7 +21,7 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
         let values: Option<Vec<f64>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
         let values = values.filter(|values| [3, 4, 6, 7].contains(&values.len())).ok_or_else(|| {
             FormatError::Malformed(format!(
-                "line {number}: {} is no vertex: v x y z, with r g b or w behind",
+                "line {number}: {} is not a vertex (v x y z, optionally followed by r g b or w)",
                 quoted(line)
             ))
         })?;
@@ -67,13 +67,13 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
         let corner = |(number, line): (usize, &str)| {
             let values: Option<Vec<f32>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
             let values = values.and_then(|values| <[f32; 3]>::try_from(values).ok());
-            values.ok_or_else(|| FormatError::Malformed(format!("line {number}: a vertex has three numbers")))
+            values.ok_or_else(|| FormatError::Malformed(format!("line {number}: a vertex needs three numbers")))
         };
         lines.map(corner).collect::<Result<_, _>>()?
     } else {
         let triangles = stated.unwrap_or(0);
         return Err(FormatError::Malformed(format!(
-            "no STL: neither text that begins with solid, nor {triangles} triangles in {} bytes",
+            "not an STL: neither text that begins with solid, nor {triangles} triangles in {} bytes",
             bytes.len()
         )));
     };
@@ -102,7 +102,7 @@ fn with_points(columns: Vec<Attribute>, name: &str) -> FormatResult<PointCloud> 
         return Err(FormatError::Malformed(format!("an {name} without vertices")));
     }
     let mut cloud = cloud_from_columns(columns)?;
-    // Text has no type: near coordinates need none of f64's digits.
+    // Text files state no type; coordinates near the origin do not need f64.
     cloud.position_columns.double = cloud.origin_m != [0.0; 3];
     Ok(cloud)
 }

@@ -21,7 +21,7 @@ fn damaged(error: impl std::fmt::Display) -> FormatError {
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<Contents> {
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
     if archive.len() > MOST_ARRAYS {
-        return Err(FormatError::Unsupported(format!("an archive of {} files, which is no cloud", archive.len())));
+        return Err(FormatError::Unsupported(format!("an archive of {} files without a cloud", archive.len())));
     }
     let mut arrays: Vec<(String, Vec<u8>)> = Vec::new();
     let mut left = options.max_memory_bytes;
@@ -30,7 +30,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         let name = file.name().map_err(damaged)?.into_owned();
         let Some(name) = name.strip_suffix(".npy").map(str::to_owned) else { continue };
         let mut array = Vec::new();
-        // What the archive states may be wrong.
+        // The size stated in the archive may be wrong.
         file.take(left.saturating_add(1)).read_to_end(&mut array).map_err(damaged)?;
         left = left.checked_sub(array.len() as u64).ok_or(FormatError::TooLarge {
             needed: options.max_memory_bytes.saturating_add(1),
@@ -39,7 +39,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         arrays.push((name, array));
     }
     let names = || super::quoted(&arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", "));
-    // By its name, else the only one that can be it.
+    // Find it by its name, otherwise take the only array that fits.
     let contents_of = |(name, array): &(String, Vec<u8>)| Some((name.clone(), npy::decode(array, options).ok()?));
     let of_name = |wanted: &[&str], is_kind: fn(&Contents) -> bool| {
         let named = wanted.iter().find_map(|name| arrays.iter().find(|(found, _)| found == name));
@@ -50,7 +50,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         })
     };
     if let Some((name, array)) = arrays.iter().find(|(name, _)| POSITIONS[..3].contains(&name.as_str())) {
-        // So named, it is no depth image, whatever its shape.
+        // With this name it cannot be a depth image, whatever its shape.
         let problem = match npy::decode(array, options) {
             Ok(contents) if !contents.is_depth() => None,
             Ok(contents) => Some(format!("it is [{1}, {0}]", contents.shape().0, contents.shape().1)),
@@ -66,7 +66,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let points = of_name(&POSITIONS, |contents| !contents.is_depth());
     let Some((used, mut contents)) = points.or_else(|| of_name(&DEPTH, Contents::is_depth)) else {
         return Err(FormatError::Unsupported(format!(
-            "an archive with {}: name the positions points, xyz or positions ([N, 3] or [H, W, 3] of f32 or f64), or a depth image depth",
+            "an archive with {}; name the positions points, xyz or positions ([N, 3] or [H, W, 3] of f32 or f64), or \
+             a depth image depth",
             names()
         )));
     };
@@ -75,13 +76,15 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let wanted = if contents.is_depth() { &DEPTH[..] } else { &POSITIONS[..] };
     if !wanted.contains(&used.as_str()) {
         let what = if contents.is_depth() { "depth" } else { "positions" };
-        notes.push(format!("{what} taken from the array {}, the only one whose shape fits", brief(&used)));
+        notes.push(format!("{what} read from the array {}, the only one whose shape fits", brief(&used)));
     }
     let cloud = match &mut contents {
         Contents::Organized(cloud) => &mut cloud.points,
         Contents::General(cloud) => cloud,
         _ => {
-            notes.extend(others.map(|(name, _)| format!("the array {} is left out: depth has no fields", brief(name))));
+            notes.extend(
+                others.map(|(name, _)| format!("the array {} is dropped: depth images have no fields", brief(name))),
+            );
             return Ok(contents);
         }
     };
@@ -95,13 +98,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
                 let fields = components(attribute, rows, is_taken);
                 cloud.attributes.extend(fields);
             }
-            Err(reason) => notes.push(format!("the array {} is left out: {reason}", brief(name))),
+            Err(reason) => notes.push(format!("the array {} is dropped: {reason}", brief(name))),
         }
     }
     Ok(contents)
 }
 
-/// An array as a field of so many points, or why it is none: it may be a matrix beside the points.
+/// Converts an array into a field of `rows` points, or returns the reason why it is not one (it may be an unrelated
+/// matrix).
 fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute, String>> {
     let array = match npy::Array::parse(array) {
         Ok(array) => array,
@@ -110,7 +114,7 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute
     };
     let len = array.header.len().unwrap_or(0);
     if rows == 0 || len % rows != 0 || len == 0 {
-        return Ok(Err(format!("it is {:?}, and there are {rows} points", array.header.shape)));
+        return Ok(Err(format!("its shape is {:?}, but there are {rows} points", array.header.shape)));
     }
     let values: AttributeValues = match (array.header.kind, array.header.size) {
         ('i', 1) => array.values::<i8>().into(),
@@ -123,7 +127,7 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute
         ('u', 8) => array.values::<u64>().into(),
         ('f', 4) => array.values::<f32>().into(),
         ('f', 8) => array.values::<f64>().into(),
-        _ => return Ok(Err(format!("its type is {}: save it as integers, f32 or f64", array.header.descr))),
+        _ => return Ok(Err(format!("its type is {}; save it as integers, f32 or f64", array.header.descr))),
     };
     let count = values.len() / rows;
     Ok(Ok(Attribute { name: name.to_owned(), count, values }))
@@ -163,7 +167,7 @@ fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
         let place = |name: &str| all.iter().position(|attribute| attribute.name == name && attribute.count == 1);
         let [Some(x), Some(y), Some(z)] = components.map(place) else { continue };
         let kinds = [x, y, z].map(|k| std::mem::discriminant(&all[k].values));
-        // What has the array's name already stays beside its components.
+        // An array with an existing name is kept in addition to its components.
         if all.iter().any(|attribute| attribute.name == names[0]) {
             continue;
         }

@@ -153,7 +153,9 @@ fn decode_noting(
     let likely = || xyz_text::is_likely(bytes).then_some(Format::Text);
     let format = Format::of_contents(bytes).or(announced).or_else(likely).ok_or_else(|| {
         FormatError::Unsupported(
-            "not a point cloud or depth image: it is none of PCD, PLY, LAS, LAZ, E57, XYZ text, CSV, NPY, NPZ, lidar .bin, OBJ, STL, 16-bit PNG or TIFF".into(),
+            "not a point cloud or depth image; supported are PCD, PLY, LAS, LAZ, E57, XYZ text, CSV, NPY, NPZ, lidar \
+             .bin, OBJ, STL, 16-bit PNG and TIFF"
+                .into(),
         )
     })?;
     let contents = match format {

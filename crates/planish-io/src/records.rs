@@ -9,7 +9,7 @@ use planish_core::PointCloud;
 
 /// Reads the records of a file in their order.
 pub(crate) trait RecordReader: Sized {
-    /// What a file's header says of its records. Cheap to clone.
+    /// Description of the records in the file's header. Cheap to clone.
     type Header: Clone;
     type Encoder: RecordEncoder<Header = Self::Header>;
 
@@ -24,21 +24,21 @@ pub(crate) trait RecordReader: Sized {
     /// Bytes of a record.
     fn record(&self) -> usize;
 
-    /// What of the file its records leave out: one clause each, for a user to read.
+    /// Lists data of the file that its records omit: one clause each, for users.
     fn notes(&self) -> Vec<String> {
         Vec::new()
     }
 
-    /// The next records, at most so many; none after the last.
+    /// Reads the next records, at most `most`; returns an empty slice after the last.
     fn next_records(&mut self, most: usize) -> FormatResult<&[u8]>;
 
-    /// Whether the records read so far can only be counted by the latest version of the format.
+    /// Returns true if only the latest version of the format can count the records read so far.
     fn needs_latest_version(&self) -> bool;
 
     /// Coordinates of a record in metres; of a hole, not finite.
     fn position_m(header: &Self::Header, record: &[u8]) -> [f64; 3];
 
-    /// The cloud of some records of a file with this header.
+    /// Returns the cloud of some records of a file with this header.
     fn cloud_of(header: &Self::Header, records: &[u8]) -> FormatResult<PointCloud>;
 }
 
@@ -65,10 +65,10 @@ pub(crate) trait RecordEncoder: Sized {
     /// Bytes of a record.
     fn record(&self) -> usize;
 
-    /// The records of the kept points, one after another.
+    /// Returns the records of the kept points, one after another.
     fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>>;
 
-    /// Writes a file of so many points; `next` gives their records in batches, the last of them empty.
+    /// Writes a file of `points` points; `next` returns their records in batches, the last of them empty.
     fn write(self, to: BufWriter<File>, points: usize, next: impl FnMut() -> FormatResult<Vec<u8>>)
     -> FormatResult<()>;
 }

@@ -37,7 +37,7 @@ fn decode(bytes: &[u8], options: &ReadOptions) -> Result<RgbImage, FormatError> 
     let size = reader.output_buffer_size().unwrap_or(usize::MAX);
     // Deflate compresses by 1032 at most, and 1-bit pixels become bytes.
     if size / 8800 > bytes.len() {
-        return Err(FormatError::Malformed(format!("the PNG is cut short: {width}x{height} pixels are announced")));
+        return Err(FormatError::Malformed(format!("the PNG is truncated: its header states {width}x{height} pixels")));
     }
     // The samples, and the colours.
     options.check(size, 2)?;

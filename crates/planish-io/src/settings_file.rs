@@ -49,7 +49,8 @@ mod tests {
     fn json_and_yaml_are_the_same_settings() {
         let expected: Settings =
             "preset=strong edges=off radius_m=0.03 outputs=points+normals threads=2".parse().unwrap();
-        let json = "{\t\"preset\": \"strong\", \"edges\": \"off\", \"radius\": 0.03, \"outputs\": [\"points\", \"normals\"], \"threads\": 2}";
+        let json = "{\t\"preset\": \"strong\", \"edges\": \"off\", \"radius\": 0.03, \"outputs\": [\"points\", \
+                    \"normals\"], \"threads\": 2}";
         assert_eq!(parse_settings(json).unwrap(), expected);
         let yaml =
             "# a wall\npreset: strong\nedges: off\nradius_m: 0.03\noutputs:\n  - points\n  - normals\nthreads: 2\n";
@@ -65,7 +66,7 @@ mod tests {
             ("strenght: 0.5", "\"strenght\" is not allowed: preset, strength"),
             ("strength: much", "strength = \"much\" is not allowed: 0 (light) to 1 (strong)"),
             ("[1, 2]", "an object of settings"),
-            ("preset: light\nstrength: 0.2", "give one of the two"),
+            ("preset: light\nstrength: 0.2", "set one of the two"),
         ] {
             let error = parse_settings(text).unwrap_err().to_string();
             assert!(error.contains(expected), "{text}: {error}");

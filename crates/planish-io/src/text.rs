@@ -16,7 +16,7 @@ pub(super) struct Body<'a> {
 impl<'a> Body<'a> {
     pub(super) fn new(body: &'a [u8]) -> Result<Self, FormatError> {
         let text = std::str::from_utf8(body)
-            .map_err(|_| FormatError::Malformed("the header says ascii, but the points are not text".into()))?;
+            .map_err(|_| FormatError::Malformed("the header states ascii, but the points are not text".into()))?;
         Ok(Self { lines: text.lines().enumerate(), bytes: body.len() })
     }
 
@@ -31,14 +31,14 @@ impl<'a> Body<'a> {
         // The shortest value is one digit and a separator.
         if values.checked_mul(2 * points).is_none_or(|shortest| shortest > self.bytes + 1) {
             return Err(FormatError::Malformed(format!(
-                "the file is cut short: {points} points of {values} values are announced, {} bytes are there",
+                "the file is truncated: its header states {points} points of {values} values, but {} bytes follow",
                 self.bytes
             )));
         }
         for point in 0..points {
             let Some((number, line)) = self.line() else {
                 return Err(FormatError::Malformed(format!(
-                    "the file is cut short: {points} points are announced, {point} are there"
+                    "the file is truncated: its header states {points} points, but {point} follow"
                 )));
             };
             read_line(columns, values, line)
@@ -52,12 +52,12 @@ fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(),
     let mut words = line.split_ascii_whitespace();
     for column in columns {
         for _ in 0..column.count {
-            let word = words.next().ok_or_else(|| format!("{values} values are needed, here are fewer"))?;
+            let word = words.next().ok_or_else(|| format!("fewer than {values} values"))?;
             push(&mut column.values, word)
-                .ok_or_else(|| format!("{} is no value of field {}", quoted(word), quoted(&column.name)))?;
+                .ok_or_else(|| format!("{} is not a value of field {}", quoted(word), quoted(&column.name)))?;
         }
     }
-    if words.next().is_some() { Err(format!("{values} values are needed, here are more")) } else { Ok(()) }
+    if words.next().is_some() { Err(format!("more than {values} values")) } else { Ok(()) }
 }
 
 /// Appends a value; `None` if the word is not of this type.

@@ -19,7 +19,7 @@ use planish_core::{DepthImage, FormatError, IoError, Outputs, Smoothed};
 /// are left out of LAS and LAZ, and NPY has the positions alone.
 ///
 /// # Errors
-/// If the format has no place for a cloud, or fields differ in length.
+/// If the format cannot represent the cloud, or fields differ in length.
 pub fn encode_cloud<'a>(
     format: Format,
     cloud: impl Into<CloudRef<'a>>,
@@ -42,21 +42,21 @@ pub fn encode_cloud<'a>(
         Format::KittiBin => kitti::encode(cloud, false),
         Format::NuScenesBin => kitti::encode(cloud, true),
         Format::Obj | Format::Stl => Err(FormatError::Unsupported(
-            "a mesh has faces, which points have not: end the name in .ply, which meshing programs read".into(),
+            "a mesh needs faces, which points lack; end the name in .ply, which meshing programs read".into(),
         )),
         Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
-            "an image holds depth, not points: end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
+            "an image cannot store points; end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
         )),
         #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),
     }
 }
 
-/// Refuses, before any work is done for it, an output that cannot be written: in a folder that is not there or may not
-/// be written to, or in a format that has no place for the cloud's fields and those that a result adds.
+/// Checks in advance whether an output can be written. Refuses a folder that does not exist or is read-only, and a
+/// format that cannot represent the cloud's fields and those added by a result.
 ///
 /// # Errors
-/// Those of [`write_cloud`], except errors caused by single values.
+/// As [`write_cloud`], except for errors caused by single values.
 pub fn check_writable<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, added: Outputs) -> Result<(), IoError> {
     let mut none = cloud.into().points().select(&[]);
     let mut result = Smoothed::default();
@@ -80,9 +80,9 @@ pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, Forma
         #[cfg(not(feature = "tiff"))]
         Format::DepthTiff => Err(left_out(format)),
         Format::Npy => Ok(npy::encode_depth(image)),
-        _ => Err(FormatError::Unsupported(
-            "this format holds points, not depth: end the name in .png, .tiff or .npy".into(),
-        )),
+        _ => {
+            Err(FormatError::Unsupported("this format cannot store depth; end the name in .png, .tiff or .npy".into()))
+        }
     }
 }
 

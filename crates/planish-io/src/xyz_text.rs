@@ -12,7 +12,7 @@ const FAR_M: f64 = 1000.0;
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 /// Digits behind the point of far coordinates: a hundredth of a millimetre.
 const FAR_DIGITS: usize = 5;
-/// And of those of points that have not moved.
+/// Significant digits for points that have not moved.
 const UNMOVED_DIGITS: usize = 9;
 
 /// What begins a comment.
@@ -20,12 +20,12 @@ const COMMENTS: [char; 3] = ['#', '/', '%'];
 /// More columns than that are named.
 const MOST_UNNAMED: usize = 64;
 
-/// What parts the cells of a line.
+/// Separator of the cells of a line.
 #[derive(Debug, Clone, Copy)]
 enum Separator {
     /// One of these ends a cell, which may be empty.
     Mark(char),
-    /// As many as there are.
+    /// Any number of spaces.
     Space,
 }
 
@@ -46,7 +46,7 @@ impl Separator {
         cells
     }
 
-    /// Whether a line has a comment behind its cells.
+    /// Returns true if a line has a comment behind its cells.
     fn ends_in_comment(self, line: &str) -> bool {
         match self {
             Self::Space => line.split_whitespace().any(is_comment),
@@ -55,7 +55,7 @@ impl Separator {
     }
 }
 
-/// The cells without one that is empty behind the last separator.
+/// Returns the cells without one that is empty behind the last separator.
 fn without_empty_end(mut cells: Vec<&str>) -> Vec<&str> {
     if cells.last().is_some_and(|last| last.is_empty()) {
         cells.pop();
@@ -63,7 +63,7 @@ fn without_empty_end(mut cells: Vec<&str>) -> Vec<&str> {
     cells
 }
 
-/// Whether a file of no known ending is lines of numbers, by its beginning.
+/// Returns true if a file of no known ending is lines of numbers, by its beginning.
 pub(super) fn is_likely(bytes: &[u8]) -> bool {
     const LOOKED_AT: usize = 4096;
     let mut head = &bytes[..bytes.len().min(LOOKED_AT)];
@@ -129,7 +129,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let separator = lines.peek().map_or(Separator::Space, |(_, line)| Separator::of(line));
     let first = lines.peek().map(|(_, line)| {
         let cells = separator.cells(line);
-        // An empty cell at the end has a name, or is none: each line ends with a separator.
+        // An empty last cell may have a name; otherwise each line ends with a separator.
         if names.as_ref().is_some_and(|names| names.len() == cells.len()) {
             cells.len()
         } else {
@@ -182,11 +182,11 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         }
     }
     if comments > 0 {
-        notes.push(format!("{comments} {} left out", if comments == 1 { "comment is" } else { "comments are" }));
+        notes.push(format!("{comments} {} dropped", if comments == 1 { "comment is" } else { "comments are" }));
     }
     if let Some(stated) = stated.filter(|stated| *stated > columns[0].len()) {
         let found = columns[0].len();
-        return Err(FormatError::Malformed(format!("cut short: it announces {stated} points and has {found}")));
+        return Err(FormatError::Malformed(format!("truncated: it states {stated} points, but has {found}")));
     }
     if let Some(name) = names
         .iter()
@@ -194,7 +194,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         .enumerate()
         .find_map(|(i, name)| names.iter().flatten().take(i).any(|other| other == name).then_some(name))
     {
-        return Err(FormatError::Malformed(format!("two columns are called {}", quoted(name))));
+        return Err(FormatError::Malformed(format!("two columns have the name {}", quoted(name))));
     }
     let names = names.unwrap_or_else(|| guessed_names(&columns, stated.is_some()));
     for (name, _) in names.iter().zip(is_rounded).filter(|(_, is_rounded)| *is_rounded) {
@@ -220,7 +220,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     cloud_from_columns(attributes.collect())
 }
 
-/// The name of a column as other formats have it, without its unit.
+/// Returns the name of a column as other formats have it, without its unit.
 fn name_of(cell: &str) -> String {
     let name = cell.split(['[', '(']).next().unwrap_or(cell).to_ascii_lowercase();
     let name = name.split_whitespace().collect::<Vec<_>>().join("_");
@@ -239,8 +239,8 @@ fn is_byte(value: f64) -> bool {
     (0.0..=255.0).contains(&value) && value.fract() == 0.0
 }
 
-/// What the columns are likely to be, by their number and values; of a file that states the number of its points, as
-/// PTS does, intensity stands before colours.
+/// Guesses the names of columns from their number and values. In a file that states its number of points, such as PTS,
+/// intensity precedes colours.
 fn guessed_names(columns: &[Vec<f64>], is_pts: bool) -> Vec<String> {
     let colours = |from: usize| columns[from..from + 3].iter().flatten().all(|&value| is_byte(value));
     let normals = |from: usize| {
@@ -271,8 +271,8 @@ fn guessed_names(columns: &[Vec<f64>], is_pts: bool) -> Vec<String> {
     named.chain((names.len() + 1..=columns.len()).map(|number| format!("column_{number}"))).collect()
 }
 
-/// Writes a far coordinate: all digits of one that has not moved, but for what is only the rounding of f64, as of a LAS
-/// file's integer times its scale.
+/// Writes a coordinate far from the origin. An unmoved one keeps all digits, except for rounding noise of f64, as in a
+/// LAS file's integer times its scale.
 fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Result {
     if !is_unmoved {
         return write!(text, "{value:.FAR_DIGITS$}");
@@ -288,7 +288,7 @@ fn axis_of(name: &str) -> Option<usize> {
     ["x", "y", "z"].iter().position(|axis| *axis == name)
 }
 
-/// What stands above the points.
+/// Lines before the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Heading {
     /// The names, in a comment, if there is more than x, y and z.

@@ -32,7 +32,7 @@ class SmoothFiles:
                 errors.append("")
             except (OSError, TypeError, ValueError) as error:
                 errors.append(str(error))
-        # The paths go on and not the images: those would cost more than the smoothing.
+        # Pass on the paths instead of the images, which would cost more than the smoothing.
         return {"path": batch["path"], "error": errors}
 
 

@@ -73,7 +73,8 @@ def main() -> None:
         Smooth,
         fn_constructor_args=(camera,),
         batch_size=8,
-        # Half of what an actor uses, since reading and writing need some too: with all cores taken they would wait for ever.
+        # Half of a core per actor, since reading and writing need some too: with all cores reserved they would wait
+        # forever.
         num_cpus=0.5,
         compute=ray.data.ActorPoolStrategy(size=args.workers),
     )

@@ -68,7 +68,8 @@ fn borrowed(error: BorrowError) -> PyErr {
     match error {
         BorrowError::NotWriteable => PyValueError::new_err("out: an array is read-only"),
         _ => PyValueError::new_err(
-            "an array is written and read at the same time: out must not overlap the input, nor be in use elsewhere",
+            "an array would be read and written at the same time; out must not overlap the input or be in use \
+             elsewhere",
         ),
     }
 }
@@ -80,16 +81,18 @@ fn strides<T: Element>(array: &PyReadonlyArrayDyn<'_, T>) -> PyResult<Vec<usize>
     array.strides().iter().map(positive).collect()
 }
 
-/// The rows of an image, and how many values are from one to the next.
+/// Returns the rows of an image, and how many values are from one to the next.
 fn rows<'a, T: Element>(array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<(&'a [T], usize)> {
     let (&[height, width], &[row_bytes, value_bytes]) = (array.shape(), &strides(array)?[..]) else {
         return Err(PyValueError::new_err("a depth image has two dimensions, [H, W]"));
     };
     let size = size_of::<T>();
-    // The stride of a single row says nothing.
+    // The stride of a single row is meaningless.
     let row_bytes = if height == 1 { width * size } else { row_bytes };
     if height == 0 || width == 0 || value_bytes != size || row_bytes % size != 0 || row_bytes < width * size {
-        return Err(PyValueError::new_err("the rows of a depth image must lie apart, and its values side by side"));
+        return Err(PyValueError::new_err(
+            "the values of a depth image's row must be contiguous, and rows must not overlap",
+        ));
     }
     let row_stride = row_bytes / size;
     // SAFETY: all values from the first to the last of the last row are in the array's allocation, since no stride is
@@ -112,7 +115,7 @@ fn points<'a, T: Element>(
         (&[count, 3], &[point, value]) => (1, count, 0, point, value),
         _ => return Err(PyValueError::new_err("points have the shape [H, W, 3] or [N, 3]")),
     };
-    // The stride of a single point says nothing.
+    // The stride of a single point is meaningless.
     let point_stride = if width == 1 { point_stride.max(2 * value_stride + size_of::<T>()) } else { point_stride };
     let len = match (height, width) {
         (0, _) | (_, 0) => 0,
@@ -139,7 +142,7 @@ fn points<'a, T: Element>(
     view.into_frame().map_err(frame)
 }
 
-/// The caller's arrays, by what they are for.
+/// The caller's arrays, by purpose.
 #[derive(Default)]
 pub struct Buffers<'py> {
     points: Option<PyReadwriteArrayDyn<'py, f32>>,
@@ -192,7 +195,7 @@ impl<'py> Buffers<'py> {
                 "depth" => buffers.depth = Some(writable(&name, &array)?),
                 "neighbours" => buffers.neighbours = Some(writable(&name, &array)?),
                 "status" => buffers.status = Some(writable(&name, &array)?),
-                _ => return Err(PyValueError::new_err(format!("out: there is no output {name:?}"))),
+                _ => return Err(PyValueError::new_err(format!("out: unknown output {name:?}"))),
             }
         }
         Ok(buffers)

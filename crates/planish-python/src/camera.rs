@@ -13,7 +13,7 @@ use crate::errors::{frame, to_py};
 #[derive(Clone, Copy, PartialEq)]
 pub struct PyCamera(pub Camera);
 
-/// What pickle makes a camera from again.
+/// Arguments from which pickle recreates a camera.
 type Arguments = (usize, usize, f64, f64, f64, f64, f64, Vec<f64>);
 
 #[pymethods]
@@ -57,7 +57,7 @@ impl PyCamera {
         let camera = planish::io::read_camera(&path, shape).map_err(to_py)?;
         if camera.width == 0 || camera.height == 0 {
             return Err(PyValueError::new_err(format!(
-                "{}: does not say how large the images are: give shape=(height, width)",
+                "{}: does not state the image size; give shape=(height, width)",
                 path.display()
             )));
         }

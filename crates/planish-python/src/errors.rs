@@ -4,8 +4,8 @@ use planish::{EngineError, Error, FormatError, FrameError, IoError, ParamError};
 use pyo3::PyErr;
 use pyo3::exceptions::{PyFileNotFoundError, PyMemoryError, PyOSError, PyRuntimeError, PyValueError};
 
-/// `ValueError` for what the caller gave, `OSError` and its kinds for files, `MemoryError`, and `RuntimeError` for
-/// engines.
+/// Maps errors to `ValueError` for invalid input, `OSError` and its subclasses for files, `MemoryError`, and
+/// `RuntimeError` for engines.
 pub fn to_py(error: impl Into<Error>) -> PyErr {
     let error = error.into();
     let text = error.to_string();

@@ -18,7 +18,7 @@ use crate::camera::PyCamera;
 use crate::errors::{frame, to_py};
 use crate::settings::{from_dict, sensor_named, to_dict};
 
-/// Reads a file: a dictionary of what it holds.
+/// Reads a file into a dictionary of its contents.
 #[pyfunction]
 pub fn read<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, PyDict>> {
     let (format, contents) = py.detach(|| io::read(&path)).map_err(to_py)?;
@@ -40,7 +40,7 @@ pub fn read<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, PyDict>>
             put_cloud(py, &found, cloud.points)?;
         }
         Contents::General(cloud) => put_cloud(py, &found, cloud)?,
-        _ => return Err(PyValueError::new_err(format!("{}: not a kind of file that is known here", path.display()))),
+        _ => return Err(PyValueError::new_err(format!("{}: contains neither depth nor points", path.display()))),
     }
     Ok(found)
 }
@@ -114,10 +114,10 @@ pub fn write_points(
         let name: String = name.extract()?;
         let values = attribute_values(&values).ok_or_else(|| {
             PyTypeError::new_err(format!(
-                "fields[{name:?}]: an array of integers or floats, one for each point, is expected"
+                "fields[{name:?}]: an array of integers or floats with one value per point is expected"
             ))
         })?;
-        // Of several values a point, Python has checked the shape.
+        // Python has checked the shape of fields with several values per point.
         let count = values.len() / cloud.len().max(1);
         cloud.attributes.push(Attribute { name, count: count.max(1), values });
     }
@@ -158,7 +158,7 @@ pub fn write_depth(py: Python<'_>, path: PathBuf, depth: &Bound<'_, PyAny>) -> P
     py.detach(|| io::write_depth_metres(&path, width, &values)).map_err(to_py)
 }
 
-/// A simulated depth image with its truth: raw depth, points and normals, each in rows.
+/// Returns a simulated depth image with its truth: raw depth, points and normals, each in rows.
 #[pyfunction]
 pub fn simulate<'py>(
     py: Python<'py>,
@@ -197,7 +197,7 @@ pub fn simulate<'py>(
     Ok((raw.into_any(), vectors(&truth.points)?.into_any(), vectors(&truth.normals)?.into_any()))
 }
 
-/// The scores on simulated frames, as JSON.
+/// Returns the scores on simulated frames, as JSON.
 #[pyfunction]
 pub fn evaluate(py: Python<'_>, settings: &Bound<'_, PyDict>, seeds: Vec<u64>) -> PyResult<String> {
     let settings = from_dict(settings)?;
@@ -231,7 +231,7 @@ pub fn evaluate(py: Python<'_>, settings: &Bound<'_, PyDict>, seeds: Vec<u64>) -
     Ok(scores.to_string())
 }
 
-/// The settings of a file in JSON or YAML.
+/// Returns the settings of a file in JSON or YAML.
 #[pyfunction]
 pub fn read_settings(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
     to_dict(py, &planish::io::read_settings(&path).map_err(to_py)?)
@@ -243,7 +243,7 @@ pub fn settings_to_json(settings: &Bound<'_, PyDict>) -> PyResult<String> {
     Ok(planish::io::settings_to_json(&from_dict(settings)?))
 }
 
-/// The GPUs of this machine, and what `auto` takes: its name and why.
+/// Returns the GPUs of this machine, and what `auto` takes: its name and why.
 #[pyfunction]
 pub fn devices(py: Python<'_>) -> (Vec<(usize, String, String)>, String, String) {
     let adapters = py.detach(planish::gpu_adapters);

@@ -1,4 +1,4 @@
-//! The extension module `planish._planish`: the library's types for Python. What users see is in `python/planish`.
+//! The extension module `planish._planish`: the library's types for Python. The public package is in `python/planish`.
 
 mod arrays;
 mod camera;

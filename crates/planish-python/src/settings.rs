@@ -14,7 +14,7 @@ pub fn from_dict(given: &Bound<'_, PyDict>) -> PyResult<Settings> {
         let key: String = key.extract()?;
         if !Settings::NAMES.contains(&key.as_str()) && !["radius", "bandwidth"].contains(&key.as_str()) {
             return Err(PyTypeError::new_err(format!(
-                "there is no setting {key:?}; known are {}",
+                "unknown setting {key:?}; settings are {}",
                 Settings::NAMES.join(", ")
             )));
         }
@@ -42,24 +42,24 @@ fn value_of(key: &str, value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
         return match (coefficients("step")?, coefficients("sigma")?) {
             (Some(step), Some(sigma)) => Ok(SettingValue::Sensor(SensorModel::new(step, sigma))),
             (None, Some(sigma)) => Ok(SettingValue::Sensor(SensorModel::from_noise(sigma))),
-            _ => Err(PyTypeError::new_err(format!("{key}: a sensor has sigma, three coefficients of 1, z and z²"))),
+            _ => Err(PyTypeError::new_err(format!("{key}: a sensor needs sigma: three coefficients of 1, z and z²"))),
         };
     }
     let texts =
         value.try_iter().and_then(|items| items.map(|item| item?.extract::<String>()).collect::<PyResult<Vec<_>>>());
     texts.map(SettingValue::List).map_err(|_| {
-        PyTypeError::new_err(format!("{key}: a number, a text, True, False or a list of texts is expected"))
+        PyTypeError::new_err(format!("{key}: a number, a string, True, False or a list of strings is expected"))
     })
 }
 
-/// The settings as Python's keyword arguments.
+/// Returns the settings as Python's keyword arguments.
 pub fn to_dict<'py>(py: Python<'py>, settings: &Settings) -> PyResult<Bound<'py, PyDict>> {
     let json = planish::io::settings_to_json(settings);
     let parsed = py.import("json")?.call_method1("loads", (json,))?;
     Ok(parsed.cast_into::<PyDict>()?)
 }
 
-/// The sensor of a name.
+/// Returns the sensor of a name.
 pub fn sensor_named(name: &str) -> PyResult<SensorModel> {
     name.parse().map_err(param)
 }

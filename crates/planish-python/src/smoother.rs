@@ -29,7 +29,7 @@ struct State {
 #[pyclass(frozen, name = "Engine", module = "planish._planish")]
 pub struct PySmoother(Mutex<State>);
 
-/// The camera, the sensor's pose and the origin of coordinates of a frame, as far as they are known.
+/// Camera, sensor pose and origin of a frame, if known.
 type Place<'py> = (Option<PyRef<'py, PyCamera>>, Option<[f64; 7]>, Option<[f64; 3]>);
 
 /// What makes a frame.
@@ -64,7 +64,7 @@ impl State {
         let mut status = std::mem::take(&mut self.status);
         let result = {
             let (session, out) = (&mut self.session, out.smoothed_mut(&mut status));
-            // A frame on a grid takes no longer than a check of the signals.
+            // A frame on a grid takes less time than a check for signals.
             if frame.grid().is_some() {
                 py.detach(|| session.smooth_into(frame, out))
             } else {
@@ -85,7 +85,7 @@ impl State {
     fn check_idle(&self) -> PyResult<()> {
         match self.session.in_flight() {
             0 => Ok(()),
-            in_flight => Err(PyRuntimeError::new_err(format!("{in_flight} frames are in flight: receive them first"))),
+            in_flight => Err(PyRuntimeError::new_err(format!("{in_flight} frames are in flight; receive them first"))),
         }
     }
 }
@@ -120,12 +120,12 @@ impl PySmoother {
         Ok(Self(Mutex::new(State { session, status: Vec::new() })))
     }
 
-    /// The names of the given settings that have no effect on points without a grid.
+    /// Returns the names of the given settings that have no effect on points without a grid.
     fn unused_by_clouds(&self) -> PyResult<Vec<&'static str>> {
         Ok(self.lock()?.session.settings().map(Settings::unused_by_clouds).unwrap_or_default())
     }
 
-    /// Smooths a frame into arrays; returns what is to be said of it.
+    /// Smooths a frame into arrays; returns a warning, if any.
     fn smooth<'py>(
         &self,
         py: Python<'py>,
@@ -185,7 +185,7 @@ impl PySmoother {
         Ok((state.session.in_flight(), state.session.max_in_flight()))
     }
 
-    /// Smooths frames of one kind, each into arrays of its own, as many at once as the engine takes.
+    /// Smooths frames of one kind, each into its arrays, as many at once as the engine allows.
     fn smooth_batch(
         &self,
         py: Python<'_>,
@@ -195,7 +195,7 @@ impl PySmoother {
         outs: Vec<Bound<'_, PyDict>>,
     ) -> PyResult<()> {
         if arrays.len() != outs.len() {
-            return Err(PyValueError::new_err("as many outputs as frames are expected"));
+            return Err(PyValueError::new_err("one output per frame is expected"));
         }
         let camera: Option<Camera> = camera.map(|camera| camera.0);
         let mut state = self.lock()?;
@@ -228,8 +228,8 @@ impl PySmoother {
         Ok(())
     }
 
-    /// Milliseconds of so many runs of the library's own call on a frame, into buffers of its own: what Python's is
-    /// held against.
+    /// Returns the times in milliseconds of repeated direct calls to the library, into internal buffers, for comparison
+    /// with the Python call.
     fn time_library<'py>(
         &self,
         py: Python<'py>,
@@ -259,7 +259,7 @@ impl PySmoother {
         times.map_err(to_py)
     }
 
-    /// The engine that is open, its GPU, and why it was chosen.
+    /// Returns the engine that is open, its GPU, and why it was chosen.
     fn opened(&self) -> PyResult<(Option<&'static str>, Option<String>, Option<String>)> {
         let state = self.lock()?;
         let session = &state.session;
@@ -278,13 +278,13 @@ impl PySmoother {
     fn lock(&self) -> PyResult<std::sync::MutexGuard<'_, State>> {
         // Waiting could be for ever: the other thread may be waiting for Python's lock.
         self.0.try_lock().map_err(|_| {
-            PyRuntimeError::new_err("this Smoother is in use by another thread: open one Smoother for each thread")
+            PyRuntimeError::new_err("this Smoother is in use by another thread; open one Smoother per thread")
         })
     }
 }
 
-/// Frames in flight, results in the order of the frames. A thread of its own copies them, while this one hands frames
-/// over.
+/// Smooths with frames in flight; results have the order of the frames. A separate thread copies results while this one
+/// submits frames.
 fn pipelined(session: &mut Session, frames: &[Frame<'_>], slices: &mut [Slices<'_>]) -> Result<(), Error> {
     thread::scope(|scope| {
         let (sender, receiver) = mpsc::sync_channel::<(SmoothedView, &mut Slices<'_>)>(VIEWS_WAITING);

@@ -149,7 +149,7 @@ impl PyStream {
         Ok(Self { frames: Frames::start(source, options).map_err(to_py)?, process: std::process::id() })
     }
 
-    /// The next frame with its result, if there is one soon; what is to be warned of; and whether that is the end.
+    /// Returns the next frame with its result, if one arrives soon; warnings; and whether the stream has ended.
     fn next<'py>(&self, py: Python<'py>) -> PyResult<(Option<Bound<'py, PyDict>>, Vec<String>, bool)> {
         self.check_process()?;
         py.check_signals()?;
@@ -163,12 +163,12 @@ impl PyStream {
         Ok((delivered.map(|delivered| delivered.into_dict(py)).transpose()?, self.frames.take_warnings(), has_ended))
     }
 
-    /// Whether the source is a camera, or plays like one.
+    /// Returns true if the source is a camera, or plays like one.
     fn is_live(&self) -> bool {
         self.frames.is_live()
     }
 
-    /// What the stream came to; `None` while it runs.
+    /// Returns the final statistics of the stream; `None` while it runs.
     fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(statistics) = self.frames.statistics() else { return Ok(None) };
         let found = PyDict::new(py);
@@ -203,6 +203,6 @@ impl PyStream {
         if self.process == std::process::id() {
             return Ok(());
         }
-        Err(PyRuntimeError::new_err("this stream was opened by another process: open one here"))
+        Err(PyRuntimeError::new_err("this stream was opened by another process; open one here"))
     }
 }

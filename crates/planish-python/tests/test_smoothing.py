@@ -178,7 +178,7 @@ def test_two_threads_cannot_share_a_smoother(frame):
         worker.start()
     for worker in workers:
         worker.join()
-    assert len(results) == 1 and "one Smoother for each thread" in errors[0]
+    assert len(results) == 1 and "one Smoother per thread" in errors[0]
 
 
 def test_smoothers_are_pickled_without_their_buffers(frame):
@@ -248,9 +248,9 @@ def test_wrong_arrays_are_refused(frame, change, error, text):
         ({"window": -1}, ValueError, "window"),
         ({"ridge": float("nan")}, ValueError, "ridge"),
         ({"radius": -1.0}, ValueError, "radius"),
-        ({"radius": 0.1, "neighbours": 40}, ValueError, "give one of the two"),
+        ({"radius": 0.1, "neighbours": 40}, ValueError, "set one of the two"),
         ({"preset": "soft"}, ValueError, 'light, default'),
-        ({"preset": "light", "strength": 0.5}, ValueError, "give one of the two"),
+        ({"preset": "light", "strength": 0.5}, ValueError, "set one of the two"),
         ({"strength": 2.0}, ValueError, "strength"),
         ({"sensor": "kinect9"}, ValueError, 'auto'),
         ({"engine": "tpu"}, ValueError, 'gpu'),
@@ -405,7 +405,7 @@ def test_ctrl_c_ends_one_long_cloud() -> None:
     finally:
         signal.signal(signal.SIGINT, before)
     assert time.monotonic() - start < 3
-    # And goes on with the next.
+    # It continues with the next frame.
     assert np.isfinite(smoother.smooth(points[:2000]).points).all()
 
 

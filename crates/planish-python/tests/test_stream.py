@@ -50,7 +50,7 @@ def test_slow_consumers_lose_frames_of_a_camera_only(folder: Path) -> None:
         first = next(frames)
         time.sleep(0.4)
         rest = [frame.name for frame in frames]
-    # What waits is the newest.
+    # The waiting frame is the newest.
     assert first.index < 6 and rest[-1:] == ["frame5"][: len(rest)] and len(rest) <= 2
     statistics = frames.statistics
     assert statistics is not None and statistics["dropped"] >= 6 - 1 - len(rest)

@@ -10,7 +10,7 @@ use serde_yaml_ng::Value;
 /// The node's name, where nothing else is given.
 pub const NODE_NAME: &str = "planish";
 
-/// What the command line says.
+/// Parsed command line.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arguments {
     /// The node's namespace, which begins with a slash.
@@ -31,7 +31,7 @@ impl Arguments {
         let mut arguments = arguments.into_iter();
         let (mut of_ros, mut files, mut set) = (false, Vec::new(), Vec::new());
         while let Some(argument) = arguments.next() {
-            let mut value = |what: &str| arguments.next().with_context(|| format!("{argument} needs {what} behind it"));
+            let mut value = |what: &str| arguments.next().with_context(|| format!("{argument} needs {what} after it"));
             match argument.as_str() {
                 "--ros-args" => of_ros = true,
                 "--" if of_ros => of_ros = false,
@@ -46,7 +46,7 @@ impl Arguments {
                 | "--disable-stdout-logs"
                 | "--enable-external-lib-logs"
                 | "--disable-external-lib-logs" => {}
-                other => bail!("{other}: not understood; `planish-ros --help` says what is"),
+                other => bail!("{other}: unknown argument; see `planish-ros --help`"),
             }
         }
         // Names are known now, by which files and rules tell nodes apart.
@@ -86,7 +86,8 @@ impl Arguments {
         Ok(())
     }
 
-    /// The full name of a topic, after remapping: relative names are in the node's namespace, `~` is the node itself.
+    /// Returns the full name of a topic, after remapping: relative names are in the node's namespace, `~` is the node
+    /// itself.
     pub fn topic(&self, name: &str) -> String {
         let full = self.absolute(name);
         let of_rule = |(from, to): &(String, String)| (self.absolute(from) == full).then(|| self.absolute(to));
@@ -125,7 +126,7 @@ impl Arguments {
             let Value::Mapping(parameters) = entry else { bail!("{name}: ros__parameters has no parameters") };
             for (parameter_name, value) in parameters {
                 let parameter_name = parameter_name.as_str().context("a parameter's name is expected")?;
-                // Of other nodes and of middleware that is not this node's, values may be anything.
+                // Parameters of other nodes and of middleware may have any value.
                 if self.is_meant(name) && parameter_name != "qos_overrides" {
                     let value = parameter(value).with_context(|| parameter_name.to_owned())?;
                     self.parameters.insert(parameter_name.to_owned(), value);
@@ -135,8 +136,8 @@ impl Arguments {
         Ok(())
     }
 
-    /// Whether a name in a file stands for this node: `*` is any part of it, `**` any number of parts. A name alone is
-    /// the node's in any namespace.
+    /// Returns true if a name in a file matches this node: `*` matches any part, `**` any number of parts. A bare name
+    /// matches the node in any namespace.
     fn is_meant(&self, name: &str) -> bool {
         fn matches(pattern: &[&str], parts: &[&str]) -> bool {
             match (pattern, parts) {
@@ -164,7 +165,7 @@ fn parameter(value: &Value) -> Result<ParameterValue> {
             (None, Some(value)) => ParameterValue::Double(value),
             (None, None) => bail!("{value}: a number out of range"),
         },
-        _ => bail!("a truth value, a number or a text is expected"),
+        _ => bail!("true, false, a number or a string is expected"),
     })
 }
 
@@ -196,12 +197,14 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("planish-ros-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let file = folder.join("params.yaml");
-        // What other nodes and their middleware are told may be anything.
-        let text = "/**:\n  ros__parameters:\n    strength: 0.25\n    sensor: d435\n    qos_overrides: {/tf: {depth: 1}}\n\
+        // Parameters of other nodes and their middleware may have any value.
+        let text = "/**:\n  ros__parameters:\n    strength: 0.25\n    sensor: d435\n    qos_overrides: {/tf: {depth: \
+                    1}}\n\
                     other:\n  ros__parameters:\n    sensor: l515\n    roi: [1, 2]\n    nothing:\n";
         std::fs::write(&file, text).unwrap();
         let nested = folder.join("nested.yaml");
-        let text = "arm:\n  planish:\n    ros__parameters:\n      strength: 0.75\n/leg/**:\n  ros__parameters:\n    strength: 0.0\n/*/planish:\n  \
+        let text = "arm:\n  planish:\n    ros__parameters:\n      strength: 0.75\n/leg/**:\n  ros__parameters:\n    \
+                    strength: 0.0\n/*/planish:\n  \
                     ros__parameters:\n    sensor: d455\n";
         std::fs::write(&nested, text).unwrap();
         let arguments = parse(&format!("--ros-args -r __ns:=/arm --params-file {}", nested.display())).unwrap();

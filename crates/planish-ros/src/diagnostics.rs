@@ -1,4 +1,4 @@
-//! `diagnostic_msgs/DiagnosticArray`: what the node does, once a second.
+//! `diagnostic_msgs/DiagnosticArray`: the node's activity, once a second.
 
 use std::time::Duration;
 
@@ -51,7 +51,7 @@ pub struct Statistics {
     since_stamp_us: Histogram<u64>,
 }
 
-/// A longer time since a stamp is no latency: the stamp is of another clock.
+/// A longer time since a stamp is not a latency: the stamp comes from another clock.
 const LONGEST: Duration = Duration::from_secs(60);
 
 impl Statistics {
@@ -63,7 +63,7 @@ impl Statistics {
         Ok(Self { received, published, dropped, failed, unsent, problem: None, latency_us, since_stamp_us })
     }
 
-    /// Counts a result, so long after its message arrived, and after its stamp where that is not later.
+    /// Counts a result with its time since arrival, and its time since the stamp if that is not in the future.
     pub fn add(&mut self, latency: Duration, since_stamp: Option<Duration>) {
         self.published += 1;
         self.problem = None;
@@ -73,7 +73,7 @@ impl Statistics {
         }
     }
 
-    /// What there was since the start, in a line.
+    /// Returns the totals since the start in one line.
     pub fn summary(&self) -> String {
         let Self { received, published, dropped, failed, unsent, since_stamp_us, .. } = self;
         let ms = |quantile: f64| 1e-3 * since_stamp_us.value_at_quantile(quantile) as f64;
@@ -82,21 +82,21 @@ impl Statistics {
             _ => format!("; from stamp to publication 50 % within {:.1} ms, 99 % within {:.1} ms", ms(0.5), ms(0.99)),
         };
         format!(
-            "{received} messages received, {published} smoothed and published, {dropped} dropped for newer ones, {failed} failed, {unsent} not \
-             taken by subscribers{latency}"
+            "{received} messages received, {published} smoothed and published, {dropped} replaced by newer ones, \
+             {failed} failed, {unsent} not accepted by subscribers{latency}"
         )
     }
 
-    /// The report for the time since the last one.
+    /// Returns the report for the time since the last one.
     pub fn report(&mut self, header: Header, node: &str, engine: Option<&str>) -> DiagnosticArray {
         let ms = |quantile: f64| format!("{:.2}", 1e-3 * self.latency_us.value_at_quantile(quantile) as f64);
         let values = [
             ("engine", engine.unwrap_or("not open yet").to_owned()),
             ("received", self.received.to_string()),
             ("published", self.published.to_string()),
-            ("dropped for newer ones", self.dropped.to_string()),
+            ("replaced by newer ones", self.dropped.to_string()),
             ("failed", self.failed.to_string()),
-            ("not taken by subscribers", self.unsent.to_string()),
+            ("not accepted by subscribers", self.unsent.to_string()),
             ("rate", self.latency_us.len().to_string()),
             ("latency p50 ms", ms(0.5)),
             ("latency p99 ms", ms(0.99)),

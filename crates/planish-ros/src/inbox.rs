@@ -10,7 +10,7 @@ pub enum Arrived {
     Cloud(PointCloud2),
 }
 
-/// What the receiving thread leaves for the smoothing one: the newest message and the newest camera.
+/// Data passed from the receiving to the smoothing thread: the newest message and the newest camera.
 #[derive(Default)]
 pub struct Inbox {
     pub newest: Option<(Arrived, Instant)>,

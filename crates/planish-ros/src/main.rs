@@ -1,4 +1,4 @@
-//! `planish-ros`: a node of ROS 2 that smooths depth images and organized clouds. It needs no installation of ROS.
+//! `planish-ros`: a ROS 2 node that smooths depth images and organized clouds. It does not need a ROS installation.
 
 mod arguments;
 mod diagnostics;
@@ -42,9 +42,9 @@ fn main() -> ExitCode {
     }
 }
 
-/// Has the allocator give messages back to the system when they are dropped, for it would keep those that are freed on
-/// other threads than they were made on, some gigabyte of them; but has it take memory in large pieces: a message grows
-/// within one while it is written, and its pages need not be cleared for each anew.
+/// Configures the allocator in two ways. Freed messages return to the system; otherwise memory freed on a thread other
+/// than the one that allocated it is kept, about a gigabyte. Memory is requested in large pieces: a message grows
+/// within one while it is written, and its pages need not be cleared for each message.
 fn set_up_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
@@ -64,7 +64,7 @@ fn print_help() -> io::Result<()> {
     let mut out = io::stdout().lock();
     writeln!(
         out,
-        "A node of ROS 2 that smooths depth images and clouds.
+        "A ROS 2 node that smooths depth images and clouds.
 
 Usage: planish-ros [--ros-args [-r FROM:=TO]... [-p NAME:=VALUE]... [--params-file FILE]...]
 

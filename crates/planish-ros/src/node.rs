@@ -56,7 +56,10 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     let shared = Arc::new(Shared::default());
     let (image_topic, camera_topic) = input_topics(arguments, settings.input);
     if settings.input == Input::Points && image_topic == arguments.topic("points") {
-        bail!("{image_topic}: is what the node publishes on: remap input or points, -r points:=/another");
+        bail!(
+            "{image_topic}: the node also publishes on this topic; remap the input or the output, such as -r \
+             points:=/another"
+        );
     }
     let receiver = subscribe(&mut node, &settings, &image_topic, &camera_topic, &shared)?;
     let publishers = publish(&mut node, &settings, arguments)?;
@@ -96,7 +99,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     Ok(())
 }
 
-/// The domain of DDS that the environment names, as for every node of ROS 2.
+/// Returns the domain of DDS that the environment names, as for every node of ROS 2.
 fn domain_id() -> Result<u16> {
     const HIGHEST: u16 = 232;
     match std::env::var("ROS_DOMAIN_ID") {
@@ -109,7 +112,7 @@ fn domain_id() -> Result<u16> {
     }
 }
 
-/// The topics of the depth images or clouds, and of the camera.
+/// Returns the topics of the depth images or clouds, and of the camera.
 fn input_topics(arguments: &Arguments, input: Input) -> (String, String) {
     let image = match input {
         Input::Image => arguments.topic("image_rect"),
@@ -146,7 +149,7 @@ fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<NodeSettings>>
             .cloned()
             .or_else(|| declared().into_iter().find(|(known, ..)| *known == name).map(|(_, default, ..)| default));
         if is_fixed && current.as_ref() != Some(value) {
-            return Err(format!("{name} is set when the node starts: -p {name}:=VALUE"));
+            return Err(format!("{name} can only be set at the start: -p {name}:=VALUE"));
         }
         NodeSettings::of(&with(&known, name, value)).map(drop).map_err(|error| format!("{error:#}"))
     };
@@ -161,7 +164,7 @@ fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<NodeSettings>>
     options.parameter_validator(Box::new(validate)).parameter_set_action(Box::new(act))
 }
 
-/// Subscribes to the input, and returns what is to be done on a thread of its own.
+/// Subscribes to the input, and returns the work to be done on a separate thread.
 fn subscribe(
     node: &mut Node,
     settings: &NodeSettings,
@@ -217,7 +220,7 @@ fn receive<M: serde::de::DeserializeOwned + Send + 'static>(
     })
 }
 
-/// A topic by its full name, with the package and name of its messages' type.
+/// Returns a topic by its full name, with the package and name of its messages' type.
 fn topic(
     node: &Node,
     name: &str,
@@ -231,7 +234,7 @@ fn topic(
 
 fn subscription<M: 'static>(node: &mut Node, name: &str, kind: &str, qos: &QosProfile) -> Result<Subscription<M>> {
     let topic = topic(node, name, ("sensor_msgs", kind), qos)?;
-    node.create_subscription(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: no subscription: {error}"))
+    node.create_subscription(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: cannot subscribe: {error}"))
 }
 
 fn publisher<M: serde::Serialize>(
@@ -241,7 +244,7 @@ fn publisher<M: serde::Serialize>(
     qos: &QosProfile,
 ) -> Result<Publisher<M>> {
     let topic = topic(node, name, message, qos)?;
-    node.create_publisher(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: no publisher: {error}"))
+    node.create_publisher(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: cannot publish: {error}"))
 }
 
 fn publish(node: &mut Node, settings: &NodeSettings, arguments: &Arguments) -> Result<Publishers> {
@@ -340,7 +343,7 @@ impl Work {
 
     fn smooth_depth(&mut self, message: &DepthMessage, camera: Option<CameraInfo>) -> Result<(), MessageError> {
         let Some(camera) = camera else {
-            let text = format!("no CameraInfo on {} yet: frames are left out until it comes", self.camera_topic);
+            let text = format!("no CameraInfo on {} yet; frames are dropped until it arrives", self.camera_topic);
             return Err(FormatError::Unsupported(text).into());
         };
         let is_rectified = self.is_rectified;
@@ -414,7 +417,7 @@ impl Work {
         if is_new {
             eprintln!("warning: {text}");
             rosout!(self.node, LogLevel::Warn, "{}", text);
-            // What is different each time must not fill the memory.
+            // Texts that differ each time must not fill the memory.
             if self.warned.len() > 100 {
                 self.warned.clear();
             }

@@ -16,7 +16,7 @@ const WAIT_FOR_SUBSCRIBERS: Duration = Duration::from_millis(20);
 /// The declared default of `strength`.
 const DEFAULT_STRENGTH: f64 = 0.5;
 
-/// A parameter: name, default, whether it may change at run time, and what it does.
+/// A parameter: name, default, whether it can change at run time, and its description.
 pub type Declared = (&'static str, ParameterValue, bool, &'static str);
 
 /// All parameters.
@@ -25,39 +25,39 @@ pub fn declared() -> Vec<Declared> {
     use ParameterValue::{Boolean, Double, Integer, NotSet};
     vec![
         ("preset", NotSet, true, "light, default, strong or paper, instead of strength"),
-        ("strength", Double(DEFAULT_STRENGTH), true, "How much to smooth: 0 is light, 0.5 default, 1 strong"),
+        ("strength", Double(DEFAULT_STRENGTH), true, "Strength: 0 light, 0.5 default, 1 strong"),
         (
             "sensor",
             text("kinect1"),
             true,
             "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, or auto: estimated from the first frame",
         ),
-        ("edges", NotSet, true, "robust or off [default: robust for images, off for clouds without a grid]"),
-        ("remove_isolated", NotSet, true, "Whether isolated points of clouds without a grid become holes"),
-        ("window", NotSet, true, "Half width of the window in samples, 1 to 7"),
+        ("edges", NotSet, true, "robust or off [default: robust for images, off for unorganized clouds]"),
+        ("remove_isolated", NotSet, true, "Whether isolated points of unorganized clouds become holes"),
+        ("window", NotSet, true, "Half-width of the window in samples, 1 to 7"),
         ("stride", NotSet, true, "Distance between samples in pixels, 1 to 8"),
         ("average_blocks", NotSet, true, "Whether samples are means of blocks of pixels"),
         ("radius_m", NotSet, true, "Radius of a neighbourhood in metres, or sensor"),
-        ("neighbours", NotSet, true, "Neighbours of a point of a cloud without a grid, 6 to 1000, instead of a radius"),
+        ("neighbours", NotSet, true, "For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius"),
         ("degree", NotSet, true, "Degree of the surface, 1 to 3"),
         ("bandwidth_m", NotSet, true, "Bandwidth of the Gaussian weights in metres"),
         ("ridge", NotSet, true, "Ridge of the fit, 1e-3 to 100"),
-        ("project", NotSet, true, "ray or normal: along which line points move"),
+        ("project", NotSet, true, "ray or normal: direction in which points move"),
         ("normals", Boolean(false), true, "Whether clouds have normal_x, normal_y, normal_z and curvature"),
         ("publish_points", Boolean(true), true, "Whether clouds are published (points)"),
         ("publish_depth", Boolean(false), true, "Whether depth images are published (image_smoothed)"),
         ("publish_normals", Boolean(false), true, "Whether normals are published as images of 32FC3 (normals)"),
         ("input", text("depth"), false, "depth: images on image_rect with camera_info; points: clouds on input"),
         ("image_transport", text("raw"), false, "raw, or compressedDepth: images on image_rect/compressedDepth"),
-        ("qos", text("sensor_data"), false, "How input is subscribed to: sensor_data (best effort) or reliable"),
-        ("publish_qos", text("reliable"), false, "How output is published: reliable or sensor_data"),
+        ("qos", text("sensor_data"), false, "QoS of the input: sensor_data (best effort) or reliable"),
+        ("publish_qos", text("reliable"), false, "QoS of the output: reliable or sensor_data"),
         ("engine", text("auto"), false, "auto, cpu, gpu or reference"),
         ("adapter", NotSet, false, "The GPU by index or part of its name; needs engine: gpu"),
         ("threads", Integer(0), false, "Threads of the CPU engine; 0 is one per core"),
     ]
 }
 
-/// What the node takes in.
+/// Type of the input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Input {
     /// `sensor_msgs/Image` of depth.
@@ -82,14 +82,14 @@ pub struct NodeSettings {
 }
 
 impl NodeSettings {
-    /// Checks values by name; those that are missing have their defaults.
+    /// Checks values by name; missing ones take their defaults.
     pub fn of(values: &BTreeMap<String, ParameterValue>) -> Result<Self> {
         let declared = declared();
         if let Some(name) =
             values.keys().find(|name| !is_common(name) && declared.iter().all(|(known, ..)| known != name))
         {
             let known: Vec<_> = declared.iter().map(|(name, ..)| *name).collect();
-            bail!("{name}: not a parameter of this node; it has {}", known.join(", "));
+            bail!("{name}: unknown parameter; parameters are {}", known.join(", "));
         }
         let get = |name: &str| -> Result<ParameterValue> {
             let default = declared.iter().find(|(known, ..)| *known == name).map(|(_, value, ..)| value.clone());
@@ -97,7 +97,7 @@ impl NodeSettings {
         };
         let text = |name: &str| match get(name)? {
             ParameterValue::String(text) => Ok(text),
-            _ => bail!("{name}: a text is expected"),
+            _ => bail!("{name}: a string is expected"),
         };
         let truth = |name: &str| match get(name)? {
             ParameterValue::Boolean(value) => Ok(value),
@@ -106,17 +106,17 @@ impl NodeSettings {
         let is_reliable = |name: &str| match text(name)?.as_str() {
             "reliable" => Ok(true),
             "sensor_data" | "best_effort" => Ok(false),
-            other => bail!("{name}: {other:?} is neither sensor_data nor reliable"),
+            other => bail!("{name}: {other:?} is unknown; sensor_data or reliable is expected"),
         };
         let smoothing = smoothing(values, truth("normals")?)?;
         let input = match (text("input")?.as_str(), text("image_transport")?.as_str()) {
             ("depth", "raw") => Input::Image,
             ("depth", "compressedDepth") => Input::CompressedDepth,
-            ("points", "raw") if truth("publish_depth")? => bail!("publish_depth: clouds have no depth images"),
+            ("points", "raw") if truth("publish_depth")? => bail!("publish_depth: applies only to the input depth"),
             ("points", "raw") => Input::Points,
-            ("points", _) => bail!("image_transport: is for images, and input is points"),
-            ("depth", other) => bail!("image_transport: {other:?} is neither raw nor compressedDepth"),
-            (other, _) => bail!("input: {other:?} is neither depth nor points"),
+            ("points", _) => bail!("image_transport: applies only to the input depth"),
+            ("depth", other) => bail!("image_transport: {other:?} is unknown; raw or compressedDepth is expected"),
+            (other, _) => bail!("input: {other:?} is unknown; depth or points is expected"),
         };
         match input {
             Input::Points => smoothing.cloud_params().map(drop)?,
@@ -134,7 +134,7 @@ impl NodeSettings {
         })
     }
 
-    /// Whether anything is published.
+    /// Returns true if anything is published.
     pub fn publishes(&self) -> bool {
         self.publish_points || self.publish_normals || self.publish_depth
     }
@@ -162,7 +162,7 @@ fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool) -> Result
             ParameterValue::Integer(value) => (*value as f64).into(),
             ParameterValue::Double(value) => (*value).into(),
             ParameterValue::String(value) => value.clone().into(),
-            _ => bail!("{name}: a number, a text, true or false is expected"),
+            _ => bail!("{name}: a number, a string, true or false is expected"),
         };
         settings.set(name, value)?;
     }
@@ -171,7 +171,7 @@ fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool) -> Result
     Ok(settings)
 }
 
-/// Whether every node has this parameter.
+/// Returns true if every node has this parameter.
 fn is_common(name: &str) -> bool {
     name == "use_sim_time" || name.starts_with("qos_overrides.")
 }
@@ -234,7 +234,7 @@ mod tests {
             let error = format!("{:#}", of(&[(name, value)]).unwrap_err());
             assert!(error.contains(name), "{error}");
         }
-        // What clouds have no use for.
+        // Parameters that do not apply to clouds.
         let points = ("input", text("points"));
         for (name, value) in
             [("publish_depth", ParameterValue::Boolean(true)), ("image_transport", text("compressedDepth"))]

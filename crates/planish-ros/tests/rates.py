@@ -2,7 +2,7 @@
 
     rates.py NODE [--seconds 60] [--depth] [--best-effort] [--parameter NAME:=VALUE ...]
 
-Publisher and subscriber are processes of their own, as on a robot. Prints frames a second and latencies, from stamp to arrival.
+Publisher and subscriber are processes of their own, as on a robot. Prints frames per second and latencies, from stamp to arrival.
 """
 
 import argparse

@@ -217,7 +217,7 @@ def test_topics_with_depth_that_are_not_smoothed_are_named(bag, tmp_path):
     copy(bag, tmp_path / "in.mcap", leave_out=[FLOAT])
     text = smooth(tmp_path / "in.mcap", tmp_path / "out.mcap", "--fields", "normals")
     assert f"depth on {COMPRESSED}, {CLOUD} was copied" in text.replace(f"{CLOUD}, {COMPRESSED}", f"{COMPRESSED}, {CLOUD}")
-    assert "--points-topic adds clouds" in text
+    assert "add clouds with --points-topic" in text
     assert "was copied" not in smooth(bag, tmp_path / "two.mcap", "--topic", IMAGE, "--topic", CLOUD)
 
 
@@ -284,7 +284,7 @@ def test_a_recording_that_was_cut_off_is_smoothed_up_to_there(bag, tmp_path):
     with open(out, "rb") as file:
         # Complete, with a summary.
         assert make_reader(file).get_summary().statistics.message_count > 0
-    # Chunks stay as they were, though what says so was cut off.
+    # Chunks are unchanged although the summary that describes them was cut off.
     copy(bag, tmp_path / "plain.mcap", chunk_size=100_000, compression=CompressionType.NONE)
     plain = (tmp_path / "plain.mcap").read_bytes()
     cut.write_bytes(plain[: len(plain) * 2 // 3])

@@ -262,9 +262,9 @@ def test_the_domain_of_the_environment_is_taken(robot, start, monkeypatch):
 def test_wrong_arguments_end_the_node_with_the_reason():
     for arguments, text in [(["--fast"], "--fast"), (["--ros-args", "-p", "strength:=7"], "strength"),
                             (["--ros-args", "-p", "speed:=7"], "speed"), (["--ros-args", "-r", "__ns:=x"], "slash"),
-                            # What it publishes would come back to it for ever.
+                            # Its output would return to it forever.
                             (["--ros-args", "-p", "input:=points", "-r", "input:=/points"], "remap"),
-                            # Where there is no driver there is no GPU.
+                            # Without a driver there is no GPU.
                             (["--ros-args", "-p", "engine:=gpu"], "the engine cannot be opened")]:
         run = subprocess.run([program("planish-ros"), *arguments], capture_output=True, text=True, timeout=20,
                              env={**os.environ, "VK_DRIVER_FILES": "/nonexistent"})

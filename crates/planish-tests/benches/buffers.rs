@@ -1,4 +1,4 @@
-//! What it costs to have points and normals interleaved, in buffers of the caller's, rather than in planes of our own.
+//! The cost of interleaved points and normals in the caller's buffers, compared with separate planes.
 //!
 //! `cargo bench -p planish-tests --bench buffers`. The layouts take turns, frame by frame, so that whatever slows the
 //! machine slows all of them; the ratio is the median over the rounds.

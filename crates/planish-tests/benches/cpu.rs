@@ -1,7 +1,7 @@
 //! The CPU engine over windows, strides, degrees, threads, SIMD levels, outputs and frame sizes, on simulated frames.
 //!
-//! `cargo bench -p planish-tests --bench cpu`, on a quiet machine. Every setting's result is held against the reference
-//! before it is timed.
+//! `cargo bench -p planish-tests --bench cpu`, on a quiet machine. Every setting's result is compared with the
+//! reference before it is timed.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -16,7 +16,7 @@ fn main() {
     divan::main();
 }
 
-/// A Kinect's field of view at another resolution.
+/// Returns a Kinect's field of view at another resolution.
 fn camera((width, height): (usize, usize)) -> Camera {
     let scale = width as f64 / 640.0;
     let (cx, cy) = ((width - 1) as f64 / 2.0, (height - 1) as f64 / 2.0);

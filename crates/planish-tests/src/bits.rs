@@ -1,8 +1,8 @@
-//! Results compared bit by bit, but for NaN, which is NaN whatever its bits.
+//! Compares results bit by bit; all NaN are equal.
 
 use planish::{Smoothed, Xyz};
 
-/// A result as numbers: its shape, which fields there are and how long, and the bits of their values.
+/// Returns a result as numbers: its shape, which fields there are and how long, and the bits of their values.
 pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
     let Smoothed { width, height, points, depth, depth_m, normals, curvature, status, neighbours, .. } = smoothed;
     let mut all = vec![*width as u32, *height as u32];
@@ -20,7 +20,7 @@ pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
     all
 }
 
-/// The bits of all x, all y and all z.
+/// Returns the bits of all x, all y and all z.
 pub fn of_points(points: &Xyz) -> Vec<u32> {
     points.as_slices().into_iter().flatten().map(bits_of).collect()
 }

@@ -1,4 +1,4 @@
-//! Real frames, where they are present: a folder `shared/data` beside the checkout. Nothing of it is in the project.
+//! Real frames, if present: a folder `shared/data` next to the checkout. The project does not include them.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use planish::io::{self, Contents};
 use planish::{Camera, OrganizedCloud};
 
-/// Says that something is not tested here. Not by `println!`: the test runner hides that of tests that pass.
+/// Reports that something is not tested here. Not by `println!`: the test runner hides the output of passing tests.
 pub fn skip(what: &str) {
-    // A standard error that is closed is no reason to fail.
+    // A closed standard error is not a reason to fail.
     let _ = writeln!(std::io::stderr(), "SKIP {what}");
 }
 
-/// PCL's own test cloud, 397 points of the Stanford bunny; its licence is beside it.
+/// PCL's test cloud, 397 points of the Stanford bunny, with its licence.
 ///
 /// # Panics
 /// If it cannot be read.
@@ -20,7 +20,7 @@ pub fn bunny() -> planish::PointCloud {
     general_cloud(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/data")), "bun0.pcd")
 }
 
-/// The folder of real data; prints SKIP and is `None` where it is absent.
+/// Returns the folder of real data; prints SKIP and is `None` where it is absent.
 ///
 /// # Panics
 /// If it is absent and PLANISH_REQUIRE_DATA is set.
@@ -79,13 +79,13 @@ pub fn real_frames(test: &str) -> Vec<RealFrame> {
     clouds.map(cloud).into_iter().chain(depths.map(depth)).collect()
 }
 
-/// Reads a file of the data folder that must be a general cloud.
+/// Reads a file of the data folder that must be an unorganized cloud.
 ///
 /// # Panics
 /// If it cannot be read or is something else.
 pub fn general_cloud(folder: &Path, name: &str) -> planish::PointCloud {
     match io::read(&folder.join(name)).expect("a whole file").1 {
         Contents::General(cloud) => cloud,
-        _ => panic!("{name} is not a general cloud"),
+        _ => panic!("{name} is not an unorganized cloud"),
     }
 }

@@ -3,8 +3,8 @@
 use std::sync::{Mutex, OnceLock};
 
 use planish::{
-    ChoiceReason, Edges, Engine, FrameParams, FrameRadius, GpuAdapter, GpuOptions, IntoFrame, Outputs, Params, Project,
-    SimdLevel, Smoothed, Smoother, SmootherOptions, auto_choice, gpu_adapters,
+    AdapterKind, ChoiceReason, Edges, Engine, FrameParams, FrameRadius, GpuAdapter, GpuOptions, IntoFrame, Outputs,
+    Params, Project, SimdLevel, Smoothed, Smoother, SmootherOptions, auto_choice, gpu_adapters,
 };
 
 /// An engine with the choices that must not change its result by more than the tolerances.
@@ -18,7 +18,7 @@ pub struct TestEngine {
     pub simd: Option<SimdLevel>,
     /// Whether the shader of the GPU engine checks bounds.
     pub bounds_checks: bool,
-    /// How many points of a general cloud the GPU engine takes at once.
+    /// How many points of an unorganized cloud the GPU engine takes at once.
     pub points_at_once: Option<usize>,
 }
 
@@ -27,29 +27,29 @@ impl TestEngine {
     pub const REFERENCE: Self =
         Self { engine: Engine::Reference, threads: None, simd: None, bounds_checks: true, points_at_once: None };
 
-    /// The CPU engine at one instruction set.
+    /// Returns the CPU engine at one instruction set.
     pub fn cpu(simd: SimdLevel) -> Self {
         Self { engine: Engine::Cpu, simd: Some(simd), ..Self::REFERENCE }
     }
 
-    /// The GPU engine on the adapter of the tests.
+    /// Returns the GPU engine on the adapter of the tests.
     pub fn gpu(bounds_checks: bool) -> Self {
         Self { engine: Engine::Gpu, bounds_checks, ..Self::REFERENCE }
     }
 
-    /// A GPU engine that holds at most this many points of a cloud.
+    /// Returns a GPU engine that holds at most this many points of a cloud.
     pub fn in_parts(points_at_once: usize) -> Self {
         Self { points_at_once: Some(points_at_once), ..Self::gpu(true) }
     }
 
-    /// What a smoother for this engine is opened with.
+    /// Returns the options to open a smoother for this engine.
     ///
     /// # Panics
     /// If the GPU engine is wanted and does not open.
     pub fn options(self, outputs: Outputs) -> SmootherOptions {
         let options = self.plain_options(outputs);
         if self.engine == Engine::Gpu {
-            // Kept open, so that what the device has compiled for one test is there for the next.
+            // Kept open, so that pipelines compiled for one test are available to the next.
             static KEPT: OnceLock<Mutex<Smoother>> = OnceLock::new();
             KEPT.get_or_init(|| {
                 Mutex::new(Smoother::open_with(FrameParams::paper(), &options, (1, 1)).expect("the GPU engine"))
@@ -92,11 +92,11 @@ impl TestEngine {
     }
 }
 
-/// The adapter that the GPU engine is tested on: the one that `Auto` takes, else the first, be it software. `None`
-/// where there is no adapter.
+/// Returns the adapter on which the GPU engine is tested: the one chosen by `Auto`, otherwise the first, even if it is
+/// software. `None` without an adapter.
 ///
 /// # Panics
-/// If there is none and the environment's PLANISH_REQUIRE_GPU says that there must be.
+/// If there is none and the environment variable PLANISH_REQUIRE_GPU is set.
 pub fn test_adapter() -> Option<&'static GpuAdapter> {
     static ADAPTER: OnceLock<Option<GpuAdapter>> = OnceLock::new();
     let adapter = ADAPTER.get_or_init(|| {
@@ -113,9 +113,14 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
     adapter.as_ref()
 }
 
-/// The corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 8, degrees 1 to 3, blocks
-/// averaged or not, both radius rules; edges off, and kept with one of the rules; a third of them along rays, a few
-/// with another ridge.
+/// Returns true if the GPU engine is tested on a software adapter, which takes minutes for what a GPU does in seconds.
+pub fn is_software() -> bool {
+    test_adapter().is_some_and(|adapter| adapter.kind == AdapterKind::Software)
+}
+
+/// Returns the corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 8, degrees 1 to
+/// 3, blocks averaged or not, both radius rules; edges off, and kept with one of the rules; a third of them along rays,
+/// a few with another ridge.
 pub fn parameter_grid() -> Vec<FrameParams> {
     let fixed = FrameRadius::Fixed { radius_m: 0.03 };
     let corners = [1, 7].into_iter().flat_map(|window| {

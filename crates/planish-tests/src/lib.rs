@@ -1,4 +1,4 @@
-//! What the tests and benchmarks share: scenes written once, named tolerances, and the way to the real frames.
+//! Shared by tests and benchmarks: scenes, named tolerances, and the location of the real frames.
 
 pub mod bits;
 pub mod data;

@@ -25,7 +25,7 @@ pub fn transform(pose: &SensorPose, p: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|k| turned[k] + pose.position_m[k])
 }
 
-/// The cloud of a camera in the frame that the camera has this pose in, rounded to f32, without its camera.
+/// Returns the cloud of a camera in the frame that the camera has this pose in, rounded to f32, without its camera.
 ///
 /// # Panics
 /// If the cloud is not well formed.

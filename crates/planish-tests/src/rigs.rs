@@ -4,7 +4,7 @@ use planish::evaluate::{RigCase, RigCaseCamera};
 use planish::rig::{Rig, RigCamera};
 use planish::{Frame, IntoFrame};
 
-/// The rig of a case, with its stated poses.
+/// Returns the rig of a case, with its stated poses.
 pub fn rig_of(case: &RigCase) -> Rig {
     let camera = |(i, camera): (usize, &RigCaseCamera)| {
         RigCamera::new(&format!("camera{i}"), camera.stated.sensor_pose().unwrap())
@@ -12,7 +12,7 @@ pub fn rig_of(case: &RigCase) -> Rig {
     Rig::new(case.cameras.iter().enumerate().map(camera).collect()).unwrap()
 }
 
-/// The frame of each of its cameras.
+/// Returns the frame of each of its cameras.
 pub fn frames_of(case: &RigCase) -> Vec<Option<Frame<'_>>> {
     case.cameras.iter().map(|camera| Some(camera.frame.into_frame().unwrap())).collect()
 }

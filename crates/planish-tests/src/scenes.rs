@@ -5,18 +5,18 @@ use planish::{Camera, OrganizedCloud, Xyz};
 
 /// A cloud under a name.
 pub struct TestScene {
-    /// What is said of it when a test fails.
+    /// Name in the messages of failing tests.
     pub name: &'static str,
     /// The cloud.
     pub cloud: OrganizedCloud,
 }
 
-/// A camera with the Kinect's field of view and a quarter of its resolution in each direction, for quick tests.
+/// Returns a camera with the Kinect's field of view and a quarter of its resolution in each direction, for quick tests.
 pub fn small_camera() -> Camera {
     Camera::new((160, 120), [131.25, 131.25], [79.5, 59.5])
 }
 
-/// A grid of points by their pixel.
+/// Returns a grid of points by their pixel.
 ///
 /// # Panics
 /// If the shape is not allowed.
@@ -25,7 +25,7 @@ pub fn grid(width: usize, height: usize, point: impl Fn(usize, usize) -> [f32; 3
     OrganizedCloud::from_positions(width, height, positions).expect("an allowed shape")
 }
 
-/// A noisy simulated frame of a scene.
+/// Returns a noisy simulated frame of a scene.
 pub fn simulated(seed: u64, room: bool, camera: Camera) -> OrganizedCloud {
     let (scene, pose) = if room { Scene::room(seed) } else { Scene::tabletop(seed) };
     let truth = scene.render(&camera, &pose);
@@ -33,7 +33,7 @@ pub fn simulated(seed: u64, room: bool, camera: Camera) -> OrganizedCloud {
     frame.deproject().expect("a valid frame")
 }
 
-/// A surface z(x, y) around (0, 0), one point every `spacing_m`, as seen along z.
+/// Returns a surface z(x, y) around (0, 0), one point every `spacing_m`, as seen along z.
 pub fn height_field(side: usize, spacing_m: f64, z: impl Fn(f64, f64) -> f64) -> OrganizedCloud {
     let middle = (side - 1) as f64 / 2.0;
     grid(side, side, |u, v| {

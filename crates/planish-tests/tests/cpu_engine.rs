@@ -1,5 +1,5 @@
-//! What the CPU engine promises beside its numbers: the same bits whatever the threads, nothing allocated once it runs,
-//! depth frames as clouds, and only the outputs that were asked for.
+//! Guarantees of the CPU engine other than its numbers: identical bits for any number of threads, no allocation after
+//! the first frame, equal results for depth frames and clouds, and only the requested outputs.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -123,7 +123,7 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
             .with_neighbours(wants(8));
         let options = SmootherOptions::default().with_engine(Engine::Cpu).with_outputs(outputs);
         let mut smoother = Smoother::open_with(FrameParams::default(), &options, (160, 120)).unwrap();
-        // The same result struct each time: what is not asked for goes away.
+        // The same result struct each time: outputs that are no longer requested disappear.
         smoother.smooth(&cloud, &mut smoothed).unwrap();
         let mut expected = all.clone();
         expected.normals = expected.normals.filter(|_| outputs.normals);

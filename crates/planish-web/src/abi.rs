@@ -1,4 +1,4 @@
-//! What WebAssembly exports: memory for requests, and one function that answers them.
+//! The exports of the WebAssembly module: memory for requests, and one function that answers them.
 
 use std::alloc::{Layout, alloc, dealloc};
 use std::cell::RefCell;
@@ -15,7 +15,7 @@ fn layout(len: usize) -> Option<Layout> {
     Layout::from_size_align(len.max(1), 8).ok()
 }
 
-/// Returns memory for so many bytes, or 0 if there is none.
+/// Allocates this many bytes; returns 0 on failure.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_alloc(len: usize) -> *mut u8 {
     match layout(len) {
@@ -40,7 +40,7 @@ pub unsafe extern "C" fn planish_free(at: *mut u8, len: usize) {
 /// Answers a request: JSON, and bytes. The reply stays until the next call.
 ///
 /// # Safety
-/// Both pointers lead to so many bytes that are initialized.
+/// Both pointers refer to that many initialized bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_call(json: *const u8, json_len: usize, bytes: *const u8, bytes_len: usize) {
     // SAFETY: by the contract of this function.
@@ -54,7 +54,7 @@ pub unsafe extern "C" fn planish_call(json: *const u8, json_len: usize, bytes: *
     REPLY.set((json, reply.bytes));
 }
 
-/// Where part 0 (JSON) or 1 (bytes) of the reply is.
+/// Returns the address of part 0 (JSON) or 1 (bytes) of the reply.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_reply(part: usize) -> *const u8 {
     REPLY.with_borrow(|(json, bytes)| if part == 0 { json.as_ptr() } else { bytes.as_ptr() })

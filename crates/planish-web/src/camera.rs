@@ -11,7 +11,7 @@ use serde_json::Value;
 pub struct CameraGiven(Value);
 
 impl CameraGiven {
-    /// The camera for images of this size.
+    /// Returns the camera for images of this size.
     pub(crate) fn camera(&self, shape: (usize, usize)) -> Result<Camera, String> {
         let text = match &self.0 {
             Value::String(text) => text.clone(),
@@ -22,7 +22,8 @@ impl CameraGiven {
                 let old = object.get("depth_scale").map(|_| "depthScale".to_owned());
                 if let Some(key) = unknown.or(old) {
                     return Err(format!(
-                        "a camera has no {key:?}: it has fx, fy, cx, cy, depthUnitsPerMetre, width, height and distortion"
+                        "unknown field {key:?} of a camera; fields are fx, fy, cx, cy, depthUnitsPerMetre, width, \
+                         height and distortion"
                     ));
                 }
                 text

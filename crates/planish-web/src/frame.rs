@@ -12,18 +12,16 @@ use crate::camera::CameraGiven;
 pub struct PageFrame {
     /// Its contents.
     pub contents: Contents,
-    /// What it was read from.
+    /// Format of the file.
     pub format: &'static str,
 }
 
 impl PageFrame {
-    /// The camera of depth, which must be given; of points what is given, or `None`.
+    /// Returns the camera: for depth it must be given; for points it is optional.
     pub(crate) fn camera(&self, given: Option<&CameraGiven>) -> Result<Option<Camera>, String> {
         match given {
             Some(given) => given.camera(self.contents.shape()).map(Some),
-            None if self.contents.is_depth() => {
-                Err("depth needs the camera it was taken with: fx, fy, cx and cy in pixels".to_owned())
-            }
+            None if self.contents.is_depth() => Err("depth needs its camera: fx, fy, cx and cy in pixels".to_owned()),
             None => Ok(None),
         }
     }
@@ -56,7 +54,7 @@ impl PageFrame {
         frame().map_err(Error::from).and_then(work).map_err(|error| error.to_string())
     }
 
-    /// The points of a grid.
+    /// Returns the points of a grid.
     pub(crate) fn organized(&self, camera: Option<&Camera>) -> Option<OrganizedCloud> {
         match &self.contents {
             Contents::Organized(cloud) => Some(cloud.clone()),
@@ -66,7 +64,7 @@ impl PageFrame {
         }
     }
 
-    /// The points, on a grid or not.
+    /// Returns the points, on a grid or not.
     pub(crate) fn points(&self, camera: Option<&Camera>) -> Option<PointCloud> {
         match &self.contents {
             Contents::General(cloud) => Some(cloud.clone()),
@@ -74,13 +72,13 @@ impl PageFrame {
         }
     }
 
-    /// What is computed of it.
+    /// Returns the outputs to compute.
     pub(crate) fn outputs(&self) -> Outputs {
         let outputs = Outputs::POINTS.with_normals(true).with_status(true);
         outputs.with_depth(matches!(self.contents, Contents::Depth(_)))
     }
 
-    /// What a page needs to know of it.
+    /// Describes the frame for the page.
     pub(crate) fn describe(&self) -> Value {
         let (width, height) = self.contents.shape();
         let (kind, valid) = match &self.contents {
@@ -103,7 +101,7 @@ impl PageFrame {
             "kind": kind, "width": width, "height": height, "valid": valid, "format": self.format, "has_colour": has_colour
         });
         if self.contents.is_depth() {
-            // A Kinect's field of view, until the page is told more.
+            // A Kinect's field of view, until the page provides a camera.
             let (focal, centre) = (525.0 * width as f64 / 640.0, [width, height].map(|n| (n as f64 - 1.0) / 2.0));
             described["assumed_camera"] =
                 json!({ "fx": focal, "fy": focal, "cx": centre[0], "cy": centre[1], "depth_units_per_metre": 1000.0 });

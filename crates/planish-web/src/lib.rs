@@ -1,10 +1,9 @@
 //! planish in a browser: everything but the interface and the calls of WebGPU, which are TypeScript (`web/`).
 //!
-//! A [`Page`] holds frames and results. A page sends it requests in JSON, each with bytes where it has some, and gets a
-//! reply in JSON with bytes ([`Page::handle`]); in WebAssembly through the exports of `abi`. Where the page has WebGPU,
-//! it asks for a plan of a frame, runs the plan's kernels, and hands in what they wrote; else the CPU engine smooths
-//! the frame here, in vectors of 128 bits. Nothing is written twice: kernels, parameters, file formats and pictures are
-//! the library's.
+//! A [`Page`] holds frames and results. A page sends requests as JSON, some with bytes, and receives replies as JSON
+//! with bytes ([`Page::handle`]); in WebAssembly through the exports of `abi`. With WebGPU, the page requests a plan
+//! for a frame, runs the plan's kernels, and passes back their output; otherwise the CPU engine smooths the frame here,
+//! in vectors of 128 bits. Kernels, parameters, file formats and pictures are the library's.
 
 #![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

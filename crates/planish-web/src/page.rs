@@ -1,4 +1,4 @@
-//! What a page has open: frames, plans and results.
+//! Open items of a page: frames, plans and results.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -24,11 +24,11 @@ use crate::request::{PictureKind, Reply, Request, Side};
 
 /// Files that need more are refused: the module has 4 GiB at most, and frame, copy, result and pictures all go into it.
 const MAX_MEMORY_BYTES: u64 = 1 << 29;
-/// The longer side of a picture of a general cloud, in pixels.
+/// The longer side of a picture of an unorganized cloud, in pixels.
 const GENERAL_PICTURE_PX: usize = 640;
 
-/// What the library says of formats whose features are not built in.
-const LEFT_OUT: &str = "this build leaves out";
+/// The library's message about formats whose features are not built in.
+const LEFT_OUT: &str = "this build does not include";
 
 type Answer = Result<(Value, Vec<u8>), String>;
 
@@ -63,7 +63,7 @@ fn text(error: impl std::fmt::Display) -> String {
 }
 
 impl Page {
-    /// Answers a request; `bytes` are those that came with it.
+    /// Answers a request; `bytes` accompany it.
     pub fn handle(&mut self, request: &str, bytes: &[u8]) -> Reply {
         let answer = serde_json::from_str(request)
             .map_err(|error| format!("the request: {error}"))
@@ -140,11 +140,11 @@ impl Page {
     }
 
     fn frame(&self, number: u32) -> Result<&Rc<PageFrame>, String> {
-        self.frames.get(&number).ok_or_else(|| format!("there is no frame {number}, or it was released"))
+        self.frames.get(&number).ok_or_else(|| format!("frame {number} does not exist or was released"))
     }
 
     fn result(&self, number: u32) -> Result<&Outcome, String> {
-        self.results.get(&number).ok_or_else(|| format!("there is no result {number}, or it was released"))
+        self.results.get(&number).ok_or_else(|| format!("result {number} does not exist or was released"))
     }
 
     fn open(&mut self, name: &str, bytes: &[u8]) -> Answer {
@@ -154,7 +154,8 @@ impl Page {
             FormatError::Unsupported(what) if what.contains(LEFT_OUT) => {
                 let format = what.split(',').next().unwrap_or_default();
                 format!(
-                    "{name}: {format} is not read here; the command reads it: save it as PCD, PLY, NPY or a 16-bit PNG"
+                    "{name}: the browser cannot read {format}, but the command can; convert it to PCD, PLY, NPY or a \
+                     16-bit PNG"
                 )
             }
             error => format!("{name}: {error}"),
@@ -206,8 +207,9 @@ impl Page {
         let (plan, upload) = held.with(camera.as_ref(), |frame| {
             let Params::Frame(params) = settings.resolve(frame)?.params else {
                 return Err(FrameError::GridMismatch {
-                    found: "is a general cloud".to_owned(),
-                    expected: "frames on a grid, which WebGPU smooths; clouds take the CPU engine".to_owned(),
+                    found: "is an unorganized cloud".to_owned(),
+                    expected: "frames on a grid; WebGPU does not smooth unorganized clouds, the CPU engine does"
+                        .to_owned(),
                 }
                 .into());
             };
@@ -230,7 +232,7 @@ impl Page {
     }
 
     fn finish(&mut self, plan: u32, bytes: &[u8]) -> Answer {
-        let missing = || format!("there is no plan {plan}: it was finished or released");
+        let missing = || format!("plan {plan} does not exist, or was finished or released");
         let Planned { frame, held, plan } = self.plans.remove(&plan).ok_or_else(missing)?;
         let mut smoothed = Smoothed::default();
         plan.read(bytes, &mut smoothed).map_err(text)?;
@@ -259,7 +261,7 @@ impl Page {
         Ok((json!({ "width": smoothed.width, "height": smoothed.height }), bytes))
     }
 
-    /// A frame, raw or smoothed, with its normals where it has some.
+    /// Returns a frame, raw or smoothed, with its normals where it has some.
     fn points(&self, frame: u32, side: Side, camera: Option<&Camera>) -> Result<(PointCloud, Option<Xyz>), String> {
         let no_points = || "the frame has no points".to_owned();
         let Side::Result(result) = side else {
@@ -267,7 +269,7 @@ impl Page {
         };
         let outcome = self.result(result)?;
         if outcome.frame != frame {
-            return Err(format!("the result {result} is of another frame"));
+            return Err(format!("result {result} belongs to another frame"));
         }
         let mut points = outcome.held.points(camera).ok_or_else(no_points)?;
         points.apply(&outcome.smoothed, Outputs::POINTS.with_normals(true)).map_err(text)?;
@@ -324,12 +326,12 @@ impl Page {
     fn write(&self, result: u32, format: &str, given: Option<&CameraGiven>) -> Answer {
         let outcome = self.result(result)?;
         let held = &outcome.held;
-        let unknown = || format!("{format} is not written here: pcd, ply, npy, xyz, and png of depth are");
+        let unknown = || format!("the browser cannot write {format}; use pcd, ply, npy, xyz, or png for depth");
         let name = format!("frame.{format}");
         let kind = Format::of_extension(Path::new(&name)).ok_or_else(unknown)?;
         let camera = held.camera(given)?;
         let bytes = if kind == Format::DepthPng {
-            let no_depth = || "this frame came as points, without the camera that depth needs: save it as PCD or PLY";
+            let no_depth = || "this frame has points but no camera, which depth needs; save it as PCD or PLY";
             let depth = match (&outcome.smoothed.depth, &camera) {
                 (Some(raw), _) => {
                     DepthImage { width: outcome.smoothed.width, height: outcome.smoothed.height, raw: raw.clone() }
@@ -382,7 +384,7 @@ fn numbers<T>(
 ) -> Result<Vec<T>, String> {
     let expected = width.checked_mul(height).and_then(|pixels| pixels.checked_mul(size));
     if expected != Some(bytes.len()) {
-        return Err(format!("{width} x {height} pixels of {size} bytes were announced, {} bytes came", bytes.len()));
+        return Err(format!("expected {width} x {height} pixels of {size} bytes, but received {} bytes", bytes.len()));
     }
     Ok(bytes.chunks_exact(size).map(of).collect())
 }

@@ -7,7 +7,7 @@ use crate::request::PictureKind;
 
 const HOLE: [u8; 3] = [0; 3];
 
-/// The nearest and the farthest depth that colours tell apart, of 98 % of the points.
+/// Returns the nearest and the farthest depth that colours tell apart, of 98 % of the points.
 pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
     let mut z: Vec<f32> = points.z().iter().copied().filter(|z| z.is_finite()).collect();
     if z.is_empty() {
@@ -53,7 +53,7 @@ pub(crate) fn colours_of(
     is_general: bool,
 ) -> Vec<[u8; 3]> {
     let (width, height) = (cloud.width(), cloud.height());
-    // Those of a general cloud's picture are its fields.
+    // For the picture of an unorganized cloud, these are its fields.
     let between_pixels = || match cloud.points.attribute("normal_x") {
         Some(_) if is_general => normals_of(cloud),
         _ => difference_normals(width, height, cloud.positions()),
@@ -73,8 +73,8 @@ pub(crate) fn colours_of(
     }
 }
 
-/// The colours of the points of a general cloud: its own, shades or colours of its normals, or those of its depth along
-/// z where it has neither.
+/// Returns the colours of the points of an unorganized cloud: the cloud's colours; otherwise shades or colours of its
+/// normals; otherwise colours of depth along z.
 pub(crate) fn colours_of_general(
     cloud: &PointCloud,
     normals: Option<&Xyz>,

@@ -4,7 +4,7 @@ use planish::webgpu::{Plan, WebGpuLimits};
 use planish::{Camera, DepthFrame, Error, FrameParams, Outputs};
 use serde_json::json;
 
-/// What most GPUs of today have: 32 KiB of workgroup memory.
+/// Supported by most current GPUs: 32 KiB of workgroup memory.
 const LIMITS: WebGpuLimits = WebGpuLimits::new(32 << 10, 128 << 20, 65_535);
 
 /// Plans depth images of 640x480 with each preset to points, normals, status and depth: the names of files and their

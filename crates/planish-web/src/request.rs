@@ -1,4 +1,4 @@
-//! What a page asks for, and what it gets. `web/src/core.ts` has the same in TypeScript.
+//! Requests of a page and their replies. `web/src/core.ts` declares the same in TypeScript.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -6,7 +6,7 @@ use serde_json::Value;
 use crate::camera::CameraGiven;
 use planish::Settings;
 
-/// A request; the bytes that some need come beside it.
+/// A request; some are accompanied by bytes.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(tag = "op", rename_all = "snake_case", deny_unknown_fields)]
 #[non_exhaustive]
@@ -37,7 +37,7 @@ pub enum Request {
     },
     /// Reads a file, whose bytes these are.
     Open {
-        /// Its name; where its contents do not say the format, its extension does.
+        /// File name; its extension decides if the contents do not identify the format.
         name: String,
     },
     /// Takes raw depth: little-endian u16, row by row.
@@ -69,22 +69,22 @@ pub enum Request {
         frame: u32,
         /// How.
         settings: Settings,
-        /// Of depth, the camera that it was taken with.
+        /// For depth: its camera.
         camera: Option<CameraGiven>,
     },
-    /// Plans a frame for WebGPU. The reply's bytes are what is uploaded.
+    /// Plans a frame for WebGPU. The reply's bytes are the data to upload.
     Plan {
         /// Which frame.
         frame: u32,
         /// How.
         settings: Settings,
-        /// Of depth, the camera that it was taken with.
+        /// For depth: its camera.
         camera: Option<CameraGiven>,
         /// `maxComputeWorkgroupStorageSize`, the smaller of `maxStorageBufferBindingSize` and `maxBufferSize`, and
         /// `maxComputeWorkgroupsPerDimension`.
         limits: [u64; 3],
     },
-    /// Reads what the kernels of a plan wrote, which are the bytes.
+    /// Reads the output of a plan's kernels, passed as the bytes.
     Finish {
         /// Which plan; it is gone afterwards.
         plan: u32,
@@ -103,7 +103,7 @@ pub enum Request {
         side: Side,
         /// As what.
         kind: PictureKind,
-        /// Of depth, the camera that it was taken with.
+        /// For depth: its camera.
         camera: Option<CameraGiven>,
     },
     /// The reply's bytes are x, y and z of every finite point as f32, and red, green, blue and 255 of each.
@@ -114,7 +114,7 @@ pub enum Request {
         side: Side,
         /// The colours.
         kind: PictureKind,
-        /// Of depth, the camera that it was taken with.
+        /// For depth: its camera.
         camera: Option<CameraGiven>,
     },
     /// Encodes a result as a file. The reply's bytes are the file.
@@ -123,7 +123,7 @@ pub enum Request {
         result: u32,
         /// `pcd`, `ply`, `npy`, `xyz`, or of depth `png`.
         format: String,
-        /// Of depth, the camera that it was taken with.
+        /// For depth: its camera.
         camera: Option<CameraGiven>,
     },
     /// Forgets frames, plans and results.
@@ -166,7 +166,7 @@ pub struct Reply {
     /// What was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ok: Option<Value>,
-    /// What was wrong, in words.
+    /// Error message.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
     /// Bytes that belong to it.

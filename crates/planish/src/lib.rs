@@ -84,7 +84,7 @@ pub mod bag {
     pub use planish_ros2::bag::*;
 }
 
-/// What the project's own tests and experiments need and its users do not; it may change with every version.
+/// Items for the project's tests and experiments, not for users; they may change with every version.
 #[doc(hidden)]
 #[cfg(feature = "internal")]
 pub mod internal {

@@ -69,7 +69,7 @@ pub(super) struct BatchRow {
 pub(super) fn print_text(report: &Report) {
     crate::outln!("{}, {}, 640x480, medians of {} frames", report.adapter, report.input, report.frames);
     crate::outln!(
-        "every setting agrees with the reference; a smoother opens in {:.0} ms, its first frame takes {:.2} ms",
+        "every setting agrees with the reference; opening a smoother takes {:.0} ms, its first frame {:.2} ms",
         report.open_ms,
         report.first_frame_ms
     );
@@ -94,12 +94,12 @@ pub(super) fn print_text(report: &Report) {
     for LatencyRow { setting, what, transfer, microseconds } in &report.one_at_a_time {
         crate::outln!("| {what} | {setting} | {transfer} | {:.0} | {:.0} |", microseconds.median, microseconds.p99);
     }
-    crate::outln!("\n| frames in flight | setting | transfer | slots | frames a second |\n|---|---|---|---|---|");
+    crate::outln!("\n| frames in flight | setting | transfer | slots | frames per second |\n|---|---|---|---|---|");
     for ThroughputRow { setting, what, transfer, slots, frames_per_second } in &report.in_flight {
         crate::outln!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
     }
     print_fleets(&report.fleets);
-    crate::outln!("\n| batch | kernel, µs | kernel a frame, µs |\n|---|---|---|");
+    crate::outln!("\n| batch | kernel, µs | kernel per frame, µs |\n|---|---|---|");
     for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {
         crate::outln!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
     }
@@ -108,7 +108,8 @@ pub(super) fn print_text(report: &Report) {
 fn print_fleets(rows: &[FleetRow]) {
     if !rows.is_empty() {
         crate::outln!(
-            "\n| dealt to devices | setting | devices | frames a second | times one | each |\n|---|---|---|---|---|---|"
+            "\n| shared by devices | setting | devices | frames per second | times one | each \
+             |\n|---|---|---|---|---|---|"
         );
     }
     for FleetRow { setting, what, devices, frames_per_second, times, shares } in rows {

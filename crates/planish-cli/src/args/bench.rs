@@ -7,6 +7,7 @@ use clap::Subcommand;
 use super::{CameraArgs, EdgesArg, EngineArg, GpusArgs, RigWayArg};
 
 #[derive(clap::Args)]
+#[command(after_help = "Examples:\n  planish bench speedup --quick\n  planish bench general --points 100000")]
 pub struct BenchArgs {
     #[command(subcommand)]
     pub what: BenchCommand,
@@ -14,142 +15,143 @@ pub struct BenchArgs {
 
 #[derive(Subcommand)]
 pub enum BenchCommand {
-    /// The GPU engine: its kernels, one frame at a time, frames in flight, batches
+    /// GPU engine: kernels, single frames, frames in flight, batches
     Gpu(BenchGpuArgs),
-    /// General clouds: from points in memory to points and normals
+    /// Unorganized clouds, from points in memory to points and normals
     General(BenchGeneralArgs),
-    /// Rigs: from the depth of a simulated rig's cameras in memory to the fused cloud in memory
+    /// Simulated rigs, from depth in memory to the fused cloud in memory
     Rig(BenchRigArgs),
-    /// Experiment 1 of the 2011 report: times of a frame, and how many times the serial method's
+    /// Experiment 1 of the 2011 report: time per frame, and speedup over the serial method
     Speedup(ExperimentArgs),
-    /// Experiment 2: time over the candidates of a window
+    /// Experiment 2: time over the number of candidates in a window
     Connectivity(ExperimentArgs),
-    /// Experiment 3: the scene several times over, as a tall cloud and as a batch; threads
+    /// Experiment 3: several copies of the scene as a tall cloud and as a batch; threads
     Scaleup(ExperimentArgs),
-    /// Where the time of a frame goes
+    /// Time per stage of a frame
     Profile(ExperimentArgs),
-    /// A frame raw and smoothed, and its largest plane before and after
+    /// Raw and smoothed frame, and its largest plane before and after
     Quality(ExperimentArgs),
-    /// All five, one after the other
+    /// All five experiments
     All(ExperimentArgs),
 }
 
 #[derive(clap::Args)]
 pub struct ExperimentArgs {
-    /// Which engines, separated by commas; else, or with auto, all that this machine has but GPUs in software
+    /// Engines, separated by commas [default: all, except software GPUs]
     #[arg(long, value_enum, value_delimiter = ',', value_name = "ENGINES")]
     pub engine: Vec<EngineArg>,
-    /// Frames: organized clouds, or depth images with --camera; else the depth of a simulated room and a simulated
-    /// table
+    /// Organized clouds, or depth images with --camera [default: a simulated room and table]
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub input: Vec<PathBuf>,
     #[command(flatten)]
     pub camera: CameraArgs,
-    /// Fewer and shorter measurements: all five in about a minute on two cores
+    /// Fewer and shorter measurements: about a minute for all five on two cores
     #[arg(long)]
     pub quick: bool,
-    /// Folder for each experiment's JSON, Markdown and plots
+    /// Folder for JSON, Markdown and plots of each experiment
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Write the machine, the tables and the plots of --out into this Markdown file too, between the lines
-    /// `<!-- planish bench NAME -->` and `<!-- end of planish bench NAME -->`, where NAME is that of the folder
+    /// Markdown file to update with machine, tables and plots of --out
+    ///
+    /// Replaces the text between the lines `<!-- planish bench NAME -->` and `<!-- end of planish bench NAME -->`,
+    /// where NAME is the name of the folder.
     #[arg(long, value_name = "FILE.md", requires = "out")]
     pub update: Option<PathBuf>,
 }
 
 #[derive(clap::Args)]
 pub struct BenchGpuArgs {
-    /// A frame: an organized cloud of a camera at 640x480 with a focal length of 525; else a simulated one
+    /// Organized cloud of a 640x480 camera with a focal length of 525 [default: simulated]
     #[arg(long, value_name = "FILE")]
     pub input: Option<PathBuf>,
-    /// Which GPU, by its index or part of its name (see `planish devices`); else the first real one
+    /// GPU: index or part of the name (see `planish devices`) [default: the first real one]
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
     #[command(flatten)]
     pub gpus: GpusArgs,
-    /// With --gpus: measure nothing but what several devices do
+    /// With --gpus: measure only several devices
     #[arg(long, requires = "gpus")]
     pub only_devices: bool,
-    /// Frames for each figure
+    /// Frames per figure
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(2..))]
     pub runs: u32,
-    /// Print one JSON object to standard output
+    /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(clap::Args)]
 pub struct BenchRigArgs {
-    /// How many cameras, 1 to 8
+    /// Number of cameras, 1 to 8
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub cameras: u8,
-    /// Which ways, separated by commas; else each
+    /// Ways to fuse, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WAYS", default_value = "each")]
     pub fuse: Vec<RigWayArg>,
-    /// Of merged points: one for each voxel of this size in metres; else all of them
+    /// For merged points: size in metres of voxels to thin them to [default: keep all points]
     #[arg(long, value_name = "METRES")]
     pub voxel: Option<f64>,
-    /// Of merged points: how far they are smoothed over, in metres; else 0.03, or three voxels where that is more
+    /// For merged points: radius in metres [default: the larger of 0.03 and three voxels]
     #[arg(long, value_name = "METRES")]
     pub radius: Option<f32>,
-    /// Of merged points: whether creases and steps are kept; else they are
+    /// For merged points: handling of creases and steps [default: robust]
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
-    /// Which engine
+    /// Engine
     #[arg(long, value_enum, default_value = "auto")]
     pub engine: EngineArg,
-    /// Which GPU with --engine gpu, by its index or part of its name (see `planish devices`); else the first real one
+    /// GPU: index or part of the name (see `planish devices`) [default: the first real one]
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
     #[command(flatten)]
     pub gpus: GpusArgs,
-    /// Moments for each figure, as far as 20 s go
+    /// Maximum number of moments per figure (stops after 20 s)
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,
-    /// Print one JSON array to standard output
+    /// Print a report as one JSON array
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(clap::Args)]
 pub struct BenchGeneralArgs {
-    /// Clouds; points on a grid are taken without it. Else simulated scans of --points
+    /// Clouds, whose grid is ignored [default: simulated scans of --points]
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub input: Vec<PathBuf>,
-    /// Points of simulated scans, separated by commas
+    /// Numbers of points of simulated scans, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "N", value_parser = clap::value_parser!(u32).range(5000..=1_000_000_000))]
     pub points: Vec<u32>,
-    /// Radii in metres, separated by commas; else, and with 0, radii by density
+    /// Radii in metres, separated by commas; 0 is by density [default: 0]
     #[arg(long, value_delimiter = ',', value_name = "M")]
     pub radius: Vec<f32>,
-    /// Neighbours that radii by density go for
+    /// Target number of neighbours for radii by density
     #[arg(long, value_name = "K", default_value_t = 40)]
     pub neighbours: u32,
     /// Degree of the polynomial
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub degree: u32,
-    /// Whether creases and steps are kept
+    /// Handling of creases and steps
     #[arg(long, value_enum, default_value = "off")]
     pub edges: EdgesArg,
-    /// Which engines, separated by commas; else the CPU and a real GPU if there is one
+    /// Engines, separated by commas [default: CPU, and a real GPU if there is one]
     #[arg(long, value_enum, value_delimiter = ',', value_name = "ENGINES")]
     pub engine: Vec<EngineArg>,
-    /// Measure the CPU engine with every instruction set of this machine
+    /// Measure the CPU engine at every SIMD level of this machine
     #[arg(long)]
     pub every_simd: bool,
-    /// Threads of the CPU engine; one for each core if left out
+    /// Threads of the CPU engine [default: one per core]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// Which GPU, by its index or part of its name (see `planish devices`); else the first real one
+    /// GPU: index or part of the name (see `planish devices`) [default: the first real one]
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
-    /// How many points are on the GPU at once, at most; larger clouds go in parts
+    /// Maximum number of points on the GPU at once; larger clouds are smoothed in parts
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..))]
     pub points_at_once: Option<u32>,
-    /// Runs for each figure, as far as 20 s go
+    /// Maximum runs per figure (stops after 20 s)
     #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,
-    /// Print one JSON array to standard output
+    /// Print a report as one JSON array
     #[arg(long)]
     pub json: bool,
 }

@@ -1,35 +1,41 @@
-//! The camera of a depth image, and where the sensor of a cloud stands.
+//! The camera of a depth image, and the pose of a cloud's sensor.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use planish::{Camera, SensorPose, io};
 
+use super::CAMERA;
+
 #[derive(clap::Args)]
 pub struct CameraArgs {
     /// Intrinsics of the depth camera in pixels
     #[arg(long, value_name = "FX,FY,CX,CY", conflicts_with = "camera_file", allow_hyphen_values = true)]
     pub camera: Option<Intrinsics>,
-    /// Intrinsics and lens distortion from a file: JSON (fx, fy, cx, cy, or Open3D's), the YAML of a ROS camera_info, a
-    /// 3x3 matrix as text, or COLMAP's cameras.txt
-    #[arg(long, value_name = "FILE")]
+    /// File with intrinsics and lens distortion
+    ///
+    /// JSON (fx, fy, cx, cy, or Open3D's format), the YAML of a ROS camera_info, a 3x3 matrix as text, or COLMAP's
+    /// cameras.txt.
+    #[arg(long, value_name = "FILE", hide_short_help = true)]
     pub camera_file: Option<PathBuf>,
-    /// Depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM (the inverse of librealsense's depth
-    /// scale)
-    #[arg(long, value_name = "UNITS", alias = "depth-scale", allow_negative_numbers = true)]
+    /// Depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM
+    ///
+    /// The inverse of librealsense's depth scale.
+    #[arg(long, value_name = "UNITS", alias = "depth-scale", allow_negative_numbers = true, hide_short_help = true, help_heading = CAMERA)]
     pub depth_units_per_metre: Option<f64>,
 }
 
 #[derive(clap::Args)]
 pub struct PoseArgs {
-    /// Pose of the sensor in the cloud's frame: position in metres and unit quaternion, instead of the file's. The
-    /// sensor looks along its own z axis, x to the right, y down
-    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", allow_hyphen_values = true)]
+    /// Pose of the sensor in the cloud's frame: position in metres and unit quaternion [default: the file's]
+    ///
+    /// The sensor looks along its z axis, with x to the right and y down.
+    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", allow_hyphen_values = true, hide_short_help = true, help_heading = CAMERA)]
     pub sensor_pose: Option<Pose>,
 }
 
 impl PoseArgs {
-    /// The pose that the user gave.
+    /// Returns the pose, if given.
     pub fn pose(&self) -> Result<Option<SensorPose>> {
         let Some(Pose(numbers)) = self.sensor_pose else { return Ok(None) };
         let pose = SensorPose::from_viewpoint(numbers);
@@ -39,17 +45,17 @@ impl PoseArgs {
 }
 
 impl CameraArgs {
-    /// Whether anything is said of the camera.
+    /// Returns true if any option of the camera is set.
     pub fn is_given(&self) -> bool {
         self.camera.is_some() || self.camera_file.is_some() || self.depth_units_per_metre.is_some()
     }
 
-    /// The camera for frames of this shape; `None` if the user gave none.
+    /// Returns the camera for frames of this shape; `None` if no option is set.
     pub fn camera(&self, shape: (usize, usize)) -> Result<Option<Camera>> {
         self.read(Some(shape))
     }
 
-    /// The camera for frames whose shape is not known yet: 0x0 where it was not said.
+    /// Returns the camera for frames of unknown shape, which is then 0x0.
     pub fn camera_of_any_shape(&self) -> Result<Option<Camera>> {
         self.read(None)
     }
@@ -63,12 +69,12 @@ impl CameraArgs {
         if let Some(scale) = self.depth_units_per_metre {
             camera.depth_units_per_metre = scale;
         }
-        // Whatever the shape is to be, the rest must describe a camera.
+        // The other values must be valid for any shape.
         camera.with_shape((camera.width.max(1), camera.height.max(1))).validate()?;
         Ok(Some(camera))
     }
 
-    /// The camera, which a depth image cannot do without.
+    /// Returns the camera, which a depth image requires.
     pub fn required(&self, shape: (usize, usize), file: &Path) -> Result<Camera> {
         let (width, height) = shape;
         self.camera(shape)?.with_context(|| {
@@ -105,7 +111,7 @@ impl std::str::FromStr for Pose {
     }
 }
 
-/// From points towards the viewer; from above if not given.
+/// Direction from the points to the viewer; from above by default.
 #[derive(Clone, Copy)]
 pub struct Direction(pub [f64; 3]);
 

@@ -5,44 +5,45 @@ use std::path::PathBuf;
 use super::camera::numbers;
 use super::{CameraArgs, EncodingArg, MemoryArgs};
 
-/// The steps are taken in the order of their options here; organized clouds keep their grid, with holes where points
-/// were, unless --voxel makes them general.
+/// Steps apply in the order of these options. Organized clouds keep their grid, and removed points become holes; with
+/// --voxel the output is unorganized.
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish clean scan.ply clean.ply --voxel 0.005 --statistical 20,2")]
 pub struct CleanArgs {
-    /// A cloud, organized or general, or a depth image with --camera
+    /// Cloud, or depth image with --camera
     pub input: PathBuf,
-    /// The cloud to write
+    /// Cloud to write
     pub output: PathBuf,
-    /// Keep what is in a box, in metres in the cloud's frame
+    /// Box to keep, in metres in the cloud's frame
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
     pub crop: Option<CropBox>,
-    /// Keep one point for each voxel of this size in metres: the centroid, with the means of colour, intensity, normals
-    /// and floats
+    /// Size in metres of voxels to thin to
+    ///
+    /// Keeps one point per voxel: the centroid, with the means of colour, intensity, normals and floats.
     #[arg(long, value_name = "METRES")]
     pub voxel: Option<f64>,
-    /// Remove points whose mean distance to K nearest others is above the mean of all points by R standard deviations
-    /// (1 if not given)
+    /// Remove points whose mean distance to K neighbours exceeds the average by R standard deviations [default R: 1]
     #[arg(long, value_name = "K[,R]", allow_hyphen_values = true)]
     pub statistical: Option<Statistical>,
-    /// Remove points with fewer than N others within the radius
+    /// Remove points with fewer than N neighbours within a radius
     #[arg(long = "radius-outliers", value_name = "METRES,N", allow_hyphen_values = true)]
     pub radius: Option<RadiusOutliers>,
     #[command(flatten)]
     pub camera: CameraArgs,
-    /// Encoding of the points in a .pcd or .ply; else the input's
+    /// Encoding of a .pcd or .ply [default: the input's]
     #[arg(long, value_enum)]
     pub encoding: Option<EncodingArg>,
-    /// Write over the input where the output is the same file
+    /// Allow an output that replaces the input
     #[arg(long)]
     pub overwrite: bool,
     #[command(flatten)]
     pub memory: MemoryArgs,
-    /// Print one JSON object to standard output
+    /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
 }
 
-/// The least x, y, z and the largest.
+/// Smallest and largest x, y, z.
 #[derive(Clone, Copy)]
 pub struct CropBox {
     pub low: [f64; 3],
@@ -58,7 +59,7 @@ impl std::str::FromStr for CropBox {
     }
 }
 
-/// Nearest others of a point, and standard deviations.
+/// Number of neighbours, and of standard deviations.
 #[derive(Clone, Copy)]
 pub struct Statistical {
     pub neighbours: usize,
@@ -72,12 +73,12 @@ impl std::str::FromStr for Statistical {
         let (neighbours, deviations) = text.split_once(',').unwrap_or((text, "1"));
         let parsed = neighbours.trim().parse().ok().zip(deviations.trim().parse().ok());
         let (neighbours, deviations) =
-            parsed.ok_or("a number of neighbours and one of standard deviations, as 20,2")?;
+            parsed.ok_or("a number of neighbours and of standard deviations is expected, such as 20,2")?;
         Ok(Self { neighbours, deviations })
     }
 }
 
-/// A radius in metres, and the fewest others within it.
+/// Radius in metres, and minimum number of neighbours within it.
 #[derive(Clone, Copy)]
 pub struct RadiusOutliers {
     pub radius_m: f32,
@@ -92,6 +93,6 @@ impl std::str::FromStr for RadiusOutliers {
             let least = least.trim().parse().ok()?;
             Some(Self { radius_m: radius.trim().parse().ok()?, least })
         });
-        parsed.ok_or_else(|| "a radius in metres and a number of neighbours, as 0.02,5".to_owned())
+        parsed.ok_or_else(|| "a radius in metres and a number of neighbours is expected, such as 0.02,5".to_owned())
     }
 }

@@ -4,10 +4,11 @@ use planish::io::ReadOptions;
 
 #[derive(clap::Args)]
 pub struct MemoryArgs {
-    /// Need no more memory for files and points than this: bytes, or with K, M, G; the program itself takes some 50 MB,
-    /// and LAZ another 100 MB. `smooth` and `info` go through larger LAS, LAZ and PLY in parts; other files that need
-    /// more are refused
-    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    /// Memory limit for file and point data, such as 500M or 4G [default: 2G]
+    ///
+    /// The program needs about 50 MB in addition, and LAZ another 100 MB. `smooth` and `info` process larger LAS, LAZ
+    /// and PLY files in tiles; other files that need more are refused.
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, hide_short_help = true, help_heading = super::ENGINE)]
     pub max_memory: Option<u64>,
 }
 
@@ -18,7 +19,7 @@ impl MemoryArgs {
     }
 }
 
-/// A number of bytes, as 500M or 4G.
+/// Parses a number of bytes, such as 500M or 4G.
 fn parse_bytes(text: &str) -> Result<u64, String> {
     let (number, shift) = match text.strip_suffix(['B', 'b']).unwrap_or(text) {
         text if text.ends_with(['K', 'k']) => (&text[..text.len() - 1], 10),
@@ -27,5 +28,5 @@ fn parse_bytes(text: &str) -> Result<u64, String> {
         text => (text, 0),
     };
     let bytes = number.parse::<u64>().ok().and_then(|number| number.checked_mul(1 << shift));
-    bytes.ok_or_else(|| "a number of bytes, as 500M or 4G".to_owned())
+    bytes.ok_or_else(|| "a number of bytes is expected, such as 500M or 4G".to_owned())
 }

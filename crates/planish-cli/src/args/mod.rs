@@ -23,12 +23,23 @@ pub use smoothing::{
     EdgesArg, EngineArg, GpusArgs, SmoothingArgs, by_option, by_option_of_error, option_of, params_of_voxels,
 };
 
-const AFTER_HELP: &str = "Exit codes: 0 done; 1 some frames failed, the others are done; 2 bad arguments or input; 130 ended by a \
-                          signal (a stream or recording ends with 0).\nStart with `planish demo`, then `planish smooth your.pcd smooth.pcd`.";
+const AFTER_HELP: &str = "Start with `planish demo`, then `planish smooth your.pcd smooth.pcd`.\n\
+                          Exit codes: 0 success, 1 some frames failed, 2 bad arguments or input, 130 interrupted.";
 
-/// Smooth point clouds of depth cameras: organized in, organized out, colour and holes kept.
+// Groups of options in the help.
+const CAMERA: &str = "Camera and pose";
+const ENGINE: &str = "Engine";
+const OTHER_PROGRAMS: &str = "Other programs";
+const OUTPUT: &str = "Output";
+const RECORDINGS: &str = "ROS 2 recordings";
+const RIGS: &str = "Rigs of several cameras";
+const TUNING: &str = "Fine-tuning";
+
+/// Real-time smoothing of depth-camera frames and point clouds.
+///
+/// The output has the points of the input in the same order; colours, other fields, grid and holes are kept.
 #[derive(Parser)]
-#[command(name = "planish", version = env!("PLANISH_VERSION"), about, after_help = AFTER_HELP)]
+#[command(name = "planish", version = env!("PLANISH_VERSION"), after_help = AFTER_HELP)]
 pub struct Args {
     #[command(subcommand)]
     pub command: Command,
@@ -36,55 +47,56 @@ pub struct Args {
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Simulate a noisy depth frame, smooth it, and show the difference
+    /// Simulate a noisy depth frame, smooth it, and draw both
     Demo(DemoArgs),
-    /// Smooth a file, or every frame of a folder
+    /// Smooth a file, a folder of frames, or a ROS 2 recording
     Smooth(SmoothArgs),
-    /// Remove outliers, thin a cloud, cut out a box: what comes before smoothing
+    /// Remove outliers, thin a cloud to voxels, or crop it to a box
     Clean(CleanArgs),
-    /// Show what a file contains
+    /// Describe a file: format, fields, extent, camera, sensor
     Info(InfoArgs),
-    /// Draw the relief of a cloud
+    /// Draw a cloud as a shaded relief
     Render(RenderArgs),
-    /// Smooth frames live: from a Kinect, a data set, a folder, the simulator
+    /// Smooth live frames of a camera, or a recording
     Stream(StreamArgs),
-    /// Describe a rig of several cameras, make one from a calibration, or simulate one; `planish stream --rig` streams
-    /// it
+    /// Create, check or simulate a rig of several cameras
     Rig(RigArgs),
-    /// Record a source as a data set in TUM layout, or as a recording of ROS 2 (.mcap)
+    /// Record a source as a data set in TUM layout, or as a ROS 2 recording
     Record(RecordArgs),
-    /// List instruction sets and GPUs of this machine, and what `auto` chooses
+    /// List instruction sets and GPUs of this machine, and the choice of `auto`
     Devices(DevicesArgs),
-    /// Measure surface quality: of simulated frames against their truth, or of a file by itself
+    /// Measure the error of smoothed surfaces, simulated or real
     Evaluate(EvaluateArgs),
-    /// Benchmark the engines; each result is checked against the reference first
+    /// Benchmark the engines, after comparing each result with the reference
     Bench(BenchArgs),
-    /// Print the completions of a shell: `planish completions bash >
-    /// ~/.local/share/bash-completion/completions/planish`
+    /// Print a completion script for a shell
     Completions(CompletionsArgs),
-    /// Write the manual pages, planish.1 and one a command
+    /// Write manual pages: planish.1 and one per subcommand
     Man(ManArgs),
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish completions bash > ~/.local/share/bash-completion/completions/planish")]
 pub struct CompletionsArgs {
-    /// The shell
+    /// Shell
     #[arg(value_enum)]
     pub shell: clap_complete::Shell,
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish man ~/.local/share/man/man1")]
 pub struct ManArgs {
-    /// The folder to write them to
+    /// Folder to write to
     pub folder: PathBuf,
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish demo --seed 2 --preset strong")]
 pub struct DemoArgs {
     /// Folder for raw.pcd, smoothed.pcd and before-after.png
     #[arg(long, value_name = "DIR", default_value = "planish-demo")]
     pub out: PathBuf,
-    /// Seed of the scene and the noise
+    /// Seed of scene and noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     #[command(flatten)]
@@ -92,66 +104,73 @@ pub struct DemoArgs {
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Example: planish smooth depth.png smooth.png --camera 525,525,319.5,239.5")]
 pub struct SmoothArgs {
-    /// A cloud (.pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npy, .npz, .bin, .obj, .stl), a depth image (.png, .tiff,
-    /// .npy), a folder of them, or a recording of ROS 2 (.mcap)
+    /// Cloud, depth image, folder of them, or ROS 2 recording
+    ///
+    /// Clouds: .pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npy, .npz, .bin, .obj, .stl. Depth images: .png, .tiff, .npy.
+    /// ROS 2 recordings: .mcap. The name - is standard input.
     pub input: PathBuf,
-    /// The file or folder to write; depth in and .png, .tiff or .npy out gives depth. Of a recording: a recording that
-    /// is the same but for its depth, or a folder of its frames
+    /// File or folder to write
+    ///
+    /// A depth image written to .png, .tiff or .npy gives a depth image, to other formats a cloud. A recording gives a
+    /// copy with smoothed depth, or a folder of its frames.
     pub output: PathBuf,
-    #[command(flatten)]
-    pub topics: TopicArgs,
-    /// For recordings: add a cloud for each depth image, on this topic
-    #[arg(long, value_name = "TOPIC")]
-    pub points_topic: Option<String>,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
     #[command(flatten)]
-    pub gpus: GpusArgs,
-    #[command(flatten)]
     pub camera: CameraArgs,
-    #[command(flatten)]
-    pub pose: PoseArgs,
-    /// Fields to add to the points, separated by commas
+    /// Fields to add
     #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
     pub fields: Vec<FieldArg>,
-    /// Encoding of the points in a .pcd or .ply; else the input's
-    #[arg(long, value_enum)]
+    #[command(flatten)]
+    pub gpus: GpusArgs,
+    #[command(flatten)]
+    pub pose: PoseArgs,
+    #[command(flatten)]
+    pub topics: TopicArgs,
+    /// Topic for an additional cloud per depth image
+    #[arg(long, value_name = "TOPIC", hide_short_help = true, help_heading = RECORDINGS)]
+    pub points_topic: Option<String>,
+    /// Encoding of a .pcd or .ply [default: the input's]
+    #[arg(long, value_enum, hide_short_help = true, help_heading = OUTPUT)]
     pub encoding: Option<EncodingArg>,
-    /// Smooth a general cloud with a radius over a fifth of its extent
-    #[arg(long)]
-    pub force: bool,
-    /// Write over the input where the output is the same file
-    #[arg(long)]
+    /// File extension of a folder's results [default: the inputs']
+    #[arg(long, value_name = "EXTENSION", hide_short_help = true, help_heading = OUTPUT)]
+    pub format: Option<String>,
+    /// Allow an output that replaces the input
+    #[arg(long, hide_short_help = true, help_heading = OUTPUT)]
     pub overwrite: bool,
+    /// Allow a radius over a fifth of an unorganized cloud's extent
+    #[arg(long, hide_short_help = true, help_heading = TUNING)]
+    pub force: bool,
     #[command(flatten)]
     pub memory: MemoryArgs,
-    /// File extension of the results of a folder, if not that of the inputs
-    #[arg(long, value_name = "EXTENSION")]
-    pub format: Option<String>,
-    /// Smooth the loaded frame this many times, for timing
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    /// Number of times to smooth the loaded frame, for timing
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..), hide_short_help = true, help_heading = ENGINE)]
     pub repeat: u32,
-    /// Print one JSON object to standard output
-    #[arg(long)]
+    /// Print a report as one JSON object
+    #[arg(long, hide_short_help = true)]
     pub json: bool,
 }
 
-/// Topics of a recording of ROS 2.
+/// Topics of a ROS 2 recording.
 #[derive(clap::Args)]
 pub struct TopicArgs {
-    /// For recordings in MCAP: the topic with the depth images or clouds, if there are several. `planish smooth` takes
-    /// more than one into another recording
-    #[arg(long, value_name = "TOPIC")]
+    /// Topic with depth images or clouds [default: the only one]
+    ///
+    /// May be repeated if `planish smooth` writes another recording.
+    #[arg(long, value_name = "TOPIC", hide_short_help = true, help_heading = RECORDINGS)]
     pub topic: Vec<String>,
-    /// For recordings in MCAP: the topic with the camera, if it is not beside the images'
-    #[arg(long, value_name = "TOPIC")]
+    /// Topic with the camera [default: camera_info in the images' namespace]
+    #[arg(long, value_name = "TOPIC", hide_short_help = true, help_heading = RECORDINGS)]
     pub camera_info_topic: Option<String>,
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish info scan.laz")]
 pub struct InfoArgs {
-    /// The file; - is standard input
+    /// File; - is standard input
     pub file: PathBuf,
     #[command(flatten)]
     pub memory: MemoryArgs,
@@ -159,18 +178,19 @@ pub struct InfoArgs {
     pub camera: CameraArgs,
     #[command(flatten)]
     pub pose: PoseArgs,
-    /// Print one JSON object to standard output
+    /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish render smooth.pcd smooth.png")]
 pub struct RenderArgs {
-    /// A cloud, or a depth image with --camera
+    /// Cloud, or depth image with --camera
     pub file: PathBuf,
-    /// The picture to write: relief, and beside it the colours if there are any
+    /// PNG picture to write: the relief, and the colours next to it if there are any
     pub output: PathBuf,
-    /// Where a general cloud is seen from, as a direction in its frame: 0,0,1 is from above, if z points up
+    /// Direction from an unorganized cloud to the viewer; 0,0,1 looks from above if z points up
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub from: Option<Direction>,
     #[command(flatten)]
@@ -181,79 +201,82 @@ pub struct RenderArgs {
 
 #[derive(clap::Args)]
 #[command(mut_arg("name", |name| name.required(false).required_unless_present("rig")))]
+#[command(after_help = "Examples:\n  planish stream realsense --save smoothed --format png\n  \
+                        planish stream synthetic --fps 30 --duration 10")]
 pub struct StreamArgs {
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Stream several cameras as one sensor: a rig.json that says where each stands (`planish rig` makes one), instead
-    /// of SOURCE
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "topic", "camera_info_topic", "camera", "camera_file", "depth_units_per_metre", "align", "mode"])]
-    pub rig: Option<PathBuf>,
-    /// Of a rig: how the frames of a moment are smoothed
-    #[arg(long, value_enum, requires = "rig")]
-    pub fuse: Option<RigWayArg>,
-    /// Of a rig: write each camera's results into a folder of its own in this one; --save writes the fused clouds
-    #[arg(long, value_name = "DIR", requires = "rig")]
-    pub save_cameras: Option<PathBuf>,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
     #[command(flatten)]
     pub gpus: GpusArgs,
-    /// Write every result into this folder, or into this recording of ROS 2 (.mcap)
+    /// Folder or ROS 2 recording (.mcap) for the results
     #[arg(long, value_name = "DIR|FILE.mcap")]
     pub save: Option<PathBuf>,
-    /// What to write there
+    /// Format of the saved results
     #[arg(long, value_enum)]
     pub format: Option<StreamFormatArg>,
-    /// Of a rig smoothed by views: how far surfaces of two cameras may be apart for their poses' sake, in millimetres;
-    /// else 10
-    #[arg(long, value_name = "MM", requires = "rig")]
-    pub registration: Option<f64>,
-    /// Of a rig whose points are merged: first keep one point for each voxel of this size in metres, as 0.005; the
-    /// fused cloud then has one point a voxel
-    #[arg(long, value_name = "METRES", requires = "rig")]
-    pub voxel: Option<f64>,
-    /// Of a rig: keep a picture of its points and cameras from above in this file, drawn anew once a second
-    #[arg(long, value_name = "FILE.png", requires = "rig")]
-    pub picture: Option<PathBuf>,
-    /// Show raw and smoothed clouds, depth, latency and rate in the viewer of Rerun
-    #[cfg(feature = "rerun")]
-    #[arg(long, conflicts_with = "rrd")]
-    pub rerun: bool,
-    /// Write the same as a file that the viewer of Rerun opens; some 7 MB a frame
-    #[cfg(feature = "rerun")]
-    #[arg(long, value_name = "FILE")]
-    pub rrd: Option<PathBuf>,
-    #[cfg(not(feature = "rerun"))]
-    #[arg(long, hide = true)]
-    pub rerun: bool,
-    #[cfg(not(feature = "rerun"))]
-    #[arg(long, hide = true)]
-    pub rrd: Option<PathBuf>,
-    /// Fields to add to the points, separated by commas
+    /// Fields to add
     #[arg(long, value_delimiter = ',', value_name = "FIELDS")]
     pub fields: Vec<FieldArg>,
-    /// Print one JSON object to standard output at the end
+    /// Show raw and smoothed clouds, depth, latency and rate in the Rerun viewer
+    #[cfg(feature = "rerun")]
+    #[arg(long, conflicts_with = "rrd", hide_short_help = true)]
+    pub rerun: bool,
+    /// File for the Rerun viewer, about 7 MB per frame
+    #[cfg(feature = "rerun")]
+    #[arg(long, value_name = "FILE", hide_short_help = true)]
+    pub rrd: Option<PathBuf>,
+    #[cfg(not(feature = "rerun"))]
+    #[arg(long, hide = true)]
+    pub rerun: bool,
+    #[cfg(not(feature = "rerun"))]
+    #[arg(long, hide = true)]
+    pub rrd: Option<PathBuf>,
+    /// rig.json of several cameras to stream as one sensor, instead of SOURCE
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "topic", "camera_info_topic", "camera", "camera_file", "depth_units_per_metre", "align", "mode"], help_heading = RIGS)]
+    pub rig: Option<PathBuf>,
+    /// How to smooth the frames of one moment
+    #[arg(long, value_enum, requires = "rig", hide_short_help = true, help_heading = RIGS)]
+    pub fuse: Option<RigWayArg>,
+    /// Folder for each camera's results, in subfolders; --save writes the fused clouds
+    #[arg(long, value_name = "DIR", requires = "rig", hide_short_help = true, help_heading = RIGS)]
+    pub save_cameras: Option<PathBuf>,
+    /// For views: maximum distance between two cameras' surfaces due to errors of their poses, in mm [default: 10]
+    #[arg(long, value_name = "MM", requires = "rig", hide_short_help = true, help_heading = RIGS)]
+    pub registration: Option<f64>,
+    /// For merged points: size in metres of voxels to thin them to, such as 0.005 [default: keep all points]
+    #[arg(long, value_name = "METRES", requires = "rig", hide_short_help = true, help_heading = RIGS)]
+    pub voxel: Option<f64>,
+    /// Picture of points and cameras from above, updated once a second
+    #[arg(long, value_name = "FILE.png", requires = "rig", hide_short_help = true, help_heading = RIGS)]
+    pub picture: Option<PathBuf>,
+    /// Print a report as one JSON object at the end
     #[arg(long)]
     pub json: bool,
 }
 
-/// Where frames come from, and until when.
+/// The source of frames, and when to stop.
 #[derive(clap::Args)]
 pub struct SourceArgs {
-    /// kinect[:INDEX], realsense[:SERIAL|:FILE.bag|:FILE.db3], openni2[:URI|:FILE.oni], synthetic[:SEED], a data set in
-    /// TUM layout, a recording of libfreenect or of ROS 2 (.mcap), a folder of frames, or one file, repeated
+    /// Camera, recording, data set, folder or file
+    ///
+    /// One of: kinect[:INDEX]; realsense[:SERIAL|:FILE.bag|:FILE.db3]; openni2[:URI|:FILE.oni]; synthetic[:SEED]; a
+    /// data set in TUM layout; a libfreenect recording; a ROS 2 recording (.mcap); a folder of frames; a file, which is
+    /// repeated.
     #[arg(value_name = "SOURCE", required = true)]
     pub name: Option<String>,
     #[command(flatten)]
-    pub topics: TopicArgs,
-    #[command(flatten)]
     pub camera: CameraArgs,
-    /// RealSense and OpenNI2: map depth and colour to one image. Colour to depth (the RealSense's default), depth to
-    /// colour (the default of OpenNI2 cameras that can), or depth alone
-    #[arg(long, value_enum)]
+    #[command(flatten)]
+    pub topics: TopicArgs,
+    /// RealSense and OpenNI2: alignment of depth and colour
+    ///
+    /// Default: colour to depth on a RealSense; depth to colour on OpenNI2 cameras that support it.
+    #[arg(long, value_enum, hide_short_help = true, help_heading = CAMERA)]
     pub align: Option<AlignArg>,
-    /// RealSense and OpenNI2: size and rate of depth, as 848x480@30; else the camera's own
-    #[arg(long, value_name = "WxH[@FPS]")]
+    /// RealSense and OpenNI2: size and rate of depth, such as 848x480@30 [default: the camera's]
+    #[arg(long, value_name = "WxH[@FPS]", hide_short_help = true, help_heading = CAMERA)]
     pub mode: Option<StreamMode>,
     #[command(flatten)]
     pub limits: LimitArgs,
@@ -261,9 +284,12 @@ pub struct SourceArgs {
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum AlignArg {
+    /// Map colour onto the depth image
     Depth,
+    /// Map depth onto the colour image
     #[value(name = "color")]
     Colour,
+    /// Depth without colour
     None,
 }
 
@@ -279,27 +305,28 @@ impl From<AlignArg> for Alignment {
 
 #[derive(clap::Args)]
 pub struct LimitArgs {
-    /// Pace the source to N frames a second, as a live camera; else as fast as possible
+    /// Rate in frames per second, as of a live camera [default: as fast as possible]
     #[arg(long, value_name = "N")]
     pub fps: Option<f64>,
-    /// Stop after N frames
+    /// Number of frames [default: until the source ends]
     #[arg(long, value_name = "N")]
     pub frames: Option<u64>,
-    /// Stop after S seconds
+    /// Duration in seconds [default: until the source ends]
     #[arg(long, value_name = "S")]
     pub duration: Option<f64>,
-    /// Wait for a camera that is not there yet, or was unplugged
+    /// Wait for a camera that is missing or was unplugged
     #[arg(long)]
     pub reconnect: bool,
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish record realsense recording.mcap --duration 10")]
 pub struct RecordArgs {
     #[command(flatten)]
     pub source: SourceArgs,
-    /// The folder to make, or a recording of ROS 2 (.mcap)
+    /// Folder (TUM layout) or ROS 2 recording (.mcap) to create
     pub folder: PathBuf,
-    /// Print one JSON object to standard output at the end
+    /// Print a report as one JSON object at the end
     #[arg(long)]
     pub json: bool,
 }
@@ -308,6 +335,7 @@ pub struct RecordArgs {
 pub enum StreamFormatArg {
     /// Organized clouds (the default)
     Pcd,
+    /// Organized clouds
     Ply,
     /// 16-bit depth images
     Png,
@@ -315,74 +343,77 @@ pub enum StreamFormatArg {
 
 #[derive(clap::Args)]
 pub struct DevicesArgs {
-    /// Print one JSON object to standard output
+    /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Examples:\n  planish evaluate --seeds 2 --sensor d435\n  planish evaluate --input table.pcd")]
 pub struct EvaluateArgs {
-    /// Simulate seeds 1 to N, three frames each, with the noise of --sensor (a Kinect v1)
+    /// Number of simulated seeds, three frames each, with the noise of --sensor
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
-    /// Simulate only this seed
+    /// Single seed to simulate
     #[arg(long, value_name = "SEED", conflicts_with = "seeds")]
     pub seed: Option<u64>,
-    /// A real cloud, or a depth image with --camera: its flatness tile by tile before and after, of general clouds
-    /// patch by patch
+    /// Real cloud, or depth image with --camera, whose flatness to measure before and after
+    ///
+    /// Measured in tiles of the grid; in patches of an unorganized cloud.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "out"])]
     pub input: Option<PathBuf>,
-    /// Frames of a camera that stands still, over which the jitter of points is measured; fewer than 2 leave it out
-    /// (with --general it takes most of the time)
-    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(..=300), conflicts_with_all = ["input", "rig", "export"])]
-    pub still_frames: u64,
-    /// Smooth the simulated frames as general clouds, without their grid; the default setting on the grid stands beside
-    #[arg(long, conflicts_with_all = ["input", "export", "results"])]
-    pub general: bool,
-    /// Smooth simulated rigs of so many cameras (2 to 8) round a table instead, in each of the ways: where several
-    /// cameras see a surface and where one does, and whether it is doubled
-    #[arg(long, value_name = "CAMERAS", conflicts_with_all = ["input", "general", "export", "results", "out"],
-          value_parser = clap::value_parser!(u8).range(2..=8))]
-    pub rig: Option<u8>,
-    /// Of rigs: how far the stated poses of all cameras but the first are off, in degrees and millimetres
-    #[arg(long, value_name = "DEG,MM", requires = "rig")]
-    pub pose_errors: Option<PoseErrorsArg>,
-    /// Of rigs whose points are merged: first keep one point for each voxel of this size in metres, as `planish stream`
-    /// does
-    #[arg(long, value_name = "METRES", requires = "rig")]
-    pub voxel: Option<f64>,
-    /// Of rigs smoothed by views: add a viewpoint halfway between every two cameras side by side
-    #[arg(long, requires = "rig")]
-    pub between: bool,
-    /// Only write the simulated frames into this folder as organized clouds, for other programs to smooth
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"])]
-    pub export: Option<PathBuf>,
-    /// Measure the output of another program instead: organized clouds of the same names (normals optional) in this
-    /// folder, or with --input that one file
-    #[arg(long, value_name = "DIR|FILE")]
-    pub results: Option<PathBuf>,
-    /// Folder for report.json, error-over-z.svg and, but with --results, an error map of each frame of the first seed
+    /// Folder for report.json, error-over-z.svg, and error maps of the first seed's frames
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
-    /// Print one JSON object to standard output
+    /// Number of frames of a static camera over which to measure jitter; below 2 disables it
+    ///
+    /// With --general this takes most of the time.
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(..=300), conflicts_with_all = ["input", "rig", "export"], hide_short_help = true)]
+    pub still_frames: u64,
+    /// Smooth the simulated frames as unorganized clouds, next to the default on the grid
+    #[arg(long, conflicts_with_all = ["input", "export", "results"], hide_short_help = true)]
+    pub general: bool,
+    /// Folder to write the simulated frames to as organized clouds, for other programs to smooth
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"], hide_short_help = true, help_heading = OTHER_PROGRAMS)]
+    pub export: Option<PathBuf>,
+    /// Results of another program to measure: a folder with the exported names; with --input a file
+    ///
+    /// Organized clouds, with or without normals.
+    #[arg(long, value_name = "DIR|FILE", hide_short_help = true, help_heading = OTHER_PROGRAMS)]
+    pub results: Option<PathBuf>,
+    /// Number of cameras (2 to 8) of simulated rigs around a table, smoothed in every way
+    ///
+    /// Reports the error where several cameras see a surface and where one does, and how far surfaces are doubled.
+    #[arg(long, value_name = "CAMERAS", conflicts_with_all = ["input", "general", "export", "results", "out"],
+          value_parser = clap::value_parser!(u8).range(2..=8), hide_short_help = true, help_heading = RIGS)]
+    pub rig: Option<u8>,
+    /// Errors of the stated poses of all cameras but the first
+    #[arg(long, value_name = "DEG,MM", requires = "rig", hide_short_help = true, help_heading = RIGS)]
+    pub pose_errors: Option<PoseErrorsArg>,
+    /// For merged points: size in metres of voxels to thin them to [default: keep all points]
+    #[arg(long, value_name = "METRES", requires = "rig", hide_short_help = true, help_heading = RIGS)]
+    pub voxel: Option<f64>,
+    /// For views: add a viewpoint halfway between adjacent cameras
+    #[arg(long, requires = "rig", hide_short_help = true, help_heading = RIGS)]
+    pub between: bool,
+    /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum FieldArg {
-    /// normal_x, normal_y, normal_z
+    /// Unit normals: normal_x, normal_y, normal_z
     Normals,
-    /// Surface variation
+    /// Surface variation, 0 to 1/3
     Curvature,
-    /// Status of each point: 0 hole, 1 too few neighbours, 2 line, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6
-    /// isolated
+    /// Status: 0 hole, 1 too few neighbours, 2 collinear, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated
     Status,
-    /// Nothing (the default)
+    /// No field (the default)
     None,
 }
 
@@ -403,7 +434,7 @@ impl From<EncodingArg> for Encoding {
     }
 }
 
-/// The outputs that fields are made from.
+/// Returns the outputs that fields are made from.
 pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
     let wants = |field| fields.contains(&field);
     Outputs::POINTS
@@ -417,7 +448,7 @@ impl SmoothArgs {
         outputs_of(&self.fields)
     }
 
-    /// The encoding to write, if one was asked for.
+    /// Returns the requested encoding.
     pub fn encoding(&self) -> Option<Encoding> {
         self.encoding.map(Encoding::from)
     }

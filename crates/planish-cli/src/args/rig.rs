@@ -6,13 +6,15 @@ use clap::ValueEnum;
 use planish::rig::RigWay;
 use planish::simulate::PoseErrors;
 
+const SIMULATION: &str = "Simulation";
+
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum RigWayArg {
-    /// Each camera's frame on its own, then merged (the default)
+    /// Each camera's frame separately, then merged (the default)
     Each,
-    /// All points as one general cloud: surfaces that several cameras see become one; slow without a GPU
+    /// All points as one unorganized cloud: surfaces seen by several cameras become one; slow without a GPU
     Merged,
-    /// As range images of what all cameras see from where each stands: the same, at the pace of frames
+    /// Range images of all points from each camera's position: surfaces become one, as fast as frames
     Views,
 }
 
@@ -27,44 +29,50 @@ impl From<RigWayArg> for RigWay {
 }
 
 #[derive(clap::Args)]
+#[command(after_help = "Examples:\n  planish rig tf_static.yaml --out rig.json --source left=realsense:0123\n  \
+                        planish rig --simulate 4 --out simulated")]
 pub struct RigArgs {
-    /// A rig.json, to check and describe; or a calibration to make one of: the static transforms of ROS (`ros2 topic
-    /// echo /tf_static` in a file), a URDF, Kalibr's camchain.yaml, COLMAP's rig_config.json, or a folder with COLMAP's
-    /// cameras.txt and images.txt
+    /// rig.json to check and describe, or a calibration to convert
+    ///
+    /// Calibrations: static transforms of ROS (the output of `ros2 topic echo /tf_static`), a URDF, Kalibr's
+    /// camchain.yaml, COLMAP's rig_config.json, or a folder with COLMAP's cameras.txt and images.txt.
     #[arg(required_unless_present = "simulate")]
     pub file: Option<PathBuf>,
-    /// The rig.json to write
+    /// rig.json to write; with --simulate a folder
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Where a camera's frames come from, as `planish stream` takes it, files and folders as from here:
-    /// left=realsense:0123, right=recordings/right
+    /// Source of a camera's frames, such as left=realsense:0123 or right=recordings/right; may be repeated
+    ///
+    /// Sources are those of `planish stream`; paths are relative to the current folder.
     #[arg(long, value_name = "NAME=SOURCE")]
     pub source: Vec<String>,
-    /// Of transforms of ROS: the frame that becomes the rig's, if not the one that all others hang on
+    /// For ROS transforms: frame to use as the rig's [default: the root]
     #[arg(long, value_name = "FRAME")]
     pub base: Option<String>,
-    /// Of transforms of ROS: a frame that is a camera; else those whose names end in depth_optical_frame, or in
-    /// optical_frame
+    /// For ROS transforms: frame of a camera; may be repeated
+    ///
+    /// By default, frames whose names end in depth_optical_frame; without any, in optical_frame.
     #[arg(long, value_name = "FRAME")]
     pub frame: Vec<String>,
-    /// Of COLMAP, whose units are any: metres in one
+    /// For COLMAP: metres per unit of the model
     #[arg(long, value_name = "METRES")]
     pub scale: Option<f64>,
-    /// Simulate a rig of so many cameras (2 to 8) round a table instead, and write its recordings and rig.json into the
-    /// folder of --out
+    /// Number of cameras (2 to 8) of a simulated rig around a table
+    ///
+    /// Writes its recordings and rig.json into the folder --out.
     #[arg(long, value_name = "CAMERAS", conflicts_with_all = ["file", "source", "base", "frame", "scale"], requires = "out",
-          value_parser = clap::value_parser!(u8).range(2..=8))]
+          value_parser = clap::value_parser!(u8).range(2..=8), help_heading = SIMULATION)]
     pub simulate: Option<u8>,
-    /// Of a simulated rig: frames of each camera
-    #[arg(long, value_name = "N", default_value_t = 30, requires = "simulate", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Number of frames per camera
+    #[arg(long, value_name = "N", default_value_t = 30, requires = "simulate", value_parser = clap::value_parser!(u64).range(1..), help_heading = SIMULATION)]
     pub frames: u64,
-    /// Of a simulated rig: the seed of scene and noise
-    #[arg(long, default_value_t = 1, requires = "simulate")]
+    /// Seed of scene and noise
+    #[arg(long, default_value_t = 1, requires = "simulate", help_heading = SIMULATION)]
     pub seed: u64,
-    /// Of a simulated rig: how far the written poses are off, in degrees and millimetres
-    #[arg(long, value_name = "DEG,MM", requires = "simulate")]
+    /// Errors of the written poses in degrees and millimetres
+    #[arg(long, value_name = "DEG,MM", requires = "simulate", help_heading = SIMULATION)]
     pub pose_errors: Option<PoseErrorsArg>,
-    /// Print one JSON object to standard output
+    /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
 }
@@ -82,7 +90,7 @@ impl std::str::FromStr for PoseErrorsArg {
         let within = |value: f64, most: f64| (0.0..=most).contains(&value);
         match parsed {
             Some((deg, mm)) if within(deg, 10.0) && within(mm, 100.0) => Ok(Self(PoseErrors::new(deg, 1e-3 * mm))),
-            _ => Err("two numbers, at most 10 degrees and 100 millimetres, as 0.2,2".to_owned()),
+            _ => Err("two numbers are expected, at most 10 degrees and 100 millimetres, such as 0.2,2".to_owned()),
         }
     }
 }

@@ -7,15 +7,17 @@ use clap::ValueEnum;
 use planish::rig::{merged_params, merged_params_in_voxels};
 use planish::{CloudParams, Edges, Engine, FleetDevice, Outputs, ParamError, SettingValue, Settings, SmootherOptions};
 
+use super::{ENGINE, TUNING};
+
 #[derive(Clone, Copy, ValueEnum)]
 pub enum PresetArg {
-    /// Windows of 15x15 pixels of a Kinect v1, and as the noise of others demands: for small things
+    /// Small objects: windows of 15x15 pixels for a Kinect v1, larger for noisier sensors
     Light,
-    /// Windows of 25x25 pixels of a Kinect v1: recommended
+    /// Recommended: windows of 25x25 pixels for a Kinect v1
     Default,
-    /// Windows of 29x29 pixels of a Kinect v1 with twice the samples: for walls, floors and far ranges
+    /// Walls, floors and far ranges: windows of 29x29 pixels for a Kinect v1, with twice the samples
     Strong,
-    /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3
+    /// The setting of the 2011 report: half-width 3, stride 1, radius 3 cm, degree 3
     Paper,
 }
 
@@ -46,9 +48,9 @@ pub enum SensorArg {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum EdgesArg {
-    /// Every neighbour counts: edges are rounded off
+    /// All neighbours count: edges are rounded
     Off,
-    /// Neighbours off the point's surface do not count
+    /// Neighbours off the point's surface are ignored: edges stay sharp
     Robust,
 }
 
@@ -63,17 +65,21 @@ impl EdgesArg {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum ProjectArg {
-    /// Along its ray, as depth noise acts
+    /// Along its ray, the direction of depth noise
     Ray,
-    /// Along the normal of the surface
+    /// Along the surface normal
     Normal,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineArg {
+    /// A real GPU if there is one, otherwise the CPU
     Auto,
+    /// CPU in f32, with SIMD and threads
     Cpu,
+    /// GPU through Vulkan or Metal
     Gpu,
+    /// CPU in f64, slow: the standard of accuracy
     Reference,
 }
 
@@ -91,87 +97,100 @@ impl EngineArg {
 /// How to smooth; values not given come from the preset.
 #[derive(clap::Args)]
 pub struct SmoothingArgs {
-    /// Settings in JSON or YAML, as planish.Settings in Python and the browser's page write them; the options below
-    /// override them
-    #[arg(long, value_name = "FILE")]
-    pub settings: Option<PathBuf>,
-    /// A named setting; the options below override single values
+    /// Preset
+    ///
+    /// By default the recommended one. Other options override single values.
     #[arg(long, value_enum)]
     pub preset: Option<PresetArg>,
-    /// How much to smooth, 0 to 1, instead of a preset: 0 is light, 0.5 default, 1 strong
+    /// Strength: 0 light, 0.5 default, 1 strong
+    ///
+    /// Replaces a preset; values between are interpolated.
     #[arg(long, value_name = "0..1", conflicts_with = "preset", allow_negative_numbers = true)]
     pub strength: Option<f32>,
-    /// Which sensor took the frames: its depth steps set the radius, its noise what counts as an edge
+    /// Depth sensor
+    ///
+    /// Its noise sets the radius and the width of edges. By default kinect1.
     #[arg(long, value_enum)]
     pub sensor: Option<SensorArg>,
-    /// Whether creases and steps are kept; by default they are in frames on a grid, and not in general clouds, which
-    /// then take 1.5 to 3.6 times as long
+    /// Creases and steps
+    ///
+    /// By default robust for frames, and off for unorganized clouds. Unorganized clouds take 1.5 to 3.6 times as long
+    /// with robust edges.
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
-    /// First turn pixels that float between two surfaces into holes
-    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
-    pub remove_floating: Option<bool>,
-    /// Half width of the window: (2K+1)² candidates, K from 1 to 7
-    #[arg(long, value_name = "K")]
-    pub window: Option<u32>,
-    /// Distance between candidates in pixels, 1 to 8. With neither --stride nor --window, pixels coarser than a Kinect
-    /// v1's get a shorter stride and, where needed, a larger K
-    #[arg(long, value_name = "S")]
-    pub stride: Option<u32>,
-    /// Whether each candidate is the mean of its block of pixels, as wide as the stride, so that every pixel counts
-    #[arg(long, value_name = "true|false", action = clap::ArgAction::Set)]
-    pub average_blocks: Option<bool>,
-    /// Radius of a neighbourhood in metres, or `sensor`: growing with distance as the sensor's noise does
-    #[arg(long, value_name = "METRES|sensor", allow_negative_numbers = true)]
-    pub radius: Option<RadiusArg>,
-    /// Of general clouds instead of a radius: so many neighbours (6 to 1000, else 40), by the density around each point
-    #[arg(long, value_name = "K", conflicts_with = "radius")]
-    pub neighbours: Option<u32>,
-    /// Of general clouds: turn isolated points into holes, those with fewer than 3 neighbours or a quarter of K; else
-    /// they stay where they are
-    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
-    pub remove_isolated: Option<bool>,
-    /// Degree of the surface: 1 plane, 2 or 3 polynomial
-    #[arg(long, value_name = "D")]
-    pub degree: Option<u32>,
-    /// Bandwidth of the Gaussian weights in metres; else the radius
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
-    pub bandwidth: Option<f32>,
-    /// How much the surface's slopes and curvatures are damped, 1e-3 (little) to 100 (a plane)
-    #[arg(long, value_name = "LAMBDA", allow_negative_numbers = true)]
-    pub ridge: Option<f32>,
-    /// Along which line a point is put onto the surface; general clouds, and clouds whose sensor's place is unknown,
-    /// always along the normal
-    #[arg(long, value_enum)]
-    pub project: Option<ProjectArg>,
-    /// Which engine to use; one requested by name is never replaced by another, except in a stream that loses its GPU
-    /// twice [default: auto]
+    /// Engine
+    ///
+    /// By default auto. An engine requested by name is not replaced by another, except in a stream that loses its GPU
+    /// twice.
     #[arg(long, value_enum)]
     pub engine: Option<EngineArg>,
-    /// Which GPU to use with --engine gpu: index or part of the name (see `planish devices`); by default the first real
-    /// one
-    #[arg(long, value_name = "NAME|INDEX")]
+    /// Settings file (JSON or YAML) that options override
+    ///
+    /// Python (planish.Settings) and the browser page write the same format.
+    #[arg(long, value_name = "FILE", hide_short_help = true)]
+    pub settings: Option<PathBuf>,
+    /// Turn pixels that float between two surfaces into holes before smoothing [default: false]
+    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
+    pub remove_floating: Option<bool>,
+    /// Half-width of the window in samples, 1 to 7: (2K+1)² candidates
+    #[arg(long, value_name = "K", hide_short_help = true, help_heading = TUNING)]
+    pub window: Option<u32>,
+    /// Distance between samples in pixels, 1 to 8
+    ///
+    /// With neither --stride nor --window, both adapt to the pixel pitch: pixels coarser than a Kinect v1's get a
+    /// shorter stride and, if needed, a wider window.
+    #[arg(long, value_name = "S", hide_short_help = true, help_heading = TUNING)]
+    pub stride: Option<u32>,
+    /// Average a block of pixels, as wide as the stride, into each sample
+    #[arg(long, value_name = "true|false", action = clap::ArgAction::Set, hide_short_help = true, help_heading = TUNING)]
+    pub average_blocks: Option<bool>,
+    /// Radius of a neighbourhood in metres, or `sensor`: growing with range like the sensor's noise
+    #[arg(long, value_name = "METRES|sensor", allow_negative_numbers = true, hide_short_help = true, help_heading = TUNING)]
+    pub radius: Option<RadiusArg>,
+    /// For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius [default: 40]
+    #[arg(long, value_name = "K", conflicts_with = "radius", hide_short_help = true, help_heading = TUNING)]
+    pub neighbours: Option<u32>,
+    /// For unorganized clouds: turn isolated points into holes [default: false]
+    ///
+    /// Isolated points have fewer than 3 neighbours, or fewer than a quarter of --neighbours.
+    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
+    pub remove_isolated: Option<bool>,
+    /// Degree of the surface: 1 plane, 2 or 3 polynomial
+    #[arg(long, value_name = "D", hide_short_help = true, help_heading = TUNING)]
+    pub degree: Option<u32>,
+    /// Bandwidth of the Gaussian weights in metres [default: the radius]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true, help_heading = TUNING)]
+    pub bandwidth: Option<f32>,
+    /// Damping of slopes and curvatures, 1e-3 (weak) to 100 (a plane)
+    #[arg(long, value_name = "LAMBDA", allow_negative_numbers = true, hide_short_help = true, help_heading = TUNING)]
+    pub ridge: Option<f32>,
+    /// Direction in which a point moves onto the surface
+    ///
+    /// Points always move along the normal in unorganized clouds, and in clouds whose sensor position is unknown.
+    #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
+    pub project: Option<ProjectArg>,
+    /// GPU for --engine gpu: index or part of the name (see `planish devices`) [default: the first real one]
+    #[arg(long, value_name = "NAME|INDEX", hide_short_help = true, help_heading = ENGINE)]
     pub adapter: Option<String>,
-    /// Threads of the CPU engines; by default one per core
-    #[arg(long, value_name = "N")]
+    /// Threads of the CPU engines [default: one per core]
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = ENGINE)]
     pub threads: Option<usize>,
 }
 
 /// Several devices at once.
 #[derive(clap::Args)]
 pub struct GpusArgs {
-    /// Deal frames to several devices: all for every GPU, or their indices or parts of their names, separated by
-    /// commas; cpu is the CPU as one more
-    #[arg(long, value_name = "all|LIST", conflicts_with = "adapter")]
+    /// Devices to share the frames: all (every GPU), or a list of indices, parts of names, and cpu
+    #[arg(long, value_name = "all|LIST", conflicts_with = "adapter", hide_short_help = true, help_heading = ENGINE)]
     pub gpus: Option<String>,
 }
 
 impl GpusArgs {
-    /// The devices named; none if none are.
+    /// Returns the named devices; an empty list without --gpus.
     pub fn devices(&self, engine: Engine) -> Result<Vec<FleetDevice>> {
         let Some(list) = &self.gpus else { return Ok(Vec::new()) };
         if !matches!(engine, Engine::Auto | Engine::Gpu) {
-            bail!("--gpus names the devices: leave --engine {} out", engine.name());
+            bail!("--gpus already names the devices: remove --engine {}", engine.name());
         }
         FleetDevice::parse_list(list).with_context(|| format!("--gpus {list}"))
     }
@@ -295,16 +314,18 @@ impl std::str::FromStr for RadiusArg {
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "sensor" => Ok(Self::Sensor),
-            number => number.parse().map(Self::Metres).map_err(|_| "metres, as 0.03, or the word sensor".to_owned()),
+            number => {
+                number.parse().map(Self::Metres).map_err(|_| "metres, such as 0.03, or the word sensor".to_owned())
+            }
         }
     }
 }
 
-/// The parameters of a rig's merged points: all of them, or one for each voxel of this size in metres.
+/// Returns the parameters for a rig's merged points: all of them, or one per voxel of this size in metres.
 pub fn params_of_voxels(voxel_m: Option<f64>) -> Result<CloudParams> {
     let Some(size_m) = voxel_m else { return Ok(merged_params()) };
     if !(size_m > 0.0 && size_m.is_finite()) {
-        bail!("--voxel {size_m}: a size in metres above 0, as 0.005");
+        bail!("--voxel {size_m}: a size in metres above 0 is expected, such as 0.005");
     }
     Ok(merged_params_in_voxels(size_m))
 }

@@ -66,7 +66,7 @@ fn run_gpu(args: &BenchGpuArgs) -> Result<ExitCode> {
 fn run_rig(args: &BenchRigArgs) -> Result<ExitCode> {
     let engine = args.engine.engine();
     if args.adapter.is_some() && engine != Engine::Gpu {
-        bail!("--adapter chooses among GPUs: it needs --engine gpu");
+        bail!("--adapter needs --engine gpu");
     }
     let gpu = GpuOptions::default().with_adapter(args.adapter.clone()).with_bounds_checks(false);
     let general_params = params_of_voxels(args.voxel)?;
@@ -119,7 +119,7 @@ fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The frames that the user gave, or a simulated room and a simulated table.
+/// Returns the frames that the user gave, or a simulated room and a simulated table.
 fn inputs(args: &ExperimentArgs) -> Result<Vec<Input>> {
     let of_file = |(index, file): (usize, &PathBuf)| {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();

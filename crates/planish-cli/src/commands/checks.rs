@@ -1,4 +1,4 @@
-//! What the commands that write points have in common: what they refuse, what they report, how colours are written.
+//! Shared by the commands that write points: refusals, reports, and the encoding of colours.
 
 use std::path::Path;
 
@@ -7,9 +7,9 @@ use planish::PointCloud;
 use planish::io::Format;
 use planish_bench::errln;
 
-/// A radius over this share of a cloud's extent is taken for a slip of units.
+/// A radius above this share of a cloud's extent is probably in the wrong unit.
 const MAX_RADIUS_SHARE: f32 = 0.2;
-/// More neighbours of a point than this are taken for one too.
+/// So is one that gives a point more neighbours than this.
 const MOST_NEIGHBOURS: f64 = 5000.0;
 /// Clouds with fewer points may have any radius: they are done at once.
 const FEW_POINTS: usize = 1000;
@@ -18,38 +18,38 @@ const FEW_POINTS: usize = 1000;
 pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
     match (Format::of_extension(output), encoding_is_given) {
         (None, _) => {
-            bail!("{}: cannot tell the format to write: end the name in {}", output.display(), planish::io::WRITTEN)
+            bail!("{}: the name has no known extension: end it in {}", output.display(), planish::io::WRITTEN)
         }
         (Some(format @ (Format::Obj | Format::Stl)), _) => {
             let name = format.name();
-            bail!("{}: {name} is read, not written: end the name in {}", output.display(), planish::io::WRITTEN)
+            bail!("{}: {name} can be read but not written: end the name in {}", output.display(), planish::io::WRITTEN)
         }
         (Some(Format::Pcd | Format::Ply), _) | (_, false) => Ok(()),
         (Some(format), true) => {
-            bail!("{}: --encoding is for .pcd and .ply; {} has one encoding", output.display(), format.name())
+            bail!("{}: --encoding applies to .pcd and .ply; {} has only one encoding", output.display(), format.name())
         }
     }
 }
 
-/// Whether a name is that of a recording of ROS 2.
+/// Returns true if the name is one of a ROS 2 recording.
 pub fn is_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
-/// Refuses to write over a recording: what was measured may be in it alone.
+/// Refuses to overwrite a recording, which may be the only copy of its measurements.
 pub fn check_is_new(output: &Path) -> Result<()> {
     if output.exists() {
-        bail!("{}: is there already, and is not replaced: give another name, or remove it", output.display());
+        bail!("{}: already exists; choose another name or delete it", output.display());
     }
     Ok(())
 }
 
-/// Refuses to write over the input, unless that was asked for; `None` where it cannot be.
+/// Refuses to overwrite the input without --overwrite; `None` for commands that lack this option.
 pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> Result<()> {
     let can_overwrite = overwrite.is_some();
     if overwrite != Some(true) && is_same_file(input, output) {
         bail!(
-            "{}: is the input, the only copy of what was measured: write to another file{}",
+            "{}: is the input; write to another file{}",
             output.display(),
             if can_overwrite { ", or add --overwrite" } else { "" }
         );
@@ -60,12 +60,12 @@ pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> 
 /// Refuses to write over the settings.
 pub fn check_not_settings(settings: Option<&Path>, output: &Path) -> Result<()> {
     if settings.is_some_and(|settings| is_same_file(settings, output)) {
-        bail!("{}: is the file of the settings: write to another file", output.display());
+        bail!("{}: is the settings file; write to another file", output.display());
     }
     Ok(())
 }
 
-/// Whether two names stand for one file, by links of either kind.
+/// Returns true if two paths refer to one file, through links of either kind.
 fn is_same_file(a: &Path, b: &Path) -> bool {
     #[cfg(unix)]
     {
@@ -88,8 +88,9 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
         let neighbours = cloud.mean_neighbours(radius_m);
         if neighbours > MOST_NEIGHBOURS {
             bail!(
-                "{}: within {radius_m} m each point has some {neighbours:.0} others, which would take long and flatten the \
-                 surface: give a smaller --radius in the file's unit (the cloud is {extent_m} m wide), or add --force",
+                "{}: a radius of {radius_m} m contains about {neighbours:.0} points, which would take long and \
+                 flatten the surface; choose a smaller --radius in the file's unit (the cloud is {extent_m} m wide), \
+                 or add --force",
                 input.display()
             );
         }
@@ -97,20 +98,20 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
     }
     let slip = if extent_m < 2.0 { "is the cloud in kilometres?" } else { "is the radius in millimetres?" };
     bail!(
-        "{}: a radius of {radius_m} m on a cloud {extent_m} m wide would take long and flatten all of it ({slip}): give a \
-         smaller --radius in the file's unit, or add --force",
+        "{}: a radius of {radius_m} m on a cloud {extent_m} m wide would take long and flatten everything ({slip}); \
+         choose a smaller --radius in the file's unit, or add --force",
         input.display()
     );
 }
 
-/// Reports what was left out of a file, or taken for something that its name does not say.
+/// Reports dropped data, and contents that contradict the file's name.
 pub fn report_notes(input: &Path, notes: &[String]) {
     for note in notes {
         errln!("{}: {note}", input.display());
     }
 }
 
-/// Reports what the columns of lines of text were taken for.
+/// Reports the meaning assumed for the columns of a text file.
 pub fn report_columns(input: &Path, format: Format, cloud: &PointCloud) {
     const MOST: usize = 12;
     if !matches!(format, Format::Text | Format::Csv) {
@@ -120,20 +121,20 @@ pub fn report_columns(input: &Path, format: Format, cloud: &PointCloud) {
     let columns: Vec<&str> = ["x", "y", "z"].into_iter().chain(names).collect();
     let more = columns.len().checked_sub(MOST).filter(|more| *more > 0);
     let more = more.map_or(String::new(), |more| format!(" and {more} more"));
-    errln!("{}: columns taken as {}{more}", input.display(), columns[..columns.len().min(MOST)].join(" "));
+    errln!("{}: columns are read as {}{more}", input.display(), columns[..columns.len().min(MOST)].join(" "));
 }
 
-/// Reports holes and fields that the format to write has no place for.
+/// Reports holes and fields that the output format cannot represent.
 pub fn report_losses(output: &Path, cloud: &PointCloud) {
     if matches!(Format::of_extension(output), Some(Format::Las | Format::Laz)) {
         let holes = cloud.len() - cloud.valid_points();
         if holes > 0 {
-            errln!("{}: {holes} holes are left out, since LAS has no place for them", output.display());
+            errln!("{}: {holes} holes are dropped, since LAS cannot store them", output.display());
         }
     }
     if Format::of_extension(output) == Some(Format::Npy) && !cloud.attributes.is_empty() {
         let fields = cloud.attributes.len();
-        errln!("{}: {fields} fields are left out, since NPY has no place for them (write .npz)", output.display());
+        errln!("{}: {fields} fields are dropped, since NPY cannot store them (write .npz)", output.display());
     }
 }
 
@@ -143,7 +144,7 @@ pub fn convert_fields(cloud: &mut PointCloud, read: Format, output: &Path) {
         Some(Format::Ply) if read != Format::Ply => cloud.unpack_colour(),
         Some(Format::Pcd) if read == Format::Ply => cloud.pack_colour(),
         Some(Format::Las | Format::Laz) if !matches!(read, Format::Las | Format::Laz) && cloud.scale_intensity() => {
-            errln!("{}: intensities from 0 to 1 become 0 to 65535, as LAS has them", output.display());
+            errln!("{}: intensities from 0 to 1 are scaled to 0 to 65535, the range of LAS", output.display());
         }
         _ => {}
     }

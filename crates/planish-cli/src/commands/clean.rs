@@ -18,7 +18,7 @@ use crate::args::CleanArgs;
 struct Report {
     points_in: usize,
     outside_box: Option<usize>,
-    /// Points that share a voxel with another that stands for them.
+    /// Number of points replaced by another in the same voxel.
     merged: Option<usize>,
     statistical_outliers: Option<usize>,
     radius_outliers: Option<usize>,
@@ -37,11 +37,11 @@ struct Cloud {
 pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     let CleanArgs { input, output, .. } = args;
     if args.crop.is_none() && args.voxel.is_none() && args.statistical.is_none() && args.radius.is_none() {
-        bail!("nothing to do: give --crop, --voxel, --statistical or --radius-outliers");
+        bail!("no step is given; use --crop, --voxel, --statistical or --radius-outliers");
     }
     check_output(output, args.encoding.is_some())?;
     if matches!(Format::of_extension(output), Some(Format::DepthPng | Format::DepthTiff)) {
-        bail!("{}: an image holds depth, and this writes points: end the name in .pcd or .ply", output.display());
+        bail!("{}: an image cannot store points; end the name in .pcd or .ply", output.display());
     }
     check_not_input(input, output, Some(args.overwrite))?;
     let start = Instant::now();
@@ -65,7 +65,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     let mut report = cloud.clean(args).with_context(|| input.display().to_string())?;
     (report.read_ms, report.clean_ms) = (read_ms, ms_since(start));
     if report.points_out == 0 && report.points_in > 0 {
-        bail!("{}: no point is left, so nothing is written", input.display());
+        bail!("{}: no points remain; nothing is written", input.display());
     }
 
     let start = Instant::now();
@@ -88,12 +88,12 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
 }
 
 impl Cloud {
-    /// Takes the steps that were asked for, one after the other.
+    /// Applies the requested steps in order.
     fn clean(&mut self, args: &CleanArgs) -> Result<Report> {
         let points_in = self.points.valid_points();
         let holes = self.points.len() - points_in;
         if self.grid.is_none() && holes > 0 {
-            errln!("{}: {holes} holes of a general cloud are left out", args.input.display());
+            errln!("{}: {holes} holes of an unorganized cloud are dropped", args.input.display());
             let is_hole: Vec<bool> = (0..self.points.len()).map(|i| !self.points.positions.is_finite(i)).collect();
             self.remove(&is_hole);
         }
@@ -164,7 +164,7 @@ impl Cloud {
     fn thin(&mut self, args: &CleanArgs, size_m: f64) -> Result<usize> {
         let before = self.points.valid_points();
         if self.grid.take().is_some() {
-            errln!("{}: --voxel makes a general cloud of an organized one", args.input.display());
+            errln!("{}: with --voxel the output is unorganized", args.input.display());
         }
         let thinned = clean::voxel_downsample(&self.points, size_m);
         self.points = thinned.map_err(|error| ParamError { field: "--voxel", ..error })?;
@@ -176,9 +176,9 @@ fn print(args: &CleanArgs, report: &Report) {
     outln!("{} -> {}", args.input.display(), args.output.display());
     let steps = [
         (report.outside_box, "outside the box"),
-        (report.merged, "merged with others of their voxel"),
+        (report.merged, "merged with others in their voxel"),
         (report.statistical_outliers, "statistical outliers"),
-        (report.radius_outliers, "with too few others within the radius"),
+        (report.radius_outliers, "with too few neighbours within the radius"),
     ];
     let steps: String =
         steps.iter().filter_map(|(count, what)| count.map(|count| format!(", {count} {what}"))).collect();

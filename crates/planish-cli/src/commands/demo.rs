@@ -59,7 +59,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     write_rgb_png(&picture, &stacked(side_by_side(&reliefs), &side_by_side(&maps)))?;
 
     let flat = flat_pixels(&truth, FLAT_MARGIN_PX);
-    outln!("A simulated Kinect frame, {}x{}, against its truth (flat surfaces):\n", camera.width, camera.height);
+    outln!("A simulated Kinect frame, {}x{}, compared with its truth (flat surfaces):\n", camera.width, camera.height);
     outln!("  range          pixels   distance to the surface (RMS)     mean error of the normal");
     let normals = smoothed.normals.as_ref().unwrap_or(&raw_normals);
     for (near, far) in [(0.5, 1.5), (1.5, 2.5), (2.5, 4.2)] {

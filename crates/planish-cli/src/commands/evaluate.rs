@@ -31,7 +31,7 @@ const ERROR_SCALE_M: f32 = 0.01;
 /// The method to compare with.
 const PAPER: &str = "paper";
 
-/// What a method made of the suite.
+/// Result of a method on the suite.
 #[derive(Serialize)]
 struct Row {
     name: String,
@@ -65,7 +65,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     }
 }
 
-/// A real cloud, whose truth nobody knows.
+/// Returns a real cloud, whose truth nobody knows.
 fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
     let contents = io::read(file)?.1;
     if let Contents::General(cloud) = &contents {
@@ -84,7 +84,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
         None => {
             let mut smoothed = Smoothed::default();
             session.smooth(&cloud, &mut smoothed)?;
-            (smoothed.points, smoothed.normals.context("normals were asked for")?)
+            (smoothed.points, smoothed.normals.context("normals were requested")?)
         }
     };
     let tiles = |points: &Xyz, normals: &Xyz| tile_planes(&cloud, points, normals);
@@ -107,16 +107,16 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A real cloud without a grid.
+/// Returns a real cloud without a grid.
 fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<ExitCode> {
     let (points, normals) = match &args.results {
         Some(result) => {
             let Contents::General(other) = io::read(result)?.1 else {
-                bail!("{}: is no general cloud, as {} is", result.display(), file.display());
+                bail!("{}: has a grid, but {} is an unorganized cloud", result.display(), file.display());
             };
             if other.len() != cloud.len() {
                 let counts = format!("{} points, and {} has {}", other.len(), file.display(), cloud.len());
-                bail!("{}: has {counts}: each point must stay in its place", result.display());
+                bail!("{}: has {counts}; the order of points must not change", result.display());
             }
             let normals = normals_field(&other);
             (moved_to_origin(&other, cloud.origin_m), normals)
@@ -135,14 +135,14 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
         smoothed: patch_planes(cloud, &points, normals.as_ref())?,
     };
     if report.raw.patches == 0 {
-        bail!("{}: nowhere do 64 points lie on one surface, so it cannot be judged", report.file);
+        bail!("{}: contains no 64 adjacent points on one surface, so flatness cannot be measured", report.file);
     }
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
         return Ok(ExitCode::SUCCESS);
     }
     outln!("{}: {} patches of 64 points on one surface\n", report.file, report.raw.patches);
-    outln!("            median RMS distance   mean angle of the points' normals to its own");
+    outln!("            median RMS distance   mean angle of the points' normals to the patch's");
     for (name, patches) in [("raw", report.raw), ("smoothed", report.smoothed)] {
         let normal = if patches.normal_deg.is_nan() { "-".to_owned() } else { format!("{:.1}°", patches.normal_deg) };
         outln!("  {name:<9} {:16.3} mm {normal:>33}", patches.rms_mm);
@@ -150,26 +150,26 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
     Ok(ExitCode::SUCCESS)
 }
 
-/// The parameters of general clouds; says which options change nothing for them.
+/// Returns the parameters for unorganized clouds; reports options without effect on them.
 fn general_params(args: &EvaluateArgs, what: &str) -> Result<CloudParams> {
     let settings = args.smoothing.settings()?;
     let mut unused = settings.unused_by_clouds();
-    // The sensor is also that of the simulated frames.
+    // The sensor also applies to the simulated frames.
     unused.retain(|name| *name != "sensor" || args.input.is_some());
     if !unused.is_empty() {
         let verb = if unused.len() == 1 { "has" } else { "have" };
         let options: Vec<String> = unused.into_iter().map(option_of).collect();
-        errln!("{what}: {} {verb} no effect on general clouds", options.join(", "));
+        errln!("{what}: {} {verb} no effect on unorganized clouds", options.join(", "));
     }
     settings.cloud_params().map_err(by_option).with_context(|| what.to_owned())
 }
 
-/// The sensor of the simulated frames.
+/// Returns the sensor of the simulated frames.
 fn sensor_of(args: &EvaluateArgs) -> Result<SensorModel> {
-    args.smoothing.settings()?.known_sensor().context("--sensor auto: simulated frames are those of a sensor: name one")
+    args.smoothing.settings()?.known_sensor().context("--sensor auto: simulated frames need a named sensor")
 }
 
-/// The normals that a cloud came with.
+/// Returns the normals that a cloud came with.
 fn normals_field(cloud: &PointCloud) -> Option<Xyz> {
     let [x, y, z] = ["normal_x", "normal_y", "normal_z"].map(|name| match &cloud.attribute(name)?.values {
         AttributeValues::F32(values) => Some(values.clone()),
@@ -231,7 +231,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     }
     bar.finish_and_clear();
     if let Some(folder) = &args.export {
-        outln!("The frames are in {}; smooth them, keep their names, and measure with --results.", folder.display());
+        outln!("The frames are in {}. Smooth them, keep their names, and measure with --results.", folder.display());
         return Ok(ExitCode::SUCCESS);
     }
 
@@ -272,7 +272,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A setting with what it made so far.
+/// A setting and its results so far.
 struct Method {
     name: &'static str,
     /// Whether frames lose their grid before.
@@ -307,14 +307,14 @@ impl Method {
 
     fn add(&mut self, case: &Case, smoothing: &SmoothingArgs) -> Result<()> {
         self.smooth(&case.frame, smoothing)?;
-        let normals = self.smoothed.normals.as_ref().context("normals were asked for")?;
+        let normals = self.smoothed.normals.as_ref().context("normals were requested")?;
         self.evaluation.add(case, &self.smoothed.points, normals);
         Ok(())
     }
 }
 
-/// The one that was asked for, after another to compare with: the 2011 report's setting, or of general clouds the
-/// default on the grid.
+/// Returns the requested method, after another to compare with: the 2011 report's setting or, for unorganized clouds,
+/// the default on the grid.
 fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     let camera = Suite::default().camera;
     let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
@@ -336,15 +336,15 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     Ok(vec![method(PAPER, FrameParams::paper().into())?, method("smoothed", params.into())?])
 }
 
-/// What another program made of a frame of that shape: points and normals.
+/// Reads another program's result for a frame of that shape: points and normals.
 fn result_in(file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)> {
     let (_, Contents::Organized(cloud)) = io::read(file)? else {
-        bail!("{}: is no organized cloud: each point must stay on its pixel", file.display());
+        bail!("{}: is not an organized cloud; each point must stay on its pixel", file.display());
     };
     if (cloud.width(), cloud.height()) != (width, height) {
-        bail!("{}: is not {width}x{height}, as the frame is", file.display());
+        bail!("{}: differs in size from the frame, {width}x{height}", file.display());
     }
-    // Of unit length and towards the camera, whatever the other program thinks of either.
+    // Normalize them and turn them towards the camera, whatever the other program's convention.
     let unit = |(n, p): ([f32; 3], [f32; 3])| {
         let dot = |a: [f32; 3], b: [f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
         let length = if dot(n, p) > 0.0 { -dot(n, n).sqrt() } else { dot(n, n).sqrt() };
@@ -391,18 +391,18 @@ fn print(rows: &[Row]) {
     line("cylinder, radius", &|r| format!("{:+.2} %", 100.0 * r.report.cylinder_radius_bias));
     outln!("pixels");
     line("measured, but lost", &|r| percent(r.report.lost_share));
-    line("  of them on a surface, not floating", &|r| percent(r.report.lost_true_share));
-    line("not measured, but there", &|r| r.report.invented.to_string());
+    line("  of which on a surface, not floating", &|r| percent(r.report.lost_true_share));
+    line("invented: present without a measurement", &|r| r.report.invented.to_string());
     let or_dash = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
-    line("stirring before a still scene, RMS, mm", &|r| or_dash(r.jitter_mm, 2));
-    line("a frame takes, ms", &|r| or_dash(r.frame_ms, 1));
+    line("jitter of a static scene, RMS, mm", &|r| or_dash(r.jitter_mm, 2));
+    line("time per frame, ms", &|r| or_dash(r.frame_ms, 1));
 }
 
 fn percent(share: f64) -> String {
     format!("{:.2} %", 100.0 * share)
 }
 
-/// The RMS error over z, a line a method.
+/// Returns the RMS error over z, a line a method.
 fn draw_error_over_z(file: &Path, rows: &[Row]) -> Result<()> {
     const COLOURS: [RGBColor; 4] =
         [RGBColor(150, 150, 150), RGBColor(200, 120, 30), RGBColor(20, 90, 180), RGBColor(0, 0, 0)];

@@ -1,4 +1,4 @@
-//! `planish info`: what a file contains.
+//! `planish info`: describes a file.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -35,7 +35,7 @@ struct Info {
     range: Option<&'static str>,
     /// Position and orientation (quaternion w, x, y, z) of the sensor, where the file states them.
     sensor_pose: Option<[f64; 7]>,
-    /// What --sensor auto would take the sensor for.
+    /// The sensor that --sensor auto would choose.
     sensor: Option<SensorInfo>,
     /// Smallest and largest raw value of a depth image.
     raw_depth: Option<[u16; 2]>,
@@ -57,7 +57,7 @@ pub fn run(args: &InfoArgs) -> Result<ExitCode> {
             return bag::show(args, &file);
         }
         if super::checks::is_mcap(&file) && file.is_file() {
-            anyhow::bail!("{}: no recording in MCAP: it does not begin as one", file.display());
+            anyhow::bail!("{}: not an MCAP recording: its signature is missing", file.display());
         }
     }
     if !args.camera.is_given()
@@ -90,7 +90,7 @@ fn show(args: &InfoArgs, info: &Info, is_depth: bool) -> Result<ExitCode> {
 }
 
 impl Info {
-    /// Of which nothing is known but its size.
+    /// Creates a description with only format and size.
     fn new(format: Format, (width, height): (usize, usize), organized: bool) -> Self {
         Self {
             format: format.name(),
@@ -110,7 +110,7 @@ impl Info {
     }
 }
 
-/// Of a file larger than memory; its median is that of a sample.
+/// Describes a file larger than memory; its median comes from a sample.
 fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
     const POINTS_AT_ONCE: usize = 1 << 18;
     const SAMPLE_STEP: usize = 97;
@@ -233,7 +233,7 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
     let kind = match (is_depth, info.organized) {
         (true, _) => "depth image",
         (false, true) => "organized cloud",
-        (false, false) => "general cloud",
+        (false, false) => "unorganized cloud",
     };
     let pixels = info.width * info.height;
     outln!("{}: {}, {kind}", file.display(), info.format);
@@ -266,7 +266,7 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
             );
         }
         (Some("constant"), _) => {
-            outln!("  pixel pitch   unknown, and so is the sensor's position (see --sensor-pose)")
+            outln!("  pixel pitch   unknown, as is the sensor's position (see --sensor-pose)")
         }
         _ => {}
     }

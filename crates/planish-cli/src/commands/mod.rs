@@ -30,7 +30,7 @@ use crate::exit::ExitCode;
 /// Streams a source, or a rig.
 pub fn stream(args: &StreamArgs) -> Result<ExitCode> {
     if args.format.is_some() && args.save.is_none() && args.save_cameras.is_none() {
-        bail!("--format says what --save writes: give a folder to save into");
+        bail!("--format needs --save");
     }
     match &args.rig {
         Some(rig) => rig::stream(args, rig),
@@ -43,7 +43,7 @@ fn ms_since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
 }
 
-/// The organized cloud that a file holds, deprojecting depth with the camera given.
+/// Returns the organized cloud that a file holds, deprojecting depth with the camera given.
 fn organized(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<OrganizedCloud> {
     let shape = contents.shape();
     match contents {
@@ -64,15 +64,15 @@ fn organized(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<Org
             Ok(view.deproject().map_err(Error::from)?)
         }
         Contents::General(cloud) => bail!(
-            "{}: a general cloud of {} points (its height is 1); an organized cloud or a depth image is needed",
+            "{}: an unorganized cloud of {} points (height 1); an organized cloud or a depth image is needed",
             file.display(),
             cloud.len()
         ),
-        _ => bail!("{}: not a frame of a kind that is known here", file.display()),
+        _ => bail!("{}: contains neither depth nor points", file.display()),
     }
 }
 
-/// A camera whose focal length differs by more than this factor from that of the points is another one.
+/// A camera whose focal length differs from that of the points by more than this factor is not theirs.
 const FOCAL_LENGTH_FACTOR: f64 = 1.25;
 
 /// Refuses a camera that contradicts the points of a cloud.
@@ -83,14 +83,14 @@ fn check_camera(cloud: &OrganizedCloud, camera: &Camera) -> Result<()> {
             let ratio = camera.fx * pitch;
             if !(1.0 / FOCAL_LENGTH_FACTOR..=FOCAL_LENGTH_FACTOR).contains(&ratio) {
                 bail!(
-                    "the camera has fx = {}, but the points have {:.1}: give the camera of this cloud, or none",
+                    "the camera has fx = {}, but the points {:.1}; give the camera of this cloud, or none",
                     camera.fx,
                     1.0 / pitch
                 );
             }
         }
         RangeRule::Depth { .. } => {}
-        _ => bail!("the grid is not that of a camera in this frame: give --sensor-pose, or no camera"),
+        _ => bail!("the grid does not match a camera in this frame; give --sensor-pose, or no camera"),
     }
     Ok(())
 }

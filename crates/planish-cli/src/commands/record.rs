@@ -61,7 +61,8 @@ impl Recorder {
             (Self::Tum(recorder), OwnedFrame::Depth(frame)) => Ok(recorder.add(frame)?),
             (Self::Tum(_), _) => {
                 bail!(
-                    "{source}: gives clouds; a data set in TUM layout has depth images (a recording, .mcap, takes clouds)"
+                    "{source}: delivers clouds, but a data set in TUM layout stores depth images; write a recording \
+                     (.mcap) instead"
                 )
             }
             #[cfg(feature = "mcap")]
@@ -69,7 +70,7 @@ impl Recorder {
         }
     }
 
-    /// What a reader of the data set should know.
+    /// Returns a note for the readers of the data set.
     fn note(&self) -> Option<String> {
         let recorder = match self {
             Self::Tum(recorder) => recorder,
@@ -79,7 +80,7 @@ impl Recorder {
         let units = recorder.depth_units_per_metre().filter(|&units| units != 5000.0);
         match (units, recorder.too_far()) {
             (Some(units), _) => {
-                Some(format!("depth is in {units} units a metre, as camera.json says; TUM's own tools expect 5000"))
+                Some(format!("depth has {units} units per metre, as camera.json states; TUM's tools expect 5000"))
             }
             (None, 1..) => Some(format!(
                 "warning: {} pixels beyond 13.1 m, the layout's limit, became holes; a recording (.mcap) keeps them",
@@ -128,8 +129,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
                 }
                 frames += 1;
             }
-            // One frame that cannot be read is left out; a camera that is gone ends the recording, which keeps what it
-            // has.
+            // An unreadable frame is skipped; a camera that is gone ends the recording, which keeps its frames.
             Err(error) => {
                 failures_in_a_row += 1;
                 if matches!(error, Error::Device(_)) || failures_in_a_row == MOST_FAILURES {

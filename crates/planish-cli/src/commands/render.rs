@@ -12,12 +12,12 @@ use super::checks::check_not_input;
 use super::organized;
 use crate::args::RenderArgs;
 
-/// Pixels of a general cloud's picture.
+/// Pixels of an unorganized cloud's picture.
 const LONGEST_SIDE: usize = 1280;
 
 pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     if !args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
-        bail!("{}: pictures are written as .png", args.output.display());
+        bail!("{}: not a .png; pictures are written as .png", args.output.display());
     }
     check_not_input(&args.file, &args.output, None)?;
     let (_, contents) = io::read_with(&args.file, &args.memory.read_options())?;
@@ -29,7 +29,7 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
             })?
         }
         _ if args.from.is_some() => {
-            bail!("{}: is drawn as its sensor saw it; --from is for general clouds", args.file.display());
+            bail!("{}: --from applies to unorganized clouds; this one is drawn from its sensor", args.file.display());
         }
         contents => organized(contents, &args.camera, &args.file)?,
     };

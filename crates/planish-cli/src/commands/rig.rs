@@ -30,7 +30,7 @@ use crate::signals::stop_by;
 
 pub fn run(args: &RigArgs) -> Result<ExitCode> {
     if args.json && args.simulate.is_some() {
-        bail!("--json prints a rig that there is; of a simulated one see its rig.json");
+        bail!("--json does not apply to --simulate; its rig.json has the data");
     }
     if let (Some(cameras), Some(folder)) = (args.simulate, &args.out) {
         return simulate::simulate(args, cameras.into(), folder);
@@ -51,7 +51,7 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
         let pair = named.split_once('=').filter(|(_, source)| !source.is_empty());
         let (name, source) = pair.with_context(|| format!("--source {named}: NAME=SOURCE is expected"))?;
         if named_before.contains(&name) {
-            bail!("--source {named}: camera {name} has a source already");
+            bail!("--source {named}: camera {name} already has a source");
         }
         named_before.push(name);
         let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
@@ -62,7 +62,7 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
     rig.validate().map_err(planish::Error::from)?;
     if let Some(out) = &args.out {
         if out.exists() {
-            bail!("{}: is there already, and is not replaced: give another name, or remove it", out.display());
+            bail!("{}: already exists; choose another name or delete it", out.display());
         }
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let seen = rig.seen_from(folder);
@@ -81,7 +81,7 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Whether a file is planish's own: JSON of an object, where COLMAP's has a list.
+/// Returns true if a file is planish's own: JSON of an object, where COLMAP's has a list.
 fn is_rig_file(file: &Path) -> bool {
     let is_json = file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
     let starts_with = |text: &str, c: char| text.trim_start_matches('\u{feff}').trim_start().starts_with(c);
@@ -96,7 +96,7 @@ fn read_calibration(args: &RigArgs, file: &Path) -> Result<Rig> {
         calibration::CalibrationOptions::default().with_base(args.base.clone()).with_frames(args.frame.clone());
     if let Some(metres) = args.scale {
         if !(metres > 0.0 && metres.is_finite()) {
-            bail!("--scale {metres}: metres in a unit, above 0");
+            bail!("--scale {metres}: a number of metres per unit above 0 is expected");
         }
         options = options.with_metres_per_unit(metres);
     }
@@ -106,7 +106,7 @@ fn read_calibration(args: &RigArgs, file: &Path) -> Result<Rig> {
 fn describe(rig: &Rig) {
     let frame = rig.frame.as_ref().map_or(String::new(), |frame| format!(", in the frame {frame}"));
     outln!(
-        "{} cameras{frame}; time stamps of one moment are at most {:.0} ms apart",
+        "{} cameras{frame}; time stamps within a moment differ by at most {:.0} ms",
         rig.cameras.len(),
         1e3 * rig.tolerance_s
     );
@@ -134,7 +134,7 @@ fn describe(rig: &Rig) {
     }
 }
 
-/// What is said at the end of a rig's stream.
+/// Report at the end of a rig's stream.
 #[derive(Serialize)]
 struct Report {
     moments: u64,
@@ -174,14 +174,14 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     let sensors: Vec<SensorModel> = options.params.iter().map(|params| params.sensor).collect();
     let registration_m = args.registration.map_or(options.registration_m, |mm| 1e-3 * mm);
     if args.registration.is_some() && way != RigWay::Views {
-        bail!("--registration is of rigs smoothed by views: it needs --fuse views");
+        bail!("--registration needs --fuse views");
     }
     let unused: Vec<String> = settings.unused_by_clouds().into_iter().map(option_of).collect();
     if way == RigWay::Merged && !unused.is_empty() {
-        errln!("ignored for merged points, which are a general cloud: {}", unused.join(", "));
+        errln!("no effect on merged points, which are an unorganized cloud: {}", unused.join(", "));
     }
     if args.voxel.is_some() && way != RigWay::Merged {
-        bail!("--voxel thins merged points: it needs --fuse merged");
+        bail!("--voxel needs --fuse merged");
     }
     let options = options
         .with_registration_m(registration_m)
@@ -236,29 +236,29 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     Ok(if report.failed_sinks > 0 || unreadable { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
-/// Refuses outputs that cannot be, or that would take the place of what is there, before anything is written.
+/// Refuses outputs that cannot be written or that would replace existing files, before anything is written.
 fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
     for folder in [&args.save, &args.save_cameras].into_iter().flatten() {
         if is_mcap(folder) {
-            bail!("{}: a rig's clouds are saved into a folder", folder.display());
+            bail!("{}: not a folder; a rig's clouds are saved into a folder", folder.display());
         }
         if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
-            bail!("{}: has files already: results of a rig go into a folder of their own", folder.display());
+            bail!("{}: the folder is not empty; results of a rig need an empty folder", folder.display());
         }
     }
     if let (Some(fused), Some(cameras)) = (&args.save, &args.save_cameras)
         && let (Ok(fused), Ok(cameras)) = (std::path::absolute(fused), std::path::absolute(cameras))
         && (fused.starts_with(&cameras) || cameras.starts_with(&fused))
     {
-        bail!("--save and --save-cameras write into a folder each: give two folders, neither inside the other");
+        bail!("--save and --save-cameras need two folders, neither inside the other");
     }
     let Some(picture) = &args.picture else { return Ok(()) };
     if !picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
-        bail!("{}: a picture is written as .png", picture.display());
+        bail!("{}: not a .png; a picture is written as .png", picture.display());
     }
     let folder = picture.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if picture.is_dir() || !folder.is_dir() {
-        bail!("{}: is a folder, or in none that is there", picture.display());
+        bail!("{}: is a folder, or its folder does not exist", picture.display());
     }
     let sources = rig.cameras.iter().filter_map(|camera| Path::new(camera.source.as_ref()?).canonicalize().ok());
     let folder = folder.canonicalize().with_context(|| folder.display().to_string())?;
@@ -266,12 +266,12 @@ fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
         .into_iter()
         .any(|source| folder.starts_with(&source) || picture.canonicalize().is_ok_and(|picture| picture == source))
     {
-        bail!("{}: is among what was measured: give another name", picture.display());
+        bail!("{}: is part of the input; give another name", picture.display());
     }
     Ok(())
 }
 
-/// What is computed: depth too if each camera's depth images are to be saved.
+/// Returns the outputs to compute; includes depth if each camera's depth images are saved.
 fn rig_outputs(args: &StreamArgs) -> Outputs {
     let outputs = outputs_of(&args.fields);
     if args.save_cameras.is_some() && args.sink_format() == SinkFormat::DepthPng {
@@ -281,7 +281,7 @@ fn rig_outputs(args: &StreamArgs) -> Outputs {
     }
 }
 
-/// The format of fused clouds, which are no depth images.
+/// Returns the format of fused clouds, which are no depth images.
 fn format_of_fused(args: &StreamArgs, format: SinkFormat) -> SinkFormat {
     if format == SinkFormat::DepthPng && args.save_cameras.is_some() { SinkFormat::Pcd } else { format }
 }
@@ -290,18 +290,16 @@ fn open_sources(rig: &Rig, limits: &LimitArgs, stop: &Arc<AtomicBool>) -> Result
     let names = || rig.cameras.iter().filter_map(|camera| camera.source.as_deref());
     let has_camera = names().any(source::is_camera);
     if limits.reconnect && !has_camera {
-        bail!("--reconnect waits for cameras; the rig has recordings");
+        bail!("--reconnect applies to cameras, but the rig has recordings");
     }
     let open = |camera: &RigCamera| {
         let name = camera.source.as_deref();
-        let name = name.with_context(|| {
-            format!("camera {}: no source; \"source\" says where its frames come from", camera.name)
-        })?;
+        let name = name.with_context(|| format!("camera {}: has no source; add \"source\"", camera.name))?;
         let is_camera = source::is_camera(name);
         let options = camera.source_options().with_fps(limits.fps.filter(|_| !is_camera)).with_frames(limits.frames);
         let limits = LimitArgs { reconnect: limits.reconnect && is_camera, ..*limits };
         if has_camera && !is_camera && limits.fps.is_none() {
-            bail!("camera {}: a recording beside live cameras: --fps says at what pace it plays", camera.name);
+            bail!("camera {}: a recording among live cameras needs --fps", camera.name);
         }
         open_named(name, options, &limits, stop).with_context(|| format!("camera {}", camera.name))
     };
@@ -342,15 +340,16 @@ fn print(report: &Report) {
         report;
     let s = if *moments == 1 { "" } else { "s" };
     outln!(
-        "{moments} moment{s} in {seconds:.1} s, {way}, engine {engine}; from the first to the last {fps:.1} a second"
+        "{moments} moment{s} in {seconds:.1} s, {way}, engine {engine}; {fps:.1} per second from the first to the last"
     );
-    outln!("  {complete} of them with every camera; {dropped} dropped for newer ones");
+    outln!("  {complete} of them with every camera; {dropped} replaced by newer ones");
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}");
     for camera in cameras {
         let CameraReport { name, frames_in, frames_out, missing, late, out_of_order, clock_jumps, dropped, unreadable } =
             camera;
         outln!(
-            "  {name:<16} {frames_out} of {frames_in} frames smoothed; missing from {missing} moments, {late} late, {out_of_order} out of \
+            "  {name:<16} {frames_out} of {frames_in} frames smoothed; missing from {missing} moments, {late} late, \
+             {out_of_order} out of \
              order, {clock_jumps} jumps of its clock, {dropped} dropped, {unreadable} unreadable"
         );
     }

@@ -47,11 +47,11 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         noted: Arc::default(),
     };
     if args.format.as_ref().is_some_and(|extension| extension.contains(['/', '\\'])) {
-        bail!("--format takes a file's extension, as ply, not a path");
+        bail!("--format needs a file extension such as ply, not a path");
     }
     if args.gpus.gpus.is_some() && !args.input.is_dir() {
         bail!(
-            "{}: --gpus deals the frames of a folder; one file goes to one device (--engine gpu --adapter)",
+            "{}: --gpus applies to folders; choose the device of a single file with --engine gpu --adapter",
             args.input.display()
         );
     }
@@ -61,7 +61,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     }
     if !args.topics.topic.is_empty() || args.topics.camera_info_topic.is_some() || args.points_topic.is_some() {
         bail!(
-            "{}: --topic, --camera-info-topic and --points-topic are for recordings in MCAP, which this is not",
+            "{}: --topic, --camera-info-topic and --points-topic apply only to MCAP recordings",
             args.input.display()
         );
     }
@@ -69,7 +69,10 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         return folder::run(&mut worker);
     }
     if args.format.is_some() {
-        errln!("{}: one file, for which --format changes nothing: the output's name says it", args.input.display());
+        errln!(
+            "{}: --format applies to folders; the output's name determines the format of a single file",
+            args.input.display()
+        );
     }
     check_output(&args.output, args.encoding.is_some())?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;
@@ -88,22 +91,22 @@ struct Worker<'a> {
     args: &'a SmoothArgs,
     settings: Settings,
     session: Session,
-    /// Instead of what the files say.
+    /// Replaces the pose stated in the files.
     pose: Option<SensorPose>,
     /// How many workers there are, of which each has its share of the threads and the memory.
     beside: u64,
     smoothed: Smoothed,
-    /// What was said of the inputs of all workers.
+    /// Notes already printed, shared by all workers.
     noted: Arc<Mutex<HashSet<String>>>,
 }
 
-/// What is written, once the input has been smoothed.
+/// The output, to be written after smoothing.
 enum Output {
     Organized(OrganizedCloud),
     General(PointCloud),
     /// The points of a depth image.
     Points(Camera),
-    /// Depth of so many columns and rows.
+    /// A depth image with this many columns and rows.
     Depth {
         width: usize,
         height: usize,
@@ -118,7 +121,7 @@ impl Worker<'_> {
         let start = Instant::now();
         let FileRead { format, encoding, mut contents, mut notes, .. } = io::read_file(input, &self.read_options())?;
         let read_ms = ms_since(start);
-        // Of the frames of a folder each is said once.
+        // In a folder, each note is printed once.
         notes.retain(|note| self.noted.lock().is_ok_and(|mut noted| noted.insert(note.clone())));
         report_notes(input, &notes);
         match &mut contents {
@@ -177,7 +180,7 @@ impl Worker<'_> {
         })
     }
 
-    /// The limit for this worker.
+    /// Returns the limit for this worker.
     fn read_options(&self) -> ReadOptions {
         let options = self.args.memory.read_options();
         options.with_max_memory_bytes(options.max_memory_bytes / self.beside)
@@ -189,7 +192,7 @@ impl Worker<'_> {
         match contents {
             Contents::Organized(cloud) => cloud.points.pose = pose,
             Contents::General(cloud) => cloud.pose = pose,
-            _ => bail!("{}: depth is in its camera's own frame; --sensor-pose is for clouds", input.display()),
+            _ => bail!("{}: --sensor-pose applies to clouds; depth is in its camera's frame", input.display()),
         }
         Ok(())
     }
@@ -205,11 +208,14 @@ impl Worker<'_> {
         let in_metres = matches!(contents, Contents::DepthMetres { .. });
         let depth_out = is_depth(output) || (Format::of_extension(output) == Some(Format::Npy) && contents.is_depth());
         if in_metres && self.args.camera.depth_units_per_metre.is_some() {
-            bail!("{}: depth as floats is in metres; --depth-units-per-metre is for 16-bit images", input.display());
+            bail!(
+                "{}: --depth-units-per-metre applies to 16-bit images; floating-point depth is in metres",
+                input.display()
+            );
         }
         let has_fields = self.args.fields.iter().any(|field| *field != FieldArg::None);
         if has_fields && (depth_out || Format::of_extension(output) == Some(Format::Npy)) {
-            bail!("{}: has no place for --fields; write .pcd or .ply", output.display());
+            bail!("{}: cannot store --fields; write .pcd or .ply", output.display());
         }
         let mut outputs = self.outputs().with_status(true);
         if depth_out {
@@ -230,7 +236,7 @@ impl Worker<'_> {
         let frame = match (&depth, &cloud) {
             (Some(depth), _) => depth.into_frame(),
             (None, Some(cloud)) => cloud.into_frame(),
-            (None, None) => bail!("{}: neither depth nor points", input.display()),
+            (None, None) => bail!("{}: contains neither depth nor points", input.display()),
         };
         let frame = frame.map_err(of_input)?;
         if depth_out && frame.camera().is_none() {
@@ -309,15 +315,16 @@ impl Worker<'_> {
         self.smooth(input, output, frame, outputs)
     }
 
-    /// The parameters for a general cloud; says what is assumed, and what changes nothing.
+    /// Returns the parameters for an unorganized cloud; reports assumptions and options without effect.
     fn general_params(&self, input: &Path) -> Result<CloudParams> {
         let params = self.settings.cloud_params().map_err(by_option).with_context(|| input.display().to_string())?;
         let is_chosen = self.settings.neighbours.is_some();
         if let (CloudRadius::Neighbours { count }, false) = (params.radius, is_chosen) {
             errln!(
-                "{}: a general cloud, smoothed with about {count} neighbours of each point (--neighbours or --radius to change that{})",
+                "{}: an unorganized cloud, smoothed with about {count} neighbours per point (change with --neighbours \
+                 or --radius{})",
                 input.display(),
-                if params.fit.edges == Edges::Robust { "" } else { "; --edges robust keeps edges sharp" }
+                if params.fit.edges == Edges::Robust { "" } else { "; keep edges sharp with --edges robust" }
             );
         }
         let mut unused: Vec<String> = self.settings.unused_by_clouds().into_iter().map(option_of).collect();
@@ -328,7 +335,7 @@ impl Worker<'_> {
         unused.extend(given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name.to_owned()));
         if !unused.is_empty() {
             let verb = if unused.len() == 1 { "has" } else { "have" };
-            errln!("{}: {} {verb} no effect on general clouds", input.display(), unused.join(", "));
+            errln!("{}: {} {verb} no effect on unorganized clouds", input.display(), unused.join(", "));
         }
         Ok(params)
     }
@@ -364,7 +371,8 @@ impl Worker<'_> {
                 let (params, _) = self.session.params_for(frame)?;
                 let cause = likely_cause(frame, &params);
                 errln!(
-                    "{}: {count} of {valid} valid points ({share:.1} %) {became}: they have too few neighbours. {cause}",
+                    "{}: {count} of {valid} valid points ({share:.1} %) {became}: they have too few neighbours. \
+                     {cause}",
                     output.display()
                 );
             }
@@ -414,7 +422,7 @@ impl Worker<'_> {
     }
 }
 
-/// Whether a file is an image of depth by its name.
+/// Returns true if a file is an image of depth by its name.
 fn is_depth(path: &Path) -> bool {
     matches!(Format::of_extension(path), Some(Format::DepthPng | Format::DepthTiff))
 }

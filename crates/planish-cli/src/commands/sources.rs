@@ -15,7 +15,7 @@ use crate::args::{LimitArgs, SourceArgs};
 pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn Source>> {
     let SourceArgs { topics, camera, align, mode, limits, .. } = args;
     if topics.topic.len() > 1 {
-        bail!("--topic: a stream has one topic; `planish smooth` takes several");
+        bail!("--topic: a stream has only one topic; `planish smooth` accepts several");
     }
     let options = SourceOptions::default()
         .with_topics(topics.topic.first().cloned(), topics.camera_info_topic.clone())
@@ -26,13 +26,13 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
         .with_fps(limits.fps)
         .with_frames(limits.frames);
     if limits.reconnect && !source::is_camera(args.name()) {
-        bail!("--reconnect waits for a camera; {} is none", args.name());
+        bail!("--reconnect applies to cameras; {} is not one", args.name());
     }
     open_named(args.name(), options, limits, stop)
 }
 
 impl SourceArgs {
-    /// The source; empty where a rig stands instead.
+    /// Returns the source; empty where a rig stands instead.
     pub fn name(&self) -> &str {
         self.name.as_deref().unwrap_or_default()
     }
@@ -46,7 +46,7 @@ pub fn open_named(
     stop: &Arc<AtomicBool>,
 ) -> Result<Box<dyn Source>> {
     if name == "synthetic" || name.starts_with("synthetic:") {
-        errln!("{name}: rendering its frames first");
+        errln!("{name}: rendering its frames");
     }
     let source = match source::open(name, &options) {
         Err(Error::Device(error @ DeviceError::NotFound { .. })) if limits.reconnect => {
@@ -139,7 +139,7 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
             if let Some(source) = &mut self.source {
                 match source.next_frame() {
                     Err(Error::Device(DeviceError::Gone { what })) => {
-                        errln!("{what}; waiting for it to come back");
+                        errln!("{what}; waiting for it to return");
                         self.dropped_before += source.dropped();
                         self.source = None;
                     }
@@ -148,7 +148,7 @@ impl<Open: FnMut() -> Result<Box<dyn Source>, Error> + Send> Source for Reconnec
             }
             match (self.open)() {
                 Ok(mut source) => {
-                    errln!("{}", source.description().unwrap_or_else(|| "the camera is there".to_owned()));
+                    errln!("{}", source.description().unwrap_or_else(|| "the camera is connected".to_owned()));
                     source.end_with(Arc::clone(&self.ended));
                     self.source = Some(source);
                 }
@@ -175,7 +175,7 @@ impl LimitArgs {
     pub fn max_duration(&self) -> Result<Option<Duration>> {
         let duration = |seconds| {
             let duration = Duration::try_from_secs_f64(seconds).ok();
-            duration.with_context(|| format!("--duration {seconds:?}: a number of seconds is needed, 0 or more"))
+            duration.with_context(|| format!("--duration {seconds:?}: a number of seconds, 0 or more, is expected"))
         };
         self.duration.map(duration).transpose()
     }

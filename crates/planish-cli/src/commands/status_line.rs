@@ -41,7 +41,7 @@ impl StatusLine {
         self.last.set(Instant::now());
         let Latency { p50, p99, .. } = statistics.latency();
         let text = format!(
-            "{} {what}, {:.1} a second, {:.1} ms (p99 {:.1}), {}",
+            "{} {what}, {:.1} per second, {:.1} ms (p99 {:.1}), {}",
             statistics.frames_out,
             statistics.fps(),
             ms(p50),

@@ -16,7 +16,7 @@ use super::status_line::{StatusLine, ms};
 use crate::args::{StreamArgs, StreamFormatArg, by_option, by_option_of_error, outputs_of};
 use crate::signals::stop_by;
 
-/// What is said at the end.
+/// Report at the end.
 #[derive(Serialize)]
 struct Report {
     frames_in: u64,
@@ -52,7 +52,8 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     #[cfg(not(feature = "rerun"))]
     if args.rerun || args.rrd.is_some() {
         bail!(
-            "this planish was built without the feature rerun: build it with `cargo install --path crates/planish-cli --features rerun`"
+            "this planish was built without the feature rerun; build it with `cargo install --path crates/planish-cli \
+             --features rerun`"
         );
     }
     let of_rigs = [
@@ -63,10 +64,10 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         ("--voxel", args.voxel.is_some()),
     ];
     if let Some((name, _)) = of_rigs.iter().find(|(_, is_given)| *is_given) {
-        bail!("{name} is for several cameras: give --rig, and no source beside it");
+        bail!("{name} applies to several cameras: give --rig instead of a source");
     }
     if args.source.name().ends_with("rig.json") && Path::new(args.source.name()).is_file() {
-        bail!("{}: a rig is streamed by `planish stream --rig {0}`", args.source.name());
+        bail!("{}: is a rig; run `planish stream --rig {0}`", args.source.name());
     }
     let mut settings = args.smoothing.settings_with(&args.gpus)?;
     let mut outputs = outputs_of(&args.fields);
@@ -121,7 +122,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
 }
 
 impl StreamArgs {
-    /// What is written into folders.
+    /// Returns the format of output folders.
     pub fn sink_format(&self) -> SinkFormat {
         match self.format {
             None | Some(StreamFormatArg::Pcd) => SinkFormat::Pcd,
@@ -131,7 +132,7 @@ impl StreamArgs {
     }
 }
 
-/// A sink that writes a folder, or a recording where the name ends in .mcap.
+/// Returns a sink that writes a folder, or a recording where the name ends in .mcap.
 pub fn saving_sink(output: &Path, format: SinkFormat, outputs: Outputs) -> Result<Box<dyn Sink>> {
     if is_mcap(output) {
         check_is_new(output)?;
@@ -166,10 +167,10 @@ fn report(statistics: &StreamStatistics) -> Report {
 
 fn print_report(report: &Report) {
     let Report { frames_in, frames_out, dropped, unreadable, seconds, fps, latency_ms, engine, .. } = report;
-    outln!("{frames_out} frames in {seconds:.1} s, {fps:.1} a second, engine {engine}");
-    outln!("  {frames_in} frames received, {dropped} dropped for newer ones, {unreadable} unreadable");
+    outln!("{frames_out} frames in {seconds:.1} s, {fps:.1} per second, engine {engine}");
+    outln!("  {frames_in} frames received, {dropped} replaced by newer ones, {unreadable} unreadable");
     let LatencyMs { p50, p95, p99, max } = latency_ms;
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
     let StageMs { capture, smooth, sinks } = report.stage_ms;
-    outln!("  a frame's mean: {capture:.1} ms in the source, {smooth:.1} in the engine, {sinks:.1} in the sinks");
+    outln!("  mean per frame: {capture:.1} ms in the source, {smooth:.1} in the engine, {sinks:.1} in the sinks");
 }

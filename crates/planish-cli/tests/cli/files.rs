@@ -1,4 +1,4 @@
-//! Files and folders in, files and folders out; what is refused; devices.
+//! Files and folders as inputs and outputs; refusals; devices.
 
 use std::fs;
 use std::path::Path;
@@ -137,7 +137,7 @@ fn info_and_render_tell_what_a_file_holds() {
     let picture = folder.path().join("relief.png");
     ok(&["render", str(&path), str(&picture)]);
     let header = fs::read(&picture).unwrap();
-    // Relief and colours beside each other with a line of 4 pixels.
+    // Relief and colours side by side, separated by a line of 4 pixels.
     assert_eq!(u32::from_be_bytes(header[16..20].try_into().unwrap()), 2 * 160 + 4);
 }
 
@@ -155,9 +155,9 @@ fn bad_arguments_and_bad_input_are_refused_with_exit_code_2() {
     let damaged = folder.path().join("damaged.pcd");
     fs::write(&damaged, &fs::read(&path).unwrap()[..5000]).unwrap();
     let message = refused(&["smooth", str(&damaged), str(&output)]);
-    assert!(message.contains("damaged.pcd") && message.contains("cut short"), "{message}");
-    assert_eq!(message.matches("cut short").count(), 1, "said once: {message}");
-    assert!(refused(&["info", str(&damaged)]).contains("cut short"));
+    assert!(message.contains("damaged.pcd") && message.contains("truncated"), "{message}");
+    assert_eq!(message.matches("truncated").count(), 1, "said once: {message}");
+    assert!(refused(&["info", str(&damaged)]).contains("truncated"));
     assert!(refused(&["smooth", str(&path), str(&folder.path().join("none/x.pcd"))]).contains("does not exist"));
     assert!(refused(&["smooth", str(&path), str(&folder.path().join("x.png"))]).contains("--camera"));
     assert!(!output.exists());
@@ -273,8 +273,8 @@ fn sensors_strengths_and_edges_are_chosen_by_name() {
     assert!(
         refused(&["smooth", str(&path), str(&output), "--strength", "1", "--preset", "light"]).contains("--preset")
     );
-    // The estimate needs a frame, and a stream has none yet.
-    // A stream estimates the sensor from its first frame, unless pixels that float are removed before.
+    // Estimation needs a frame, and a stream has none yet. A stream estimates the sensor from its first frame, unless
+    // floating pixels are removed before.
     ok(&["stream", "synthetic", "--sensor", "auto", "--frames", "1"]);
     let early = ["stream", "synthetic", "--sensor", "auto", "--remove-floating", "--frames", "1"];
     assert!(refused(&early).contains("planish info"));
@@ -310,7 +310,7 @@ fn strides_follow_the_resolution_unless_they_are_given() {
     assert_eq!(points(&fs::read(saved.join("000000.pcd")).unwrap()), points(&found));
 }
 
-/// A wall of 64x48 points 2 m before a camera, as a robot has it in its base frame: x forward, z up.
+/// Returns a wall of 64x48 points 2 m before a camera, as a robot has it in its base frame: x forward, z up.
 fn wall_in_base_frame() -> OrganizedCloud {
     let point = |i: usize| {
         let (right, down) = (((i % 64) as f32 - 31.5) / 52.5 * 2.0, ((i / 64) as f32 - 23.5) / 52.5 * 2.0);
@@ -382,7 +382,8 @@ fn camera_files_of_other_programs_are_read() {
     assert_eq!(flat, smooth(&format!("{fx} 0 {cx}\n0 {fy} {cy}\n0 0 1\n")));
     assert_eq!(flat, smooth(&format!("1 PINHOLE {width} {height} {fx} {fy} {} {}", cx + 0.5, cy + 0.5)));
     let info = format!(
-        "image_width: {width}\nimage_height: {height}\ncamera_matrix: {{data: [{fx}, 0, {cx}, 0, {fy}, {cy}, 0, 0, 1]}}\n\
+        "image_width: {width}\nimage_height: {height}\ncamera_matrix: {{data: [{fx}, 0, {cx}, 0, {fy}, {cy}, 0, 0, \
+         1]}}\n\
          distortion_model: plumb_bob\ndistortion_coefficients: {{data: [K1, 0, 0, 0, 0]}}\n"
     );
     assert_eq!(flat, smooth(&info.replace("K1", "0")));
@@ -426,12 +427,12 @@ fn clean_removes_what_was_asked_for_and_keeps_fields_and_grids() {
     assert_eq!(report["points_out"], 30);
     assert!(fs::read_to_string(&cropped).unwrap().lines().all(|line| line.starts_with("69101")));
 
-    assert!(refused(&["clean", str(&path), str(&cleaned)]).contains("nothing to do"));
-    assert!(refused(&["clean", str(&path), str(&path), "--voxel", "0.01"]).contains("the only copy"));
-    assert!(refused(&["clean", str(&path), str(&cleaned), "--crop", "9,9,9,10,10,10"]).contains("no point is left"));
-    assert!(refused(&["clean", str(&path), str(&cleaned), "--crop", "9,9,9,1,1,1"]).contains("least x, y, z"));
+    assert!(refused(&["clean", str(&path), str(&cleaned)]).contains("no step is given"));
+    assert!(refused(&["clean", str(&path), str(&path), "--voxel", "0.01"]).contains("is the input"));
+    assert!(refused(&["clean", str(&path), str(&cleaned), "--crop", "9,9,9,10,10,10"]).contains("no points remain"));
+    assert!(refused(&["clean", str(&path), str(&cleaned), "--crop", "9,9,9,1,1,1"]).contains("smallest x, y, z"));
     assert!(refused(&["clean", str(&path), str(&cleaned), "--statistical", "a"]).contains("as 20,2"));
-    assert!(refused(&["clean", str(&path), str(&path_of("out.png")), "--voxel", "1"]).contains("holds depth"));
+    assert!(refused(&["clean", str(&path), str(&path_of("out.png")), "--voxel", "1"]).contains("cannot store points"));
 }
 
 #[test]
@@ -443,7 +444,9 @@ fn a_general_cloud_is_drawn_from_where_one_asks() {
     let image = planish::internal::read_rgb_png(&picture).unwrap();
     assert!(image.width > image.height && image.rgb.iter().any(|&value| value > 100));
     assert!(refused(&["render", str(&path), str(&path)]).contains("written as .png"));
-    assert!(refused(&["render", str(&path), str(&picture), "--from", "0,0,1"]).contains("for general clouds"));
+    assert!(
+        refused(&["render", str(&path), str(&picture), "--from", "0,0,1"]).contains("applies to unorganized clouds")
+    );
     assert!(refused(&["render", str(&general), str(&picture), "--from", "0,0"]).contains("3 numbers"));
 }
 
@@ -492,7 +495,8 @@ fn a_ply_described_in_parts_is_described_as_whole() {
     fs::write(&file, "ply\nformat binary_big_endian 1.0\nelement vertex 0\nend_header\n").unwrap();
     assert!(refused(&["info", str(&file)]).contains("no properties"));
     // A line that does not end is not read into memory.
-    let header = "ply\nformat ascii 1.0\nelement vertex 90000\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    let header = "ply\nformat ascii 1.0\nelement vertex 90000\nproperty float x\nproperty float y\nproperty float \
+                  z\nend_header\n";
     fs::write(&file, header.to_owned() + &"1 ".repeat(400_000)).unwrap();
     assert!(refused(&["info", str(&file), "--max-memory", "500K"]).contains("65536 bytes"));
 }

@@ -1,4 +1,4 @@
-//! Folders of frames: each as it is alone, whatever is beside it.
+//! Folders of frames: each frame gets the result that it gets alone.
 
 use std::fs;
 
@@ -17,7 +17,7 @@ fn a_folder_goes_on_after_a_bad_file_and_says_so_at_the_end() {
         fs::copy(&path, input.join(name)).unwrap();
     }
     fs::write(input.join("b.pcd"), "no cloud").unwrap();
-    fs::write(input.join("notes.txt"), "not a frame").unwrap();
+    fs::write(input.join("notes.txt"), "neither depth nor points").unwrap();
     let result = planish(&["smooth", str(&input), str(&output), "--json"]);
     assert_eq!(result.status.code(), Some(1));
     let report: Value = serde_json::from_slice(&result.stdout).unwrap();
@@ -32,7 +32,7 @@ fn a_folder_goes_on_after_a_bad_file_and_says_so_at_the_end() {
 
 #[test]
 fn a_folder_of_clouds_and_depth_images_gives_each_what_it_gets_alone() {
-    // The engine stays open between frames of one shape: what the first did not need the second must still get.
+    // The engine stays open between frames of one shape: the second must get outputs that the first did not need.
     let (folder, _, path) = with_frame();
     let (input, output) = (folder.path().join("in"), folder.path().join("out"));
     fs::create_dir(&input).unwrap();

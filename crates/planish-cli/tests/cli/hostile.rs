@@ -11,7 +11,7 @@ use planish::io::{Encoding, write_cloud};
 
 use super::{json_line, ok, planish, refused, small_frame, str, text, with_frame};
 
-/// Longer than any refusal takes, and far shorter than what the files here took before.
+/// Longer than any refusal takes, and far shorter than these files took before.
 const AT_ONCE: Duration = Duration::from_secs(5);
 
 fn refused_at_once(arguments: &[&str]) -> String {
@@ -54,7 +54,7 @@ fn fields_of_one_name_and_long_names_are_refused_in_a_short_sentence() {
         format!("VERSION .7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {types}\nWIDTH 1\nHEIGHT 1\nDATA ascii\n0 0 0 0\n")
     };
     fs::write(&pcd, pcd_with("x x y z", 4)).unwrap();
-    assert!(refused_at_once(&["info", str(&pcd)]).contains("two FIELDS are called \"x\""));
+    assert!(refused_at_once(&["info", str(&pcd)]).contains("two FIELDS have the name \"x\""));
     fs::write(&pcd, pcd_with(&"q".repeat(5000), 1)).unwrap();
     refused_at_once(&["info", str(&pcd)]);
     fs::write(&pcd, format!("VERSION {}\n", "9".repeat(5000))).unwrap();
@@ -118,7 +118,7 @@ fn what_needs_more_memory_than_allowed_is_refused_before_it_is_allocated() {
     assert!(!output.exists());
     assert!(refused(&["info", str(&path), "--max-memory", "much"]).contains("500M"));
 
-    // General clouds share an engine, whatever their size: each is checked.
+    // Unorganized clouds share an engine, whatever their size: each is checked.
     let input = folder.path().join("in");
     fs::create_dir(&input).unwrap();
     let points = |n: usize| planish::PointCloud::new((0..n).map(|i| [0.01 * i as f32, 0.0, 1.0]).collect());
@@ -163,7 +163,7 @@ fn strange_arguments_are_refused_by_name() {
         let stderr = refused(&["smooth", str(&path), str(&output), option, value]);
         assert!(!stderr.contains("unexpected argument") && stderr.contains(value), "{stderr}");
     }
-    // A duration that no clock counts to is no limit.
+    // A duration beyond the clock's range is no limit.
     ok(&["stream", "synthetic", "--duration", "1e19", "--frames", "1"]);
     let recording = folder.path().join("recording");
     ok(&["record", "synthetic", str(&recording), "--duration", "1e19", "--frames", "1"]);
@@ -299,9 +299,9 @@ fn options_that_the_output_has_no_use_for_are_refused_before_anything_is_read() 
     let path_of = |name: &str| folder.path().join(name);
     for name in ["out.las", "out.csv", "out.xyz", "out.npy"] {
         let stderr = refused_at_once(&["smooth", str(&path), str(&path_of(name)), "--encoding", "ascii"]);
-        assert!(stderr.contains("--encoding is for .pcd and .ply"), "{stderr}");
+        assert!(stderr.contains("--encoding applies to .pcd and .ply"), "{stderr}");
     }
-    assert!(refused_at_once(&["smooth", "no-such-file", str(&path_of("out.abc"))]).contains("end the name in"));
+    assert!(refused_at_once(&["smooth", "no-such-file", str(&path_of("out.abc"))]).contains("end it in"));
 }
 
 #[test]
@@ -314,7 +314,7 @@ fn a_radius_with_thousands_of_neighbours_is_refused() {
     write_cloud(&input, &cloud, Encoding::Binary).unwrap();
     let smooth = ["smooth", str(&input), str(&output), "--radius"];
     let stderr = refused_at_once(&[&smooth[..], &["0.2"]].concat());
-    assert!(stderr.contains("others") && stderr.contains("--force"), "{stderr}");
+    assert!(stderr.contains("contains about") && stderr.contains("--force"), "{stderr}");
     ok(&[&smooth[..], &["0.02"]].concat());
     ok(&[&smooth[..], &["0.07", "--force"]].concat());
 }

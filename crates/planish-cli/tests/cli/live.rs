@@ -27,7 +27,7 @@ fn a_stream_is_saved_and_counted() {
     }
     assert!(refused(&["stream", "no-such-source"]).contains("a source is kinect"));
     assert!(refused(&["stream", "synthetic:x"]).contains("whole number"));
-    assert!(refused(&["stream", "synthetic", "--reconnect"]).contains("waits for a camera"));
+    assert!(refused(&["stream", "synthetic", "--reconnect"]).contains("applies to cameras"));
 }
 
 #[test]
@@ -49,7 +49,7 @@ fn a_recording_streams_back() {
     let saved = folder.path().join("saved");
     let report = json_line(&ok(&["stream", str(&recording), "--save", str(&saved), "--format", "png", "--json"]));
     assert_eq!(report["frames_out"], 4);
-    // What is saved is a data set again, with its names, colour, camera, units and time stamps.
+    // Saved frames form a data set again, with names, colour, camera, units and time stamps.
     let names = |folder: &Path| -> Vec<String> {
         let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
         let mut names: Vec<String> = files.filter(|name| name.ends_with(".png")).collect();
@@ -81,8 +81,8 @@ fn a_recording_streams_back() {
         let bag = folder.path().join("walk.mcap");
         ok(&["record", "synthetic", str(&bag), "--frames", "2"]);
         let bytes = fs::read(&bag).unwrap();
-        assert!(refused(&["record", "synthetic", str(&bag), "--frames", "1"]).contains("not replaced"));
-        assert!(refused(&["stream", str(&recording), "--save", str(&bag)]).contains("not replaced"));
+        assert!(refused(&["record", "synthetic", str(&bag), "--frames", "1"]).contains("already exists"));
+        assert!(refused(&["stream", str(&recording), "--save", str(&bag)]).contains("already exists"));
         assert!(fs::read(&bag).unwrap() == bytes);
     }
 }
@@ -102,7 +102,7 @@ fn frames_are_saved_under_their_own_names() {
     names.sort();
     assert_eq!(names, ["kitchen-000001.pcd", "kitchen.pcd", "yard.pcd"]);
     let before = fs::read(frames.join("yard.pcd")).unwrap();
-    assert!(refused(&["stream", str(&frames), "--save", str(&frames)]).contains("the only copy"));
+    assert!(refused(&["stream", str(&frames), "--save", str(&frames)]).contains("is the input"));
     assert_eq!(fs::read(frames.join("yard.pcd")).unwrap(), before);
 }
 
@@ -130,7 +130,7 @@ fn a_stream_that_is_killed_leaves_only_whole_files() {
     }
 }
 
-/// The playback library of libfreenect, where it is installed.
+/// Returns the playback library of libfreenect, where it is installed.
 fn playback_library() -> Option<PathBuf> {
     let folders = fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
     let library = folders.map(|folder| folder.join("fakenect/libfreenect.so.0.5")).find(|library| library.exists());
@@ -169,7 +169,7 @@ fn a_kinect_that_plays_a_recording_is_recorded_and_streams_back() {
     let mut count = 0;
     while let Some(frame) = planish::source::Source::next_frame(&mut source).unwrap() {
         let planish::source::OwnedFrame::Depth(found) = frame else { panic!("a depth frame") };
-        // A frame may be missed on a machine that is busy; what comes is one of those played.
+        // A busy machine may miss frames; each delivered one is one of those played.
         let number = (found.timestamp_s.unwrap() * 30.0).round() as usize;
         for (found, expected) in found.raw.iter().zip(&frames[number].raw) {
             let (found, z) = (f64::from(*found) / 5000.0, f64::from(*expected) / 1000.0);
@@ -202,7 +202,7 @@ fn a_kinect_without_driver_or_device_says_so() {
     };
     assert!(stream(Path::new("/nonexistent/libfreenect.so")).contains("install libfreenect"));
     let Some(library) = playback_library() else { return };
-    // The real library is beside the folder of the playback library.
+    // The real library is in the parent folder of the playback library.
     let real = library.ancestors().nth(2).unwrap().join("libfreenect.so.0.5");
     let said = stream(&real);
     assert!(said.contains("no Kinect number 0") || said.contains("libfreenect does not start"), "{said}");

@@ -55,7 +55,7 @@ fn frame_of(camera: Camera, seed: u64) -> DepthFrame {
     DepthSimulator::new(DepthNoise::default(), camera, seed).frame(&truth, 0).unwrap()
 }
 
-/// A folder with `frame.pcd`, an organized cloud with colour.
+/// Returns a folder with `frame.pcd`, an organized cloud with colour.
 fn with_frame() -> (tempfile::TempDir, OrganizedCloud, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let cloud = small_frame(1).deproject().unwrap();
@@ -68,7 +68,7 @@ fn str(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// The JSON line of a command that a driver may have printed beside.
+/// Returns the JSON line of a command; drivers may have printed other lines.
 fn json_line(stdout: &str) -> Value {
     let line = stdout.lines().find_map(|line| line.find('{').map(|at| &line[at..])).expect(stdout);
     serde_json::Deserializer::from_str(line).into_iter().next().unwrap().unwrap()

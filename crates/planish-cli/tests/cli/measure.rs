@@ -1,4 +1,4 @@
-//! What planish says of itself: evaluation and experiments.
+//! Measurements by planish: evaluation and experiments.
 
 use std::fs;
 use std::path::Path;
@@ -34,7 +34,7 @@ fn evaluate_measures_simulated_frames_and_draws_their_errors() {
     assert!(azure[0]["jitter_mm"].is_null() && azure[2]["jitter_mm"].is_null());
 }
 
-/// The error of positions close to the camera.
+/// Returns the error of positions close to the camera.
 fn near(row: &Value) -> f64 {
     row["ranges"][0]["rmse_mm"].as_f64().unwrap()
 }
@@ -78,7 +78,7 @@ fn evaluate_measures_what_others_made_of_the_same_frames_and_files_by_themselves
     assert!(rms("smoothed") < 0.5 * rms("raw") && patches["raw"]["patches"].as_u64().unwrap() > 1000, "{patches}");
     assert!(patches["raw"]["normal_deg"].is_null() && patches["smoothed"]["normal_deg"].as_f64().unwrap() < 20.0);
     let error = refused(&["evaluate", "--input", str(&general), "--results", str(&frame)]);
-    assert!(error.contains("room-2.pcd") && error.contains("no general cloud"), "{error}");
+    assert!(error.contains("room-2.pcd") && error.contains("has a grid"), "{error}");
 }
 
 #[test]
@@ -95,7 +95,7 @@ fn evaluate_measures_simulated_frames_without_their_grid() {
 
 #[test]
 fn the_experiments_write_tables_numbers_and_pictures() {
-    // Of a quarter of the other tests' pixels: it is smoothed thousands of times.
+    // A quarter of the other tests' pixels: it is smoothed thousands of times.
     let (folder, camera) = (tempfile::tempdir().unwrap(), Camera::new((80, 60), [65.625; 2], [39.5, 29.5]));
     let [cloud, depth] = ["frame.pcd", "frame.png"].map(|name| folder.path().join(name));
     write_cloud(&cloud, &frame_of(camera, 1).deproject().unwrap(), Encoding::Binary).unwrap();
@@ -124,10 +124,10 @@ fn the_experiments_write_tables_numbers_and_pictures() {
         assert!(rows.len() > 1 && rows.iter().all(|row| stdout.contains(*row) && text.contains(*row)), "{markdown}");
     }
     for (plot, reference) in [
-        ("speedup-0.svg", "![Times the serial"),
-        ("connectivity-0.svg", "![Time of a"),
+        ("speedup-0.svg", "![Speedup over the serial"),
+        ("connectivity-0.svg", "![Time per frame"),
         ("scaleup.svg", "![Scale-up"),
-        ("profile-0.svg", "![Where"),
+        ("profile-0.svg", "![Time per stage"),
     ] {
         assert!(written(plot).contains("</svg>"));
         assert!(text.contains(reference) && text.contains(&format!("(plots/small/{plot})")), "{text}");
@@ -157,7 +157,7 @@ fn the_experiments_write_tables_numbers_and_pictures() {
     let copies = results("scaleup")["copies"].clone();
     assert_eq!(copies.as_array().unwrap().len(), 10);
     assert_eq!(copies[0]["scaleup"], 1.0);
-    // A cloud twice as tall takes twice the planes, but for their border.
+    // A cloud twice as tall needs twice the planes, except for their border.
     let buffers = |i: usize| copies[i]["buffers_mib"].as_f64().unwrap();
     assert!(buffers(1) > 1.8 * buffers(0) && buffers(1) < 2.0 * buffers(0), "{copies}");
     let stages = results("profile")[0]["stages"].clone();
@@ -211,8 +211,8 @@ fn two_frames_of_one_name_are_told_apart_and_an_engine_that_is_not_there_is_refu
     assert!(out.join("quality-0.png").exists() && out.join("quality-1.png").exists());
     // The reference alone is too slow for these.
     let text = ok(&["bench", "profile", "--quick", "--engine", "reference", "--input", str(&path)]);
-    assert!(text.contains("Not run with the reference alone."), "{text}");
-    // Without a driver there is no GPU, which is said and replaced by nothing.
+    assert!(text.contains("Not run with the reference engine alone."), "{text}");
+    // Without a driver there is no GPU; the command reports it and uses nothing else instead.
     let output = Command::new(env!("CARGO_BIN_EXE_planish"))
         .args(["bench", "quality", "--engine", "gpu", "--input", str(&path)])
         .env("VK_DRIVER_FILES", "/nonexistent")
@@ -222,6 +222,6 @@ fn two_frames_of_one_name_are_told_apart_and_an_engine_that_is_not_there_is_refu
     let stderr = String::from_utf8_lossy(&output.stderr);
     if cfg!(target_os = "linux") {
         assert_eq!(output.status.code(), Some(2), "{stderr}");
-        assert!(stderr.contains("--engine gpu: there is no adapter"), "{stderr}");
+        assert!(stderr.contains("--engine gpu: no GPU was found"), "{stderr}");
     }
 }

@@ -12,27 +12,27 @@ fn what_cannot_be_written_is_refused_before_anything_is_smoothed() {
     fs::write(&cloud, format!("x,y,z,temperature\n{}", (0..900).map(line).collect::<String>())).unwrap();
     for (name, said) in [
         ("a.bin", "temperature"),
-        ("a.png", "an image holds depth"),
-        ("a.obj", "is read, not written"),
+        ("a.png", "an image cannot store points"),
+        ("a.obj", "can be read but not written"),
         ("none/a.ply", "does not exist"),
     ] {
         let output = folder.path().join(name);
         let message = refused(&["smooth", str(&cloud), str(&output)]);
         assert!(message.contains(name.rsplit('/').next().unwrap()) && message.contains(said), "{message}");
-        assert!(!message.contains("neighbours of each point"), "before it is smoothed: {message}");
+        assert!(!message.contains("neighbours per point"), "before it is smoothed: {message}");
         let message = refused(&["clean", "--voxel", "0.5", str(&cloud), str(&output)]);
         assert!(message.contains(name.rsplit('/').next().unwrap()) && message.contains(said), "{message}");
         assert!(!output.exists());
     }
-    // Fields that are to be added have no place there; a value that is to be removed is no matter.
+    // The format cannot represent added fields; removing a value is always possible.
     let lidar = folder.path().join("lidar.bin");
     fs::write(&lidar, [1.0f32, 2.0, 3.0, 0.5].map(f32::to_le_bytes).concat().repeat(100)).unwrap();
     let message = refused(&["smooth", str(&lidar), str(&folder.path().join("n.bin")), "--fields", "normals"]);
-    assert!(message.contains("normal_x") && !message.contains("neighbours of each point"), "{message}");
+    assert!(message.contains("normal_x") && !message.contains("neighbours per point"), "{message}");
     let outlier = folder.path().join("outlier.csv");
     fs::write(&outlier, "x,y,z,intensity\n9,9,9,1000000000\n0,0,0,5\n0,1,0,6\n").unwrap();
     ok(&["clean", str(&outlier), str(&folder.path().join("o.las")), "--crop=-1,-1,-1,2,2,2"]);
-    // What is wrong of an option with two values.
+    // Errors of an option with two values.
     let output = folder.path().join("o.ply");
     let wrong = |value: &str| refused(&["clean", str(&cloud), str(&output), "--statistical", value]);
     assert!(wrong("0,2").contains("K of --statistical = 0") && wrong("5,-1").contains("R of --statistical = -1"));

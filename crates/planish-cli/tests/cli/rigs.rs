@@ -54,23 +54,23 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
     assert_eq!(report["complete"], 3);
     assert_eq!(read(&again.join("000000.pcd")).len().abs_diff(points.len()) * 50 / points.len(), 0);
 
-    // What is there is kept: results, frames that were measured, the rig.
+    // Existing files are kept: results, measured frames, the rig.
     let before = files(folder.path());
     let source = rig.parent().unwrap().join("camera0");
     for (outputs, said) in [
-        (["--save", str(&fused)], "has files already"),
-        (["--save-cameras", str(&cameras)], "has files already"),
-        (["--save", str(&source)], "has files already"),
+        (["--save", str(&fused)], "is not empty"),
+        (["--save-cameras", str(&cameras)], "is not empty"),
+        (["--save", str(&source)], "is not empty"),
         (["--picture", str(&rig)], ".png"),
-        (["--picture", str(&source.join("depth/new.png"))], "was measured"),
-        (["--picture", str(&path("none/above.png"))], "in none that is there"),
+        (["--picture", str(&source.join("depth/new.png"))], "part of the input"),
+        (["--picture", str(&path("none/above.png"))], "its folder does not exist"),
     ] {
         let stderr = refused(&[&["stream", "--rig", str(&rig)], &outputs[..]].concat());
         assert!(stderr.contains(said), "{outputs:?}: {stderr}");
     }
     let both = str(&path("both")).to_owned();
     let stderr = refused(&["stream", "--rig", str(&rig), "--save", &both, "--save-cameras", &both]);
-    assert!(stderr.contains("give two folders"), "{stderr}");
+    assert!(stderr.contains("need two folders"), "{stderr}");
     let within = str(&path("both").join("within")).to_owned();
     assert!(
         refused(&["stream", "--rig", str(&rig), "--save", &within, "--save-cameras", &both])
@@ -84,7 +84,7 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
 #[test]
 fn a_simulated_rig_is_there_as_a_whole_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
-    // A file is in the way: nothing is left beside it.
+    // A file with that name exists: nothing is left next to it.
     let file = folder.path().join("file");
     fs::write(&file, "mine").unwrap();
     let simulate = |out: &Path| {
@@ -107,7 +107,7 @@ fn a_simulated_rig_is_there_as_a_whole_or_not_at_all() {
         assert_eq!(names, ["camera0", "camera1", "rig.json"]);
     }
     let before = files(folder.path());
-    assert!(refused_into(&rig).contains("has files already"));
+    assert!(refused_into(&rig).contains("is not empty"));
     let of_calibrations = refused(&["rig", str(&rig.join("rig.json")), "--scale", "2"]);
     assert!(of_calibrations.contains("--scale applies to calibrations"), "{of_calibrations}");
     assert!(files(folder.path()) == before);
@@ -147,10 +147,10 @@ fn frames_are_dealt_to_the_devices_that_are_named() {
         assert!(stderr.contains(said), "{stderr}");
     }
     let stderr = refused(&["stream", str(&source), "--gpus", "cpu", "--engine", "reference"]);
-    assert!(stderr.contains("--gpus = cpu is not allowed: without an engine"), "{stderr}");
+    assert!(stderr.contains("--gpus = cpu is not allowed: only without an engine"), "{stderr}");
     let one = fs::read_dir(&frames).unwrap().next().unwrap().unwrap().path();
     let stderr = refused(&["smooth", str(&one), "out.png", "--gpus", "cpu"]);
-    assert!(stderr.contains("frames of a folder"), "{stderr}");
+    assert!(stderr.contains("applies to folders"), "{stderr}");
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn merged_points_in_voxels_are_one_a_voxel_and_each_camera_s_own_beside() {
         let frames = files(&own.join(camera));
         assert!(frames.len() >= 3, "{camera}");
     }
-    // Sizes that are none, and ways that have no voxels.
+    // Invalid sizes, and ways without voxels.
     let none = folder.path().join("none");
     for size in ["0", "nan", "-0.01", "inf", "1e-9"] {
         let voxel = format!("--voxel={size}");

@@ -7,7 +7,7 @@
 
 use crate::error::{FrameError, ParamError};
 
-/// Coefficients of lens distortion; all zero where there is none.
+/// Coefficients of lens distortion; all zero for an ideal lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Distortion {
     /// Radial coefficients k1 to k6; k4 to k6 are the denominator of the rational model.
@@ -27,8 +27,8 @@ impl Distortion {
     /// A pinhole camera, or an image that was rectified.
     pub const NONE: Self = Self { radial: [0.0; 6], tangential: [0.0; 2] };
 
-    /// The coefficients in the order of OpenCV and ROS: k1, k2, p1, p2, and then k3, and then k4, k5, k6. 0, 4, 5 or 8
-    /// of them.
+    /// Returns the coefficients in the order of OpenCV and ROS: k1, k2, p1, p2, and then k3, and then k4, k5, k6. 0, 4,
+    /// 5 or 8 of them.
     pub fn from_opencv(coefficients: &[f64]) -> Option<Self> {
         let mut all = [0.0; 8];
         // OpenCV's longer vectors add thin prism and tilt terms; as zeros they mean nothing.
@@ -41,13 +41,13 @@ impl Distortion {
         Some(Self { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] })
     }
 
-    /// The eight coefficients in the order of OpenCV and ROS.
+    /// Returns the eight coefficients in the order of OpenCV and ROS.
     pub fn to_opencv(&self) -> [f64; 8] {
         let ([k1, k2, k3, k4, k5, k6], [p1, p2]) = (self.radial, self.tangential);
         [k1, k2, p1, p2, k3, k4, k5, k6]
     }
 
-    /// Whether there is no distortion.
+    /// Returns true if all coefficients are zero.
     pub fn is_none(&self) -> bool {
         *self == Self::NONE
     }
@@ -60,7 +60,7 @@ impl Distortion {
         Err(FrameError::BadCamera(ParamError { field: "distortion", value, allowed: "finite coefficients" }))
     }
 
-    /// Where the direction (x, y, 1) is seen, and the derivatives of that by x and y: [xx, xy, yy].
+    /// Projects the direction (x, y, 1) and returns its position and the partial derivatives [xx, xy, yy].
     pub(super) fn distort(&self, x: f64, y: f64) -> ([f64; 2], [f64; 3]) {
         let ([k1, k2, k3, k4, k5, k6], [p1, p2]) = (self.radial, self.tangential);
         let r2 = x * x + y * y;
@@ -77,15 +77,15 @@ impl Distortion {
         (seen, [xx, xy, yy])
     }
 
-    /// The direction (x, y, 1) that is seen at a position, in units of the focal length from the principal point;
-    /// `None` where the model is not invertible, beyond what the lens shows.
+    /// Returns the direction (x, y, 1) seen at a position, which is in focal lengths from the principal point. `None`
+    /// outside the image circle, where the model is not invertible.
     pub fn undistort(&self, seen: [f64; 2]) -> Option<[f64; 2]> {
         let [mut x, mut y] = seen;
         for _ in 0..MAX_STEPS {
             let ([at_x, at_y], [xx, xy, yy]) = self.distort(x, y);
             let (error_x, error_y) = (seen[0] - at_x, seen[1] - at_y);
             let determinant = xx * yy - xy * xy;
-            // Where it is not positive the image folds over itself. False for a NaN.
+            // A determinant that is not positive means that the image folds over itself. False for NaN.
             let is_invertible = determinant > 1e-6 && xx > 0.0;
             if !is_invertible {
                 return None;
@@ -153,7 +153,7 @@ fn solve<const N: usize>(mut a: [[f64; N]; N], mut t: [f64; N]) -> Option<[f64; 
 }
 
 impl Distortion {
-    /// Whether the image does not fold over itself between its centre and a direction.
+    /// Returns true if the image does not fold over itself between its centre and a direction.
     fn is_before_fold(&self, x: f64, y: f64) -> bool {
         (1..FOLD_SAMPLES).all(|i| {
             let share = f64::from(i) / f64::from(FOLD_SAMPLES);
@@ -175,7 +175,7 @@ mod tests {
 
     #[test]
     fn directions_survive_distortion_and_back_with_both_models() {
-        // Of a RealSense colour camera, and of an Azure Kinect's depth camera.
+        // Coefficients of a RealSense colour camera and of an Azure Kinect's depth camera.
         let brown_conrady = Distortion::from_opencv(&[0.159, -0.491, -3.5e-4, 1.4e-4, 0.444]).unwrap();
         let rational = Distortion::from_opencv(&[5.34, 3.61, -1.2e-4, 9.2e-5, 0.186, 5.67, 5.33, 0.97]).unwrap();
         for distortion in [brown_conrady, rational, Distortion::NONE] {

@@ -54,7 +54,8 @@ impl Camera {
         Self { width, height, fx, fy, cx, cy, depth_units_per_metre: 1000.0, distortion: Distortion::NONE }
     }
 
-    /// A Kinect v1 registered to its colour camera, as the ROS and TUM default has it: 640x480, f = 525, millimetres.
+    /// Returns a Kinect v1 registered to its colour camera, as the ROS and TUM default has it: 640x480, f = 525,
+    /// millimetres.
     pub const fn kinect_v1() -> Self {
         Self::new((640, 480), [525.0, 525.0], [319.5, 239.5])
     }
@@ -109,12 +110,12 @@ impl Camera {
         (1.0 / self.depth_units_per_metre) as f32
     }
 
-    /// A raw depth value in metres; NaN for a hole (0 or saturated).
+    /// Returns a raw depth value in metres; NaN for a hole (0 or saturated).
     pub fn depth_m(&self, raw: u16) -> f32 {
         depth_m(raw, self.metres_per_unit())
     }
 
-    /// The raw value nearest to a depth in metres; 0 (a hole) where it is not finite or not representable.
+    /// Returns the raw value nearest to a depth in metres; 0 (a hole) where it is not finite or not representable.
     pub fn raw_depth(&self, depth_m: f32) -> u16 {
         let raw = (f64::from(depth_m) * self.depth_units_per_metre + 0.5).floor();
         if raw >= 1.0 && raw < f64::from(SATURATED_DEPTH) { raw as u16 } else { 0 }
@@ -137,8 +138,8 @@ impl Camera {
         is_inside.then(|| v as usize * self.width + u as usize)
     }
 
-    /// Deprojects depth in metres, row by row, into x, y and z; what is not finite or not positive becomes NaN in all
-    /// three.
+    /// Deprojects depth in metres, row by row, into x, y and z. Values that are not finite or not positive become NaN
+    /// in all three.
     #[doc(hidden)]
     pub fn deproject_m(&self, depth_m: impl Iterator<Item = f32>) -> crate::xyz::Xyz {
         let mut rays = Rays::default();
@@ -152,7 +153,7 @@ impl Camera {
     }
 }
 
-/// A raw depth value in metres; NaN for a hole.
+/// Returns a raw depth value in metres; NaN for a hole.
 #[inline(always)]
 pub(crate) fn depth_m(raw: u16, metres_per_unit: f32) -> f32 {
     if raw == 0 || raw == SATURATED_DEPTH { f32::NAN } else { f32::from(raw) * metres_per_unit }

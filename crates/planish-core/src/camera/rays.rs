@@ -22,7 +22,7 @@ pub struct RowRays<'a> {
 /// Y/Z along a row.
 #[derive(Clone, Copy)]
 pub enum RowRaysY<'a> {
-    /// The same for every pixel.
+    /// One value for every pixel.
     Same(f32),
     Each(&'a [f32]),
 }
@@ -48,7 +48,7 @@ impl Rays {
         (self.x, self.y) = pixels.unzip();
     }
 
-    /// Whether there is a ray for each pixel, rather than one for each column and row.
+    /// Returns true if there is a ray for each pixel, rather than one for each column and row.
     pub fn are_distorted(&self) -> bool {
         self.camera.is_some_and(|camera| !camera.distortion.is_none())
     }

@@ -1,6 +1,6 @@
-//! What people run before smoothing: outliers found, clouds thinned to voxels, a box cut out.
+//! Filters to run before smoothing: outlier detection, voxel thinning, cropping to a box.
 //!
-//! Nothing here needs a grid. Holes are never outliers: they stay what they are.
+//! None of them needs a grid. Holes are never outliers and stay holes.
 
 mod outliers;
 pub(crate) mod voxel_grid;
@@ -40,7 +40,7 @@ fn outside(
     high: [f64; 3],
 ) -> Result<Vec<bool>, ParamError> {
     if !(0..3).all(|axis| low[axis] <= high[axis]) {
-        let allowed = "the least x, y, z and then the largest";
+        let allowed = "the smallest x, y, z, then the largest";
         return Err(ParamError { field: "box", value: format!("{low:?} to {high:?}"), allowed });
     }
     let is_outside = |i: usize| {

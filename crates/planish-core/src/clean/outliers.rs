@@ -16,7 +16,7 @@ const LEAVES_PER_TASK: usize = 64;
 /// The squares of larger ones are beyond f32.
 const MAX_COORDINATE_M: f32 = 1e18;
 
-/// A leaf wider than so many times the reach has strays, whose neighbours are gathered one by one.
+/// A leaf wider than this many times the reach contains strays, whose neighbours are gathered one by one.
 const WIDEST_LEAF: f32 = 4.0;
 
 /// Marks the points whose mean distance to their nearest `neighbours` is larger than the mean of all such distances by
@@ -57,7 +57,7 @@ pub fn statistical_outliers(
 /// Marks the points that have fewer than `least` others within `radius_m`, as PCL and Open3D do.
 ///
 /// # Errors
-/// If the radius is no positive number, or `least` 0.
+/// If the radius is not a positive number, or `least` is 0.
 pub fn radius_outliers(points: &PointsView<'_>, radius_m: f32, least: usize) -> Result<Vec<bool>, ParamError> {
     check_positive("radius", radius_m)?;
     if least == 0 {
@@ -86,7 +86,7 @@ fn index_of(points: &PointsView<'_>) -> Result<PointIndex, ParamError> {
     index.fill(points);
     let largest = index.positions.iter().flatten().fold(0.0f32, |largest, value| largest.max(value.abs()));
     if largest > MAX_COORDINATE_M {
-        let allowed = "coordinates within 10^18 m, so that distances can be squared";
+        let allowed = "coordinates within 10^18 m";
         return Err(ParamError { field: "points", value: format!("{largest:e}"), allowed });
     }
     Ok(index)
@@ -143,7 +143,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The places of a leaf and the boxes to gather around: one for all, or one for each where the leaf has strays.
+    /// Returns the places of a leaf and the boxes to gather around: one for all, or one for each where the leaf has
+    /// strays.
     #[inline(always)]
     fn groups(&self, leaf: usize, reach_m: f32) -> impl Iterator<Item = (std::ops::Range<usize>, Bounds)> + use<> {
         let places = LEAF * leaf..(LEAF * (leaf + 1)).min(self.index.len());
@@ -159,10 +160,10 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// The mean distance from each point of some leaves to its nearest so many.
+    /// Computes the mean distance from each point of some leaves to its `neighbours` nearest points.
     #[inline(always)]
     fn mean_distances(&mut self, first_leaf: usize, neighbours: usize, means_m: &mut [f32]) {
-        // Of the leaf before, which lies beside this one.
+        // The reach of the previous leaf, which is next to this one.
         let mut reach_m = 0.0;
         for (leaf, means_m) in (first_leaf..).zip(means_m.chunks_mut(LEAF)) {
             if reach_m == 0.0 {
@@ -193,13 +194,13 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Somewhat more than the distance from the first point of a leaf to its nearest so many.
+    /// Returns a distance slightly larger than from the first point of a leaf to its nearest `neighbours` points.
     fn first_reach_m(&self, leaf: usize, neighbours: usize) -> f32 {
         let nearest = self.index.nearest(self.index.point(LEAF * leaf)).take(neighbours + 1);
         1.1 * nearest.last().unwrap_or(0.0).sqrt().max(f32::MIN_POSITIVE.sqrt())
     }
 
-    /// The mean distance from a point to its nearest so many, and the largest; `None` if so many are not within the
+    /// Returns the mean and the largest distance from a point to its nearest points; `None` if too few are within the
     /// reach.
     #[inline(always)]
     fn mean_of_nearest(&mut self, place: usize, neighbours: usize, reach_m: f32) -> Option<(f32, f32)> {
@@ -234,8 +235,8 @@ impl<'a> Search<'a> {
         Some((((sum + f64::from(farthest_m)) / neighbours as f64) as f32, farthest_m))
     }
 
-    /// Whether the points of a leaf have enough others within the radius in it and the leaves before and after it
-    /// alone, which is so for most and soon found out.
+    /// Returns true if the points of a leaf have enough others within the radius in it and the leaves before and after
+    /// it alone, which is so for most and soon found out.
     #[inline(always)]
     fn have_company(&self, leaf: usize, most: f32, least: usize) -> bool {
         let [x, y, z] = &self.index.positions;

@@ -16,11 +16,11 @@ const MOST_ALONG_AXIS: f64 = (1u32 << 21) as f64;
 /// Points that one task looks at.
 const POINTS_OF_A_TASK: usize = 1 << 14;
 
-/// The key of holes; those of voxels begin at 1.
+/// The key of holes; voxel keys begin at 1.
 const NO_VOXEL: u64 = 0;
 
-/// As many as a voxel has in clouds that are worth thinning: tables begin with room for so many voxels, and grow where
-/// there are more.
+/// Typical number of points per voxel in clouds that are worth thinning. Tables are allocated for it and grow when
+/// needed.
 const POINTS_OF_A_VOXEL: usize = 8;
 
 /// More shards than this would each look at all keys for few points.
@@ -33,7 +33,7 @@ const MOST_SHARDS: usize = 64;
 pub struct Voxels {
     grid: Grid,
     shards: Vec<Shard>,
-    /// Of each voxel its shard, and which of that shard's voxels it is.
+    /// For each voxel: its shard, and its index in that shard.
     order: Vec<(u8, u32)>,
 }
 
@@ -53,7 +53,7 @@ struct Shard {
     found: HashMap<u64, u32, BuildHasherDefault<KeyHasher>>,
     /// The points' indices, voxel by voxel.
     points: Vec<u32>,
-    /// Where in `points` each voxel begins, and the end of the last.
+    /// The index in `points` at which each voxel begins, and the end of the last.
     starts: Vec<u32>,
 }
 
@@ -61,7 +61,7 @@ impl Voxels {
     /// Finds the voxels, of `size_m` metres, of a cloud.
     ///
     /// # Errors
-    /// If the size is no positive number, or so small that the cloud is over 2 million voxels wide.
+    /// If the size is not a positive number, or so small that the cloud is over 2 million voxels wide.
     pub fn of(cloud: &PointCloud, size_m: f64) -> Result<Self, ParamError> {
         let grid = Grid::of(cloud, size_m)?;
         let count = rayon::current_num_threads().next_power_of_two().min(MOST_SHARDS);
@@ -90,7 +90,7 @@ impl Voxels {
         Ok(Self { grid, shards, order })
     }
 
-    /// The points of each, in parallel.
+    /// Returns the points of each, in parallel.
     pub fn iter(&self) -> impl IndexedParallelIterator<Item = &[u32]> {
         self.order.par_iter().map(|&(shard, voxel)| self.shards[usize::from(shard)].points_of(voxel))
     }
@@ -99,7 +99,7 @@ impl Voxels {
 /// Which voxel is where.
 pub struct VoxelMap<'a> {
     voxels: &'a Voxels,
-    /// Of each shard's voxels which of all they are.
+    /// For each shard: the global index of each of its voxels.
     ranks: Vec<Vec<u32>>,
 }
 
@@ -118,8 +118,8 @@ impl<'a> VoxelMap<'a> {
         self.at_place(self.voxels.grid.place(p).map(f64::floor))
     }
 
-    /// The voxels with points among the eight whose centres are round a point, and the weight of each: that of linear
-    /// interpolation between the centres.
+    /// Returns the occupied voxels among the eight whose centres surround a point, each with its weight in trilinear
+    /// interpolation.
     pub fn around(&self, p: [f32; 3]) -> impl Iterator<Item = (usize, f64)> {
         let place = self.voxels.grid.place(p).map(|at| at - 0.5);
         let low = place.map(f64::floor);
@@ -146,7 +146,7 @@ fn shard_of(key: u64, shards: usize) -> u8 {
     ((hash(key) >> 40) as usize & (shards - 1)) as u8
 }
 
-/// The upper half of the product depends on all bits, the lower on the lower ones only.
+/// Hashes a key. The upper half of the product depends on all bits, the lower half only on the lower ones.
 fn hash(key: u64) -> u64 {
     let product = key.wrapping_mul(0x9e37_79b9_7f4a_7c15);
     product ^ (product >> 32)
@@ -156,7 +156,7 @@ fn hash(key: u64) -> u64 {
 fn bounds_of([x, y, z]: [&[f32]; 3]) -> Bounds {
     let Bounds { mut low, mut high } = Bounds::EMPTY;
     for ((&x, &y), &z) in x.iter().zip(y).zip(z) {
-        // Written so that it is compiled to vectors: times 0 is 0 for what is finite.
+        // This form vectorizes: x * 0 is 0 only for finite x.
         let is_point = x * 0.0 + y * 0.0 + z * 0.0 == 0.0;
         for (axis, value) in [x, y, z].into_iter().enumerate() {
             low[axis] = if is_point && value < low[axis] { value } else { low[axis] };
@@ -181,12 +181,12 @@ impl Grid {
         let first: [f64; 3] = std::array::from_fn(|axis| along(axis, bounds.low[axis]));
         let last: [f64; 3] = std::array::from_fn(|axis| along(axis, bounds.high[axis]) - first[axis]);
         if last.iter().any(|&last| last >= MOST_ALONG_AXIS) {
-            return refuse("a size in metres of which the cloud is at most 2 million wide");
+            return refuse("a size in metres of at least a 2-millionth of the cloud's extent");
         }
         Ok(Self { size_m, origin_m: cloud.origin_m, first, along: last.map(|last| last as u64 + 1) })
     }
 
-    /// Where a point is, in voxels from the first.
+    /// Returns the position of a point in voxels from the first.
     fn place(&self, p: [f32; 3]) -> [f64; 3] {
         std::array::from_fn(|axis| (self.origin_m[axis] + f64::from(p[axis])) / self.size_m - self.first[axis])
     }
@@ -198,14 +198,14 @@ impl Grid {
         }
     }
 
-    /// Of a place within the grid, where a cast rounds down.
+    /// Requires a position within the grid, where a cast rounds down.
     fn key_at(&self, place: [f64; 3]) -> u64 {
         1 + place.iter().zip(self.along).fold(0, |key, (&at, along)| key * along + at as u64)
     }
 }
 
 impl Shard {
-    /// The voxels of those keys that it owns, of about as many points.
+    /// Returns the voxels of those keys that it owns, of about as many points.
     fn of(keys: &[u64], owners: &[u8], own: u8, points: usize) -> Self {
         let mut found = HashMap::with_capacity_and_hasher(points / POINTS_OF_A_VOXEL, BuildHasherDefault::default());
         let mut counts: Vec<u32> = Vec::with_capacity(points / POINTS_OF_A_VOXEL);
@@ -224,7 +224,7 @@ impl Shard {
             counts[last.1 as usize] += 1;
             members.push((i as u32, last.1));
         }
-        // Of each where its next point goes: where it begins at first, where it ends when all are there.
+        // For each voxel, the index of its next point: at first its beginning, finally its end.
         let mut starts = Vec::with_capacity(counts.len() + 1);
         starts.push(0);
         let mut total = 0;

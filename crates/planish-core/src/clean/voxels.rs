@@ -7,7 +7,7 @@ use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::ParamError;
 use crate::xyz::Xyz;
 
-/// What the points of a voxel make of a field.
+/// How a field of a voxel is computed from its points.
 #[derive(Clone, Copy, PartialEq)]
 enum Merge {
     /// The mean, in the field's own type.
@@ -25,7 +25,7 @@ enum Merge {
 /// Holes are left out.
 ///
 /// # Errors
-/// If the size is no positive number, or so small that the cloud is over 2 million voxels wide.
+/// If the size is not a positive number, or so small that the cloud is over 2 million voxels wide.
 pub fn voxel_downsample(cloud: &PointCloud, size_m: f64) -> Result<PointCloud, ParamError> {
     Ok(downsample(cloud, &Voxels::of(cloud, size_m)?))
 }
@@ -64,7 +64,7 @@ fn nearest_to(centroid: [f32; 3], voxel: &[u32], points: &Xyz) -> usize {
     voxel.iter().copied().min_by(|&a, &b| square(a).total_cmp(&square(b))).map_or(0, |i| i as usize)
 }
 
-/// Of offsets from the first point, so that it is as exact as the points.
+/// Averages offsets from the first point, which keeps the precision of the points.
 fn centroid(positions: &Xyz, voxel: &[u32]) -> [f32; 3] {
     let first = positions.get(voxel[0] as usize).map(f64::from);
     let mut sum = [0.0; 3];
@@ -87,7 +87,7 @@ fn how_to_merge(attribute: &Attribute) -> Merge {
     }
 }
 
-/// Whether all values are whole numbers.
+/// Returns true if all values are whole numbers.
 fn is_whole(values: &AttributeValues) -> bool {
     (0..values.len()).all(|i| values.get_f64(i).fract() == 0.0)
 }
@@ -104,7 +104,7 @@ fn mean(attribute: &Attribute, voxels: &Voxels) -> Attribute {
     Attribute { name: attribute.name.clone(), count, values }
 }
 
-/// The mean of each byte.
+/// Returns the mean of each byte.
 fn mean_colour(attribute: &Attribute, voxels: &Voxels) -> Attribute {
     let packed = crate::colour::packed(attribute).unwrap_or_default();
     let mean = |voxel: &[u32]| {

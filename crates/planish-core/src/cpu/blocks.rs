@@ -1,5 +1,5 @@
-//! Block means: each sample of the windows is the mean of its pixel's block (docs/method.md, section 2), and where
-//! edges are kept, of those of its points that are on the pixel's surface (section 10).
+//! Block means (docs/method.md, section 2): each sample of a window is the mean of its pixel's block. With edges kept,
+//! only points on the pixel's surface are averaged (section 10).
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -34,7 +34,7 @@ impl<'a, S: Simd> Block<'a, S> {
         Self { measured, half: kernel.block_half, here, p, gate: Gate::new(simd, kernel.rules.block_gate(simd, range)) }
     }
 
-    /// The mean of its points, each weighted by the gate and by what `weigh` says of its offset from p.
+    /// Averages its points, each weighted by the gate and by `weigh` of its offset from p.
     #[inline(always)]
     fn mean(&self, simd: S, weigh: impl Fn(Vec3<S>) -> S::f32s) -> Vec3<S> {
         let row_len = self.measured.row_len;
@@ -55,8 +55,8 @@ impl<'a, S: Simd> Block<'a, S> {
         self.p.add_scaled(splat(simd, 1.0) / total, sum)
     }
 
-    /// The mean of the points that are on the surface of p: they count by how far they are from its plane, in units of
-    /// `width`.
+    /// Returns the mean of the points that are on the surface of p: they count by how far they are from its plane, in
+    /// units of `width`.
     #[inline(always)]
     pub(super) fn mean_on_surface(&self, simd: S, plane: &Plane<S>, width: S::f32s) -> Vec3<S> {
         let one = splat(simd, 1.0);

@@ -1,4 +1,4 @@
-//! Edge preservation: the surface that a point lies on is found from the planes around it (docs/method.md, section 10).
+//! Edge preservation: finds the surface of each point from the planes around it (docs/method.md, section 10).
 //!
 //! One pass fits the first planes of all pixels; another one finds from them each pixel's surface, and the mean of the
 //! points of its block that are on it. Each number of a plane is a channel laid out like the padded frame.
@@ -22,10 +22,10 @@ use crate::range::{MAX_RADIUS_M, RangeRules};
 // The channels.
 const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
-/// Of a first plane, the variance along the normal plus the plane's uncertainty, in m²; more, and at last infinite,
-/// where the neighbours are too few, on a line, or on a plane seen edge-on.
+/// For a first plane: the variance along the normal plus the plane's uncertainty, in m². Larger, and finally infinite,
+/// if neighbours are too few, collinear, or on a plane seen edge-on.
 const RESIDUAL: usize = 4;
-/// Of a surface, how far from it a neighbour counts, in metres.
+/// For a surface: the distance in metres within which neighbours count.
 const WIDTH: usize = 4;
 const CURVATURE: usize = 5;
 /// The number of neighbours; negative where they are on a line.
@@ -53,7 +53,8 @@ pub(super) struct PlaneRows<'a> {
     means: Option<PaddedRows<'a>>,
 }
 
-/// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
+/// Returns the standard deviation of depth at a range, between bounds whose squares are within f32, whatever the
+/// coordinates.
 #[inline(always)]
 fn noise<S: Simd>(simd: S, rules: &RangeRules, range: S::f32s, radius: S::f32s) -> S::f32s {
     let noise = polynomial_in_range(simd, rules.sigma, range).max(radius * splat(simd, MIN_NOISE));
@@ -80,12 +81,12 @@ impl SplitRows for PlaneRows<'_> {
 }
 
 impl PlaneRows<'_> {
-    /// Where column u of the `row`-th of these rows is.
+    /// Returns the index of column u in the `row`-th of these rows.
     fn index(&self, row: usize, u: usize) -> usize {
         row * self.row_len + self.border + u
     }
 
-    /// Stores planes from an index on, with what is said of them in the channel [`RESIDUAL`] or [`WIDTH`].
+    /// Stores planes from an index on, and their [`RESIDUAL`] or [`WIDTH`].
     #[inline(always)]
     fn store<S: Simd>(&mut self, at: usize, plane: &Plane<S>, residual_or_width: S::f32s, n: S::f32s) {
         self.store_channel::<S>(NORMAL, at, plane.normal.x);
@@ -116,7 +117,7 @@ impl Planes {
         self.channels.iter().map(|channel| size_of_val(&channel[..])).sum()
     }
 
-    /// The rows of the image, with those of the means, where there are any.
+    /// Returns the rows of the image, and of the means if blocks are averaged.
     pub(super) fn rows<'a>(&'a mut self, height: usize, means: Option<PaddedRows<'a>>) -> PlaneRows<'a> {
         let (row_len, border) = (self.row_len, self.border);
         let image = border * row_len..(border + height) * row_len;
@@ -134,7 +135,7 @@ impl Planes {
         Vec3::new(self.load(simd, NORMAL, at), self.load(simd, NORMAL + 1, at), self.load(simd, NORMAL + 2, at))
     }
 
-    /// The planes from an index on, which are taken as they are.
+    /// Returns the planes from an index on, which are taken as they are.
     #[inline(always)]
     fn plane<S: Simd>(&self, simd: S, at: usize) -> Plane<S> {
         Plane {
@@ -149,7 +150,7 @@ impl Planes {
         }
     }
 
-    /// The surfaces from an index on, as their pass has found them.
+    /// Returns the surfaces from an index on, as their pass has found them.
     #[inline(always)]
     pub(super) fn surface<S: Simd>(&self, simd: S, at: usize) -> Surface<S> {
         let n = self.load(simd, COUNT, at).abs();
@@ -231,7 +232,7 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
         for u in (0..input.measured.width).step_by(S::f32s::LEN) {
             let v = rows.first + row;
             let p = input.measured.load(simd, input.measured.index(u, v));
-            // What is kept for a hole is not looked at.
+            // Values stored for holes are never read.
             if !valid_points(simd, p).any_true() {
                 continue;
             }
@@ -243,7 +244,7 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
             let plane = plane::fit(simd, ray, &sums);
             let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
             let usable = usable(simd, ray, &plane, sums.total);
-            // A single point has no residual either.
+            // A single point has no residual.
             let is_usable: Mask<S> = usable.simd_gt(splat(simd, 0.0));
             let residual = is_usable.select(residual / usable, splat(simd, f32::INFINITY));
             rows.store(rows.index(row, u), &plane, residual, sums.n);
@@ -251,8 +252,8 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
     }
 }
 
-/// The pass of the surfaces, for some rows, and where blocks are averaged, the means of the points on them in the place
-/// of those of all points.
+/// Finds the surfaces of some rows. If blocks are averaged, it also replaces their means by the means of points on
+/// these surfaces.
 #[inline(always)]
 pub(super) fn find_surfaces<S: Simd>(
     simd: S,

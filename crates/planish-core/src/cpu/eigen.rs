@@ -1,10 +1,10 @@
 //! The smallest eigenvector of a symmetric 3x3 matrix in every lane (docs/method.md, section 4), in f32.
 //!
-//! The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half
-//! their digits, so each lane first solves for the root that stands alone: the smallest where the points lie on a
-//! plane, the largest where they lie along a line. In the second case the other two come from the matrix restricted to
-//! the plane across the line (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). Errors are then a few
-//! ulp of the largest eigenvalue, as those of the matrix itself. A zero matrix gives zeros and some unit vector.
+//! The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
+//! their digits, so each lane first solves for the isolated root: the smallest for planar points, the largest for
+//! points along a line. In the second case the other two come from the matrix restricted to the plane across the line
+//! (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). Errors are a few ulp of the largest eigenvalue,
+//! similar to the rounding of the matrix. A zero matrix gives zeros and an arbitrary unit vector.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -44,7 +44,7 @@ pub(super) struct Smallest<S: Simd> {
     pub(super) vector: Vec3<S>,
 }
 
-/// Where det(B)/2 is beyond this, the largest root stands alone by far and the smaller two are close.
+/// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 #[inline(always)]
@@ -110,7 +110,7 @@ fn minor<S: Simd>(a: S::f32s, b: S::f32s, c: S::f32s, d: S::f32s) -> S::f32s {
     a.mul_add(b, -(c * d))
 }
 
-/// A unit vector that B - value I takes to zero: the longest cross product of two of its rows.
+/// Returns a unit vector that B - value I takes to zero: the longest cross product of two of its rows.
 #[inline(always)]
 fn null_vector<S: Simd>(simd: S, m: &Symmetric<S>, value: S::f32s) -> Vec3<S> {
     let shifted = Symmetric { xx: m.xx - value, yy: m.yy - value, zz: m.zz - value, ..*m };
@@ -121,7 +121,7 @@ fn null_vector<S: Simd>(simd: S, m: &Symmetric<S>, value: S::f32s) -> Vec3<S> {
     let (longest, square) = (b.or(b_longer, a), b2.max(a2));
     let c_longer: Mask<S> = c2.simd_gt(square);
     let (longest, square) = (c.or(c_longer, longest), c2.max(square));
-    // A zero matrix has no direction; any will do.
+    // A zero matrix has no direction; any is valid.
     let usable: Mask<S> = square.simd_gt(splat(simd, f32::MIN_POSITIVE));
     let zero = splat(simd, 0.0);
     let one = splat(simd, 1.0);
@@ -140,7 +140,7 @@ pub(super) fn tangents<S: Simd>(simd: S, n: Vec3<S>) -> (Vec3<S>, Vec3<S>) {
     (u, v)
 }
 
-/// The smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
+/// Returns the smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
 #[inline(always)]
 fn across_line<S: Simd>(simd: S, m: &Symmetric<S>, axis: Vec3<S>) -> Smallest<S> {
     let (u, v) = tangents(simd, axis);

@@ -24,8 +24,8 @@ pub(super) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     (p.bitcast::<S::i32s>() + exponent).bitcast()
 }
 
-/// The cosine of a third of the arc cosine, cos(acos(x)/3), for x in [-1, 1]: what the trigonometric solution of a
-/// cubic needs. Absolute error under 5e-7. The result goes from 1/2 at -1 to 1 at 1.
+/// Returns cos(acos(x)/3) for x in [-1, 1], as needed by the trigonometric solution of a cubic. Absolute error below
+/// 5e-7. The result increases from 1/2 at -1 to 1 at 1.
 #[inline(always)]
 pub(super) fn cos_third_acos<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     // acos(|x|) = sqrt(1 - |x|) p(|x|): Abramowitz & Stegun 4.4.46.

@@ -1,12 +1,11 @@
 //! The CPU engine: docs/method.md in f32, a vector of neighbouring pixels at a time, for organized clouds.
 //!
-//! The stages have the reference's names, one file each, and are written once over the SIMD level; [`SimdLevel`] says
-//! which there are. A frame is copied into a padded one ([`padded`]), tasks take bands of its rows ([`row_tasks`],
-//! [`output`]), and each vector of pixels goes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`],
-//! [`project`]; where blocks are averaged or edges kept, [`blocks`] and [`edges`] have up to three passes before. All
-//! of it is in the cloud's frame; what depends on the sensor is asked of [`sensor`]. Each pass reads only what passes
-//! before it have finished, so threads change nothing; lanes are independent, so neither does a pixel's place in its
-//! vector.
+//! Stages have the names of the reference, one file each, and are written once for all SIMD levels ([`SimdLevel`]). A
+//! frame is copied into a padded one ([`padded`]), and tasks take bands of rows ([`row_tasks`], [`output`]). Each
+//! vector of pixels passes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`] and [`project`]. If
+//! blocks are averaged or edges kept, [`blocks`] and [`edges`] run up to three passes before. Coordinates are in the
+//! cloud's frame; [`sensor`] supplies everything that depends on the sensor. Each pass reads only results of finished
+//! passes, so threads change no bit. Lanes are independent, so a pixel's position in its vector changes none either.
 
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
@@ -57,7 +56,7 @@ use sensor::Sensor;
 use vector::{Mask, Vec3, splat};
 use window::{Candidates, Window};
 
-/// What a kernel needs to know of the parameters.
+/// Parameters of a kernel.
 struct Kernel {
     /// Candidates along a side of the window, 2k + 1.
     side: usize,
@@ -93,7 +92,7 @@ impl RangeRules {
     #[inline(always)]
     fn radius<S: Simd>(&self, simd: S, range: S::f32s) -> S::f32s {
         let radius = (range * splat(simd, self.linear)).max(polynomial_in_range(simd, self.radius, range));
-        // A coordinate of 1e30 has an infinite radius by this rule; what is computed from it must stay finite.
+        // A coordinate of 1e30 would give an infinite radius; values computed from it must stay finite.
         radius.max(splat(simd, MIN_GATE_M)).min(splat(simd, MAX_RADIUS_M))
     }
 
@@ -106,7 +105,7 @@ impl RangeRules {
 }
 
 impl Kernel {
-    /// The ranges at the end of rays. Beyond the limit the radius is at its own; the square stays finite.
+    /// Returns the ranges at the end of rays. Beyond the limit the radius is at its own; the square stays finite.
     #[inline(always)]
     fn range<S: Simd>(&self, simd: S, ray: Vec3<S>) -> S::f32s {
         let range = if self.rules.by_distance { ray.dot(ray).sqrt() } else { self.sensor.depth(simd, ray).abs() };
@@ -114,7 +113,7 @@ impl Kernel {
     }
 }
 
-/// The instruction set to use: the widest of this machine, or the given one.
+/// Returns the instruction set to use: the widest of this machine, or the given one.
 fn level(simd: Option<SimdLevel>) -> Result<Level, EngineError> {
     let machine = Level::new();
     let Some(level) = simd else { return Ok(machine) };
@@ -222,7 +221,7 @@ impl ImmediateEngine for Cpu {
         Some(self.timings)
     }
 
-    /// Of its padded frames and planes.
+    /// Includes its padded frames and planes.
     fn buffer_bytes(&self) -> u64 {
         let means = self.means.as_ref().map_or(0, PaddedFrame::bytes);
         let planes: usize = self.planes.iter().flatten().map(Planes::bytes).sum();
@@ -235,7 +234,7 @@ impl ImmediateEngine for Cpu {
 struct Input<'a> {
     /// The points as measured.
     measured: &'a PaddedFrame,
-    /// What the windows are made of: the same points, or their block means.
+    /// Samples of the windows: the points, or their block means.
     samples: &'a PaddedFrame,
 }
 
@@ -255,7 +254,7 @@ fn smooth_rows_simd<S: Simd, const D: usize>(
     }
 }
 
-/// Which lanes are no holes: times 0 is 0 for what is finite, NaN for what is not.
+/// Returns the lanes that are no holes: x * 0 is 0 only for finite x.
 #[inline(always)]
 fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
     let zero = splat(simd, 0.0);

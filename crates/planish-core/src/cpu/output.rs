@@ -20,7 +20,7 @@ pub(super) struct OutputRows<'a> {
     pub(super) width: usize,
     rows: usize,
     out: SmoothedMut<'a>,
-    /// Whose raw units depth is in, if requested.
+    /// The camera that defines the raw units of depth, if depth is requested.
     camera: Option<&'a Camera>,
 }
 
@@ -64,7 +64,7 @@ impl<'a> OutputRows<'a> {
         Self { first: 0, width, rows: height, out, camera }
     }
 
-    /// All rows of a result that has no camera.
+    /// Takes all rows of a result without a camera.
     pub(super) fn of_grid((width, height): (usize, usize), out: SmoothedMut<'a>) -> Self {
         Self { first: 0, width, rows: height, out, camera: None }
     }
@@ -133,7 +133,7 @@ impl<'a> OutputRows<'a> {
         }
     }
 
-    /// Takes row `i` of what is one column wide from place `place(i)` of another result; without a place it is a hole.
+    /// Fills row `i` of a one-column result from position `place(i)` of another; `None` makes it a hole.
     pub(super) fn take_from(&mut self, from: &Smoothed, place: impl Fn(usize) -> Option<usize>) {
         let out = &mut self.out;
         for row in 0..self.rows {

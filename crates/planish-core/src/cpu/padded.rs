@@ -41,12 +41,12 @@ pub(super) struct PaddedRows<'a> {
 }
 
 impl PaddedRows<'_> {
-    /// Where column u of the `row`-th of these rows is.
+    /// Returns the index of column u in the `row`-th of these rows.
     pub(super) fn index(&self, row: usize, u: usize) -> usize {
         row * self.row_len + self.border + u
     }
 
-    /// The points from an index on.
+    /// Returns the points from an index on.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
         let lanes = at..at + S::f32s::LEN;
@@ -58,7 +58,7 @@ impl PaddedRows<'_> {
         )
     }
 
-    /// Stores points from an index on. What a last vector writes behind the image is border, and NaN like it.
+    /// Stores points from an index on. The tail of the last vector falls into the border and is NaN too.
     #[inline(always)]
     pub(super) fn store<S: Simd>(&mut self, at: usize, points: Vec3<S>) {
         let lanes = at..at + S::f32s::LEN;
@@ -96,13 +96,13 @@ impl PaddedFrame {
         3 * size_of_val(&self.x[..])
     }
 
-    /// Where pixel (u, v) of the image is.
+    /// Returns the index of pixel (u, v) of the image.
     #[inline(always)]
     pub(super) fn index(&self, u: usize, v: usize) -> usize {
         (v + self.border) * self.row_len + u + self.border
     }
 
-    /// The points of the pixels from an index on.
+    /// Returns the points of the pixels from an index on.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
         let lanes = at..at + S::f32s::LEN;
@@ -113,7 +113,7 @@ impl PaddedFrame {
         )
     }
 
-    /// The rows of the image.
+    /// Returns the rows of the image.
     pub(super) fn rows(&mut self) -> PaddedRows<'_> {
         let (row_len, border) = (self.row_len, self.border);
         let image = border * row_len..(border + self.height) * row_len;

@@ -22,7 +22,7 @@ pub(super) struct Plane<S: Simd> {
     pub(super) extent_squared: S::f32s,
     /// Surface variation l0/(l0+l1+l2).
     pub(super) curvature: S::f32s,
-    /// By what share the second extent exceeds that of a line, l1/(1e-4 l2) - 1.
+    /// Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
     pub(super) off_line: S::f32s,
     /// The neighbours lie on a line; the rest means nothing.
     pub(super) degenerate: Mask<S>,

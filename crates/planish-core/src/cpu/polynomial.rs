@@ -43,11 +43,10 @@ pub(super) struct Weighting<S: Simd> {
 /// Candidates whose terms are kept at once; their four values each fit the first-level cache.
 const CHUNK: usize = 64;
 
-/// The contribution of each candidate: weight (0 for one that is no neighbour) and coordinates.
+/// Contribution of each candidate: its coordinates, and its weight (0 for candidates outside the gate).
 ///
-/// Computing all terms first and summing them in a second loop is a third faster than a single loop, which has so many
-/// operations per candidate that the processor's scheduler cannot overlap two candidates and stalls on the chain of
-/// exponential and powers.
+/// Computing all terms first and summing them in a second loop is a third faster than one loop: with so many operations
+/// per candidate the scheduler cannot overlap two of them, and stalls on the chain of exponential and powers.
 pub(super) struct Terms<S: Simd> {
     w: [S::f32s; CHUNK],
     a: [S::f32s; CHUNK],
@@ -110,10 +109,10 @@ pub(super) struct Fit<S: Simd> {
     pub(super) extent_squared: S::f32s,
 }
 
-/// Where the second pass finds its candidates.
+/// Source of the second pass's candidates.
 #[derive(Clone, Copy)]
 pub(super) enum Source<C> {
-    /// So many, whose offsets and weights by the gate the first pass left in the terms.
+    /// This many candidates, whose offsets and gate weights the first pass left in the terms.
     Kept(usize),
     /// All of these, gated once more.
     Of(C),
@@ -223,7 +222,7 @@ impl<S: Simd> Terms<S> {
         );
     }
 
-    /// Sets a term to that of a candidate at the offset e that counts so much by the gate.
+    /// Sets a term from a candidate at offset e with gate weight `weight`.
     #[inline(always)]
     fn set<const NARROW: bool>(&mut self, simd: S, at: usize, e: Vec3<S>, weight: S::f32s, frame: &Frame<S>) {
         let a = e.dot(frame.a_axis);
@@ -287,7 +286,7 @@ fn accumulate<S: Simd, const D: usize, const M0: usize, const M1: usize, const T
     terms: &Terms<S>,
     len: usize,
 ) {
-    // Local, so that what is summed stays in registers through the loop.
+    // Local copies keep the sums in registers throughout the loop.
     let (mut m, mut t) = (moments.m, moments.t);
     let (w, a, b, f) = (&terms.w[..len], &terms.a[..len], &terms.b[..len], &terms.f[..len]);
     for k in 0..len {

@@ -20,9 +20,9 @@ pub(super) struct Projected<S: Simd> {
 /// How points are put onto the surface.
 #[derive(Clone, Copy)]
 pub(super) struct Projection {
-    /// Along their rays; else along the normals of their planes.
+    /// True: along the ray; false: along the plane's normal.
     pub(super) on_ray: bool,
-    /// Whether normals are needed, by the caller or for what follows from them.
+    /// True if normals are needed, for the caller or a later stage.
     pub(super) needs_normal: bool,
     /// Whether the depth at which a ray meets the surface is needed.
     pub(super) needs_depth: bool,
@@ -86,11 +86,11 @@ pub(super) fn project<S: Simd, const D: usize>(
     }
 }
 
-/// How far along the ray, in its lengths, the tangent plane lies that is `height` from the ray's end along its normal.
-/// Where the ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
+/// Returns the distance along the ray, in ray lengths, to the tangent plane, which is `height` from the ray's end along
+/// its normal. At grazing incidence, 1/c is replaced by c/max(c², 0.2²), with c the cosine of the angle of incidence.
 #[inline(always)]
 fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray: Vec3<S>, radius: S::f32s) -> S::f32s {
-    // At least so much, since a point at the sensor has no ray.
+    // A lower bound, since a point at the sensor has no ray.
     let least = splat(simd, f32::MIN_POSITIVE);
     let square = ray.dot(ray).max(least);
     let across = ray.dot(normal);

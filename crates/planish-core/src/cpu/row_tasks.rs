@@ -2,8 +2,8 @@
 
 use std::ops::RangeInclusive;
 
-/// Rows of one task: enough that a task costs nothing beside them, and that its rows find most candidates in its core's
-/// cache; few enough that many threads end together.
+/// Rows per task. Enough to make its overhead negligible and to find most candidates in the core's cache; few enough to
+/// keep many threads evenly busy.
 const ROWS_PER_TASK: RangeInclusive<usize> = 4..=8;
 
 /// Tasks for each thread, where there are rows enough.
@@ -13,7 +13,7 @@ const TASKS_PER_THREAD: usize = 8;
 pub(super) trait SplitRows: Send + Sized {
     fn count(&self) -> usize;
 
-    /// The first so many rows, and the rest.
+    /// Splits into the first `rows` rows and the rest.
     fn split_at(self, rows: usize) -> (Self, Self);
 }
 
@@ -27,7 +27,7 @@ pub(super) fn run_on_rows<R: SplitRows>(rows: R, parallel: bool, work: &(impl Fn
     halve(rows.count().div_ceil(tasks).clamp(*ROWS_PER_TASK.start(), *ROWS_PER_TASK.end()), rows, work);
 }
 
-/// `work` on at most so many rows at a time, in parallel.
+/// Calls `work` on at most `most` rows at a time, in parallel.
 pub(super) fn halve<R: SplitRows>(most: usize, rows: R, work: &(impl Fn(R) + Sync)) {
     if rows.count() <= most {
         work(rows);

@@ -1,8 +1,8 @@
-//! What the kernels need to know of the sensor's place in the cloud's frame (docs/method.md, section 11).
+//! Position of the sensor in the cloud's frame, as kernels need it (docs/method.md, section 11).
 //!
-//! Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame
-//! would be rounded once more. A *ray* leads from the sensor to a point, in the cloud's frame. Where that is the
-//! sensor's own frame, the same operations change no bit.
+//! Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
+//! once more. A *ray* leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
+//! operations change no bit.
 
 use fearless_simd::Simd;
 
@@ -22,7 +22,7 @@ impl Sensor {
         Self { position, axis }
     }
 
-    /// The ray to each point.
+    /// Returns the ray to each point.
     #[inline(always)]
     pub(super) fn ray<S: Simd>(&self, simd: S, p: Vec3<S>) -> Vec3<S> {
         p.sub(in_every_lane(simd, self.position))

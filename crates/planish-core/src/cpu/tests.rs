@@ -148,7 +148,7 @@ fn tangents_are_the_references() {
     at_every_level!(test);
 }
 
-/// The moments of points (a, b) with unit weights and heights, as the second pass sums them.
+/// Returns the moments of points (a, b) with unit weights and heights, as the second pass sums them.
 fn moments_of<S: Simd, const D: usize>(simd: S, points: &[(f64, f64, f64)]) -> Moments<S> {
     let sum = |i: usize, j: usize, heights: bool| {
         let term = |&(a, b, f): &(f64, f64, f64)| a.powi(i as i32) * b.powi(j as i32) * if heights { f } else { 1.0 };
@@ -160,7 +160,7 @@ fn moments_of<S: Simd, const D: usize>(simd: S, points: &[(f64, f64, f64)]) -> M
 #[test]
 fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
     fn test<S: Simd>(simd: S, level: &str) {
-        // So little that it hardly shows.
+        // Small enough to be negligible.
         const RIDGE: f32 = 1e-7;
         let one = lanes(simd, 1.0);
         let mut random = Random::new(13, 1);
@@ -195,7 +195,7 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
         let [value, slope_a, slope_b] = of_line;
         assert!((value - 0.3).abs() < 1e-4 && (slope_a + 0.2).abs() < 1e-3, "{level}: {value} {slope_a}");
         assert_eq!(slope_b, 0.0, "{level}");
-        // With 9 neighbours a cubic is not carried: the result is that of degree 2.
+        // 9 neighbours do not determine a cubic: the result is that of degree 2.
         let quadratic = solve::<S, 2>(simd, &moments_of::<S, 2>(simd, &nine), one, RIDGE, lanes(simd, 9.0));
         for (cubic, quadratic) in of_nine.iter().zip(quadratic) {
             assert!((cubic - quadratic[0]).abs() < 1e-6, "{level}: {cubic} {}", quadratic[0]);

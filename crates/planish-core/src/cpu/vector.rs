@@ -1,8 +1,8 @@
 //! Points in space, one for each lane.
 //!
-//! Kernels write out what they do with each of a few vectors. Adapters of the standard library (`array::map`, `zip` of
-//! arrays) are not compiled for a level's instructions, so that nothing is inlined into them and every vector goes
-//! through memory: a third of the time of a frame.
+//! Kernels spell out operations on each of a few vectors. Iterator adapters (`array::map`, `zip` of arrays) are not
+//! compiled with the instructions of a SIMD level: nothing is inlined into them, and every vector passes through
+//! memory, which costs a third of a frame's time.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -15,7 +15,7 @@ pub(super) fn splat<S: Simd>(simd: S, value: f32) -> S::f32s {
     S::f32s::splat(simd, value)
 }
 
-/// What is limited to 0 to 1.
+/// Clamps to 0 to 1.
 #[inline(always)]
 pub(super) fn share<S: Simd>(simd: S, value: S::f32s) -> S::f32s {
     value.max(splat(simd, 0.0)).min(splat(simd, 1.0))
@@ -89,7 +89,7 @@ impl<S: Simd> Vec3<S> {
         Self::new(factor.mul_add(other.x, self.x), factor.mul_add(other.y, self.y), factor.mul_add(other.z, self.z))
     }
 
-    /// `self` where the mask is true, else `other`.
+    /// Selects `self` where the mask is true, `other` elsewhere.
     #[inline(always)]
     pub(super) fn or(self, mask: Mask<S>, other: Self) -> Self {
         Self::new(mask.select(self.x, other.x), mask.select(self.y, other.y), mask.select(self.z, other.z))

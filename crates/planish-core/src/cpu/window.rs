@@ -1,7 +1,7 @@
 //! The neighbours of a vector of pixels: a strided window and a gate on distance (docs/method.md, sections 2 and 3).
 //!
-//! Offsets e = q - p in metres. A hole or an infinity anywhere fails the gate by comparison: NaN is not within, nor is
-//! an infinite distance. A hole has no neighbours at all, not even itself.
+//! Offsets e = q - p in metres. Holes and infinities fail the gate by comparison: neither NaN nor an infinite distance
+//! is within it. A hole has no neighbours, not even itself.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ use crate::constants::GATE_FADE;
 /// The candidates around a vector of pixels.
 #[derive(Clone, Copy)]
 pub(super) struct Window<'a> {
-    /// What is around a pixel: the points as measured, or their block means.
+    /// Surroundings of a pixel: the points as measured, or their block means.
     samples: &'a PaddedFrame,
     /// Index of the first candidate of the first lane.
     first: usize,
@@ -25,7 +25,7 @@ pub(super) struct Window<'a> {
 
 /// A gate on distance that fades out around its radius, so that nothing changes at once.
 pub(super) struct Gate<S: Simd> {
-    /// Of the weight over the squared distance.
+    /// Slope of the weight over the squared distance.
     slope: S::f32s,
 }
 
@@ -42,7 +42,7 @@ impl<S: Simd> Gate<S> {
         (weight.min(splat(simd, 1.0)), weight.simd_gt(splat(simd, 0.0)))
     }
 
-    /// The offset, zero where it is too far or no number; how much it counts; and where it does.
+    /// Returns the offset, zero where it is too far or no number; how much it counts; and where it does.
     #[inline(always)]
     pub(super) fn apply(&self, simd: S, e: Vec3<S>) -> (Vec3<S>, S::f32s, Mask<S>) {
         let zero = splat(simd, 0.0);
@@ -66,15 +66,15 @@ pub(super) struct Sums<S: Simd> {
     pub(super) zz: S::f32s,
 }
 
-/// What may be neighbours of the points of a vector, in rows.
+/// Candidates for neighbours of the points of a vector, in rows.
 pub(super) trait Candidates<S: Simd>: Copy {
     fn rows(&self) -> usize;
 
     /// How many candidates a row has.
     fn row_len(&self) -> usize;
 
-    /// Runs over the candidates of some rows, in order: their offsets from p, zero for one that is no neighbour, how
-    /// much they count by the gate, and how many neighbours they are.
+    /// Visits the candidates of some rows in order: their offsets from p (zero outside the gate), gate weights, and the
+    /// number of neighbours they stand for.
     fn neighbours(
         &self,
         simd: S,
@@ -90,7 +90,7 @@ pub(super) trait Candidates<S: Simd>: Copy {
         self.sums_of_rows(simd, p, radius, 0..self.rows())
     }
 
-    /// The sums over the neighbours among the candidates of some rows.
+    /// Returns the sums over the neighbours among the candidates of some rows.
     #[inline(always)]
     fn sums_of_rows(&self, simd: S, p: Vec3<S>, radius: S::f32s, rows: Range<usize>) -> Sums<S> {
         let mut sums = Sums::zero(simd);
@@ -131,7 +131,7 @@ impl<S: Simd> Sums<S> {
 }
 
 impl<'a> Window<'a> {
-    /// The window around the pixels from (u, v) on.
+    /// Returns the window around the pixels from (u, v) on.
     #[inline(always)]
     pub(super) fn at(samples: &'a PaddedFrame, kernel: &Kernel, u: usize, v: usize) -> Self {
         let reach = kernel.side / 2 * kernel.stride;

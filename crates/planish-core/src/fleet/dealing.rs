@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-/// How much the time of the last frame counts for what the next is expected to take.
+/// Weight of the last frame's time in the estimate for the next.
 const NEWEST_SHARE: f64 = 0.2;
 
 /// A device that had no frame for this long is tried again: what slowed it down may be over.
@@ -31,15 +31,15 @@ impl Pace {
         self.last_result = Some(now);
     }
 
-    /// What is known of it now.
+    /// Returns the current estimate.
     fn known(&self, now: Instant) -> Option<f64> {
         let is_recent = |last: Instant| now.saturating_duration_since(last) < FORGOTTEN_AFTER;
         self.seconds_a_frame.filter(|_| self.last_result.is_some_and(is_recent))
     }
 }
 
-/// The device for the next frame, of those that work, each with its pace and how many frames it has; `window` is how
-/// many can be in flight.
+/// Chooses the device for the next frame among the working ones, given the pace and the number of frames of each;
+/// `window` is the maximum number of frames in flight.
 pub(super) fn choose(
     devices: impl Iterator<Item = (usize, Pace, usize)> + Clone,
     window: usize,
@@ -89,7 +89,7 @@ mod tests {
         assert_eq!(choose(&[(fast, 5), (unknown, 1)]), Some(0));
         assert_eq!(choose(&[(unknown, 2), (unknown, 1)]), Some(1));
         assert_eq!(choose(&[]), None);
-        // Of 12 frames in flight the fast one does all in 12 ms: 10 ms for one are too long.
+        // The fast device finishes 12 frames in flight in 12 ms: 10 ms for one frame are too long.
         assert_eq!(among(&[(slow, 0), (fast, 11)], 12), Some(1));
         assert_eq!(among(&[(slow, 3)], 12), Some(0));
     }

@@ -15,11 +15,11 @@ pub enum FleetDevice {
 }
 
 impl FleetDevice {
-    /// The devices of a list separated by commas: indices or parts of names of GPUs, `all` for every real GPU, `cpu`
-    /// for the CPU as one more.
+    /// Returns the devices of a list separated by commas: indices or parts of names of GPUs, `all` for every real GPU,
+    /// `cpu` for the CPU as one more.
     ///
     /// # Errors
-    /// If the list names nothing, what is not there, or one device twice.
+    /// If the list is empty, names an unknown device, or names one twice.
     pub fn parse_list(list: &str) -> Result<Vec<Self>, EngineError> {
         Self::among(&gpu_adapters(), list)
     }
@@ -34,9 +34,9 @@ impl FleetDevice {
             let named = match name.to_lowercase().as_str() {
                 "cpu" => vec![Self::Cpu],
                 "all" => {
-                    // Says what there is, where there is none.
+                    // Fails with the list of adapters if there is no GPU.
                     let first = choose(adapters, None)?;
-                    // Where there are several interfaces, each lists every GPU.
+                    // If there are several interfaces, each lists every GPU.
                     let is_listed = |adapter: &&GpuAdapter| adapter.backend == first.backend;
                     adapters.iter().filter(is_real).filter(is_listed).map(Self::of).collect()
                 }
@@ -66,7 +66,7 @@ impl FleetDevice {
         }
     }
 
-    /// The options with which its smoother opens: these, of which it replaces engine and adapter.
+    /// Returns the options with which its smoother opens: these, of which it replaces engine and adapter.
     pub fn options(&self, options: &SmootherOptions) -> SmootherOptions {
         match self {
             Self::Cpu => options.clone().with_engine(Engine::Cpu),
@@ -97,8 +97,8 @@ mod tests {
         assert_eq!(of("2, 1"), Ok(vec![gpu(2), gpu(1)]));
         assert_eq!(of("llvm,CPU"), Ok(vec![gpu(0), FleetDevice::Cpu]));
         for (list, said) in [
-            ("", "there are 0 llvmpipe"),
-            ("1,", "there are 0 llvmpipe"),
+            ("", "available are 0 llvmpipe"),
+            ("1,", "available are 0 llvmpipe"),
             ("3", "'3'"),
             ("all,1", "NVIDIA H200 (index 1) twice"),
             ("h200,H200", "twice"),

@@ -7,10 +7,10 @@ use crate::frame::{Frame, IntoFrame};
 /// A frame that several threads own: what [`Fleet`](crate::Fleet) takes in an [`Arc`](std::sync::Arc). Every type that
 /// a reference converts to a [`Frame`] of is one.
 pub trait SharedFrame: Send + Sync + 'static {
-    /// The frame.
+    /// Returns the frame.
     ///
     /// # Errors
-    /// If buffers contradict the shape, or the camera or the pose is none.
+    /// If buffers contradict the shape, or the camera or the pose is invalid.
     fn frame(&self) -> Result<Frame<'_>, FrameError>;
 }
 
@@ -23,11 +23,11 @@ where
     }
 }
 
-/// What a device of a fleet is, and what it has done.
+/// A device of a fleet and its statistics.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct FleetMember {
-    /// Its name: that of the GPU, or of the engine.
+    /// Name of the GPU, or of the engine.
     pub name: String,
     /// Its engine.
     pub engine: Engine,

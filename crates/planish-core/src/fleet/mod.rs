@@ -1,8 +1,7 @@
 //! Fleets: frames dealt to several devices, results in the order of submission.
 //!
-//! Each device has a [`Smoother`](crate::Smoother) and a thread of its own ([`worker`]). A frame goes to the device
-//! that is expected to have its result first ([`dealing`]). A device that fails for good hands its frames to the
-//! others.
+//! Each device has a [`Smoother`](crate::Smoother) and a thread ([`worker`]). A frame goes to the device that is
+//! expected to finish it first ([`dealing`]). A device that fails for good passes its frames to the others.
 
 mod dealing;
 mod devices;
@@ -23,20 +22,20 @@ pub use devices::FleetDevice;
 pub use member::{FleetMember, SharedFrame};
 use worker::{Job, Shared, Worker};
 
-/// Frames that wait at a device beside those in its slots, for each slot: its thread never waits for the caller's.
+/// Frames queued at a device per slot, in addition to those in the slots: its thread never waits for the caller's.
 const WAITING_PER_SLOT: usize = 1;
 
-/// Threads that a GPU keeps busy beside the CPU engine's: its own, and those that copy results.
+/// Threads that a GPU occupies in addition to the CPU engine's: one for submission, and the copies of results.
 const THREADS_OF_A_GPU: usize = 4;
 
-/// How many threads the CPU engine has beside GPUs; `None` is one for each core, where there are no GPUs.
+/// Returns the number of threads of the CPU engine if GPUs work too; `None`, one per core, without GPUs.
 fn threads_beside(devices: &[FleetDevice]) -> Option<usize> {
     let gpus = devices.iter().filter(|device| matches!(device, FleetDevice::Gpu(_))).count();
     let cores = thread::available_parallelism().map_or(1, usize::from);
     (gpus > 0).then(|| cores.saturating_sub(gpus * THREADS_OF_A_GPU).max(1))
 }
 
-/// Smoothers on several devices, for frames of one grid, or for general clouds.
+/// Smoothers on several devices, for frames of one grid, or for unorganized clouds.
 ///
 /// Used as a [`Smoother`] with frames in flight is: submit while there is room, receive in the same order.
 ///
@@ -125,7 +124,7 @@ impl Fleet {
         grid: Option<(usize, usize)>,
     ) -> Result<Self, Error> {
         if devices.is_empty() {
-            let reason = "a fleet needs one device or more".to_owned();
+            let reason = "a fleet needs at least one device".to_owned();
             return Err(EngineError::Unavailable { engine: "fleet", reason }.into());
         }
         let cpu = options.clone().with_threads(options.threads.or_else(|| threads_beside(devices)));
@@ -148,7 +147,7 @@ impl Fleet {
         let shared = Arc::new(Shared::new(&smoothers, window));
         let start = |(device, smoother)| Worker::start(Arc::clone(&shared), device, smoother);
         let workers = smoothers.into_iter().enumerate().map(start).collect::<Result<_, _>>();
-        // Those that have started would wait for ever.
+        // Threads that have started would wait forever.
         let workers = workers.inspect_err(|_| shared.close())?;
         let scratch = GeometryScratch::default();
         Ok(Self { shared, workers, grid, room: window, undecided: None, size: None, scratch, next_in: 0, next_out: 0 })
@@ -157,8 +156,8 @@ impl Fleet {
     /// Submits a frame, and a buffer for its result. Returns at once: other threads compute it.
     ///
     /// # Errors
-    /// If as many are in flight as can be, the frame is of another grid, or every device is lost. What else is wrong
-    /// with a frame is received in its place.
+    /// If the maximum number of frames is in flight, the grid differs, or every device is lost. Other errors of a frame
+    /// are returned by `receive` in its place.
     pub fn submit<F: SharedFrame>(&mut self, frame: Arc<F>, buffer: Smoothed) -> Result<(), Error> {
         self.deal(frame, Some(buffer))
     }
@@ -193,7 +192,7 @@ impl Fleet {
         }
     }
 
-    /// Waits for the oldest frame in flight; `None` if there is none.
+    /// Waits for the oldest frame in flight; `None` if no frame is in flight.
     ///
     /// # Errors
     /// If something is wrong with that frame, or every device is lost.
@@ -213,7 +212,7 @@ impl Fleet {
 
     /// How many frames can be; one more is an [`EngineError::Full`]. 0 once every device is lost.
     pub fn max_in_flight(&self) -> usize {
-        // That of all devices while one works: it does not fall under the caller's hands.
+        // The room of all devices while one of them works: it must not shrink while the caller uses it.
         if self.shared.works() { self.room } else { 0 }
     }
 

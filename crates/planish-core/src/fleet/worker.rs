@@ -1,4 +1,4 @@
-//! The thread of each device, and what the threads of a fleet share.
+//! The thread of each device, and the state that the threads of a fleet share.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -41,7 +41,7 @@ pub(super) struct Shared {
     state: Mutex<State>,
     /// For each device: that it has a frame to take.
     given: Vec<Condvar>,
-    /// That there is a result, or a device less.
+    /// Signals a result, or the loss of a device.
     done: Condvar,
     /// How many frames can be in flight while all devices work.
     window: usize,
@@ -56,7 +56,7 @@ struct State {
 struct Device {
     name: String,
     engine: Engine,
-    /// Frames that it was given, oldest first, and those that its thread has taken.
+    /// Frames queued for it, oldest first, and frames that its thread has taken.
     waiting: VecDeque<Job>,
     taken: VecDeque<Job>,
     pace: Pace,
@@ -141,7 +141,7 @@ impl Shared {
         self.given[device].notify_one();
     }
 
-    /// Whether a device works.
+    /// Returns true if a device works.
     pub(super) fn works(&self) -> bool {
         self.lock().devices.iter().any(|device| device.lost.is_none())
     }
@@ -164,7 +164,7 @@ impl Shared {
         self.given.iter().for_each(Condvar::notify_all);
     }
 
-    /// The next frame of a device, to be submitted to it.
+    /// Returns the next frame of a device, to be submitted to it.
     fn take(&self, device: usize, may_wait: bool) -> Next {
         let mut state = self.lock();
         loop {
@@ -234,7 +234,7 @@ impl Worker {
 
     /// Waits until it has ended, once the fleet is closed.
     pub(super) fn join(&mut self) {
-        // One that panicked has said so.
+        // A panic has already printed its message.
         let _ = self.0.take().map(JoinHandle::join);
     }
 }
@@ -295,7 +295,7 @@ fn work(shared: &Shared, device: usize, mut smoother: Smoother) -> Result<(), Er
     }
 }
 
-/// Whether another frame may be smoothed where this one was not: it is wrong, or too large.
+/// Returns true if another frame may be smoothed where this one was not: it is wrong, or too large.
 fn is_of_frame(error: &Error) -> bool {
     match error {
         Error::Frame(_) => true,

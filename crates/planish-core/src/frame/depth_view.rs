@@ -37,7 +37,7 @@ pub struct DepthView<'a> {
 pub(crate) enum DepthSamples<'a> {
     /// Raw values in the camera's units; 0 and 65535 are holes.
     U16(&'a [u16]),
-    /// Metres; what is not finite or not positive is a hole.
+    /// Metres; values that are not finite or not positive are holes.
     F32(&'a [f32]),
 }
 
@@ -48,13 +48,13 @@ impl<'a> DepthView<'a> {
         view.check_exact(raw.len())
     }
 
-    /// Metres, row by row; what is not finite or not positive is a hole.
+    /// Takes depth in metres, row by row; values that are not finite or not positive are holes.
     pub fn from_metres(depth_m: &'a [f32], camera: &'a Camera) -> Result<Self, FrameError> {
         let view = Self { camera, samples: DepthSamples::F32(depth_m), row_stride: camera.width };
         view.check_exact(depth_m.len())
     }
 
-    /// The same with rows that begin `row_stride` values after each other, of which the first `width` are used.
+    /// Takes raw units with rows that begin every `row_stride` values; the first `width` values of each are used.
     pub fn with_row_stride(raw: &'a [u16], row_stride: usize, camera: &'a Camera) -> Result<Self, FrameError> {
         Self { camera, samples: DepthSamples::U16(raw), row_stride }.check(raw.len())
     }
@@ -84,7 +84,7 @@ impl<'a> DepthView<'a> {
         }
     }
 
-    /// The camera that took it.
+    /// Returns the camera that took it.
     pub fn camera(&self) -> &'a Camera {
         self.camera
     }
@@ -114,7 +114,7 @@ impl<'a> DepthView<'a> {
             .sum()
     }
 
-    /// The organized cloud of this image (docs/method.md, section 1).
+    /// Returns the organized cloud of this image (docs/method.md, section 1).
     pub fn deproject(&self) -> Result<OrganizedCloud, FrameError> {
         let (width, height) = self.shape();
         let mut rays = Rays::default();
@@ -123,7 +123,7 @@ impl<'a> DepthView<'a> {
         Ok(cloud.with_camera(*self.camera))
     }
 
-    /// The points of all pixels, with the rays of the image's camera; NaN for holes.
+    /// Returns the points of all pixels, with the rays of the image's camera; NaN for holes.
     pub fn deproject_with(&self, rays: &Rays) -> Xyz {
         let (width, height) = self.shape();
         let mut points = Xyz::filled(width * height, 0.0);
@@ -150,7 +150,7 @@ impl<'a> DepthView<'a> {
         points
     }
 
-    /// The samples of a row.
+    /// Returns the samples of a row.
     pub(crate) fn row(&self, v: usize) -> DepthSamples<'a> {
         let pixels: Range<usize> = v * self.row_stride..v * self.row_stride + self.camera.width;
         match self.samples {

@@ -20,12 +20,12 @@ const MAX_EXTENTS: f64 = 1000.0;
 const MAX_ORIGIN_M: f64 = 20_000.0;
 /// Maximum distance of that origin to the side of the cloud, in extents.
 const BESIDE_EXTENTS: f64 = 5.0;
-/// Nor one on the surface: of the sampled points around it the 60th is about 3.2 times as far as the 6th there, and so
-/// on; these are the limits.
+/// Limits that exclude an origin on the surface: there, the 60th of the sampled points around it is about 3.2 times as
+/// far away as the 6th, and so on.
 const SURFACE_RATIOS: [f64; 2] = [2.4, 4.2];
-/// Compared with ten times as many, as far as that is at most a quarter of the sample.
+/// Each is compared with ten times as many, up to a quarter of the sample.
 const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
-/// General clouds are judged by no more points than this.
+/// Unorganized clouds are judged by no more points than this.
 const GENERAL_SAMPLE: usize = 4096;
 
 impl FrameGeometry {
@@ -108,8 +108,8 @@ impl FrameGeometry {
     }
 }
 
-/// Where the sensor is taken to have stood whose pose a general cloud does not state, if it cannot have been the origin
-/// of coordinates.
+/// Returns the assumed pose of the sensor of an unorganized cloud that states none, if the sensor cannot have been at
+/// the origin.
 pub(super) fn assumed_transform(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Option<RigidTransform> {
     if !points.pose().is_identity() {
         return None;
@@ -136,8 +136,8 @@ fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransfo
     (!may_be_sensor).then(|| extent.sensor_beside(None))
 }
 
-/// Whether a place is in the midst of points as they lie on a surface: the number of those around it grows with the
-/// square of the distance, where a sensor has all at some distance.
+/// Returns true if a place is in the midst of points as they lie on a surface: the number of those around it grows with
+/// the square of the distance, where a sensor has all at some distance.
 fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
     // Zeros mean no data.
     let squares = sample.iter().map(|point| point.distance_squared(place)).filter(|square| *square > 0.0);
@@ -150,12 +150,12 @@ fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
     squares.len() >= 40 * NEAR_NEIGHBOURS[0] && reached.map(ratio).all(|ratio| (low..high).contains(&ratio))
 }
 
-/// A general cloud of so many points is judged by each of them whose index is a multiple of this.
+/// Returns the sampling step for an unorganized cloud: it is judged by every point whose index is a multiple of this.
 pub fn sampling_step(points: usize) -> usize {
     points.div_ceil(GENERAL_SAMPLE).max(1)
 }
 
-/// What [`PointsView::assumed_sensor_m`] is for a file by the sample of its points.
+/// Computes [`PointsView::assumed_sensor_m`] from a sample of a file's points.
 pub fn assumed_sensor_of_sample(sample: &[[f64; 3]]) -> Option<[f64; 3]> {
     let mut sample: Vec<DVec3> = sample.iter().copied().map(DVec3::from_array).collect();
     assumed_sensor(&mut sample, DVec3::ZERO).map(|transform| transform.translation.to_array())
@@ -167,16 +167,15 @@ impl PointsView<'_> {
         self.geometry(&mut GeometryScratch::default()).rule
     }
 
-    /// Where the sensor of a general cloud is taken to have stood, in the frame of the file, if the cloud does not
-    /// state it and it cannot have been the origin of coordinates; else `None` (docs/method.md, section 11). Normals
-    /// face it.
+    /// Returns the assumed position of the sensor in the frame of the file, if an unorganized cloud does not state one
+    /// and it cannot have been the origin; otherwise `None` (docs/method.md, section 11). Normals face it.
     pub fn assumed_sensor_m(&self) -> Option<[f64; 3]> {
         let is_general = self.grid().is_none();
         let assumed = is_general.then(|| assumed_transform(self, &mut GeometryScratch::default())).flatten();
         assumed.map(|transform| (transform.translation + DVec3::from_array(self.origin_m())).to_array())
     }
 
-    /// The range of every point in metres, NaN for holes.
+    /// Returns the range of every point in metres, NaN for holes.
     pub fn ranges_m(&self) -> Vec<f64> {
         let geometry = self.geometry(&mut GeometryScratch::default());
         (0..self.len()).map(|i| geometry.range_m(self.point_in_sensor(i, &geometry))).collect()
@@ -196,8 +195,8 @@ impl PointsView<'_> {
 }
 
 impl OrganizedCloud {
-    /// Metres between neighbouring pixels at a range of 1 m, from the camera where it is known, else from the points
-    /// (1/fx of a camera). `None` if unknown.
+    /// Returns the distance between neighbouring pixels at a range of 1 m, in metres (1/fx of a camera): from the
+    /// camera if it is known, otherwise from the points. `None` if unknown.
     pub fn pixel_pitch_at_1m(&self) -> Option<f64> {
         PointsView::from_organized(self).ok()?.range_rule().known_pitch_at_1m()
     }
@@ -213,7 +212,7 @@ mod tests {
     const WIDTH: usize = 64;
     const HEIGHT: usize = 48;
 
-    /// A slanted wall with a step, seen by a small camera, in its frame.
+    /// Returns a slanted wall with a step, seen by a small camera, in its frame.
     fn seen_by_a_camera() -> Vec<DVec3> {
         let camera = Camera::new((WIDTH, HEIGHT), [52.5; 2], [31.5, 23.5]);
         let depth = |u: usize, v: usize| if u < 20 { 1.0 } else { 2.0 } + 0.01 * v as f64;
@@ -306,7 +305,7 @@ mod tests {
         let (rule, sensor) = rule_of(terrain(DVec3::ZERO), SensorPose::IDENTITY);
         let RangeRule::Constant { spacing_m } = rule else { panic!("{rule:?}") };
         assert!((spacing_m - 0.5).abs() < 0.01 && sensor.z > 5.0, "{spacing_m} {sensor}");
-        // At its corner, at a height, and with values that stand for no data.
+        // At its corner, at a height, and with values that encode missing data.
         let (beside, sensor) = rule_of(terrain(DVec3::new(20.0, 15.0, 0.0)), SensorPose::IDENTITY);
         assert!(!matches!(beside, RangeRule::Depth { .. }) && sensor.z >= 0.0, "{beside:?} {sensor}");
         let northwards = |p: DVec3| DVec3::new(p.x, -p.y, p.z);
@@ -362,7 +361,7 @@ mod tests {
             let (position, is_assumed) = seen_from(&slope, moved, SensorPose::IDENTITY);
             assert!(is_assumed && position.z > moved.z + 400.0, "{position}");
         }
-        // Around a sensor, with strays close to it and zeros for what it did not see.
+        // Around a sensor, with strays close to it and zeros for missing measurements.
         let room = |i: usize| match i % 100 {
             0 => DVec3::ZERO,
             1 => DVec3::new(0.3, 0.1, 0.01 * i as f64),
@@ -373,7 +372,7 @@ mod tests {
         };
         let (position, is_assumed) = seen_from(&room, DVec3::ZERO, SensorPose::IDENTITY);
         assert!(!is_assumed && position.length() < 1e-6, "{position}");
-        // Beside and before a sensor.
+        // In front of a sensor and to its side.
         let steep = DVec3::new(-200.0, -200.0, -150.0);
         for (at, moved) in [(&slope as &dyn Fn(usize) -> DVec3, steep), (&wall, DVec3::new(-19.0, 15.0, -9.0))] {
             let (position, is_assumed) = seen_from(at, moved, SensorPose::IDENTITY);

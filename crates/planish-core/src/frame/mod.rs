@@ -88,8 +88,8 @@ impl DepthFrame {
         }
     }
 
-    /// The organized cloud of this frame (docs/method.md, section 1), with colour as PCL's packed `rgb` if there is
-    /// any.
+    /// Returns the organized cloud of this frame (docs/method.md, section 1), with colour as PCL's packed `rgb` if
+    /// there is any.
     pub fn deproject(&self) -> Result<OrganizedCloud, FrameError> {
         self.validate()?;
         let mut cloud = DepthView::new(&self.raw, &self.camera)?.deproject()?;
@@ -115,7 +115,7 @@ pub enum Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Width and height in pixels; `None` for a general cloud.
+    /// Width and height in pixels; `None` for an unorganized cloud.
     pub fn grid(&self) -> Option<(usize, usize)> {
         match self {
             Self::Depth(depth) => Some(depth.shape()),
@@ -139,7 +139,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// The camera, where it is known.
+    /// Returns the camera, where it is known.
     pub fn camera(&self) -> Option<&'a Camera> {
         match self {
             Self::Depth(depth) => Some(depth.camera()),
@@ -148,12 +148,12 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// What converts into a well-formed [`Frame`] without copying: views, [`DepthFrame`], [`OrganizedCloud`],
+/// Conversion into a well-formed [`Frame`] without copying, from views, [`DepthFrame`], [`OrganizedCloud`] and
 /// [`PointCloud`].
 ///
 /// The owned types have public fields, so the conversion checks them: lengths, the camera, the pose.
 pub trait IntoFrame<'a> {
-    /// The frame.
+    /// Returns the frame.
     ///
     /// # Errors
     /// If buffers contradict the shape, or the camera or the pose is invalid.

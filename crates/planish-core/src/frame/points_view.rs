@@ -57,7 +57,7 @@ pub struct PointsView<'a> {
     pose: SensorPose,
     /// Added to a result to return to that frame.
     origin_m: DVec3,
-    /// What is subtracted from the positions; those of a [`PointCloud`] are relative to its origin already.
+    /// Subtracted from the positions; positions of a [`PointCloud`] are already relative to its origin.
     subtracted_m: DVec3,
     camera: Option<&'a Camera>,
     /// The cloud that the points are a part of: how far it spans, and how many points it has.
@@ -152,7 +152,7 @@ impl<'a> PointsView<'a> {
         }
     }
 
-    /// Borrows a general cloud.
+    /// Borrows an unorganized cloud.
     pub fn from_cloud(cloud: &'a PointCloud) -> Result<Self, FrameError> {
         cloud.positions.check_len("positions", cloud.len())?;
         check_origin(cloud.origin_m)?;
@@ -171,7 +171,7 @@ impl<'a> PointsView<'a> {
         }
     }
 
-    /// The points row by row on a grid of pixels.
+    /// Returns the points row by row on a grid of pixels.
     pub fn with_grid(self, width: usize, height: usize) -> Result<Self, FrameError> {
         validate_shape(width, height)?;
         if width * height != self.len {
@@ -181,13 +181,14 @@ impl<'a> PointsView<'a> {
         Ok(Self { grid: Some((width, height)), ..self })
     }
 
-    /// Where the sensor stands, in the frame of the points; without it, it is found out (docs/method.md, section 11).
+    /// Sets the position and orientation of the sensor in the frame of the points; otherwise they are estimated
+    /// (docs/method.md, section 11).
     pub fn with_pose(self, pose: SensorPose) -> Result<Self, FrameError> {
         pose.validate()?;
         Ok(Self { pose, ..self })
     }
 
-    /// The camera that took them: its pixels are the grid's, and depth can be asked for.
+    /// Sets the camera that took the points: its pixels form the grid, and depth becomes available as an output.
     pub fn with_camera(self, camera: &'a Camera) -> Result<Self, FrameError> {
         camera.validate()?;
         camera.check_shape(self.grid.unwrap_or((self.len, 1)))?;
@@ -223,27 +224,27 @@ impl<'a> PointsView<'a> {
         self.len
     }
 
-    /// Whether there are none.
+    /// Returns true if there are none.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Width and height; `None` for a general cloud.
+    /// Width and height; `None` for an unorganized cloud.
     pub fn grid(&self) -> Option<(usize, usize)> {
         self.grid
     }
 
-    /// The sensor's pose; the identity if unknown.
+    /// Returns the sensor's pose; the identity if unknown.
     pub fn pose(&self) -> SensorPose {
         self.pose
     }
 
-    /// The origin of positions.
+    /// Returns the origin of positions.
     pub fn origin_m(&self) -> [f64; 3] {
         self.origin_m.to_array()
     }
 
-    /// The camera, where it is known.
+    /// Returns the camera, where it is known.
     pub fn camera(&self) -> Option<&'a Camera> {
         self.camera
     }
@@ -256,7 +257,7 @@ impl<'a> PointsView<'a> {
     /// How many points are finite.
     pub fn valid_points(&self) -> usize {
         if let Positions::Planes([x, y, z]) = self.positions {
-            // Written so that it is compiled to vectors: times 0 is 0 for what is finite.
+            // This form vectorizes: x * 0 is 0 only for finite x.
             let is_finite = |((x, y), z): ((&f32, &f32), &f32)| x * 0.0 + y * 0.0 + z * 0.0 == 0.0;
             return x.iter().zip(y).zip(z).filter(|point| is_finite(*point)).count();
         }
@@ -292,7 +293,7 @@ impl<'a> PointsView<'a> {
         point - self.subtracted_m
     }
 
-    /// The planes as they are, where nothing is to be done to them.
+    /// Returns the planes as they are, where nothing is to be done to them.
     pub fn plain_planes(&self) -> Option<[&'a [f32]; 3]> {
         match self.positions {
             Positions::Planes(planes) if self.subtracted_m == DVec3::ZERO => Some(planes),

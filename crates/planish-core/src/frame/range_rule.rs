@@ -38,7 +38,7 @@ impl RangeRule {
         self.known_pitch_at_1m().unwrap_or(1.0 / KINECT_FOCAL_LENGTH_PX)
     }
 
-    /// The same, but `None` where it can only be guessed.
+    /// Returns the same, but `None` where it can only be guessed.
     pub(crate) fn known_pitch_at_1m(&self) -> Option<f64> {
         match *self {
             Self::Depth { pitch_at_1m } => pitch_at_1m,
@@ -61,23 +61,23 @@ impl FrameGeometry {
         Self { cloud_from_sensor: (!transform.is_identity()).then_some(transform), rule }
     }
 
-    /// The sensor's position in the cloud's frame.
+    /// Returns the sensor's position in the cloud's frame.
     pub(crate) fn sensor_position(&self) -> DVec3 {
         self.cloud_from_sensor.map_or(DVec3::ZERO, |transform| transform.translation)
     }
 
-    /// The unit vector along which the sensor looks, in the cloud's frame.
+    /// Returns the unit vector along which the sensor looks, in the cloud's frame.
     pub(crate) fn sensor_axis(&self) -> DVec3 {
         self.cloud_from_sensor.map_or(DVec3::Z, |transform| transform.rotation.z_axis)
     }
 
-    /// Whether points move along their rays (docs/method.md, section 7): if asked to, and if it is known where the
-    /// sensor stands.
+    /// Returns true if points move along their rays (docs/method.md, section 7): if asked to, and if it is known where
+    /// the sensor stands.
     pub(crate) fn is_on_rays(&self, project: Project) -> bool {
         project == Project::Ray && !matches!(self.rule, RangeRule::Constant { .. })
     }
 
-    /// The range of a point in the sensor's frame.
+    /// Returns the range of a point in the sensor's frame.
     pub(crate) fn range_m(&self, point_in_sensor: DVec3) -> f64 {
         match self.rule {
             RangeRule::Depth { .. } => point_in_sensor.z.abs(),
@@ -88,7 +88,7 @@ impl FrameGeometry {
     }
 }
 
-/// The range at which sensor models are evaluated where it is not known.
+/// Returns the range at which sensor models are evaluated where it is not known.
 pub(crate) fn assumed_range_m(spacing_m: f64) -> f64 {
     (KINECT_FOCAL_LENGTH_PX * spacing_m).min(MAX_ASSUMED_RANGE_M)
 }

@@ -1,5 +1,5 @@
-//! What a sample of a grid's points tells: whether they lie as a camera's do, how far apart they are, and how they
-//! extend.
+//! Statistics of a sample of a grid's points: whether they are arranged as a camera sees them, their spacing, and their
+//! extent.
 
 use glam::{DMat3, DVec3};
 
@@ -13,14 +13,14 @@ const SAMPLED_ROWS: usize = 16;
 const SAMPLED_COLUMNS: usize = 24;
 /// Rows that are looked at to tell whether the grid is a camera's.
 const LAW_ROWS: usize = 12;
-/// Neighbours for the spacing are so many pixels apart: their distance is larger, and the noise of it no more.
+/// Spacing is measured between pixels this far apart: the distance is larger, the noise is not.
 pub(super) const LAG_PX: usize = 4;
 /// X/z along a column may vary by this share of its extent over the image: lenses distort by less, turned cameras by
 /// more.
 const RAY_LAW_TOLERANCE: f64 = 0.1;
-/// Points behind the sensor, as a share, from which on the grid is no camera's.
+/// Share of points behind the sensor from which on a grid cannot be a camera's.
 const MAX_BEHIND: f64 = 0.01;
-/// Corners of pixels that turn the other way, as a share, from which on the grid is no camera's.
+/// Share of pixel corners with the opposite orientation from which on a grid cannot be a camera's.
 pub(super) const MAX_TURNED: f64 = 0.1;
 /// One spread is clearly less than another if it is below this share of it.
 pub(super) const CLEARLY_LESS: f64 = 0.7;
@@ -56,15 +56,15 @@ pub(super) struct Sample<'a, 'p> {
 }
 
 impl Sample<'_, '_> {
-    /// A point in the sensor's frame; `None` for a hole, and for zeros, which some writers mean as one.
+    /// Returns a point in the sensor's frame; `None` for a hole, and for zeros, which some writers mean as one.
     fn point(&self, i: usize) -> Option<DVec3> {
         let point = self.points.point_in_sensor(i, &self.geometry);
         (point.is_finite() && self.points.point(i) != DVec3::ZERO).then_some(point)
     }
 
-    /// Whether a camera at the origin of coordinates, rather than at the stated pose, took the points. PCL's grabbers
-    /// state how the camera is turned and write the points in its own frame nevertheless; others do so with its
-    /// position.
+    /// Returns true if a camera at the origin of coordinates, rather than at the stated pose, took the points. PCL's
+    /// grabbers state how the camera is turned and write the points in its own frame nevertheless; others do so with
+    /// its position.
     pub(super) fn is_likelier_than(&self, stated: &Self, scratch: &mut GeometryScratch) -> bool {
         if stated.points.pose().position_m == [0.0; 3] {
             return true;
@@ -85,8 +85,8 @@ impl Sample<'_, '_> {
         (0..self.height).step_by(self.height.div_ceil(LAW_ROWS))
     }
 
-    /// Whether the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along rows,
-    /// and columns go to the right where rows go down.
+    /// Returns true if the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along
+    /// rows, and columns go to the right where rows go down.
     pub(super) fn is_of_a_camera(&self, scratch: &mut GeometryScratch) -> bool {
         let columns = || (0..self.width).step_by(self.width.div_ceil(SAMPLED_COLUMNS));
         let points = self.law_rows().flat_map(|row| columns().map(move |column| row * self.width + column));
@@ -119,7 +119,7 @@ impl Sample<'_, '_> {
         turns
     }
 
-    /// Whether a tangent is the same along lines of pixels: all but a tenth of its extent over the lines.
+    /// Returns true if a tangent is the same along lines of pixels: all but a tenth of its extent over the lines.
     fn is_constant<L: Iterator<Item = usize>, P: Iterator<Item = usize> + Clone>(
         &self,
         lines: L,
@@ -138,7 +138,7 @@ impl Sample<'_, '_> {
                 self.point(row * self.width + column).map(tangent).filter(|tangent| tangent.is_finite())
             }));
             tangents.sort_by(f64::total_cmp);
-            // A stray pixel at either end is none of the camera's.
+            // A stray value at either end does not come from the camera.
             let cut = if tangents.len() >= 5 { 1 } else { 0 };
             if let [first, .., last] = tangents[cut..tangents.len() - cut] {
                 spreads.push(last - first);
@@ -172,7 +172,7 @@ impl Sample<'_, '_> {
         quantile(pitches, 0.5)
     }
 
-    /// Pairs of points so many columns and rows apart, in the sampled rows.
+    /// Collects pairs of points this many columns and rows apart, in the sampled rows.
     pub(super) fn neighbours(&self, pairs: &mut Vec<NeighbourPair>, [columns, rows]: [usize; 2]) {
         pairs.clear();
         let lag = columns + rows;
@@ -193,7 +193,7 @@ impl Sample<'_, '_> {
     }
 }
 
-/// Adds what a tangent changes by from each pixel of a row to the next; those that are not numbers are holes.
+/// Appends the difference of tangents between consecutive pixels of a row; NaN marks holes.
 fn add_pitches(tangents: impl Iterator<Item = f64>, pitches: &mut Vec<f64>) {
     let mut left = f64::NAN;
     for tangent in tangents {
@@ -210,13 +210,14 @@ pub(super) struct Extent {
     pub(super) centre: DVec3,
     /// Root mean square of the distance from the centre.
     pub(super) radius_m: f64,
-    /// Of the plane through the sampled points, upwards.
+    /// Normal of the plane through the sampled points, upwards.
     normal: DVec3,
 }
 
-/// Points farther from the middle than so many median distances are stray ones, or stand for no data.
+/// Points farther from the middle than this many median distances are strays, or encode missing data.
 const MAX_MEDIAN_DISTANCES: f64 = 5.0;
-/// The origin is on one side of a cloud if it is so far off its plane, as a share of its distance.
+/// The origin is clearly on one side of a cloud if its distance from the cloud's plane exceeds this share of its
+/// distance from the middle.
 const CLEARLY_BESIDE: f64 = 0.2;
 
 impl Extent {
@@ -253,14 +254,14 @@ impl Extent {
         (radius_m > 0.0).then_some(Self { centre, radius_m, normal })
     }
 
-    /// Whether a place is clearly on one side of the cloud's plane.
+    /// Returns true if a place is clearly on one side of the cloud's plane.
     pub(super) fn is_clearly_off(&self, place: DVec3) -> bool {
         let to_place = place - self.centre;
         to_place.dot(self.normal).abs() > CLEARLY_BESIDE * to_place.length()
     }
 
-    /// A sensor that looks along the cloud's normal, from the side of the origin if that is clearly on one, else from
-    /// above; not so far away that f32 would lose the coordinates.
+    /// Places a sensor that looks along the cloud's normal: from the side of the origin if that is clear, otherwise
+    /// from above, and near enough that f32 keeps the coordinates.
     pub(super) fn sensor_beside(&self, origin: Option<DVec3>) -> RigidTransform {
         let to_origin = origin.map_or(DVec3::ZERO, |origin| origin - self.centre);
         let is_outside = to_origin.length() > self.radius_m;
@@ -280,7 +281,7 @@ pub(super) fn spread(values: impl Iterator<Item = f64>, scratch: &mut Vec<f64>) 
     }
 }
 
-/// The value at a share of all values in order; `None` of none.
+/// Returns the value at a share of all values in order; `None` of none.
 pub(super) fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let at = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)

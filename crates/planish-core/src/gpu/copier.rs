@@ -36,8 +36,8 @@ pub(super) struct Copied(Receiver<CopyResult>);
 impl Copier {
     pub(super) fn start() -> Result<Self, EngineError> {
         let (jobs, queue) = channel::<Box<Job>>();
-        // Threads of its own: a worker of rayon's pool may be what waits for the copy, and then no other is free for
-        // it.
+        // A separate pool: a worker of rayon's global pool may be blocked waiting for the copy, and no other may be
+        // free.
         let pool = Threads::open(Some(COPY_THREADS))?;
         let work = move || {
             for job in queue {
@@ -58,7 +58,7 @@ impl Copier {
     /// Copies the result of a submission into a buffer, once it is there.
     pub(super) fn copy(&self, flight: Flight, buffer: Smoothed) -> Copied {
         let (done, result) = channel();
-        // Without the thread nobody sends, and waiting for the result says so.
+        // Without the thread nothing is sent, and waiting for the result reports the error.
         if let Some(jobs) = &self.jobs {
             let _ = jobs.send(Box::new(Job { flight, buffer, done }));
         }

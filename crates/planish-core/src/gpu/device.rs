@@ -1,9 +1,8 @@
 //! Devices: listing and opening adapters, compiled kernels, device loss.
 //!
-//! An adapter is opened once, or twice where frames overlap on several queues: quickly for what is smoothed one at a
-//! time, and with a device of wgpu's for each queue. Devices are shared by all smoothers of the process on that
-//! adapter, and closed with the last of them. A fault is kept: once a device is lost, every call returns that error,
-//! and the next smoother opens a fresh one.
+//! An adapter is opened once for frames smoothed one at a time (fast), and a second time for overlapping frames, with
+//! one wgpu device per queue. All smoothers of the process on that adapter share these devices; they are closed with
+//! the last smoother. After a device is lost, every call returns that error, and the next smoother opens a new one.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -16,7 +15,7 @@ use super::queues;
 use crate::devices::{AdapterKind, GpuAdapter, GpuOptions};
 use crate::error::EngineError;
 
-/// A device that has not answered for this long counts as hung.
+/// A device that has not responded for this long is considered hung.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// How long a waiter sleeps to let other threads take the lock.
@@ -34,7 +33,7 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What an adapter is opened for.
+/// Use for which an adapter is opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// One submission at a time, on one queue.
@@ -112,7 +111,7 @@ pub(super) fn lose_open() {
     }
 }
 
-/// Opens an adapter whose devices are not shared, to be lost on purpose: as if it had so many queues.
+/// Opens an adapter with unshared devices, for tests that lose them, as if it had this many queues.
 #[cfg(test)]
 pub(super) fn open_alone(chosen: &GpuAdapter, queues: usize) -> OpenAdapter {
     let adapter = &adapters()[chosen.index];
@@ -254,7 +253,7 @@ impl GpuDevice {
         }
     }
 
-    /// Returns the cause of a failure: the device's fault, or else the failure itself.
+    /// Returns the cause of a failure: the device's fault if it has one, otherwise the failure.
     pub(super) fn failed(&self, what: impl ToString) -> EngineError {
         let failure = || EngineError::Device { device: self.name.clone(), reason: what.to_string() };
         self.loss().or_else(|| self.check().err()).unwrap_or_else(failure)
@@ -291,7 +290,7 @@ impl GpuDevice {
             Ok(Ok(_)) => Ok(true),
             Ok(Err(wgpu::PollError::Timeout)) => Ok(false),
             Ok(Err(error)) => Err(self.lose(error)),
-            Err(_) => Err(self.lose("the driver gave no more than that")),
+            Err(_) => Err(self.lose("the driver has no more")),
         }
     }
 
@@ -358,12 +357,13 @@ impl GpuDevice {
             } else {
                 wgpu::ShaderRuntimeChecks::unchecked()
             };
-            // SAFETY: every index into a buffer is derived from the layout that the buffers are sized by, and compared
-            // with the frame's width and height, or the cloud's points, before; or it is a number that earlier passes
-            // over the same cloud computed, which is below the number of its points: places in its sort, which are a
-            // permutation, and places of its positions, nodes and leaves. Loops end after a constant number of rounds;
-            // walks, since the number of their node only advances; searches for a radius, since what they try grows up
-            // to a limit. No divisor is zero. The tests run every kernel with the checks on as well, and compare.
+            // SAFETY: every index into a buffer is in range, for one of two reasons. It is derived from the layout that
+            // determines the buffer sizes and compared with the frame's width and height, or with the number of points.
+            // Or an earlier pass over the same cloud computed it, and it is below the number of points: positions in
+            // its sort, which are a permutation, and indices of positions, nodes and leaves. Loops end after a constant
+            // number of rounds; walks, because the node index only increases; searches for a radius, because trial
+            // radii grow up to a limit. No divisor is zero. The tests run every kernel with bounds checks too and
+            // compare results.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),
@@ -415,6 +415,6 @@ impl GpuDevice {
                 return self.check();
             }
         }
-        Err(self.lose(format!("no answer for {} s", TIMEOUT.as_secs())))
+        Err(self.lose(format!("no response for {} s", TIMEOUT.as_secs())))
     }
 }

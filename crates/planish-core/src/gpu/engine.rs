@@ -49,7 +49,7 @@ const MAX_BATCH_FRAMES: u64 = 64;
 
 /// The GPU engine with its buffers.
 pub(crate) struct Gpu {
-    /// Where slots are: one device until frames overlap, then one for each queue.
+    /// The devices of the slots: one until frames overlap, then one per queue.
     pub(super) adapter: Arc<OpenAdapter>,
     /// The adapter with all its queues, until that has been tried; `None` for a device of the host program's.
     pub(super) several: Option<OpenSeveral>,
@@ -58,7 +58,7 @@ pub(crate) struct Gpu {
     options: GpuOptions,
     shape: (usize, usize),
     pub(super) free: FreeSlots,
-    /// Slots allocated so far: they are dealt to the queues in turns.
+    /// Number of slots allocated so far; they alternate between the queues.
     allocated: usize,
     uploader: Uploader,
     pending: VecDeque<Pending>,
@@ -115,7 +115,7 @@ impl Gpu {
         gpu.check_timestamps(&options)?;
         let direct = gpu.features.contains(wgpu::Features::MAPPABLE_PRIMARY_BUFFERS);
         options.transfer = match options.transfer {
-            Transfer::Direct if !direct => return Err(lacks("cannot compute in the host's memory")),
+            Transfer::Direct if !direct => return Err(lacks("does not support computing in host memory")),
             Transfer::Auto if direct => Transfer::Direct,
             Transfer::Auto => Transfer::Staged,
             chosen => chosen,
@@ -144,20 +144,20 @@ impl Gpu {
         Ok(engine)
     }
 
-    /// Deals frames to several queues from now on, where the adapter has them and unless that has been tried; else
-    /// frames in flight take turns on the one that is open.
+    /// Distributes frames over several queues from now on, if the adapter supports it and this has not been tried.
+    /// Otherwise frames in flight share the open queue.
     fn open_several(&mut self) {
         let Some(open) = self.several.take().filter(|_| self.options.slots > 1) else { return };
         let Ok(several) = open() else { return };
         if self.compile(&several).is_ok() {
             self.adapter = several;
             lock(&self.free).clear();
-            // What fails here fails again with the next frame.
+            // Errors are ignored here; the next frame reports them.
             let _ = self.warm_up();
         }
     }
 
-    /// Stands for all devices where they are alike: limits, features, faults.
+    /// Returns the first device, for limits, features and faults, which all devices share.
     fn gpu(&self) -> &GpuDevice {
         &self.adapter.devices[0]
     }
@@ -195,7 +195,7 @@ impl Gpu {
         Layout { width, height, kind, outputs: self.outputs, keeps_points, keeps_planes }
     }
 
-    /// The kernels of a frame's passes, in order.
+    /// Returns the kernels of a frame's passes, in order.
     fn kernel_keys(&self, kind: InputKind) -> impl Iterator<Item = KernelKey> {
         let workgroup_bytes = self.gpu().limits.max_compute_workgroup_storage_size as usize;
         let key = move |&pass| {
@@ -204,7 +204,7 @@ impl Gpu {
         Pass::of(&self.params).iter().map(key)
     }
 
-    /// The kernels of a frame's passes in order, each with its workgroups across and down.
+    /// Returns the kernels of a frame's passes in order, each with its workgroups across and down.
     fn kernels(
         &self,
         gpu: &GpuDevice,
@@ -213,7 +213,7 @@ impl Gpu {
         self.kernel_keys(kind).map(|key| Ok((gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
     }
 
-    /// The most workgroups of a frame, across or down.
+    /// Returns the most workgroups of a frame, across or down.
     fn most_workgroups(&self, kind: InputKind) -> usize {
         self.kernel_keys(kind).flat_map(|key| key.workgroups(self.shape)).max().unwrap_or(0)
     }

@@ -1,8 +1,8 @@
 //! Generates a kernel's WGSL: the shader files with their constants, and the sums and the solve unrolled for a degree.
 //!
-//! Indexed arrays of moments would live in memory rather than registers, so each moment is a variable of its own, and
-//! the statements over them are generated here (docs/method.md, sections 5 and 6), as `unroll!` does for the CPU
-//! engine.
+//! Compilers would keep an indexed array of moments in memory instead of registers. Each moment is therefore a
+//! variable, and the statements over them are generated here (docs/method.md, sections 5 and 6), as `unroll!` does for
+//! the CPU engine.
 
 use std::fmt::Write;
 
@@ -11,7 +11,7 @@ use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, edge_shift_px};
 
-/// Which part of the work on a frame a kernel does (docs/method.md, sections 2 and 10).
+/// The kernels of a frame (docs/method.md, sections 2 and 10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Pass {
     /// The means of blocks.
@@ -25,7 +25,7 @@ pub(super) enum Pass {
 }
 
 impl Pass {
-    /// The passes of a frame, in order.
+    /// Returns the passes of a frame, in order.
     pub(super) fn of(params: &EngineParams) -> &'static [Self] {
         match (params.edges, params.averages_blocks()) {
             (Edges::Off, false) => &[Self::Smooth],
@@ -35,7 +35,7 @@ impl Pass {
         }
     }
 
-    /// The entry point of its kernel.
+    /// Returns the entry point of its kernel.
     pub(super) fn entry_point(self) -> &'static str {
         match self {
             Self::Blocks => "average_blocks",
@@ -59,7 +59,7 @@ pub(super) struct KernelKey {
     keeps_edges: bool,
     /// Whether the samples of its windows are block means.
     reads_means: bool,
-    /// Whether it reads the input; the others read what the first has kept.
+    /// Whether it reads the input; other kernels read data kept by the first.
     reads_input: bool,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
@@ -77,7 +77,7 @@ const fn tile_of(degree: u32) -> [usize; 2] {
 }
 
 impl KernelKey {
-    /// The kernel of a pass for these parameters on a device with so much workgroup memory.
+    /// Generates the kernel of a pass for these parameters and this much workgroup memory.
     pub(super) fn new(
         params: &EngineParams,
         pass: Pass,
@@ -130,7 +130,7 @@ impl KernelKey {
         [width.div_ceil(tile_width), height.div_ceil(tile_height * stride) * stride]
     }
 
-    /// The WGSL of this kernel.
+    /// Returns the WGSL of this kernel.
     pub(super) fn wgsl(&self) -> String {
         let mut text = constants(self.kind, self.outputs);
         let Self { window, stride, degree, .. } = self;
@@ -211,7 +211,7 @@ pub(super) fn surface(degree: usize, [before, after]: [&str; 2]) -> String {
     text + include_str!("shaders/project_polynomial.wgsl")
 }
 
-/// The exponents with i + j <= degree.
+/// Returns the exponents with i + j <= degree.
 fn exponents(degree: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..=degree).flat_map(move |i| (0..=degree - i).map(move |j| (i, j)))
 }

@@ -1,11 +1,11 @@
 //! The memory layout of uploads and results: the single description from which the shader's constants and the host's
 //! reads and writes derive.
 //!
-//! Everything is in 32-bit words. A frame of the input is its [`FrameHeader`], the rays of its columns and rows, and
-//! its samples: raw depth, two pixels per word, depth in metres, or x, y and z, one channel each. A frame of the output
-//! is its requested channels of f32 (points, normals, curvature), then rows of packed codes: status and neighbours,
-//! four pixels per word, and depth, two. A packed row starts at a whole word. Frames of a batch are contiguous. What
-//! passes leave for one another stays on the device.
+//! Units are 32-bit words. A frame of the input consists of its [`FrameHeader`], the rays of its columns and rows, and
+//! its samples: raw depth, two pixels per word; depth in metres; or x, y and z, one channel each. A frame of the output
+//! consists of its requested f32 channels (points, normals, curvature), then rows of packed codes: status and
+//! neighbours, four pixels per word, and depth, two. A packed row starts at a whole word. Frames of a batch are
+//! contiguous. Intermediate data of passes remain on the device.
 
 use std::fmt::Write;
 use std::ops::Range;
@@ -33,12 +33,12 @@ pub(super) struct FrameHeader {
     pub(super) block: [f32; 3],
     /// Coefficients of the standard deviation of depth, where edges are kept.
     pub(super) sigma: [f32; 3],
-    /// 0 stands for the radius.
+    /// 0 means the radius.
     pub(super) bandwidth: f32,
     pub(super) ridge: f32,
     /// The sum of the flags below.
     pub(super) flags: u32,
-    /// Where the sensor stands in the cloud's frame, and the unit vector along which it looks.
+    /// Position of the sensor in the cloud's frame, and its unit viewing direction.
     pub(super) position: [f32; 3],
     pub(super) axis: [f32; 3],
 }
@@ -167,7 +167,7 @@ impl Layout {
         [points, planes]
     }
 
-    /// The uniform of a dispatch over frames of this layout.
+    /// Returns the uniform of a dispatch over frames of this layout.
     pub(super) fn batch(&self) -> Batch {
         Batch {
             width: self.width as u32,

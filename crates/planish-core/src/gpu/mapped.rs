@@ -1,11 +1,11 @@
-//! Buffers that the device gives back to the host.
+//! Buffers mapped for the host.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
 use super::device::{GpuDevice, TIMEOUT, lock};
 use crate::error::EngineError;
 
-/// The buffers that were asked for after a submission.
+/// The buffers requested after a submission.
 #[derive(Default)]
 pub(super) struct Mapped(Arc<Counts>);
 
@@ -20,7 +20,7 @@ struct Counts {
 }
 
 impl Mapped {
-    /// Asks for buffers back as soon as what was submitted before is done.
+    /// Requests buffers; they are mapped as soon as earlier submissions have finished.
     pub(super) fn ask_for<'a>(&self, buffers: impl Iterator<Item = (&'a wgpu::Buffer, wgpu::MapMode)>) {
         let buffers: Vec<_> = buffers.collect();
         *lock(&self.0.missing) = (buffers.len(), false);
@@ -40,7 +40,7 @@ impl Mapped {
         let missing = lock(&self.0.missing);
         let waited = self.0.changed.wait_timeout_while(missing, TIMEOUT, |&mut (missing, _)| missing > 0);
         let (missing, has_failed) = *waited.unwrap_or_else(PoisonError::into_inner).0;
-        // Nothing is locked here: what follows may run callbacks, which count.
+        // Nothing is locked here, since callbacks, which update the count, may run next.
         if missing == 0 && !has_failed { Ok(()) } else { Err(gpu.failed("a buffer could not be mapped")) }
     }
 }

@@ -5,8 +5,8 @@
 //! planes for it. [`layout`] describes uploads ([`upload`]) and results ([`results`]). These parts know nothing of
 //! wgpu: [`plan`] hands them to other hosts of WebGPU.
 //!
-//! The rest is the host on wgpu: the engine, slots with the buffers of one frame or batch in flight, results read in
-//! mapped memory or copied out, for frames in flight by a thread of its own.
+//! The other modules are the host side on wgpu: the engine, slots with the buffers of one frame or batch in flight, and
+//! results, which are read in mapped memory or, for frames in flight, copied out by a separate thread.
 
 #[cfg(feature = "gpu")]
 mod copier;

@@ -1,8 +1,8 @@
 //! The GPU engine for hosts of WebGPU that are not wgpu: a browser, or another program's own device.
 //!
-//! A [`Plan`] says what such a host has to do for one frame: which kernels to compile and dispatch in which order, how
-//! large its buffers are and what to write into them; and it reads what comes back. The host needs no knowledge of the
-//! method. Every kernel has one bind group:
+//! A [`Plan`] describes the host's work for one frame: which kernels to compile and dispatch in which order, the sizes
+//! of buffers and the data to write. It also reads the results. The host needs no knowledge of the method. Every kernel
+//! has one bind group:
 //!
 //! | binding | buffer | bytes |
 //! |---|---|---|
@@ -30,8 +30,8 @@ use crate::smoothing_engine::AdmittedFrame;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct WebGpuLimits {
-    /// `maxComputeWorkgroupStorageSize`, in bytes. With the default of 16 KiB some kernels read from buffers what they
-    /// would keep there.
+    /// `maxComputeWorkgroupStorageSize` in bytes. With the default of 16 KiB, some kernels read data from buffers
+    /// instead of workgroup memory.
     pub workgroup_bytes: u64,
     /// The smaller of `maxStorageBufferBindingSize` and `maxBufferSize`, in bytes.
     pub buffer_bytes: u64,
@@ -40,14 +40,14 @@ pub struct WebGpuLimits {
 }
 
 impl Default for WebGpuLimits {
-    /// What every device of WebGPU has.
+    /// Limits that every WebGPU device supports.
     fn default() -> Self {
         Self { workgroup_bytes: 16 << 10, buffer_bytes: 128 << 20, workgroups: 65_535 }
     }
 }
 
 impl WebGpuLimits {
-    /// The limits of a device.
+    /// Returns the limits of a device.
     pub const fn new(workgroup_bytes: u64, buffer_bytes: u64, workgroups: u64) -> Self {
         Self { workgroup_bytes, buffer_bytes, workgroups }
     }
@@ -65,7 +65,7 @@ pub struct PlannedPass {
     pub workgroups: [u32; 2],
 }
 
-/// What a host of WebGPU has to do to smooth frames of one grid and kind.
+/// Instructions for a WebGPU host to smooth frames of one grid and kind.
 pub struct Plan {
     params: EngineParams,
     outputs: Outputs,
@@ -79,7 +79,7 @@ impl Plan {
     /// Plans frames that are like this one: of its grid and resolution, and depth or points as it is.
     ///
     /// # Errors
-    /// If the parameters are not allowed, the frame is a general cloud, or larger than the device takes.
+    /// If the parameters are not allowed, the frame is an unorganized cloud, or larger than the device takes.
     pub fn new<'a>(
         params: FrameParams,
         outputs: Outputs,
@@ -90,7 +90,7 @@ impl Plan {
         // The kernels for one window.
         let params = params.at_resolution_of(frame);
         let Some((width, height)) = frame.grid() else {
-            let reason = "WebGPU smooths frames on a grid; general clouds take the CPU engine".to_owned();
+            let reason = "WebGPU smooths frames on a grid; unorganized clouds take the CPU engine".to_owned();
             return Err(EngineError::Unavailable { engine: "webgpu", reason }.into());
         };
         check_options(params.into(), &SmootherOptions::new(Engine::Gpu, outputs), Some((width, height)))?;
@@ -135,7 +135,7 @@ impl Plan {
         self.keys.iter().map(pass).collect()
     }
 
-    /// The words of the uniform.
+    /// Returns the words of the uniform.
     pub fn uniform(&self) -> [u32; 4] {
         bytemuck::cast(self.layout.batch())
     }

@@ -1,18 +1,18 @@
 //! Devices of wgpu's with their queues: one, or several on which frames in flight overlap.
 //!
-//! A queue runs what is submitted to it in order, and wgpu puts barriers between the passes of a frame, each of which
-//! waits for all passes of the frame before, whose last is held up by the bus. On queues of their own frames overlap:
-//! on an H100 three queues sustain 1.3 times the frames of one. wgpu gives a device one queue. With Vulkan its parts
-//! take a device that the caller made, so that several of wgpu's devices are made on one of Vulkan's, each with one of
-//! its queues. Devices of Vulkan's own, or of other processes, would not do: the GPU takes turns between those.
+//! A queue runs submissions in order, and wgpu puts barriers between the passes of a frame. Each pass then waits for
+//! all passes of the previous frame, the last of which waits for the bus. On separate queues frames overlap: on an
+//! H100, three queues sustain 1.3 times the frames of one. wgpu gives a device one queue. With Vulkan, wgpu accepts a
+//! device created by the caller, so several wgpu devices are created on one Vulkan device, each with one of its queues.
+//! Separate Vulkan devices, or processes, would not help: the GPU alternates between them.
 
 /// Opens the adapter with the one queue that wgpu chooses.
 pub(super) fn open_one(adapter: &wgpu::Adapter) -> Result<(wgpu::Device, wgpu::Queue), wgpu::RequestDeviceError> {
     pollster::block_on(adapter.request_device(&descriptor(adapter)))
 }
 
-/// Opens the adapter with several queues. `None` where it has none that run side by side, as far as is known, or the
-/// driver refuses.
+/// Opens the adapter with several queues. `None` if it has no queues that run concurrently, as far as is known, or if
+/// the driver refuses.
 #[cfg(target_vendor = "apple")]
 pub(super) fn open_several(_: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
     None
@@ -43,11 +43,11 @@ mod vulkan {
     /// How many queues are used, where there are as many.
     const QUEUES: usize = 3;
 
-    /// Their priorities, which say nothing among equals.
+    /// Queue priorities; all are equal.
     static PRIORITIES: [f32; QUEUES] = [1.0; QUEUES];
 
-    /// Opens the adapter with several queues. `None` where it has none that run side by side, as far as is known, or
-    /// the driver refuses.
+    /// Opens the adapter with several queues. `None` if it has no queues that run concurrently, as far as is known, or
+    /// if the driver refuses.
     pub(crate) fn open_several(adapter: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
         // SAFETY: nothing of the adapter is destroyed.
         let raw_adapter = unsafe { adapter.as_hal::<api::Vulkan>() }?;

@@ -1,8 +1,8 @@
 //! A slot: the buffers of one frame, or one batch of frames, in flight: upload, kernel, readback.
 //!
-//! Two ways. *Staged*: the host writes an upload buffer, the device copies it, the kernel runs on memory of its own,
-//! and the result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes the host's buffers
-//! itself, so that the way over the bus overlaps with its arithmetic.
+//! There are two kinds of transfer. *Staged*: the host writes an upload buffer, the device copies it, the kernel runs
+//! on device memory, and the result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes
+//! the host's buffers, so transfers overlap with arithmetic.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,9 +29,9 @@ pub(super) struct Slot {
     pub(super) frames: usize,
     /// Written by the host; mapped whenever the slot is free.
     upload: wgpu::Buffer,
-    /// What the kernel reads, where that is not `upload`.
+    /// Input buffer of the kernel, unless it is `upload`.
     input: Option<wgpu::Buffer>,
-    /// What the kernel writes, where that is not `readback`.
+    /// Output buffer of the kernel, unless it is `readback`.
     output: Option<wgpu::Buffer>,
     /// Read by the host; mapped once its submission has run.
     pub(super) readback: wgpu::Buffer,
@@ -63,7 +63,7 @@ impl Drop for Counted {
 }
 
 impl Slot {
-    /// Allocates the buffers for so many frames of a layout, and counts their bytes in with `all_bytes`.
+    /// Allocates the buffers for `frames` frames of a layout, and adds their sizes to `all_bytes`.
     pub(super) fn new(
         gpu: Arc<GpuDevice>,
         layout: Layout,
@@ -155,7 +155,7 @@ impl Slot {
             let timestamp_writes = self.stamps.as_ref().map(Stamps::around_kernels);
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
             pass.set_bind_group(0, &self.bind_group, &[]);
-            // Each waits for the one before: wgpu sees that both use what is kept.
+            // Each waits for the previous one: wgpu detects that both use the kept buffers.
             for (kernel, [across, down]) in kernels {
                 pass.set_pipeline(kernel);
                 pass.dispatch_workgroups(*across as u32, *down as u32, self.frames as u32);
@@ -181,7 +181,7 @@ impl Slot {
         self.mapped.wait(&self.gpu)
     }
 
-    /// The times of the last submission, whose stamps are mapped; gives the stamps back to the device.
+    /// Returns the times of the last submission, whose stamps are mapped; gives the stamps back to the device.
     pub(super) fn timings(&self) -> Option<FrameTimings> {
         self.stamps.as_ref()?.timings()
     }

@@ -43,7 +43,7 @@ impl Stamps {
         encoder.write_timestamp(&self.queries, index);
     }
 
-    /// The stamps that a pass of all kernels writes.
+    /// Returns the stamps that a pass of all kernels writes.
     pub(super) fn around_kernels(&self) -> wgpu::ComputePassTimestampWrites<'_> {
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
@@ -57,7 +57,7 @@ impl Stamps {
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.readback, 0, None);
     }
 
-    /// The times of the last submission, whose stamps are mapped; gives them back to the device.
+    /// Returns the times of the last submission, whose stamps are mapped; gives them back to the device.
     pub(super) fn timings(&self) -> Option<FrameTimings> {
         let ticks: [u64; STAMPS as usize] = {
             let range = self.readback.get_mapped_range(..).ok()?;

@@ -18,7 +18,7 @@ use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
 use crate::testing::{DepthNoise, Random, Scene, simulated, simulated_frame};
 
-/// The device of the tests; says SKIP where there is none.
+/// Returns the device of the tests; prints SKIP if there is none.
 fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
     let Some(adapter) = adapters().into_iter().next() else {
         assert!(std::env::var_os("PLANISH_REQUIRE_GPU").is_none(), "no GPU adapter, and one is required");
@@ -29,7 +29,7 @@ fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
     Some((OpenAdapter::open(&adapter, Purpose::OneAtATime).unwrap(), adapter))
 }
 
-/// Runs `body` once for each `inputs` values of `input`, with `at` the first of its own; it writes `outputs` values
+/// Runs `body` once for each `inputs` values of `input`, with `at` the index of the first; it writes `outputs` values
 /// from `to` on.
 fn run(gpu: &GpuDevice, functions: &str, body: &str, input: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
     let count = input.len() / inputs;
@@ -87,7 +87,7 @@ fn run(gpu: &GpuDevice, functions: &str, body: &str, input: &[f32], inputs: usiz
     bytemuck::cast_slice(&mapped).to_vec()
 }
 
-/// What it takes from the constants of a layout is written before it.
+/// Precede it with the constants that it expects from a layout.
 const EIGEN: &str = concat!("const MIN_POSITIVE: f32 = 1.1754944e-38;\n", include_str!("shaders/eigen.wgsl"));
 
 #[test]
@@ -204,7 +204,7 @@ fn admit(frame: &DepthFrame) -> AdmittedFrame<'_> {
 #[test]
 fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
     let Some((_, adapter)) = device("a lost device") else { return };
-    // A device of its own: others of this process go on with theirs.
+    // An unshared device: other tests of this process keep theirs.
     let options = GpuOptions::default().with_adapter(adapter.index.to_string());
     let frame = frame();
     let frame = admit(&frame);
@@ -223,7 +223,7 @@ fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
         other => panic!("{other}"),
     };
     is_lost(lost.smooth(&frame, smoothed.as_mut()).unwrap_err());
-    // What was in flight either came back before or is lost; nothing hangs, nothing panics.
+    // Frames in flight either finished before or are lost; nothing hangs, nothing panics.
     for _ in 0..2 {
         if let Err(error) = lost.receive() {
             is_lost(error);
@@ -295,11 +295,11 @@ fn a_lack_of_memory_is_an_error_that_says_how_much() {
     match result {
         Err(EngineError::OutOfMemory { bytes, .. }) => assert_eq!(bytes, size),
         Err(other) => panic!("{other}"),
-        // A software adapter takes what it does not use from nowhere.
+        // A software adapter allocates only memory that is used.
         Ok(()) => assert_eq!(adapter.kind, crate::AdapterKind::Software),
     }
     drop(taken);
-    // The error was returned, not kept: the device goes on.
+    // The error was returned, not kept: the device still works.
     gpu.check().unwrap();
     let usual = gpu.allocate(1024, || {
         gpu.device.create_buffer(&wgpu::BufferDescriptor { label: None, size: 1024, usage, mapped_at_creation: false })

@@ -44,7 +44,7 @@ impl Uploader {
         }
     }
 
-    /// Writes a general cloud: its header, and its points from `samples` on.
+    /// Writes an unorganized cloud: its header, and its points from `samples` on.
     #[cfg(feature = "gpu")]
     pub(super) fn write_general(
         &mut self,

@@ -34,7 +34,7 @@ impl MappedView {
         self.timings
     }
 
-    /// A frame of the batch.
+    /// Returns a frame of the batch.
     fn results(&self, frame: usize) -> Results<'_> {
         Results::of_frame(&self.layout, self.mapped.as_ref().map_or(&[][..], |(bytes, _)| bytes), frame)
     }

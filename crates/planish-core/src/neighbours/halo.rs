@@ -1,9 +1,8 @@
-//! The halo of a part of a cloud: the points around the part that its own points need, to get what they get in the
-//! whole cloud.
+//! The halo of a part of a cloud: the surrounding points that give its points the same result as in the whole cloud.
 //!
-//! With a fixed radius its width is known. Radii by density are known only when they have been computed, and those of
-//! points whose neighbours are missing come out too large: a part of which too many points reach beyond the halo is
-//! computed again with a wider one.
+//! A fixed radius determines its width. Radii by density are known only after they have been computed, and come out too
+//! large if neighbours are missing. If too many points of a part reach beyond its halo, the part is computed again with
+//! a wider one.
 
 use rayon::prelude::*;
 
@@ -20,15 +19,14 @@ const GATE_REACH: f64 = 1.02;
 pub struct NeededHalo {
     /// Enough for all points but the few that reach farthest.
     pub halo_m: f64,
-    /// How many points reach beyond the halo that there is.
+    /// Number of points that reach beyond the present halo.
     pub beyond: usize,
     /// Whether those are more than allowed, so that it has to be wider.
     pub is_wider: bool,
 }
 
-/// Returns how far away, in its radii, other points influence what a point gets: radii by density follow those of the
-/// neighbours, and where edges are kept, the planes of points twice as far away count, whose own radii may be larger by
-/// the same factor.
+/// Returns how far away, in radii, other points influence a result. Radii by density follow the neighbours' radii. If
+/// edges are kept, planes of points twice as far away count, whose radii may be larger by the same factor.
 pub(crate) fn reach(params: &EngineParams) -> f64 {
     let by_density = matches!(params.radius, Radius::Neighbours { .. });
     let growth = if by_density { 2.0 } else { 1.0 };
@@ -36,8 +34,8 @@ pub(crate) fn reach(params: &EngineParams) -> f64 {
     GATE_REACH * (growth + of_planes)
 }
 
-/// Returns a width to begin with, for a part of so many points over an area: exact for a fixed radius, else about twice
-/// what points reach at that density.
+/// Returns the initial width for a part with this many points over an area: exact for a fixed radius, otherwise about
+/// twice the reach at that density.
 pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => reach(params) * f64::from(radius_m),
@@ -60,13 +58,14 @@ pub fn first_cloud_halo_m(params: &CloudParams, points: u64, area_m2: f64) -> f6
     first_halo_m(&(*params).into(), points, area_m2)
 }
 
-/// Returns the halo that a part needs, from how wide each of its points needs it. So many may reach beyond it.
+/// Returns the halo that a part needs, given the width that each of its points needs. `may_reach_beyond` points may
+/// exceed it.
 pub fn needed_halo(halo_m: f64, needed_m: &[f64], may_reach_beyond: f64) -> NeededHalo {
     let beyond = needed_m.par_iter().filter(|needed_m| **needed_m > halo_m).count();
     let above = |least_m: f64| -> Vec<f64> {
         needed_m.par_iter().copied().filter(|needed_m| needed_m.is_finite() && *needed_m > least_m).collect()
     };
-    // Of the points far from the border, which are most, none counts.
+    // Points far from the border, the majority, do not count.
     let may_be_farther = (may_reach_beyond / 2.0) as usize;
     let mut farthest_m = above(0.0);
     if farthest_m.len() <= may_be_farther {

@@ -1,9 +1,9 @@
-//! The points of a general cloud in an order that keeps neighbours together, and a tree of boxes over them.
+//! The points of an unorganized cloud in an order that keeps neighbours together, and a tree of boxes over them.
 //!
-//! Distinct positions are sorted along a Hilbert curve; runs of 16 are the leaves, runs of 8 nodes a node of the next
-//! level. The tree has no pointers: where a node's children are follows from its number, and boxes are those of the
-//! points, so that a stray point or an uneven density costs nothing elsewhere. Points at the same position become one
-//! with a count: what each of them gets is computed once.
+//! Distinct positions are sorted along a Hilbert curve; each run of 16 is a leaf, each run of 8 nodes a node of the
+//! next level. The tree has no pointers: the indices of a node's children follow from its index. Boxes are the bounds
+//! of their points, so a stray point or an uneven density is not costly elsewhere. Points at the same position become
+//! one with a count, and their result is computed once.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -20,7 +20,7 @@ pub(crate) const LEAF: usize = 16;
 const CHILDREN: usize = 8;
 /// Enough for 2^28 points.
 const MAX_LEVELS: usize = 10;
-/// The curve visits 2^16 cells along each axis; the points of a crowded cell are sorted along a curve of their own.
+/// The curve visits 2^16 cells along each axis; points of a crowded cell are sorted along a finer curve.
 const CURVE_BITS: u32 = 16;
 /// More points than this in a cell of the curve are sorted once more.
 const CROWDED: usize = 4 * LEAF;
@@ -40,10 +40,10 @@ impl Bounds {
     /// Of no point.
     pub(crate) const EMPTY: Self = Self { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
 
-    /// The box of both.
+    /// Returns the box of both.
     pub(crate) fn union(self, other: Self) -> Self {
         let of = |pick: fn(f32, f32) -> f32, [a, b]: [[f32; 3]; 2]| std::array::from_fn(|axis| pick(a[axis], b[axis]));
-        // Of a NaN and a number, min and max give the number.
+        // If one operand is NaN, min and max return the other.
         Self { low: of(f32::min, [self.low, other.low]), high: of(f32::max, [self.high, other.high]) }
     }
 
@@ -51,7 +51,7 @@ impl Bounds {
         Self { low: point, high: point }
     }
 
-    /// Whether they touch.
+    /// Returns true if they touch.
     #[inline(always)]
     pub(crate) fn overlaps(&self, other: &Self) -> bool {
         (0..3).all(|axis| self.low[axis] <= other.high[axis] && other.low[axis] <= self.high[axis])
@@ -86,7 +86,7 @@ pub(crate) struct PointIndex {
     /// The boxes of leaves, of nodes over them, and so on, up to eight nodes or fewer.
     levels: Vec<Vec<Bounds>>,
     moments: Vec<LeafMoments>,
-    /// Of the points, as [`extent_m`](super::extent_m) has it.
+    /// Extent of the points, as defined by [`extent_m`](super::extent_m).
     extent_m: f64,
     len: usize,
     keys: Vec<(u64, u32)>,
@@ -116,7 +116,7 @@ impl PointIndex {
         self.places.clear();
         self.places.par_extend((0..view.len()).into_par_iter().map(|_| AtomicU32::new(HOLE)));
         let is_repeated = |i: usize| i > 0 && bits(self.keys[i].1) == bits(self.keys[i - 1].1);
-        // Where each run of equal positions begins, if there are any.
+        // Start of each run of equal positions; `None` if all positions differ.
         let firsts: Option<Vec<u32>> = (0..self.keys.len())
             .into_par_iter()
             .any(is_repeated)
@@ -163,7 +163,7 @@ impl PointIndex {
         );
     }
 
-    /// The diagonal of the box around all points but stray ones, in metres.
+    /// Returns the diagonal of the box around all points but stray ones, in metres.
     pub(crate) fn extent_m(&self) -> f32 {
         self.extent_m as f32
     }
@@ -173,13 +173,13 @@ impl PointIndex {
         self.len
     }
 
-    /// The points of a leaf together.
+    /// Returns the points of a leaf together.
     #[inline(always)]
     pub(crate) fn moments(&self, leaf: usize) -> &LeafMoments {
         &self.moments[leaf]
     }
 
-    /// The box around the points of a leaf.
+    /// Returns the box around the points of a leaf.
     pub(crate) fn leaf_bounds(&self, leaf: usize) -> Bounds {
         self.levels[0][leaf]
     }
@@ -194,14 +194,14 @@ impl PointIndex {
         point_of(&self.positions, place)
     }
 
-    /// The place of point `i` of the cloud; `None` for a hole.
+    /// Returns the place of point `i` of the cloud; `None` for a hole.
     #[inline]
     pub(crate) fn place(&self, i: usize) -> Option<usize> {
         let place = self.places[i].load(Ordering::Relaxed);
         (place != HOLE).then_some(place as usize)
     }
 
-    /// Visits leaves in ascending order: those whose box, and that of every node over them, is `wanted`.
+    /// Visits, in ascending order, leaves whose box and all enclosing nodes are `wanted`.
     #[inline(always)]
     pub(crate) fn for_each_leaf(&self, mut wanted: impl FnMut(&Bounds) -> bool, mut visit: impl FnMut(usize, &Bounds)) {
         let Some(top) = self.levels.len().checked_sub(1) else { return };
@@ -353,8 +353,8 @@ struct Curve {
 }
 
 impl Curve {
-    /// Through all but stray points: the middle of a sample, and as much again on either side. What is outside is moved
-    /// to the border, which changes the order and nothing else.
+    /// Covers all points except strays: the middle of a sample, and its width again on either side. Points outside are
+    /// moved to the border, which affects only the order.
     fn of(raw: &[Vec<f32>; 3]) -> Self {
         let middle = raw.each_ref().map(|values| middle(values.len(), |i| f64::from(values[i])).unwrap_or_default());
         let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
@@ -393,7 +393,7 @@ impl Curve {
     }
 }
 
-/// The low 16 bits, each after two zeros.
+/// Returns the low 16 bits, each after two zeros.
 fn spread(value: u32) -> u64 {
     let value = u64::from(value & 0xffff);
     let value = (value | (value << 16)) & 0xff00_00ff;

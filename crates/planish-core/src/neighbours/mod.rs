@@ -1,4 +1,4 @@
-//! Neighbours in general clouds: sorted for the fast engines ([`PointIndex`]), and a k-d tree for the reference.
+//! Neighbours in unorganized clouds: sorted for the fast engines ([`PointIndex`]), and a k-d tree for the reference.
 
 pub mod halo;
 mod index;
@@ -16,7 +16,7 @@ pub use search::NeighbourSearch;
 /// Points from which an extent is taken.
 const SAMPLE: usize = 10_000;
 
-/// The least and the largest of some values, but for stray ones: one of a hundred on either side. `None` if none is
+/// Returns the smallest and largest of some values without one percent of strays at either end. `None` if none is
 /// finite.
 pub fn middle(len: usize, value: impl Fn(usize) -> f64) -> Option<[f64; 2]> {
     let step = len.div_ceil(SAMPLE).max(1);
@@ -27,7 +27,7 @@ pub fn middle(len: usize, value: impl Fn(usize) -> f64) -> Option<[f64; 2]> {
     Some([sample[margin], sample[last - margin]])
 }
 
-/// The diagonal of the box around all points but stray ones, in metres.
+/// Returns the diagonal of the box around all points but stray ones, in metres.
 #[cfg(feature = "reference")]
 pub(crate) fn extent_m(points: &[DVec3]) -> f64 {
     let span = |axis: usize| middle(points.len(), |i| points[i][axis]).map_or(0.0, |[low, high]| high - low);

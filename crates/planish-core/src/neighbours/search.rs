@@ -40,7 +40,7 @@ impl NeighbourSearch {
         found.sort_unstable();
     }
 
-    /// Indices of so many points nearest to p or fewer, ascending.
+    /// Returns the indices of up to `count` points nearest to p, in ascending order of distance.
     pub fn nearest(&self, p: DVec3, count: usize) -> Vec<usize> {
         let (Some(tree), Some(count)) = (&self.tree, NonZero::new(count)) else { return Vec::new() };
         let nearest = tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
@@ -49,7 +49,7 @@ impl NeighbourSearch {
         found
     }
 
-    /// The squares of the distances from p to so many nearest points or fewer, ascending.
+    /// Returns the squared distances from p to up to `count` nearest points, in ascending order.
     #[cfg(feature = "reference")]
     pub fn nearest_squares(&self, p: DVec3, count: usize) -> Vec<f64> {
         let (Some(tree), Some(count)) = (&self.tree, NonZero::new(count)) else { return Vec::new() };

@@ -97,7 +97,7 @@ impl EngineParams {
         self.stride as usize / 2
     }
 
-    /// Whether there is anything to average.
+    /// Returns true if there is anything to average.
     pub(crate) fn averages_blocks(&self) -> bool {
         self.average_blocks && self.block_half_px() > 0
     }
@@ -117,8 +117,8 @@ impl EngineParams {
     }
 }
 
-/// The distance in pixels to the planes that tell surfaces apart: a little more than the reach k s of a window, so one
-/// of them is clear of an edge that the point itself is near to.
+/// Returns the distance in pixels to the planes that tell surfaces apart: a little more than the reach k s of a window,
+/// so one of them is clear of an edge that the point itself is near to.
 pub(crate) fn edge_shift_px(reach_px: usize) -> usize {
     (13 * reach_px + 6) / 12
 }

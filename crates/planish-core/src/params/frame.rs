@@ -9,7 +9,7 @@ use crate::sensor::SensorModel;
 
 /// The range at which sensors' noise is compared, in metres.
 const TUNED_RANGE_M: f64 = 1.5;
-/// Noise below this at 1 m needs no wide windows: rounding to millimetres makes as much.
+/// Noise below this at 1 m needs no wide windows: rounding to millimetres is as large.
 const LITTLE_SIGMA_M: f64 = 3e-4;
 
 /// How the radius of a neighbourhood is found in frames (docs/method.md, section 3).

@@ -1,5 +1,4 @@
-//! The parameters of the method: one struct for frames on a grid, one for unorganized clouds, and one for what they
-//! share.
+//! The parameters of the method: a struct for frames on a grid, one for unorganized clouds, and one shared by both.
 //!
 //! A parameter without effect on an input does not exist in its type. Each default is written once, in the constructors
 //! of [`FrameParams`] and [`CloudParams`].

@@ -35,7 +35,7 @@ impl Strength {
         }
     }
 
-    /// The strength, 0 to 1.
+    /// Returns the strength, 0 to 1.
     pub const fn get(self) -> f32 {
         self.0
     }

@@ -32,7 +32,7 @@ impl WindowSize {
         (self.half_width * self.stride) as usize
     }
 
-    /// The number of samples: (2k+1)².
+    /// Returns the number of samples: (2k+1)².
     pub const fn samples(self) -> usize {
         let side = 2 * self.half_width as usize + 1;
         side * side
@@ -74,7 +74,7 @@ pub enum Window {
 }
 
 impl Window {
-    /// The size for frames of unknown resolution.
+    /// Returns the size for frames of unknown resolution.
     pub const fn nominal(self) -> WindowSize {
         match self {
             Self::Auto(size) | Self::Fixed(size) => size,

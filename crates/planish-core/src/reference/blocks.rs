@@ -13,7 +13,7 @@ use crate::params::EngineParams;
 const STEPS: f64 = 2.5;
 const HALF_WIDTHS: f64 = 3.0;
 
-/// Where edges are kept, the points of a block count up to so many times the width within which neighbours count.
+/// If edges are kept, points of a block count up to this many times the width within which neighbours count.
 const SURFACE_WIDTH: f64 = 1.5;
 /// The root of the weight of a point that is farther off.
 const MIN_WEIGHT: f64 = 0.02;
@@ -24,8 +24,8 @@ fn gate_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     (STEPS * params.sensor.step_m(geometry.range_m(p))).max(HALF_WIDTHS * width_m)
 }
 
-/// The offset from the valid point p of a pixel to the mean of its block. Where edges are kept, points count by how far
-/// they are from the surface that p lies on.
+/// Returns the offset from a valid point p to the mean of its block. If edges are kept, points are weighted by their
+/// distance from the surface of p.
 pub(super) fn mean_offset(
     grid: &Grid,
     (u, v): (usize, usize),
@@ -52,6 +52,6 @@ pub(super) fn mean_offset(
             total += weight;
         }
     }
-    // p itself has a weight, unless a block has no extent at all.
+    // p has a weight, except in a block of zero extent.
     if total > 0.0 { sum / total } else { DVec3::ZERO }
 }

@@ -1,5 +1,5 @@
-//! Edge preservation: the surface that a point lies on is found from the planes around it, and neighbours off that
-//! surface are excluded (docs/method.md, section 10). Metres.
+//! Edge preservation: finds the surface of a point from the planes around it, and excludes neighbours off that surface
+//! (docs/method.md, section 10). Metres.
 
 use glam::DVec3;
 
@@ -13,12 +13,12 @@ use crate::sensor::SensorModel;
 pub(super) const MIN_TOTAL: f64 = 5.0;
 /// The noise is at least this share of the radius.
 pub(super) const MIN_NOISE: f64 = 0.01;
-/// How much a plane's distance from p weighs beside its own residual, both squared.
+/// Weight of a plane's squared distance from p, relative to its squared residual.
 const DISTANCE_WEIGHT: f64 = 0.3;
 /// Neighbours count up to this many standard deviations of the noise from the surface.
 pub(super) const WIDTH: f64 = 1.0;
 
-/// Planes of points up to so many radii away are considered: on oblique surfaces those of a window's reach are as far.
+/// Planes of points up to this many radii away are considered: on oblique surfaces a window reaches as far.
 pub(super) const PLANE_REACH: f64 = 2.0;
 
 /// A plane that its points hardly determine counts as noisier: by this share of the noise's variance for a disc.
@@ -29,17 +29,17 @@ const MIN_INCIDENCE_COSINE: f64 = 0.05;
 /// From this much more on the plane is used wholly.
 const COSINE_FADE: f64 = 0.01;
 
-/// What it weighs that p stays where it was measured, beside the planes around it.
+/// Weight of a zero displacement of p, relative to the surrounding planes.
 pub(super) const STAY_WEIGHT: f64 = 1e-3;
-/// What the normal of p's own window weighs besides, so that there is one where no plane is near.
+/// Additional weight of the normal of p's window, which defines a normal where no plane is near.
 pub(super) const OWN_NORMAL_WEIGHT: f64 = 1e-12;
 
-/// The standard deviation of depth at a range.
+/// Returns the standard deviation of depth at a range.
 pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 {
     sensor.sigma_m(range_m).max(MIN_NOISE * radius_m)
 }
 
-/// The first planes of a frame: those of the pixels' own windows.
+/// The first planes of a frame, one per pixel, each fitted to that pixel's window.
 pub(super) struct FirstPlanes<'a, N> {
     pub(super) grid: &'a Grid,
     pub(super) surfaces: &'a [Option<Surface>],
@@ -49,9 +49,9 @@ pub(super) struct FirstPlanes<'a, N> {
 }
 
 impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
-    /// The point of a pixel, its first plane, and the variance of its points about it plus its own uncertainty, in m²:
-    /// more and more, without a limit, where the neighbours are too few, nearly on a line, or on a plane seen edge-on.
-    /// `None` for a hole, and where the limit is reached.
+    /// Returns the point of a pixel, its first plane, and the variance of its points about it plus its own uncertainty,
+    /// in m²: more and more, without a limit, where the neighbours are too few, nearly on a line, or on a plane seen
+    /// edge-on. `None` for a hole, and where the limit is reached.
     fn usable(&self, u: usize, v: usize) -> Option<(DVec3, &Plane, f64)> {
         let first = self.surfaces[v * self.grid.width + u].as_ref()?;
         let (p, plane) = (self.grid.point(u, v)?, first.plane.as_ref()?);
@@ -65,8 +65,8 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         (usable > 0.0).then(|| (p, plane, variance / usable))
     }
 
-    /// Returns the surface that p of a pixel lies on, from its own and the eight first planes around it; what its first
-    /// plane is, where there is none. The mean of its block, by its offset from p, says how far off a plane it is.
+    /// Finds the surface of p from its first plane and the eight around it; without neighbours, its first plane.
+    /// `mean_offset`, the offset of p's block mean, is used to measure its distance from planes.
     pub(super) fn surface(
         &self,
         (u, v): (usize, usize),
@@ -101,7 +101,7 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         // The foot is the same whichever way the normal points.
         let foot = height_m * normal.normalize();
         let normal = if normal.dot(p) > 0.0 { -normal.normalize() } else { normal.normalize() };
-        // The curvature, and the extent that is the unit of the fit, are those of its own window.
+        // Curvature and the extent that scales the fit come from the pixel's window.
         let plane = Plane { normal, foot, ..own_plane };
         Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, ..own })
     }

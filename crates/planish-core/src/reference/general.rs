@@ -1,4 +1,4 @@
-//! General clouds: all points within the radius are neighbours, found in a k-d tree (docs/method.md, section 8).
+//! Unorganized clouds: all points within the radius are neighbours, found in a k-d tree (docs/method.md, section 8).
 
 use std::collections::HashMap;
 
@@ -17,16 +17,16 @@ use crate::progress::Progress;
 use crate::status::Status;
 use crate::threads::Threads;
 
-/// No radius is more than so many times the mean of those around it.
+/// Maximum ratio of a radius to the mean of those around it.
 const MAX_RADIUS_RATIO: f64 = 1.5;
 
 /// No radius is smaller.
 const MIN_RADIUS_M: f64 = 1e-12;
 
-/// What is to be smoothed.
+/// The cloud to smooth.
 pub(super) struct Cloud<'a> {
     pub(super) points: &'a [DVec3],
-    /// Where it is part of a larger one, that one's.
+    /// Extent of the larger cloud, if this is a part of one.
     pub(super) extent_m: Option<f64>,
     /// With fewer a point is isolated.
     pub(super) least_neighbours: u32,
@@ -48,7 +48,8 @@ pub(super) fn smooth(
     progress: &Progress,
 ) -> Result<Vec<PointResult>, Error> {
     let &Cloud { points, extent_m: known_extent_m, least_neighbours } = cloud;
-    // Turned like the sensor, but not moved: it may stand so far away that moved points would lose digits.
+    // Rotated into the sensor's orientation but not translated: the sensor may be so far away that moved points would
+    // lose digits.
     let turn = |p: DVec3| geometry.cloud_from_sensor.map_or(p, |transform| transform.rotation.transpose() * p);
     let sensor = turn(geometry.sensor_position());
     let (places, distinct, counts) = distinct_positions(points);
@@ -96,7 +97,8 @@ pub(super) fn smooth(
     Ok(places.into_iter().map(|place| place.map_or_else(PointResult::hole, |place| results[place])).collect())
 }
 
-/// Where each finite point is among the distinct positions, those positions, and how many points are at each.
+/// Returns, for each finite point, the index of its distinct position; the distinct positions; and the number of points
+/// at each.
 fn distinct_positions(points: &[DVec3]) -> (Vec<Option<usize>>, Vec<DVec3>, Vec<u32>) {
     let (mut distinct, mut counts) = (Vec::new(), Vec::new());
     let mut place_of = HashMap::new();
@@ -115,14 +117,14 @@ fn distinct_positions(points: &[DVec3]) -> (Vec<Option<usize>>, Vec<DVec3>, Vec<
 }
 
 impl Positions {
-    /// The points within the radius of p, as offsets from it; `found` is room for the search.
+    /// Returns the points within the radius of p, as offsets from it; `found` is room for the search.
     fn neighbours(&self, p: DVec3, radius_m: f64, found: &mut Vec<usize>) -> Vec<DVec3> {
         self.search.within(p, reach_m(radius_m), found);
         let repeated = found.iter().flat_map(|&i| std::iter::repeat_n(self.points[i] - p, self.counts[i] as usize));
         repeated.filter(|&offset| fading_gate(offset, radius_m) > 0.0).collect()
     }
 
-    /// The radius at every position.
+    /// Returns the radius at every position.
     fn radii_m(&self, params: &EngineParams, extent_m: f64) -> Vec<f64> {
         let count = match params.radius {
             Radius::Neighbours { count } => count,
@@ -139,7 +141,7 @@ impl Positions {
         own_m.par_iter().enumerate().map(limited).collect()
     }
 
-    /// The radius for which the sum of 1 - d²/r² over the positions within it is `half`; at most `largest_m`.
+    /// Returns the radius for which the sum of 1 - d²/r² over the positions within it is `half`; at most `largest_m`.
     fn radius_m(&self, p: DVec3, half: f64, largest_m: f64) -> f64 {
         let mut wanted = 4 * half as usize;
         loop {
@@ -162,7 +164,7 @@ impl Positions {
         }
     }
 
-    /// The mean of the radii of the other positions within one of them, each weighing 1 - d²/r².
+    /// Returns the mean of the radii of the other positions within one of them, each weighing 1 - d²/r².
     fn mean_radius_m(&self, place: usize, radius_m: f64, own_m: &[f64]) -> f64 {
         let mut found = Vec::new();
         self.search.within(self.points[place], radius_m, &mut found);

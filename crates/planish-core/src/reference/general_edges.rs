@@ -1,5 +1,5 @@
-//! Edge preservation in general clouds: the surface that a point lies on is found from the first planes of the
-//! positions around it (docs/method.md, section 10). Metres.
+//! Edge preservation in unorganized clouds: finds the surface of a point from the first planes of the positions around
+//! it (docs/method.md, section 10). Metres.
 
 use glam::DVec3;
 
@@ -8,17 +8,17 @@ use super::edges::{DOUBT_WEIGHT, MIN_NOISE, MIN_TOTAL, OWN_NORMAL_WEIGHT, PLANE_
 use super::plane::{DEGENERATE_RATIO, Plane};
 use super::window::fading_gate;
 
-/// The mean of the positions up to this share of the radius away stands for p where its distance from a plane is asked.
+/// The mean of positions within this share of the radius replaces p when its distance from a plane is measured.
 const MEAN_REACH: f64 = 0.4;
 
-/// The weight of that distance, squared, beside the plane's own residual.
+/// Weight of that squared distance, relative to the plane's squared residual.
 const DISTANCE_WEIGHT: f64 = 0.2;
 
 /// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they
 /// face.
 const FACING_COSINE: f64 = 0.1;
 
-/// What the neighbours of a position say.
+/// First plane of a position, fitted to its neighbours.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FirstPlane {
     pub(super) surface: Surface,
@@ -34,13 +34,13 @@ impl FirstPlane {
         Self { surface, radius_m, residual }
     }
 
-    /// The surface that its position p lies on, by the first planes `around` it, its own among them, with their offsets
-    /// from p.
+    /// Finds the surface of position p from the first planes `around` it, including its first plane, each with its
+    /// offset from p.
     pub(super) fn surface(&self, around: &[(DVec3, &Self)], from_sensor: DVec3) -> Surface {
         let Some(own_plane) = self.surface.plane else { return self.surface };
         let radius_squared = self.radius_m * self.radius_m;
         let gate = |offset: DVec3| fading_gate(offset, PLANE_REACH * self.radius_m);
-        // The noise is the harmonic mean of the residuals: that of the planes that fit.
+        // The noise is the harmonic mean of the residuals, which planes that fit well dominate.
         let (mut total, mut inverse) = (0.0, 0.0);
         let (mut near, mut mean) = (0.0, DVec3::ZERO);
         for &(offset, first) in around {
@@ -75,7 +75,7 @@ impl FirstPlane {
         // The foot is the same whichever way the normal points.
         let foot = height_m * normal.normalize();
         let normal = if normal.dot(from_sensor) > 0.0 { -normal.normalize() } else { normal.normalize() };
-        // The curvature, and the extent that is the unit of the fit, are those of its own neighbours.
+        // Curvature and the extent that scales the fit come from the position's neighbours.
         let plane = Plane { normal, foot, ..own_plane };
         Surface { plane: Some(plane), width_m: WIDTH * noise_squared.sqrt(), ..self.surface }
     }

@@ -2,8 +2,8 @@
 //! engines, so it shares no code with them and is never optimised.
 //!
 //! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and
-//! [`solve`] (5, 6), [`project`] (7), [`edges`] (10). General clouds differ in the neighbours only: [`general`] (8).
-//! All compute in the sensor's frame (11); results are turned back at the end.
+//! [`solve`] (5, 6), [`project`] (7), [`edges`] (10). Unorganized clouds differ in the neighbours only: [`general`]
+//! (8). All compute in the sensor's frame (11); results are turned back at the end.
 
 mod blocks;
 mod edges;
@@ -52,13 +52,13 @@ impl PointResult {
         Self { displacement, depth_scale: f64::NAN, normal, curvature: f64::NAN, status: Status::Hole, neighbours: 0 }
     }
 
-    /// The same of a point that stays where it is although it has too few neighbours.
+    /// Returns the result of a point that is kept unmoved because it has too few neighbours.
     fn kept(self) -> Self {
         Self { displacement: DVec3::ZERO, depth_scale: 1.0, status: Status::Isolated, ..self }
     }
 }
 
-/// What a point lies on, relative to it.
+/// The surface of a point, relative to it.
 #[derive(Debug, Clone, Copy)]
 struct Surface {
     /// Of its own window.
@@ -70,14 +70,14 @@ struct Surface {
 }
 
 impl Surface {
-    /// The plane of a point's own neighbours (section 4), given as offsets from it.
+    /// Returns the plane of a point's own neighbours (section 4), given as offsets from it.
     fn own(offsets: &[DVec3], radius_m: f64, ray: DVec3) -> Self {
         let plane = if offsets.len() < 3 { None } else { plane::fit(offsets, radius_m, ray) };
         Self { neighbours: offsets.len() as u32, plane, width_m: f64::INFINITY }
     }
 }
 
-/// Sections 5 to 7 for one point over the surface that it lies on.
+/// Applies sections 5 to 7 to one point over its surface.
 fn smooth_point(
     p: DVec3,
     sensor: DVec3,
@@ -131,7 +131,7 @@ impl Reference {
         Ok(Self { params, threads: Threads::open(threads)?, progress: Arc::default() })
     }
 
-    /// The points as measured, in the cloud's frame, and their results in the sensor's.
+    /// Returns the points as measured, in the cloud's frame, and their results in the sensor's.
     fn results(&self, frame: &AdmittedFrame<'_>) -> Result<(Vec<DVec3>, Vec<PointResult>), Error> {
         let points: Vec<DVec3> = match frame.frame {
             Frame::Depth(depth) => {
@@ -208,12 +208,12 @@ impl Reference {
         radius::radius_m(&self.params, geometry, p)
     }
 
-    /// The neighbours of p of a pixel, as offsets from it.
+    /// Returns the neighbours of p of a pixel, as offsets from it.
     fn neighbours(&self, samples: &Grid, geometry: &FrameGeometry, p: DVec3, pixel: (usize, usize)) -> Vec<DVec3> {
         window::neighbours(samples, pixel, p, &self.params, self.radius_m(geometry, p))
     }
 
-    /// What `mean` gives for every valid point and its pixel, as a grid.
+    /// Evaluates `mean` for every valid point and its pixel, as a grid.
     fn samples(&self, grid: &Grid, mean: impl Fn(DVec3, (usize, usize)) -> DVec3 + Sync) -> Grid {
         Grid { points: self.for_each_pixel(grid, DVec3::NAN, mean), width: grid.width, height: grid.height }
     }
@@ -276,7 +276,7 @@ mod tests {
     use crate::pose::SensorPose;
     use crate::testing::{DepthNoise, Pose, Scene, simulated};
 
-    /// A noisy frame of 96x72 points.
+    /// Returns a noisy frame of 96x72 points.
     fn noisy_points(scene: (Scene, Pose)) -> Vec<[f64; 3]> {
         let camera = Camera::new((96, 72), [78.75; 2], [47.5, 35.5]);
         let frame = simulated(scene, DepthNoise::default(), camera, 2);
@@ -331,7 +331,7 @@ mod tests {
                     if !found.status.has_point() {
                         continue;
                     }
-                    // What the engine gives, against what it gives of the cloud that was not moved, moved.
+                    // Compares with the result for the original cloud, moved.
                     let found_m = points[i] + rotation * found.displacement;
                     let own_m = DVec3::from_array(own[i]) + expected.displacement;
                     let off_m = (found_m - (transform.rotation * own_m + transform.translation)).length();

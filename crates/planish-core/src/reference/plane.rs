@@ -10,7 +10,7 @@ use crate::eigen::symmetric_eigen;
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
 pub(super) const DEGENERATE_RATIO: f64 = 1e-4;
 
-/// More doubt than this makes no difference.
+/// Larger doubt has no effect.
 const MAX_DOUBT: f64 = 1e6;
 
 /// The plane, in coordinates relative to p.
@@ -22,8 +22,7 @@ pub(super) struct Plane {
     pub foot: DVec3,
     /// Variance along the normal, l0, in m².
     pub smallest_variance: f64,
-    /// How little the points determine the normal: l2/(l1 - l0), 1 for a disc and more, up to [`MAX_DOUBT`], for what
-    /// is nearly a line.
+    /// Uncertainty of the normal, l2/(l1 - l0): 1 for a disc, up to [`MAX_DOUBT`] for points close to a line.
     pub doubt: f64,
     /// Variance along the middle principal axis, l1, in m².
     pub middle_variance: f64,

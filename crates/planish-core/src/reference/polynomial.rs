@@ -26,13 +26,14 @@ fn coefficient_count(degree: u32) -> usize {
     ((degree + 1) * (degree + 2) / 2) as usize
 }
 
-/// The exponents (i, j) of the monomials a^i b^j up to a degree, ordered by degree: 1, a, b, a², ab, b², a³, ...
+/// Returns the exponents (i, j) of the monomials a^i b^j up to a degree, ordered by degree: 1, a, b, a², ab, b², a³,
+/// ...
 fn monomials(degree: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..=degree).flat_map(|total| (0..=total).map(move |j| (total - j, j)))
 }
 
-/// The weight of a monomial in the ridge, so that the ridge is the same in every frame: the binomial norm of the
-/// derivatives.
+/// Returns the weight of a monomial in the ridge, so that the ridge is the same in every frame: the binomial norm of
+/// the derivatives.
 fn ridge_weight((i, j): (u32, u32)) -> f64 {
     if i + j == 0 {
         return 0.0;

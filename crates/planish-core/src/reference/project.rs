@@ -17,7 +17,7 @@ pub(super) struct Projected {
     pub displacement: DVec3,
     pub normal: DVec3,
     pub status: Status,
-    /// The depth at which the ray meets the surface, over that of the measured point.
+    /// Depth of the intersection of ray and surface, divided by the depth of the measured point.
     pub depth_scale: f64,
 }
 

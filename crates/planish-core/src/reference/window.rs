@@ -14,7 +14,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// The point of pixel (u, v), unless it is a hole.
+    /// Returns the point of pixel (u, v), unless it is a hole.
     pub fn point(&self, u: usize, v: usize) -> Option<DVec3> {
         let p = self.points[v * self.width + u];
         p.is_finite().then_some(p)
@@ -35,7 +35,7 @@ pub(super) fn reach_m(radius_m: f64) -> f64 {
     radius_m * (1.0 + 0.5 * FADE).sqrt()
 }
 
-/// The neighbours q of the valid point p of pixel (u, v) among the samples, as q - p, in row order.
+/// Returns the neighbours q of the valid point p of pixel (u, v) among the samples, as q - p, in row order.
 pub(super) fn neighbours(
     samples: &Grid,
     (u, v): (usize, usize),

@@ -7,12 +7,12 @@ use crate::frame::{Frame, PointsView, RangeRule};
 /// Pixels between the three depths of a second difference: far enough that noise is hardly correlated, near enough that
 /// most surfaces are straight.
 const LAG_PX: usize = 4;
-/// Second differences beyond this share of all are those of edges.
+/// Second differences beyond this quantile are attributed to edges.
 const STRAIGHT_SHARE: f64 = 0.75;
 /// The mean of the others, of independent normal noise, is this many of its deviations: 0.515 sqrt(6). (Their median
 /// would jump from one whole depth step to the next.)
 const MEAN_DEVIATIONS: f64 = 1.262;
-/// Fewer second differences than this say nothing, of a frame or of one interval of its ranges.
+/// Minimum number of second differences in a frame, and in an interval of its ranges.
 const MIN_SAMPLES: usize = 1000;
 /// Ranges are cut into intervals by this ratio.
 const INTERVAL_RATIO: f64 = 1.25;
@@ -24,7 +24,7 @@ const WORTHWHILE: f64 = 0.5;
 const MAX_SIGMA_M: f64 = 0.1;
 const MAX_STEP_M: f64 = 0.2;
 
-/// What is measured in one interval of ranges.
+/// Measurements in one interval of ranges.
 struct Interval {
     range_m: f64,
     value_m: f64,
@@ -35,9 +35,9 @@ impl SensorModel {
     /// Estimates the model from a frame: the step from the gaps between the ranges that occur, the noise from how much
     /// ranges in a row deviate from a straight line. `None` where too little is seen, or ranges are unknown.
     ///
-    /// Both are robust means over intervals of the range, and as many coefficients are fitted as the spread of ranges
-    /// supports: one surface at 1 m says nothing of how noise grows, and gets the z² law. A scene of nothing but leaves
-    /// is taken for noise.
+    /// Both are robust means over intervals of the range. The number of coefficients depends on the spread of ranges: a
+    /// single surface at 1 m cannot show how noise grows with range, and gets the z² law. In a scene of foliage,
+    /// texture is mistaken for noise.
     pub fn estimate(cloud: &OrganizedCloud) -> Option<Self> {
         Self::estimate_from(Frame::Points(PointsView::from_organized(cloud).ok()?))
     }
@@ -78,7 +78,7 @@ impl SensorModel {
         let gaps: Vec<(f64, f64)> = sorted.windows(2).map(|pair| (pair[0], pair[1] - pair[0])).collect();
 
         let sigma = fit(&intervals(&bends, MIN_SAMPLES, lower_mean), MAX_SIGMA_M)?;
-        // Of exact depths nearly every one is its own: gaps between them are no steps, and next to nothing.
+        // Exact depths are nearly all distinct: the gaps between them are tiny and no depth steps.
         let step = fit(&intervals(&gaps, MIN_SAMPLES / 50, median), MAX_STEP_M).unwrap_or_default();
         // Rounding to the step is noise too, and the radius must reach over the noise.
         let rounding = step.map(|c| c / 12f64.sqrt());
@@ -95,8 +95,8 @@ fn larger(a: [f64; 3], b: [f64; 3], samples: &[(f64, f64)]) -> [f64; 3] {
     if at(a) >= at(b) { a } else { b }
 }
 
-/// What is typical of the values over intervals of the range that have enough samples; all samples as one where none
-/// has.
+/// Returns the typical value in each interval of the range with enough samples; over all samples if no interval has
+/// enough.
 fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64]) -> f64) -> Vec<Interval> {
     let mut by_interval: std::collections::BTreeMap<i32, Vec<(f64, f64)>> = Default::default();
     for &(range_m, value_m) in samples {
@@ -114,8 +114,8 @@ fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64])
     if found.is_empty() && !samples.is_empty() { vec![measure(samples)] } else { found }
 }
 
-/// The polynomial with the fewest coefficients that fits the intervals, none below zero: c2 alone, then with c0, then
-/// all.
+/// Returns the polynomial with the fewest coefficients that fits the intervals, none below zero: c2 alone, then with
+/// c0, then all.
 fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
     let nearest = intervals.iter().map(|i| i.range_m).fold(f64::INFINITY, f64::min);
     let farthest = intervals.iter().map(|i| i.range_m).fold(0.0, f64::max);
@@ -134,7 +134,7 @@ fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
         }
     }
     let (coefficients, _) = best?;
-    // A frame of one wall at one depth has no gap to speak of, and one of noise has few depths: a bound keeps either
+    // A frame of one wall at one depth has almost no gaps, and a frame of noise few distinct depths: a bound keeps both
     // usable.
     Some(coefficients.map(|c| c.min(max_at_1m)))
 }
@@ -187,7 +187,7 @@ fn least_squares(intervals: &[Interval], powers: &[i32]) -> Option<([f64; 3], f6
     Some((coefficients, residual))
 }
 
-/// The mean of all but the largest.
+/// Returns the mean of all but the largest.
 fn lower_mean(values: &mut [f64]) -> f64 {
     let count = ((values.len() as f64 * STRAIGHT_SHARE) as usize).clamp(1, values.len());
     let (lower, last, _) = values.select_nth_unstable_by(count - 1, f64::total_cmp);

@@ -1,4 +1,4 @@
-//! What a session reports in addition to results.
+//! Events that a session reports in addition to results.
 
 use std::fmt;
 

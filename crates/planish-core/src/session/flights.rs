@@ -61,7 +61,7 @@ impl Session {
         }
     }
 
-    /// Waits for the result of the oldest frame in flight; `None` if there is none.
+    /// Waits for the oldest frame in flight and returns its result; `None` if no frame is in flight.
     ///
     /// # Errors
     /// If something is wrong with that frame, or the engine fails and nothing may take over.

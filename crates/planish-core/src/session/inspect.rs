@@ -24,7 +24,7 @@ impl Session {
         self.estimated
     }
 
-    /// Returns the devices that are left of those of the settings.
+    /// Returns the devices that still work.
     pub fn devices(&self) -> &[FleetDevice] {
         &self.devices
     }
@@ -44,7 +44,7 @@ impl Session {
         self.open.as_ref()?.one()?.gpu_name()
     }
 
-    /// Returns why `Auto` chose its engine; `None` if the engine was asked for by name.
+    /// Returns why `Auto` chose its engine; `None` if the settings name the engine.
     pub fn chosen_because(&self) -> Option<&ChoiceReason> {
         self.open.as_ref()?.one()?.chosen_because()
     }

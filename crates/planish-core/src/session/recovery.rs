@@ -14,7 +14,7 @@ pub enum Recovery {
     Fail,
 }
 
-/// Failures of the GPU so far: after the first it is reopened, after the second it is given up.
+/// Number of GPU failures so far: after the first the GPU is reopened, after the second it is abandoned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GpuLosses {
     has_reopened: bool,
@@ -22,8 +22,8 @@ pub struct GpuLosses {
 }
 
 impl GpuLosses {
-    /// Decides what to do after an error. A GPU that never opened is not a lost one; `was_open` says that it has
-    /// smoothed, and `may_use_cpu` that the CPU engine may take over.
+    /// Decides how to recover from an error. A GPU that never opened was not lost; `was_open` is true if it has
+    /// smoothed, and `may_use_cpu` if the CPU engine may replace it.
     pub fn next(&mut self, error: &Error, was_gpu: bool, was_open: bool, may_use_cpu: bool) -> Recovery {
         let is_loss = matches!(error, Error::Engine(error) if !matches!(error, EngineError::Stopped));
         // While it is opened again, nothing is open.

@@ -4,9 +4,9 @@ use super::Settings;
 use crate::engines::Engine;
 
 impl Settings {
-    /// Overrides settings with all that `over` sets. What would contradict them is dropped: a strength under a preset,
-    /// neighbours under a radius, an adapter under another engine than the GPU, an engine and an adapter under devices,
-    /// and the reverse.
+    /// Overrides settings with everything that `over` sets. Contradicted settings are dropped: a strength under a
+    /// preset, neighbours under a radius, an adapter under an engine other than the GPU, an engine and an adapter under
+    /// devices, and the reverse.
     ///
     /// ```
     /// let mut settings: planish::Settings = "strength=0.3 engine=gpu adapter=0".parse()?;

@@ -92,7 +92,7 @@ pub struct Settings {
     pub remove_floating: Option<bool>,
     /// Whether isolated points of unorganized clouds become holes [default: no].
     pub remove_isolated: Option<bool>,
-    /// Half width of the window in samples, 1 to 7. With neither window nor stride, both follow the frame's resolution.
+    /// Half-width of the window in samples, 1 to 7. With neither window nor stride, both follow the frame's resolution.
     pub window: Option<u32>,
     /// Distance between samples in pixels, 1 to 8.
     pub stride: Option<u32>,
@@ -139,7 +139,8 @@ const SENSORS: &str =
     "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, auto or an object of step and sigma";
 const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours";
 /// Allowed values of the field `settings`.
-const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, average_blocks, \
+const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, \
+                      average_blocks, \
                       radius_m, neighbours, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, outputs";
 
 impl Settings {
@@ -171,7 +172,7 @@ impl Settings {
     /// [`SettingValue::None`] clears the field.
     ///
     /// # Errors
-    /// If there is no such field, or the value is none of its values. Ranges of single numbers are checked here too.
+    /// If the name is unknown or the value invalid. Ranges of single numbers are checked here too.
     pub fn set(&mut self, name: &str, value: impl Into<SettingValue>) -> Result<(), ParamError> {
         let value = value.into();
         match name {
@@ -209,23 +210,31 @@ impl Settings {
         self.check_ranges()?;
         let contradiction = |field, value: &str, allowed| Err(ParamError { field, value: value.to_owned(), allowed });
         if self.preset.is_some() && self.strength.is_some() {
-            return contradiction("strength", "given beside a preset", "only without a preset: give one of the two");
+            return contradiction(
+                "strength",
+                "set together with a preset",
+                "only without a preset; set one of the two",
+            );
         }
         if self.radius.is_some() && self.neighbours.is_some() {
-            return contradiction("neighbours", "given beside a radius", "only without radius_m: give one of the two");
+            return contradiction(
+                "neighbours",
+                "set together with a radius",
+                "only without radius_m; set one of the two",
+            );
         }
         if let Some(adapter) = &self.adapter {
             if self.engine() != Engine::Gpu {
-                return contradiction("adapter", adapter, "only with the engine gpu: it chooses among GPUs");
+                return contradiction("adapter", adapter, "only with the engine gpu");
             }
             if self.devices.is_some() {
-                return contradiction("adapter", adapter, "only without devices: give one of the two");
+                return contradiction("adapter", adapter, "only without devices; set one of the two");
             }
         }
         if let Some(devices) = &self.devices
             && !matches!(self.engine(), Engine::Auto | Engine::Gpu)
         {
-            return contradiction("devices", devices, "without an engine: the list names the devices");
+            return contradiction("devices", devices, "only without an engine, which the list chooses");
         }
         Ok(())
     }
@@ -368,7 +377,7 @@ fn edges_of(value: &SettingValue) -> Result<Option<Edges>, ParamError> {
 fn radius_of(value: SettingValue) -> Result<Option<RadiusChoice>, ParamError> {
     match value.text().as_deref() {
         Some("sensor") => Ok(Some(RadiusChoice::Sensor)),
-        _ => Ok(value.number("radius_m", "metres, as 0.03, or sensor")?.map(RadiusChoice::Metres)),
+        _ => Ok(value.number("radius_m", "metres, such as 0.03, or sensor")?.map(RadiusChoice::Metres)),
     }
 }
 

@@ -19,7 +19,7 @@ impl Settings {
             return Ok(Resolved { params, floating_sensor: None, unused: self.unused_by_clouds() });
         }
         let sensor = self.known_sensor().or_else(|| SensorModel::estimate_from(frame)).ok_or_else(|| {
-            let allowed = "a sensor by name, as kinect1: this frame has too few depths to estimate one from";
+            let allowed = "a named sensor such as kinect1, since this frame has too few depths for an estimate";
             ParamError { field: "sensor", value: "auto".into(), allowed }
         })?;
         let params = self.checked_frame_params(sensor)?.into();
@@ -34,8 +34,8 @@ impl Settings {
     pub fn frame_params(&self) -> Result<FrameParams, ParamError> {
         self.validate()?;
         let sensor = self.known_sensor().ok_or_else(|| {
-            let allowed = "a sensor by name: there is no frame yet to estimate one from (`planish info` reports the nearest \
-                           sensor of a frame)";
+            let allowed = "a named sensor, since there is no frame yet for an estimate (`planish info` reports the \
+                           nearest sensor of a frame)";
             ParamError { field: "sensor", value: "auto".into(), allowed }
         })?;
         self.checked_frame_params(sensor)
@@ -48,11 +48,11 @@ impl Settings {
     pub fn cloud_params(&self) -> Result<CloudParams, ParamError> {
         self.validate()?;
         if self.radius == Some(RadiusChoice::Sensor) {
-            let allowed = "neighbours or a radius in metres for unorganized clouds; sensor is for frames on a grid";
+            let allowed = "neighbours or a radius in metres for unorganized clouds; sensor applies to frames on a grid";
             return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
         }
         if self.remove_floating == Some(true) {
-            let allowed = "only frames on a grid: it needs the pixels around each point";
+            let allowed = "only frames on a grid, since it needs the pixels around each point";
             return Err(ParamError { field: "remove_floating", value: "true".into(), allowed });
         }
         Ok(self.cloud_params_unchecked())
@@ -69,7 +69,7 @@ impl Settings {
 
     fn checked_frame_params(&self, sensor: SensorModel) -> Result<FrameParams, ParamError> {
         if let Some(count) = self.neighbours {
-            let allowed = "a radius for frames on a grid; neighbours are for unorganized clouds";
+            let allowed = "a radius for frames on a grid; neighbours apply to unorganized clouds";
             return Err(ParamError { field: "neighbours", value: count.to_string(), allowed });
         }
         self.frame_params_for(sensor)

@@ -75,10 +75,10 @@ impl<'de> Deserialize<'de> for Settings {
             type Value = Settings;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an object of settings, as {\"preset\": \"strong\"}")
+                f.write_str("an object of settings, such as {\"preset\": \"strong\"}")
             }
 
-            /// An empty file.
+            /// Returns an empty file.
             fn visit_unit<E>(self) -> Result<Settings, E> {
                 Ok(Settings::default())
             }
@@ -116,7 +116,7 @@ impl<'de> Deserialize<'de> for SettingValue {
             type Value = SettingValue;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a number, a text, true, false, or a list of texts")
+                f.write_str("a number, a string, true, false, or a list of strings")
             }
 
             fn visit_bool<E>(self, value: bool) -> Result<SettingValue, E> {

@@ -39,7 +39,7 @@ pub struct RangeReport {
     pub rmse_mm: f64,
     /// Mean of that distance, positive towards the camera, in millimetres.
     pub bias_mm: f64,
-    /// The same in depth steps of a Kinect v1.
+    /// Bias in depth steps of a Kinect v1.
     pub bias_steps: f64,
     /// Mean angle between the normal and the true one, in degrees.
     pub normal_mean_deg: f64,
@@ -47,8 +47,8 @@ pub struct RangeReport {
     pub normal_median_deg: f64,
     /// Share of normals off by less than 10°.
     pub normal_under_10_deg: f64,
-    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees: what a mesh or a shader
-    /// shows.
+    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees. A mesh or a shader makes it
+    /// visible.
     pub facet_mean_deg: f64,
     /// Angle that 95 % of the facets keep below.
     pub facet_95_deg: f64,
@@ -73,7 +73,7 @@ pub struct AngleReport {
     pub facet_mean_deg: f64,
 }
 
-/// The scores of a method on the suite. What could not be measured is NaN (null in JSON).
+/// The scores of a method on the suite. Scores that could not be measured are NaN (null in JSON).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Report {
@@ -161,7 +161,7 @@ fn mean_deg(angles: &[f32]) -> f64 {
     angles.iter().map(|&deg| f64::from(deg)).sum::<f64>() / angles.len() as f64
 }
 
-/// The value that a share of the values lie below; NaN for none.
+/// Returns the value that a share of the values lie below; NaN for none.
 fn quantile(values: &[f32], share: f64) -> f64 {
     let mut values = values.to_vec();
     let at = (values.len() as f64 * share) as usize;
@@ -279,7 +279,7 @@ impl Evaluation {
     /// The angle between planes through the points on either side of the edge, piece by piece along it.
     fn add_crease(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz) {
         let (width, height) = (truth.camera.width, truth.camera.height);
-        // Where a row passes from the left face to the right one.
+        // The column at which a row passes from the left face to the right one.
         let edge = |v: usize| -> Option<usize> {
             let row = v * width;
             (CREASE_PX..width.saturating_sub(CREASE_PX)).find(|&u| {
@@ -365,8 +365,8 @@ pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     if results.is_empty() { f64::NAN } else { 1e3 * stir.rms() }
 }
 
-/// The unit normal of the triangle between pixel i and its right and lower neighbours, where all three are `usable` and
-/// have points; zero for one without an area, which counts as edge-on.
+/// Returns the unit normal of the triangle between pixel i and its right and lower neighbours, where all three are
+/// `usable` and have points; zero for one without an area, which counts as edge-on.
 pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Option<DVec3> {
     let [right, below] = [i + 1, i + width];
     if right % width == 0

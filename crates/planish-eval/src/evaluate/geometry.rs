@@ -14,17 +14,17 @@ pub(super) fn angle_deg(a: DVec3, b: DVec3) -> f64 {
     a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()
 }
 
-/// The depth step of a Kinect v1.
+/// Returns the depth step of a Kinect v1.
 pub(super) fn step_m(z: f64) -> f64 {
     SensorModel::KINECT_V1.step_m(z)
 }
 
-/// Whether the point of pixel i is on no surface.
+/// Returns true if the point of pixel i is on no surface.
 pub(super) fn floats(truth: &Truth, i: usize, p: DVec3) -> bool {
     distance_to_surface(truth, i, p) > FLYING_M.max(3.0 * step_m(p.z))
 }
 
-/// Returns what the camera measured at pixel i.
+/// Returns the point that the camera measured at pixel i.
 pub(super) fn measured_point(frame: &DepthFrame, i: usize, raw: u16) -> DVec3 {
     let camera = &frame.camera;
     let (u, v, z) = ((i % camera.width) as f64, (i / camera.width) as f64, f64::from(camera.depth_m(raw)));

@@ -1,6 +1,7 @@
 //! Surface quality: against the ground truth of simulated frames, or without one.
 //!
-//! [`Suite`] has the frames, [`Evaluation`] the scores of any method on them. [`tile_planes`] needs no ground truth.
+//! [`Suite`] renders the frames, [`Evaluation`] computes the scores of a method on them. [`tile_planes`] needs no
+//! ground truth.
 
 mod evaluation;
 mod geometry;
@@ -31,8 +32,8 @@ pub struct Errors {
 
 /// Compares points and normals with the truth over the pixels that `selected` is true for.
 ///
-/// The distance is to the tangent plane of the true surface at the pixel, so that a shift along the surface is no
-/// error. Pixels without a point are skipped; pixels without a normal are skipped only in the normal error.
+/// The distance is measured to the tangent plane of the true surface at the pixel, so a shift along the surface is not
+/// an error. Pixels without a point are skipped; pixels without a normal are skipped only in the normal error.
 pub fn errors(truth: &Truth, points: &Xyz, normals: &Xyz, selected: impl Fn(usize) -> bool) -> Errors {
     let (mut pixels, mut squares, mut with_normal, mut angles) = (0usize, 0.0, 0usize, 0.0);
     for i in (0..truth.objects.len()).filter(|&i| truth.objects[i] != NO_OBJECT && selected(i)) {

@@ -1,4 +1,4 @@
-//! A measure of general clouds that needs no ground truth: how flat the surface is patch by patch.
+//! A metric for unorganized clouds without ground truth: the flatness of the surface in patches.
 
 use glam::{DMat3, DVec3};
 use serde::Serialize;
@@ -32,10 +32,10 @@ pub struct PatchReport {
     pub normal_deg: f64,
 }
 
-/// Fits planes to patches: points spread evenly over the file, each with its nearest ones, 64 together. Which points
-/// form a patch, and whether they lie on one surface, is decided by those `measured`, so that every method is measured
-/// on the same patches, but for those of which it leaves fewer than 12 points; `points` and `normals` are one for each
-/// of them.
+/// Fits planes to patches of 64 points: seeds spread evenly over the file, each with its nearest points. The `measured`
+/// positions decide which points form a patch and whether they are on one surface, so every method is scored on the
+/// same patches, except those of which it leaves fewer than 12 points. `points` and `normals` correspond to `measured`
+/// one to one.
 ///
 /// # Errors
 /// [`EngineError::Unavailable`](planish_core::EngineError::Unavailable) for more points than the search takes.

@@ -13,12 +13,12 @@ use planish_core::{Camera, DepthFrame, FrameError, Xyz};
 /// Surfaces are measured at these ranges from the camera that has them, in metres.
 const RANGE_M: std::ops::Range<f32> = 0.5..1.5;
 
-/// A camera sees a point if its surface there is no farther from it, in metres.
+/// A camera sees a point if its surface at that pixel is at most this far from it, in metres.
 const SEEN_WITHIN_M: f64 = 0.01;
 
-/// Doubled surfaces are measured by the mean distance of two cameras' over blocks of so many pixels.
+/// Doubled surfaces are measured by the mean distance between two cameras' points over blocks of this many pixels.
 const BLOCK_PX: usize = 8;
-/// Of which so many must have points of both.
+/// Minimum number of pixels of a block with points of both cameras.
 const BLOCK_LEAST: usize = 32;
 
 /// Simulated rigs: cameras round a table.
@@ -41,7 +41,7 @@ impl RigSuite {
         Self { cameras, camera, noise, errors: PoseErrors::default() }
     }
 
-    /// The case of a seed.
+    /// Returns the case of a seed.
     pub fn case(&self, seed: u64) -> Result<RigCase, FrameError> {
         let scene = RigScene::tabletop(seed, self.cameras);
         let stated = scene.poses_with_errors(self.errors, seed);
@@ -67,22 +67,22 @@ pub struct RigCase {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RigCaseCamera {
-    /// What a perfect camera would see.
+    /// The frame of a perfect camera.
     pub truth: Truth,
     /// What the camera sees.
     pub frame: DepthFrame,
     /// Where it stands.
     pub pose: Pose,
-    /// Where it is said to stand.
+    /// The stated pose, with calibration errors.
     pub stated: Pose,
 }
 
-/// The scores of a way to smooth rigs, over surfaces at 0.5 to 1.5 m. What could not be measured is NaN (null in JSON).
+/// The scores of a method for rigs, over surfaces at 0.5 to 1.5 m. Scores that could not be measured are NaN (null in
+/// JSON).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RigReport {
-    /// Where several cameras see a flat surface: root of the mean squared distance to it along its normal, in
-    /// millimetres.
+    /// On flat surfaces seen by several cameras: root mean squared distance along the normal, in millimetres.
     pub overlap_rmse_mm: f64,
     /// The same where one camera sees it.
     pub single_rmse_mm: f64,
@@ -127,7 +127,7 @@ impl RigEvaluation {
             case.cameras.iter().map(|camera| flat_pixels(&camera.truth, FLAT_MARGIN_PX)).collect();
         for (i, (camera, points)) in case.cameras.iter().zip(results).enumerate() {
             let (truth, is_flat) = (&camera.truth, &flat[i]);
-            // Where the true camera would have the points that were placed by the stated pose.
+            // Transforms points placed by the stated pose into the true camera's frame.
             let placed = |p: DVec3| to_camera(&camera.pose, to_world(&camera.stated, p));
             let in_range = |p: usize| RANGE_M.contains(&truth.points.z()[p]);
             let seen_by = seen_by(case, i);
@@ -246,7 +246,8 @@ mod tests {
             report.overlap_rmse_mm < 1e-3 && report.single_rmse_mm < 1e-3 && report.edge_mean_mm < 1e-3,
             "{report:?}"
         );
-        // What is left are pixels: the two points are up to a pixel of this coarse camera apart along curved surfaces.
+        // The remaining error is pixel quantization: on curved surfaces the two points are up to a pixel of this coarse
+        // camera apart.
         assert!(report.ghosting_mm < 0.1, "{report:?}");
     }
 

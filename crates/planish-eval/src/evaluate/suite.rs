@@ -18,7 +18,7 @@ impl Default for Suite {
     }
 }
 
-/// What is measured on a frame.
+/// Metrics of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Gauges {
@@ -33,7 +33,7 @@ pub enum Gauges {
 pub struct Case {
     /// A name for files: scene and seed.
     pub name: String,
-    /// What a perfect camera would see.
+    /// The frame of a perfect camera.
     pub truth: Truth,
     /// What the camera sees.
     pub frame: DepthFrame,

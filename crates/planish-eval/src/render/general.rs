@@ -1,15 +1,15 @@
-//! General clouds as pictures: what is seen of them from a direction, far away.
+//! Pictures of unorganized clouds: an orthographic view from a direction.
 
 use glam::{DMat3, DVec3};
 
 use planish_core::{FrameError, OrganizedCloud, ParamError, PointCloud, Xyz};
 
-/// Points that this share of the others exceeds on either side do not determine what is in the picture.
+/// The outermost share of points on either side is ignored when the extent of the picture is determined.
 const STRAY_SHARE: f64 = 0.002;
 /// Empty space around the points, as a share of the picture.
 const MARGIN: f64 = 0.02;
-/// Points that are not further behind the nearest of their pixel than so many pixels are of one surface: their mean is
-/// drawn.
+/// Points at most this many pixel widths behind the nearest point of their pixel belong to one surface; the picture
+/// shows their mean.
 const SURFACE_PIXELS: f32 = 3.0;
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 /// Pixels around its own that a point of a sparse cloud covers at most.
@@ -17,15 +17,15 @@ const MOST_SPREAD: i64 = 8;
 /// Pixels for each point at most: a picture of few points is a small one.
 const PIXELS_A_POINT: f64 = 40.0;
 
-/// What is seen of a cloud from a direction (from the points towards the viewer), as a grid of points in the viewer's
-/// frame: x to the right, y down, z away, in metres.
+/// Projects a cloud orthographically in a direction (from the points towards the viewer) to a grid of points in the
+/// viewer's frame: x to the right, y down, z away, in metres.
 ///
 /// The longer side has at most `longest_side` pixels. Each has the mean depth of the front surface's points and the
-/// fields of the nearest; `normal_x`, `normal_y` and `normal_z` are the cloud's own, else those of the picture's
-/// positions.
+/// fields of the nearest. `normal_x`, `normal_y` and `normal_z` are the cloud's if it has normals, otherwise computed
+/// from the picture's positions.
 ///
 /// # Errors
-/// If the direction is no direction, or the cloud has no points.
+/// If the direction is zero or not finite, or the cloud is empty.
 pub fn seen_from(cloud: &PointCloud, direction: [f64; 3], longest_side: usize) -> Result<OrganizedCloud, FrameError> {
     DistantView::of(cloud, direction, longest_side)?.see(cloud)
 }
@@ -45,7 +45,7 @@ impl DistantView {
     /// The view of a cloud from a direction; see [`seen_from`].
     ///
     /// # Errors
-    /// If the direction is no direction, or the cloud has no points.
+    /// If the direction is zero or not finite, or the cloud is empty.
     pub fn of(cloud: &PointCloud, direction: [f64; 3], longest_side: usize) -> Result<Self, FrameError> {
         let towards = DVec3::from_array(direction).try_normalize().ok_or_else(|| {
             let allowed = "a direction: three numbers, not all zero";
@@ -133,7 +133,7 @@ impl DistantView {
         points.pose = planish_core::SensorPose::IDENTITY;
         let normals = own_normals(&points, viewer_from_cloud)
             .unwrap_or_else(|| super::difference_normals(width, height, &points.positions));
-        // All rays are parallel: what is seen faces against z.
+        // All rays are parallel: visible surfaces face -z.
         let facing: Xyz = normals.iter().map(|n| if n[2] > 0.0 { n.map(|value| -value) } else { n }).collect();
         for (name, values) in NORMALS.into_iter().zip(facing.into_arrays()) {
             points.set_attribute(name, values);
@@ -142,13 +142,13 @@ impl DistantView {
     }
 }
 
-/// A cloud's positions in the viewer's frame.
+/// Returns a cloud's positions in the viewer's frame.
 fn in_frame(viewer_from_cloud: &DMat3, cloud: &PointCloud) -> Vec<[f32; 3]> {
     let seen = |p: [f32; 3]| (*viewer_from_cloud * DVec3::from_array(p.map(f64::from))).as_vec3().to_array();
     cloud.positions.iter().map(seen).collect()
 }
 
-/// The cloud's own normals in the viewer's frame; NaN where nothing is seen.
+/// Returns the cloud's own normals in the viewer's frame; NaN where nothing is seen.
 fn own_normals(points: &PointCloud, viewer_from_cloud: DMat3) -> Option<Xyz> {
     let values = |name: &str| points.attribute(name).filter(|field| field.count == 1).map(|field| &field.values);
     let [x, y, z] = NORMALS.map(values);
@@ -166,7 +166,7 @@ mod tests {
     use crate::render::normals_of;
     use planish_core::AttributeValues;
 
-    /// A sheet that rises by 1 in 2 along x, with a label, and one point far above it.
+    /// Returns a sheet that rises by 1 in 2 along x, with a label, and one point far above it.
     fn sheet() -> PointCloud {
         let sheet = (0..6400).map(|i| [(i % 80) as f32 / 79.0, (i / 80) as f32 / 79.0, (i % 80) as f32 / 158.0]);
         let mut cloud = PointCloud::new(sheet.chain([[0.5, 0.5, 9.0]]).collect());

@@ -15,7 +15,7 @@ pub use general::{DistantView, seen_from};
 /// NaN for a hole, and for a pixel without a valid neighbour on either side along x or y.
 pub fn difference_normals(width: usize, height: usize, positions: &Xyz) -> Xyz {
     let point = |u: usize, v: usize| Vec3::from_array(positions.get(v * width + u));
-    // From the previous neighbour to the next; from the pixel itself at borders and beside holes.
+    // From the previous neighbour to the next; from the pixel at borders and next to holes.
     let difference = |before: Option<Vec3>, at: Vec3, behind: Option<Vec3>| {
         let (before, behind) = (before.filter(|p| p.is_finite()), behind.filter(|p| p.is_finite()));
         behind.unwrap_or(at) - before.unwrap_or(at)
@@ -36,7 +36,7 @@ pub fn difference_normals(width: usize, height: usize, positions: &Xyz) -> Xyz {
     (0..width * height).map(normal).collect()
 }
 
-/// The cloud's own normals (fields `normal_x`, `normal_y`, `normal_z`), or those from differences.
+/// Returns the cloud's own normals (fields `normal_x`, `normal_y`, `normal_z`), or those from differences.
 pub fn normals_of(cloud: &OrganizedCloud) -> Xyz {
     let field = |name: &str| match cloud.points.attribute(name).map(|attribute| &attribute.values) {
         Some(AttributeValues::F32(values)) if values.len() == cloud.points.len() => Some(values.clone()),
@@ -46,7 +46,7 @@ pub fn normals_of(cloud: &OrganizedCloud) -> Xyz {
     fields().unwrap_or_else(|| difference_normals(cloud.width(), cloud.height(), cloud.positions()))
 }
 
-/// Renders relief: each pixel lit from the upper left by its normal; black where there is none.
+/// Renders relief: each pixel lit from the upper left by its normal; black for pixels without one.
 pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
     let light = Vec3::new(-0.5, -0.6, -0.6).normalize();
     let shade = |normal: [f32; 3]| {
@@ -61,14 +61,14 @@ pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
     RgbImage { width, height, rgb: normals.iter().flat_map(shade).collect() }
 }
 
-/// Renders the colours of a cloud; `None` if it has none.
+/// Renders the colours of a cloud; `None` for a cloud without colours.
 pub fn colours(cloud: &OrganizedCloud) -> Option<RgbImage> {
     let rgb = cloud.points.shown_rgb()?.into_iter().flatten().collect();
     Some(RgbImage { width: cloud.width(), height: cloud.height(), rgb })
 }
 
 /// Renders the distance of the points from the truth along its normal: blue in front of the surface, red behind it,
-/// white on it, saturated at `full_scale_m`; black where there is no point.
+/// white on it, saturated at `full_scale_m`; black for holes.
 pub fn error_map(truth: &Truth, points: &Xyz, full_scale_m: f32) -> RgbImage {
     let colour = |i: usize| {
         if truth.objects[i] == NO_OBJECT || !points.is_finite(i) {

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use super::random::Random;
 use super::scene::{Pose, Scene};
 
-/// Where the cameras look, and how far from there and how high above it they stand, in metres.
+/// The point that the cameras look at, and their distance from it and height above it, in metres.
 const CENTRE: DVec3 = DVec3::new(0.0, 0.40, 1.05);
 const DISTANCE_M: f64 = 1.0;
 /// Cameras are at most this far apart, seen from the table.
@@ -22,7 +22,7 @@ const STREAM_POSES: u64 = 1 << 40;
 pub struct RigScene {
     /// The scene.
     pub scene: Scene,
-    /// Where each camera stands: world_from_camera.
+    /// Pose of each camera: world_from_camera.
     pub poses: Vec<Pose>,
 }
 
@@ -44,7 +44,7 @@ impl PoseErrors {
 }
 
 impl RigScene {
-    /// The table of [`Scene::tabletop`] without its wall, seen by so many cameras on an arc round it, up to 50° apart.
+    /// Creates the table of [`Scene::tabletop`] without its wall, seen by `cameras` cameras on an arc, up to 50° apart.
     pub fn tabletop(seed: u64, cameras: usize) -> Self {
         let (mut scene, _) = Scene::tabletop(seed);
         scene.objects.remove(WALL);
@@ -59,8 +59,8 @@ impl RigScene {
         Self { scene, poses: (0..cameras).map(pose).collect() }
     }
 
-    /// The poses that a calibration with such errors states: the first camera's is right, each other is turned about an
-    /// axis and shifted in a direction of its own.
+    /// Returns the poses of a calibration with such errors. The first camera's pose is exact; each other is rotated
+    /// about a random axis and shifted in a random direction.
     pub fn poses_with_errors(&self, errors: PoseErrors, seed: u64) -> Vec<Pose> {
         let mut random = Random::new(seed, STREAM_POSES);
         let mut direction = || {

@@ -48,7 +48,8 @@ pub enum Shape {
     },
 }
 
-/// Where a ray hits a surface: distance in units of its direction's length, and the surface's normal (either sign).
+/// Intersection of a ray and a surface: distance in units of the direction's length, and the surface's normal (either
+/// sign).
 type Hit = (f64, DVec3);
 
 impl Shape {
@@ -106,7 +107,7 @@ fn in_front(t: f64) -> bool {
     t > 1e-3 && t.is_finite()
 }
 
-/// Where the camera stands in the world.
+/// Pose of the camera in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Position of the camera in the world, in metres.
@@ -116,15 +117,15 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// A camera at `position`, turned by `yaw_rad` to the right and then by `pitch_rad` downwards.
+    /// Returns a camera at `position`, turned by `yaw_rad` to the right and then by `pitch_rad` downwards.
     pub fn looking(position: DVec3, yaw_rad: f64, pitch_rad: f64) -> Self {
         Self { position, world_from_camera: DMat3::from_rotation_y(yaw_rad) * DMat3::from_rotation_x(-pitch_rad) }
     }
 
-    /// The same as clouds and rigs have it, with the world as their frame.
+    /// Converts to the pose type of clouds and rigs, with the world as their frame.
     ///
     /// # Errors
-    /// If its matrix is no rotation, or its position not finite.
+    /// If its matrix is not a rotation, or its position not finite.
     pub fn sensor_pose(&self) -> Result<SensorPose, FrameError> {
         let rows = self.world_from_camera.transpose().to_cols_array_2d();
         SensorPose::from_rotation(self.position.to_array(), rows).ok_or_else(|| {
@@ -141,14 +142,14 @@ pub struct Scene {
     pub objects: Vec<Shape>,
 }
 
-/// What a perfect camera sees, row by row, in camera coordinates.
+/// The frame of a perfect camera, row by row, in camera coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     /// The camera.
     pub camera: Camera,
-    /// Position of the surface at the centre of each pixel, in metres; NaN where there is none.
+    /// Position of the surface at the centre of each pixel, in metres; NaN for pixels that see no surface.
     pub points: Xyz,
-    /// Unit normals towards the camera; NaN where there is no surface.
+    /// Unit normals towards the camera; NaN for pixels that see no surface.
     pub normals: Xyz,
     /// Index of the object, or [`NO_OBJECT`].
     pub objects: Vec<u16>,
@@ -186,15 +187,15 @@ impl Scene {
 }
 
 impl Truth {
-    /// Cosine of the angle between the surface's normal and the ray, 0 to 1; NaN where there is no surface.
+    /// Returns the cosine of the angle between the surface's normal and the ray, 0 to 1; NaN without a surface.
     pub fn incidence_cosine(&self, i: usize) -> f64 {
         let p = self.points.vector(i);
         let n = self.normals.vector(i);
         -n.dot(p) / p.length()
     }
 
-    /// Whether the surface jumps between two pixels: each lies off the other's tangent plane by more than a hundredth
-    /// of their distance, or only one of them has a surface.
+    /// Returns true if the surface jumps between two pixels: each is off the other's tangent plane by more than a
+    /// hundredth of their distance, or only one of them has a surface.
     pub fn is_step(&self, i: usize, j: usize) -> bool {
         let seen = |k: usize| self.objects[k] != NO_OBJECT;
         if !(seen(i) && seen(j)) {

@@ -10,8 +10,8 @@ const TABLE_HEIGHT_M: f64 = 0.75;
 const CAMERA_OVER_TABLE_M: f64 = 0.45;
 
 impl Scene {
-    /// A table at 0.6 to 1.5 m with spheres, boxes and cylinders on it, in front of a wall; the camera looks down on
-    /// it.
+    /// Returns a table at 0.6 to 1.5 m with spheres, boxes and cylinders on it, in front of a wall; the camera looks
+    /// down on it.
     pub fn tabletop(seed: u64) -> (Self, Pose) {
         let mut random = Random::new(seed, 1);
         let floor_y = TABLE_HEIGHT_M + CAMERA_OVER_TABLE_M;
@@ -39,7 +39,7 @@ impl Scene {
         (Self { objects }, pose)
     }
 
-    /// A room of 4 m with boxes, pillars and balls at 1.2 to 3.5 m, seen by a camera at 1.2 m height.
+    /// Returns a room of 4 m with boxes, pillars and balls at 1.2 to 3.5 m, seen by a camera at 1.2 m height.
     pub fn room(seed: u64) -> (Self, Pose) {
         let mut random = Random::new(seed, 2);
         let floor_y = 1.2;
@@ -57,8 +57,8 @@ impl Scene {
         (Self { objects }, Pose::looking(DVec3::ZERO, random.between(-0.2, 0.2), random.between(0.1, 0.25)))
     }
 
-    /// Shapes of known size before a wall: the 90° edge of a box at 1 m, a sphere and a cylinder of 60 to 100 mm radius
-    /// at 0.8 to 1.4 m. The camera stands at the origin and looks along z.
+    /// Creates shapes of known size in front of a wall: the 90° edge of a box at 1 m, a sphere and a cylinder of 60 to
+    /// 100 mm radius at 0.8 to 1.4 m. The camera is at the origin and looks along z.
     pub fn gauges(seed: u64) -> (Self, Pose, Gauge) {
         let mut random = Random::new(seed, u64::MAX);
         let turn = std::f64::consts::FRAC_PI_4 + random.between(-0.2, 0.2);
@@ -123,7 +123,7 @@ pub struct Gauge {
     pub cylinder_radius_m: f64,
 }
 
-/// A sphere, box or cylinder that stands on `base`, some centimetres large times `scale`.
+/// Creates a sphere, box or cylinder on `base`, with a size of some centimetres times `scale`.
 fn standing_object(random: &mut Random, base: DVec3, scale: f64) -> Shape {
     let radius_m = scale * random.between(0.05, 0.08);
     let half_height_m = scale * random.between(0.05, 0.11);

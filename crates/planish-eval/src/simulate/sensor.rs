@@ -1,11 +1,11 @@
 //! A model of a depth sensor's noise; each part is a parameter.
 //!
-//! The noise of triangulating sensors (structured light, stereo) lives in disparity: D = 1/(step z) in units of one
-//! disparity step, so that an error of one unit is step * z² metres of depth (Khoshelham & Elberink 2012); that of
-//! others in depth itself. A pixel gets a fixed pattern that is correlated over a few pixels (most of the error of a
-//! single frame, which averaging frames does not remove) and temporal noise; disparities are rounded. At depth steps
-//! the sensor looks past the edge, mixes both sides, and cannot see what its projector, or its second camera, does not.
-//! Output: u16 millimetres, 0 for no measurement.
+//! Triangulating sensors (structured light, stereo) have noise in disparity: D = 1/(step z) in units of one disparity
+//! step, so an error of one unit is step * z² metres of depth (Khoshelham & Elberink 2012). Other sensors have noise in
+//! depth. A pixel gets a fixed pattern correlated over a few pixels (most of the error of a single frame, which
+//! averaging frames does not remove) and temporal noise; disparities are rounded. At depth steps the sensor looks past
+//! the edge, mixes both sides, and misses regions hidden from its projector or second camera. Output: u16 millimetres,
+//! 0 for no measurement.
 
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ use super::random::Random;
 use super::scene::{NO_OBJECT, Truth};
 use planish_core::{Camera, DepthFrame, FrameError, SensorModel};
 
-/// What the errors of a sensor are counted in.
+/// The unit of a sensor's errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum ErrorUnit {
@@ -86,13 +86,13 @@ impl DepthNoise {
         max_range_m: f64::INFINITY,
     };
 
-    /// Returns the noise of a sensor of its kind: a Kinect v1; else a stereo camera where the noise grows with z²
-    /// alone; else a time-of-flight camera; none where the model has none.
+    /// Returns noise for the sensor's type: a Kinect v1; a stereo camera if noise grows with z² alone; otherwise a
+    /// time-of-flight camera. A model without noise gives none.
     ///
-    /// Of the model comes the standard deviation. How it is correlated, and what happens at steps, are assumptions:
-    /// stereo matches windows of some 7 pixels, so that errors hang together over 3 and edges fray, and resolves 1/32
-    /// of a pixel where its noise is 0.08 (RealSense D400); time of flight has almost independent pixels, no shadow,
-    /// and mixes both sides of an edge.
+    /// The standard deviation comes from the model. Correlation and behaviour at steps are assumptions. Stereo matches
+    /// windows of about 7 pixels, so errors are correlated over 3 pixels and edges fray; it resolves 1/32 of a pixel
+    /// with noise of 0.08 (RealSense D400). Time of flight has almost independent pixels, no shadow, and mixes both
+    /// sides of an edge.
     pub fn of_sensor(sensor: &SensorModel) -> Self {
         let sigma = sensor.sigma.map(f64::from);
         match sigma {
@@ -134,7 +134,7 @@ pub struct DepthSimulator {
     noise: DepthNoise,
     camera: Camera,
     seed: u64,
-    /// In units, one a pixel: the same in every frame.
+    /// One value per pixel, in units of the noise; constant over all frames.
     fixed_pattern: Vec<f32>,
 }
 
@@ -142,7 +142,7 @@ const STREAM_FIXED_PATTERN: u64 = 3;
 const STREAM_FRAME: u64 = 4;
 
 impl DepthSimulator {
-    /// Creates a sensor with a fixed pattern of its own, given by the seed.
+    /// Creates a sensor whose fixed pattern is given by the seed.
     pub fn new(noise: DepthNoise, camera: Camera, seed: u64) -> Self {
         Self { noise, camera, seed, fixed_pattern: fixed_pattern(&noise, &camera, seed) }
     }
@@ -213,7 +213,7 @@ impl DepthSimulator {
         shadow
     }
 
-    /// 0 up to the dropout angle, then rising to 1 at 90°. 1 where there is no surface.
+    /// Returns 0 up to the dropout angle, then rising values up to 1 at 90°; 1 without a surface.
     fn dropout_probability(&self, incidence_cosine: f64) -> f64 {
         if incidence_cosine.is_nan() {
             return 1.0;
@@ -223,7 +223,7 @@ impl DepthSimulator {
         if angle_deg <= start { 0.0 } else { ((angle_deg - start) / (90.0 - start)).min(1.0) }
     }
 
-    /// Returns the depth beside the ray, if that lies across a step.
+    /// Returns the depth next to the ray, if that is across a step.
     fn beyond_step(&self, truth: &Truth, u: usize, v: usize, jitter_u: f64, jitter_v: f64) -> Option<f64> {
         let moved = |at: usize, by: f64, size: usize| {
             (at as f64 + self.noise.edge_jitter_px * by).round().clamp(0.0, size as f64 - 1.0) as usize
@@ -278,7 +278,7 @@ fn fixed_pattern(noise: &DepthNoise, camera: &Camera, seed: u64) -> Vec<f32> {
     blur(blur(white, 1, 0), 0, 1).into_iter().map(|x| (noise.fixed_pattern_rms * x) as f32).collect()
 }
 
-/// A colour for each object, shaded by the angle of incidence, 3 bytes a pixel.
+/// Returns a colour for each object, shaded by the angle of incidence, 3 bytes per pixel.
 fn colours(truth: &Truth) -> Vec<u8> {
     const PALETTE: [[f64; 3]; 8] = [
         [150.0, 140.0, 130.0],

@@ -1,8 +1,7 @@
 //! ASTM E57: the scans of one file as one cloud in the file's frame, each point with the number of its scan.
 //!
-//! What a scan is beside its points (name, pose, sensor, times) is kept with the cloud and written back. Spherical
-//! coordinates become Cartesian ones; images and the sections of other programs' extensions, their point fields apart,
-//! are not kept.
+//! Metadata of a scan (name, pose, sensor, times) are kept with the cloud and written back. Spherical coordinates
+//! become Cartesian. Images and sections of extensions are dropped, except for the extensions' point fields.
 
 mod scans;
 
@@ -44,7 +43,7 @@ fn damaged(error: e57::Error) -> FormatError {
     FormatError::Malformed(format!("damaged E57: {}", brief(&error.to_string())))
 }
 
-/// The type of a column, and what it has where a scan lacks it.
+/// The type of a column, and its default for scans that lack it.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Integer { min: i64, max: i64 },
@@ -90,7 +89,7 @@ impl Kind {
     }
 }
 
-/// Where a point's position is among its values.
+/// Indices of a point's coordinates among its values.
 enum Position {
     Cartesian([usize; 3]),
     /// Range, azimuth, elevation.
@@ -143,14 +142,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let scans = reader.pointclouds();
     match reader.images().len() {
         0 => {}
-        1 => notes.push("an image is left out".into()),
-        images => notes.push(format!("{images} images are left out")),
+        1 => notes.push("an image is dropped".into()),
+        images => notes.push(format!("{images} images are dropped")),
     }
     let count = scans.iter().try_fold(0u64, |sum, scan| sum.checked_add(scan.records));
     // A bit a point at least, or a header of some bytes could announce anything.
-    let count = count.filter(|count| *count <= 8 * bytes.len() as u64).ok_or_else(|| {
-        FormatError::Malformed("cut short: its header announces more points than the file has room for".into())
-    })?;
+    let count = count
+        .filter(|count| *count <= 8 * bytes.len() as u64)
+        .ok_or_else(|| FormatError::Malformed("truncated: its header states more points than the file holds".into()))?;
     let mut columns: Vec<(String, Kind, Vec<f64>)> = Vec::new();
     for record in scans.iter().flat_map(|scan| &scan.prototype) {
         let (Some(name), kind) = (name_of(&record.name), Kind::of(&record.data_type)) else { continue };
@@ -239,7 +238,7 @@ fn needed_beside(name: &RecordName) -> &'static [&'static str] {
     }
 }
 
-/// The record of one of a cloud's fields: the standard's own where it allows that, else one of an extension.
+/// Returns the E57 record for one of a cloud's fields: a standard record if possible, otherwise one of an extension.
 fn record_of(attribute: &Attribute, all: &[Attribute]) -> FormatResult<Record> {
     let is_float = matches!(attribute.values, AttributeValues::F32(_) | AttributeValues::F64(_));
     let is_allowed = |name: &RecordName| {
@@ -262,7 +261,7 @@ fn record_of(attribute: &Attribute, all: &[Attribute]) -> FormatResult<Record> {
     };
     if attribute.count != 1 {
         return Err(FormatError::Unsupported(format!(
-            "the field {} has {} values a point, and E57 has place for one: write .pcd",
+            "the field {} has {} values per point, but E57 stores one; write .pcd",
             attribute.name, attribute.count
         )));
     }
@@ -295,8 +294,9 @@ fn value_of(attribute: &Attribute, i: usize) -> RecordValue {
 
 /// Writes each scan that the cloud came from, in its own frame, or one with everything.
 pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
-    let cannot =
-        |error: e57::Error| FormatError::Unsupported(format!("no E57 of this cloud: {}", brief(&error.to_string())));
+    let cannot = |error: e57::Error| {
+        FormatError::Unsupported(format!("cannot encode this cloud as E57: {}", brief(&error.to_string())))
+    };
     let mut cloud = cloud.clone();
     cloud.unpack_colour();
     cloud.attributes.retain(|attribute| attribute.name != "_");
@@ -390,7 +390,7 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
-/// An identifier that follows from the points, so that the same cloud gives the same file.
+/// Returns an identifier that follows from the points, so that the same cloud gives the same file.
 fn guid(cloud: &PointCloud, number: usize) -> String {
     let values = cloud.positions.iter().flatten().map(|value| u64::from(value.to_bits()));
     // FNV-1a, over 64 bits.

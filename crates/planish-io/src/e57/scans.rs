@@ -1,4 +1,4 @@
-//! What an E57 file says of its scans: where their scanners stood, and the range of what they measure.
+//! Metadata of an E57 file's scans: scanner poses, and the ranges of measured values.
 
 use std::io::{Read, Seek, Write};
 
@@ -8,7 +8,7 @@ use e57::{
 };
 use glam::{DQuat, DVec3};
 
-/// What a file says beside its points.
+/// Metadata of a file.
 #[derive(Debug, Clone)]
 pub(super) struct Scans {
     pub(super) scans: Vec<e57::PointCloud>,
@@ -18,7 +18,8 @@ pub(super) struct Scans {
 }
 
 impl Scans {
-    /// Where the scanner of each scan stood, if there are several and one has a pose; the identity is none.
+    /// Returns the scanner position of each scan, if there are several scans and one has a pose; the identity counts as
+    /// none.
     pub(super) fn scanners_m(&self) -> Option<Vec<Option<[f64; 3]>>> {
         let scanner = |scan: &e57::PointCloud| {
             let (rotation, position) = pose_of(scan);
@@ -36,7 +37,7 @@ impl PartialEq for Scans {
     }
 }
 
-/// The transform from a scan's frame to the file's.
+/// Returns the transform from a scan's frame to the file's.
 pub(super) fn pose_of(scan: &e57::PointCloud) -> (DQuat, DVec3) {
     scan.transform.as_ref().map_or((DQuat::IDENTITY, DVec3::ZERO), |transform| {
         let Quaternion { w, x, y, z } = transform.rotation;
@@ -46,7 +47,7 @@ pub(super) fn pose_of(scan: &e57::PointCloud) -> (DQuat, DVec3) {
     })
 }
 
-/// A limit of a field's values in the type that the field is written with.
+/// Returns a limit of a field's values in the type that the field is written with.
 fn limit(value: Option<&RecordValue>, read: &Record, written: &Record) -> Option<RecordValue> {
     let value = value?.to_f64(&read.data_type).ok()?;
     Some(match written.data_type {
@@ -56,8 +57,8 @@ fn limit(value: Option<&RecordValue>, read: &Record, written: &Record) -> Option
     })
 }
 
-/// The range of intensities and colours that a scan's sensor has, where the scan says so; without, the writer states
-/// that of the type.
+/// Sets the range of intensities and colours of a scan's sensor, if the scan states it; otherwise the writer states the
+/// range of the type.
 pub(super) fn set_limits<T: Read + Write + Seek>(
     points: &mut PointCloudWriter<'_, T>,
     scan: &e57::PointCloud,

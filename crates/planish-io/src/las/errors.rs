@@ -9,7 +9,7 @@ pub(super) fn damaged(error: las::Error) -> FormatError {
     if matches!(&error, las::Error::Io(error) if is_cut(error))
         || error.to_string().contains("failed to fill whole buffer")
     {
-        return FormatError::Malformed("damaged LAS: it is cut short, or its sizes are wrong".into());
+        return FormatError::Malformed("damaged LAS: it is truncated, or its sizes are wrong".into());
     }
     FormatError::Malformed(format!("damaged LAS: {}", brief(&error.to_string())))
 }
@@ -19,5 +19,5 @@ pub(super) fn unreadable() -> FormatError {
 }
 
 pub(super) fn cannot(error: las::Error) -> FormatError {
-    FormatError::Unsupported(format!("no LAS of this cloud: {}", brief(&error.to_string())))
+    FormatError::Unsupported(format!("cannot encode this cloud as LAS: {}", brief(&error.to_string())))
 }

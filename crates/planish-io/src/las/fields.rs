@@ -7,11 +7,11 @@ use super::super::columns::{EXACT_INTEGERS, with_values};
 use super::super::quoted;
 use planish_core::{Attribute, AttributeValues, FormatError};
 
-/// What a header says of extra bytes stands in records of this user and number.
+/// User and record IDs of the records that describe extra bytes.
 const EXTRA_BYTES: (&str, u16) = ("LASF_Spec", 4);
 /// Bytes of the description of an extra field.
 const DESCRIPTION: usize = 192;
-/// Where in it the type, the options and the name are.
+/// Offsets of type, options and name in such a record.
 const TYPE_AT: usize = 2;
 const OPTIONS_AT: usize = 3;
 const NAME_AT: std::ops::Range<usize> = 4..36;
@@ -20,7 +20,7 @@ const SCALES_AT: usize = 112;
 const OFFSETS_AT: usize = 136;
 const HAS_SCALE: u8 = 8;
 const HAS_OFFSET: u8 = 16;
-/// What is left of the extra bytes where no description says what they are.
+/// Name of extra bytes without a description.
 const UNDESCRIBED: &str = "extra_bytes";
 
 /// How a field is stored.
@@ -53,7 +53,7 @@ impl Stored {
         }
     }
 
-    /// By its number in the description of an extra field; the older types of two and three values count as so many.
+    /// Decodes the type number of an extra field; the deprecated types of two and three values return that count.
     fn of_extra(number: u8, options: u8) -> Option<(Self, usize)> {
         const SCALARS: [Stored; 10] = [
             Stored::U8,
@@ -75,7 +75,7 @@ impl Stored {
         }
     }
 
-    /// The number of a column's type in the description of an extra field.
+    /// Returns the number of a column's type in the description of an extra field.
     fn number_of(values: &AttributeValues) -> u8 {
         match values {
             AttributeValues::U8(_) => 1,
@@ -93,7 +93,7 @@ impl Stored {
 }
 
 impl Stored {
-    /// Whether a column of this type is what the field stores.
+    /// Returns true if a column of this type matches the field's storage.
     fn is_type_of(self, values: &AttributeValues) -> bool {
         Self::of_extra(Self::number_of(values), 0).is_some_and(|(own, _)| own == self)
     }
@@ -108,11 +108,11 @@ pub(super) struct Field {
     stored: Stored,
     /// Values one after another.
     count: usize,
-    /// How integers stand for numbers, where the file says so: one for each value.
+    /// Scale and offset of each value, if the file states them.
     scales: Option<[Scale; 3]>,
 }
 
-/// A stored integer stands for itself times the scale, plus the offset.
+/// A stored integer represents itself times the scale, plus the offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Scale {
     scale: f64,
@@ -120,7 +120,7 @@ struct Scale {
 }
 
 impl Scale {
-    /// Those of an extra field; `None` where there are none, or they make no sense.
+    /// Reads scale and offset of an extra field; `None` if they are missing or invalid.
     fn of_extra(description: &[u8], stored: Stored) -> Option<[Self; 3]> {
         let options = description[OPTIONS_AT];
         let is_integer = !matches!(stored, Stored::F32 | Stored::F64 | Stored::Bytes(_));
@@ -135,7 +135,7 @@ impl Scale {
             |k| Self { scale: number(HAS_SCALE, SCALES_AT, k, 1.0), offset: number(HAS_OFFSET, OFFSETS_AT, k, 0.0) };
         let all = [0, 1, 2].map(of_value);
         let is_useful = |of: &Self| of.scale.is_normal() && of.offset.is_finite();
-        // What is not there may be zeros.
+        // Unused entries may be zero.
         is_useful(&all[0]).then(|| all.map(|of| if is_useful(&of) { of } else { all[0] }))
     }
 
@@ -151,7 +151,7 @@ impl Scale {
     }
 }
 
-/// The fields of a point format, but for x, y and z.
+/// Returns the fields of a point format, without x, y and z.
 pub(super) fn fields_of(format: &point::Format) -> Vec<Field> {
     let mut fields = Vec::new();
     let mut at = 12;
@@ -204,7 +204,7 @@ pub(super) fn fields_of(format: &point::Format) -> Vec<Field> {
     fields
 }
 
-/// The fields of the extra bytes, as the file describes them.
+/// Returns the fields of the extra bytes, as the file describes them.
 pub(super) fn extra_fields(header: &Header) -> Vec<Field> {
     let format = header.point_format();
     let mut at = usize::from(format.len()) - usize::from(format.extra_bytes);
@@ -274,7 +274,7 @@ pub(super) fn decode_field(field: &Field, raw: &[u8], record: usize) -> Attribut
     Attribute { name: name.clone(), count, values }
 }
 
-/// The numbers that integers stand for; `None` if one would not be written as it was.
+/// Applies scale and offset to integers; `None` if a value would not be written back unchanged.
 fn scaled(values: &AttributeValues, scales: &[Scale]) -> Option<AttributeValues> {
     let number = |i: usize| {
         let (stored, scale) = (values.get_f64(i), scales[i % scales.len()]);
@@ -284,7 +284,7 @@ fn scaled(values: &AttributeValues, scales: &[Scale]) -> Option<AttributeValues>
     (0..values.len()).map(number).collect::<Option<Vec<f64>>>().map(Into::into)
 }
 
-/// Describes what is left of the extra bytes, so that descriptions may follow of what comes behind them.
+/// Describes the remaining extra bytes, so that descriptions of fields after them can follow.
 pub(super) fn describe_rest(builder: &mut Builder, all: &[Field]) -> FormatResult<()> {
     let Some(Field { at, stored, .. }) = all.iter().find(|field| field.name == UNDESCRIBED) else { return Ok(()) };
     let described = all.iter().filter(|field| field.at >= usize::from(base_len(builder)) && field.at < *at).count();
@@ -296,7 +296,7 @@ pub(super) fn describe_rest(builder: &mut Builder, all: &[Field]) -> FormatResul
             Ok(())
         }
         _ => Err(FormatError::Unsupported(
-            "the file has extra bytes that it does not describe, behind which no field can be added".into(),
+            "the file has extra bytes without a description, after which no field can be added".into(),
         )),
     }
 }
@@ -328,7 +328,8 @@ pub(super) fn add_extra_field(builder: &mut Builder, all: &mut Vec<Field>, attri
     let (stored, count) = match (Stored::of_extra(number, 0), attribute.count) {
         (Some((stored, _)), 1) => (stored, 1),
         _ => {
-            let reason = format!("field {} has {} values a point: LAS has one", attribute.name, attribute.count);
+            let reason =
+                format!("field {} has {} values per point, but LAS stores one", attribute.name, attribute.count);
             return Err(FormatError::Unsupported(reason));
         }
     };
@@ -358,7 +359,7 @@ pub(super) fn encode_field(
     let values_a_point = if let Stored::Bytes(size) = stored { size } else { count };
     let out_of_range = || {
         FormatError::Unsupported(format!(
-            "field {} has values that LAS does not store there, being negative, too large, or no integers: rename the field",
+            "field {} has values that LAS cannot store there (negative, too large, or not integers); rename the field",
             field.name
         ))
     };

@@ -1,5 +1,5 @@
-//! LAS 1.0 to 1.4, and LAZ: every field of a point is a column, extra bytes by their descriptions; everything else in
-//! the file, such as its coordinate system, stays with the cloud and is written back.
+//! LAS 1.0 to 1.4, and LAZ. Every field of a point is a column, and so are described extra bytes. Everything else in
+//! the file, such as its coordinate system, is kept with the cloud and written back.
 
 mod errors;
 mod fields;
@@ -42,14 +42,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
     let (header, found) = decoded.map_err(|_| unreadable())?.map_err(damaged)?;
     if found.len() != points {
         return Err(FormatError::Malformed(format!(
-            "the file is cut short: it has {} of {points} points",
+            "the file is truncated: it has {} of {points} points",
             found.len()
         )));
     }
     cloud_of(Arc::new(header), found.raw_bytes())
 }
 
-/// What a header says, checked against the file.
+/// Contents of a header after checks against the file.
 struct Checked {
     points: usize,
     /// Bytes of a point.
@@ -61,16 +61,16 @@ impl Checked {
     fn of(bytes: &(impl FileBytes + ?Sized), format: Format) -> FormatResult<Self> {
         let size = bytes.size();
         if bytes.read(0, 4).is_none_or(|head| head != b"LASF") {
-            return Err(FormatError::Malformed("no LAS or LAZ: it does not begin with LASF, whatever its name".into()));
+            return Err(FormatError::Malformed("not a LAS or LAZ file (missing LASF signature)".into()));
         }
         let short_header =
-            || FormatError::Malformed(format!("the file is cut short: no whole LAS header in {size} bytes"));
+            || FormatError::Malformed(format!("the file is truncated: {size} bytes are less than a LAS header"));
         check_header(bytes).ok_or_else(short_header)??;
         let Claims { points, record, extended } = claims(bytes).ok_or_else(short_header)?;
         let count = usize::try_from(points).unwrap_or(usize::MAX);
         let cut_off = || {
-            let claimed = format!("{points} points of {record} bytes are announced in {size} bytes");
-            FormatError::Malformed(format!("the file is cut short: {claimed}"))
+            let claimed = format!("the header states {points} points of {record} bytes in a file of {size} bytes");
+            FormatError::Malformed(format!("the file is truncated: {claimed}"))
         };
         match format {
             Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
@@ -90,13 +90,11 @@ fn check_transforms(header: &Header) -> FormatResult<()> {
     };
     match [x, y, z].iter().all(is_usable) {
         true => Ok(()),
-        false => Err(FormatError::Malformed(
-            "the header's scales and offsets are no finite numbers, or far too large".into(),
-        )),
+        false => Err(FormatError::Malformed("the header's scales and offsets are not finite, or far too large".into())),
     }
 }
 
-/// The cloud of some records of a file with this header.
+/// Returns the cloud of some records of a file with this header.
 fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
     check_transforms(&header)?;
     let record = usize::from(header.point_format().len());
@@ -115,7 +113,7 @@ fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
         let most = middle(raw.len() / record, |i| transform.direct(integer(i)));
         let middle = most.map_or(0.0, |[low, high]| low.midpoint(high).round());
         let values: Vec<f32> = integers.clone().map(|value| (transform.direct(value) - middle) as f32).collect();
-        // Where f32 is too coarse for the file's integers.
+        // Check whether f32 is too coarse for the file's integers.
         let widest = (transform.direct(high) - middle).abs().max((transform.direct(low) - middle).abs());
         let exact = if f64::from(f32::EPSILON) * widest > 0.25 * transform.scale.abs() {
             integers.map(|value| transform.direct(value)).collect()
@@ -140,7 +138,7 @@ fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
 #[derive(Debug, PartialEq)]
 struct LasHeader(Arc<Header>);
 
-/// Encodes a cloud; without its holes, for which LAS has no place.
+/// Encodes a cloud without its holes, which LAS cannot represent.
 pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u8>> {
     let kept: Vec<usize> = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
     let records = Records::new(cloud, &kept, compressed)?;
@@ -202,7 +200,7 @@ impl Records {
         }
     }
 
-    /// The same for files that have points of a later return than the fifth, wherever they are.
+    /// Selects the format for files that have points of a return beyond the fifth.
     fn with_all_returns(self) -> FormatResult<Self> {
         let mut builder = Builder::from(self.header);
         Self::count_all_returns(&mut builder);
@@ -214,7 +212,7 @@ impl Records {
         usize::from(self.header.point_format().len())
     }
 
-    /// The records of the kept points, one after another.
+    /// Returns the records of the kept points, one after another.
     fn encode(&self, cloud: &PointCloud, kept: &[usize]) -> FormatResult<Vec<u8>> {
         let record = self.len();
         let mut raw = vec![0u8; record * kept.len()];
@@ -226,7 +224,7 @@ impl Records {
                 point[at..at + 4].copy_from_slice(&integer.to_le_bytes());
             }
         }
-        // Of 8 bits; 16-bit channels are columns like any other.
+        // 8-bit colours; 16-bit channels are ordinary columns.
         let colour = cloud.rgb();
         for field in self.fields.iter().filter(|field| colour.is_none() || !is_colour(&field.name)) {
             if let Some(attribute) = cloud.attribute(&field.name) {
@@ -249,7 +247,7 @@ fn is_colour(name: &str) -> bool {
     ["rgb", "rgba"].contains(&name) || CHANNELS.contains(&name)
 }
 
-/// A header for a cloud that was not read from LAS.
+/// Returns a header for a cloud that was not read from LAS.
 fn new_builder(cloud: &PointCloud, kept: &[usize], has_colour: bool) -> Result<Builder, las::Error> {
     let mut builder = Builder::from(Version::new(1, 4));
     let has = |name: &str| cloud.attribute(name).is_some();

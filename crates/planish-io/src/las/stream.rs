@@ -16,7 +16,7 @@ use super::writer::LasWriter;
 use super::{Checked, MOST_RETURNS, Records};
 use planish_core::{FormatError, PointCloud};
 
-/// Where a record before LAS 1.4 has the number of its return, in the lowest three bits.
+/// Offset of the return number in records before LAS 1.4, in the lowest three bits.
 const RETURNS_AT: usize = 14;
 
 /// Reads records in their order.
@@ -35,7 +35,7 @@ impl RecordReader for LasReader {
 
     fn open(path: &Path) -> FormatResult<Self> {
         let file = File::open(path)?;
-        // A file without so many bytes is refused whatever it is taken for.
+        // A shorter file is refused in any case.
         let head = super::validate::FileBytes::read(&file, 0, 107).unwrap_or_default();
         let Checked { points, extended, .. } = Checked::of(&file, las_or_laz(&head))?;
         let opened = catch_unwind(AssertUnwindSafe(|| {
@@ -70,7 +70,7 @@ impl RecordReader for LasReader {
         self.read += found;
         if found < wanted {
             return Err(FormatError::Malformed(format!(
-                "the file is cut short: it has {} of {} points",
+                "the file is truncated: it has {} of {} points",
                 self.read, self.points
             )));
         }

@@ -1,4 +1,4 @@
-//! What a header claims, checked against the file before the decoder believes it.
+//! Checks the claims of a header against the file before the decoder relies on them.
 
 use std::fs::File;
 use std::io::{Cursor, Read, Seek, SeekFrom};
@@ -61,11 +61,11 @@ impl FileBytes for File {
     }
 }
 
-/// What a header says that the decoder would believe.
+/// Claims of a header that the decoder would rely on.
 pub(super) struct Claims {
     pub(super) points: u64,
     pub(super) record: usize,
-    /// Where extended records begin, and their number.
+    /// Offset and number of extended records.
     pub(super) extended: Option<(usize, u32)>,
 }
 
@@ -82,20 +82,21 @@ pub(super) fn claims(bytes: &(impl FileBytes + ?Sized)) -> Option<Claims> {
     Some(Claims { points, record, extended })
 }
 
-/// Refuses headers that are shorter than their version's: the decoder would find what follows elsewhere than
-/// [`check_chunks`] does.
+/// Refuses headers shorter than their version requires: the decoder would read the following data at an offset other
+/// than [`check_chunks`] does.
 pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatResult<()>> {
     let [major, minor] = read_at(bytes, 24)?;
     let (size, needed) = (u16::from_le_bytes(read_at(bytes, 94)?), las::Version::new(major, minor).header_size());
     Some(if size < needed {
-        let text = format!("a header of {size} bytes, where LAS {major}.{minor} has {needed}");
+        let text = format!("a header of {size} bytes, but LAS {major}.{minor} needs {needed}");
         Err(FormatError::Malformed(text))
     } else {
         Ok(())
     })
 }
 
-/// Refuses chunks of points that the file cannot hold: the decoder allocates what is claimed. `None` if it is cut off.
+/// Refuses chunk sizes that the file cannot hold: the decoder allocates the claimed size. `None` if the file is
+/// truncated.
 pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Option<FormatResult<()>> {
     /// More points than that in a chunk are believed only of a file that has them.
     const LARGEST_CHUNK: u64 = 1 << 20;
@@ -116,7 +117,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
         at += 54 + usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
     }
     let table = i64::from_le_bytes(read_at(bytes, u32_at(96)? as usize)?);
-    // It stands at the end where a writer could not go back.
+    // It is at the end of the file if the writer could not seek.
     let at_end = || i64::from_le_bytes(read_at(bytes, bytes.size().checked_sub(8)?)?).try_into().ok();
     let table: usize = table.try_into().ok().or_else(at_end)?;
     let chunks = u32_at(table.checked_add(4)?)? as usize;
@@ -125,9 +126,9 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     if chunks.saturating_mul(record.max(1)) > bytes.size() {
         return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.size()))));
     }
-    // Of several the decoder may believe another.
+    // If there are several, the decoder may use another.
     let Ok([description]) = <[LazVlr; 1]>::try_from(descriptions) else {
-        return Some(Err(FormatError::Malformed("not one record says how its points are compressed".into())));
+        return Some(Err(FormatError::Malformed("expected exactly one LASzip record".into())));
     };
     let size: usize = description.items().iter().map(item_bytes).sum();
     if size != record {
@@ -136,7 +137,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     check_layers(bytes, &description, record)
 }
 
-/// Bytes of one of the items of which a compressed point consists: what the decoder takes, whatever the file says.
+/// Returns the size of an item of a compressed point, as the decoder reads it whatever the file states.
 fn item_bytes(item: &LazItem) -> usize {
     match item.item_type() {
         LazItemType::Byte(count) | LazItemType::Byte14(count) => count.into(),
@@ -173,7 +174,7 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
             let size = |size: &[u8]| size.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte));
             let needed = (record + 4 + 4 * layers) as u64 + sizes.chunks_exact(4).map(size).sum::<u64>();
             if needed != chunk.byte_count {
-                let text = format!("a chunk of {} bytes whose layers need {needed}", chunk.byte_count);
+                let text = format!("a chunk of {} bytes, but its layers need {needed}", chunk.byte_count);
                 return Some(Err(FormatError::Malformed(text)));
             }
         }
@@ -182,10 +183,10 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
     Some(Ok(()))
 }
 
-/// The extended records, behind the points. The library reads the first alone.
+/// Returns the extended records, behind the points. The library reads the first alone.
 pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (mut at, count): (usize, u32)) -> Option<Vec<Vlr>> {
     let mut records = Vec::new();
-    // Of none it means nothing where they would begin.
+    // Without records their offset is meaningless.
     for _ in 0..count {
         let length = usize::try_from(u64::from_le_bytes(read_at(bytes, at.checked_add(20)?)?)).ok()?.checked_add(60)?;
         records.push(Vlr::new(las::raw::Vlr::read_from(&bytes.read(at, length)?[..], true).ok()?));

@@ -17,7 +17,7 @@ pub(super) struct LasWriter<W: Write + Seek + Send + Sync + fmt::Debug + 'static
 }
 
 impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
-    /// Begins a file with this header, whose count and bounds follow from what is written.
+    /// Begins a file with this header; count and bounds are updated from the written points.
     pub(super) fn new(to: W, header: Header) -> FormatResult<Self> {
         let writer = Writer::new(to, header.clone()).map_err(written)?;
         Ok(Self { writer: Some(writer), header })
@@ -47,12 +47,12 @@ impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
 
 impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> Drop for LasWriter<W> {
     fn drop(&mut self) {
-        // What was begun and is not finished is of no use.
+        // Discard an unfinished file.
         std::mem::forget(self.writer.take());
     }
 }
 
-/// A full disk is no fault of the cloud's.
+/// Converts an error of the writer; a full disk is not the cloud's fault.
 fn written(error: las::Error) -> FormatError {
     match error {
         las::Error::Io(error) => FormatError::Os(error),

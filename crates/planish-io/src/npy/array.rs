@@ -36,7 +36,7 @@ impl<'a> Array<'a> {
         match needed.and_then(|needed| data.get(..needed)) {
             Some(data) => Ok(Self { header, data }),
             None => Err(FormatError::Malformed(format!(
-                "the file is cut short: its header announces the shape {:?}",
+                "the file is truncated: its header states the shape {:?}",
                 header.shape
             ))),
         }
@@ -58,7 +58,7 @@ impl<'a> Array<'a> {
         let mut values = Vec::with_capacity(count);
         let mut index = vec![0usize; shape.len()];
         for _ in 0..count {
-            // Where the value of this index is, with the first running fastest.
+            // Returns the position of the value with this index; the first index varies fastest.
             let place = index.iter().zip(shape).rev().fold(0, |place, (&i, &n)| place * n + i);
             values.push(read(&self.data[size * place..size * (place + 1)]));
             for (i, &n) in index.iter_mut().zip(shape).rev() {

@@ -11,10 +11,10 @@ const MAX_BYTES: usize = 16 * 1024;
 /// The most dimensions accepted, which are NumPy's own limit.
 const MAX_DIMENSIONS: usize = 64;
 
-/// Values begin at multiples of so many bytes.
+/// Values begin at a multiple of this many bytes.
 const ALIGNMENT: usize = 64;
 
-/// What the values of an array are.
+/// Element type of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Header {
     /// The values' type as NumPy writes it, as `<f4`.
@@ -34,7 +34,7 @@ fn damaged(expected: &str) -> FormatError {
 }
 
 fn cut() -> FormatError {
-    FormatError::Malformed("the file is cut short: its NPY header is not whole".into())
+    FormatError::Malformed("the file is truncated within its NPY header".into())
 }
 
 impl Header {
@@ -118,7 +118,7 @@ impl<'a> Dict<'a> {
     fn descr(&mut self) -> Result<&'a str, FormatError> {
         self.skip_blanks();
         if self.0.first() == Some(&b'[') {
-            return Err(FormatError::Unsupported("an array of records: save its columns as arrays".into()));
+            return Err(FormatError::Unsupported("an array of records; save its columns as arrays".into()));
         }
         self.text()
     }
@@ -150,7 +150,7 @@ impl<'a> Dict<'a> {
         Ok(shape)
     }
 
-    /// A number, which Python 2 suffixed with L.
+    /// Returns a number, which Python 2 suffixed with L.
     fn number(&mut self) -> Result<usize, FormatError> {
         self.skip_blanks();
         let digits = self.0.iter().take_while(|byte| byte.is_ascii_digit()).count();
@@ -161,7 +161,7 @@ impl<'a> Dict<'a> {
         number.map(|number| number.parse().unwrap_or(usize::MAX)).ok_or_else(|| damaged("a shape of numbers"))
     }
 
-    /// A text between quotes of either kind.
+    /// Returns a text between quotes of either kind.
     fn text(&mut self) -> Result<&'a str, FormatError> {
         self.skip_blanks();
         let text = match self.0 {

@@ -41,9 +41,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
             let descr = &array.header.descr;
             let advice = match shape {
                 [_, 4..=16] | [_, _, 4..=16] => {
-                    "; of points with fields save [..., :3], or .npz with the fields as arrays of their own"
+                    "; for points with fields save [..., :3], or .npz with the fields as separate arrays"
                 }
-                [.., 3] => "; integers become metres as array.astype('f4') times their unit",
+                [.., 3] => "; convert integers to metres with array.astype('f4') times their unit",
                 _ => "",
             };
             Err(FormatError::Unsupported(format!("an array of shape {shape:?} and type {descr}: {LAYOUTS}{advice}")))
@@ -51,7 +51,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
     }
 }
 
-/// Whether an array is a line of numbers for each of many points, not an image.
+/// Returns true if an array is a line of numbers for each of many points, not an image.
 fn is_table(rows: usize, columns: usize) -> bool {
     columns <= 16 && rows >= 16 * columns
 }

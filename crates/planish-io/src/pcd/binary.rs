@@ -43,7 +43,7 @@ pub(super) fn decode(header: &Header, body: &[u8]) -> Result<Vec<Attribute>, For
     let needed = stride.checked_mul(header.points());
     if needed.is_none_or(|needed| body.len() < needed) {
         return Err(FormatError::Malformed(format!(
-            "the file is cut short: {} points of {stride} bytes are announced, {} bytes are there",
+            "the file is truncated: its header states {} points of {stride} bytes, but {} bytes follow",
             header.points(),
             body.len()
         )));
@@ -61,20 +61,20 @@ pub(super) fn decode(header: &Header, body: &[u8]) -> Result<Vec<Attribute>, For
 pub(super) fn decode_compressed(header: &Header, body: &[u8]) -> Result<Vec<Attribute>, FormatError> {
     let malformed = |text: String| Err(FormatError::Malformed(text));
     let Some((sizes, compressed)) = body.split_at_checked(8) else {
-        return malformed("the file is cut short: the sizes of the compressed data are missing".into());
+        return malformed("the file is truncated: the sizes of the compressed data are missing".into());
     };
     let (compressed_size, size) = (u32::read(&sizes[..4]) as usize, u32::read(&sizes[4..]) as usize);
     let expected = header.point_bytes().checked_mul(header.points());
     if expected != Some(size) {
         return malformed(format!(
-            "the compressed data hold {size} bytes, but {} points of {} bytes are announced",
+            "the compressed data hold {size} bytes, but the header states {} points of {} bytes",
             header.points(),
             header.point_bytes()
         ));
     }
     let Some(compressed) = compressed.get(..compressed_size) else {
         return malformed(format!(
-            "the file is cut short: {compressed_size} compressed bytes are announced, {} are there",
+            "the file is truncated: its header states {compressed_size} compressed bytes, but {} follow",
             compressed.len()
         ));
     };
@@ -123,7 +123,7 @@ pub(super) fn encode_compressed(columns: &[Attribute], bytes: &mut Vec<u8>) -> R
     }
     let compressed = lzf::compress(&data);
     let (Ok(compressed_size), Ok(size)) = (u32::try_from(compressed.len()), u32::try_from(size)) else {
-        return Err(FormatError::Unsupported("over 4 GiB do not fit a compressed PCD file: write it as binary".into()));
+        return Err(FormatError::Unsupported("a compressed PCD file cannot exceed 4 GiB; write it as binary".into()));
     };
     bytes.extend_from_slice(&compressed_size.to_le_bytes());
     bytes.extend_from_slice(&size.to_le_bytes());

@@ -95,7 +95,7 @@ impl Field {
     pub(super) fn of(column: &Attribute) -> Result<Self, FormatError> {
         if column.name.is_empty() || column.name.contains(char::is_whitespace) {
             return Err(FormatError::Unsupported(format!(
-                "a PCD field cannot be called {:?}: a name has no spaces",
+                "a PCD field cannot be named {:?}, since names have no spaces",
                 column.name
             )));
         }
@@ -158,10 +158,10 @@ impl Header {
             let (line, after) = (&rest[..end], &rest[end + 1..]);
             rest = after;
             if bytes.len() - rest.len() > MAX_HEADER_BYTES {
-                return malformed("the PCD header is over 64 KiB long; this is no PCD file");
+                return malformed("the PCD header is over 64 KiB long; this is not a PCD file");
             }
             let Ok(line) = std::str::from_utf8(line) else {
-                return malformed("the PCD header is not text; this is no PCD file");
+                return malformed("the PCD header is not text; this is not a PCD file");
             };
             let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_ascii_whitespace();
@@ -173,7 +173,7 @@ impl Header {
         }
     }
 
-    /// The header as text, up to and including the line DATA.
+    /// Returns the header as text, up to and including the line DATA.
     pub(super) fn text(&self) -> String {
         let mut text = String::from("# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n");
         let mut line = |key: &str, values: &mut dyn Iterator<Item = String>| {
@@ -219,7 +219,7 @@ impl<'a> Entries<'a> {
                 // Older ones have fewer lines: no COUNT, or no VIEWPOINT.
                 if !matches!(values[..], ["0.7" | ".7" | "0.6" | ".6" | "0.5" | ".5"]) {
                     let version = quoted(&values.join(" "));
-                    return malformed(format!("PCD version {version} is not known; 0.5, 0.6 and 0.7 are"));
+                    return malformed(format!("PCD version {version} is unknown; 0.5, 0.6 and 0.7 are supported"));
                 }
             }
             "FIELDS" => self.fields = values,
@@ -244,14 +244,14 @@ impl<'a> Entries<'a> {
                     ["binary_compressed"] => Encoding::BinaryCompressed,
                     _ => {
                         return malformed(format!(
-                            "DATA {} is not known; ascii, binary and binary_compressed are",
+                            "DATA {} is unknown; ascii, binary and binary_compressed are supported",
                             quoted(&values.join(" "))
                         ));
                     }
                 };
                 return Ok(true);
             }
-            _ => return malformed(format!("{} is no entry of a PCD header", quoted(key))),
+            _ => return malformed(format!("{} is not an entry of a PCD header", quoted(key))),
         }
         Ok(false)
     }
@@ -283,7 +283,7 @@ impl<'a> Entries<'a> {
             }
             // Padding may occur more than once.
             if self.fields[i] != "_" && self.fields[..i].contains(&self.fields[i]) {
-                return malformed(format!("two FIELDS are called {}", quoted(self.fields[i])));
+                return malformed(format!("two FIELDS have the name {}", quoted(self.fields[i])));
             }
             fields.push(Field { name: self.fields[i].to_owned(), scalar, count });
         }
@@ -295,7 +295,7 @@ impl<'a> Entries<'a> {
         };
         let points = width.checked_mul(height).filter(|&points| points <= MAX_PIXELS);
         let Some(points) = points else {
-            return malformed(format!("{width} x {height} points are more than the 2^28 that are allowed"));
+            return malformed(format!("{width} x {height} points exceed the limit of 2^28"));
         };
         if let Some(stated) = self.points
             && stated != points

@@ -18,7 +18,7 @@ const MAX_LITERALS: usize = 32;
 pub fn decompress(stream: &[u8], size: usize) -> Result<Vec<u8>, LzfError> {
     // Checked before anything is allocated: a stream this short cannot expand that far.
     if size / MAX_REFERENCE > stream.len() {
-        return Err(LzfError("they are too short for the announced size"));
+        return Err(LzfError("they are shorter than the stated size"));
     }
     let mut out = Vec::with_capacity(size);
     let mut rest = stream;
@@ -44,17 +44,17 @@ pub fn decompress(stream: &[u8], size: usize) -> Result<Vec<u8>, LzfError> {
             if distance >= length {
                 out.extend_from_within(start..start + length);
             } else {
-                // The reference overlaps what it writes.
+                // The reference overlaps the bytes being written.
                 for i in start..start + length {
                     out.push(out[i]);
                 }
             }
         }
         if out.len() > size {
-            return Err(LzfError("they hold more than the announced size"));
+            return Err(LzfError("they decompress to more than the stated size"));
         }
     }
-    if out.len() == size { Ok(out) } else { Err(LzfError("they hold less than the announced size")) }
+    if out.len() == size { Ok(out) } else { Err(LzfError("they decompress to less than the stated size")) }
 }
 
 /// Compresses greedily, with a table of the last position of every 3-byte sequence.

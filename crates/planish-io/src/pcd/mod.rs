@@ -1,9 +1,9 @@
 //! PCD v0.7, the format of the Point Cloud Library: ascii, binary, binary_compressed.
 //!
-//! Every field is kept with its size, type and count, padding (`_`) included, and so are the grid and the viewpoint.
-//! Binary values are little-endian, point after point; compressed ones are field after field through LZF. Like PCL,
-//! ascii files store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float: the bits of an
-//! opaque colour are those of a NaN, and would be lost.
+//! Every field keeps its size, type and count, padding (`_`) included; the grid and the viewpoint are kept too. Binary
+//! values are little-endian, point by point; compressed files store field by field through LZF. Like PCL, ascii files
+//! store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float: the bits of an opaque colour
+//! form a NaN and would be lost.
 
 mod binary;
 mod header;
@@ -20,7 +20,7 @@ use planish_core::{Attribute, AttributeValues, FormatError, SensorPose};
 /// Reads a PCD file.
 pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {
     let (header, body) = Header::parse(bytes)?;
-    // Columns, and what they are decompressed to before. What cannot hold them is cut short, and that is said instead.
+    // Memory for columns and decompressed bytes. If the file is too short for them, that is reported instead.
     let (copies, most_bytes) = match header.encoding {
         Encoding::Ascii => (1, body.len().saturating_mul(8)),
         Encoding::Binary => (1, body.len()),
@@ -43,7 +43,7 @@ pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
     Ok(Gridded { width: header.width, height: header.height, points })
 }
 
-/// The encoding that a header states.
+/// Returns the encoding that a header states.
 pub(crate) fn encoding(bytes: &[u8]) -> Option<Encoding> {
     Header::parse(bytes).ok().map(|(header, _)| header.encoding)
 }

@@ -1,14 +1,14 @@
 //! The element `camera`: the sensor's pose and the grid, as PCL writes them behind the vertices.
 //!
-//! PCL has the rows of cloud_from_sensor's rotation in `x_axis`, `y_axis` and `z_axis`, and width and height in the
-//! viewport. Of the rest it uses nothing, and writes 0. MeshLab has an element of the same name whose axes mean
-//! something else; it is told by its focal length, and its pose is not taken.
+//! PCL stores the rows of cloud_from_sensor's rotation in `x_axis`, `y_axis` and `z_axis`, and width and height in the
+//! viewport. It does not use the other properties and writes 0. MeshLab has an element of the same name with different
+//! axes; its focal length identifies it, and its pose is ignored.
 
 use ply_rs_bw::ply::{ElementDef, Property};
 
 use planish_core::{Attribute, AttributeValues, SensorPose};
 
-/// The properties in PCL's order: position and rotation, what it does not use, width and height, what it does not use.
+/// The properties in PCL's order: position and rotation, unused ones, width and height, unused ones.
 const PROPERTIES: [&str; 21] = [
     "view_px",
     "view_py",
@@ -43,7 +43,7 @@ const MAX_ROUNDING_M: f64 = 1e-4;
 /// What the element says.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct PlyCamera {
-    /// `None` if it states none, or one that is no rotation.
+    /// `None` if the file states no pose, or an invalid rotation.
     pub(super) pose: Option<SensorPose>,
     /// Width and height of a grid.
     pub(super) grid: Option<(usize, usize)>,
@@ -66,7 +66,7 @@ impl PlyCamera {
         Self { pose, grid: pixels(WIDTH).zip(pixels(HEIGHT)) }
     }
 
-    /// The element's properties for a pose, one value each.
+    /// Returns the element's properties for a pose, one value each.
     pub(super) fn columns(pose: &SensorPose, (width, height): (usize, usize)) -> Vec<Attribute> {
         let is_exact = |&coordinate: &f64| (f64::from(coordinate as f32) - coordinate).abs() <= MAX_ROUNDING_M;
         let fits = pose.position_m.iter().all(is_exact);
@@ -85,7 +85,7 @@ impl PlyCamera {
     }
 }
 
-/// A scalar as a number; NaN for a list.
+/// Returns a scalar as a number; NaN for a list.
 pub(super) fn number(property: &Property) -> f64 {
     match *property {
         Property::Char(value) => value.into(),

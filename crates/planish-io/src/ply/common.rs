@@ -23,7 +23,7 @@ pub(super) fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
     Err(FormatError::Malformed(text.into()))
 }
 
-/// What PLY's programs call normals, and what PCL does.
+/// Names of normals in PLY files and in PCL.
 pub(super) const NORMALS: [(&str, &str); 3] = [("nx", "normal_x"), ("ny", "normal_y"), ("nz", "normal_z")];
 
 /// Gives the normals of a file PCL's names, by which the rest of the library knows them.

@@ -22,12 +22,12 @@ pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
     Ok(bytes)
 }
 
-/// The columns of a cloud as PLY has them, each with a name of its own.
+/// Returns the columns of a cloud under PLY's names, which are unique.
 pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatError> {
     let mut columns = columns_from_cloud(cloud);
     let has = |columns: &[Attribute], name: &str| columns.iter().any(|column| column.name == name);
     if NORMALS.iter().all(|(_, pcl)| has(&columns, pcl)) {
-        // A file of an earlier version has both: those that the rest of the library knows are newer.
+        // Files of an earlier version have both names; the values under PCL's names are newer.
         columns.retain(|column| NORMALS.iter().all(|(ply, _)| column.name != *ply));
         for (ply, pcl) in NORMALS {
             columns.iter_mut().filter(|column| column.name == pcl).for_each(|column| column.name = ply.to_owned());
@@ -41,7 +41,7 @@ pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatErr
     Ok(columns)
 }
 
-/// What stands before and behind the vertices of a file.
+/// Data before and after the vertices of a file.
 pub(super) struct Around<'a> {
     pub(super) grid: Option<(usize, usize)>,
     pub(super) pose: &'a SensorPose,
@@ -50,7 +50,7 @@ pub(super) struct Around<'a> {
 }
 
 impl Around<'_> {
-    /// The header, and the camera where there is a pose, around so many vertices with these columns.
+    /// Encodes the header for `points` vertices with these columns, and the camera if there is a pose.
     pub(super) fn encode(&self, columns: &[Attribute], points: usize) -> Result<[Vec<u8>; 2], FormatError> {
         let &Self { grid, pose, remarks, encoding } = self;
         let camera =
@@ -79,7 +79,7 @@ impl Around<'_> {
     }
 }
 
-/// The lines or records of the columns.
+/// Returns the lines or records of the columns.
 fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
     if encoding == Encoding::Ascii {
         let mut lines = Vec::new();
@@ -92,7 +92,7 @@ fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result
     }
 }
 
-/// The definition of an element with these columns.
+/// Returns the definition of an element with these columns.
 pub(super) fn element_of(name: &str, count: usize, columns: &[Attribute]) -> ElementDef {
     let mut element = ElementDef::new(name.into());
     element.count = count;
@@ -120,7 +120,7 @@ fn ply_columns(column: Attribute) -> Result<Vec<Attribute>, FormatError> {
     let count = column.count;
     let rounded = || {
         FormatError::Unsupported(format!(
-            "the field {} has 64-bit integers that PLY, which has none, would round: write .pcd",
+            "the field {} has 64-bit integers, which PLY would round; write .pcd",
             quoted(&column.name)
         ))
     };

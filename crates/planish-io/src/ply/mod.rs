@@ -1,8 +1,8 @@
 //! PLY, ascii and binary: the vertices with all their properties. Faces and other elements are not kept.
 //!
-//! A grid is stated as by range scanners and PCL: `obj_info num_cols W` and `obj_info num_rows H`, with a vertex for
-//! every pixel, or with an element `range_grid` that says which pixels have one; or, with the sensor's pose, by PCL's
-//! element [`camera`].
+//! A grid is stated in one of two ways. Range scanners and PCL write `obj_info num_cols W` and `obj_info num_rows H`,
+//! with a vertex for every pixel, or with an element `range_grid` that lists the pixels with a vertex. PCL's element
+//! [`camera`] states the grid together with the sensor's pose.
 
 mod camera;
 mod common;
@@ -91,15 +91,15 @@ fn damaged(error: impl Into<std::io::Error>) -> FormatError {
 /// The vertex of each pixel, if there is an element `range_grid`.
 type Cells = Option<Vec<Option<usize>>>;
 
-/// What stands behind the header, beside the vertices.
+/// Data after the header, other than vertices.
 #[derive(Default)]
 struct Body {
     cells: Cells,
     camera: PlyCamera,
 }
 
-/// The elements up to the last one of interest, each with whether it must be whole: those behind the vertices and their
-/// grid need not be, since a camera is no more than a hint.
+/// Iterates over the elements up to the last one of interest, each with a flag that it must be complete. Elements after
+/// the vertices and their grid may be truncated, since a camera is only a hint.
 fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef, bool)> {
     let last = |names: &[&str]| header.elements.keys().rposition(|name| names.contains(&name.as_str())).unwrap_or(0);
     let (needed, last) = (last(&["vertex", "range_grid"]), last(&["vertex", "range_grid", "camera"]));
@@ -195,7 +195,7 @@ fn read_binary_element(
     Ok(())
 }
 
-/// What the element `camera` says whose bytes stand first.
+/// Decodes the element `camera`, which starts at the first of these bytes.
 #[cfg(feature = "scans")]
 fn read_camera(header: &Header, mut bytes: &[u8]) -> Result<PlyCamera, FormatError> {
     let mut found = Body::default();
@@ -213,7 +213,7 @@ fn cell_of(indices: Option<&[usize]>) -> Result<Option<usize>, FormatError> {
     match indices {
         Some([]) => Ok(None),
         Some([index]) => Ok(Some(*index)),
-        _ => malformed("range_grid should list no or one vertex for each pixel"),
+        _ => malformed("range_grid must list at most one vertex per pixel"),
     }
 }
 
@@ -226,7 +226,7 @@ fn info(header: &Header, key: &str) -> Option<usize> {
 /// The largest header accepted, in bytes; real ones have a few hundred.
 const MAX_HEADER_BYTES: usize = 64 * 1024;
 
-/// The lines of the header, up to `end_header`; `None` if that is missing.
+/// Returns the lines of the header, up to `end_header`; `None` if that is missing.
 fn header_lines(bytes: &[u8]) -> Option<Vec<&str>> {
     let bytes = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
     let mut lines = Vec::new();
@@ -239,7 +239,7 @@ fn header_lines(bytes: &[u8]) -> Option<Vec<&str>> {
     None
 }
 
-/// The encoding that a header states; big-endian files are binary, and written as little-endian.
+/// Returns the encoding that a header states; big-endian files are binary, and written as little-endian.
 pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
     let stated = header_lines(bytes)?.into_iter().find_map(|line| line.strip_prefix("format "))?;
     Some(if stated.trim_start().starts_with("ascii") { Encoding::Ascii } else { Encoding::Binary })
@@ -258,8 +258,8 @@ fn stated_properties(header_lines: &[&str]) -> Vec<usize> {
     counts
 }
 
-/// Refuses elements that the library would read wrongly: of properties that have the same name it forgets all but one,
-/// and reads the others' bytes as the next; one without properties has no bytes, however many are announced.
+/// Refuses elements that the library would read wrongly. Of several properties with the same name it keeps one and
+/// misreads the bytes of the others; an element without properties has no bytes, whatever its count.
 fn check_properties(element: &ElementDef, stated: usize) -> Result<(), FormatError> {
     if stated != element.properties.len() {
         return malformed(format!("two properties of element {} have the same name", quoted(&element.name)));
@@ -274,7 +274,7 @@ fn check_properties(element: &ElementDef, stated: usize) -> Result<(), FormatErr
 fn check_size(element: &ElementDef, file_bytes: usize) -> Result<(), FormatError> {
     if element.count > MAX_PIXELS || element.count > file_bytes {
         return malformed(format!(
-            "the file is cut short: {} of element {} are announced in {file_bytes} bytes",
+            "the file is truncated: its header states {} of element {} in {file_bytes} bytes",
             element.count,
             quoted(&element.name)
         ));
@@ -295,7 +295,7 @@ fn empty_columns(vertex: &ElementDef) -> Result<Vec<Attribute>, FormatError> {
             PropertyType::Scalar(ScalarType::Double) => AttributeValues::F64(Vec::new()),
             PropertyType::List(..) => {
                 return Err(FormatError::Unsupported(format!(
-                    "the vertex property {} is a list; only scalars are read",
+                    "the vertex property {} is a list; only scalars are supported",
                     quoted(name)
                 )));
             }
@@ -310,7 +310,7 @@ fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, Forma
     fn on_grid<T: Copy>(values: &[T], hole: T, cells: &[Option<usize>]) -> Result<Vec<T>, FormatError> {
         let value = |cell: &Option<usize>| cell.map_or(Some(hole), |index| values.get(index).copied());
         let found: Option<Vec<T>> = cells.iter().map(value).collect();
-        found.ok_or_else(|| FormatError::Malformed("range_grid names a vertex that is not there".into()))
+        found.ok_or_else(|| FormatError::Malformed("range_grid names a missing vertex".into()))
     }
     let values = match &column.values {
         AttributeValues::F32(values) => on_grid(values, f32::NAN, cells)?.into(),

@@ -22,7 +22,7 @@ use super::{
 };
 use planish_core::{Attribute, FormatError, PointCloud, SensorPose};
 
-/// What the header says of the vertices.
+/// Description of the vertices in the header.
 pub(crate) struct VertexHeader {
     encoding: PlyEncoding,
     layout: Layout,
@@ -35,7 +35,7 @@ pub(crate) struct VertexHeader {
     left_out: Option<String>,
 }
 
-/// Reads the vertices of a general cloud some at a time.
+/// Reads the vertices of an unorganized cloud some at a time.
 pub(crate) struct PlyReader {
     header: Arc<VertexHeader>,
     body: BufReader<File>,
@@ -62,7 +62,7 @@ impl PlyReader {
             }
             if length == 0 {
                 return malformed(format!(
-                    "the file is cut short: {} vertices are announced, {} are there",
+                    "the file is truncated: its header states {} vertices, but {} follow",
                     self.points,
                     self.read + found
                 ));
@@ -101,7 +101,7 @@ impl RecordReader for PlyReader {
     type Encoder = PlyEncoder;
 
     fn open(path: &Path) -> FormatResult<Self> {
-        let unsupported = |what: &str| Err(FormatError::Unsupported(format!("{what} is not read in parts")));
+        let unsupported = |what: &str| Err(FormatError::Unsupported(format!("{what} cannot be smoothed in tiles")));
         let mut file = File::open(path)?;
         let bytes = usize::try_from(file.metadata()?.len()).unwrap_or(usize::MAX);
         let mut head = Vec::new();
@@ -145,7 +145,7 @@ impl RecordReader for PlyReader {
             return unsupported("an organized cloud");
         }
         if header.encoding != PlyEncoding::Ascii && points.saturating_mul(layout.record) > bytes - at {
-            return malformed(format!("the file is cut short: {points} vertices are announced in {bytes} bytes"));
+            return malformed(format!("the file is truncated: its header states {points} vertices in {bytes} bytes"));
         }
         let (remarks, left_out) = (remarks_of(&header), left_out(&header));
         let header =
@@ -198,7 +198,7 @@ impl RecordReader for PlyReader {
     }
 }
 
-/// The element `camera` that stands behind the vertices, which begin at a place of the file.
+/// Returns the element `camera` that stands behind the vertices, which begin at a place of the file.
 fn camera_behind(
     path: &Path,
     vertices_at: usize,
@@ -223,7 +223,7 @@ fn camera_behind(
     }
     let mut behind = Vec::new();
     body.take(MAX_HEADER_BYTES as u64).read_to_end(&mut behind)?;
-    // As in a file that is read whole, it is no more than a hint.
+    // As for a file that is read at once, the camera is only a hint.
     Ok(read_camera(header, &behind).unwrap_or_default())
 }
 

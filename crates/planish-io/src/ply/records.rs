@@ -81,7 +81,7 @@ impl Layout {
         Ok(())
     }
 
-    /// The records of some rows of the columns, one for each field.
+    /// Returns the records of some rows of the columns, one for each field.
     pub(super) fn encode(&self, columns: &[Attribute], rows: impl ExactSizeIterator<Item = usize> + Clone) -> Vec<u8> {
         let mut records = vec![0; self.record * rows.len()];
         for (column, Field { at, .. }) in columns.iter().zip(&self.fields) {
@@ -95,7 +95,7 @@ impl Layout {
         records
     }
 
-    /// A value of a record as a number.
+    /// Returns a value of a record as a number.
     #[cfg(feature = "scans")]
     pub(super) fn number(&self, record: &[u8], field: usize) -> f64 {
         fn bytes<const N: usize>(record: &[u8], at: usize) -> [u8; N] {
@@ -119,7 +119,7 @@ pub(super) fn take_records<'a>(
 ) -> FormatResult<std::borrow::Cow<'a, [u8]>> {
     let Some((records, rest)) = count.checked_mul(layout.record).and_then(|bytes| body.split_at_checked(bytes)) else {
         return malformed(format!(
-            "the file is cut short: {count} vertices of {} bytes are announced, {} bytes are there",
+            "the file is truncated: its header states {count} vertices of {} bytes, but {} bytes follow",
             layout.record,
             body.len()
         ));

@@ -1,4 +1,4 @@
-//! What a PLY header says beside the vertices: free text, which is kept, and elements that are not.
+//! Other contents of a PLY header: free text, which is kept, and elements, which are dropped.
 
 use ply_rs_bw::ply::Header;
 
@@ -12,7 +12,7 @@ pub(super) struct Remarks {
     pub(super) obj_infos: Vec<String>,
 }
 
-/// What is read of a file, or stated anew.
+/// Elements that are read, or written anew.
 const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
 pub(super) const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
 
@@ -23,14 +23,14 @@ impl Remarks {
     }
 }
 
-/// What is said of elements that are not kept.
+/// Returns a note about dropped elements.
 pub(super) fn left_out(header: &Header) -> Option<String> {
     let others = header.elements.values().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
     let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
-    (!others.is_empty()).then(|| format!("elements beside the vertices are left out: {}", others.join(", ")))
+    (!others.is_empty()).then(|| format!("other elements than vertices are dropped: {}", others.join(", ")))
 }
 
-/// What the header says in free text.
+/// Returns the free text of the header.
 pub(super) fn remarks_of(header: &Header) -> Remarks {
     let is_of_grid = |line: &&String| GRID_INFOS.iter().any(|key| line.trim().starts_with(key));
     let obj_infos = header.obj_infos.iter().filter(|line| !is_of_grid(line)).cloned().collect();

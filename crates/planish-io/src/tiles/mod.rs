@@ -1,8 +1,8 @@
 //! Clouds that do not fit memory: LAS, LAZ and PLY files, smoothed tile by tile into another such file.
 //!
-//! The file is read once, and its records are dealt to temporary files, one a tile of cells seen from above. A tile is
-//! smoothed with a halo of the points around it, as wide as its points reach, so that each gets what it gets in the
-//! whole cloud; the records of its own points are kept. At the end they are put together in the order of the input.
+//! The file is read once, and its records are distributed to temporary files, one per tile of cells seen from above. A
+//! tile is smoothed with a halo of surrounding points, wide enough for each point to get the result of the whole cloud;
+//! the records of the tile's points are kept. Finally they are written in the order of the input.
 
 mod plan;
 mod spill;
@@ -21,7 +21,7 @@ use spill::{Spill, too_large};
 
 /// More of a tile's points than this share, whose radius reaches beyond the halo, ask for a wider one.
 const MAY_REACH_BEYOND: f64 = 1e-4;
-/// Where memory does not hold a wider one, no more than this share of a tile's points, or of those of a usual tile.
+/// If memory does not hold a wider halo, at most this share of a tile's points, or of a typical tile's, may be inexact.
 const MAY_BE_INEXACT: f64 = 0.01;
 /// No halo is narrower than this share of that by density.
 const NARROWEST: f64 = 0.01;
@@ -30,13 +30,13 @@ const NARROWEST: f64 = 0.01;
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TileOptions {
-    /// The parameters, as for any general cloud.
+    /// The parameters, as for any unorganized cloud.
     pub params: CloudParams,
     /// The engine and its options; with radii by density not the reference.
     pub smoother: SmootherOptions,
-    /// What is written beside the points.
+    /// Outputs to write in addition to the points.
     pub fields: Outputs,
-    /// Where the sensor stood, if normals are to face it.
+    /// Pose of the sensor, if normals are to face it.
     pub pose: Option<SensorPose>,
     /// How a PLY file is to store its points; `None` for as the input does.
     pub encoding: Option<Encoding>,
@@ -45,7 +45,7 @@ pub struct TileOptions {
 }
 
 impl TileOptions {
-    /// With so many bytes of memory.
+    /// Sets the parameters and the memory limit in bytes.
     pub fn new(params: CloudParams, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
         Self { params, smoother, fields: Outputs::POINTS, pose: None, encoding: None, max_memory_bytes }
     }
@@ -66,7 +66,7 @@ impl TileOptions {
     }
 }
 
-/// What became of a file.
+/// Report on a smoothed file.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct TilesReport {
@@ -74,7 +74,7 @@ pub struct TilesReport {
     pub points: usize,
     /// In how many tiles.
     pub tiles: usize,
-    /// By which engine; what was asked for where there was no point.
+    /// The engine used; for an empty file, the requested one.
     pub engine: Engine,
     /// Points of each status, by its code.
     pub status_counts: [usize; 7],
@@ -82,22 +82,22 @@ pub struct TilesReport {
     pub reaching_beyond: usize,
     /// Whether the file states its sensor's pose, or the options do.
     pub has_pose: bool,
-    /// Where the sensor is taken to have stood, if neither the file nor the options say it and it cannot have been the
-    /// origin of coordinates.
+    /// Assumed position of the sensor, if neither the file nor the options state it and it cannot have been the origin
+    /// of coordinates.
     pub assumed_sensor_m: Option<[f64; 3]>,
-    /// What of the file was left out: one clause each, for a user to read.
+    /// Data of the file that were dropped: one clause each, for users.
     pub notes: Vec<String>,
 }
 
-/// Whether a file is smoothed in tiles into another: two LAS or LAZ files, or two PLY files.
+/// Returns true if a file is smoothed in tiles into another: two LAS or LAZ files, or two PLY files.
 pub fn are_tiled(input: &Path, output: &Path) -> bool {
     let is_las = |path| matches!(Format::of_extension(path), Some(Format::Las | Format::Laz));
     let is_ply = |path| Format::of_extension(path) == Some(Format::Ply);
     (is_las(input) && is_las(output)) || (is_ply(input) && is_ply(output))
 }
 
-/// The bytes that smoothing a LAS, LAZ or PLY file whole takes; `None` for other files, organized clouds and what
-/// cannot be read.
+/// Returns the bytes that smoothing a LAS, LAZ or PLY file whole takes; `None` for other files, organized clouds and
+/// what cannot be read.
 pub fn bytes_in_memory(path: &Path) -> Option<u64> {
     fn needed<R: RecordReader>(path: &Path) -> Option<u64> {
         let reader = R::open(path).ok()?;
@@ -114,10 +114,10 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
     }
 }
 
-/// Smooths a LAS, LAZ or PLY file into another of the same kind, in as much memory as is allowed. Beside the output as
-/// much room is needed as three times the records take.
+/// Smooths a LAS, LAZ or PLY file into another of the same kind within the memory limit. In addition to the output, it
+/// needs disk space for three times the records.
 ///
-/// Results are those of the whole cloud, relative to an origin in each tile.
+/// Results equal those of the whole cloud, relative to an origin in each tile.
 ///
 /// # Errors
 /// If a file cannot be read or written, an engine fails, or the memory does not hold a tile.
@@ -128,7 +128,7 @@ pub fn smooth_tiles(
     progress: &Progress,
 ) -> Result<TilesReport, Error> {
     if !are_tiled(input, output) {
-        let reason = "files are smoothed in tiles from .las or .laz to either, and from .ply to .ply".to_owned();
+        let reason = "only .las or .laz to either, and .ply to .ply, can be smoothed in tiles".to_owned();
         return Err(IoError::at(output)(FormatError::Unsupported(reason)).into());
     }
     match Format::of_extension(input) {
@@ -146,14 +146,14 @@ fn smooth_records<R: RecordReader>(
     let engine = options.smoother.engine;
     if engine == Engine::Reference && matches!(options.params.radius, CloudRadius::Neighbours { .. }) {
         // Radii by density have to be known, which it does not keep.
-        let reason = "radii by density in tiles need the CPU or the GPU engine, or a radius".to_owned();
+        let reason = "radii by density in tiles need the CPU or GPU engine; or set a radius".to_owned();
         return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
     }
     let whole = AtomicFile::new(output).map_err(IoError::at(output))?;
     let reader = R::open(input).map_err(IoError::at(input))?;
     progress.begin(3 * reader.points());
     let notes = reader.notes();
-    // Of the files that go on the way, those that are written are at fault for what the system says.
+    // System errors are attributed to the file being written.
     let at_either = |problem: FormatError| match problem {
         FormatError::Os(_) => Error::from(IoError::at(output)(problem)),
         _ => IoError::at(input)(problem).into(),
@@ -216,7 +216,7 @@ impl From<Error> for TileError {
     }
 }
 
-/// What goes from tile to tile.
+/// State carried from tile to tile.
 struct Tiler<'a, R: RecordReader> {
     options: &'a TileOptions,
     smoother: Option<Smoother>,

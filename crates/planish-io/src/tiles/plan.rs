@@ -1,4 +1,4 @@
-//! Which points a tile has: rectangles of cells seen from above, each with about as many points as fit.
+//! Which points per tile has: rectangles of cells seen from above, each with about as many points as fit.
 
 /// Cells along the longer side of a cloud.
 const CELLS: usize = 2048;
@@ -22,7 +22,8 @@ pub(super) struct Tile {
 }
 
 impl Cells {
-    /// Over a box, given by its least and largest coordinates. What is outside counts with the cells at the border.
+    /// Creates a plan over a box, given by its smallest and largest coordinates. Points outside count with the border
+    /// cells.
     pub(super) fn new(low: [f64; 2], high: [f64; 2]) -> Self {
         let longest = (high[0] - low[0]).max(high[1] - low[1]).max(f64::MIN_POSITIVE);
         let size_m = longest / CELLS as f64;
@@ -41,7 +42,7 @@ impl Cells {
         self.counts[row * self.across + column] += 1;
     }
 
-    /// The least and the largest coordinates of a tile. Tiles at the border reach as far as there are points.
+    /// Returns the smallest and largest coordinates of a tile. Tiles at the border extend to all points beyond.
     pub(super) fn bounds(&self, tile: &Tile) -> [[f64; 2]; 2] {
         let cells = [self.across, self.down];
         let edge = |axis: usize, cell: usize| match cell {
@@ -52,13 +53,13 @@ impl Cells {
         [[edge(0, tile.from[0]), edge(1, tile.from[1])], [edge(0, tile.to[0]), edge(1, tile.to[1])]]
     }
 
-    /// The area of a tile in square metres.
+    /// Returns the area of a tile in square metres.
     pub(super) fn area(&self, tile: &Tile) -> f64 {
         let sides = [0, 1].map(|axis| (tile.to[axis] - tile.from[axis]) as f64 * self.size_m);
         sides[0] * sides[1]
     }
 
-    /// Tiles of at most so many points, but for single cells that have more; none without points.
+    /// Returns tiles of at most `most` points, except for single cells with more; no tiles without points.
     pub(super) fn tiles(&self, most: u64) -> Vec<Tile> {
         let whole = self.tile([0, 0], [self.across, self.down]);
         let (mut waiting, mut tiles) = (vec![whole], Vec::new());
@@ -74,7 +75,7 @@ impl Cells {
         tiles
     }
 
-    /// The tile cut in two across an axis, with about as many points on either side.
+    /// Returns the tile cut in two across an axis, with about as many points on either side.
     fn halves(&self, tile: &Tile, axis: usize) -> [Tile; 2] {
         let mut at = tile.from[axis];
         let mut before = 0;
@@ -95,7 +96,7 @@ impl Cells {
         Tile { from, to, points }
     }
 
-    /// The number of the tile of every cell, row by row; `tiles` cover all cells that have points.
+    /// Returns the number of the tile of every cell, row by row; `tiles` cover all cells that have points.
     pub(super) fn tile_of_cells(&self, tiles: &[Tile]) -> Vec<u16> {
         let mut of_cells = vec![0; self.counts.len()];
         for (number, tile) in (0u16..).zip(tiles) {
@@ -112,9 +113,9 @@ impl Cells {
     }
 }
 
-/// What a point of a tile takes beside its records: positions twice, an engine and its results.
+/// Memory per point of a tile in addition to its records: positions twice, an engine and its results.
 const ENGINE_BYTES_A_POINT: u64 = 250;
-/// A tile's records take so many times their size: as read, in columns, and as written.
+/// Copies of a tile's records in memory: as read, in columns, and as written.
 const COPIES: u64 = 3;
 
 /// Returns the memory that a point of a tile takes, in bytes.

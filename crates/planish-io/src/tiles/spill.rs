@@ -1,5 +1,5 @@
-//! The records of a file, dealt to temporary files, one a tile; and the smoothed ones put together in the order of the
-//! input.
+//! Distributes the records of a file to temporary files, one per tile, and merges the smoothed records in the order of
+//! the input.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -27,7 +27,7 @@ pub(super) struct Spill<R: RecordReader> {
     pub(super) points: usize,
     pub(super) most_in_memory: u64,
     pub(super) extent_m: f64,
-    /// Where the sensor is taken to have stood, if that cannot be the origin of coordinates.
+    /// Assumed position of the sensor, if it cannot be the origin of coordinates.
     pub(super) assumed_sensor_m: Option<[f64; 3]>,
     /// Of the format.
     needs_latest_version: bool,
@@ -42,15 +42,15 @@ pub(super) struct Spill<R: RecordReader> {
 pub(super) struct TileFiles {
     pub(super) tile: Tile,
     records: Temporary,
-    /// For each record a byte that says whether it is kept, and the new one.
+    /// For each record, a byte that is 1 if it is kept, and the new record.
     pub(super) smoothed: Option<Temporary>,
 }
 
-/// What a user is told whose memory does not hold the tiles of a file.
+/// Returns the error for files whose tiles do not fit the memory limit.
 pub(super) fn too_large(points: usize, record: usize, max_memory_bytes: u64) -> FormatError {
     let (allowed, whole) = (memory(max_memory_bytes), memory(points as u64 * bytes_a_point(record) + KIB - 1));
     FormatError::Unsupported(format!(
-        "its tiles, with the points around them, do not fit the {allowed} that are allowed: raise the limit (the whole needs {whole})"
+        "its tiles and their surrounding points exceed the limit of {allowed}; raise it (the whole file needs {whole})"
     ))
 }
 
@@ -158,7 +158,7 @@ impl<R: RecordReader> Spill<R> {
         })
     }
 
-    /// The records of a tile, and behind them those of others within its halo; `None` if that is more than fits.
+    /// Returns the records of a tile, followed by those of its halo; `None` if they do not fit.
     pub(super) fn with_halo(&self, number: usize, halo_m: f64) -> FormatResult<Option<Vec<u8>>> {
         let most = usize::try_from(self.most_in_memory).unwrap_or(usize::MAX).saturating_mul(self.record);
         let mut records = Vec::new();
@@ -216,7 +216,7 @@ impl<R: RecordReader> Spill<R> {
         let mut left = self.points;
         encoder.write(to, self.points, || {
             let mut batch = Vec::new();
-            // One whose records are all holes is no end.
+            // A batch of holes alone is not the end.
             while batch.is_empty() && left > 0 {
                 let read = left.min(BATCH);
                 batch.reserve(read * length);
@@ -241,7 +241,7 @@ fn is_finite(position: [f64; 3]) -> bool {
     position.iter().all(|value| value.is_finite())
 }
 
-/// Where points belong, seen from above: holes to points of a sample in turns, so that no tile gets too many.
+/// Assigns points to tiles, seen from above. Holes go to points of a sample in turn, so that no tile gets too many.
 struct Places<'a> {
     sample: &'a [Vec<f64>; 3],
     holes: usize,
@@ -259,7 +259,7 @@ impl Places<'_> {
     }
 }
 
-/// Reads a temporary file from its beginning, so many things of a size at a time.
+/// Reads a temporary file from its beginning, in batches of items of this size.
 fn for_each_batch(mut file: &File, size: usize, mut visit: impl FnMut(&[u8]) -> FormatResult<()>) -> FormatResult<()> {
     let mut left = file.metadata()?.len() as usize;
     file.seek(SeekFrom::Start(0))?;

@@ -11,7 +11,7 @@ use planish_core::{Error, ParamError};
 /// The largest time stamp accepted, in seconds from 0: about 30,000 years.
 const LARGEST_TIMESTAMP_S: f64 = 1e12;
 
-/// A live source that failed so many times in a row counts as gone.
+/// A live source that failed this many times in a row counts as gone.
 const MOST_FAILURES: u32 = 100;
 
 /// Unreadable frames of a camera that are reported one by one; later ones are only counted.
@@ -31,7 +31,7 @@ pub(super) struct Arrived {
     pub(super) since: Instant,
 }
 
-/// What the inbox has to say.
+/// Output of the inbox.
 pub(super) enum Taken {
     Moment(Moment<Arrived>),
     /// Nothing yet.
@@ -40,7 +40,7 @@ pub(super) enum Taken {
     End,
 }
 
-/// Where the cameras' threads put their frames, and the stream takes moments.
+/// Passes frames from the cameras' threads to the stream, which takes moments.
 pub(super) struct Inbox {
     names: Vec<String>,
     is_live: bool,
@@ -63,7 +63,7 @@ struct State {
     started: Instant,
 }
 
-/// What a camera's thread reports.
+/// Report of a camera's thread.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Received {
     pub(super) unreadable: u64,
@@ -154,9 +154,9 @@ impl Inbox {
         state.cameras[camera].unreadable += 1;
         let (name, unreadable) = (&self.names[camera], state.cameras[camera].unreadable);
         if is_over {
-            state.warnings.push_back(format!("camera {name}: {error}; the other cameras go on"));
+            state.warnings.push_back(format!("camera {name}: {error}; the other cameras continue"));
         } else if unreadable <= MOST_FAILURES_TOLD {
-            let only_counted = if unreadable == MOST_FAILURES_TOLD { "; more of them are only counted" } else { "" };
+            let only_counted = if unreadable == MOST_FAILURES_TOLD { "; further ones are only counted" } else { "" };
             state.warnings.push_back(format!("camera {name}: {error}{only_counted}"));
         }
         if is_over {
@@ -188,7 +188,7 @@ impl Inbox {
         }
     }
 
-    /// The next warning that was not told.
+    /// Returns the next warning that was not told.
     pub(super) fn warning(&self) -> Option<String> {
         self.lock().warnings.pop_front()
     }
@@ -199,17 +199,17 @@ impl Inbox {
         self.changed.notify_all();
     }
 
-    /// Whether it was said that no frames come together.
+    /// Returns true if a warning about unmatched frames was given.
     pub(super) fn has_told_unmatched(&self) -> bool {
         self.lock().has_told_unmatched
     }
 
-    /// The error that a camera ended with.
+    /// Returns the error that a camera ended with.
     pub(super) fn first_error(&self) -> Option<Error> {
         self.lock().first_error.take()
     }
 
-    /// What became of each camera's frames, and how many moments newer ones replaced.
+    /// Returns statistics of each camera's frames, and the number of moments that newer ones replaced.
     pub(super) fn counts(&self) -> (Vec<(MatcherCounts, Received)>, u64) {
         let state = self.lock();
         (state.matcher.counts().into_iter().zip(state.cameras.iter().copied()).collect(), state.skipped)
@@ -242,8 +242,8 @@ impl State {
         if unmatched > 1 && !self.has_told_unmatched {
             self.has_told_unmatched = true;
             self.warnings.push_back(
-                "no frames of different cameras have time stamps within the tolerance: give time offsets (time_offset_s), a larger \
-                 tolerance (tolerance_ms), or for live cameras whose clocks differ \"clock\": \"arrival\""
+                "no time stamps of different cameras are within the tolerance; set time offsets (time_offset_s), a \
+                 larger tolerance (tolerance_ms), or for live cameras with different clocks \"clock\": \"arrival\""
                     .to_owned(),
             );
         }
@@ -271,10 +271,13 @@ impl Drop for EndOf<'_> {
     fn drop(&mut self) {
         let mut state = self.inbox.lock();
         state.matcher.end(self.camera);
-        // One that is no longer wanted has not ended by itself.
+        // A camera that was stopped has not ended.
         state.cameras[self.camera].has_ended = !state.is_closed;
         if std::thread::panicking() {
-            state.warnings.push_back(format!("camera {}: its source panicked", self.inbox.names[self.camera]));
+            state.warnings.push_back(format!(
+                "camera {}: its source panicked (please report this bug)",
+                self.inbox.names[self.camera]
+            ));
         }
         self.inbox.changed.notify_all();
     }

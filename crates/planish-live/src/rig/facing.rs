@@ -8,14 +8,14 @@ use planish_core::{SensorModel, Xyz};
 /// Pixels that a thread takes at a time.
 pub(super) const PIXELS_OF_A_TASK: usize = 4096;
 
-/// Half the distance in pixels over which the side that a surface faces is told.
+/// Half the distance in pixels over which the orientation of a surface is estimated.
 const NORMAL_PX: usize = 6;
 
-/// The middle of two pixels is off the surface between them by so many standard deviations, and by how a curved surface
-/// bulges.
+/// The midpoint of two pixels may be off the surface between them by this many standard deviations, plus the bulge of a
+/// curved surface.
 const MIDDLE_DEVIATIONS: f64 = 4.0;
 
-/// Normals by the differences of pixels some way apart, towards the camera; NaN beside holes and steps.
+/// Computes normals from differences of pixels some distance apart, towards the camera; NaN next to holes and steps.
 pub(super) fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &SensorModel) -> Xyz {
     let at = |u: usize, v: usize| points.vector(v * width + u);
     let normal = |i: usize| {
@@ -24,7 +24,7 @@ pub(super) fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &Se
         let (above, below) = (v.saturating_sub(NORMAL_PX), (v + NORMAL_PX).min(height - 1));
         let p = at(u, v);
         let ends = [at(left, v), at(right, v), at(u, above), at(u, below)];
-        // The middle of two ends lies on a surface, whatever its slope, and beside a step it does not.
+        // The midpoint of two ends is on the surface, whatever its slope, unless there is a step.
         let noise_m = MIDDLE_DEVIATIONS * sensor.sigma_m(p.z);
         let is_middle = |[a, b]: [DVec3; 2]| ((a.z + b.z) / 2.0 - p.z).abs() <= noise_m;
         if !is_middle([ends[0], ends[1]]) || !is_middle([ends[2], ends[3]]) {

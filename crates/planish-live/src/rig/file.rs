@@ -30,7 +30,7 @@ struct RigFile {
 #[serde(deny_unknown_fields)]
 struct ViewpointEntry {
     pose: PoseEntry,
-    /// As that of a camera, with its size.
+    /// As in a camera file, with the image size.
     camera: serde_json::Value,
 }
 
@@ -123,11 +123,13 @@ fn parse(text: &str, folder: &Path) -> Result<Rig, FormatError> {
     let clock = match file.clock.as_deref() {
         None | Some("source") => Clock::Source,
         Some("arrival") => Clock::Arrival,
-        Some(other) => return Err(malformed(format!("clock is {other:?}: it may be \"source\" or \"arrival\""))),
+        Some(other) => return Err(malformed(format!("clock is {other:?}; \"source\" or \"arrival\" is expected"))),
     };
     let cameras = file.cameras.into_iter().map(|entry| camera_of(entry, folder)).collect::<Result<_, _>>()?;
     if let Some(tolerance_ms) = file.tolerance_ms.filter(|ms| !(*ms > 0.0 && *ms <= 1000.0)) {
-        return Err(malformed(format!("tolerance_ms is {tolerance_ms:?}: it must be above 0 and at most 1000")));
+        return Err(malformed(format!(
+            "tolerance_ms is {tolerance_ms:?}; a value above 0 and at most 1000 is expected"
+        )));
     }
     let tolerance_s = file.tolerance_ms.map_or(DEFAULT_TOLERANCE_S, |tolerance_ms| 1e-3 * tolerance_ms);
     let viewpoint = |(i, entry): (usize, ViewpointEntry)| {
@@ -144,7 +146,7 @@ fn parse(text: &str, folder: &Path) -> Result<Rig, FormatError> {
 fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError> {
     let CameraEntry { name, source, camera, pose, sensor, time_offset_s, align, mode } = entry;
     let of = |problem: String| malformed(format!("camera {name:?}: {problem}"));
-    let pose = pose.ok_or_else(|| of("no pose; \"pose\" says where it stands in the rig's frame".into()))?;
+    let pose = pose.ok_or_else(|| of("no pose; add \"pose\", the camera's pose in the rig's frame".into()))?;
     let (camera, depth_units_per_metre) = match camera {
         Some(camera) => intrinsics_of(&camera, folder).map(|(camera, units)| (Some(camera), units)).map_err(of)?,
         None => (None, None),
@@ -170,8 +172,8 @@ fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError
     })
 }
 
-/// The camera of an object, or of the camera file that a text names, and how many units of depth are a metre, if it
-/// says so.
+/// Reads the camera from an object, or from the camera file that a text names; the second value is the number of depth
+/// units per metre, if stated.
 fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Option<f64>), String> {
     let parse = |text: &str| {
         let camera = io::parse_camera(text, None)?;
@@ -189,7 +191,7 @@ fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Op
             let quoted = |error: FormatError| error.to_string();
             match io::unknown_camera_key(&text).map_err(quoted)? {
                 Some(key) => Err(format!(
-                    "a camera has no {}; depth_units_per_metre, width and height may be missing",
+                    "a camera has no field {}; depth_units_per_metre, width and height are optional",
                     planish_io::internal::quoted(&key)
                 )),
                 None => parse(&text).map_err(quoted),
@@ -202,24 +204,26 @@ fn pose_of(entry: &PoseEntry) -> Result<SensorPose, String> {
     match (entry.position_m, entry.orientation_xyzw, &entry.matrix) {
         (Some(position_m), Some(orientation), None) => Ok(SensorPose::from_xyzw(position_m, orientation)),
         (None, None, Some(rows)) => pose_of_matrix(rows),
-        _ => Err("a pose is position_m with orientation_xyzw, or a matrix of three or four rows".into()),
+        _ => Err("a pose needs position_m and orientation_xyzw, or a matrix of three or four rows".into()),
     }
 }
 
 /// The pose of a homogeneous matrix, row by row; the last row may be left out.
 pub(super) fn pose_of_matrix(rows: &[[f64; 4]]) -> Result<SensorPose, String> {
-    let &[a, b, c, ref last @ ..] = rows else { return Err(format!("a matrix of {} rows: 4 are needed", rows.len())) };
+    let &[a, b, c, ref last @ ..] = rows else {
+        return Err(format!("a matrix of {} rows; 3 or 4 are needed", rows.len()));
+    };
     if !matches!(last, [] | [[0.0, 0.0, 0.0, 1.0]]) {
-        return Err("the last row of the matrix is not 0, 0, 0, 1".into());
+        return Err("the last row of the matrix must be 0, 0, 0, 1".into());
     }
     let rotation = [a, b, c].map(|[x, y, z, _]| [x, y, z]);
     let pose = SensorPose::from_rotation([a[3], b[3], c[3]], rotation);
     pose.ok_or_else(|| {
-        "the matrix is no rotation and translation: its columns must be of length 1, at right angles".into()
+        "the matrix is not a rotation and translation; its columns must have length 1 and right angles".into()
     })
 }
 
-/// A rig as `rig.json`, as [`Rig::read`] reads it.
+/// Returns a rig as `rig.json`, as [`Rig::read`] reads it.
 pub fn rig_to_json(rig: &Rig) -> String {
     let entry = |camera: &RigCamera| CameraEntry {
         name: camera.name.clone(),
@@ -249,7 +253,7 @@ pub fn rig_to_json(rig: &Rig) -> String {
     serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
 }
 
-/// Intrinsics as they stand in the file; without what depth's units are unless that is known.
+/// Returns intrinsics as the file stores them; without the depth unit unless it is known.
 fn intrinsics_entry(camera: &Camera, depth_units_per_metre: Option<f64>) -> Option<serde_json::Value> {
     let mut entry: serde_json::Value = serde_json::from_str(&io::camera_to_json(camera)).ok()?;
     let fields = entry.as_object_mut()?;
@@ -362,7 +366,7 @@ mod tests {
             (format!(r#"{{"name":"left","camera":{{"fx":1}},{POSE}}}"#), "fx, fy, cx and cy"),
             (
                 format!(r#"{{"name":"left","camera":{{"fx":5,"fy":5,"cx":2,"cy":2,"depthscale":5000}},{POSE}}}"#),
-                "no \"depthscale\"",
+                "no field \"depthscale\"",
             ),
             (format!(r#"{{"name":"left","mode":"big",{POSE}}}"#), "WIDTHxHEIGHT"),
             (format!(r#"{{"name":"left","align":"up",{POSE}}}"#), "align = up is not allowed: depth, color or none"),
@@ -378,7 +382,7 @@ mod tests {
         }
         assert!(said(&format!(r#"{{"name":"left","poze":1,{POSE}}}"#)).contains("poze"));
         let twice = said(&format!(r#"{{"name":"left",{POSE}}},{{"name":"left",{POSE}}}"#));
-        assert!(twice.contains("no other camera"), "{twice}");
+        assert!(twice.contains("unique"), "{twice}");
         assert!(parse_cameras("").unwrap_err().to_string().contains("1 to 256"));
         assert!(parse("[]", Path::new("")).unwrap_err().to_string().contains("rig.json"));
     }

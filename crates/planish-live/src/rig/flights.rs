@@ -13,10 +13,10 @@ use planish_core::{
     internal::{RigidTransform, named_fields},
 };
 
-/// Where points are thinned: the moment that is smoothed, and the one that is brought into voxels meanwhile.
+/// With voxels: one moment is being smoothed while the next is sorted into voxels.
 const IN_FLIGHT_IN_VOXELS: usize = 2;
 
-/// What takes each camera's points into the rig's frame, and its result.
+/// Transforms of each camera's points into the rig's frame, and the result.
 type Placed = (Vec<Option<RigidTransform>>, RigViews);
 
 /// A moment whose results are there.
@@ -28,8 +28,8 @@ enum Landed {
 impl RigSmoother {
     /// Submits the frames of a moment; moments are received in the order of submission.
     ///
-    /// Where a GPU smooths each camera's frames, they are computed while the caller goes on. Every other way computes
-    /// them here.
+    /// If a GPU smooths each camera's frames, they are computed asynchronously. All other ways compute them in this
+    /// call.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth), and if as many moments are in flight as can be.
@@ -37,8 +37,7 @@ impl RigSmoother {
         self.submit_as(frames, true)
     }
 
-    /// The same for [`receive_fused`](Self::receive_fused): results stay where the device puts them until they are
-    /// fused.
+    /// Submits for [`receive_fused`](Self::receive_fused): results remain on the device until they are fused.
     pub fn submit_in_place(&mut self, frames: &[Option<Frame<'_>>]) -> Result<(), Error> {
         self.submit_as(frames, false)
     }
@@ -88,7 +87,7 @@ impl RigSmoother {
         Ok(FlightResults::Landed(results.collect()))
     }
 
-    /// Waits for the oldest moment in flight; `None` if there is none.
+    /// Waits for the oldest moment in flight; `None` if no moment is in flight.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth).
@@ -124,9 +123,9 @@ impl RigSmoother {
         Ok(true)
     }
 
-    /// Submits the frames of a moment and, once as many are in flight as are worth it, receives the oldest as
-    /// [`receive_fused`](Self::receive_fused) does: it is put together while the next goes up. False as long as none
-    /// was received; at the end `receive_fused` gives those that are left.
+    /// Submits the frames of a moment. Once the useful number is in flight, receives the oldest as
+    /// [`receive_fused`](Self::receive_fused) does, and fuses it while the next one is uploaded. Returns false if none
+    /// was received; at the end, call `receive_fused` for the remaining ones.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth); the oldest moment is lost with the others then, and `out` may be either's.
@@ -150,8 +149,8 @@ impl RigSmoother {
         Ok(landed.is_some())
     }
 
-    /// The same where points are thinned: while the oldest moment is smoothed, the one before the next is brought into
-    /// voxels, and the points of the next are put together.
+    /// Returns the same where points are thinned: while the oldest moment is smoothed, the one before the next is
+    /// brought into voxels, and the points of the next are put together.
     fn next_in_voxels(
         &mut self,
         frames: &[Option<Frame<'_>>],
@@ -186,7 +185,7 @@ impl RigSmoother {
         Ok(FlightResults::Together(Box::new(self.threads.install(|| Together::of(&frames)))))
     }
 
-    /// The size of the voxels that points are thinned to, if they are.
+    /// Returns the size of the voxels that points are thinned to, if they are.
     fn voxels_merged_m(&self) -> Option<f64> {
         self.general.voxel_m().filter(|_| self.way == RigWay::Merged)
     }
@@ -196,9 +195,9 @@ impl RigSmoother {
         self.flights.len()
     }
 
-    /// How many moments in flight are worth their latency: those of one slot each where a GPU smooths each camera's
-    /// frames, else 1, since [`submit`](Self::submit) then does all the work. [`next_fused`](Self::next_fused) keeps
-    /// two where points are thinned to voxels.
+    /// Returns the useful number of moments in flight: one per slot if a GPU smooths each camera's frames, otherwise 1,
+    /// since [`submit`](Self::submit) then does all the work. [`next_fused`](Self::next_fused) keeps two if points are
+    /// thinned to voxels.
     pub fn max_in_flight(&self) -> usize {
         let is_pipelined = self.way == RigWay::Each && self.engine.capabilities().pipelined;
         if is_pipelined { self.options.gpu.slots } else { 1 }
@@ -265,7 +264,7 @@ fn fuse_views((rig_from_points, views): &Placed, outputs: Outputs, out: &mut Poi
     fuse_parts(&parts, out);
 }
 
-/// Those of `fields` that a result has, as fields of a cloud.
+/// Returns the available outputs among `fields` as fields of a cloud.
 fn fields_of(view: &SmoothedView, fields: Outputs) -> Vec<Attribute> {
     let status: Option<Vec<_>> = fields.status.then(|| view.status()).flatten().map(Iterator::collect);
     let neighbours: Option<Vec<_>> = fields.neighbours.then(|| view.neighbours()).flatten().map(Iterator::collect);

@@ -29,9 +29,9 @@ pub struct RigFrame {
 }
 
 impl RigFrame {
-    /// All smoothed points in the rig's frame, with the fields of their frames, those computed and `camera`, the index
-    /// of the camera. If points were thinned, one for each voxel: the mean of the smoothed points of all cameras in it,
-    /// with their fields. Put together when it is first asked for.
+    /// Returns all smoothed points in the rig's frame, with the fields of their frames, the computed outputs, and
+    /// `camera`, the index of the camera. If points were thinned, returns one point per voxel: the mean of the smoothed
+    /// points of all cameras in it, with their fields. Fused on the first call.
     pub fn fused(&self) -> Result<&PointCloud, FrameError> {
         let fused = self.fused.get_or_init(|| {
             let frames = self.cameras.iter().map(|frame| frame.as_ref().map(|frame| (&frame.source, &frame.smoothed)));

@@ -44,7 +44,7 @@ const POINTS_OF_A_TASK: usize = 1 << 14;
 /// the rig is more than 1 km from its origin.
 ///
 /// # Errors
-/// If a pose is none.
+/// If a pose is invalid.
 pub fn fuse(clouds: &[(usize, SensorPose, &PointCloud)]) -> Result<PointCloud, FrameError> {
     let mut parts = Vec::with_capacity(clouds.len());
     for &(camera, pose, cloud) in clouds {
@@ -127,7 +127,7 @@ impl Part<'_> {
         self.positions.iter().all(|axis| axis[i].is_finite())
     }
 
-    /// The indices of its points.
+    /// Returns the indices of its points.
     fn points(&self) -> Vec<usize> {
         (0..self.positions[0].len()).filter(|&i| self.is_point(i)).collect()
     }
@@ -150,7 +150,7 @@ impl Part<'_> {
     }
 }
 
-/// A field of all points; zero for those of cameras without it.
+/// Concatenates a field of all points; zero for cameras without it.
 fn of_all_parts(field: &Attribute, parts: &[Part<'_>], points: &[Vec<usize>]) -> Attribute {
     let mut values = field.values.emptied();
     for (part, indices) in parts.iter().zip(points) {
@@ -186,7 +186,7 @@ fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>],
     }
 }
 
-/// What takes a frame's points into the rig's frame. Clouds may be in another frame than their camera's.
+/// Returns the transform from a frame's points to the rig. Clouds may be in another frame than their camera's.
 pub(super) fn rig_from_points(rig_from_camera: RigidTransform, frame: Frame<'_>) -> Result<RigidTransform, FrameError> {
     match frame {
         Frame::Depth(_) => Ok(rig_from_camera),
@@ -199,8 +199,8 @@ pub(super) fn rig_from_points(rig_from_camera: RigidTransform, frame: Frame<'_>)
 }
 
 impl Rig {
-    /// Puts the results of a moment together in the rig's frame: the smoothed points of each camera with all fields of
-    /// its frame, those of `fields` that were computed, and the index of its camera. Holes are left out.
+    /// Fuses the results of a moment in the rig's frame: the smoothed points of each camera with all fields of its
+    /// frame, the computed outputs among `fields`, and the index of its camera. Holes are left out.
     pub fn fuse(&self, frames: &[Option<(&OwnedFrame, &Smoothed)>], fields: Outputs) -> Result<PointCloud, FrameError> {
         let placed = self.cameras.iter().zip(frames).enumerate();
         let parts = placed.filter_map(|(i, (camera, frame))| frame.map(|frame| part(i, camera, frame, fields)));
@@ -264,7 +264,7 @@ mod tests {
         let field = |name| &fused.attribute(name).unwrap().values;
         assert_eq!(field("camera"), &AttributeValues::U8(vec![0, 0, 3]));
         assert_eq!(field("normal_x"), &AttributeValues::F32(vec![-1.0, -1.0, 0.0]));
-        // Converted to the first camera's type, as far as that goes.
+        // Converted to the first camera's type, clamped to its range.
         assert_eq!(field("label"), &AttributeValues::U16(vec![1, 3, u16::MAX]));
         assert_eq!(field("intensity"), &AttributeValues::F32(vec![0.0, 0.0, 0.5]));
         fused.validate().unwrap();

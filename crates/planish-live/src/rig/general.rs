@@ -18,8 +18,8 @@ pub(super) struct General {
 pub(super) struct Stopper(Arc<Mutex<Option<Arc<Progress>>>>);
 
 impl Stopper {
-    /// Ends the work that is under way, which becomes [`EngineError::Stopped`](planish_core::EngineError::Stopped);
-    /// without such work it has no effect.
+    /// Cancels the running work, which returns [`EngineError::Stopped`](planish_core::EngineError::Stopped); no effect
+    /// otherwise.
     pub(super) fn stop(&self) {
         if let Some(progress) = &*self.0.lock().unwrap_or_else(PoisonError::into_inner) {
             progress.stop();

@@ -1,10 +1,10 @@
 //! Which frames of several cameras are of one moment, by their time stamps.
 //!
-//! Frames of a camera wait in its queue. The earliest of all that wait opens a moment; of every other camera the first
-//! that waits belongs to it if its time stamp is within the tolerance, and not closer to the next frame of the camera
-//! that opened it. Of a recording every camera is waited for until its frame is there or it has ended. A live camera is
-//! waited for no longer than a given time after the first frame of the moment came, and not at all once it has been
-//! missing for a while.
+//! Frames of each camera wait in a queue. The earliest waiting frame opens a moment. The first waiting frame of every
+//! other camera belongs to it if its time stamp is within the tolerance, and not closer to the next frame of the camera
+//! that opened the moment. In a recording, every camera is waited for until its frame arrives or it ends. A live camera
+//! is waited for at most a given time after the first frame of the moment, and not at all after it has been missing for
+//! a while.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 /// order.
 const CLOCK_JUMP_S: f64 = 0.5;
 
-/// A live camera that was missing from so many moments in a row is not waited for.
+/// A live camera that was missing from this many moments in a row is not waited for.
 const MISSING_IS_GONE: u32 = 15;
 
 /// How many frames of a live camera wait at most.
@@ -32,7 +32,7 @@ pub struct Moment<T> {
     pub frames: Vec<Option<T>>,
 }
 
-/// What became of a camera's frames.
+/// Statistics of a camera's frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct MatcherCounts {
@@ -40,9 +40,9 @@ pub struct MatcherCounts {
     pub received: u64,
     /// Frames that came when their moment had passed.
     pub late: u64,
-    /// Frames whose time stamp was that of the frame before, or earlier.
+    /// Frames with the time stamp of the previous frame, or an earlier one.
     pub out_of_order: u64,
-    /// How often its clock jumped. From then on its time stamps are taken to go on where they were.
+    /// Number of jumps of its clock. After a jump, time stamps are shifted to continue the old ones.
     pub jumps: u64,
     /// Frames for which there was no room, of a live camera.
     pub dropped: u64,
@@ -55,7 +55,7 @@ pub struct MatcherCounts {
 pub struct Matcher<T> {
     cameras: Vec<Queue<T>>,
     tolerance_s: f64,
-    /// How long a frame waits for those of other cameras; `None` waits until they are there.
+    /// How long a frame waits for frames of other cameras; `None` waits without limit.
     patience: Option<Duration>,
     /// The time of the last moment.
     last_s: f64,
@@ -89,7 +89,7 @@ impl<T> Matcher<T> {
         Self { cameras: (0..cameras).map(|_| Queue::new()).collect(), tolerance_s, patience, last_s: f64::NEG_INFINITY }
     }
 
-    /// Whether another frame of this camera may come: of a recording no more than a few are read ahead.
+    /// Returns true if another frame of this camera may come: of a recording no more than a few are read ahead.
     pub fn has_room(&self, camera: usize) -> bool {
         self.patience.is_some() || self.cameras.get(camera).is_some_and(|queue| queue.waiting.len() < MOST_WAITING)
     }
@@ -126,7 +126,7 @@ impl<T> Matcher<T> {
         }
     }
 
-    /// Whether nothing waits and nothing will come.
+    /// Returns true if nothing waits and nothing will come.
     pub fn is_over(&self) -> bool {
         self.cameras.iter().all(|queue| queue.has_ended && queue.waiting.is_empty())
     }
@@ -149,7 +149,7 @@ impl<T> Matcher<T> {
         Some(Moment { time_s, frames })
     }
 
-    /// Whether a camera without a frame may still bring one for the moment that camera `first` opens.
+    /// Returns true if a camera without a frame may still bring one for the moment that camera `first` opens.
     fn is_worth_waiting(&self, first: usize, now: Instant) -> bool {
         let is_awaited = |queue: &Queue<T>| {
             let is_gone = self.patience.is_some() && queue.missing_in_a_row >= MISSING_IS_GONE;
@@ -158,13 +158,13 @@ impl<T> Matcher<T> {
         self.cameras.iter().any(is_awaited) && self.due_of(first).is_none_or(|due| now < due)
     }
 
-    /// The camera whose frame is the earliest that waits, and the time of that.
+    /// Returns the camera whose frame is the earliest that waits, and the time of that.
     fn opener(&self) -> Option<(usize, f64)> {
         let head = |(i, queue): (usize, &Queue<T>)| queue.waiting.front().map(|frame| (i, frame.time_s));
         self.cameras.iter().enumerate().filter_map(head).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Until when the first frame of a camera waits for those of others.
+    /// Returns the time until which the first frame of a camera waits for the others.
     fn due_of(&self, camera: usize) -> Option<Instant> {
         let queue = self.cameras.get(camera)?;
         let a_frame = Duration::try_from_secs_f64(queue.interval_s).unwrap_or(Duration::MAX);
@@ -176,7 +176,7 @@ impl<T> Matcher<T> {
         self.due_of(self.opener()?.0)
     }
 
-    /// What became of the frames of each camera.
+    /// Returns statistics of the frames of each camera.
     pub fn counts(&self) -> Vec<MatcherCounts> {
         self.cameras.iter().map(|queue| queue.counts).collect()
     }
@@ -195,7 +195,7 @@ impl<T> Queue<T> {
         }
     }
 
-    /// The time of a frame by this camera's clock as it was before it jumped; `None` for a frame out of order.
+    /// Returns the time of a frame by this camera's clock as it was before it jumped; `None` for a frame out of order.
     fn corrected(&mut self, stamp_s: f64, now: Instant, is_live: bool) -> Option<f64> {
         let time_s = stamp_s + self.offset_s;
         let Some((last_s, came)) = self.last else {

@@ -1,9 +1,9 @@
 //! Rigs: several cameras as one sensor.
 //!
-//! A [`Rig`] says which cameras there are and where each stands; [`Rig::read`] reads it from a `rig.json`,
-//! [`calibration`] makes one from what ROS, Kalibr and COLMAP calibrated. [`run`] streams it: a thread for each camera,
-//! frames of one moment matched by their time stamps ([`Matcher`]), smoothed in one of the ways of [`RigWay`], and
-//! given to [`RigSink`]s as each camera's own frame and as one [fused](RigFrame::fused) cloud in the rig's frame.
+//! A [`Rig`] lists cameras and their poses; [`Rig::read`] reads it from a `rig.json`, and [`calibration`] converts
+//! calibrations of ROS, Kalibr and COLMAP. [`run`] streams it. Each camera has a thread, and [`Matcher`] groups frames
+//! by their time stamps into moments. A moment is smoothed as [`RigWay`] selects, and [`RigSink`]s receive each
+//! camera's frame and one [fused](RigFrame::fused) cloud in the rig's frame.
 
 pub mod calibration;
 mod capture;
@@ -80,7 +80,7 @@ const LONGEST_NAME: usize = 64;
 pub struct Rig {
     /// 1 to 256 cameras with distinct names.
     pub cameras: Vec<RigCamera>,
-    /// What the rig's frame is called, as a `frame_id` of ROS; of no effect on what is computed.
+    /// Name of the rig's frame (`frame_id` in ROS); it does not affect results.
     pub frame: Option<String>,
     /// How far the time stamps of one moment may be apart, in seconds: above 0, at most 1.
     pub tolerance_s: f64,
@@ -108,18 +108,18 @@ pub enum Clock {
 pub struct RigCamera {
     /// Its name: letters, digits, `-`, `_` and `.`, 64 at most, the first no dot.
     pub name: String,
-    /// Where its frames come from, as [`source::open`](crate::source::open) takes it. A calibration alone has none.
+    /// Source of its frames, as for [`source::open`](crate::source::open). A bare calibration has none.
     pub source: Option<String>,
-    /// Its intrinsics and distortion, where its source does not know them. Width and height 0 stand for the frames'
+    /// Intrinsics and distortion, if its source does not state them. A width and height of 0 accept frames of any
     /// shape.
     pub camera: Option<Camera>,
-    /// How many units of its depth images are a metre, where the rig says so; else what the source says, which of a
-    /// data set in TUM layout is 5000.
+    /// Units of its depth images per metre, if the rig states it; otherwise the source decides (5000 for a data set in
+    /// TUM layout).
     pub depth_units_per_metre: Option<f64>,
-    /// rig_from_camera: where it stands in the rig's frame. It looks along its own +z, with x to the right and y down,
-    /// as optical frames of ROS do.
+    /// Pose in the rig's frame, rig_from_camera. The camera looks along +z, with x to the right and y down, as optical
+    /// frames of ROS do.
     pub pose: SensorPose,
-    /// Whose steps and noise its depth has; `None` is what the parameters say.
+    /// Sensor model of its depth; `None` takes that of the parameters.
     pub sensor: Option<SensorModel>,
     /// Added to its time stamps, in seconds.
     pub time_offset_s: f64,
@@ -130,7 +130,7 @@ pub struct RigCamera {
 }
 
 impl Rig {
-    /// A rig of these cameras, matched by their time stamps.
+    /// Returns a rig of these cameras, matched by their time stamps.
     pub fn new(cameras: Vec<RigCamera>) -> Result<Self, ParamError> {
         let (tolerance_s, clock) = (DEFAULT_TOLERANCE_S, Clock::Source);
         let rig = Self { cameras, frame: None, tolerance_s, clock, viewpoints: Vec::new() };
@@ -153,8 +153,8 @@ impl Rig {
         Self { viewpoints, ..self }
     }
 
-    /// The same rig for a `rig.json` in this folder: sources that are files or folders, and that are named as from the
-    /// working directory, are named as from there.
+    /// Returns the same rig for a `rig.json` in this folder: sources that are files or folders, and that are named as
+    /// from the working directory, are named as from there.
     pub fn seen_from(&self, folder: &Path) -> Self {
         let mut rig = self.clone();
         for camera in &mut rig.cameras {
@@ -163,13 +163,13 @@ impl Rig {
         rig
     }
 
-    /// The index of the camera of that name.
+    /// Returns the index of the camera of that name.
     pub fn index_of(&self, name: &str) -> Option<usize> {
         self.cameras.iter().position(|camera| camera.name == name)
     }
 
-    /// Refuses rigs without cameras, names that are no names or not one camera's own, poses and times that are none,
-    /// two cameras behind one device, and viewpoints that are none.
+    /// Refuses rigs without cameras, invalid or duplicate names, invalid poses and times, two cameras on one device,
+    /// and invalid viewpoints.
     pub fn validate(&self) -> Result<(), ParamError> {
         let bad = |field, value: String, allowed| Err(ParamError { field, value, allowed });
         if self.cameras.is_empty() || self.cameras.len() > MOST_CAMERAS {
@@ -197,18 +197,14 @@ impl Rig {
             camera.validate()?;
             let before = &self.cameras[..i];
             if before.iter().any(|other| other.name.eq_ignore_ascii_case(&camera.name)) {
-                return bad("camera.name", camera.name.clone(), "a name that no other camera has");
+                return bad("camera.name", camera.name.clone(), "a name that is unique");
             }
             let is_device = |source: &&String| crate::source::is_camera(source);
             if let Some(source) = camera.source.as_ref().filter(is_device)
                 && before.iter().any(|other| other.source.as_ref() == Some(source))
             {
                 let value = format!("{source} (of {:?})", camera.name);
-                return bad(
-                    "camera.source",
-                    value,
-                    "a device that no other camera has: name it by serial number or index",
-                );
+                return bad("camera.source", value, "a device that is unique; name it by serial number or index");
             }
         }
         Ok(())
@@ -216,7 +212,7 @@ impl Rig {
 }
 
 impl RigCamera {
-    /// A camera of this name and place, without a source.
+    /// Returns a camera of this name and place, without a source.
     pub fn new(name: &str, pose: SensorPose) -> Self {
         Self {
             name: name.to_owned(),
@@ -256,7 +252,7 @@ impl RigCamera {
         Self { time_offset_s, ..self }
     }
 
-    /// The options with which its source is opened.
+    /// Returns the options with which its source is opened.
     pub fn source_options(&self) -> SourceOptions {
         SourceOptions::default()
             .with_camera(self.camera)
@@ -272,7 +268,7 @@ impl RigCamera {
         let is_name = (1..=LONGEST_NAME).contains(&self.name.len())
             && !self.name.starts_with('.')
             && self.name.chars().all(is_allowed)
-            // That file lies beside the folders of the cameras' results.
+            // That file is in the same folder as the cameras' results.
             && !self.name.eq_ignore_ascii_case("rig.json");
         if !is_name {
             let allowed = "letters, digits, - _ and ., 1 to 64 of them, not starting with a dot, and not rig.json";
@@ -299,19 +295,19 @@ impl RigCamera {
     }
 }
 
-/// A setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points without
-/// neighbours left out.
+/// Returns a setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points
+/// without neighbours left out.
 pub fn merged_params() -> CloudParams {
     CloudParams::default().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
 }
 
-/// The same for points thinned to one for each voxel of this size in metres: everything within 3 cm, or three voxels
-/// where that is more.
+/// Returns parameters for points thinned to one per voxel of this size in metres: the radius is 3 cm, or three voxels
+/// if that is larger.
 pub fn merged_params_in_voxels(voxel_m: f64) -> CloudParams {
     merged_params().with_radius_m(MERGED_RADIUS_M.max(VOXELS_IN_RADIUS * voxel_m as f32))
 }
 
-/// What a source named in a file is called from elsewhere: paths are relative to the file's folder.
+/// Resolves a source named in a file: paths are relative to the file's folder.
 fn resolve_source(folder: &Path, source: &str) -> String {
     let path_of = |path: &str| folder.join(path).to_string_lossy().into_owned();
     match source.split_once(':') {
@@ -325,8 +321,7 @@ fn resolve_source(folder: &Path, source: &str) -> String {
     }
 }
 
-/// The same of a rig whose file is to lie in another folder: paths become relative to that where they are within, and
-/// whole otherwise.
+/// Returns a source as named in a rig file in another folder: relative if it is inside that folder, absolute otherwise.
 fn source_seen_from(folder: &Path, source: &str) -> String {
     let seen = |path: &str| {
         let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
@@ -348,7 +343,7 @@ fn source_seen_from(folder: &Path, source: &str) -> String {
     }
 }
 
-/// The folder of a file.
+/// Returns the folder of a file.
 fn folder_of(path: &Path) -> PathBuf {
     path.parent().map(Path::to_path_buf).unwrap_or_default()
 }

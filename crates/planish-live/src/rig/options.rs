@@ -21,11 +21,11 @@ pub struct RigOptions {
     pub way: RigWay,
     /// The parameters of each camera's frames.
     pub params: Vec<FrameParams>,
-    /// Those of all points as one cloud.
+    /// Parameters for the points of all cameras as one cloud.
     pub general_params: CloudParams,
-    /// Of views: how far surfaces of two cameras may be apart for their poses' sake, in metres, 0 to 0.1.
+    /// For views: maximum distance between surfaces of two cameras due to errors of their poses, in metres, 0 to 0.1.
     pub registration_m: f64,
-    /// Of points that are merged: the size in metres of the voxels that they are thinned to; `None` for all points.
+    /// For merged points: size in metres of the voxels to thin them to; `None` keeps all points.
     pub voxel_m: Option<f64>,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
@@ -38,7 +38,7 @@ pub struct RigOptions {
 }
 
 impl RigOptions {
-    /// Default settings for the sensor of each camera, and for general clouds.
+    /// Default settings for the sensor of each camera, and for unorganized clouds.
     pub fn new(rig: &Rig, way: RigWay, smoother: SmootherOptions) -> Self {
         let params = |camera: &super::RigCamera| {
             FrameParams::for_sensor(camera.sensor.unwrap_or_default(), planish_core::Strength::default())
@@ -96,13 +96,13 @@ impl RigOptions {
             return Err(ParamError { field: "way", value, allowed });
         }
         if !(size_m >= SMALLEST_VOXEL_M && size_m.is_finite()) {
-            let (value, allowed) = (format!("{size_m:?}"), "a size in metres, 0.0001 or more");
+            let (value, allowed) = (format!("{size_m:?}"), "a size in metres, at least 0.0001");
             return Err(ParamError { field: "voxel", value, allowed });
         }
         if let CloudRadius::Fixed { radius_m } = self.general_params.radius
             && f64::from(radius_m) < LEAST_VOXELS_IN_RADIUS * size_m
         {
-            let (value, allowed) = (radius_m.to_string(), "two voxels or more, so that their points have neighbours");
+            let (value, allowed) = (radius_m.to_string(), "at least two voxels, so that points have neighbours");
             return Err(ParamError { field: "radius", value, allowed });
         }
         Ok(())
@@ -113,7 +113,7 @@ impl RigOptions {
         Self { params, general_params, ..self }
     }
 
-    /// The same with another bound of how far surfaces of two cameras may be apart for their poses' sake, in metres.
+    /// Sets the maximum distance between surfaces of two cameras due to errors of their poses, in metres.
     pub fn with_registration_m(self, registration_m: f64) -> Self {
         Self { registration_m, ..self }
     }

@@ -1,5 +1,4 @@
-//! A rig from above: the fused cloud, each camera's points in a colour of their own, and where the cameras stand and
-//! look.
+//! Draws a rig from above: the fused cloud with a colour per camera, and the cameras with their directions.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -15,7 +14,7 @@ use planish_io::RgbImage;
 const SIZE_PX: usize = 1000;
 const MARGIN_PX: f64 = 30.0;
 
-/// Of each camera; more cameras begin again.
+/// One colour per camera, repeated for more cameras.
 const COLOURS: [[u8; 3]; 8] = [
     [86, 156, 214],
     [230, 140, 60],
@@ -26,7 +25,7 @@ const COLOURS: [[u8; 3]; 8] = [
     [90, 190, 190],
     [220, 130, 190],
 ];
-/// The colour of a camera.
+/// Returns the colour of a camera.
 pub(super) fn colour_of(camera: usize) -> [u8; 3] {
     COLOURS[camera % COLOURS.len()]
 }
@@ -50,7 +49,7 @@ pub fn top_down(frame: &RigFrame) -> Result<RgbImage, FrameError> {
     Ok(draw(&frame.rig, fused))
 }
 
-/// The axes of the picture: to the right, downwards, and up towards the one who looks.
+/// Returns the axes of the picture: to the right, downwards, and up towards the one who looks.
 pub(super) fn axes(rig: &Rig) -> [DVec3; 3] {
     // Down is a camera's y.
     let up: DVec3 = rig.cameras.iter().map(|camera| -axis_of(camera, 1)).sum();
@@ -61,7 +60,7 @@ pub(super) fn axes(rig: &Rig) -> [DVec3; 3] {
     [right, right.cross(up), up]
 }
 
-/// An axis of a camera in the rig's frame.
+/// Returns an axis of a camera in the rig's frame.
 fn axis_of(camera: &RigCamera, axis: usize) -> DVec3 {
     DVec3::from_array(camera.pose.rotation().map(|row| row[axis]))
 }
@@ -106,7 +105,7 @@ fn draw(rig: &Rig, fused: &PointCloud) -> RgbImage {
     picture.image()
 }
 
-/// The box of the cameras and of most points.
+/// Returns the box of the cameras and of most points.
 fn bounds(points: &[(DVec2, f64)], lenses: &[DVec2]) -> (DVec2, DVec2) {
     let span = |of: fn(&DVec2) -> f64| {
         let mut values: Vec<f64> = points.iter().map(|(p, _)| of(p)).collect();

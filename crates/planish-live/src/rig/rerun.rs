@@ -23,7 +23,7 @@ const FRUSTUM_M: f32 = 0.15;
 /// 35 MB.
 pub struct RigRerunSink {
     recording: Recording,
-    /// Of each camera, whether its intrinsics are logged.
+    /// For each camera, whether its intrinsics have been logged.
     has_view: Vec<bool>,
 }
 
@@ -104,13 +104,13 @@ fn cameras_of(fused: &PointCloud) -> &[u8] {
     }
 }
 
-/// The indices of a camera's points.
+/// Returns the indices of a camera's points.
 fn points_of(fused: &PointCloud, camera: usize) -> Vec<usize> {
     let cameras = cameras_of(fused);
     (0..cameras.len()).filter(|&i| usize::from(cameras[i]) == camera).collect()
 }
 
-/// A point in the rig's frame.
+/// Returns a point in the rig's frame.
 fn at(fused: &PointCloud, i: usize) -> [f32; 3] {
     let (p, origin) = (fused.positions.get(i), fused.origin_m);
     [0, 1, 2].map(|axis| (f64::from(p[axis]) + origin[axis]) as f32)
@@ -128,7 +128,7 @@ fn coordinates(up: DVec3) -> ViewCoordinates {
     }
 }
 
-/// Each camera's points beside the fused cloud, both with the cameras.
+/// Shows each camera's points next to the fused cloud, both with the cameras.
 fn layout() -> Blueprint {
     let view = |name: &str, clouds: &str| {
         Spatial3DView::new(name).with_origin("rig").with_contents(["rig/cameras/**", clouds]).into()

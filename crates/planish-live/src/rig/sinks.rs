@@ -1,4 +1,4 @@
-//! Where a rig's results go.
+//! Sinks for a rig's results.
 
 use std::collections::HashMap;
 use std::fs::OpenOptions;
@@ -50,10 +50,11 @@ const POINTS_LIST: &str = "points.txt";
 const RIG_FILE: &str = "rig.json";
 
 impl FusedSink {
-    /// Creates the folder. Refuses one that has files already, and depth images, which a fused cloud has none of.
+    /// Creates the folder. Refuses a folder with files, and formats of depth images, since a fused cloud has no depth.
     pub fn create(folder: &Path, format: SinkFormat, rig: &Rig) -> Result<Self, Error> {
         if format == SinkFormat::DepthPng {
-            let problem = FormatError::Unsupported("a fused cloud is no depth image: save each camera's frames".into());
+            let problem =
+                FormatError::Unsupported("a fused cloud has no depth image; save each camera's frames".into());
             return Err(IoError { path: folder.to_path_buf(), problem }.into());
         }
         create_folder(folder, rig, |_| None)?;
@@ -66,14 +67,13 @@ fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option
     let at = |error: std::io::Error| IoError { path: folder.to_path_buf(), problem: error.into() };
     std::fs::create_dir_all(folder).map_err(at)?;
     if std::fs::read_dir(folder).map_err(at)?.next().is_some() {
-        let problem =
-            FormatError::Unsupported("has files already: results of a rig go into a folder of their own".into());
+        let problem = FormatError::Unsupported("the folder is not empty; results of a rig need an empty folder".into());
         return Err(IoError { path: folder.to_path_buf(), problem });
     }
     let mut saved = rig.clone();
     saved.cameras.iter_mut().for_each(|camera| {
         camera.source = source(camera);
-        // What is written has its camera beside it.
+        // The output has the camera in a file next to it.
         if camera.source.is_some() {
             (camera.camera, camera.depth_units_per_metre) = (None, None);
             (camera.alignment, camera.mode) = (None, None);
@@ -107,8 +107,8 @@ impl RigSink for FusedSink {
     }
 }
 
-/// Writes every camera's frames into a folder of its own, as [`FolderSink`] does, and beside them the `rig.json`, which
-/// streams them again if they are data sets of depth images.
+/// Writes each camera's frames into a separate folder, as [`FolderSink`] does, and a `rig.json`, which streams them
+/// again if they are data sets of depth images.
 pub struct CamerasSink {
     folder: PathBuf,
     format: SinkFormat,

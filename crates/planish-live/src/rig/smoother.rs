@@ -23,10 +23,11 @@ pub enum RigWay {
     /// Each camera's frame on its own, with the noise of its sensor.
     #[default]
     Each,
-    /// All points as one general cloud, so that what several cameras see is supported by all of them.
+    /// All points as one unorganized cloud, so that what several cameras see is supported by all of them.
     Merged,
-    /// As range images from where each camera stands, of what all cameras see from there: each is smoothed as a frame
-    /// of its camera, and every point is the mean of what the views say of it. The cameras' intrinsics must be known.
+    /// As range images from each camera's position, of the points that all cameras see from there. Each image is
+    /// smoothed as a frame of its camera, and every point becomes the mean of its estimates in the views. The cameras'
+    /// intrinsics must be known.
     Views,
 }
 
@@ -34,7 +35,7 @@ impl RigWay {
     /// All there are.
     pub const ALL: [Self; 3] = [Self::Each, Self::Merged, Self::Views];
 
-    /// The name used on the command line.
+    /// Returns the name used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Each => "each",
@@ -44,18 +45,18 @@ impl RigWay {
     }
 }
 
-/// What smooths the frames of a rig's cameras, moment after moment: one at a time, or with several in flight, as a
+/// Smooths the frames of a rig's cameras, moment after moment: one at a time, or with several in flight, as a
 /// [`Smoother`] does with frames.
 pub struct RigSmoother {
     pub(super) way: RigWay,
     pub(super) options: SmootherOptions,
-    /// What the cameras are spread over; none for what the options say.
+    /// Devices that share the cameras; if empty, the one of the options.
     pub(super) devices: Vec<FleetDevice>,
-    /// Of those the one that failed last.
+    /// The device that failed last.
     pub(super) failed: Option<FleetDevice>,
     registration_m: f64,
     pub(super) threads: Threads,
-    /// Those of the rig, and after them those of viewpoints that were added.
+    /// The cameras of the rig, then those of added viewpoints.
     pub(super) cameras: Vec<CameraSmoother>,
     /// How many the rig has.
     of_rig: usize,
@@ -69,23 +70,23 @@ pub struct RigSmoother {
 /// The smoother of one camera, open for the frames that it gives.
 pub(super) struct CameraSmoother {
     pub(super) rig_from_camera: RigidTransform,
-    /// Of several that it is spread over.
+    /// The assigned device, if there are several.
     pub(super) device: Option<FleetDevice>,
-    /// Where its frames do not know it.
+    /// Camera for frames that do not state one.
     camera: Option<Camera>,
-    /// Of its depth images, where their points are needed.
+    /// Rays of its depth images, if their points are needed.
     pub(super) rays: Arc<Rays>,
     params: FrameParams,
     smoother: Option<Smoother>,
     shape: (usize, usize),
 }
 
-/// Of each camera its result, if it has a frame; a frame that cannot be smoothed is its own error.
+/// The result of each camera that has a frame; a frame that cannot be smoothed is an error of its camera alone.
 pub type RigResults = Vec<Option<Result<Smoothed, FrameError>>>;
 
 impl RigSmoother {
-    /// Creates a smoother for a rig; engines open with the first frames. `params` are those of each camera's frames,
-    /// for the sensor that it has ([`FrameParams::for_sensor`]), `general_params` those of all points as one cloud
+    /// Creates a smoother for a rig; engines open with the first frames. `params` apply to each camera's frames,
+    /// adapted to its sensor ([`FrameParams::for_sensor`]); `general_params` to the points of all cameras as one cloud
     /// ([`CloudParams`]).
     pub fn new(
         rig: &Rig,
@@ -97,11 +98,16 @@ impl RigSmoother {
         rig.validate()?;
         if params.len() != rig.cameras.len() {
             let value = params.len().to_string();
-            return Err(ParamError { field: "params", value, allowed: "as many as the rig has cameras" }.into());
+            return Err(ParamError { field: "params", value, allowed: "one per camera of the rig" }.into());
         }
         if way == RigWay::Merged && options.outputs.needs_camera() {
             let value = "depth".to_owned();
-            return Err(ParamError { field: "outputs", value, allowed: "no depth of clouds that are merged" }.into());
+            return Err(ParamError {
+                field: "outputs",
+                value,
+                allowed: "outputs without depth, since merged clouds have none",
+            }
+            .into());
         }
         if options.threads == Some(0) {
             return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" }.into());
@@ -138,15 +144,14 @@ impl RigSmoother {
         })
     }
 
-    /// The same with its cameras spread over these devices, each to the one that has the fewest pixels; with none for
-    /// the one of the options. All points as one cloud are smoothed by the first. A device that fails is an error as
-    /// any engine's is; a smoother without it goes on.
+    /// Spreads the cameras over these devices, each to the one with the fewest pixels; an empty list keeps the device
+    /// of the options. All points as one cloud are smoothed by the first. A failing device is reported as an error; the
+    /// smoother continues without it.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }
 
-    /// The same with another bound of how far surfaces of two cameras are apart for their poses' sake, in metres: of
-    /// views.
+    /// For views: sets the maximum distance between surfaces of two cameras due to errors of their poses, in metres.
     pub fn with_registration_m(self, registration_m: f64) -> Self {
         Self { registration_m, ..self }
     }
@@ -160,12 +165,12 @@ impl RigSmoother {
         Self { general: self.general.with_voxel_m(voxel_m), ..self }
     }
 
-    /// What ends the work on all points together.
+    /// Returns a handle that cancels the work on all points together.
     pub(super) fn stopper(&self) -> Stopper {
         self.general.stopper()
     }
 
-    /// The engine that is open.
+    /// Returns the engine that is open.
     pub fn engine(&self) -> Engine {
         self.engine
     }
@@ -181,7 +186,7 @@ impl RigSmoother {
         }
     }
 
-    /// Whether there are devices beside the one that failed; its cameras go to those.
+    /// Moves the cameras of a failed device to the others; returns false if there are none.
     pub(super) fn leave_failed_device(&mut self) -> bool {
         let Some(failed) = self.failed.take().filter(|_| self.devices.len() > 1) else { return false };
         self.devices.retain(|device| *device != failed);
@@ -223,7 +228,7 @@ impl RigSmoother {
         result
     }
 
-    /// Opens an engine for each camera's frame that has none.
+    /// Opens an engine for each camera's frame that needs one.
     pub(super) fn open_each(&mut self, frames: &[Option<Frame<'_>>], outputs: Outputs) -> Result<(), Error> {
         let is_open = |(camera, frame): (&CameraSmoother, &Option<Frame<'_>>)| {
             frame.is_none_or(|frame| camera.smoother.is_some() && camera.shape == frame.shape())
@@ -253,7 +258,7 @@ impl RigSmoother {
         Ok(())
     }
 
-    /// Of several devices the one whose cameras have the fewest pixels.
+    /// Returns the device whose cameras have the fewest pixels, if there are several.
     fn least_loaded_device(&self) -> Option<FleetDevice> {
         let pixels = |device: &FleetDevice| -> usize {
             let its = self.cameras.iter().filter(|camera| camera.device.as_ref() == Some(device));
@@ -337,7 +342,7 @@ impl RigSmoother {
     }
 }
 
-/// An error of the engine, or the result with a frame's own.
+/// Returns an error of the engine, or the result with a frame's own.
 fn by_fault(result: Result<Smoothed, Error>) -> Result<Result<Smoothed, FrameError>, Error> {
     match result {
         Ok(smoothed) => Ok(Ok(smoothed)),

@@ -1,4 +1,4 @@
-//! What is counted of a rig's stream.
+//! Statistics of a rig's stream.
 
 use crate::stream::StreamStatistics;
 
@@ -16,7 +16,7 @@ pub struct CameraStatistics {
     pub missing: u64,
     /// Frames that came when their moment had passed.
     pub late: u64,
-    /// Frames whose time stamp was that of the frame before, or earlier.
+    /// Frames with the time stamp of the previous frame, or an earlier one.
     pub out_of_order: u64,
     /// How often its clock jumped.
     pub jumps: u64,
@@ -32,7 +32,7 @@ pub struct CameraStatistics {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RigStatistics {
-    /// Of the moments: how many came out, their latency, sinks, engine. A moment that a newer one replaced is dropped.
+    /// Statistics of the moments: number, latency, sinks, engine. A moment that a newer one replaced is dropped.
     pub moments: StreamStatistics,
     /// Moments with a frame of every camera.
     pub complete: u64,

@@ -28,7 +28,7 @@ const LONGEST_WAIT: Duration = Duration::from_millis(100);
 /// Between two looks at whether the stream is to stop.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// What a running rig reports to the caller.
+/// An event of a running rig.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum RigEvent<'a> {
@@ -41,9 +41,10 @@ pub enum RigEvent<'a> {
 /// Streams a rig until all its cameras end, its limits are reached, all its sinks have failed, or `stop` is set; then
 /// waits for the sinks and closes them.
 ///
-/// `sources` are those of its cameras, in their order: all live, of which the newest moment wins, or none, of which
-/// every frame is smoothed. A camera that fails or ends is reported and counted, and the others go on. A lost GPU is
-/// reopened once, after which the CPU engine takes over; of several devices the others take its cameras.
+/// `sources` are the sources of its cameras, in their order: either all live, in which case only the newest moment is
+/// smoothed, or all recorded, in which case every frame is. A camera that fails or ends is reported and counted, and
+/// the others continue. A lost GPU is reopened once, after which the CPU engine takes over; with several devices, the
+/// others take over its cameras.
 ///
 /// # Errors
 /// If the options are not allowed, an engine fails for good, or every camera failed before it gave a frame.
@@ -119,17 +120,17 @@ pub fn run(
 fn check_sources(rig: &Rig, sources: &[Box<dyn Source>]) -> Result<bool, ParamError> {
     if sources.len() != rig.cameras.len() {
         let value = sources.len().to_string();
-        return Err(ParamError { field: "sources", value, allowed: "as many as the rig has cameras" });
+        return Err(ParamError { field: "sources", value, allowed: "one per camera of the rig" });
     }
     let live = sources.iter().filter(|source| source.is_live()).count();
     if live != 0 && live != sources.len() {
         let value = format!("{live} live of {}", sources.len());
-        let allowed = "live cameras, or recordings; recordings beside live cameras are played at a pace (fps)";
+        let allowed = "only live cameras, or only recordings; recordings among live cameras need a rate (fps)";
         return Err(ParamError { field: "sources", value, allowed });
     }
     if rig.clock == Clock::Arrival && live == 0 {
         let allowed =
-            "\"source\" for recordings, whose frames come as fast as they are read; \"arrival\" is for live cameras";
+            "\"source\" for recordings, which are read as fast as possible; \"arrival\" applies to live cameras";
         return Err(ParamError { field: "clock", value: "\"arrival\"".to_owned(), allowed });
     }
     Ok(live != 0)
@@ -144,20 +145,20 @@ struct RigStream<'a> {
     is_live: bool,
     /// Whether an engine has taken a moment.
     was_open: bool,
-    /// Losses of the GPU so far.
+    /// Number of GPU losses so far.
     losses: GpuLosses,
     sinks: Vec<SinkThread<RigFrame>>,
     statistics: RigStatistics,
     /// Frames of each camera that were smoothed, and that the engine refused.
     smoothed: Vec<u64>,
     refused: Vec<u64>,
-    /// Why each camera's frames were refused, as far as it was reported.
+    /// Reported reasons for refusing each camera's frames.
     told_refusals: Vec<Vec<String>>,
     /// Cameras whose lost points were reported.
     told_lost_points: Vec<bool>,
     /// Frames of each camera that came with one of another.
     together: Vec<u64>,
-    /// What had been dropped when the engine was open: of each camera, and of moments.
+    /// Numbers dropped before the engine was open: frames of each camera, and moments.
     at_start: Option<(Vec<u64>, u64)>,
 }
 
@@ -264,7 +265,7 @@ impl RigStream<'_> {
         match self.rig.cameras.iter().zip(&moment.frames).find(is_unknown) {
             Some((camera, _)) => {
                 let value = format!("views, with camera {:?}", camera.name);
-                let allowed = "cameras whose intrinsics are known, from their source or as \"camera\" of the rig";
+                let allowed = "cameras with known intrinsics, from their source or \"camera\" in the rig";
                 Err(ParamError { field: "way", value, allowed })
             }
             None => Ok(()),

@@ -96,7 +96,7 @@ impl Measured {
         (0..self.positions.len()).filter(|&i| self.positions.is_finite(i)).collect()
     }
 
-    /// What was found for the points of these pixels, which begin at `first` of all, in the frame that they came from;
+    /// Returns the results of these pixels, which begin at index `first` of all points, in the frame of the input;
     /// normals face the camera.
     fn given_back(&self, all: &Smoothed, first: usize, its_pixels: &[usize], origin: DVec3) -> Smoothed {
         let (width, height) = self.shape;

@@ -9,14 +9,14 @@ use planish_core::{Camera, FrameError, ParamError, SensorPose};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Viewpoint {
-    /// rig_from_camera, as that of a [`RigCamera`](super::RigCamera).
+    /// rig_from_camera, as for a [`RigCamera`](super::RigCamera).
     pub pose: SensorPose,
     /// The size and the intrinsics of the view. Pixels that are finer than the cameras' have gaps between the samples.
     pub camera: Camera,
 }
 
 impl Viewpoint {
-    /// The view of a camera at this place.
+    /// Returns the view of a camera at this place.
     pub fn new(pose: SensorPose, camera: Camera) -> Self {
         Self { pose, camera }
     }
@@ -24,7 +24,7 @@ impl Viewpoint {
     /// Halfway between two places: in their middle, and turned halfway from one to the other.
     ///
     /// # Errors
-    /// If one of the poses is none.
+    /// If one of the poses is invalid.
     pub fn between(a: &SensorPose, b: &SensorPose, camera: Camera) -> Result<Self, FrameError> {
         let (from, to) = (a.transform()?, b.transform()?);
         let middle: DVec3 = (from.translation + to.translation) / 2.0;

@@ -1,12 +1,11 @@
 //! The way of views: what all cameras see, as range images from where each of them stands.
 //!
-//! Each camera's grid is a view, and so is that of every viewpoint that was added. A pixel's own sample, or the nearest
-//! point that falls into it if it has none, is its front; samples of other cameras that fall into the pixel no farther
-//! from its front than the cameras' registration and noise allow, on surfaces that face the view, are of the same
-//! surface. The view is the mean of them, weighted by the inverse of their noise squared, and is smoothed as a frame of
-//! its camera. Then every point moves along its own ray to the tangent planes of the pixels that it was counted in, and
-//! is the mean of those by the squared cosine of their incidence. So a surface that several cameras see, and that
-//! errors of their poses have doubled, becomes one.
+//! Each camera's grid is a view, and so is the grid of every added viewpoint. The front of a pixel is its sample or, in
+//! a pixel without one, the nearest point that falls into it. Samples of other cameras in that pixel belong to the same
+//! surface if they face the view and are no farther from the front than registration and noise allow. The view consists
+//! of their means, weighted by the inverse squared noise, and is smoothed as a frame of its camera. Every point then
+//! moves along its ray to the tangent planes of the pixels that it contributed to; its result is their mean, weighted
+//! by the squared cosine of incidence. A surface that is doubled by errors of the poses thus becomes one.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -17,14 +16,14 @@ use planish_core::{
     internal::{GRAZING_COSINE, RigidTransform},
 };
 
-/// Two cameras' samples of one surface are apart by so many standard deviations of both.
+/// Two cameras' samples of one surface differ by at most this many standard deviations of both.
 const DEVIATIONS: f64 = 3.0;
 
-/// Surfaces seen at more than 80° are not taken for facing a view.
+/// Surfaces seen at more than 80° do not count as facing a view.
 const FACING_COSINE: f64 = 0.17;
 
-/// Samples in adjacent pixels are up to two pixels apart, and a surface that counts is at most 80° steep: by so many
-/// widths of a pixel it can lie deeper in one of them.
+/// Samples in adjacent pixels are up to two pixels apart, and a facing surface is at most 80° steep: this is the
+/// largest depth difference between them, in pixel widths.
 const STEEPEST_PX: f32 = 2.0 * 5.67;
 
 /// Pixels of one smooth surface have normals less than 30° apart, and it passes no farther than this from where a
@@ -35,21 +34,21 @@ const SAME_SURFACE_M: f64 = 0.003;
 /// A pixel that a sample does not fall into, or where it is not of the front.
 const NOWHERE: u32 = u32::MAX;
 
-/// What a camera has measured, in its own frame.
+/// Measurements of a camera, in its frame.
 pub(super) struct Measured {
     pub(super) camera: Camera,
     pub(super) points: Xyz,
-    /// Towards the camera, where the side that the surface faces can be told.
+    /// Normals towards the camera, where the orientation of the surface can be estimated.
     normals: Xyz,
     sensor: SensorModel,
     rig_from_camera: RigidTransform,
-    /// What takes its points back into the frame that they came in.
+    /// Transform of its points back into the frame of the input.
     points_from_camera: RigidTransform,
-    /// Whether nothing stands there: all pixels are holes.
+    /// True for an added viewpoint without a camera: all pixels are holes.
     is_added: bool,
 }
 
-/// What is seen of all cameras' points from where one of them stands.
+/// The points of all cameras, seen from the position of one of them.
 pub(super) struct View {
     points: Xyz,
     shape: (usize, usize),
@@ -82,7 +81,7 @@ impl Measured {
         Ok(Self { camera, points, normals, sensor, rig_from_camera, points_from_camera, is_added: false })
     }
 
-    /// What is measured where no camera stands: nothing.
+    /// Creates the empty measurements of a viewpoint without a camera.
     pub(super) fn nothing(camera: Camera, sensor: SensorModel, rig_from_camera: RigidTransform) -> Self {
         let holes = Xyz::filled(camera.width * camera.height, f32::NAN);
         let points_from_camera = RigidTransform::IDENTITY;
@@ -94,8 +93,8 @@ impl Measured {
         (self.camera.width, self.camera.height)
     }
 
-    /// What is seen from here, of this camera and of others. Surfaces of two cameras are at most `registration_m` apart
-    /// for their poses' sake.
+    /// Returns the view from this camera, of its points and those of others. Errors of poses separate surfaces of two
+    /// cameras by at most `registration_m`.
     pub(super) fn view(&self, index: usize, all: &[Option<Self>], registration_m: f64) -> View {
         let (width, height) = self.shape();
         let landings: Vec<Option<Landings>> = all
@@ -140,7 +139,7 @@ impl Measured {
         View { points: sums.iter().map(mean).collect(), shape: (width, height), counted }
     }
 
-    /// How far along z each pixel's front is. What its own sample does not say is said by the nearest of the others.
+    /// Returns the depth of each pixel's front: its sample or, without one, the nearest point of another camera.
     fn front_m(&self, landings: &[Option<Landings>]) -> Vec<f32> {
         let mut front_m = self.points.z().to_vec();
         for (pixel, point) in landings.iter().flatten().flat_map(Landings::iter) {
@@ -151,8 +150,8 @@ impl Measured {
         if !self.is_added {
             return front_m;
         }
-        // Where nothing stands, what is behind a surface would be seen through the gaps between its samples. It is not,
-        // where the surface cannot be as steep as to lead there from a pixel beside.
+        // Without a camera, surfaces behind would be visible through the gaps between samples. A point is hidden if no
+        // surface from an adjacent pixel can be steep enough to reach it.
         let (width, height) = self.shape();
         let deeper = 1.0 + STEEPEST_PX / self.camera.fx.min(self.camera.fy) as f32;
         let screened = |i: usize| {
@@ -162,7 +161,7 @@ impl Measured {
         (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK).map(screened).collect()
     }
 
-    /// Where the samples of another camera fall in this one's grid.
+    /// Projects the samples of another camera into this one's grid.
     fn landings(&self, other: &Self) -> Landings {
         let here_from_other = self.rig_from_camera.inverse().after(other.rig_from_camera);
         let landing = |i: usize| {
@@ -225,12 +224,12 @@ impl Measured {
         Some(Seen { pixels, points: &smoothed.points, normals, camera: &of.camera, here_from_view, view_from_here })
     }
 
-    /// Adds the outputs that were asked for, and takes points into the frame that they came in.
+    /// Adds the requested outputs, and transforms points into the frame of the input.
     fn finish(&self, mut back: Smoothed, own: &Smoothed, normals: Xyz, outputs: Outputs) -> Option<Smoothed> {
         let is_hole = |i: usize| !back.points.is_finite(i);
         back.status = own.status.as_ref().map(|status| {
             let of_pixel = |(i, &status): (usize, &Status)| match status {
-                // A hole that other cameras filled in the view is none of this camera's points.
+                // A hole that other cameras filled in the view is not a point of this camera.
                 _ if !self.points.is_finite(i) => Status::Hole,
                 status => status,
             };
@@ -269,8 +268,8 @@ impl View {
     }
 }
 
-/// Forgets in which pixels samples were counted beside which no other camera's were: what is seen of them from where
-/// nothing stands says no more than their own camera's view.
+/// Drops pixels in which only one camera's samples were counted: seen from a viewpoint without a camera, they add
+/// nothing to that camera's view.
 fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], shape: (usize, usize)) {
     const SEVERAL: u16 = u16::MAX;
     let mut seen_by = vec![None; shape.0 * shape.1];
@@ -288,14 +287,14 @@ fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], shape: (usize, usize)
     }
 }
 
-/// A pixel and those around it.
+/// Returns a pixel and those around it.
 fn beside(pixel: usize, (width, height): (usize, usize)) -> impl Iterator<Item = usize> {
     let (u, v) = (pixel % width, pixel / width);
     let columns = u.saturating_sub(1)..(u + 2).min(width);
     (v.saturating_sub(1)..(v + 2).min(height)).flat_map(move |v| columns.clone().map(move |u| v * width + u))
 }
 
-/// Where the samples of a camera fall in another's grid, and where they are in its frame.
+/// Pixels of another grid into which a camera's samples fall, and their positions in that frame.
 struct Landings {
     pixels: Vec<u32>,
     points: Vec<[f32; 3]>,
@@ -327,7 +326,7 @@ impl Seen<'_> {
             return;
         }
         let Tangent { point, normal } = self.tangent(pixel as usize);
-        // In the view's frame the lens of the sample's camera stands beside, and its ray goes elsewhere.
+        // In the view's frame, the sample's camera is off the origin, and its ray has another direction.
         let (lens, ray_in_view) = (self.view_from_here.translation, self.view_from_here.rotation * ray);
         let along = ray_in_view.dot(normal);
         if along.abs() <= f64::from(GRAZING_COSINE) {
@@ -347,7 +346,7 @@ impl Seen<'_> {
         Tangent { point: as_dvec(self.points.get(pixel)), normal: as_dvec(self.normals.get(pixel)) }
     }
 
-    /// The surface between the four pixels around a point close to it; `None` beside edges.
+    /// Returns the surface between the four pixels around a point close to it; `None` beside edges.
     fn surface_at(&self, point: DVec3, normal: DVec3) -> Option<Tangent> {
         let [u, v] = self.camera.project(point.to_array())?;
         let (left, top) = (u.floor(), v.floor());
@@ -384,7 +383,7 @@ struct Tangent {
     normal: DVec3,
 }
 
-/// The mean of what several views say of a point: how far along its ray, and the normal.
+/// Mean of several views' estimates of a point: its position along the ray, and the normal.
 #[derive(Default)]
 struct Blend {
     distance: f64,
@@ -394,7 +393,7 @@ struct Blend {
 }
 
 impl Blend {
-    /// Adds a tangent plane of a view; one that the ray grazes says nothing of where the point is.
+    /// Adds a tangent plane of a view; a plane that the ray grazes does not determine the point.
     fn add(&mut self, ray: DVec3, point: DVec3, normal: DVec3, ray_of_view: DVec3) {
         let along = ray.dot(normal);
         // Also false for a NaN.
@@ -417,7 +416,7 @@ impl Blend {
     }
 }
 
-/// The inverse of the noise squared; sensors without noise count alike.
+/// Returns the inverse of the noise squared; sensors without noise count alike.
 fn weight(sigma_m: f64) -> f64 {
     const LEAST_SIGMA_M: f64 = 1e-4;
     1.0 / sigma_m.max(LEAST_SIGMA_M).powi(2)

@@ -1,4 +1,4 @@
-//! The points of a moment thinned to one a voxel, smoothed, and what that says of every point.
+//! Thins the points of a moment to one per voxel, smooths them, and applies the result to every point.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ pub(super) struct InVoxels {
     voxels: Voxels,
     /// The centroid of each voxel's points, and the camera of the point nearest to it.
     cloud: PointCloud,
-    /// What was found for those.
+    /// Result for the voxels.
     smoothed: Option<Smoothed>,
 }
 
@@ -42,7 +42,7 @@ impl InVoxels {
         Ok(())
     }
 
-    /// The smoothed centroids with their camera and the fields that were computed; holes are left out.
+    /// Returns the smoothed centroids with their camera and the fields that were computed; holes are left out.
     pub(super) fn fused(self, fields: Outputs) -> PointCloud {
         let Self { mut cloud, smoothed, together, .. } = self;
         let mut smoothed = smoothed.unwrap_or_default();
@@ -71,7 +71,7 @@ impl InVoxels {
         self.together.given_back(&spread.unwrap_or_default())
     }
 
-    /// What was found for the voxels, carried to all points.
+    /// Applies the result for the voxels to all points.
     fn spread(&self, of_voxels: &Smoothed, fields: Outputs) -> Smoothed {
         let surface = Surface { map: VoxelMap::of(&self.voxels), of_voxels };
         let positions = &self.together.cloud.positions;
@@ -92,7 +92,7 @@ impl InVoxels {
     }
 }
 
-/// What was found for the voxel in which each point lies.
+/// Returns, for each point, the value found for its voxel.
 fn of_own_voxel<T: Copy + Send + Sync>(carried: &[Carried], found: &[T], without: T) -> Vec<T> {
     carried.par_iter().map(|carried| carried.voxel.map_or(without, |voxel| found[voxel])).collect()
 }
@@ -151,7 +151,7 @@ impl Surface<'_> {
         self.of_voxels.points.vector(voxel)
     }
 
-    /// NaN where there is none.
+    /// NaN for a voxel without a normal.
     fn normal(&self, voxel: usize) -> DVec3 {
         let normals: Option<&Xyz> = self.of_voxels.normals.as_ref();
         normals.map_or(DVec3::NAN, |normals| normals.vector(voxel))

@@ -51,7 +51,7 @@ pub(super) fn load_once<T>(
     Ok(functions)
 }
 
-/// Loads the file that the environment variable names, or else the first of the usual names that is there.
+/// Loads the file named by the environment variable, otherwise the first existing file among the usual names.
 pub(super) fn load(
     variable: &str,
     usual: impl IntoIterator<Item = String>,
@@ -74,5 +74,5 @@ pub(super) fn load(
             }
         }
     }
-    Err(DeviceError::Driver { what: first_error.unwrap_or_else(|| "no driver has a name".into()), help })
+    Err(DeviceError::Driver { what: first_error.unwrap_or_else(|| "no driver file name is known".into()), help })
 }

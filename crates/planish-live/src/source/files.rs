@@ -20,7 +20,7 @@ impl FileSource {
     /// Reads every frame file of a folder once, in order of their names. Depth images need a camera.
     ///
     /// # Errors
-    /// If the folder cannot be read or has no frames, or if the first frame is a depth image and there is no camera.
+    /// If the folder is unreadable or has no frames, or if the first frame is a depth image and no camera is given.
     pub fn folder(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
         let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
         let entries: Result<Vec<PathBuf>, _> =
@@ -71,13 +71,13 @@ impl Source for FileSource {
     }
 }
 
-/// The name of a file without its extension, if that is text.
+/// Returns the name of a file without its extension, if that is text.
 pub(super) fn file_stem(file: &Path) -> Option<String> {
     file.file_stem()?.to_str().map(str::to_owned)
 }
 
 fn needs_camera(file: &Path, (width, height): (usize, usize)) -> IoError {
-    malformed(file, format!("a depth image of {width}x{height} needs its camera (fx, fy, cx, cy); none was given"))
+    malformed(file, format!("a depth image of {width}x{height} needs its camera (fx, fy, cx, cy)"))
 }
 
 /// Reads one frame file; depth needs a camera.
@@ -100,6 +100,6 @@ pub(super) fn read_frame(file: &Path, camera: Option<Camera>) -> Result<OwnedFra
             cloud.camera = camera.map(of_shape).transpose()?;
             Ok(OwnedFrame::Cloud { cloud, timestamp_s: None })
         }
-        _ => Err(malformed(file, "a general cloud; a stream needs frames on a grid").into()),
+        _ => Err(malformed(file, "an unorganized cloud; a stream needs frames on a grid").into()),
     }
 }

@@ -1,9 +1,9 @@
 //! Recordings of libfreenect: a folder with INDEX.txt, depth in d-*.pgm, colour in r-*.ppm, as its tool
 //! `fakenect-record` writes.
 //!
-//! Depth there is the Kinect's raw 11-bit disparity, two bytes a pixel, least significant first; 2047 is a hole. A name
-//! is KIND-SECONDS-TICKS.EXTENSION, in order of time. Disparity is the infrared camera's and colour that of the colour
-//! camera beside it: each point takes the colour of the pixel that it projects to there.
+//! Depth is the Kinect's raw 11-bit disparity, two bytes per pixel, little-endian; 2047 is a hole. Files are named
+//! KIND-SECONDS-TICKS.EXTENSION, in order of time. Disparity comes from the infrared camera and colour from the colour
+//! camera: each point takes the colour of the pixel that it projects to there.
 
 use std::f64::consts::PI;
 #[cfg(any(test, feature = "internal"))]
@@ -26,8 +26,8 @@ const REACH_M: f64 = 10.0;
 /// The infrared camera, which raw disparity is in: N. Burrus, "Kinect calibration", 2011.
 const INFRARED_CAMERA: Camera = Camera::new((640, 480), [594.21434, 591.04054], [339.30781, 242.73914]);
 
-/// The colour camera beside it, and the transform from the infrared camera to it, from the same source. Axes are ours:
-/// x to the right, y down.
+/// The colour camera, and the transform from the infrared camera to it, from the same reference. Axes follow our
+/// convention: x to the right, y down.
 const COLOUR_CAMERA: Camera = Camera::new((640, 480), [529.21508, 525.56394], [328.94272, 267.48068]);
 const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
     0.999_846_29,
@@ -148,7 +148,7 @@ fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>,
     let pixels = bytes_a_pixel * 640 * 480;
     if header.split_whitespace().take(3).ne([kind, "640", "480"]) || bytes.len() != end + pixels {
         let problem =
-            format!("no image of libfreenect: '{kind} 640 480 ..' on one line and {pixels} bytes are expected");
+            format!("not an image of libfreenect: '{kind} 640 480 ..' on one line and {pixels} bytes are expected");
         return Err(malformed(file, problem).into());
     }
     Ok(bytes.split_off(end))
@@ -168,7 +168,7 @@ pub fn write_freenect_recording(folder: &Path, frames: &[DepthFrame]) -> Result<
     };
     for (i, frame) in frames.iter().enumerate() {
         if (frame.camera.width, frame.camera.height) != (640, 480) {
-            return Err(malformed(folder, "a recording of libfreenect has frames of 640x480").into());
+            return Err(malformed(folder, "a libfreenect recording needs frames of 640x480").into());
         }
         let seconds = frame.timestamp_s.unwrap_or(i as f64 / 30.0);
         // The device's clock ticks 60 million times a second, and wraps after 71 s.

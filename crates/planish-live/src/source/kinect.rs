@@ -1,13 +1,13 @@
 //! A live Kinect v1 through libfreenect, loaded at run time and never linked.
 //!
-//! The library is `libfreenect.so.0.5`, or the path in the environment variable PLANISH_LIBFREENECT. Where the driver
+//! The library is `libfreenect.so.0.5`, or the path in the environment variable PLANISH_LIBFREENECT. If the driver
 //! supports it, depth is registered to the colour camera, in millimetres. Otherwise it is raw 11-bit disparity,
 //! converted by [`disparity_depth_m`](super::disparity_depth_m), and each point gets the colour of the pixel that it
 //! projects to. One thread owns the device and turns the driver's events into frames; only the newest is kept.
 //!
-//! The playback library of libfreenect has the same name and plays a recording. It exits the process without a
-//! recording, and aborts it on a mode that it lacks. It is recognized by the functions it lacks, and asked for 11 bits
-//! and RGB, which it has.
+//! The playback library of libfreenect has the same name and plays a recording. Without a recording it exits the
+//! process, and it aborts on a mode that it lacks. It is recognized by its missing functions, and opened with 11 bits
+//! and RGB, which it supports.
 
 use std::ffi::{c_int, c_void};
 use std::path::Path;
@@ -107,13 +107,13 @@ impl std::ops::Deref for Freenect {
 
 impl Freenect {
     fn load() -> Result<Self, DeviceError> {
-        let help = "install libfreenect (Debian: libfreenect0.5), or name its file in PLANISH_LIBFREENECT";
+        let help = "install libfreenect (Debian: libfreenect0.5), or set PLANISH_LIBFREENECT to its file";
         let library = driver::load("PLANISH_LIBFREENECT", ["libfreenect.so.0.5".to_owned()], help)?;
-        // SAFETY: the symbol is only looked for, and the signatures are those of libfreenect.h 0.5.
+        // SAFETY: the symbol is only looked up, and the signatures match libfreenect.h 0.5.
         unsafe {
             let is_playback = library.get::<*const c_void>(b"freenect_copy_registration\0").is_err();
             let functions = Functions::find(library)
-                .map_err(|error| DeviceError::Driver { what: format!("no libfreenect 0.5: {error}"), help })?;
+                .map_err(|error| DeviceError::Driver { what: format!("not libfreenect 0.5: {error}"), help })?;
             Ok(Self { functions, is_playback })
         }
     }
@@ -121,7 +121,7 @@ impl Freenect {
 
 /// The state of the callbacks, behind the device's user pointer. They run on the thread that owns the device.
 struct Events {
-    /// Whether depth is registered millimetres; else 11-bit disparities.
+    /// True: depth is registered, in millimetres; false: 11-bit disparities.
     registered: bool,
     /// The caller's camera instead of a usual Kinect's.
     camera: Option<Camera>,
@@ -132,7 +132,7 @@ struct Events {
     newest: Newest,
 }
 
-/// The newest frame, and the signal that there is one.
+/// The newest frame, and a signal for its arrival.
 struct Newest {
     frame: Arc<Mutex<Option<DepthFrame>>>,
     arrived: SyncSender<()>,
@@ -161,7 +161,7 @@ pub struct KinectSource {
 }
 
 impl KinectSource {
-    /// Opens a Kinect by its number, 0 for the first; with the given intrinsics, or those of a typical Kinect.
+    /// Opens a Kinect by its index, 0 for the first, with the given intrinsics or those of a typical Kinect.
     pub fn open(index: u32, camera: Option<Camera>) -> Result<Self, Error> {
         let freenect = Freenect::load()?;
         if freenect.is_playback {
@@ -186,7 +186,9 @@ impl KinectSource {
             let result = run(&freenect, index, camera, slot, &opened_in, &stopped);
             *end.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
         };
-        let failed = |error: std::io::Error| DeviceError::Failed { what: format!("no thread for the Kinect: {error}") };
+        let failed = |error: std::io::Error| DeviceError::Failed {
+            what: format!("cannot start a thread for the Kinect: {error}"),
+        };
         let thread = thread::Builder::new().name("planish-kinect".into()).spawn(work).map_err(failed)?;
         let source = Self { newest, dropped, arrived, ended, stop: Some(stop), thread: Some(thread) };
         // The thread reports that it runs, or why it ended.
@@ -220,7 +222,7 @@ impl Source for KinectSource {
             match self.arrived.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(()) => {}
                 Err(RecvTimeoutError::Timeout) => {
-                    let what = format!("the Kinect gave no depth for {} s", longest_silence().as_secs());
+                    let what = format!("the Kinect delivered no depth for {} s", longest_silence().as_secs());
                     return Err(DeviceError::Gone { what }.into());
                 }
                 Err(RecvTimeoutError::Disconnected) => {
@@ -252,7 +254,7 @@ impl Drop for KinectSource {
     }
 }
 
-/// The thread's work: opens the device, handles its events until told to stop or until it ends, closes it.
+/// Returns the thread's work: opens the device, handles its events until told to stop or until it ends, closes it.
 fn run(
     freenect: &Freenect,
     index: u32,
@@ -261,7 +263,8 @@ fn run(
     opened: &SyncSender<()>,
     stopped: &Receiver<()>,
 ) -> Result<(), DeviceError> {
-    let failed = |what: &str, code: c_int| DeviceError::Failed { what: format!("{what} (libfreenect says {code})") };
+    let failed =
+        |what: &str, code: c_int| DeviceError::Failed { what: format!("{what} (libfreenect returned {code})") };
     let mut context: Context = std::ptr::null_mut();
     // SAFETY: every call is libfreenect's own, with pointers that it gave or that outlive their use; all on this
     // thread.
@@ -277,12 +280,12 @@ fn run(
         let result = if count <= number {
             Err(DeviceError::NotFound {
                 what: format!("no Kinect number {index}: {} found", count.max(0)),
-                help: "is it plugged in, with its power supply, and may you use it? (Debian: the group plugdev)",
+                help: "check its cable, its power supply and your permissions (Debian: the group plugdev)",
             })
         } else {
             let mut device: Device = std::ptr::null_mut();
             match (freenect.open_device)(context, &mut device, number) {
-                code if code < 0 => Err(failed("the Kinect cannot be opened; does another program use it?", code)),
+                code if code < 0 => Err(failed("the Kinect cannot be opened; another program may be using it", code)),
                 _ => {
                     let result = run_device(freenect, context, device, camera, newest, opened, stopped);
                     (freenect.close_device)(device);
@@ -332,23 +335,23 @@ unsafe fn run_device(
 unsafe fn start_streams(freenect: &Freenect, device: Device, registered: bool) -> Result<(), DeviceError> {
     let check = |what: &str, code: c_int| match code {
         0.. => Ok(()),
-        _ => Err(DeviceError::Failed { what: format!("{what} (libfreenect says {code})") }),
+        _ => Err(DeviceError::Failed { what: format!("{what} (libfreenect returned {code})") }),
     };
     // SAFETY: as for `run`.
     unsafe {
         let format = if registered { DEPTH_REGISTERED } else { DEPTH_11BIT };
         let mode = (freenect.find_depth_mode)(RESOLUTION_MEDIUM, format);
-        check("the depth camera has not the mode", (freenect.set_depth_mode)(device, mode))?;
+        check("the depth camera lacks the mode", (freenect.set_depth_mode)(device, mode))?;
         (freenect.set_depth_callback)(device, on_depth);
         let mode = (freenect.find_video_mode)(RESOLUTION_MEDIUM, VIDEO_RGB);
-        check("the colour camera has not the mode", (freenect.set_video_mode)(device, mode))?;
+        check("the colour camera lacks the mode", (freenect.set_video_mode)(device, mode))?;
         (freenect.set_video_callback)(device, on_video);
         check("the colour camera does not start", (freenect.start_video)(device))?;
         check("the depth camera does not start", (freenect.start_depth)(device))
     }
 }
 
-/// Handles events until told to stop, the channel closes, or the device has no more.
+/// Handles events until stopped, the channel closes, or the device is gone.
 ///
 /// # Safety
 /// The context is open, and this is its thread.
@@ -361,7 +364,11 @@ unsafe fn handle_events(freenect: &Freenect, context: Context, stopped: &Receive
             LIBUSB_INTERRUPTED => {}
             // The end of the recording.
             _ if freenect.is_playback => break,
-            code => return Err(DeviceError::Gone { what: format!("the Kinect is gone (libfreenect says {code})") }),
+            code => {
+                return Err(DeviceError::Gone {
+                    what: format!("the Kinect was disconnected (libfreenect returned {code})"),
+                });
+            }
         }
     }
     Ok(())
@@ -384,7 +391,7 @@ unsafe fn events_of<'a>(device: Device) -> Option<&'a mut Events> {
 }
 
 unsafe extern "C" fn on_depth(device: Device, depth: *mut c_void, ticks: u32) {
-    // SAFETY: libfreenect gives 2 bytes a pixel, not always at an even address: they are read as bytes.
+    // SAFETY: libfreenect gives 2 bytes per pixel, not always at an even address: they are read as bytes.
     let (events, bytes) = unsafe {
         let Some(events) = events_of(device) else { return };
         (events, std::slice::from_raw_parts(depth.cast::<u8>(), 2 * PIXELS))
@@ -411,7 +418,7 @@ fn registered_camera(camera: Option<Camera>) -> Camera {
 }
 
 unsafe extern "C" fn on_video(device: Device, video: *mut c_void, _: u32) {
-    // SAFETY: libfreenect gives 3 bytes a pixel.
+    // SAFETY: libfreenect gives 3 bytes per pixel.
     unsafe {
         let Some(events) = events_of(device) else { return };
         events.rgb = Some(std::slice::from_raw_parts(video.cast::<u8>(), 3 * PIXELS).to_vec());

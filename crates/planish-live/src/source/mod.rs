@@ -1,7 +1,7 @@
 //! Sources of frames: cameras, data sets, folders, files, the simulator.
 //!
-//! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To use a camera
-//! of your own, implement [`Source`]; [`stream`](crate::stream) takes any.
+//! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To add a
+//! camera, implement [`Source`]; [`stream`](crate::stream) accepts any.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -68,8 +68,8 @@ pub trait Source: Send {
         0
     }
 
-    /// Whether frames arrive at their own pace and are lost if not taken in time. A stream then wants the newest frame;
-    /// of any other source it wants every frame.
+    /// Returns true if frames arrive at their own pace and are lost if not taken in time. A stream then wants the
+    /// newest frame; of any other source it wants every frame.
     fn is_live(&self) -> bool {
         false
     }
@@ -137,7 +137,7 @@ impl FromStr for StreamMode {
             _ => Err(ParamError {
                 field: "mode",
                 value: text.to_owned(),
-                allowed: "WIDTHxHEIGHT or WIDTHxHEIGHT@FPS, as 848x480@30",
+                allowed: "WIDTHxHEIGHT or WIDTHxHEIGHT@FPS, such as 848x480@30",
             }),
         }
     }
@@ -162,7 +162,7 @@ pub struct SourceOptions {
     pub fps: Option<f64>,
     /// The topic of a recording in MCAP; may be left out where only one has depth.
     pub topic: Option<String>,
-    /// The topic with the camera of a recording in MCAP, if it is not beside the images'.
+    /// The topic with the camera of an MCAP recording, if it is not next to the images' topic.
     pub camera_info_topic: Option<String>,
     /// Which image of a RealSense or an OpenNI2 camera depth and colour are mapped to; without it what its source says.
     pub alignment: Option<Alignment>,
@@ -227,7 +227,7 @@ pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Erro
         "realsense" => Box::new(RealSenseSource::open(&RealSenseInput::parse(rest), camera, alignment, mode)?),
         "openni2" => Box::new(OpenNi2Source::open(rest, camera, alignment, mode)?),
         "synthetic" if camera.is_some() => {
-            let allowed = "none for the simulator, which has its own";
+            let allowed = "no value for the simulator, which has a fixed camera";
             return Err(ParamError { field: "camera", value: "given".into(), allowed }.into());
         }
         "synthetic" => {
@@ -239,14 +239,14 @@ pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Erro
     match fps {
         None => Ok(source),
         Some(fps) if source.is_live() => {
-            let allowed = "none for a camera, which has its own pace";
+            let allowed = "no value for a camera, which sets the rate";
             Err(ParamError { field: "fps", value: fps.to_string(), allowed }.into())
         }
         Some(fps) => Ok(Box::new(Paced::new(source, fps)?)),
     }
 }
 
-/// Whether a source named on the command line is a camera, which may be unplugged and come back.
+/// Returns true if a source named on the command line is a camera, which may be unplugged and come back.
 pub fn is_camera(name: &str) -> bool {
     let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
     match kind {
@@ -267,7 +267,7 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
             return Ok(Box::new(planish_ros2::bag::BagSource::open(&file, topic, camera_info, options.camera)?));
         }
         if file.is_file() && planish_ros2::bag::is_named_mcap(&file) {
-            return Err(malformed(&file, "no recording in MCAP: it does not begin as one").into());
+            return Err(malformed(&file, "not an MCAP recording: its signature is missing").into());
         }
     }
     refuse_topics(options)?;
@@ -293,7 +293,7 @@ fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
     match options.topic.as_ref().or(options.camera_info_topic.as_ref()) {
         None => Ok(()),
         Some(topic) => {
-            let allowed = "topics of recordings in MCAP, which this source is not";
+            let allowed = "no topic, since this source is not an MCAP recording";
             Err(ParamError { field: "topic", value: topic.clone(), allowed })
         }
     }
@@ -301,7 +301,7 @@ fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
 
 /// Refuses units of depth where the camera states them.
 fn refuse_units(options: &SourceOptions) -> Result<(), ParamError> {
-    let allowed = "none for this source, which states its own";
+    let allowed = "no value for this source, which states it";
     options
         .tum_units_per_metre
         .map_or(Ok(()), |units| Err(ParamError { field: "depth_units_per_metre", value: units.to_string(), allowed }))
@@ -309,7 +309,7 @@ fn refuse_units(options: &SourceOptions) -> Result<(), ParamError> {
 
 /// Refuses what only cameras with modes have.
 fn refuse_modes(options: &SourceOptions) -> Result<(), ParamError> {
-    let allowed = "only for a RealSense or an OpenNI2 camera";
+    let allowed = "only a RealSense or an OpenNI2 camera";
     if let Some(alignment) = options.alignment {
         return Err(ParamError { field: "align", value: format!("{alignment:?}").to_lowercase(), allowed });
     }
@@ -323,7 +323,7 @@ fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> R
     if number.is_empty() {
         return Ok(default);
     }
-    number.parse().map_err(|_| malformed(Path::new(name), "a whole number is expected behind the colon").into())
+    number.parse().map_err(|_| malformed(Path::new(name), "a whole number after the colon").into())
 }
 
 /// Returns the camera for frames of a shape; one without a shape takes it.

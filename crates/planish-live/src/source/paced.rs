@@ -21,7 +21,7 @@ pub struct Paced {
 const PATIENCE: Duration = Duration::from_millis(50);
 
 impl Paced {
-    /// Paces a source to `fps` frames a second, 0.1 to 100,000.
+    /// Paces a source to `fps` frames per second, 0.1 to 100,000.
     pub fn new(source: Box<dyn Source>, fps: f64) -> Result<Self, ParamError> {
         if !(0.1..=1e5).contains(&fps) {
             return Err(ParamError { field: "fps", value: fps.to_string(), allowed: "0.1 to 100000" });
@@ -42,8 +42,8 @@ impl Source for Paced {
             }
             thread::sleep(left.min(PATIENCE));
         }
-        // Counted from when it was due, not from when it came, so that delays do not add up; frames of a longer delay
-        // are dropped.
+        // Intervals count from the due time, not from the arrival, so delays do not add up; frames missed during a
+        // longer delay are dropped.
         let missed = now.saturating_duration_since(due).as_nanos() / self.interval.as_nanos().max(1);
         let missed = u32::try_from(missed).unwrap_or(u32::MAX);
         self.next =

@@ -10,7 +10,7 @@ pub(super) fn longest_silence() -> Duration {
     Duration::from_secs(SECONDS.load(Ordering::Relaxed))
 }
 
-/// Sets that for all sources of this process, so that tests need not wait for so long.
+/// Sets the timeout for all sources of this process, to shorten tests.
 #[cfg(feature = "internal")]
 pub fn set_longest_silence_s(seconds: u64) {
     SECONDS.store(seconds, Ordering::Relaxed);

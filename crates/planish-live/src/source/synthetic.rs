@@ -30,7 +30,7 @@ impl SyntheticSource {
         Self::of_frames(seed, camera, ROUND)
     }
 
-    /// Renders the first frames only, for who takes no more; further ones repeat them.
+    /// Renders only the first frames, for callers that need no more; further ones repeat them.
     pub fn of_frames(seed: u64, camera: Camera, frames: u64) -> Result<Self, Error> {
         camera.validate()?;
         let (scene, start) = Scene::tabletop(seed);
@@ -41,7 +41,7 @@ impl SyntheticSource {
         Ok(source)
     }
 
-    /// Returns what a perfect camera sees in frame `index` of a whole round.
+    /// Returns the frame of a perfect camera at `index` of a full round.
     pub fn truth(&self, index: u64) -> Truth {
         let turn = TAU * (index % ROUND) as f64 / ROUND as f64;
         let mut pose = self.start;

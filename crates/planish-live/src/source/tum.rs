@@ -1,7 +1,7 @@
 //! Data sets in the layout of the TUM RGB-D benchmark: depth/ and rgb/ with PNGs, and lists of time stamps and files.
 //!
-//! Depth has 5000 units per metre. The camera is the caller's, else that of `camera.json` beside the lists, which
-//! [`TumRecorder`] writes, else the benchmark's default of 525, 525, 319.5, 239.5.
+//! Depth has 5000 units per metre. The camera is the caller's, or that of `camera.json` next to the lists, which
+//! [`TumRecorder`] writes, or the benchmark's default of 525, 525, 319.5, 239.5.
 
 use std::fs;
 use std::io::Write;
@@ -15,7 +15,7 @@ use planish_io::{self as io, RgbImage};
 /// The benchmark's depth units per metre.
 const UNITS_PER_METRE: f64 = 5000.0;
 
-/// Of the frames that a Kinect's camera is assumed for: width and height.
+/// Shape of frames for which a Kinect's camera is assumed: width and height.
 const KINECT_SHAPE: (usize, usize) = (640, 480);
 
 /// Colour and depth images further apart in time than this are not paired, as in the benchmark's own tools (0.02 s).
@@ -70,7 +70,7 @@ impl Source for TumSource {
         let shape = frame.shape();
         if self.is_assumed && shape != KINECT_SHAPE {
             let problem = format!(
-                "{}x{}, which is not the Kinect's {}x{} whose camera data sets of TUM have: give the camera, or put a camera.json beside",
+                "{}x{}, but TUM data sets assume a Kinect's {}x{}; give the camera, or add a camera.json to the folder",
                 shape.0, shape.1, KINECT_SHAPE.0, KINECT_SHAPE.1
             );
             return Err(malformed(&file, problem).into());
@@ -108,7 +108,7 @@ fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
 
 fn timestamp_s(list: &Path, word: &str) -> Result<f64, IoError> {
     let number = word.parse::<f64>().ok().filter(|number| number.is_finite());
-    number.ok_or_else(|| malformed(list, format!("'{word}' is no time stamp; a line is: seconds file")))
+    number.ok_or_else(|| malformed(list, format!("'{word}' is not a time stamp; a line is: seconds file")))
 }
 
 /// Returns the time in seconds and the file of every line.
@@ -120,7 +120,7 @@ fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
     read_list(list)?.into_iter().map(line).collect()
 }
 
-/// Returns pairs of depth and colour from lines that list them in either order, told apart by their folders.
+/// Returns pairs of depth and colour from lines that list them in either order; their folders identify them.
 fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
     let line = |words: Vec<String>| {
         let [first_s, first, second_s, second] = &words[..] else {
@@ -149,7 +149,7 @@ fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
     Ok(depths.into_iter().map(entry).collect())
 }
 
-/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units a metre, as the layout has it, if the camera's
+/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units per metre, as the layout has it, if the camera's
 /// unit is a whole multiple of that, as a millimetre is. Finer units are kept, and `camera.json` states them.
 ///
 /// Files are named by time stamps in microseconds; one that repeats or goes back becomes 1 us later than the one
@@ -162,7 +162,7 @@ pub struct TumRecorder {
     too_far: u64,
 }
 
-/// What becomes of depth; that of the first frame holds for all.
+/// Format of depth; the first frame determines it.
 #[derive(Clone, Copy)]
 struct Units {
     of_camera: f64,
@@ -195,12 +195,12 @@ impl TumRecorder {
     /// Starts a recording; refuses a folder that already has a data set. The folder is made with the first frame.
     pub fn create(folder: &Path) -> Result<Self, Error> {
         if folder.join("depth.txt").exists() {
-            return Err(malformed(folder, "has a data set already; record into another folder").into());
+            return Err(malformed(folder, "already contains a data set; record into another folder").into());
         }
         Ok(Self { folder: folder.to_path_buf(), units: None, frames: 0, last_s: f64::NEG_INFINITY, too_far: 0 })
     }
 
-    /// How many pixels were too far for 5000 units a metre, more than 13.1 m, and became holes.
+    /// How many pixels were too far for 5000 units per metre, more than 13.1 m, and became holes.
     pub fn too_far(&self) -> u64 {
         self.too_far
     }
@@ -221,7 +221,7 @@ impl TumRecorder {
         Ok(())
     }
 
-    /// Adds a frame, whose unit must be that of the first.
+    /// Adds a frame, which must have the depth unit of the first.
     pub fn add(&mut self, frame: &DepthFrame) -> Result<(), Error> {
         let camera = frame.camera;
         let units = match self.units {
@@ -233,7 +233,8 @@ impl TumRecorder {
         };
         if camera.depth_units_per_metre != units.of_camera {
             let [found, before] = [camera.depth_units_per_metre, units.of_camera];
-            let problem = format!("depth has {found} units a metre, and had {before}: a data set has one");
+            let problem =
+                format!("depth has {found} units per metre, but had {before} before; a data set needs one unit");
             return Err(malformed(&self.folder, problem).into());
         }
         let converted = |&raw: &u16| {

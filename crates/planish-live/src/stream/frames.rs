@@ -78,7 +78,7 @@ impl Frames {
         Ok(Self { shared, is_live })
     }
 
-    /// Whether the source is a camera, or plays at a camera's pace.
+    /// Returns true if the source is a camera, or plays at a camera's pace.
     pub fn is_live(&self) -> bool {
         self.is_live
     }
@@ -127,7 +127,7 @@ impl Frames {
         self.shared.changed.notify_all();
     }
 
-    /// Whether the stream has ended and its source is closed.
+    /// Returns true if the stream has ended and its source is closed.
     pub fn has_ended(&self) -> bool {
         self.shared.lock().has_ended
     }

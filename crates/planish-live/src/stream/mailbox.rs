@@ -37,7 +37,7 @@ impl TimeSpent {
     }
 }
 
-/// What happens to a frame that arrives while another waits.
+/// Policy for a frame that arrives while another waits.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Policy {
     /// It replaces the waiting one.
@@ -123,7 +123,7 @@ impl Mailbox {
         }
         match state.items.pop_front() {
             Some(item) => {
-                // Counted when taken: what was read ahead and never taken lies beyond the stream's end.
+                // Counted when taken: frames read ahead but never taken are beyond the stream's end.
                 state.unreadable += u64::from(item.is_err());
                 self.changed.notify_all();
                 Taken::Item(item)
@@ -164,7 +164,7 @@ impl Mailbox {
         self.lock().closed
     }
 
-    /// Sets how many frames the source itself has dropped so far.
+    /// Sets the number of frames that the source has dropped so far.
     pub(super) fn set_dropped_by_source(&self, dropped: u64) {
         self.lock().dropped_by_source = dropped;
     }

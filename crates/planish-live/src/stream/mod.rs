@@ -1,9 +1,8 @@
 //! Streams: source, smoother, sinks; frames are smoothed as they arrive.
 //!
-//! A capture thread moves frames from the source into a mailbox: of a live source only the newest waits, and dropped
-//! ones are counted; of any other every frame is kept, in order. The calling thread smooths, with several frames in
-//! flight on a GPU. Each sink has a thread and a short queue of its own, so that none blocks the source or another
-//! sink.
+//! A capture thread moves frames from the source into a mailbox. Of a live source only the newest frame waits, and
+//! dropped ones are counted; of other sources every frame is kept, in order. The calling thread smooths, with several
+//! frames in flight on a GPU. Each sink has a thread and a short queue, so that none blocks the source or another sink.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -47,7 +46,7 @@ const READ_AHEAD: usize = 4;
 pub struct StreamFrame {
     /// Its index among the frames smoothed, from 0.
     pub index: u64,
-    /// Its own name, where the source has one for it: that of its file, without the extension.
+    /// Name of the frame, if its source provides one: the file name without extension.
     pub name: Option<String>,
     /// The frame as the source delivered it.
     pub source: OwnedFrame,
@@ -151,7 +150,7 @@ impl StreamOptions {
     }
 }
 
-/// What a running stream reports to the caller.
+/// An event of a running stream.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum StreamEvent<'a> {
@@ -165,8 +164,8 @@ pub enum StreamEvent<'a> {
 /// them.
 ///
 /// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over;
-/// of several devices the others go on. Frames keep their order. A frame or sink that fails is reported and counted,
-/// and the stream continues.
+/// with several devices, the others continue. Frames keep their order. A frame or sink that fails is reported and
+/// counted, and the stream continues.
 pub fn run(
     mut source: Box<dyn Source>,
     options: &StreamOptions,
@@ -238,7 +237,7 @@ impl Drop for EndOf<'_> {
 /// The capture thread: moves frames from the source into the mailbox until either ends.
 fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
     let _end = EndOf(mailbox);
-    // A live source that fails repeatedly counts as gone; any other ends by itself.
+    // A live source that fails repeatedly counts as gone; other sources end on their own.
     let mut failures = 0;
     // Frames that came while an engine was opened, which takes longer than many frames, do not count as dropped. A
     // source may know of them only with the frame after them.
@@ -344,7 +343,7 @@ impl Stream<'_> {
         Ok(())
     }
 
-    /// Whether nobody would get the results any more, which is reported.
+    /// Returns true if nobody would get the results any more, which is reported.
     fn sinks_are_gone(&self, tell: &mut impl FnMut(StreamEvent<'_>)) -> bool {
         let are_gone = SinkThread::all_failed(&self.sinks);
         if are_gone {

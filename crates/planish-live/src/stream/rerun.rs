@@ -106,7 +106,7 @@ impl Recording {
         self.stream.as_ref().map_or(Ok(()), |stream| log(stream).map_err(failed))
     }
 
-    /// Sets what the next entries are of.
+    /// Sets the time of the next entries.
     pub(crate) fn set_time(&self, frame: u64, seconds: Option<f64>) {
         let Some(stream) = &self.stream else { return };
         stream.set_time_sequence("frame", i64::try_from(frame).unwrap_or(i64::MAX));
@@ -118,7 +118,7 @@ impl Recording {
     /// Waits until the viewer has all, so that results which it is too slow for are dropped, and counted, by the
     /// stream.
     pub(crate) fn flush(&self) -> Result<(), DeviceError> {
-        let gone = |error| DeviceError::Gone { what: format!("{} takes no more frames: {error}", self.name) };
+        let gone = |error| DeviceError::Gone { what: format!("{} cannot store more frames: {error}", self.name) };
         self.stream.as_ref().map_or(Ok(()), |stream| stream.flush_with_timeout(SILENCE).map_err(gone))
     }
 
@@ -162,7 +162,7 @@ impl Sink for RerunSink {
         recording.with(|to| to.log("depth", &depth_image(&frame.source)))?;
         recording.with(|to| to.log("latency/ms", &Scalars::single(1e3 * frame.latency.as_secs_f64())))?;
         if let Some(fps) = fps {
-            recording.with(|to| to.log("rate/frames a second", &Scalars::single(fps)))?;
+            recording.with(|to| to.log("rate/frames per second", &Scalars::single(fps)))?;
         }
         Ok(recording.flush()?)
     }
@@ -172,7 +172,7 @@ impl Sink for RerunSink {
     }
 }
 
-/// The clouds above; depth, latency and rate below; nothing else.
+/// Returns the clouds above; depth, latency and rate below; nothing else.
 fn layout() -> Blueprint {
     let clouds = Horizontal::new([
         Spatial3DView::new("raw").with_origin("raw").into(),
@@ -181,7 +181,7 @@ fn layout() -> Blueprint {
     let measures = Horizontal::new([
         Spatial2DView::new("depth").with_origin("depth").into(),
         TimeSeriesView::new("latency, ms").with_origin("latency").into(),
-        TimeSeriesView::new("frames a second").with_origin("rate").into(),
+        TimeSeriesView::new("frames per second").with_origin("rate").into(),
     ]);
     Blueprint::new(Vertical::new([clouds.into(), measures.into()]).with_row_shares([2.0, 1.0]))
         .with_blueprint_panel(BlueprintPanel::from_state(PanelState::Collapsed))

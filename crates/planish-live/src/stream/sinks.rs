@@ -1,4 +1,4 @@
-//! Where results go: folders, or any [`Sink`], each on a thread of its own.
+//! Sinks for results: folders, or any [`Sink`], each on a separate thread.
 
 use std::collections::HashSet;
 use std::fs::OpenOptions;
@@ -80,13 +80,13 @@ impl FolderSink {
         std::fs::create_dir_all(folder)
             .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
         if OF_A_DATA_SET.iter().any(|name| folder.join(name).exists()) {
-            let problem = FormatError::Unsupported("has a data set already; save into another folder".into());
+            let problem = FormatError::Unsupported("already contains a data set; save into another folder".into());
             return Err(IoError { path: folder.to_path_buf(), problem }.into());
         }
         Ok(Self { folder: folder.to_path_buf(), format, outputs, names: HashSet::new(), has_camera: false })
     }
 
-    /// The name of a frame's file without its extension: no two frames have one name.
+    /// Returns the name of a frame's file without its extension: no two frames have one name.
     fn name_of(&mut self, frame: &StreamFrame) -> String {
         let number = format!("{:06}", frame.index);
         let is_free = |name: &String| !self.names.contains(name);
@@ -164,7 +164,7 @@ impl Sink for FolderSink {
     }
 }
 
-/// Of a source without time stamps.
+/// For sources without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
 /// Reported when a stream ends because nobody would get its results.
@@ -174,7 +174,7 @@ pub(crate) const ALL_SINKS_FAILED: &str = "every sink has failed: the stream end
 /// other waits.
 const QUEUE: usize = 8;
 
-/// Consumes results of a kind: what a thread of its own does with them.
+/// Consumes results of one type on a separate thread.
 pub(crate) trait Consumer<T>: Send + 'static {
     fn name(&self) -> String;
     fn write(&mut self, result: &Arc<T>) -> Result<(), Error>;
@@ -235,17 +235,17 @@ impl<T: Send + Sync + 'static> SinkThread<T> {
             Err(TrySendError::Full(_)) => {
                 self.dropped += 1;
                 let is_first = !std::mem::replace(&mut self.warned, true);
-                is_first.then(|| format!("{}: is slower than the stream; frames are left out", self.name))
+                is_first.then(|| format!("{}: is slower than the stream; frames are dropped", self.name))
             }
             Err(TrySendError::Disconnected(_)) => {
                 self.frames = None;
                 let reason = self.reason().unwrap_or_else(|| "it ended".to_owned());
-                Some(format!("{}: gets nothing more: {reason}", self.name))
+                Some(format!("{}: stopped: {reason}", self.name))
             }
         }
     }
 
-    /// Whether there are sinks, and all have failed.
+    /// Returns true if there are sinks, and all have failed.
     pub(crate) fn all_failed(sinks: &[Self]) -> bool {
         !sinks.is_empty() && sinks.iter().all(|sink| sink.frames.is_none())
     }

@@ -24,7 +24,7 @@ def as_array(given: Any) -> NDArray[Any]:
         # A planish.Frame.
         given = given.array
     if isinstance(given, np.ma.MaskedArray):
-        # What is masked was not measured.
+        # Masked values were not measured.
         return _without_names(given.filled(np.nan if given.dtype.kind == "f" else 0))
     if isinstance(given, np.ndarray):
         return _without_names(given)

@@ -115,7 +115,7 @@ def read(path: str | PathLike[str]) -> Frame:
     return Frame(**found)
 
 
-# The formats that keep where the sensor stood, and those that keep rows and columns.
+# Formats that keep the sensor's pose, and formats that keep rows and columns.
 _WITH_POSES = (".pcd", ".ply")
 _WITH_GRIDS = (".pcd", ".ply", ".npy", ".npz")
 

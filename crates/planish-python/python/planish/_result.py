@@ -17,7 +17,7 @@ class Status(enum.IntEnum):
     HOLE = 0
     #: Fewer than 3 neighbours, or an isolated point that was to be removed: the output is a hole.
     TOO_FEW = 1
-    #: The neighbours lie on a line: the point stays as measured and has no normal.
+    #: The neighbours are collinear: the point is unchanged and has no normal.
     DEGENERATE = 2
     #: On the plane.
     PLANE = 3
@@ -25,7 +25,7 @@ class Status(enum.IntEnum):
     POLYNOMIAL_2 = 4
     #: On a polynomial of degree 3.
     POLYNOMIAL_3 = 5
-    #: In a general cloud, far from all others: the point stays as measured and has no normal.
+    #: In an unorganized cloud, far from all others: the point is unchanged and has no normal.
     ISOLATED = 6
 
 

@@ -53,7 +53,7 @@ class Settings(TypedDict, total=False):
     edges: Literal["robust", "off"] | None
     """Edge handling [default: robust for frames on a grid, off for clouds without one]."""
     window: int | None
-    """Half width of the window in samples, 1 to 7; with neither window nor stride, both follow the frame's resolution."""
+    """Half-width of the window in samples, 1 to 7; with neither window nor stride, both follow the frame's resolution."""
     stride: int | None
     """Distance between samples in pixels, 1 to 8."""
     average_blocks: bool | None
@@ -71,7 +71,7 @@ class Settings(TypedDict, total=False):
     remove_floating: bool | None
     """Whether pixels that float between two surfaces become holes first; `smooth` and `Smoother` do not support it."""
     remove_isolated: bool | None
-    """Whether isolated points of clouds without a grid become holes [default: False]."""
+    """Whether isolated points of unorganized clouds become holes [default: False]."""
     engine: Literal["auto", "cpu", "gpu", "reference"] | None
     """The engine [default: auto, a real GPU where there is one, otherwise the CPU]."""
     adapter: str | int | None

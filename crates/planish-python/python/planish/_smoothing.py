@@ -87,12 +87,12 @@ class Smoother:
         self._camera = camera
         self._outputs = _checked_outputs(outputs)
         self._settings: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
-        # A pool of its own: threads that are shared do not survive a fork.
+        # A separate pool: shared threads do not survive a fork.
         own_threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self._engine = Engine({"threads": own_threads, **self._settings})
         # Settings without effect on points without a grid, reported once.
         self._unused = self._engine.unused_by_clouds()
-        # Of each frame in flight its kind, and its points where they are float64.
+        # The kind of each frame in flight, and its points if they are float64.
         self._in_flight: deque[tuple[_Kind, NDArray[Any] | None]] = deque()
         self._order = threading.Lock()
 
@@ -124,7 +124,7 @@ class Smoother:
         Parameters
         ----------
         frame : array
-            Depth [H, W], uint16 in the camera's units or float32 in metres; organized points [H, W, 3], or a general cloud [N, 3], float32 or
+            Depth [H, W], uint16 in the camera's units or float32 in metres; organized points [H, W, 3], or an unorganized cloud [N, 3], float32 or
             float64 in metres. Holes are 0 in depth and NaN in points. Arrays are read where they lie, whatever their strides; anything
             with ``__array_interface__`` or ``__dlpack__`` is taken, and data frames with columns x, y and z.
         out : Smoothed or mapping of str to ndarray, optional
@@ -299,7 +299,7 @@ def smooth(
 
     Examples
     --------
-    A general cloud:
+    An unorganized cloud:
 
     >>> import numpy as np, planish
     >>> rng = np.random.default_rng(1)

@@ -61,7 +61,7 @@ class SmoothFrames:
         self._columns = (column, result_column, error_column)
         self._output = output
         if settings.get("engine") == "gpu" and "adapter" not in settings and os.environ.get("CUDA_VISIBLE_DEVICES"):
-            # Vulkan does not follow CUDA's variable: the number is that of the device itself.
+            # Vulkan ignores CUDA's variable: this is the physical device number.
             first = os.environ["CUDA_VISIBLE_DEVICES"].split(",")[0]
             if first.isdigit():
                 settings["adapter"] = first

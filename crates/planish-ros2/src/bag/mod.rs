@@ -1,8 +1,7 @@
-//! Recordings of ROS 2 in MCAP: smoothed into recordings that are the same but for that, read as a source of frames,
-//! and written from one.
+//! Recordings of ROS 2 in MCAP: copied with their depth smoothed, read as a source of frames, or written from frames.
 //!
-//! Recordings are read and written record by record: memory holds a chunk and a message, whatever the length. The
-//! messages are those of [`ros`](crate::ros).
+//! Recordings are read and written record by record: memory holds one chunk and one message, whatever the length.
+//! Messages are types of [`ros`](crate::ros).
 
 mod decompress;
 mod records;
@@ -25,7 +24,7 @@ pub use writer::BagWriter;
 /// The bytes that a recording in MCAP begins with.
 const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 
-/// Whether a file is a recording in MCAP, by its first bytes.
+/// Returns true if a file is a recording in MCAP, by its first bytes.
 pub fn is_bag(path: &Path) -> bool {
     use std::io::Read;
     let mut first = [0; 8];
@@ -34,7 +33,7 @@ pub fn is_bag(path: &Path) -> bool {
         && first == MAGIC
 }
 
-/// The recording that a name stands for: itself, or the only .mcap in a folder as rosbag2 makes one.
+/// Resolves the name of a recording: the file, or the only .mcap in a folder written by rosbag2.
 ///
 /// # Errors
 /// If a folder of rosbag2 has several, or one of another kind.
@@ -55,7 +54,7 @@ pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
         [first, ..] => Err(IoError {
             path: path.to_path_buf(),
             problem: FormatError::Unsupported(format!(
-                "a recording in {} files: name one of them, as {}",
+                "a recording in {} files; name one of them, such as {}",
                 bags.len(),
                 first.display()
             )),
@@ -63,8 +62,8 @@ pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
     }
 }
 
-/// Refuses recordings of other kinds by name: those of ROS 1, of ROS 2 in SQLite and in compressed files, with the line
-/// that converts them.
+/// Refuses recordings in other formats by name (ROS 1, ROS 2 in SQLite, compressed files) and states the command that
+/// converts them.
 pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
     let name = path.display();
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_ascii_lowercase();
@@ -81,18 +80,18 @@ pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
     Err(IoError {
         path: path.to_path_buf(),
         problem: FormatError::Unsupported(format!(
-            "{kind}: convert it to MCAP with `pip install rosbags`, then `rosbags-convert --src {name} --dst converted --dst-storage mcap`; one \
-             of a RealSense is the source realsense:{name}"
+            "{kind}: convert it to MCAP with `pip install rosbags`, then `rosbags-convert --src {name} --dst \
+             converted --dst-storage mcap`; for a RealSense recording use the source realsense:{name}"
         )),
     })
 }
 
-/// Whether a file is a recording in MCAP by its name.
+/// Returns true if a file is a recording in MCAP by its name.
 pub fn is_named_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
-/// Where a recording ends that was cut off; any other error.
+/// Converts an error of a truncated recording; any other error.
 fn of_mcap(error: mcap::McapError) -> FormatError {
     match error {
         mcap::McapError::Io(error) => FormatError::Os(error),

@@ -14,10 +14,10 @@ use super::{decompress, of_mcap};
 use planish_core::{FormatError, IoError};
 use planish_io::ReadOptions;
 
-/// Bytes that are read at once, however many a record is said to have.
+/// Number of bytes to read at once, whatever length a record claims.
 const READ_BYTES: usize = 1 << 20;
 
-/// What comes next in a recording.
+/// Next item of a recording.
 pub(super) enum Next {
     /// A record.
     Record(Record<'static>),
@@ -63,7 +63,7 @@ impl Records {
         Some(Self { file: BufReader::new(file), reader: LinearReader::new_with_options(options) })
     }
 
-    /// The next record; the indices of chunks are left out.
+    /// Returns the next record; the indices of chunks are left out.
     pub(super) fn next(&mut self) -> Result<Next, FormatError> {
         loop {
             // With overflow checks the reader panics on a record that reaches beyond its chunk.
@@ -81,11 +81,11 @@ impl Records {
                 }
                 Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Next::End),
                 Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => {}
-                // Without them it goes on as if the chunk did not end. Chunks are not given out otherwise.
+                // Without them, the reader continues as if the chunk did not end. It returns no chunks otherwise.
                 Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. }) => return Err(beyond_its_chunk()),
                 Ok(LinearReadEvent::Record { opcode, data }) => {
                     if !lengths_fit(opcode, data) {
-                        return Err(FormatError::Malformed("damaged: a part of a record is longer than it".into()));
+                        return Err(FormatError::Malformed("damaged: a part is longer than its record".into()));
                     }
                     return Ok(Next::Record(mcap::parse_record(opcode, data).map_err(of_mcap)?.into_owned()));
                 }
@@ -101,7 +101,7 @@ fn beyond_its_chunk() -> FormatError {
     FormatError::Malformed("damaged: a record reaches beyond its chunk".into())
 }
 
-/// A record is held twice: by the reader, and as what it says.
+/// Returns a record is in memory twice: in the reader's buffer, and decoded.
 fn reader_options(options: &ReadOptions) -> LinearReaderOptions {
     let limit = usize::try_from(options.max_memory_bytes / 2).unwrap_or(usize::MAX);
     LinearReaderOptions::default().with_record_length_limit(limit)
@@ -116,15 +116,15 @@ fn read_some(file: &mut impl Read, to: &mut [u8]) -> std::io::Result<usize> {
     }
 }
 
-/// Whether the texts, tables and data of a record lie in it: the parser would allocate whatever they are said to take,
-/// or panic.
+/// Returns true if the texts, tables and data of a record fit into it: the parser would allocate the claimed sizes, or
+/// panic.
 fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
     /// Skips what has its length in four bytes before it.
     fn skip(data: &[u8]) -> Option<&[u8]> {
         let (length, rest) = data.split_first_chunk::<4>()?;
         rest.get(u32::from_le_bytes(*length) as usize..)
     }
-    /// A table of texts, two for each entry.
+    /// Returns a table of texts, two for each entry.
     fn skip_texts(data: &[u8]) -> Option<&[u8]> {
         let after = skip(data)?;
         let mut table = &data[4..data.len() - after.len()];
@@ -154,7 +154,7 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
     fits().is_some()
 }
 
-/// What a recording says about itself at its end.
+/// Summary at the end of a recording.
 #[derive(Default)]
 pub(super) struct Summary {
     /// Topic and type of each channel.

@@ -1,6 +1,6 @@
-//! The definitions of messages as a recording holds them: the message's own, then those of its parts.
+//! Message definitions as stored in a recording: the definition of the message, then those of its parts.
 
-/// The encoding of these definitions, and that of the messages.
+/// Encoding of these definitions, and encoding of the messages.
 pub(super) const SCHEMA_ENCODING: &str = "ros2msg";
 pub(super) const MESSAGE_ENCODING: &str = "cdr";
 pub(super) const PROFILE: &str = "ros2";

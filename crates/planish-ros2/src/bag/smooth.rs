@@ -1,4 +1,4 @@
-//! A recording into one that is the same but for the depth in it.
+//! Copies a recording with its depth smoothed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -24,9 +24,9 @@ use planish_io::{ReadOptions, internal::AtomicFile};
 pub struct SmoothBagOptions {
     /// The topics to smooth; none for the only one with depth.
     pub topics: Vec<String>,
-    /// The topic with the camera of them all, if it is not beside each.
+    /// The topic with the camera of all images, if there is none next to each.
     pub camera_info_topic: Option<String>,
-    /// The camera, instead of the recording's. Width and height 0 stand for the images' shape.
+    /// The camera, which replaces that of the recording. A width and height of 0 accept images of any shape.
     pub camera: Option<Camera>,
     /// Adds a cloud for each depth image on this topic.
     pub points_topic: Option<String>,
@@ -61,7 +61,7 @@ impl SmoothBagOptions {
     }
 }
 
-/// What became of a topic's messages.
+/// Report on a topic's messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct TopicReport {
@@ -77,13 +77,13 @@ pub struct TopicReport {
     pub first_failure: Option<String>,
 }
 
-/// What became of a recording.
+/// Report on a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SmoothBagReport {
     /// The topics smoothed.
     pub topics: Vec<TopicReport>,
-    /// What was noticed: that the first of some messages lost many of its points.
+    /// Warning that the first of some messages lost many of its points.
     pub warning: Option<String>,
     /// Messages of other topics, copied bit for bit.
     pub copied: u64,
@@ -95,17 +95,17 @@ pub struct SmoothBagReport {
     pub not_chosen: Vec<String>,
 }
 
-/// Smooths the depth images and clouds of a recording. All else is copied bit for bit: other topics, stamps, log times,
-/// sequence numbers, channels with their numbers and metadata, attachments and private records. The chunks are
-/// compressed as those of the input are.
+/// Smooths the depth images and clouds of a recording. Everything else is copied bit for bit: other topics, stamps, log
+/// times, sequence numbers, channels with their IDs and metadata, attachments and private records. Chunks keep the
+/// compression of the input.
 ///
-/// A message that cannot be smoothed is copied and counted. A recording that was cut off is smoothed up to there.
-/// `tell` is called after each message smoothed with their number so far and that of all to come, where it is known.
-/// The output is there whole or not at all.
+/// A message that cannot be smoothed is copied and counted. A truncated recording is smoothed up to its end. After each
+/// smoothed message, `tell` is called with the number so far and the total, if known. The output is either complete or
+/// absent.
 ///
 /// # Errors
-/// If the recording has no such topics or cameras, is no recording, or damaged at once; if the engine fails; if the
-/// output cannot be written; [`EngineError::Stopped`] if `stop` was set.
+/// If the recording lacks such topics or cameras, is in another format, or is damaged at the beginning; if the engine
+/// fails; if the output cannot be written; [`EngineError::Stopped`] if `stop` was set.
 pub fn smooth_bag(
     input: &Path,
     output: &Path,
@@ -118,12 +118,12 @@ pub fn smooth_bag(
     let camera_topic = options.camera_info_topic.as_deref();
     let chosen = survey.choose(input, &options.topics, camera_topic, options.camera.as_ref())?;
     if let Some(name) = options.points_topic.as_ref().filter(|name| !is_topic(name)) {
-        let allowed = "a name that begins with a slash, of letters, digits, _ and /";
+        let allowed = "a name of letters, digits, _ and / that begins with a slash";
         return Err(ParamError { field: "points_topic", value: format!("{name:?}"), allowed }.into());
     }
     let names = || survey.topics.iter().map(|topic| &topic.name).chain(survey.others.iter().map(|topic| &topic.name));
     if let Some(taken) = options.points_topic.as_ref().filter(|topic| names().any(|name| name == *topic)) {
-        let problem = FormatError::Unsupported(format!("has a topic {taken} already; name another for the clouds"));
+        let problem = FormatError::Unsupported(format!("already has a topic {taken}; choose another for the clouds"));
         return Err(IoError { path: input.to_path_buf(), problem }.into());
     }
     let counts = survey.topics.iter().filter(|topic| chosen.iter().any(|chosen| chosen.topic == topic.name));
@@ -156,8 +156,7 @@ pub fn smooth_bag(
             }
             Ok(Next::Record(record)) => {
                 let Some(writer) = &mut writer else {
-                    let problem =
-                        FormatError::Malformed("a recording begins with its header, this one does not".into());
+                    let problem = FormatError::Malformed("not a recording: its header is missing".into());
                     return Err(IoError { path: input.to_path_buf(), problem }.into());
                 };
                 let before = copy.done;
@@ -188,7 +187,7 @@ pub fn smooth_bag(
                 cut_off = Some("it ends in the middle of a record".to_owned());
                 break;
             }
-            // What was read until here is worth keeping.
+            // Messages read so far are worth keeping.
             Err(error) if copy.done + copy.copied > 0 => {
                 cut_off = Some(error.to_string());
                 break;
@@ -211,7 +210,7 @@ pub fn smooth_bag(
     Ok(SmoothBagReport { topics, warning, copied, damaged_chunks, cut_off, not_chosen })
 }
 
-/// Whether a topic may have this name.
+/// Returns true if a topic may have this name.
 fn is_topic(name: &str) -> bool {
     let is_word = |word: &str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_word))
@@ -341,7 +340,7 @@ impl Copy<'_> {
         }
     }
 
-    /// The bytes of the smoothed message, and of a cloud if that is wanted.
+    /// Returns the bytes of the smoothed message, and of a cloud if that is wanted.
     fn smooth(&mut self, chosen: &Chosen, data: &[u8]) -> Result<(Vec<u8>, Option<Vec<u8>>), MessageError> {
         let message = match chosen.kind {
             MessageKind::PointCloud2 => {
@@ -362,7 +361,7 @@ impl Copy<'_> {
         Ok((bytes, points.as_ref().map(to_cdr).transpose()?))
     }
 
-    /// The channel for clouds, whose number, and that of its schema, the input does not have.
+    /// Creates the channel for clouds, with IDs of channel and schema that are unused in the input.
     fn points_channel<W: Write + Seek>(&mut self, writer: &mut Writer<W>) -> Result<u16, CopyError> {
         if let Some(channel) = self.points_channel {
             return Ok(channel);

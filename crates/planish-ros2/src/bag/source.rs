@@ -27,7 +27,7 @@ impl BagSource {
     /// recording's.
     ///
     /// # Errors
-    /// If it is no recording, has no such topic, several, or none of the camera.
+    /// If it is not a recording, or if it has no such topic, several, or none with the camera.
     pub fn open(
         path: &Path,
         topic: Option<&str>,
@@ -72,14 +72,14 @@ impl BagSource {
                 Ok(Next::Record(record)) => record,
                 Ok(Next::DamagedChunk) => {
                     let problem =
-                        "damaged: the checksum of a chunk is wrong; frames of it, which came before, may be damaged";
+                        "damaged: the checksum of a chunk is wrong; its frames, already delivered, may be damaged";
                     return Err(FormatError::Malformed(problem.into()));
                 }
                 Ok(Next::End) => return Ok(None),
                 // Told once: there is nothing more to read.
                 Ok(Next::CutOff) => {
                     self.is_over = true;
-                    let problem = "ends in the middle of a record; all frames before that were read";
+                    let problem = "truncated within a record; all earlier frames were read";
                     return Err(FormatError::Malformed(problem.into()));
                 }
                 Err(error) => {

@@ -14,7 +14,7 @@ use crate::ros::{
 use planish_core::{Camera, Error, FormatError, IoError};
 use planish_io::ReadOptions;
 
-/// What the messages of a topic are.
+/// Type of the messages of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum MessageKind {
@@ -39,7 +39,7 @@ impl MessageKind {
         }
     }
 
-    /// The name of the type in ROS.
+    /// Returns the name of the type in ROS.
     pub fn type_name(self) -> &'static str {
         match self {
             Self::Image => IMAGE_TYPE,
@@ -58,9 +58,9 @@ pub struct Topic {
     pub name: String,
     /// What its messages are.
     pub kind: MessageKind,
-    /// How many there are, where the recording says so.
+    /// Number of its messages, if the recording states it.
     pub messages: Option<u64>,
-    /// Of its first message: the encoding of an image, the format of a compressed one, the shape of a cloud.
+    /// From its first message: the encoding of an image, the format of a compressed one, the shape of a cloud.
     pub encoding: String,
     /// The frame of its first message.
     pub frame_id: String,
@@ -76,9 +76,9 @@ pub struct Topic {
 pub struct OtherTopic {
     /// Its name.
     pub name: String,
-    /// The type of its messages; empty if the recording has none for it.
+    /// The type of its messages; empty if the recording does not state it.
     pub type_name: String,
-    /// How many messages there are, where the recording says so.
+    /// Number of its messages, if the recording states it.
     pub messages: Option<u64>,
 }
 
@@ -86,11 +86,11 @@ pub struct OtherTopic {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Survey {
-    /// Those with images, clouds and cameras, by name.
+    /// Topics with images, clouds and cameras, by name.
     pub topics: Vec<Topic>,
-    /// The others, by name: of the summary, and of what was read without one.
+    /// All other topics, by name: from the summary or, without one, from the part that was read.
     pub others: Vec<OtherTopic>,
-    /// How many messages the recording has, where it says so.
+    /// Number of messages of the recording, if it states it.
     pub messages: Option<u64>,
     /// How its chunks are compressed: `zstd`, `lz4` or nothing; `None` where that is not known.
     pub compression: Option<String>,
@@ -111,15 +111,15 @@ impl Survey {
     /// Looks through a recording: at its summary, and at the first message of each topic.
     ///
     /// # Errors
-    /// If it is no recording in MCAP, or damaged before the first messages of all topics have been found.
+    /// If it is not an MCAP recording, or is damaged before the first messages of all topics.
     pub fn of(path: &Path, options: &ReadOptions) -> Result<Self, IoError> {
         refuse_other_bags(path)?;
         survey(path, options).map_err(IoError::at(path))
     }
 
-    /// Chooses what to smooth: the topics named, or else the only one with depth images, else the only one with
-    /// compressed depth, else the only one with clouds. A depth image needs its camera: that on the topic named, by
-    /// convention beside it, or else the only one in the same frame; none if the caller has one.
+    /// Chooses topics to smooth: the named ones; otherwise the only one with depth images; otherwise the only one with
+    /// compressed depth; otherwise the only one with clouds. Unless the caller gives a camera, a depth image needs one:
+    /// on the named topic, on the conventional topic next to it, or the only one in the same frame.
     pub(super) fn choose(
         &self,
         path: &Path,
@@ -145,7 +145,8 @@ impl Survey {
             let of_topic = self.camera_of(topic, camera_info_topic).map_err(refuse)?;
             if of_topic.is_none() && camera.is_none() && topic.kind != MessageKind::PointCloud2 {
                 return Err(refuse(format!(
-                    "has no camera for {}: neither {} nor another in its frame; name one with --camera-info-topic, or give \
+                    "has no camera for {}: neither {} nor another in its frame; name one with --camera-info-topic, or \
+                     give \
                      --camera FX,FY,CX,CY",
                     topic.name,
                     beside(&topic.name)
@@ -166,16 +167,16 @@ impl Survey {
                 (Some(only), None) => return Ok(only),
                 (Some(_), Some(_)) => {
                     let names: Vec<_> = found().map(|topic| topic.name.as_str()).collect();
-                    return Err(format!("has depth on several topics: choose with --topic among {}", names.join(", ")));
+                    return Err(format!("has depth on several topics; choose one with --topic: {}", names.join(", ")));
                 }
             }
         }
         let is_damaged = self.topics.iter().any(|topic| topic.encoding == DAMAGED);
-        let hint = if is_damaged { "; name a topic with --topic to look beyond its first message" } else { "" };
+        let hint = if is_damaged { "; name a topic with --topic to read beyond its first message" } else { "" };
         Err(format!("has no depth images and no clouds; {}{hint}", self.told()))
     }
 
-    /// The topics with depth beside those chosen, which are copied as they are.
+    /// Returns the topics with depth that were not chosen and are copied unchanged.
     pub(super) fn left(&self, chosen: &[Chosen]) -> Vec<String> {
         let is_chosen = |topic: &&Topic| chosen.iter().any(|chosen| chosen.is(&topic.name, topic.kind));
         self.topics.iter().filter(|topic| topic.is_depth && !is_chosen(topic)).map(|topic| topic.name.clone()).collect()
@@ -186,7 +187,7 @@ impl Survey {
         let described: Vec<_> =
             self.topics.iter().take(MOST).map(|topic| format!("{} ({})", topic.name, topic.encoding)).collect();
         match &described[..] {
-            [] => "it has neither images nor clouds that are messages of ROS 2 in CDR".to_owned(),
+            [] => "it has no images or clouds as ROS 2 messages in CDR".to_owned(),
             all => format!("it has {}", all.join(", ")),
         }
     }
@@ -222,12 +223,12 @@ impl Chosen {
         }
     }
 
-    /// Whether messages of a channel are meant: a topic may have messages of several types.
+    /// Returns true if messages of a channel are meant: a topic may have messages of several types.
     pub(super) fn is(&self, topic: &str, kind: MessageKind) -> bool {
         self.topic == topic && self.kind == kind
     }
 
-    /// The camera of an image of that shape, the caller's if there is one.
+    /// Returns the camera of an image of that shape, the caller's if there is one.
     pub(super) fn camera(&self, given: Option<&Camera>, shape: (usize, usize)) -> Result<Camera, FormatError> {
         match (given, &self.camera) {
             (Some(camera), _) if (camera.width, camera.height) == (0, 0) => Ok(camera.with_shape(shape)),
@@ -267,7 +268,7 @@ impl Channels {
         }
     }
 
-    /// Whether a schema or a channel has this number.
+    /// Returns true if a schema or a channel has this number.
     pub(super) fn has(&self, id: u16) -> bool {
         self.types.contains_key(&id) || self.all.contains_key(&id)
     }
@@ -305,7 +306,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
                 is_cut_off = true;
                 break;
             }
-            // What was found until here can be read.
+            // Topics found so far can be read.
             Err(_) if topics.values().any(|topic| topic.is_depth) => break,
             Err(error) => return Err(error),
         };
@@ -336,10 +337,10 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
     })
 }
 
-/// What is said of a topic whose first message cannot be read.
+/// Description of a topic whose first message cannot be read.
 const DAMAGED: &str = "damaged";
 
-/// What the first message of a topic says; one that cannot be read is no depth.
+/// Describes a topic from its first message; an unreadable one does not count as depth.
 fn first_message(name: &str, kind: MessageKind, data: &[u8]) -> Topic {
     let mut topic = Topic {
         name: name.to_owned(),

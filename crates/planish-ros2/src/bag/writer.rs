@@ -16,27 +16,27 @@ use crate::ros::{CameraInfo, DepthPixels, Header, Image, PointCloud2, Time, came
 use planish_core::{Camera, DepthImage, Error, FormatError, IoError, OwnedFrame};
 use planish_io::internal::AtomicFile;
 
-/// Where frames go: names that depth_image_proc and RViz expect.
+/// Topics of frames: names that depth_image_proc and RViz expect.
 const RECTIFIED_TOPIC: &str = "/camera/depth/image_rect";
 const RAW_TOPIC: &str = "/camera/depth/image_raw";
 const COLOUR_TOPIC: &str = "/camera/rgb/image_rect_color";
 const POINTS_TOPIC: &str = "/camera/depth/points";
 const FRAME_ID: &str = "camera_depth_optical_frame";
 
-/// Of frames without time stamps.
+/// For frames without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// What rosbag2 expects to find with a channel: that nothing is known of how it was offered.
+/// Metadata that rosbag2 expects of a channel; empty, since the publisher's QoS is unknown.
 pub(super) fn channel_metadata() -> BTreeMap<String, String> {
     BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())])
 }
 
 /// Writes frames to a recording, which is there whole after [`finish`](Self::finish) or not at all.
 ///
-/// Depth goes to `/camera/depth/image_rect` (`image_raw` with distortion) with `camera_info` beside it: as 16UC1 if the
-/// camera's unit is the millimetre, else as 32FC1 in metres. Clouds go to `/camera/depth/points`, colour registered to
-/// depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are those of the frames
-/// in microseconds (those before 0 are 0), else 30 a second.
+/// Depth is written to `/camera/depth/image_rect` (`image_raw` with distortion) with its `camera_info`: as 16UC1 if the
+/// camera's unit is the millimetre, otherwise as 32FC1 in metres. Clouds are written to `/camera/depth/points`, and
+/// colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are
+/// the frames' in microseconds (negative ones become 0), or 30 frames per second.
 pub struct BagWriter {
     path: PathBuf,
     whole: AtomicFile,
@@ -135,7 +135,7 @@ impl BagWriter {
 
     fn header(&self, timestamp_s: Option<f64>) -> Header {
         let seconds = timestamp_s.unwrap_or(f64::from(self.frames) / FRAMES_PER_SECOND);
-        // In seconds as f64, a recent date keeps no nanoseconds.
+        // As f64 seconds, a recent date cannot represent nanoseconds.
         Header { stamp: Time::from_nanoseconds(1000 * (1e6 * seconds).round() as u64), frame_id: FRAME_ID.into() }
     }
 
@@ -166,8 +166,8 @@ impl BagWriter {
     }
 }
 
-/// Depth in whole millimetres if that is the camera's unit, else in metres, so that a topic has one encoding and
-/// nothing is rounded.
+/// Returns depth in whole millimetres if the camera's unit is the millimetre, otherwise in metres, so that a topic has
+/// one encoding and nothing is rounded.
 fn depth_pixels(image: &DepthImage, camera: &Camera) -> DepthPixels {
     if camera.depth_units_per_metre == 1000.0 {
         return DepthPixels::Millimetres(image.clone());

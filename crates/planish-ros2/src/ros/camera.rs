@@ -35,7 +35,7 @@ impl CameraInfo {
         }
         let distortion = if is_rectified { Distortion::NONE } else { self.distortion()? };
         let [scale_x, scale_y] = binning.map(f64::from);
-        // Pixel centres are at whole numbers, and a binned pixel is centred between those that it is made of.
+        // Pixel centres are at whole numbers, and a binned pixel is centred between its source pixels.
         let binned = |c: f64, offset: u32, scale: f64| (c - f64::from(offset) + 0.5) / scale - 0.5;
         let principal = [binned(cx, offset[0], scale_x), binned(cy, offset[1], scale_y)];
         let camera = Camera::new((width, height), [fx / scale_x, fy / scale_y], principal).with_distortion(distortion);
@@ -51,19 +51,18 @@ impl CameraInfo {
         match self.distortion_model.as_str() {
             "plumb_bob" | "rational_polynomial" | "" => {
                 let count = self.d.len();
-                Distortion::from_opencv(&self.d).ok_or_else(|| {
-                    unusable(format!("has {count} coefficients of distortion; 4, 5 or 8 are understood"))
-                })
+                Distortion::from_opencv(&self.d)
+                    .ok_or_else(|| unusable(format!("has {count} coefficients of distortion; 4, 5 or 8 are supported")))
             }
             other => Err(unusable(format!(
-                "has the distortion {}; plumb_bob and rational_polynomial are understood: rectify the images first \
-                 (image_proc), and use image_rect",
+                "has the distortion {}; only plumb_bob and rational_polynomial are supported; rectify the images \
+                 first (image_proc), and use image_rect",
                 planish_io::internal::quoted(other)
             ))),
         }
     }
 
-    /// The message of a camera.
+    /// Returns the message of a camera.
     pub fn of_camera(header: Header, camera: &Camera) -> Self {
         let &Camera { width, height, fx, fy, cx, cy, distortion, .. } = camera;
         let all = distortion.to_opencv();
@@ -82,8 +81,8 @@ impl CameraInfo {
     }
 }
 
-/// Whether the name of a topic says that its images are rectified, as in `image_rect` and `image_rect_raw`; a
-/// transport's name behind the image's is left out.
+/// Returns true if the name of a topic marks its images as rectified, as in `image_rect` and `image_rect_raw`. A
+/// trailing transport name is ignored.
 pub fn is_rectified(topic: &str) -> bool {
     let name = without_transport(topic).rsplit('/').next().unwrap_or_default();
     name.split('_').any(|word| matches!(word, "rect" | "rectified"))
@@ -94,8 +93,8 @@ fn without_transport(topic: &str) -> &str {
     transports.iter().find_map(|suffix| topic.strip_suffix(suffix)).unwrap_or(topic)
 }
 
-/// The topic of an image's camera by convention: `camera_info` beside it; a transport's name behind the image's is left
-/// out.
+/// Returns the conventional topic of an image's camera: `camera_info` in the same namespace. A trailing transport name
+/// is ignored.
 pub fn camera_info_topic(image_topic: &str) -> String {
     match without_transport(image_topic).rsplit_once('/') {
         Some((namespace, _)) => format!("{namespace}/camera_info"),

@@ -25,7 +25,8 @@ pub fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, FormatError> {
             Ok(cdr_encoding::from_bytes::<T, BigEndian>(body).map_err(malformed)?.0)
         }
         [a, b, _, _, ..] => Err(FormatError::Unsupported(format!(
-            "a message in the encoding {a:02x} {b:02x}; plain CDR (00 00 or 00 01), as ROS 2 writes it, can be read"
+            "a message in the encoding {a:02x} {b:02x}; only plain CDR (00 00 or 00 01), as ROS 2 writes it, is \
+             supported"
         ))),
         _ => Err(FormatError::Malformed(format!("a message of {} bytes", bytes.len()))),
     }
@@ -36,6 +37,6 @@ pub fn to_cdr<T: Serialize>(message: &T) -> Result<Vec<u8>, FormatError> {
     let mut bytes = vec![0, 1, 0, 0];
     // Alignment is counted from behind the four bytes.
     cdr_encoding::to_writer::<T, LittleEndian, _>(&mut bytes, message)
-        .map_err(|error| FormatError::Unsupported(format!("no CDR of this message: {error}")))?;
+        .map_err(|error| FormatError::Unsupported(format!("cannot encode this message as CDR: {error}")))?;
     Ok(bytes)
 }

@@ -13,12 +13,12 @@ pub(super) const F64: u8 = 8;
 /// Coordinates in f64 beyond this are smoothed relative to one of them.
 const FAR_M: f64 = 1000.0;
 
-/// A point may be said to have so many bytes, though there are fewer.
+/// A point may claim this many bytes, although the data are shorter.
 const MOST_PADDING: u64 = 4096;
 
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 
-/// Bytes of a value of a type; `None` for a number that stands for none.
+/// Returns the size of a value of a type; `None` for an invalid type number.
 pub(super) fn scalar_bytes(datatype: u8) -> Option<usize> {
     match datatype {
         1 | 2 => Some(1),
@@ -30,7 +30,7 @@ pub(super) fn scalar_bytes(datatype: u8) -> Option<usize> {
 }
 
 impl PointCloud2 {
-    /// The points as they lie in the message.
+    /// Returns the points as they lie in the message.
     ///
     /// # Errors
     /// If x, y and z are not all float32 or all float64, the fields reach beyond a point, the data are too short, or
@@ -47,12 +47,12 @@ impl PointCloud2 {
         })
     }
 
-    /// Whether the points are on a grid.
+    /// Returns true if the points are on a grid.
     pub fn is_organized(&self) -> bool {
         self.height > 1
     }
 
-    /// Where x, y and z are.
+    /// Returns the offsets of x, y and z.
     fn layout(&self) -> Result<PointLayout, FormatError> {
         for field in &self.fields {
             let bytes = scalar_bytes(field.datatype).ok_or_else(|| {
@@ -85,7 +85,7 @@ impl PointCloud2 {
         let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(|name| self.field(name)) else {
             let names: Vec<_> = self.fields.iter().map(|field| field.name.as_str()).collect();
             return Err(FormatError::Malformed(format!(
-                "a cloud with the fields {} and no x, y, z",
+                "a cloud without x, y, z; its fields are {}",
                 quoted(&names.join(" "))
             )));
         };
@@ -106,7 +106,8 @@ impl PointCloud2 {
         self.fields.iter().find(|field| field.name == name)
     }
 
-    /// The origin that results are relative to: 0, or for far coordinates in f64 a point of the cloud, in whole metres.
+    /// Returns the origin that results are relative to: 0, or for far coordinates in f64 a point of the cloud, in whole
+    /// metres.
     fn origin_m(&self) -> [f64; 3] {
         let Ok(PointLayout { scalar: Scalar::F64, offsets, .. }) = self.layout() else { return [0.0; 3] };
         let mut points = self.point_offsets();
@@ -150,13 +151,13 @@ impl PointCloud2 {
         Ok(self)
     }
 
-    /// The same cloud at its smoothed positions, holes as NaN; with normals and curvature if the result has them, in
-    /// the fields of those names where the cloud has such, else behind the others. All other bytes stay.
+    /// Returns the cloud at its smoothed positions, with holes as NaN. If the result has normals and curvature, they
+    /// replace fields of these names, or are appended. All other bytes are unchanged.
     ///
     /// # Errors
-    /// If the result is not that of this cloud.
+    /// If the result is not one of this cloud.
     pub fn with_smoothed(&self, smoothed: &Smoothed) -> Result<Self, FormatError> {
-        // The view checks the layout, and is none in the other byte order.
+        // The view checks the layout; it fails for the other byte order.
         let points = self.view()?.len();
         smoothed.points.check_len("the smoothed points", points)?;
         let origin_m = self.origin_m();
@@ -185,12 +186,12 @@ impl PointCloud2 {
         Ok(cloud)
     }
 
-    /// Writes a scalar field in the type that it has, behind all others as float32 if there is none of that name.
+    /// Writes a scalar field in its existing type; a missing field is appended as float32.
     fn set_field(&mut self, name: &str, values: &[f32]) -> Result<(), FormatError> {
         let (offset, datatype) = match self.field(name) {
             Some(field) if field.count <= 1 && matches!(field.datatype, F32 | F64) => (field.offset, field.datatype),
             Some(_) => {
-                let text = format!("a field {name} that is no single float; it would be written twice");
+                let text = format!("field {name} exists with a different type and would be duplicated");
                 return Err(FormatError::Unsupported(text));
             }
             None => {
@@ -219,7 +220,7 @@ impl PointCloud2 {
         let old = self.point_step as usize;
         let mut data = Vec::with_capacity(row_step as usize * self.height as usize);
         for at in self.point_offsets() {
-            // Of the last point the padding may be missing.
+            // The last point may lack its padding.
             let end = (at + old).min(self.data.len());
             let next = data.len() + point_step as usize;
             data.extend_from_slice(self.data.get(at..end).unwrap_or_default());
@@ -229,8 +230,8 @@ impl PointCloud2 {
         Ok(())
     }
 
-    /// The cloud of a smoothed frame: x, y, z in 16 bytes a point, with normals and curvature in 32; the fields are
-    /// float32, as in PCL's structs.
+    /// Returns the cloud of a smoothed frame: x, y, z in 16 bytes per point, with normals and curvature in 32; the fields
+    /// are float32, as in PCL's structs.
     pub fn of_smoothed(header: Header, smoothed: &Smoothed) -> Self {
         let with_normals = smoothed.normals.is_some() || smoothed.curvature.is_some();
         let point_step: u32 = if with_normals { 32 } else { 16 };
@@ -403,7 +404,7 @@ pub(super) mod tests {
             change(&mut cloud);
             refused(cloud)
         };
-        assert!(with(&|cloud| cloud.fields[1].name = "X".into()).contains("no x, y, z"));
+        assert!(with(&|cloud| cloud.fields[1].name = "X".into()).contains("without x, y, z"));
         assert!(with(&|cloud| cloud.fields[1].offset = 21).contains("ends at byte 25"));
         assert!(with(&|cloud| cloud.fields[4].datatype = 9).contains("type 9"));
         assert!(with(&|cloud| cloud.fields[1].datatype = 6).contains("float32"));

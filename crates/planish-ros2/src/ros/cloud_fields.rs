@@ -8,7 +8,7 @@ use planish_io::{internal::cloud_from_columns, internal::columns_from_cloud, int
 const U8: u8 = 2;
 
 impl PointCloud2 {
-    /// The cloud with all its fields, on its grid if it has one.
+    /// Returns the cloud with all its fields, on its grid if it has one.
     ///
     /// # Errors
     /// As [`view`](Self::view).
@@ -53,7 +53,7 @@ impl PointCloud2 {
         Attribute { name: field.name.clone(), count, values }
     }
 
-    /// The message of a cloud with all its fields, packed, on its grid if it is given one.
+    /// Returns the message of a cloud with all its fields, packed, on its grid if it is given one.
     pub fn of_cloud(header: Header, cloud: &PointCloud, grid: Option<(usize, usize)>) -> Result<Self, FrameError> {
         cloud.validate()?;
         let (width, height) = grid.unwrap_or((cloud.len(), 1));
@@ -93,7 +93,7 @@ impl PointCloud2 {
     }
 }
 
-/// The number of a type; 64-bit integers have none and become float64.
+/// Returns the number of a type; 64-bit integers have none and become float64.
 fn datatype_of(values: &AttributeValues) -> u8 {
     match values {
         AttributeValues::I8(_) => 1,

@@ -17,7 +17,7 @@ const CONFIGURATION_BYTES: usize = 12;
 pub enum DepthPixels {
     /// Millimetres; 0 and 65535 are holes.
     Millimetres(DepthImage),
-    /// Metres; what is not finite or not positive is a hole.
+    /// Metres; values that are not finite or not positive are holes.
     Metres {
         /// Columns.
         width: usize,
@@ -59,7 +59,7 @@ impl DepthMessage {
     /// Takes the depth out.
     ///
     /// # Errors
-    /// If the encoding is none of depth, or the data contradict it.
+    /// If the encoding is not a depth encoding, or the data contradict it.
     pub fn pixels(&self, options: &ReadOptions) -> Result<DepthPixels, FormatError> {
         match self {
             Self::Image(image) => image_pixels(image, options),
@@ -77,7 +77,7 @@ impl DepthMessage {
 }
 
 impl Image {
-    /// An image of depth in millimetres (16UC1) or metres (32FC1).
+    /// Returns an image of depth in millimetres (16UC1) or metres (32FC1).
     pub fn of_depth(header: Header, pixels: &DepthPixels) -> Self {
         let (width, height) = pixels.shape();
         let (encoding, bytes) = match pixels {
@@ -95,13 +95,13 @@ impl Image {
         }
     }
 
-    /// Whether the encoding is one that depth comes in; mono16 may be an infrared image as well.
+    /// Returns true if the encoding is one that depth comes in; mono16 may be an infrared image as well.
     pub fn is_depth(&self) -> bool {
         matches!(self.encoding.as_str(), "16UC1" | "32FC1")
     }
 }
 
-/// The bytes of an image's rows, one behind the other.
+/// Returns the bytes of an image's rows, one behind the other.
 fn row_bytes(pixels: &DepthPixels, is_bigendian: bool) -> Vec<u8> {
     match (pixels, is_bigendian) {
         (DepthPixels::Millimetres(image), false) => image.raw.iter().flat_map(|raw| raw.to_le_bytes()).collect(),
@@ -119,7 +119,7 @@ fn image_pixels(image: &Image, options: &ReadOptions) -> Result<DepthPixels, For
         "32FC1" => 4,
         other => {
             return Err(FormatError::Unsupported(format!(
-                "an image in the encoding {}: depth is 16UC1 (millimetres) or 32FC1 (metres)",
+                "an image in the encoding {}; depth is 16UC1 (millimetres) or 32FC1 (metres)",
                 quoted(other)
             )));
         }
@@ -146,7 +146,7 @@ fn image_pixels(image: &Image, options: &ReadOptions) -> Result<DepthPixels, For
     })
 }
 
-/// Rows may be longer than the pixels in them; what is behind those stays.
+/// Rows may be longer than their pixels; their padding is unchanged.
 fn with_image_pixels(image: &Image, pixels: &DepthPixels) -> Image {
     let bytes = row_bytes(pixels, image.is_bigendian != 0);
     let row = bytes.len() / pixels.shape().1.max(1);
@@ -175,14 +175,15 @@ impl<'a> Compressed<'a> {
             ("32FC1", "compressedDepth" | "compressedDepth png") => true,
             (_, transport) if transport.starts_with("compressedDepth") => {
                 return Err(FormatError::Unsupported(format!(
-                    "depth in the format {}: compressedDepth with PNG is understood (set the parameter `format` of the \
+                    "depth in the format {}; only compressedDepth with PNG is supported (set the parameter `format` \
+                     of the \
                      transport to png)",
                     quoted(&image.format)
                 )));
             }
             _ => {
                 return Err(FormatError::Unsupported(format!(
-                    "an image in the format {}: no compressed depth (16UC1 or 32FC1; compressedDepth png)",
+                    "an image in the format {}, which is not compressed depth (16UC1 or 32FC1; compressedDepth png)",
                     quoted(&image.format)
                 )));
             }
@@ -258,7 +259,7 @@ mod tests {
                 let message = DepthMessage::Image(padded.clone());
                 assert_eq!(message.pixels(&options()).unwrap(), pixels);
                 assert_eq!(message.with_pixels(&pixels).unwrap(), message);
-                // The last row may lack what is behind it.
+                // The last row may lack its padding.
                 let cut = Image { data: padded.data[..2 * row + 4].to_vec(), ..padded.clone() };
                 assert_eq!(DepthMessage::Image(cut).pixels(&options()).unwrap(), pixels);
                 let short = Image { data: padded.data[..2 * row + 3].to_vec(), ..padded };
@@ -287,7 +288,7 @@ mod tests {
             assert!((z - expected).abs() < expected * expected / a, "{z} {expected}");
         }
         for (format, text) in
-            [("16UC1; compressedDepth rvl", "png"), ("rgb8; jpeg compressed bgr8", "no compressed depth")]
+            [("16UC1; compressedDepth rvl", "png"), ("rgb8; jpeg compressed bgr8", "not compressed depth")]
         {
             let error = empty(format, [0.0; 2]).pixels(&options()).unwrap_err().to_string();
             assert!(error.contains(text), "{error}");

@@ -13,12 +13,12 @@ pub struct Time {
 }
 
 impl Time {
-    /// The time in seconds; a recent date keeps some 0.2 µs.
+    /// Returns the time in seconds; a recent date keeps some 0.2 µs.
     pub fn seconds(self) -> f64 {
         f64::from(self.sec) + 1e-9 * f64::from(self.nanosec)
     }
 
-    /// The time so many nanoseconds after 0; the latest that there is, where it is too late.
+    /// Creates the time this many nanoseconds after 0, clamped to the latest representable time.
     pub fn from_nanoseconds(nanoseconds: u64) -> Self {
         match i32::try_from(nanoseconds / 1_000_000_000) {
             Ok(sec) => Self { sec, nanosec: (nanoseconds % 1_000_000_000) as u32 },

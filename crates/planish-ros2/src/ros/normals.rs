@@ -4,8 +4,8 @@ use super::{Header, Image};
 use planish_core::Xyz;
 
 impl Image {
-    /// The unit normals of a frame on a grid, in the camera's optical frame and towards the camera: 32FC3, NaN where
-    /// there is none.
+    /// Encodes the unit normals of a frame on a grid, in the camera's optical frame and towards the camera: 32FC3, NaN
+    /// for pixels without one.
     pub(super) fn of_normals(header: Header, (width, height): (usize, usize), normals: &Xyz) -> Self {
         let mut data = Vec::with_capacity(12 * normals.len());
         for normal in normals.iter() {

@@ -102,15 +102,15 @@ impl MessageSmoother {
         self.wants_normals_image = wanted;
     }
 
-    /// The normals of the last message in the camera's optical frame, as an image of 32FC3; `None` if they were not
-    /// asked for, or for a cloud without a grid.
+    /// Returns the normals of the last message in the camera's optical frame, as a 32FC3 image; `None` if they were not
+    /// requested, or for a cloud without a grid.
     pub fn normals_image(&self, header: Header) -> Option<Image> {
         let normals = self.normals.as_ref().or(self.smoothed.normals.as_ref()).filter(|_| self.wants_normals_image)?;
         let Smoothed { width, height, .. } = self.smoothed;
         (height > 1).then(|| Image::of_normals(header, (width, height), normals))
     }
 
-    /// The engine that smoothed the last message.
+    /// Returns the engine that smoothed the last message.
     pub fn engine(&self) -> Option<Engine> {
         self.session.engine()
     }
@@ -125,16 +125,16 @@ impl MessageSmoother {
         self.warning.take()
     }
 
-    /// The result of the last message.
+    /// Returns the result of the last message.
     pub fn smoothed(&self) -> &Smoothed {
         &self.smoothed
     }
 
-    /// Smooths a depth image with the camera that is found for its shape. Returns the smoothed depth, in the unit of
-    /// the image, and if `points` is set leaves points and the fields beside them in [`smoothed`](Self::smoothed).
+    /// Smooths a depth image with the camera found for its shape. Returns the smoothed depth in the unit of the image.
+    /// If `points` is set, points and the additional fields are available as [`smoothed`](Self::smoothed).
     ///
     /// # Errors
-    /// If the message is none of depth, or the camera is of another shape, or the engine fails.
+    /// If the message is not a depth image, the camera has another shape, or the engine fails.
     pub fn smooth_depth(
         &mut self,
         message: &DepthMessage,

@@ -63,8 +63,8 @@ fn a_quadratic_surface_is_reproduced_from_degree_2_on() {
     let cloud = height_field(31, 0.002, quadratic);
     let distance = |[x, y, z]: [f64; 3]| z - quadratic(x, y);
     let errors = [1, 2, 3].map(|degree| worst(&cloud, &smooth(&cloud, params(degree)), distance));
-    // Degree 1: the mean of the quadratic over the window, 2 * 3 * (4 mm)² and less. Of that the ridge leaves a share
-    // of some 2 % at 1e-3, in proportion to it.
+    // Degree 1: the mean of the quadratic over the window, at most 2 * 3 * (4 mm)². The ridge keeps about 2 % of it at
+    // 1e-3, in proportion to the ridge.
     assert!((2e-5..1e-4).contains(&errors[0]), "{errors:?}");
     assert!(errors[1] < 2e-6, "{errors:?}");
     assert!(errors[2] < 2e-6, "{errors:?}");
@@ -147,8 +147,8 @@ fn no_point_moves_further_than_the_radius() {
 
 #[test]
 fn the_sensor_radius_follows_the_rule() {
-    // At 1 m 49 candidates at stride 3 and pitch 2 mm reach 25 mm diagonally; the radius is 2 * 9 * 2 mm = 36 mm, so a
-    // point 32 mm in front (r = 35 mm there) has neighbours and one 37 mm in front has none but itself.
+    // At 1 m, 49 candidates at stride 3 and pitch 2 mm reach 25 mm diagonally; the radius is 2 * 9 * 2 mm = 36 mm. A
+    // point 32 mm in front (r = 35 mm there) therefore has neighbours, and one 37 mm in front has only itself.
     let neighbours = |lift: f32| {
         let cloud = grid(41, 41, |u, v| {
             let z = if (u, v) == (20, 20) { 1.0 - lift } else { 1.0 };

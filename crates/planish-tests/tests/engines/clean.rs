@@ -7,7 +7,7 @@ use planish_tests::scenes::{simulated, small_camera};
 
 type Points = Vec<[f32; 3]>;
 
-/// A frame without its grid, an isolated pair, strays, holes and a repeated point.
+/// Returns a frame without its grid, an isolated pair, strays, holes and a repeated point.
 fn clouds() -> Vec<(&'static str, Points)> {
     let mut frame: Points = simulated(3, false, small_camera()).positions().iter().step_by(20).collect();
     frame.extend([[5.0, 5.0, 5.0], [5.0, 5.001, 5.0], [-30.0, 2.0, 1.0]]);

@@ -1,4 +1,4 @@
-//! Edges kept (docs/method.md, section 10): what it must do and must not, on surfaces whose truth is known.
+//! Edge preservation (docs/method.md, section 10) on surfaces whose truth is known.
 
 use std::sync::LazyLock;
 
@@ -57,7 +57,7 @@ fn a_crease_stays_sharp_that_is_rounded_off_without() {
     let [off, robust] = [Edges::Off, Edges::Robust].map(|edges| worst(61, &smooth(&cloud, edges), distance));
     assert!(off > 1e-3, "{off:e}");
     assert!(robust < 0.1 * off, "{robust:e} {off:e}");
-    // Beside the crease the normals are those of the faces.
+    // Next to the crease the normals are those of the faces.
     let smoothed = smooth(&cloud, Edges::Robust);
     let normals = smoothed.normals.as_ref().unwrap();
     for u in 10..51 {
@@ -120,7 +120,7 @@ fn evaluate(params: FrameParams, cases: &[Case]) -> Report {
 #[test]
 fn the_default_setting_keeps_its_figures() {
     let (raw, found) = (evaluate_raw(&CASES), evaluate(FrameParams::default(), &CASES));
-    // Within 5 % of what was measured when they were set: 0.215, 0.177, 0.199 and 2.12, 3.39, 7.14°.
+    // Within 5 % of the values measured when they were set: 0.215, 0.177, 0.199 and 2.12, 3.39, 7.14°.
     for (k, (most, most_deg)) in [(0.226, 2.23), (0.186, 3.56), (0.209, 7.5)].into_iter().enumerate() {
         let ratio = found.ranges[k].rmse_mm / raw.ranges[k].rmse_mm;
         assert!(ratio < most, "range {k}: {ratio}");
@@ -191,7 +191,7 @@ fn blocks_know_the_spacing_of_pixels_without_intrinsics() {
 
 #[test]
 fn the_suite_says_what_it_is_told() {
-    // The truth itself has no error, and one that is moved has just that.
+    // The truth has no error, and a shifted one has exactly the shift.
     let mut exact = Evaluation::default();
     let mut moved = Evaluation::default();
     for case in CASES.iter() {
@@ -217,7 +217,7 @@ fn the_suite_says_what_it_is_told() {
     assert!(exact.lost_share == 0.0 && exact.invented > 0);
 }
 
-/// What general clouds of these frames come to with some edges, and the default on their grid.
+/// Scores of these frames as unorganized clouds with some edges, and of the default on their grid.
 fn general_and_on_grid(cases: &[Case], edges: Edges) -> [Report; 2] {
     let general = planish::CloudParams::default().with_neighbours(490).with_ridge(1e-2);
     let params = general.with_edges(edges).with_remove_isolated(true);

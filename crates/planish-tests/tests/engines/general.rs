@@ -1,4 +1,4 @@
-//! General clouds: the fast engines against the reference, and what holds for any cloud.
+//! Unorganized clouds: the fast engines against the reference, and what holds for any cloud.
 
 use planish::agreement::Agreement;
 use planish::{
@@ -7,7 +7,7 @@ use planish::{
 };
 use planish_tests::bits::{bits, of_points};
 use planish_tests::data::{bunny, folder, general_cloud, skip};
-use planish_tests::engines::{TestEngine, test_adapter};
+use planish_tests::engines::{TestEngine, is_software, test_adapter};
 use planish_tests::scenes::{simulated, small_camera};
 
 pub(super) type Points = Vec<[f32; 3]>;
@@ -27,10 +27,10 @@ impl Random {
     }
 }
 
-/// The GPU engine, where there is an adapter.
+/// Returns the GPU engine, where there is an adapter.
 fn gpu() -> Option<TestEngine> {
     if test_adapter().is_none() {
-        skip("general clouds on a GPU: no adapter");
+        skip("unorganized clouds on a GPU: no adapter");
     }
     test_adapter().map(|_| TestEngine::gpu(false))
 }
@@ -40,7 +40,7 @@ fn engines() -> Vec<(String, TestEngine)> {
     cpu.chain(gpu().map(|gpu| ("gpu".to_owned(), gpu))).collect()
 }
 
-/// The same, and the shader with its checks of bounds, which takes a software adapter as long again to compile.
+/// Returns the same, and the shader with its checks of bounds, which takes a software adapter as long again to compile.
 fn all_engines() -> Vec<(String, TestEngine)> {
     let checked = gpu().map(|gpu| ("gpu with checks".to_owned(), TestEngine { bounds_checks: true, ..gpu }));
     engines().into_iter().chain(checked).collect()
@@ -55,8 +55,8 @@ pub(super) fn smooth(engine: TestEngine, points: &[[f32; 3]], params: CloudParam
     engine.smooth(PointsView::from_rows(points).unwrap(), params)
 }
 
-/// A noisy sphere, denser towards one pole by a factor of thousands as a scanner's view is, with stray points and
-/// repeated ones.
+/// Returns a noisy sphere, denser towards one pole by a factor of thousands as a scanner's view is, with stray points
+/// and repeated ones.
 pub(super) fn uneven_sphere(count: usize, seed: u64) -> Points {
     let mut random = Random(seed);
     let mut points: Points = (0..count)
@@ -76,12 +76,12 @@ pub(super) fn uneven_sphere(count: usize, seed: u64) -> Points {
     points
 }
 
-/// A simulated frame of a camera without its grid.
+/// Returns a simulated frame of a camera without its grid.
 pub(super) fn frame_points(seed: u64) -> Points {
     simulated(seed, seed.is_multiple_of(2), small_camera()).positions().iter().collect()
 }
 
-/// A third of them: enough for what does not depend on how many there are.
+/// Returns a third of them: enough for what does not depend on how many there are.
 pub(super) fn few_frame_points(seed: u64) -> Points {
     frame_points(seed).into_iter().step_by(3).collect()
 }
@@ -136,8 +136,9 @@ fn every_engine_agrees_with_the_reference() {
 #[test]
 #[ignore = "takes a minute; the gate runs it"]
 fn every_engine_agrees_with_the_reference_in_every_setting() {
-    let engines = all_engines();
-    for params in settings() {
+    for (i, params) in settings().into_iter().enumerate() {
+        // A software adapter compiles the shader with checks for a third of the settings.
+        let engines = if is_software() && i % 3 != 0 { engines() } else { all_engines() };
         assert_agree(&engines, "frame", &frame_points(1), params);
         assert_agree(&engines, "room", &frame_points(2), params);
         assert_agree(&engines, "sphere", &uneven_sphere(6000, 3), params);
@@ -145,10 +146,11 @@ fn every_engine_agrees_with_the_reference_in_every_setting() {
         assert_agree(&engines, "bunny", &bunny, params);
         [1, 2, 7, 33].into_iter().for_each(|n| assert_agree(&engines, "few", &uneven_sphere(33, 5)[..n], params));
     }
-    // With so many neighbours the sphere's stray points reach the pole, where their radii hang on the last digits of
-    // sums.
+    // With this many neighbours the sphere's stray points reach the pole, where their radii depend on the last digits
+    // of sums.
     let wide = CloudParams::default().with_edges(Edges::Robust).with_degree(3);
     let wide = wide.with_radius(CloudRadius::Neighbours { count: 100 });
+    let engines = engines();
     assert_agree(&engines, "frame", &frame_points(1), wide);
     assert_agree(&engines, "room", &frame_points(2), wide);
 }
@@ -164,14 +166,14 @@ fn denser_real_clouds_agree() {
     assert_real_clouds_agree(3);
 }
 
-/// One of so many points of each.
+/// Uses every n-th point of each.
 fn assert_real_clouds_agree(one_of: usize) {
     let engines = engines();
-    let Some(data) = folder("general clouds") else { return };
+    let Some(data) = folder("unorganized clouds") else { return };
     for name in ["unorganized/milk_color.pcd", "unorganized/room_scan1.pcd"] {
         let points: Points = general_cloud(&data, name).positions.iter().step_by(one_of).collect();
         assert_agree(&engines, name, &points, CloudParams::default());
-        // The scanner's foot has so many points that lavapipe ends a loop there, and says so.
+        // The scanner's foot has so many points that lavapipe ends a loop there, and reports it.
         if name.contains("milk") {
             assert_agree(&engines, name, &points, CloudParams::default().with_edges(Edges::Robust));
         }
@@ -251,7 +253,7 @@ fn points_farther_than_the_engines_see_are_isolated_and_change_no_other() {
 
 #[test]
 fn neither_threads_nor_the_order_of_the_points_change_a_bit() {
-    // Of more points the curve of the index goes by a sample, which depends on their order.
+    // For more points the curve of the index depends on a sample, and thus on their order.
     let points = uneven_sphere(9000, 8);
     let engine = |threads| TestEngine { threads: Some(threads), ..TestEngine::cpu(SimdLevel::best()) };
     for params in [CloudParams::default(), CloudParams::default().with_radius_m(0.05)] {
@@ -292,8 +294,8 @@ fn points_at_one_place_count_each_and_cost_nothing() {
 
 #[test]
 fn a_dense_cluster_in_a_wide_cloud_costs_what_it_costs_alone() {
-    // All of it lies in one cell of the CPU index's curve. Were it searched as one, this would take minutes. Stray
-    // points have all of it as neighbours: more than lavapipe has rounds for, were it as large for the GPU.
+    // All points are in one cell of the CPU index's curve. Searching it as a whole would take minutes. Stray points
+    // have all of them as neighbours: on the GPU, more than lavapipe has rounds for if the cloud were as large.
     let mut random = Random(9);
     let mut within = |count: usize, low: f64, high: f64| -> Points {
         (0..count).map(|_| [0.0; 3].map(|_: f64| random.between(low, high) as f32)).collect()
@@ -310,7 +312,7 @@ fn a_dense_cluster_in_a_wide_cloud_costs_what_it_costs_alone() {
     let expected = smooth(TestEngine::REFERENCE, &twice, CloudParams::default());
     for (name, engine) in engines() {
         let found = smooth(engine, &twice, CloudParams::default());
-        // Those of the cluster: the radii of others hang on its last digits (section 8).
+        // Compare points of the cluster only: the radii of others depend on its last digits (section 8).
         let far =
             |i: usize| (0..3).map(|k| (found.points.get(i)[k] - expected.points.get(i)[k]).abs()).fold(0.0, f32::max);
         let farthest = (0..1200).map(far).fold(0.0, f32::max);

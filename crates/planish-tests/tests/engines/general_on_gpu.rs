@@ -1,8 +1,8 @@
-//! General clouds on a GPU: in parts where they are larger than it takes at once, and drivers that do not do all they
-//! were asked.
+//! Unorganized clouds on a GPU: in parts where they are larger than it takes at once, and drivers that do not do all
+//! they were asked.
 
 use planish::{CloudParams, Edges, EngineError, Error, Outputs, PointsView, Smoothed, Smoother};
-use planish_tests::engines::{TestEngine, test_adapter};
+use planish_tests::engines::{TestEngine, is_software, test_adapter};
 
 use super::general::{Points, Random, few_frame_points, frame_points, settings, smooth, uneven_sphere};
 
@@ -43,7 +43,7 @@ fn clouds_in_parts_are_as_those_at_once() {
         let differing = differing_in_parts(&room, params, 3500);
         assert!(differing.is_some_and(|differing| differing <= 2), "{differing:?} of the room, {params:?}");
     }
-    // What a scanner gives where nothing came back, all at one place and far from the rest: one run, not one for each.
+    // Scanners write missing returns as identical points far from the others: handled in one run, not one for each.
     let mut with_zeros = room.clone();
     (0..with_zeros.len()).step_by(40).for_each(|i| with_zeros[i] = [0.0; 3]);
     let differing = differing_in_parts(&with_zeros, general, 6000);
@@ -57,8 +57,10 @@ fn clouds_in_parts_are_as_those_at_once_in_every_setting() {
         return;
     }
     let room = frame_points(2);
-    let (mut done, all) = (0, settings().len());
-    for params in settings() {
+    let step = if is_software() { 2 } else { 1 };
+    let settings: Vec<_> = settings().into_iter().step_by(step).collect();
+    let (mut done, all) = (0, settings.len());
+    for params in settings {
         let Some(differing) = differing_in_parts(&room, params, 9000) else { continue };
         assert!(differing <= room.len() / 5000, "{differing} of the room, {params:?}");
         done += 1;
@@ -83,7 +85,7 @@ fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
             smoother.smooth(PointsView::from_rows(points).unwrap(), &mut Smoothed::default())
         };
         let error = smooth(&mut smoother, points).unwrap_err().to_string();
-        assert!(error.contains("takes 4000 points of a cloud at once"), "{error}");
+        assert!(error.contains("holds 4000 points of a cloud at once"), "{error}");
         smooth(&mut smoother, &sphere[..100]).unwrap();
     }
 }

@@ -1,4 +1,4 @@
-//! The promises of the GPU engine beside parity: order, batches, views, outputs, refusals. On lavapipe or a real GPU.
+//! Guarantees of the GPU engine other than parity: order, batches, views, outputs, refusals. On lavapipe or a real GPU.
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
@@ -13,7 +13,7 @@ use planish_tests::scenes::{grid, small_camera};
 const SHAPE: (usize, usize) = (160, 120);
 const EVERYTHING: Outputs = Outputs::ALL.with_depth(true).with_depth_m(true);
 
-/// The adapter of the tests; says SKIP where there is none.
+/// Returns the adapter of the tests; prints SKIP without one.
 fn adapter(test: &str) -> Option<&'static GpuAdapter> {
     let adapter = test_adapter();
     if adapter.is_none() {
@@ -244,7 +244,7 @@ fn the_bytes_of_its_buffers_are_known_wherever_they_are() {
         options.gpu.slots = 2;
     })
     .unwrap();
-    // Else the first frame in flight has a slot of the queue that is open before.
+    // Otherwise the first frame in flight uses a slot of the queue opened earlier.
     smoother.prepare_in_flight();
     // Every slot has its buffers from the beginning.
     let one = smoother.buffer_bytes() / 2;

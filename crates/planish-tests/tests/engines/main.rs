@@ -1,4 +1,4 @@
-//! The engines: what they compute, and that they agree.
+//! The engines: results of each, and agreement between them.
 
 mod analytic;
 mod clean;

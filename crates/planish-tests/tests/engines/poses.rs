@@ -1,4 +1,4 @@
-//! Clouds in any frame (docs/method.md, section 11): rigid motions change nothing but the frame, and no cloud loses its
+//! Clouds in any frame (docs/method.md, section 11): rigid motions change only the frame, and no cloud loses its
 //! points.
 
 use planish::agreement::{Agreement, POSITION_999_M, radii_m};
@@ -11,7 +11,7 @@ use planish_tests::poses::{BASE, moved, rotate, transform};
 use planish_tests::scenes::{simulated, small_camera};
 use proptest::prelude::*;
 
-/// The engines of this machine under their names.
+/// Returns the engines of this machine under their names.
 fn engines() -> Vec<(&'static str, TestEngine)> {
     let cpu = ("cpu", TestEngine::cpu(SimdLevel::best()));
     let gpu = test_adapter().map(|_| ("gpu", TestEngine::gpu(true)));
@@ -32,7 +32,7 @@ fn pose() -> impl Strategy<Value = SensorPose> {
     })
 }
 
-/// Holds a result in a moved frame against that of the cloud in the camera's own.
+/// Compares a result in a moved frame with the result in the camera's frame.
 fn assert_moved(what: &str, found: &Smoothed, own: &Smoothed, pose: &SensorPose, radii_m: &[f64]) {
     let mut expected = own.clone();
     for i in 0..own.points.len() {
@@ -40,11 +40,12 @@ fn assert_moved(what: &str, found: &Smoothed, own: &Smoothed, pose: &SensorPose,
     }
     let mut agreement = Agreement::default();
     agreement.add(found, &expected, |i| radii_m[i]);
-    // The moved points are rounded to f32 in another frame, and a few lie within that of a threshold, on every engine.
+    // The moved points are rounded to f32 in another frame, and a few are within rounding of a threshold, on every
+    // engine.
     let misses = [1.0 - agreement.equal_status(), agreement.position_m(0.999), agreement.position_m(0.9999)];
     assert!(misses[0] <= 3e-4 && misses[1] <= POSITION_999_M && misses[2] <= 3e-4, "{what}: {misses:?}");
     let (normals, own_normals) = (found.normals.as_ref().unwrap(), own.normals.as_ref().unwrap());
-    // Of surfaces: the normal of a few points apart is rounding.
+    // Compare only surfaces: the normal of a few isolated points is rounding noise.
     let curvature = own.curvature.as_ref().unwrap();
     let is_surface = |i: usize| own.neighbours.as_ref().unwrap()[i] >= 12 && curvature[i] < 0.02;
     let off = (0..normals.len()).filter(|&i| is_surface(i) && normals.is_finite(i)).filter(|&i| {
@@ -120,7 +121,7 @@ fn share_with_points(smoothed: &Smoothed, cloud: &OrganizedCloud) -> f64 {
     points as f64 / cloud.points.valid_points() as f64
 }
 
-/// A wall of 64x48 points, 2 m before a camera with a Kinect's field of view.
+/// Returns a wall of 64x48 points, 2 m before a camera with a Kinect's field of view.
 fn wall() -> OrganizedCloud {
     let camera = Camera::new((64, 48), [52.5; 2], [31.5, 23.5]);
     DepthFrame::new(camera, vec![2000; 64 * 48]).unwrap().deproject().unwrap()
@@ -137,7 +138,7 @@ fn walls_in_other_frames_come_out_whole_and_face_their_sensor() {
                 cloud.points.pose = SensorPose::IDENTITY;
                 cloud
             };
-            // What other programs write who know where the sensor is, but not how it is turned.
+            // Written by programs that know the sensor's position but not its orientation.
             let unturned = {
                 let mut cloud = cloud.clone();
                 cloud.points.pose.orientation = SensorPose::IDENTITY.orientation;

@@ -61,7 +61,7 @@ fn invariants_hold_on_simulated_frames() {
 
 #[test]
 fn invariants_hold_on_real_frames() {
-    // Of whole frames, with every setting, they are tested where the other engines are held against it.
+    // The parity tests cover whole frames with every setting.
     for (i, frame) in real_frames("reference on real frames").into_iter().enumerate() {
         // A sixteenth, from its middle.
         let cloud = quarter(&quarter(&frame.cloud, i % 4), 3 - i % 4);
@@ -86,7 +86,7 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
     let normal = DVec3::new(0.8, 0.0, -0.6);
     let scene = Scene { objects: vec![Shape::Plane { point: DVec3::new(0.0, 0.0, 1.2), normal }] };
     let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
-    // Independent noise: this is about geometry, not about what a small window can remove.
+    // Independent noise: this tests geometry, not which noise a small window can remove.
     let noise =
         DepthNoise { dropout_incidence_deg: 89.0, fixed_pattern_rms: 0.0, temporal_rms: 0.6, ..DepthNoise::default() };
     let frame = DepthSimulator::new(noise, camera, 3).frame(&truth, 0).unwrap();

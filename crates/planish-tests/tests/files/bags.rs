@@ -1,4 +1,4 @@
-//! Recordings in MCAP: what is written is read again, and what is damaged ends in an error.
+//! MCAP recordings: written files can be read again, and damaged ones end in an error.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -29,7 +29,7 @@ fn frames(camera: Camera) -> Vec<DepthFrame> {
     (0..FRAMES).map(frame).collect()
 }
 
-/// A recording of depth, and the frames in it.
+/// Returns a recording of depth, and the frames in it.
 fn recording(folder: &TempDir, camera: Camera) -> (PathBuf, Vec<DepthFrame>) {
     let (path, frames) = (folder.path().join("depth.mcap"), frames(camera));
     let mut writer = BagWriter::create(&path).unwrap();
@@ -172,7 +172,7 @@ fn a_stopped_run_leaves_nothing_behind() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
-/// A record of MCAP.
+/// Returns a record of MCAP.
 fn record(opcode: u8, content: &[u8]) -> Vec<u8> {
     [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat()
 }

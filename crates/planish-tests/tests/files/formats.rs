@@ -38,7 +38,7 @@ fn attributes(points: usize) -> impl Strategy<Value = Vec<Attribute>> {
             values(points * count).prop_map(move |values| Attribute { name: name.clone(), count, values })
         });
     vec(attribute, 0..4).prop_map(|mut attributes| {
-        // Names are told apart by their place, padding is not.
+        // Names are distinguished by their index, padding is not.
         for (k, attribute) in attributes.iter_mut().enumerate().filter(|(_, a)| a.name != "_") {
             attribute.name.push_str(&k.to_string());
         }
@@ -46,7 +46,7 @@ fn attributes(points: usize) -> impl Strategy<Value = Vec<Attribute>> {
     })
 }
 
-/// A general cloud or a grid, with any fields before, between and after x, y and z.
+/// Returns an unorganized cloud or a grid, with any fields before, between and after x, y and z.
 fn cloud() -> impl Strategy<Value = OrganizedCloud> {
     (1usize..9, 2usize..6).prop_flat_map(|(width, height)| {
         let n = width * height;
@@ -351,7 +351,7 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
         let error = io::decode(text.as_bytes(), Some(Text)).unwrap_err().to_string();
         assert!(error.contains(what), "{text:?}: {error}");
     }
-    // Of no known ending, as from standard input.
+    // Without a known extension, as from standard input.
     for text in ["1 2 3\n4 5 6\n", "x,y,z\n1,2,3\n", &"0.25 0.5 0.125\n".repeat(1000)] {
         assert_eq!(io::decode(text.as_bytes(), None).unwrap().0, Text);
     }

@@ -1,4 +1,5 @@
-//! Files that lie: every one is refused with words that say what is wrong, without a panic or a huge allocation.
+//! Files with false claims: each is refused with a message that names the problem, without a panic or a huge
+//! allocation.
 
 use std::fs;
 
@@ -10,7 +11,7 @@ fn error(bytes: &[u8], format: Format) -> String {
     io::decode(bytes, Some(format)).expect_err("a refusal").to_string()
 }
 
-/// A valid header in which single lines are replaced.
+/// Returns a valid header in which single lines are replaced.
 fn pcd(changes: &[(&str, &str)], body: &str) -> Vec<u8> {
     let mut text = String::from("# .PCD v0.7\n");
     let defaults = [
@@ -39,11 +40,11 @@ fn lying_pcd_headers_are_refused_with_a_reason() {
     type Changes<'a> = &'a [(&'a str, &'a str)];
     let cases: [(Changes<'_>, &str, &str); 22] = [
         (&[("POINTS", "1000000000000000000")], body, "POINTS is 1000000000000000000, but WIDTH x HEIGHT is 2 x 1"),
-        (&[("POINTS", "1000000000000000000"), ("WIDTH", "1000000000000000000")], body, "more than the 2^28"),
-        (&[("POINTS", "200000000"), ("WIDTH", "200000000")], body, "cut short"),
-        (&[("POINTS", "200000000"), ("WIDTH", "200000000"), ("DATA", "binary")], body, "cut short"),
+        (&[("POINTS", "1000000000000000000"), ("WIDTH", "1000000000000000000")], body, "exceed the limit of 2^28"),
+        (&[("POINTS", "200000000"), ("WIDTH", "200000000")], body, "truncated"),
+        (&[("POINTS", "200000000"), ("WIDTH", "200000000"), ("DATA", "binary")], body, "truncated"),
         (&[("POINTS", "3")], body, "POINTS is 3, but WIDTH x HEIGHT is 2 x 1 = 2"),
-        (&[("WIDTH", "18446744073709551615"), ("HEIGHT", "18446744073709551615")], body, "more than the 2^28"),
+        (&[("WIDTH", "18446744073709551615"), ("HEIGHT", "18446744073709551615")], body, "exceed the limit of 2^28"),
         (&[("SIZE", "3 4 4")], body, "field \"x\" has TYPE \"F\" and SIZE \"3\""),
         (&[("SIZE", "2 4 4")], body, "F has 4 or 8"),
         (&[("SIZE", "4 4")], body, "SIZE has 2 entries for 3 FIELDS"),
@@ -55,11 +56,11 @@ fn lying_pcd_headers_are_refused_with_a_reason() {
         (&[("FIELDS", "")], body, "no FIELDS"),
         (&[("WIDTH", "two")], body, "WIDTH \"two\" should be one whole number"),
         (&[("VIEWPOINT", "0 0 0")], body, "should be 7 numbers"),
-        (&[("VERSION", "0.8")], body, "version \"0.8\" is not known"),
-        (&[("DATA", "zip")], body, "DATA \"zip\" is not known"),
-        (&[], "1.0 2.0 3.0\n4.0 5.0\n", "3 values are needed, here are fewer"),
-        (&[], "1 2 3\n4 5 6 7\n", "here are more"),
-        (&[], "1 2 3\n4 five 6\n", "\"five\" is no value of field \"y\""),
+        (&[("VERSION", "0.8")], body, "version \"0.8\" is unknown"),
+        (&[("DATA", "zip")], body, "DATA \"zip\" is unknown"),
+        (&[], "1.0 2.0 3.0\n4.0 5.0\n", "fewer than 3 values"),
+        (&[], "1 2 3\n4 5 6 7\n", "more than"),
+        (&[], "1 2 3\n4 five 6\n", "\"five\" is not a value of field \"y\""),
     ];
     for (changes, body, expected) in cases {
         let message = error(&pcd(changes, body), Format::Pcd);
@@ -76,10 +77,10 @@ fn lying_compressed_sizes_are_refused() {
         bytes.extend(data);
         error(&bytes, Format::Pcd)
     };
-    assert!(sizes(9, 25, &[0; 9]).contains("hold 25 bytes, but 2 points of 12 bytes"));
-    assert!(sizes(1000, 24, &[0; 9]).contains("1000 compressed bytes are announced, 9 are there"));
-    assert!(sizes(u32::MAX, 24, &[0; 9]).contains("cut short"));
-    assert!(sizes(2, 24, &[0, 7]).contains("less than the announced"));
+    assert!(sizes(9, 25, &[0; 9]).contains("hold 25 bytes, but the header states 2 points of 12 bytes"));
+    assert!(sizes(1000, 24, &[0; 9]).contains("1000 compressed bytes, but 9 follow"));
+    assert!(sizes(u32::MAX, 24, &[0; 9]).contains("truncated"));
+    assert!(sizes(2, 24, &[0, 7]).contains("less than the stated"));
     assert!(error(&pcd(&[("DATA", "binary_compressed")], "abc"), Format::Pcd).contains("sizes"));
     let huge = [("DATA", "binary_compressed"), ("WIDTH", "268435456"), ("POINTS", "268435456")];
     let mut bytes = pcd(&huge, "");
@@ -90,19 +91,21 @@ fn lying_compressed_sizes_are_refused() {
 #[test]
 fn files_that_are_something_else_are_refused() {
     assert!(error(b"", Format::Pcd).contains("empty"));
-    assert!(error(b"hello world, this is no cloud\n", Format::Pcd).contains("no entry of a PCD header"));
+    assert!(error(b"hello world, this is no cloud\n", Format::Pcd).contains("not an entry of a PCD header"));
     assert!(error(&[0xff; 100_000], Format::Pcd).contains("no end"));
     assert!(error(b"ply\nformat ascii 1.0\nelement face 0\nend_header\n", Format::Ply).contains("vertex"));
     assert!(error(b"ply\nnonsense\n", Format::Ply).contains("PLY"));
-    let million = b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000000\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
-    assert!(error(million, Format::Ply).contains("cut short"));
-    let grid = b"ply\nformat ascii 1.0\nobj_info num_cols 5\nobj_info num_rows 5\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n";
+    let million = b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000000\nproperty float x\nproperty \
+                    float y\nproperty float z\nend_header\n";
+    assert!(error(million, Format::Ply).contains("truncated"));
+    let grid = b"ply\nformat ascii 1.0\nobj_info num_cols 5\nobj_info num_rows 5\nelement vertex 1\nproperty float \
+                 x\nproperty float y\nproperty float z\nend_header\n1 2 3\n";
     assert!(error(grid, Format::Ply).contains("5 x 5"));
     assert!(error(b"\x89PNG\r\n\x1a\n....", Format::DepthPng).contains("damaged PNG"));
     assert!(error(b"II*\0....", Format::DepthTiff).contains("damaged TIFF"));
     assert!(error(b"\x93NUMPY\x01\x00\xff\xff", Format::Npy).contains("NPY header of 65535 bytes"));
     let nothing = io::decode(b"just words", None).unwrap_err().to_string();
-    assert!(nothing.contains("none of PCD, PLY"), "{nothing}");
+    assert!(nothing.contains("supported are PCD, PLY"), "{nothing}");
 }
 
 /// Valid files of every kind, to be damaged.
@@ -169,8 +172,8 @@ fn writing_where_nothing_can_be_written_says_so_and_leaves_nothing() {
     let cloud = PointCloud::new(Xyz::filled(3, 1.0));
     let write = |name: &str| io::write_cloud(&folder.path().join(name), &cloud, Encoding::Binary);
     assert!(write("missing/cloud.pcd").unwrap_err().to_string().contains("does not exist"));
-    assert!(write("cloud.abc").unwrap_err().to_string().contains("end the name in .pcd"));
-    assert!(write("cloud.png").unwrap_err().to_string().contains("depth, not points"));
+    assert!(write("cloud.abc").unwrap_err().to_string().contains("end it in .pcd"));
+    assert!(write("cloud.png").unwrap_err().to_string().contains("cannot store points"));
     fs::create_dir(folder.path().join("taken.pcd")).unwrap();
     assert!(write("taken.pcd").unwrap_err().to_string().contains("folder has this name"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only the folder is there");

@@ -1,4 +1,4 @@
-//! LAS and LAZ: nothing but the positions changes, and what lies is refused.
+//! LAS and LAZ: only the positions change, and false claims are refused.
 
 use std::fs;
 use std::io::Cursor;
@@ -10,7 +10,7 @@ use planish::PointCloud;
 use planish::io::{self, Contents, Encoding, Format};
 use planish_tests::data::{folder, general_cloud};
 
-/// The records of a LAS file and what its header says beside their number.
+/// Returns the records of a LAS file and its header.
 fn las_records(path: &Path) -> (las::Header, Vec<u8>) {
     let mut reader = las::Reader::from_path(path).unwrap();
     let records = reader.read_all().unwrap().raw_bytes().to_vec();
@@ -44,7 +44,7 @@ fn las_files_keep_every_bit_but_those_of_the_positions() {
             );
         }
 
-        // Fields that it has no place for become extra bytes, described.
+        // Fields without a LAS counterpart become extra bytes with a description.
         let output = folder.path().join("more.laz");
         cloud.set_attribute("normal_x", (0..cloud.len()).map(|i| i as f32).collect::<Vec<f32>>());
         cloud.set_attribute("status", vec![3u8; cloud.len()]);
@@ -128,7 +128,7 @@ fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
     let copy = through_las(&twice).unwrap();
     assert_eq!((values(&copy, "status"), values(&copy, "curvature")), (vec![4u8; 3].into(), vec![0.25f32; 3].into()));
 
-    // So many that their descriptions stand behind the points; and more than a record holds.
+    // So many that their descriptions follow the points; and more than a record holds.
     let mut wide = PointCloud::new([[1.0; 3], [2.0; 3]].into_iter().collect());
     (0..400).for_each(|i| wide.set_attribute(&format!("c{i}"), vec![i as f32, 0.5]));
     let mut copy = through_las(&wide).unwrap();
@@ -141,7 +141,7 @@ fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
     });
     assert!(through_las(&wide).unwrap_err().to_string().contains("record"));
 
-    // A small cloud keeps its shape, and what is no number does not become one.
+    // A small cloud keeps its shape, and NaN does not become a number.
     let mut tiny = PointCloud::new([[1e-6; 3], [2e-6, 0.0, -1e-6]].into_iter().collect());
     let copy = through_las(&tiny).unwrap();
     assert!((copy.origin_m[0] + f64::from(copy.positions.x()[1]) - 2e-6).abs() < 1e-11);
@@ -208,7 +208,7 @@ fn damaged_las_files_are_refused() {
             let error = io::decode(&bytes[..cut], None).unwrap_err().to_string();
             assert!(error.len() < 300, "{name} {cut}: {error}");
         }
-        // More points than there are.
+        // States more points than the file contains.
         let mut lying = bytes.clone();
         lying[107..111].copy_from_slice(&u32::MAX.to_le_bytes());
         assert!(io::decode(&lying, None).is_err(), "{name}");
@@ -235,11 +235,11 @@ fn layers_larger_than_their_chunk_are_refused_before_anything_is_allocated() {
         let mut lying = bytes.clone();
         lying[sizes_at + 4 * layer..][..4].copy_from_slice(&0xffff_fff0u32.to_le_bytes());
         let error = io::decode(&lying, Some(Format::Laz)).unwrap_err().to_string();
-        assert!(error.contains("whose layers need"), "{error}");
+        assert!(error.contains("but its layers need"), "{error}");
         // The same where the file is read in parts.
         fs::write(&file, &lying).unwrap();
         let error = io::read_in_parts(&file, 1 << 20, |_| ()).unwrap_err().to_string();
-        assert!(error.contains("a.laz") && error.contains("whose layers need"), "{error}");
+        assert!(error.contains("a.laz") && error.contains("but its layers need"), "{error}");
     }
 }
 
@@ -259,7 +259,7 @@ fn headers_shorter_than_their_versions_are_refused() {
     }
 }
 
-/// A thousand points in LAZ.
+/// Returns a thousand points in LAZ.
 fn compressed() -> Vec<u8> {
     let cloud = PointCloud::new((0..1000).map(|i| [i as f32, 0.5 * i as f32, (i % 7) as f32]).collect());
     io::encode_cloud(Format::Laz, &cloud, Encoding::Binary).unwrap()
@@ -296,5 +296,5 @@ fn a_chunk_that_ends_beyond_the_file_is_refused_though_its_layers_fill_it() {
     table.write_to(&mut bytes, &description).unwrap();
     bytes.extend([0; 64]);
     let error = refused(&bytes, Format::Laz);
-    assert!(error.contains("1000 points of") && error.contains("are announced in"), "{error}");
+    assert!(error.contains("1000 points of") && error.contains("in a file of"), "{error}");
 }

@@ -1,4 +1,4 @@
-//! What PLY has of its own.
+//! Properties specific to PLY.
 
 use std::fs;
 
@@ -7,7 +7,7 @@ use planish::{AttributeValues, PointCloud, SensorPose};
 
 #[test]
 fn a_ply_states_pose_and_grid_as_pcl_does() {
-    // What PCL 1.13 writes of an organized cloud with a sensor pose; its faces and cameras stand behind the vertices.
+    // As PCL 1.13 writes an organized cloud with a sensor pose; its faces and cameras follow the vertices.
     let camera: String = ["view_px", "view_py", "view_pz"]
         .into_iter()
         .map(str::to_owned)
@@ -102,7 +102,8 @@ fn ply_normals_have_its_own_names_and_an_inputs_are_replaced() {
 fn comments_and_object_information_of_a_ply_are_kept() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("c.ply");
-    let text = "ply\nformat ascii 1.0\ncomment made by hand\nobj_info is_mesh 0\nobj_info num_cols 2\nobj_info num_rows 2\nelement vertex 4\n\
+    let text = "ply\nformat ascii 1.0\ncomment made by hand\nobj_info is_mesh 0\nobj_info num_cols 2\nobj_info \
+                num_rows 2\nelement vertex 4\n\
                 property float x\nproperty float y\nproperty float z\nend_header\n0 0 1\n1 0 1\n0 1 1\n1 1 1\n";
     fs::write(&path, text).unwrap();
     let (_, Contents::Organized(cloud)) = io::read(&path).unwrap() else { panic!("a grid") };

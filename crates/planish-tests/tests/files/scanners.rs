@@ -24,14 +24,14 @@ fn write_and_read(cloud: &PointCloud, name: &str) -> (Format, PointCloud) {
 fn read(path: &Path) -> (Format, PointCloud) {
     match io::read(path).unwrap() {
         (format, Contents::General(cloud)) => (format, cloud),
-        (format, _) => panic!("{format:?} of a general cloud"),
+        (format, _) => panic!("{format:?} of an unorganized cloud"),
     }
 }
 
 fn decode(bytes: &[u8], format: Format) -> Result<PointCloud, String> {
     match io::decode(bytes, Some(format)).map_err(|error| error.to_string())? {
         (_, Contents::General(cloud)) => Ok(cloud),
-        _ => panic!("no general cloud"),
+        _ => panic!("no unorganized cloud"),
     }
 }
 
@@ -130,7 +130,7 @@ fn normals_of_an_e57_are_in_the_frame_of_the_points_and_face_their_scanner() {
         }));
         for i in 0..900 {
             let (u, v) = (0.1 * f64::from(i % 30) - 1.5, 0.1 * f64::from(i / 30) - 1.5);
-            // Of the second, (u, v, -1.5) turned back by a quarter.
+            // For the second scan, (u, v, -1.5) rotated back by 90°.
             let p = if number == 0 { [u, v, -1.5] } else { [u, -1.5, -v] };
             scan.add_point(p.map(RecordValue::Double).to_vec()).unwrap();
         }
@@ -225,14 +225,15 @@ fn what_is_left_out_of_a_file_is_noted() {
     image.finalize().unwrap();
     writer.finalize().unwrap();
     drop(writer);
-    assert_eq!(notes("a.e57", &bytes.into_inner()), ["an image is left out"]);
-    assert_eq!(notes("a.xyz", b"# by hand\n1 2 3\n4 5 6 # here\n# end\n"), ["3 comments are left out"]);
+    assert_eq!(notes("a.e57", &bytes.into_inner()), ["an image is dropped"]);
+    assert_eq!(notes("a.xyz", b"# by hand\n1 2 3\n4 5 6 # here\n# end\n"), ["3 comments are dropped"]);
     let rounded = "the column id has integers beyond 2^53, which are rounded";
     assert_eq!(notes("id.csv", b"x,y,z,id,far\n1,2,3,9007199254740993,1e20\n"), [rounded]);
     assert_eq!(notes("a.csv", b"x,y,z\n1,2,3\n"), Vec::<String>::new());
-    let mesh = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+    let mesh = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float \
+                z\nelement face 1\n\
                 property list uchar int vertex_indices\nend_header\n0 0 1\n1 0\n";
-    assert_eq!(notes("a.ply", mesh.as_bytes()), ["elements beside the vertices are left out: face (1)"]);
+    assert_eq!(notes("a.ply", mesh.as_bytes()), ["other elements than vertices are dropped: face (1)"]);
 }
 
 #[test]
@@ -266,7 +267,7 @@ fn real_e57_files_are_read_or_refused() {
     assert!(error.contains("damaged E57") && error.len() < 400, "{error}");
     // A file that other readers failed on.
     assert!(read("read_error.e57").is_ok_and(|(_, contents)| contents.shape().0 > 1000));
-    // Whatever is in there, it is no panic.
+    // Whatever the contents, reading must not panic.
     let _ = read("empty_pc.e57");
 }
 
@@ -346,7 +347,7 @@ fn files_of_other_programs_say_what_converts_them() {
 #[test]
 fn a_pts_with_fewer_points_than_it_announces_is_cut_short() {
     assert_eq!(decode(b"2\n0 0 1 5\n1 0 1 6\n", Format::Text).unwrap().len(), 2);
-    assert!(decode(b"3\n0 0 1 5\n1 0 1 6\n", Format::Text).unwrap_err().contains("announces 3 points and has 2"));
+    assert!(decode(b"3\n0 0 1 5\n1 0 1 6\n", Format::Text).unwrap_err().contains("states 3 points, but has 2"));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Clouds larger than memory: what comes out in tiles is what comes out of the whole cloud.
+//! Clouds larger than memory: tiles give the same result as the whole cloud.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,12 +15,12 @@ use planish_tests::engines::{TestEngine, test_adapter};
 fn read(path: &Path) -> PointCloud {
     match io::read(path).unwrap().1 {
         Contents::General(cloud) => cloud,
-        _ => panic!("{} is a general cloud", path.display()),
+        _ => panic!("{} is an unorganized cloud", path.display()),
     }
 }
 
-/// A wavy field far from the origin, four times as dense on one side, with repeated points and a stray one, in an order
-/// that jumps.
+/// Returns a wavy field far from the origin, four times as dense on one side, with repeated points and a stray one, in
+/// an order that jumps.
 fn field(points: usize) -> PointCloud {
     let position = |i: usize| {
         let i = (i * 7919) % points;
@@ -105,7 +105,7 @@ fn assert_same(found: &PointCloud, expected: &PointCloud, step_m: f64, what: &st
     }
 }
 
-/// Where nothing but these files may be.
+/// Asserts that the folder contains only these files.
 fn assert_only(folder: &Path, files: &[&Path]) {
     let found: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert!(found.iter().all(|path| files.contains(&path.as_path())) && found.len() == files.len(), "{found:?}");
@@ -142,7 +142,7 @@ fn tiles_give_what_the_whole_cloud_gives() {
     }
 }
 
-/// The same file with the bytes of every vertex's values turned around; all have 4 bytes.
+/// Returns the same file with the bytes of every vertex's values turned around; all have 4 bytes.
 fn big_endian(ply: &[u8]) -> Vec<u8> {
     let end = b"end_header\n";
     let at = ply.windows(end.len()).position(|window| window == end).unwrap() + end.len();
@@ -234,13 +234,13 @@ fn tiles_on_a_gpu_give_what_the_whole_cloud_gives_there() {
     let cloud = field(16_000);
     io::write_cloud(&las, &cloud, Encoding::Binary).unwrap();
     let gpu = TestEngine::gpu(false).options(Outputs::ALL);
-    // The smaller one takes no tile at once.
+    // The smaller one cannot hold a whole tile.
     let in_parts = TestEngine { bounds_checks: false, ..TestEngine::in_parts(2500) }.options(Outputs::ALL);
     let general = CloudParams::default();
     for (params, smoother) in [(general, &gpu), (general.with_radius_m(0.6), &gpu), (general, &in_parts)] {
         let report = in_tiles_by(smoother.clone(), &las, &out, params, 3);
         assert_eq!((report.engine, report.points), (Engine::Gpu, cloud.len()));
-        // Radii by density are known, among them that of the stray point.
+        // Radii by density are known, including the stray point's.
         let by_density = params == general;
         assert!(report.reaching_beyond < 30 && (report.reaching_beyond > 0) == by_density, "{report:?}");
         let expected = folder.path().join("expected.las");
@@ -262,17 +262,17 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
     let options =
         |engine, bytes| TileOptions::new(CloudParams::default(), SmootherOptions::new(engine, Outputs::ALL), bytes);
     let found = smooth(&input, &options(Engine::Cpu, 10_000));
-    let whole = format!("raise the limit (the whole needs {} KiB)", needed.div_ceil(1 << 10));
+    let whole = format!("raise it (the whole file needs {} KiB)", needed.div_ceil(1 << 10));
     assert!(found.contains("a.las") && found.contains(&whole), "{found}");
     let found = smooth(&input, &options(Engine::Reference, needed / 3));
-    assert!(found.contains("the CPU or the GPU engine"), "{found}");
+    assert!(found.contains("the CPU or GPU engine"), "{found}");
     let whole = fs::read(&input).unwrap();
     let cut = folder.path().join("cut.las");
     fs::write(&cut, &whole[..whole.len() / 2]).unwrap();
     let found = smooth(&cut, &options(Engine::Cpu, needed / 3));
     assert!(found.contains("cut.las") && found.contains("cut"), "{found}");
     fs::write(&cut, "LASF").unwrap();
-    assert!(smooth(&cut, &options(Engine::Cpu, needed)).contains("cut short"));
+    assert!(smooth(&cut, &options(Engine::Cpu, needed)).contains("truncated"));
     assert!(bytes_in_memory(&cut).is_none() && bytes_in_memory(Path::new("none.las")).is_none());
     assert_only(folder.path(), &[&input, &cut]);
     // Without a point there is nothing to smooth, and a file all the same.
@@ -312,7 +312,7 @@ fn what_a_file_in_tiles_says_is_kept_or_noted() {
     fs::write(&input, text + "3 0 1 2\n").unwrap();
     let report = in_tiles(&input, &out, CloudParams::default(), 3);
     assert!(report.tiles > 1, "{report:?}");
-    assert_eq!(report.notes, ["elements beside the vertices are left out: face (1)"]);
+    assert_eq!(report.notes, ["other elements than vertices are dropped: face (1)"]);
     // Above the field, on a map.
     let sensor = report.assumed_sensor_m.unwrap();
     assert!(sensor[2] > 150.0 && (sensor[0] - 637_030.0).abs() < 50.0, "{sensor:?}");
@@ -362,7 +362,7 @@ fn points_on_the_border_of_a_tile_and_far_away_ones_end_no_run() {
                 smoothed += 1;
             }
             Err(error) => {
-                assert!(error.to_string().contains("raise the limit"), "{error}")
+                assert!(error.to_string().contains("raise it"), "{error}")
             }
         }
     }

@@ -17,7 +17,7 @@ use planish_tests::scenes::small_camera;
 
 const FRAMES: usize = 40;
 
-/// Different frames of one scene, and what the CPU makes of each.
+/// Returns different frames of one scene, and the CPU's result for each.
 fn frames() -> Vec<(Arc<DepthFrame>, Xyz)> {
     let camera = small_camera();
     let (scene, pose) = Scene::tabletop(3);
@@ -45,7 +45,7 @@ fn is_result_of(found: [&[f32]; 3], expected: &Xyz) -> bool {
     100 * (off + holes) < expected.len()
 }
 
-/// Plays frames over and over until something was told, and all once more.
+/// Plays frames repeatedly until a report arrives, then all once more.
 struct Recorded {
     frames: Vec<Arc<DepthFrame>>,
     next: usize,
@@ -128,7 +128,7 @@ fn a_gpu_and_the_cpu_share_frames_and_a_lost_gpu_leaves_its_own_to_the_cpu() {
     assert_eq!(fleet.engine(), Engine::Cpu);
     drop(fleet);
 
-    // The same of a stream, which says so and loses nothing.
+    // A stream reports the loss and loses no frame.
     let kept = Arc::new(Mutex::new(Vec::new()));
     let told = Arc::new(AtomicBool::new(false));
     let source = Recorded {

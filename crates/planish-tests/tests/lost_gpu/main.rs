@@ -1,5 +1,4 @@
-//! What becomes of frames when a GPU is lost. Alone in its process, one test at a time: every device of it is
-//! destroyed.
+//! Behaviour when a GPU is lost. A separate process, one test at a time: every device in it is destroyed.
 
 mod fleet;
 mod rig;

@@ -69,7 +69,7 @@ fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_f
     );
     assert_eq!(warnings.len(), 2, "{warnings:?}");
     assert!(warnings[0].contains("once more") && warnings[1].contains("CPU"), "{warnings:?}");
-    // Of each camera its own, by both engines.
+    // Each camera's result, computed by both engines.
     for (i, frame) in frames.iter().enumerate() {
         let mut alone = Smoothed::default();
         Smoother::open(options.params[i].at_resolution_of(frame), Engine::Cpu, (160, 120))

@@ -283,7 +283,7 @@ fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_sa
     }
 }
 
-/// A result as a cloud with its fields.
+/// Returns a result as a cloud with its fields.
 fn in_a_cloud(smoothed: &Smoothed) -> PointCloud {
     let mut cloud = PointCloud::new(smoothed.points.clone());
     cloud.apply(smoothed, Outputs::ALL).unwrap();

@@ -18,8 +18,7 @@ const CAMERAS: usize = 8;
 const UNPLUGGED: usize = 3;
 const INTERVAL: Duration = Duration::from_nanos(1_000_000_000 / 30);
 
-/// Plays frames over and over as they fall due; drops those for which it was asked too late, and has none while it is
-/// unplugged.
+/// Plays frames repeatedly at their due times; drops frames requested too late, and has none while it is unplugged.
 struct Live {
     frames: Vec<DepthFrame>,
     start: Instant,

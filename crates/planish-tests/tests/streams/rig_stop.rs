@@ -11,7 +11,7 @@ use planish::source::{OwnedFrame, Source};
 use planish::{Camera, DepthFrame, Engine, Error, Outputs, SmootherOptions};
 use planish_tests::rigs::rig_of;
 
-/// Gives one frame and says so.
+/// Delivers one frame and reports it.
 struct Once {
     frame: Option<DepthFrame>,
     has_given: Arc<AtomicBool>,

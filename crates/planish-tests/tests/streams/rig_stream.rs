@@ -13,7 +13,7 @@ use planish::source::{OwnedFrame, Source};
 use planish::stream::SinkFormat;
 use planish::{AttributeValues, Camera, DepthFrame, DeviceError, Engine, Error, Outputs, SensorPose, SmootherOptions};
 
-/// A camera that plays what it is told.
+/// A camera that plays a script.
 struct Script {
     steps: VecDeque<Step>,
     start: Option<Instant>,
@@ -118,12 +118,12 @@ fn every_moment_of_recordings_comes_once_in_order_and_one_that_ends_early_holds_
     let right = &statistics.cameras[1];
     assert_eq!((right.frames_in, right.frames_out, right.missing, right.has_ended), (9, 9, 21, true));
     assert!(warnings.is_empty(), "{warnings:?}");
-    // One that ends long before the other is said to.
+    // A camera that ends long before the other is reported.
     let (result, _, warnings) =
         stream(vec![script((0..40).map(frame).collect(), false), script((0..10).map(frame).collect(), false)]);
     assert_eq!(result.unwrap().moments.frames_out, 40);
     assert!(warnings.len() == 1 && warnings[0].contains("right") && warnings[0].contains("0.6 s"), "{warnings:?}");
-    // One that is cut off with the stream has not ended before it.
+    // A camera that is cut off with the stream has not ended before it.
     let slow = |i: u32| Step::Frame(f64::from(i), Duration::ZERO);
     let sources = (0..2).map(|_| script((0..30).map(slow).collect(), false)).collect();
     let rig = rig_of_two();
@@ -200,7 +200,7 @@ fn frames_that_cannot_be_read_and_a_camera_that_goes_are_reported_and_the_others
     let statistics = result.unwrap();
     assert_eq!((moments.len(), statistics.complete, statistics.cameras[1].unreadable), (12, 4, 2));
     assert!(warnings.len() == 2 && warnings.iter().all(|warning| warning.contains("right")), "{warnings:?}");
-    assert!(warnings[1].contains("go on"), "{warnings:?}");
+    assert!(warnings[1].contains("continue"), "{warnings:?}");
     // All of them: an error.
     let (result, ..) = stream(vec![script(vec![Step::Gone], false), script(vec![Step::Gone], false)]);
     assert!(matches!(result, Err(Error::Device(DeviceError::Gone { .. }))));
@@ -244,7 +244,7 @@ fn fused_clouds_and_each_camera_s_own_are_saved() {
     let statistics = run(&rig, sources, &options, sinks, &AtomicBool::new(false), |_| ()).unwrap();
     assert_eq!((statistics.moments.frames_out, statistics.moments.failed_sinks), (3, 0));
     let (_, contents) = planish::io::read(&fused.join("000002.pcd")).unwrap();
-    let planish::io::Contents::General(cloud) = contents else { panic!("a general cloud") };
+    let planish::io::Contents::General(cloud) = contents else { panic!("an unorganized cloud") };
     assert_eq!(cloud.len(), 2 * 32 * 24);
     let Some(AttributeValues::U8(cameras)) = cloud.attribute("camera").map(|field| &field.values) else {
         panic!("the field camera")
@@ -263,6 +263,6 @@ fn fused_clouds_and_each_camera_s_own_are_saved() {
     );
     let saved = Rig::read(&own.join("rig.json")).unwrap();
     assert_eq!(saved.cameras[1].pose, rig.cameras[1].pose);
-    // Not over what is there.
+    // It refuses to replace existing files.
     assert!(FusedSink::create(&fused, SinkFormat::Pcd, &rig).is_err());
 }

@@ -15,7 +15,7 @@ fn case(seed: u64) -> RigCase {
     RigSuite { camera: camera(), ..RigSuite::new(CAMERAS) }.case(seed).unwrap()
 }
 
-/// The rig with a viewpoint between every two cameras side by side.
+/// Returns the rig with a viewpoint between every two cameras side by side.
 fn with_viewpoints(rig: Rig) -> Rig {
     let side_by_side = rig.cameras.windows(2);
     let between = side_by_side.map(|two| Viewpoint::between(&two[0].pose, &two[1].pose, camera()).unwrap());

@@ -1,5 +1,5 @@
-//! Merged points thinned to voxels: what is fused is the general engine's result for the centroids, and every camera
-//! gets its own points back on the surface that they make.
+//! Merged points thinned to voxels: the fused cloud equals the general engine's result for the centroids, and the
+//! points of every camera are moved onto that surface.
 
 use planish::clean::voxel_downsample;
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};

@@ -1,4 +1,4 @@
-//! Streams from sources to sinks: order, counts, and what goes wrong on the way.
+//! Streams from sources to sinks: order, counts, and failures on the way.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,7 +25,7 @@ fn frame(camera: Camera, number: u64) -> DepthFrame {
     frame
 }
 
-/// Gives what it is given; some of it errors.
+/// Delivers the given frames; some of them are errors.
 struct Given(std::vec::IntoIter<Result<DepthFrame, &'static str>>, Box<dyn FnMut(u64) + Send>, u64);
 
 impl Given {
@@ -115,7 +115,7 @@ fn every_frame_of_a_finite_source_comes_in_order_on_every_engine() {
 
 #[test]
 fn a_live_source_drops_what_comes_too_fast_and_counts_it() {
-    // 2,000 frames a second are more than the reference smooths.
+    // 2,000 frames per second are more than the reference smooths.
     let seen = Seen::default();
     let source = Paced::new(Box::new(Given::frames(100)), 2000.0).unwrap();
     let (statistics, _) = run(source, &options(Engine::Reference), seen.clone());
@@ -211,7 +211,7 @@ fn a_sink_that_fails_is_told_once_and_the_others_go_on() {
     assert_eq!((bad.frames.lock().unwrap().len(), statistics.failed_sinks, warnings), (2, 1, 1));
 }
 
-/// A live camera before a scene that stays as it is; it has no end.
+/// A live camera in front of a static scene, without end.
 struct Still(DepthFrame);
 
 impl Source for Still {
@@ -263,7 +263,8 @@ fn a_sink_that_is_too_slow_for_a_live_stream_holds_nothing_up() {
     let source = Box::new(Still(frame(small_camera(), 0)));
     let options = options(Engine::Cpu).with_max_frames(Some(FRAMES));
     let statistics = stream::run(source, &options, vec![Box::new(sink)], &AtomicBool::new(false), tell).unwrap();
-    // All were smoothed while the sink had not written one; it got what it held and what waited for it, and no more.
+    // All frames were smoothed before the sink had written one; it received the frame it was writing and the waiting
+    // ones.
     assert_eq!((statistics.frames_out, written_by_then, warnings), (FRAMES, Some(0), 1));
     let written = written.lock().unwrap().len() as u64;
     assert!((1..=9).contains(&written), "{written}");
@@ -351,7 +352,7 @@ fn a_recording_in_tum_layout_keeps_finer_units_and_counts_what_is_too_far() {
         assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "nothing before the first frame");
         recorder.add(&DepthFrame::new(camera, vec![raw; 160 * 120]).unwrap()).unwrap();
         let other = DepthFrame::new(camera.with_depth_units_per_metre(2.0 * units), vec![raw; 160 * 120]).unwrap();
-        assert!(recorder.add(&other).unwrap_err().to_string().contains("units a metre, and had"));
+        assert!(recorder.add(&other).unwrap_err().to_string().contains("units per metre, but had"));
         let mut source = TumSource::open(folder.path(), None, None).unwrap();
         let Some(OwnedFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
         assert_eq!(recorder.depth_units_per_metre(), Some(found.camera.depth_units_per_metre));

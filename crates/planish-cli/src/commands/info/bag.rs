@@ -83,7 +83,7 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
         outln!("  {topic}: {} of {type_name}", count(*messages));
     }
     if info.topics.is_empty() {
-        outln!("  no images, clouds or cameras that are messages of ROS 2 in CDR");
+        outln!("  no ROS 2 messages in CDR with images, clouds or cameras");
     }
     Ok(ExitCode::SUCCESS)
 }

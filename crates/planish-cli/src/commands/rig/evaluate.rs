@@ -13,7 +13,7 @@ use planish_bench::{out, outln};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
-/// What a way made of the simulated rigs.
+/// Result of a way on the simulated rigs.
 #[derive(Serialize)]
 struct Row {
     name: &'static str,
@@ -101,8 +101,8 @@ fn print_rows(rows: &[Row]) {
     line("  facets of adjacent pixels, mean error", &|row| format!("{:.1}°", row.report.overlap_facet_deg));
     line("seen by one: distance to the truth, RMS, mm", &|row| format!("{:.2}", row.report.single_rmse_mm));
     line("  facets of adjacent pixels, mean error", &|row| format!("{:.1}°", row.report.single_facet_deg));
-    line("two cameras' surfaces are apart, RMS, mm", &|row| format!("{:.2}", row.report.ghosting_mm));
+    line("distance between two cameras' surfaces, RMS, mm", &|row| format!("{:.2}", row.report.ghosting_mm));
     line("within 3 px of a step: distance, mean, mm", &|row| format!("{:.2}", row.report.edge_mean_mm));
     line("measured, but lost", &|row| format!("{:.2} %", 100.0 * row.report.lost_share));
-    line("a moment takes, ms", &|row| row.moment_ms.map_or("-".to_owned(), |ms| format!("{ms:.1}")));
+    line("time per moment, ms", &|row| row.moment_ms.map_or("-".to_owned(), |ms| format!("{ms:.1}")));
 }

@@ -18,13 +18,13 @@ use crate::signals::{INTERRUPTED, stop_flag};
 /// Simulates a rig: a data set of each camera, and the rig.json.
 pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
     if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
-        bail!("{}: has files already: a simulated rig goes into a folder of its own", folder.display());
+        bail!("{}: the folder is not empty; a simulated rig needs an empty folder", folder.display());
     }
     let is_new = !folder.exists();
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let written = write(args, cameras, folder);
     if is_new && !matches!(written, Ok(ExitCode::SUCCESS)) {
-        // Empty again: of what was written nothing has its final name.
+        // The folder is empty again: no file has reached its final name.
         let _ = fs::remove_dir(folder);
     }
     written

@@ -62,13 +62,13 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
             bail!("{}: no such file or folder", input.display());
         }
         if is_mcap(&input) {
-            bail!("{}: no recording in MCAP: it does not begin as one", input.display());
+            bail!("{}: not an MCAP recording: its signature is missing", input.display());
         }
-        bail!("{}: a recording is written from a folder of frames, or from a recording", args.output.display());
+        bail!("{}: only a folder of frames or a recording can be written as a recording", args.output.display());
     }
     check_not_input(&input, &args.output, Some(args.overwrite))?;
     if !writes && !args.output.is_dir() && args.output.extension().is_some() {
-        bail!("{}: a recording has many frames: give a folder, or a name that ends in .mcap", args.output.display());
+        bail!("{}: a recording has many frames; write a folder, or a name that ends in .mcap", args.output.display());
     }
     for (option, is_given) in [
         ("--encoding", args.encoding.is_some()),
@@ -118,7 +118,7 @@ fn between_recordings(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let engine = smoother.engine().map(|engine| engine.name());
     let has_clouds = report.topics.iter().any(|topic| topic.kind == planish::bag::MessageKind::PointCloud2);
     if !args.fields.is_empty() && !has_clouds && args.points_topic.is_none() {
-        errln!("warning: --fields is for clouds, and depth images were smoothed: --points-topic adds clouds of them");
+        errln!("warning: --fields has no effect on depth images; add clouds with --points-topic");
     }
     show(args, &report, engine, start.elapsed().as_secs_f64())
 }
@@ -149,7 +149,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
             let rate = topic.smoothed as f64 / seconds.max(1e-9);
             let engine = engine.unwrap_or("none");
             outln!(
-                "{}: {} smoothed in {seconds:.1} s, {rate:.1} a second, engine {engine}",
+                "{}: {} smoothed in {seconds:.1} s, {rate:.1} per second, engine {engine}",
                 topic.topic,
                 count(topic.smoothed, "message")
             );
@@ -158,12 +158,12 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     }
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
         let first = topic.first_failure.as_deref().unwrap_or_default();
-        errln!("{}: copied as they were: {}; the first: {first}", topic.topic, count(topic.failed, "message"));
+        errln!("{}: copied unchanged: {}; the first: {first}", topic.topic, count(topic.failed, "message"));
     }
     if !report.not_chosen.is_empty() {
         let topics = report.not_chosen.join(", ");
         errln!(
-            "{}: depth on {topics} was copied as it is; --topic chooses, more than once for several",
+            "{}: depth on {topics} was copied unchanged; select topics with --topic, which may be repeated",
             args.input.display()
         );
     }
@@ -172,7 +172,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     }
     if report.damaged_chunks > 0 {
         let chunks = count(report.damaged_chunks, "chunk");
-        errln!("{}: {chunks} with a wrong checksum; messages of theirs may be damaged", args.input.display());
+        errln!("{}: {chunks} with a wrong checksum; their messages may be damaged", args.input.display());
     }
     if let Some(why) = &report.cut_off {
         errln!("{}: {why}; everything before that was written", args.input.display());
@@ -181,22 +181,22 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     Ok(if is_clean { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
-/// A number of things.
+/// Returns a number of things.
 fn count(number: u64, what: &str) -> String {
     if number == 1 { format!("1 {what}") } else { format!("{number} {what}s") }
 }
 
-/// A recording into a folder, or a folder into a recording.
+/// Returns a recording into a folder, or a folder into a recording.
 fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     if args.points_topic.is_some() || args.topics.topic.len() > 1 {
         bail!(
-            "{}: --points-topic, and more than one --topic, are for a recording made from a recording",
+            "{}: --points-topic, and more than one --topic, apply only when a recording is written from a recording",
             args.output.display()
         );
     }
     let wants = |extension: &str| args.format.as_deref().is_some_and(|format| format.eq_ignore_ascii_case(extension));
     if args.format.is_some() && !["png", "pcd", "ply"].into_iter().any(wants) {
-        bail!("--format: the frames of a recording are written as png, pcd or ply");
+        bail!("--format: frames of a recording can be written as png, pcd or ply");
     }
     let stop = stop_flag();
     let options = SourceOptions::default()
@@ -211,7 +211,10 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
         (false, false) => SinkFormat::Pcd,
     };
     if wants("png") && format != SinkFormat::DepthPng {
-        bail!("{}: has clouds without a camera, or --fields was given: --format pcd or ply", input.display());
+        bail!(
+            "{}: clouds without a camera, or with --fields, cannot be written as depth images; use --format pcd or ply",
+            input.display()
+        );
     }
     let outputs = if format == SinkFormat::DepthPng { Outputs::DEPTH } else { args.outputs() };
     let mut settings = args.smoothing.settings()?;
@@ -230,7 +233,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     };
     let statistics = stream::run(source, &options_of_stream, vec![sink], &stop, tell)?;
     if stop.load(Ordering::Relaxed) {
-        let left = if is_mcap(&args.output) { "nothing was written" } else { "the frames so far are there" };
+        let left = if is_mcap(&args.output) { "nothing was written" } else { "the frames so far were written" };
         errln!("{}: stopped; {left}", args.output.display());
         return Ok(ExitCode::from(INTERRUPTED));
     }
@@ -245,7 +248,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     } else {
         let rate = statistics.fps();
         outln!(
-            "{} smoothed in {seconds:.1} s, {rate:.1} a second, engine {engine} -> {}",
+            "{} smoothed in {seconds:.1} s, {rate:.1} per second, engine {engine} -> {}",
             count(frames, "frame"),
             args.output.display()
         );

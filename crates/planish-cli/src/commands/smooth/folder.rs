@@ -1,5 +1,5 @@
-//! Every frame of a folder: several at once, each by a worker with one thread, so that reading and writing go on beside
-//! smoothing. Of several devices each worker has one.
+//! Smooths every frame of a folder. Several workers run at once with one thread each, so reading and writing overlap
+//! with smoothing. With several devices, each worker has one.
 
 use std::collections::{HashMap, HashSet};
 use std::fs;
@@ -27,7 +27,7 @@ use crate::signals::{INTERRUPTED, stop_flag};
 const LARGEST_BESIDE_OTHERS: u64 = 64 << 20;
 /// As many keep a GPU busy with files.
 const WORKERS_OF_A_GPU: usize = 4;
-/// What a compressed frame may take in memory, over its size.
+/// Memory of a compressed frame, as a multiple of its file size.
 const MEMORY_OVER_SIZE: u64 = 40;
 
 /// A frame: where it is, and where it goes.
@@ -37,7 +37,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let args = worker.args;
     let jobs = jobs(args)?;
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
-    // Hidden by itself where standard error is not a terminal.
+    // Hidden automatically if standard error is not a terminal.
     let bar = ProgressBar::new(jobs.len() as u64).with_style(style);
     let stop = stop_flag();
     let largest =
@@ -48,7 +48,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
         let (input, output) = &jobs[next];
         done[next] = Some(told(worker.smooth_file(input, output), &bar));
         next += 1;
-        // What the first frames say of sensor and engine holds for all others.
+        // The first frames report sensor and engine for all others.
         let workers = workers(worker, jobs.len() - next, largest)?;
         if workers > 1 {
             beside_each_other(worker, workers, &jobs[next..], &mut done[next..], &stop, &bar);
@@ -88,7 +88,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     })
 }
 
-/// Says what went wrong, and counts the frame.
+/// Prints an error, and counts the frame.
 fn told(result: Result<Report>, bar: &ProgressBar) -> Result<Report> {
     if let Err(error) = &result {
         bar.suspend(|| errln!("error: {error:#}"));
@@ -97,7 +97,7 @@ fn told(result: Result<Report>, bar: &ProgressBar) -> Result<Report> {
     result
 }
 
-/// The frames of a folder; refuses what would overwrite an input or write two to one file.
+/// Returns the frames of a folder; refuses what would overwrite an input or write two to one file.
 fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
     let mut inputs: Vec<PathBuf> = fs::read_dir(&args.input)
         .and_then(|entries| entries.map(|entry| entry.map(|entry| entry.path())).collect())
@@ -108,7 +108,7 @@ fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
         bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
     }
     if args.output.is_file() {
-        bail!("{}: is a file; a folder of frames is written to a folder", args.output.display());
+        bail!("{}: is a file; the results of a folder need a folder", args.output.display());
     }
     fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
     let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
@@ -116,16 +116,13 @@ fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
     let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
     let is_input = |output: &&PathBuf| output.canonicalize().is_ok_and(|output| originals.contains(&output));
     if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
-        bail!(
-            "{}: is one of the inputs: give another folder, so that no frame is overwritten, or add --overwrite",
-            output.display()
-        );
+        bail!("{}: is one of the inputs; choose another folder, or add --overwrite", output.display());
     }
     let mut seen = HashMap::new();
     for (input, output) in inputs.iter().zip(&outputs) {
         if let Some(other) = seen.insert(output, input) {
             bail!(
-                "{} and {} would both be written to {}: smooth them into different folders",
+                "{} and {} would both be written to {}; smooth them into different folders",
                 other.display(),
                 input.display(),
                 output.display()
@@ -135,7 +132,7 @@ fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
     Ok(inputs.into_iter().zip(outputs).collect())
 }
 
-/// Where a frame of the input folder is written.
+/// Returns the output path of a frame of the input folder.
 fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
     let path = args.output.join(input.file_name().unwrap_or_default());
     match &args.format {
@@ -144,8 +141,8 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
     }
 }
 
-/// How many workers to have for so many frames, the largest of which has so many bytes: as many as threads, if there
-/// are frames and memory for all. The reference has its threads for one frame.
+/// Returns the number of workers for `frames` frames, the largest of which has `largest` bytes: as many as threads,
+/// limited by the number of frames and by memory. The reference engine uses its threads for one frame.
 fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
     let engine = worker.session.engine();
     let is_fast = engine.is_some_and(|engine| engine != Engine::Reference);
@@ -155,14 +152,14 @@ fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
         return Ok(1);
     }
     let threads = settings.threads.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));
-    // Each has buffers of its own on the device.
+    // Each has buffers on the device.
     let devices = worker.session.devices().len().max(1);
     let threads = if engine == Some(Engine::Gpu) { threads.min(WORKERS_OF_A_GPU * devices) } else { threads };
     let in_memory = worker.args.memory.read_options().max_memory_bytes / (MEMORY_OVER_SIZE * largest.max(1));
     Ok(threads.min(frames / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
 }
 
-/// Whether a frame might be smoothed with more memory.
+/// Returns true if a frame might be smoothed with more memory.
 fn needs_memory(error: &anyhow::Error) -> bool {
     let is_too_large = |error: &IoError| matches!(error.problem, FormatError::TooLarge { .. });
     error.chain().any(|cause| {
@@ -172,7 +169,8 @@ fn needs_memory(error: &anyhow::Error) -> bool {
     })
 }
 
-/// Smooths frames by several workers like this one; those that need more memory are neither told nor counted.
+/// Smooths frames with several workers like this one. Frames that need more memory are left for later, neither reported
+/// nor counted.
 fn beside_each_other(
     like: &Worker<'_>,
     workers: usize,
@@ -203,11 +201,11 @@ fn beside_each_other(
         while !stop.load(Ordering::Relaxed) {
             let at = next.fetch_add(1, Ordering::Relaxed);
             let Some((input, output)) = jobs.get(at) else { break };
-            // What panics on a frame is a defect, and no reason to lose the others.
+            // A panic on one frame is a bug, but must not lose the others.
             let smooth = AssertUnwindSafe(|| worker.smooth_file(input, output));
             let result = catch_unwind(smooth).unwrap_or_else(|_| {
                 worker.session.close();
-                Err(anyhow!("{}: planish panicked on it", input.display()))
+                Err(anyhow!("{}: planish panicked (please report this bug)", input.display()))
             });
             let may_be_tried_again = matches!(&result, Err(error) if needs_memory(error));
             let result = if may_be_tried_again { result } else { told(result, bar) };

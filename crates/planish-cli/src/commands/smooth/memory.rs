@@ -4,7 +4,7 @@ use super::Worker;
 use anyhow::Result;
 use planish::Frame;
 
-/// What an engine and its results take at most for each point (the default setting and all outputs: 130 to 150 bytes).
+/// Maximum memory per point of an engine and its results (default setting with all outputs: 130 to 150 bytes).
 const ENGINE_BYTES_A_POINT: u64 = 200;
 
 /// A frame needs more memory than its worker has.
@@ -30,7 +30,8 @@ impl Worker<'_> {
             return Ok(());
         }
         let text = format!(
-            "{points} points need {} MiB of memory, and {} MiB are allowed: raise --max-memory if there is as much",
+            "{points} points need {} MiB of memory, but only {} MiB are allowed; raise --max-memory if the machine \
+             has enough",
             needed.div_ceil(1 << 20),
             allowed >> 20
         );

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use planish::Progress;
 
-/// Does some work beside a bar of its progress, where the work takes long and standard error is a terminal.
+/// Runs some work with a progress bar, if the work takes long and standard error is a terminal.
 pub fn with_progress<T>(progress: Option<Arc<Progress>>, work: impl FnOnce() -> T) -> T {
-    /// Shorter work needs no bar.
+    /// Shorter work shows no bar.
     const PATIENCE: Duration = Duration::from_secs(1);
     const STEP: Duration = Duration::from_millis(100);
     const STEPS: u64 = 1000;

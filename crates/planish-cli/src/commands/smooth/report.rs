@@ -1,4 +1,4 @@
-//! What `planish smooth` says: the report of a frame or a folder, and the likely causes of what went wrong.
+//! The output of `planish smooth`: the report of a frame or a folder, and likely causes of problems.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use planish::{CloudRadius, Frame, FrameRadius, Params, RangeRule};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-/// What is said of one frame.
+/// Report on one frame.
 #[derive(Serialize)]
 pub struct Report {
     #[serde(serialize_with = "lossily")]
@@ -49,12 +49,12 @@ impl StatusCounts {
         Self { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated }
     }
 
-    /// The points that were not smoothed, by cause; nothing for what there is none of.
+    /// Lists the points that were not smoothed, by cause; omits causes without points.
     fn others(&self) -> String {
         let causes = [
-            (self.degenerate, "with neighbours in a straight line or at one place left as they are"),
-            (self.isolated, "with too few neighbours left as they are"),
-            (self.too_few, "with too few neighbours made holes"),
+            (self.degenerate, "with collinear or coincident neighbours unchanged"),
+            (self.isolated, "with too few neighbours unchanged"),
+            (self.too_few, "with too few neighbours turned into holes"),
             (self.hole, "holes before"),
         ];
         let there = causes.into_iter().filter(|(count, _)| *count > 0);
@@ -84,7 +84,7 @@ pub struct FolderReport {
     pub interrupted: bool,
 }
 
-/// A path as text: what is not UTF-8 is replaced, so that the report is not lost.
+/// Serializes a path as text; invalid UTF-8 is replaced rather than losing the report.
 fn lossily<S: serde::Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())
 }
@@ -107,39 +107,38 @@ pub fn print_report(report: &Report) {
     outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
 }
 
-/// Reports in one line if the ranges of a grid are not the depths of a camera. Whoever gives a pose knows where the
-/// sensor stands.
+/// Reports in one line if the ranges of a grid are not the depths of a camera. Not needed if a pose is given.
 pub fn report_range_rule(input: &Path, frame: Frame<'_>, rule: Option<RangeRule>, pose_is_given: bool) {
     let Frame::Points(points) = frame else { return };
     let input = input.display();
     match rule.unwrap_or_else(|| points.range_rule()) {
         RangeRule::Distance { .. } if pose_is_given => {}
         RangeRule::Distance { .. } if !points.pose().is_identity() => errln!(
-            "{input}: the grid is not that of a camera at the stated sensor pose; ranges are distances from the sensor"
+            "{input}: the grid does not match a camera at the stated sensor pose; ranges are distances from the sensor"
         ),
         RangeRule::Distance { .. } => errln!(
-            "{input}: the grid is not that of a camera at the origin looking along +z; ranges are distances from the origin, and \
-             normals face it (give the sensor's pose with --sensor-pose)"
+            "{input}: the grid does not match a camera at the origin looking along +z; ranges are distances from the \
+             origin, and normals face it (change with --sensor-pose)"
         ),
         RangeRule::Constant { spacing_m } => errln!(
-            "{input}: the sensor's position is unknown; smoothed by the spacing of the points, {spacing_m:.4} m, with normals to one \
-             side of the surface (give the sensor's pose with --sensor-pose)"
+            "{input}: the sensor's position is unknown; the spacing of the points, {spacing_m:.4} m, sets the radius, \
+             and normals point to one side of the surface (change with --sensor-pose)"
         ),
         _ => {}
     }
 }
 
-/// Reports where the sensor of a general cloud is taken to have stood whose file does not tell; `None` for the origin
-/// of the coordinates.
+/// Reports where the sensor of an unorganized cloud is taken to have stood whose file does not tell; `None` for the
+/// origin of the coordinates.
 pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
-    let (input, what) = (input.display(), "(give the sensor's place with --sensor-pose)");
+    let (input, what) = (input.display(), "(change with --sensor-pose)");
     match position_m {
         Some([x, y, z]) => errln!(
-            "{input}: where the sensor stood is unknown, and apparently not at the origin of the coordinates; normals face \
-             ({x:.1}, {y:.1}, {z:.1}) {what}"
+            "{input}: the sensor's position is unknown and apparently not the origin; normals face ({x:.1}, {y:.1}, \
+             {z:.1}) {what}"
         ),
         None => {
-            errln!("{input}: where the sensor stood is not stated; normals face the origin of the coordinates {what}")
+            errln!("{input}: the sensor's position is not stated; normals face the origin {what}")
         }
     }
 }
@@ -148,22 +147,22 @@ pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
 pub fn likely_cause(frame: Frame<'_>, params: &Params) -> String {
     let too_small = |radius_m: f32, other: &str| {
         format!(
-            "Likely the radius of {radius_m} m is below the spacing of the points: try a larger --radius, or {other}"
+            "The radius of {radius_m} m is probably below the spacing of the points; try a larger --radius, or {other}"
         )
     };
     match params {
         Params::Cloud(params) => match params.radius {
             CloudRadius::Fixed { radius_m } => too_small(radius_m, "--neighbours 40"),
-            _ if frame.valid_points() < 4 => "A surface takes more points".to_owned(),
-            _ => "Likely they are far from all others".to_owned(),
+            _ if frame.valid_points() < 4 => "A surface needs more points".to_owned(),
+            _ => "They are probably far from all others".to_owned(),
         },
         Params::Frame(params) => match (params.radius, frame) {
             (FrameRadius::Fixed { radius_m }, _) => too_small(radius_m, "--radius sensor"),
             (_, Frame::Points(points)) if points.camera().is_none() && points.pose().is_identity() => {
-                "Likely they are isolated, or the file lacks the sensor's pose: try --sensor-pose, or --radius METRES"
+                "They are probably isolated, or the file lacks the sensor's pose; try --sensor-pose, or --radius METRES"
                     .to_owned()
             }
-            _ => "Likely they are isolated between holes: try --radius METRES".to_owned(),
+            _ => "They are probably isolated between holes; try --radius METRES".to_owned(),
         },
     }
 }

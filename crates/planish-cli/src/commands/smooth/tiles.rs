@@ -24,13 +24,17 @@ impl Worker<'_> {
             return Ok(None);
         }
         if self.beside > 1 {
-            return Err(NeedsMemory(format!("{}: larger than the memory of a worker", input.display())).into());
+            return Err(NeedsMemory(format!(
+                "{}: too large for one of several workers; smoothed alone",
+                input.display()
+            ))
+            .into());
         }
         let params = self.general_params(input)?;
-        errln!("{}: larger than --max-memory, so smoothed in tiles", input.display());
+        errln!("{}: larger than --max-memory; smoothed in tiles", input.display());
         let smoother = self.settings.options().with_outputs(self.outputs().with_status(true));
         if self.args.repeat > 1 {
-            errln!("{}: --repeat changes nothing for a file in tiles", input.display());
+            errln!("{}: --repeat has no effect on a file smoothed in tiles", input.display());
         }
         let options = TileOptions::new(params, smoother, allowed)
             .with_fields(self.outputs())
@@ -46,7 +50,8 @@ impl Worker<'_> {
         }
         if report.reaching_beyond > 0 {
             errln!(
-                "{}: {} of {} points reach beyond what their tile holds, being far from others; with more memory they may come out a little different",
+                "{}: {} of {} points are so isolated that their neighbours are outside their tile; with more memory \
+                 their results may differ slightly",
                 output.display(),
                 report.reaching_beyond,
                 report.points
@@ -54,13 +59,13 @@ impl Worker<'_> {
         }
         let status = StatusCounts::of(report.status_counts);
         let cause = match params.radius {
-            CloudRadius::Neighbours { .. } => "they are far from denser parts of the cloud, or float",
+            CloudRadius::Neighbours { .. } => "they are far from denser parts of the cloud, or are floating pixels",
             _ => "the radius is below the spacing of the points",
         };
         for (count, became) in [(status.too_few, "became holes"), (status.isolated, "stay where they are")] {
             if count as f64 > LOST_SHARE_TOLD * report.points as f64 {
                 errln!(
-                    "{}: {count} of {} points {became}: they have too few neighbours. Likely {cause}",
+                    "{}: {count} of {} points {became}: they have too few neighbours. Probably {cause}",
                     output.display(),
                     report.points
                 );

@@ -1,5 +1,5 @@
-//! Edge preservation in general clouds: the surface that a point lies on is found from the first planes of the
-//! positions around it (docs/method.md, section 10).
+//! Edge preservation in unorganized clouds: finds the surface of each point from the first planes of the positions
+//! around it (docs/method.md, section 10).
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -76,7 +76,7 @@ pub(super) fn find_surfaces<S: Simd>(
     let gate = Gate::new(simd, plane_reach);
     let mean_gate = Gate::new(simd, radius * splat(simd, GENERAL_MEAN_REACH));
     let radius_squared = radius * radius;
-    // The noise is the harmonic mean of the residuals: that of the planes that fit.
+    // The noise is the harmonic mean of the residuals, which planes that fit well dominate.
     let (mut total, mut inverse, mut near, mut mean) = (zero, zero, zero, Vec3::splat(simd, 0.0));
     gathered.for_each_offset(
         simd,

@@ -7,7 +7,7 @@ use super::super::row_tasks::SplitRows;
 use super::super::vector::{Vec3, splat};
 use crate::neighbours::LEAF;
 
-/// What the neighbours of a position say.
+/// First plane of a position, fitted to its neighbours.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct FirstPlane {
     pub(super) normal: [f32; 3],
@@ -23,7 +23,7 @@ pub(super) struct FirstPlane {
     pub(super) extent_squared: f32,
 }
 
-/// The first planes of all positions, in the order of the index, and the radii that were taken for them.
+/// The first planes of all positions in the order of the index, and the radii used for them.
 #[derive(Default)]
 pub(super) struct FirstPlanes {
     pub(super) planes: Vec<FirstPlane>,
@@ -53,7 +53,7 @@ impl SplitRows for FirstPlaneRows<'_> {
 }
 
 impl FirstPlanes {
-    /// Room for so many leaves.
+    /// Allocates the rows of this many leaves.
     pub(super) fn rows(&mut self, leaves: usize) -> FirstPlaneRows<'_> {
         // No more room than is needed: clouds are large.
         let places = LEAF * leaves;
@@ -64,7 +64,7 @@ impl FirstPlanes {
         FirstPlaneRows { first: 0, planes: &mut self.planes, radii: &mut self.radii }
     }
 
-    /// The radii that were taken, for all positions.
+    /// Returns the radii that were taken, for all positions.
     pub(super) fn radii(&self) -> &[f32] {
         &self.radii
     }
@@ -73,7 +73,7 @@ impl FirstPlanes {
         size_of::<FirstPlane>() * self.planes.capacity() + 4 * self.radii.capacity()
     }
 
-    /// A number of the planes from a place on.
+    /// Returns a number of the planes from a place on.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, place: usize, number: impl Fn(&FirstPlane) -> f32) -> S::f32s {
         let mut lanes = [0.0; LEAF];
@@ -83,7 +83,7 @@ impl FirstPlanes {
         S::f32s::from_slice(simd, &lanes[..S::f32s::LEN])
     }
 
-    /// The planes of the positions from a place on, as their own neighbours say, and how many those are.
+    /// Returns the planes of the positions from a place on, as their own neighbours say, and how many those are.
     #[inline(always)]
     pub(super) fn own<S: Simd>(&self, simd: S, place: usize) -> (Plane<S>, S::f32s) {
         let normal = Vec3::new(

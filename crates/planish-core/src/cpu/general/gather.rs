@@ -14,11 +14,11 @@ const LARGEST_SQUARE: f32 = 1e24;
 /// Candidates copied together.
 #[derive(Default)]
 pub(super) struct Gathered {
-    /// Of leaves that count wholly for every lane: no gate is needed.
+    /// Leaves that are within the gate of every lane: no gate is needed.
     whole: Copied,
     /// The sums over the leaves.
     moments: Vec<LeafMoments>,
-    /// Of all other leaves, those within reach of some lane.
+    /// All other leaves within reach of at least one lane.
     others: Copied,
 }
 
@@ -34,10 +34,10 @@ struct Copied {
     len: usize,
 }
 
-/// How far the points of a vector reach: NaN for those that reach nothing.
+/// Reach of the points of a vector; NaN for lanes without a point.
 #[derive(Clone, Copy)]
 pub(super) struct Reach<S: Simd> {
-    /// Beyond this there is no candidate.
+    /// There are no candidates beyond this distance.
     pub(super) outer: S::f32s,
     /// Up to this, candidates count wholly. Never NaN: the minimum of a NaN and a number is unspecified.
     pub(super) inner: S::f32s,
@@ -149,7 +149,7 @@ impl Copied {
     }
 }
 
-/// Whether a box is within reach of some lane's point.
+/// Returns true if a box is within reach of some lane's point.
 #[inline(always)]
 fn is_reached<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>, reach_squared: S::f32s) -> bool {
     let Bounds { low, high } = bounds;
@@ -168,7 +168,7 @@ fn outside<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
     (splat(simd, low) - values).max(values - splat(simd, high)).max(splat(simd, 0.0))
 }
 
-/// The squares of the distances of a box's farthest corners.
+/// Returns the squares of the distances of a box's farthest corners.
 #[inline(always)]
 fn farthest_squared<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>) -> S::f32s {
     let Bounds { low, high } = bounds;
@@ -186,7 +186,7 @@ fn farther<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
     (values - splat(simd, low)).max(splat(simd, high) - values)
 }
 
-/// The box of all points with their reaches.
+/// Returns the box of all points with their reaches.
 #[inline(always)]
 fn bounds_of<S: Simd>(p: Vec3<S>, reach: S::f32s) -> Bounds {
     Bounds {
@@ -195,13 +195,13 @@ fn bounds_of<S: Simd>(p: Vec3<S>, reach: S::f32s) -> Bounds {
     }
 }
 
-/// The least value that is a number.
+/// Returns the least value that is a number.
 #[inline(always)]
 fn least<S: Simd>(values: S::f32s) -> f32 {
     values.as_slice().iter().copied().fold(f32::INFINITY, f32::min)
 }
 
-/// The largest value that is a number.
+/// Returns the largest value that is a number.
 #[inline(always)]
 fn largest<S: Simd>(values: S::f32s) -> f32 {
     values.as_slice().iter().copied().fold(f32::NEG_INFINITY, f32::max)
@@ -265,7 +265,7 @@ impl<S: Simd> Candidates<S> for &Gathered {
     }
 }
 
-/// The points from a place on; NaN after the last.
+/// Returns the points from a place on; NaN after the last.
 #[inline(always)]
 pub(super) fn load<S: Simd>(simd: S, index: &PointIndex, place: usize) -> Vec3<S> {
     let [x, y, z] = &index.positions;

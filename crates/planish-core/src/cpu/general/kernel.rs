@@ -1,4 +1,4 @@
-//! What the kernels of unorganized clouds read, and the gathering of candidates.
+//! Inputs of the kernels for unorganized clouds, and the gathering of candidates.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -11,7 +11,7 @@ use crate::constants::{GATE_FADE, MAX_RADIUS_RATIO};
 use crate::neighbours::PointIndex;
 use crate::range::MIN_GATE_M;
 
-/// What a kernel needs to know beside the points.
+/// Parameters of a kernel other than the points.
 #[derive(Clone, Copy)]
 pub(super) struct Kernel<'a> {
     pub(super) fitting: Fitting,
@@ -43,7 +43,7 @@ impl Kernel<'_> {
         place: usize,
     ) -> S::f32s {
         let radius = load_radius(simd, self.radii, place);
-        // Where the gate has faded out; and where it begins to, a little within.
+        // The distance where the gate reaches zero, and the smaller one where it begins to fade.
         let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), splat(simd, f32::NAN));
         let inner = match self.radii {
             Radii::Fixed(_) | Radii::Known(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
@@ -61,7 +61,7 @@ impl Kernel<'_> {
     }
 }
 
-/// The radii of the points from a place on.
+/// Returns the radii of the points from a place on.
 #[inline(always)]
 pub(super) fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S::f32s {
     match radii {
@@ -70,7 +70,7 @@ pub(super) fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S
     }
 }
 
-/// The mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without
+/// Returns the mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without
 /// neighbours.
 #[inline(always)]
 fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {

@@ -1,8 +1,8 @@
-//! General clouds (docs/method.md, section 8): a vector of points that lie together at a time.
+//! Unorganized clouds (docs/method.md, section 8): a vector of points that lie together at a time.
 //!
-//! The points are sorted by [`PointIndex`]; the neighbours of a vector's points are gathered once for all of them
-//! ([`gather`]), and the stages are those of frames on a grid. Results are computed in the order of the index, each by
-//! itself, and put into the order of the cloud at the end, so threads do not change a bit.
+//! [`PointIndex`] sorts the points; the neighbours of all points of a vector are gathered once ([`gather`]), and the
+//! stages equal those of frames. Each result depends only on its point and is computed in the order of the index, then
+//! moved to the order of the cloud, so results are bit-identical for any number of threads.
 
 mod edges;
 mod first_planes;
@@ -38,10 +38,10 @@ use gather::{Gathered, load};
 use kernel::{Kernel, Radii};
 use radius::{Density, RadiusRows};
 
-/// Leaves of a task: enough that what a task begins with costs nothing beside them.
+/// Leaves per task: enough to make the overhead of a task negligible.
 const LEAVES_PER_TASK: usize = 64;
 
-/// The CPU engine for general clouds, with its buffers.
+/// The CPU engine for unorganized clouds, with its buffers.
 pub(crate) struct GeneralCpu {
     params: EngineParams,
     level: Level,
@@ -159,7 +159,7 @@ impl ImmediateEngine for GeneralCpu {
         matches!(self.params.radius, Radius::Neighbours { .. }).then(|| self.radii[place])
     }
 
-    /// Of the sorted points, their radii and results.
+    /// Includes the sorted points, their radii and results.
     fn buffer_bytes(&self) -> u64 {
         (self.index.bytes() + 4 * self.radii.capacity() + self.first_planes.bytes() + self.sorted.bytes()) as u64
     }

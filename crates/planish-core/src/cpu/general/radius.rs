@@ -33,7 +33,7 @@ impl SplitRows for RadiusRows<'_> {
     }
 }
 
-/// What a radius is to be.
+/// Target density of a radius.
 #[derive(Clone, Copy)]
 pub(super) struct Density {
     /// Half of the neighbours that evenly spread points would have.
@@ -59,7 +59,7 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
         let near_m = last_m.unwrap_or_else(|| reach_m(index, density, index.point(place)));
         let mut reach = splat(simd, (FIRST_REACH * near_m).min(density.largest_m));
         let mut radius = nan;
-        // Lanes without a radius yet; those that have one reach no further.
+        // Lanes without a radius yet; lanes with one reach no further.
         let mut missing = valid;
         for _ in 0..TRIES {
             gathered.fill(simd, index, p, Reach { outer: missing.select(reach, nan), inner: zero });
@@ -70,7 +70,7 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
             }
             reach *= splat(simd, NEXT_REACH);
         }
-        // Where that was not enough, each lane by itself.
+        // If that was not enough, solve the remaining lanes one by one.
         if missing.any_true() {
             let mut lanes = [f32::NAN; LEAF];
             lanes[..S::f32s::LEN].copy_from_slice(radius.as_slice());
@@ -91,7 +91,7 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
         let radius = radius.min(splat(simd, density.largest_m));
         radius.store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
         let lanes = &radius.as_slice()[..S::f32s::LEN.min(index.len() - place)];
-        // Of lanes far from all others little is to be learned for the next.
+        // Ignore lanes far from all others: they are a poor estimate for the next vector.
         let least = lanes.iter().copied().fold(f32::INFINITY, f32::min);
         let ordinary = lanes.iter().copied().filter(|radius| *radius <= 2.0 * least);
         last_m = Some(ordinary.fold(least, f32::max));
@@ -106,9 +106,9 @@ fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
             // Farther away than f32 can say.
             break;
         }
-        // Of the points before, which all are within this distance.
+        // Sums the points so far, all of which are within this distance.
         if square > 0.0 && n - sum / square > density.half {
-            // A little more, so that rounding takes none away.
+            // Slightly larger, so that rounding excludes none.
             return (1.001 * square.sqrt()).min(density.largest_m);
         }
         n += 1.0;
@@ -117,7 +117,7 @@ fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
     density.largest_m
 }
 
-/// The radii of lanes whose candidates within `reach` are enough; NaN for the others.
+/// Returns the radii of lanes whose candidates within `reach` are enough; NaN for the others.
 ///
 /// The sum of 1 - d²/r² is convex and falls in u = 1/r², and it is a straight line between two candidates: from a large
 /// radius on, Newton's method goes to the solution without passing it, and ends there.

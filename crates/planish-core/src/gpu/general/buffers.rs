@@ -1,4 +1,4 @@
-//! The buffers of a general cloud on the device, kept from cloud to cloud, and what binds them.
+//! The buffers of an unorganized cloud on the device, kept from cloud to cloud, and what binds them.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -23,7 +23,7 @@ const LEVELS: usize = 12;
 const PART_STRIDE: u64 = 256;
 /// Parts of a pass, at most.
 pub(super) const MOST_PARTS: usize = 64;
-/// What the kernels tell of a cloud as a whole (cloud.wgsl).
+/// Cloud-wide state written by the kernels (cloud.wgsl).
 pub(super) const STATE_BYTES: u64 = 8;
 /// Bytes of a node's box and moments.
 const NODE_BYTES: usize = 48;
@@ -45,14 +45,14 @@ pub(super) struct CloudUniform {
     pub(super) least_neighbours: u32,
     pub(super) part_places: u32,
     pub(super) levels: [u32; LEVELS],
-    /// Of a part with its halo the first so many are its own.
+    /// Number of points of a part that need results, without its halo; they come first.
     pub(super) own_points: u32,
     pub(super) padding: [u32; 3],
 }
 
 const _: () = assert!(size_of::<CloudUniform>() == 112);
 
-/// Where the nodes of each level are.
+/// Offsets of the nodes of each level.
 pub(super) struct Levels {
     /// The first node of each level, and of the one after the highest.
     pub(super) firsts: [u32; LEVELS],
@@ -89,7 +89,7 @@ struct Sizes {
     kept: [(&'static str, u64); 10],
     input: u64,
     output: u64,
-    /// Of results, state and radii by density.
+    /// Size of results, state and radii by density.
     readback: u64,
 }
 
@@ -138,7 +138,7 @@ pub(super) fn most_points(gpu: &GpuDevice, output_words: usize, keeps_edges: boo
     fit
 }
 
-/// The buffers for clouds of up to so many points.
+/// The buffers for clouds of up to `capacity` points.
 pub(super) struct Buffers {
     pub(super) capacity: usize,
     /// Written by the host; mapped whenever no cloud is under way.
@@ -255,7 +255,7 @@ impl Buffers {
         })
     }
 
-    /// What binds the buffers for a part of a pass.
+    /// Returns the bind group for a part of a pass.
     pub(super) fn bind_group(&self, pass: Pass, part: usize) -> &wgpu::BindGroup {
         &self.groups[pass as usize][part]
     }

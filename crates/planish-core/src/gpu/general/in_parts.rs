@@ -1,8 +1,8 @@
 //! Clouds of more points than the device takes at once, part by part.
 //!
-//! Radii by density are known only when a part has been computed. Where many of its points reach beyond the halo, it is
-//! computed again with a wider one; where few do, they alone are, with a halo of their own. Radii for which neighbours
-//! were missing come out too large, so that a halo by them suffices.
+//! Radii by density are known only after a part has been computed. If many of its points reach beyond the halo, the
+//! part is computed again with a wider one; if few do, only these points are, each with a wider halo. Radii with
+//! missing neighbours come out too large, so a halo as wide as such a radius is sufficient.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -23,19 +23,19 @@ use crate::xyz::Xyz;
 
 /// More of a part's points than this share, which reach beyond its halo, ask for a wider one.
 const MAY_REACH_BEYOND: f64 = 0.01;
-/// Points that reach beyond their halo are computed again so many at a time, or a share of a usual part's.
+/// Points that reach beyond their halo are recomputed this many at a time, or a typical part's points over `FAR_SHARE`.
 const FAR_TOGETHER: usize = 64;
 const FAR_SHARE: usize = 1024;
 /// Runs for each part as dealt at first; clouds that need more are left to other engines. Scans need some four.
 const RUNS_A_PART: usize = 24;
-/// The share of a part's progress that is told before its points that reach far are done.
+/// Share of a part's progress reported before its far-reaching points are done.
 const FIRST_SHARE: f64 = 0.8;
 /// More of a cloud's points than this share, which reach more than the device takes, are an error.
 const MAY_BE_INEXACT: f64 = 1e-3;
-/// A halo is widened by so much at a time.
+/// Maximum factor by which a halo is widened at once.
 const MOST_WIDENING: f64 = 4.0;
-/// So many times the points that the device takes are surely too many around one point, though they are estimated from
-/// a sample.
+/// If an estimate from a sample exceeds the device's capacity by this factor, there are certainly too many points
+/// around one point.
 const SURELY_TOO_MANY: f64 = 2.0;
 /// Points closer than this are at one place, with as many others as the device does not take.
 const LEAST_HALO_M: f64 = 1e-9;
@@ -43,13 +43,13 @@ const LEAST_HALO_M: f64 = 1e-9;
 const SMALL: usize = 64;
 /// A halo of one point, or of a small part, that holds too many others is tried narrower by this.
 const NARROWER: f64 = 0.7;
-/// A part's halo begins with what the part before needed, up to so many times what its density asks for.
+/// A part starts with the halo that the previous part needed, up to this many times the halo expected from its density.
 const MOST_HALO_SHARE: f64 = 4.0;
 
 /// A part under way.
 struct Task {
     part: Arc<Part>,
-    /// What its first run adds to the progress.
+    /// Progress steps of its first run.
     steps: usize,
 }
 
@@ -68,7 +68,7 @@ struct Work {
     far_records: Vec<Record>,
     /// The halo of the part before, in those by its density.
     last_share: f64,
-    /// A part's own points and those of its halo.
+    /// Points of a part, followed by its halo.
     points: Xyz,
     /// How many runs there may be yet.
     runs_left: usize,
@@ -262,13 +262,13 @@ impl GeneralGpu {
         Ok(is_left)
     }
 
-    /// The error of clouds of which points reach more than the device takes, or so many reach far that parts would take
-    /// too long.
+    /// Returns the error for clouds in which neighbourhoods exceed the device, or in which so many are wide that parts
+    /// would take too long.
     fn crowded(&self) -> EngineError {
         EngineError::Crowded { device: self.gpu.name.clone(), points_at_once: self.most_points as u64 }
     }
 
-    /// Runs all passes on what was gathered.
+    /// Runs all passes on the gathered points.
     fn run_part(&mut self, buffers: &Buffers, work: &mut Work, own: Own) -> Result<(), Error> {
         work.runs_left = work.runs_left.checked_sub(1).ok_or_else(|| self.crowded())?;
         let [x, y, z] = work.points.as_slices();

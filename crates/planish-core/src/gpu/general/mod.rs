@@ -1,11 +1,11 @@
-//! General clouds on the GPU (docs/method.md, section 8): the points are sorted on the device along a curve, boxes are
-//! built over them, and each position is fitted by a thread that walks through the boxes within its reach. Nothing
+//! Unorganized clouds on the GPU (docs/method.md, section 8): the points are sorted on the device along a curve, boxes
+//! are built over them, and each position is fitted by a thread that walks through the boxes within its reach. Nothing
 //! comes back before the results.
 //!
-//! [`passes`] has the kernels, in the order in which they run, [`buffers`] what they work with. Passes over all
-//! positions are submitted in parts, so that none is long enough for a desktop's watchdog, and progress can be told.
+//! [`passes`] lists the kernels in execution order, [`buffers`] their data. Passes over all positions are submitted in
+//! parts, to stay below the GPU watchdog timeout and to report progress.
 //!
-//! Clouds that the device does not take at once are smoothed in parts of their own ([`in_parts`]).
+//! Clouds that exceed the device are smoothed in overlapping parts ([`in_parts`]).
 
 mod buffers;
 mod in_parts;
@@ -43,17 +43,17 @@ const MOST_GROUPS_ACROSS: usize = 1 << 15;
 /// A smaller extent counts as this, so that its inverse stays within f32.
 const LEAST_EXTENT_M: f64 = 1e-18;
 
-/// Which of the points need results: the first so many.
+/// The number of points that need results; they come first.
 #[derive(Debug, Clone, Copy)]
 struct Own {
     points: usize,
-    /// What the run adds to the progress.
+    /// Progress steps of the run.
     steps: usize,
     /// No radius by density is larger, of the others neither.
     largest_radius_m: f32,
 }
 
-/// The GPU engine for general clouds, with its buffers.
+/// The GPU engine for unorganized clouds, with its buffers.
 pub(crate) struct GeneralGpu {
     gpu: Arc<GpuDevice>,
     /// Keeps the adapter open for others to share.
@@ -66,7 +66,7 @@ pub(crate) struct GeneralGpu {
     buffers: Option<Buffers>,
     /// How many points the device takes at once.
     most_points: usize,
-    /// Whether radii by density are read back for [`ImmediateEngine::own_radius_m`], and those of the last cloud.
+    /// Whether radii by density are read back for [`ImmediateEngine::own_radius_m`]; the radii of the last cloud.
     keeps_radii: bool,
     radii: Vec<f32>,
     progress: Arc<Progress>,
@@ -87,7 +87,7 @@ impl GeneralGpu {
             let failed = || Err(gpu.failed("a kernel was not compiled"));
             compiling.into_iter().map(|thread| thread.join().unwrap_or_else(|_| failed())).collect::<Result<_, _>>()
         })?;
-        // General clouds have no rays (section 7).
+        // Unorganized clouds have no rays (section 7).
         let uploader = Uploader::new(params);
         let options = options.clone();
         let (radii, progress, bytes) = Default::default();
@@ -116,7 +116,7 @@ impl GeneralGpu {
         matches!(self.params.radius, Radius::Neighbours { .. })
     }
 
-    /// Where a point's results are; the words of status and neighbours lie behind the other channels.
+    /// Returns the layout of the points' results; words of status and neighbours follow the other channels.
     fn layout(&self, points: usize) -> Layout {
         let outputs = Outputs { status: false, neighbours: false, ..self.outputs };
         let kind = InputKind::Points;
@@ -128,7 +128,7 @@ impl GeneralGpu {
         self.layout(1).output_words() + usize::from(self.outputs.status || self.outputs.neighbours)
     }
 
-    /// The buffers for so many points; new ones if those that there are do not hold them.
+    /// Returns buffers for this many points; allocates new ones if the present ones are too small.
     fn take_buffers(&mut self, points: usize) -> Result<Buffers, EngineError> {
         if let Some(buffers) = self.buffers.take().filter(|buffers| buffers.capacity >= points) {
             return Ok(buffers);
@@ -163,8 +163,8 @@ impl GeneralGpu {
         }
     }
 
-    /// Writes a cloud, runs all passes, and waits for the results, which are behind each other in the buffer for
-    /// reading: those of the points, the state, and radii by density if they are wanted.
+    /// Writes a cloud, runs all passes, and waits for the results. The readback buffer contains, in this order: results
+    /// of the points, the state, and radii by density if requested.
     fn run(
         &mut self,
         buffers: &Buffers,
@@ -236,7 +236,7 @@ impl GeneralGpu {
         buffers.mapped.ask_for(asked.into_iter().chain(stamps));
         let count = submissions.len();
         for (number, submission) in submissions.into_iter().enumerate() {
-            // What is submitted already is computed all the same, for nobody.
+            // Work already submitted still runs; its results are discarded.
             self.progress.check()?;
             gpu.wait(submission)?;
             self.progress.add(own.steps * (number + 1) / count - own.steps * number / count);
@@ -248,7 +248,7 @@ impl GeneralGpu {
         Ok(())
     }
 
-    /// Runs parts of passes one after the other. Each waits for those before: wgpu sees what they share.
+    /// Submits parts of passes in order. wgpu orders them by the buffers that they share.
     fn submit_steps(
         &self,
         buffers: &Buffers,
@@ -288,7 +288,7 @@ impl GeneralGpu {
         Ok(())
     }
 
-    /// Calls a function with what a run has left in mapped memory, and gives that back to the device.
+    /// Calls a function with the results of a run in mapped memory, then unmaps it.
     fn with_results<T>(
         &self,
         buffers: &Buffers,
@@ -301,7 +301,7 @@ impl GeneralGpu {
         let [_, ended_early]: [u32; 2] = bytemuck::pod_read_unaligned(&bytes[state_at..radii_at]);
         if ended_early != 0 {
             return Err(self.gpu.failed(
-                "its driver ended a loop early; a smaller radius, fewer neighbours, edges off or the CPU engine may help",
+                "its driver ended a loop early; try a smaller radius, fewer neighbours, edges off or the CPU engine",
             ));
         }
         let words = bytemuck::cast_slice(&bytes[..state_at]);
@@ -313,11 +313,11 @@ impl GeneralGpu {
     }
 }
 
-/// A part of a pass, over so many points, places or nodes.
+/// A part of a pass, with its number of points, positions or nodes.
 type Step = (Pass, usize, usize);
 
-/// What sorts the points and builds the boxes, by submission: the lowest bits of the keys, the middle ones, the
-/// highest, the rest.
+/// Returns the steps that sort the points and build the boxes, per submission: the lowest bits of the keys, the middle,
+/// the highest, and finally places and boxes.
 fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
     let sort = |digits: std::ops::Range<usize>| {
         digits.flat_map(|digit| {
@@ -340,7 +340,7 @@ fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
     ]
 }
 
-/// The least and the largest of the coordinates of most points.
+/// Returns the least and the largest of the coordinates of most points.
 fn middle_of(view: &PointsView<'_>) -> [[f64; 2]; 3] {
     [0, 1, 2].map(|axis| middle(view.len(), |i| f64::from(view.get(i)[axis] as f32)).unwrap_or_default())
 }

@@ -14,7 +14,7 @@ use crate::xyz::Xyz;
 
 /// Points from which the cuts between parts are taken.
 const SAMPLE: usize = 1 << 16;
-/// A part by such cuts may have so many more points than were aimed at.
+/// A part may exceed the intended number of points by this factor.
 const TOLERANCE: f64 = 1.1;
 /// Points that are dealt at a time.
 const CHUNK: usize = 1 << 16;
@@ -79,7 +79,7 @@ impl Part {
         along(0).min(along(1)).min(along(2))
     }
 
-    /// Returns its points in two halves, of which each has a box of its own.
+    /// Splits its points into halves, each with its bounding box.
     pub(super) fn halves(&self) -> [Self; 2] {
         cut(&self.records, self.len() / 2)
             .map(|records| Self { bounds: self.bounds.map(|_| bounds(&records)), records })
@@ -87,7 +87,7 @@ impl Part {
 }
 
 impl Parts {
-    /// Deals the points of a cloud to parts of about so many.
+    /// Divides the points of a cloud into parts of about `most` points.
     pub(super) fn of(view: &PointsView<'_>, most: usize) -> Self {
         let record =
             |i: usize| Record { position: view.point(i).to_array().map(|value| value as f32), number: i as u32 };
@@ -95,7 +95,7 @@ impl Parts {
         let mut sample: Vec<_> = (0..view.len()).step_by(step).map(record).filter(is_neighbour).collect();
         let mut parts = 0;
         let cuts = Cuts::of(&mut sample, view.len().div_ceil(most), &mut parts);
-        // The last group is of those that are no neighbours.
+        // The last group contains holes, which are nobody's neighbours.
         let dealt = |chunk: usize| {
             let mut groups = vec![Vec::new(); parts + 1];
             for record in (CHUNK * chunk..view.len().min(CHUNK * (chunk + 1))).map(record) {
@@ -141,7 +141,7 @@ impl Parts {
         most as f64 * count as f64 / sample.len().max(1) as f64
     }
 
-    /// Writes the points of a part, and behind them those of its halo; false if they are more than `most`.
+    /// Writes the points of a part, then those of its halo; returns false if they exceed `most`.
     ///
     /// The part may be one of these, or have some of their points.
     pub(super) fn gather(&self, part: &Part, halo_m: f64, most: usize, to: &mut Xyz) -> bool {
@@ -173,8 +173,8 @@ impl Parts {
 }
 
 impl Cuts {
-    /// Cuts a sample of points into so many parts of about the same size, which are numbered from `part` on; fewer if
-    /// it has no more.
+    /// Cuts a sample of points into `parts` parts of similar size, numbered from `part` on; into fewer if it is too
+    /// small.
     fn of(sample: &mut [Record], parts: usize, part: &mut usize) -> Self {
         let left = sample.len() * (parts / 2) / parts.max(1);
         if left == 0 {
@@ -204,7 +204,7 @@ impl Cuts {
     }
 }
 
-/// Deals points to parts of at most so many.
+/// Divides points into parts of at most `most` points.
 pub(super) fn deal(records: Vec<Record>, most: usize) -> Vec<Part> {
     if records.is_empty() {
         return Vec::new();
@@ -221,7 +221,7 @@ pub(super) fn deal(records: Vec<Record>, most: usize) -> Vec<Part> {
     dealt
 }
 
-/// Returns the first so many points along the longest side of the box around them all, and the others.
+/// Splits off the first `left` points along the longest side of the bounding box.
 fn cut(records: &[Record], left: usize) -> [Vec<Record>; 2] {
     let axis = longest_side(&bounds(records));
     // Points at one place may lie on both sides.
@@ -238,13 +238,13 @@ fn push(to: &mut Xyz, records: &[Record]) {
     to.par_extend(records.len(), |axis, i| records[i].position[axis]);
 }
 
-/// Whether other points may have it as a neighbour.
+/// Returns true if other points may have it as a neighbour.
 fn is_neighbour(record: &Record) -> bool {
     // NaN is none.
     record.position.iter().all(|value| value.abs() <= MAX_RANGE_M)
 }
 
-/// The least and the largest coordinates.
+/// Returns the least and the largest coordinates.
 fn bounds(records: &[Record]) -> [[f32; 3]; 2] {
     let mut bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
     for Record { position, .. } in records {

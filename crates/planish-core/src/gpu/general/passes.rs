@@ -1,4 +1,4 @@
-//! The kernels of a general cloud: what each reads and writes, and its WGSL.
+//! The kernels of an unorganized cloud: what each reads and writes, and its WGSL.
 
 use std::fmt::Write;
 
@@ -13,11 +13,11 @@ use crate::params::{Edges, EngineParams, Radius};
 pub(super) const DIGITS: usize = 16;
 /// Points of a tile of the sort, handled by one workgroup.
 pub(super) const TILE: usize = 2048;
-/// Threads of a workgroup where each has a point, a place or a node of its own.
+/// Threads per workgroup if each thread handles one point, position or node.
 const THREADS: usize = 64;
 const POINT_THREADS: usize = 256;
 
-/// What a kernel works with, by its binding.
+/// A buffer of a kernel, by its binding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Resource {
     Batch,
@@ -68,7 +68,7 @@ impl Resource {
 /// The kernels, in the order in which they run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Pass {
-    /// Where each point is along the curve; holes are done.
+    /// Computes the position of each point along the curve; finishes holes.
     Keys,
     /// A pass of the sort.
     CountDigits,
@@ -126,7 +126,7 @@ impl Pass {
         }
     }
 
-    /// What it reads, and what it writes; at most eight storage buffers.
+    /// Returns the buffers that it reads and those that it writes; at most eight storage buffers.
     fn resources(self, edges: Edges) -> (&'static [Resource], &'static [Resource]) {
         use Resource::*;
         match self {
@@ -149,7 +149,7 @@ impl Pass {
         }
     }
 
-    /// Workgroups for so many points, places or nodes.
+    /// Returns the number of workgroups for this many points, positions or nodes.
     pub(super) fn groups(self, count: usize) -> usize {
         match self {
             Self::Keys | Self::Repeat | Self::PointRadii => count.div_ceil(POINT_THREADS),
@@ -159,7 +159,7 @@ impl Pass {
         }
     }
 
-    /// The WGSL of this kernel.
+    /// Returns the WGSL of this kernel.
     pub(super) fn wgsl(self, params: &EngineParams, outputs: Outputs) -> String {
         let mut text = constants(InputKind::Points, outputs);
         let _ = writeln!(text, "const KEEPS_ISOLATED: bool = {};", !params.remove_isolated);
@@ -170,7 +170,7 @@ impl Pass {
             for &resource in resources {
                 let (name, wgsl_type) = resource.name_and_type();
                 let space = if resource.is_uniform() { "uniform".into() } else { format!("storage, {access}") };
-                // Those of all kernels are in buffers.wgsl.
+                // buffers.wgsl declares the buffers shared by all kernels.
                 if !matches!(resource, Resource::Batch | Resource::Input | Resource::Output) {
                     let binding = resource as u32;
                     let _ = writeln!(text, "@group(0) @binding({binding}) var<{space}> {name}: {wgsl_type};");
@@ -232,7 +232,7 @@ impl Pass {
     }
 }
 
-/// The function that gives the radius of a place.
+/// Returns the function that gives the radius of a place.
 fn radius_of(radius: Radius) -> &'static str {
     match radius {
         Radius::Neighbours { .. } => include_str!("../shaders/general/radius_limited.wgsl"),

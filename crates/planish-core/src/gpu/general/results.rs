@@ -1,5 +1,4 @@
-//! What a run leaves in the buffer for reading: the results of the points, channel by channel, and their radii by
-//! density.
+//! Layout of the readback buffer after a run: results of the points, channel by channel, and their radii by density.
 
 use std::ops::Range;
 
@@ -14,7 +13,7 @@ pub(super) struct GeneralResults<'a> {
     /// Status and neighbours lie behind the other channels, a word for each point.
     pub(super) layout: Layout,
     pub(super) words: &'a [u32],
-    /// In metres, before their limit; NaN for holes. They mean nothing unless they were asked for.
+    /// Radii in metres, before their limit; NaN for holes. Undefined unless requested.
     pub(super) radii: &'a [f32],
 }
 
@@ -116,7 +115,7 @@ pub(super) fn repeat(out: SmoothedMut<'_>, pairs: &[(u32, u32)]) {
     }
 }
 
-/// Sets what a slice has for some points, of which it begins with the one of number `first`, in parallel.
+/// Writes values for consecutive points, the first of which has index `first`, in parallel.
 fn put_from<T: Send, U: Copy + Sync>(
     first: usize,
     own: &[Record],

@@ -1,7 +1,8 @@
 // The buffers that the kernels read and write, by the word (layout.rs).
 //
-// What is not finite, or outside the image, is NO_POINT in every coordinate: a finite number so far away that no radius
-// reaches it. Shaders need not keep NaN by the rules of Vulkan, so none is ever computed with; finiteness is read from the bits.
+// Points that are not finite or outside the image are NO_POINT in every coordinate: a finite number so far away that no
+// radius reaches it. Vulkan lets shaders assume that NaN never occurs, so they never compute with it; finiteness is
+// read from the bits.
 
 struct Batch {
     width: u32,

@@ -5,7 +5,7 @@
 // they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
 // (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
 
-// Where det(B)/2 is beyond this, the largest root stands alone by far and the smaller two are close.
+// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 struct Symmetric {
@@ -74,7 +74,7 @@ fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
             length_squared = other_squared;
         }
     }
-    // A zero matrix has no direction; any will do.
+    // A zero matrix has no direction; any is valid.
     if length_squared > MIN_POSITIVE {
         return longest * (1.0 / sqrt(length_squared));
     }

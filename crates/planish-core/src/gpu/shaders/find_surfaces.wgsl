@@ -1,5 +1,5 @@
-// The plane that each point lies on, as its own first plane and the eight around it say, and where blocks are averaged, the mean of
-// the points on it (docs/method.md, section 10).
+// Finds the plane of each point from its first plane and the eight around it and, if blocks are averaged, the mean of
+// the points on that plane (docs/method.md, section 10).
 
 struct Surface {
     normal: vec3<f32>,

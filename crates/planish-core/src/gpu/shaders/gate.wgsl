@@ -1,7 +1,7 @@
-// How much a candidate counts by its distance, and the sums over those that do (docs/method.md, sections 2 and 3).
+// Weight of a candidate by its distance, and sums over candidates within the gate (docs/method.md, sections 2 and 3).
 
 struct Gate {
-    // Of the weight over the squared distance.
+    // Slope of the weight over the squared distance.
     slope: f32,
 }
 

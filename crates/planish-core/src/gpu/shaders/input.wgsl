@@ -1,7 +1,7 @@
 // The input frame: depth or points (layout.rs).
 //
-// Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. What depth becomes is finite, since
-// Camera::validate keeps rays and units within bounds.
+// Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. Deprojected depth is finite,
+// since Camera::validate bounds rays and units.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {

@@ -1,23 +1,24 @@
-// What the passes of a frame leave on the device for one another: points and planes, a channel for each number, frame after frame
-// (docs/method.md, sections 2 and 10).
+// Intermediate data that passes of a frame leave on the device: points and planes, one channel per number, frame after
+// frame (docs/method.md, sections 2 and 10).
 
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
-// Of the points as measured, and of the samples of the windows: block means. NO_POINT for a hole.
+// Points as measured, and samples of the windows (block means). NO_POINT for a hole.
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// Of the first planes: the normal, the height over the point, the variance along the normal plus the plane's uncertainty in m²
-// (more, up to NOT_USABLE, where the neighbours are too few, on a line, or on a plane seen edge-on), the curvature, the number of neighbours,
-// negative where they are on a line, and the square of the extent in m².
+// First planes: the normal; the height over the point; the variance along the normal plus the plane's uncertainty in m²
+// (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on); the curvature; the number
+// of neighbours, negative if they are collinear; and the squared extent in m².
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_HEIGHT: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 4u;
 const FIRST_CURVATURE: u32 = 5u;
 const FIRST_COUNT: u32 = 6u;
 const FIRST_EXTENT: u32 = 7u;
-// Of the surfaces found from them: the normal, the height over the point, and how far from it a neighbour counts in metres.
+// Surfaces found from them: the normal, the height over the point, and the distance in metres within which neighbours
+// count.
 const SURFACE_NORMAL: u32 = 8u;
 const SURFACE_HEIGHT: u32 = 11u;
 const SURFACE_WIDTH: u32 = 12u;

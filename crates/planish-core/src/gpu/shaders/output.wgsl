@@ -8,7 +8,7 @@ fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
     output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;
 }
 
-// Packed rows of `shift`ed fields of `bits` bits each, behind the channels; one thread a word.
+// Stores packed rows of `shift`ed fields of `bits` bits each, after the channels; one thread per word.
 fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
     let in_word = 32u / bits;
     let words_in_tile_row = TILE_WIDTH / in_word;

@@ -1,4 +1,4 @@
-// The plane that a point lies on, as the pass before has found it (docs/method.md, section 10).
+// Loads the plane of a point, as found by the previous pass (docs/method.md, section 10).
 
 fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
     let at = pixel.y * batch.width + pixel.x;

@@ -7,8 +7,8 @@ struct PixelResult {
     normal: vec3<u32>,
     curvature: u32,
     depth_m: u32,
-    // Status in the low byte, the number of neighbours in the next, raw depth in the upper half; of general clouds the number of
-    // neighbours in all others, as far as it goes.
+    // Frames: status in the low byte, the number of neighbours in the next, raw depth in the upper half. Unorganized
+    // clouds: status in the low byte, the clamped number of neighbours in the upper three.
     codes: u32,
 }
 

@@ -13,13 +13,13 @@ struct Plane {
     extent_squared: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // By what share the second extent exceeds that of a line, l1/(1e-4 l2) - 1.
+    // Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
     off_line: f32,
     // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
 }
 
-// The plane that a point lies on, as one of the passes found it.
+// The plane of a point, as found by one of the passes.
 struct LocalSurface {
     plane: Plane,
     // How many neighbours.

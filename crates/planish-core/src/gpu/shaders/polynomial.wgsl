@@ -1,10 +1,11 @@
 // The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //
-// The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the in-plane coordinates and f the height over the plane, all in units of the
-// bandwidth over sqrt(log2 e). Moments: m_ij = sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for
-// i + j <= DEGREE, summed as outer products of the powers of a and b. kernel.rs writes the struct Moments, and in the place of the
-// lines that name them the loop over the candidates (e is the offset of one from p, count how many points it stands for) and the
-// sums, one statement for each moment; loops stay rolled, or the kernel outgrows the instruction cache.
+// The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface if edges are kept. a and b are the
+// in-plane coordinates and f the height over the plane, in units of the bandwidth over sqrt(log2 e). Moments: m_ij =
+// sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for i + j <= DEGREE, summed as outer products of the
+// powers of a and b. kernel.rs generates the struct Moments and replaces the lines that name them by the loop over the
+// candidates (e is a candidate's offset from p, count the number of points it stands for) and by the sums, one
+// statement per moment. Loops are not unrolled: the kernel would exceed the instruction cache.
 
 struct Fit {
     moments: Moments,
@@ -17,7 +18,7 @@ struct Fit {
     extent_squared: f32,
 }
 
-// Second pass over the window. The gate is that of the first pass in these units.
+// Second pass over the window. Uses the gate of the first pass, in these units.
 fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
     let plane = surface.plane;
     let tangents = tangents_of(plane.normal);
@@ -27,7 +28,7 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let f_axis = plane.normal * per_metre;
     let f_offset = plane.height * per_metre;
     let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
-    // f² counts so many times more in the weight of section 10.
+    // Factor of f² in the weight of section 10.
     let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
     var s: Moments;
     FOR_EACH_CANDIDATE

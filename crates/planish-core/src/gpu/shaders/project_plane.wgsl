@@ -13,7 +13,7 @@ fn is_on_ray(frame: u32) -> bool {
     return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
 }
 
-// Puts p onto the surface that is `height` away along the plane's normal, and has a normal of its own.
+// Moves p onto the surface `height` away along the plane's normal; `normal` is the normal of that surface.
 fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
     let on_ray = is_on_ray(frame);
     var point = fma(vec3<f32>(height), plane_normal, p);
@@ -28,8 +28,8 @@ fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32
     return Projected(point, normal, status, 1.0 + along);
 }
 
-// How far along the ray, in its lengths, the tangent plane lies that is `height` from the ray's end along its normal. Where the
-// ray grazes the plane, c/max(c², 0.2²) stands for 1/c, with c the cosine of the angle of incidence.
+// Returns the distance along the ray, in ray lengths, to the tangent plane, which is `height` from the ray's end along
+// its normal. At grazing incidence, 1/c is replaced by c/max(c², 0.2²), with c the cosine of the angle of incidence.
 fn along_ray(height: f32, normal: vec3<f32>, ray: vec3<f32>, radius: f32) -> f32 {
     let square = max(dot(ray, ray), MIN_POSITIVE);
     let across = dot(ray, normal);

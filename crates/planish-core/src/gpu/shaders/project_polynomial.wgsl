@@ -1,7 +1,7 @@
 // The point on the polynomial over the plane (docs/method.md, section 7).
 
-// `c` is c_00, c_10 and c_01 in the units of the fit. A surface further away than the radius gives way to the plane; so does one
-// whose height is no number.
+// `c` is c_00, c_10 and c_01 in the units of the fit. If the surface is farther away than the radius, or its height is
+// NaN, the plane is used.
 fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
     let height = c.x / fit.per_metre + plane.height;
     if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {

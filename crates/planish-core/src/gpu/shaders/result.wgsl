@@ -1,4 +1,4 @@
-// What becomes of a point: from the plane that it lies on, sections 5 to 7 of docs/method.md.
+// Computes the result of a point from its plane: sections 5 to 7 of docs/method.md.
 
 // The depth at which the ray of p meets the surface, in metres and in raw units.
 fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) -> PixelResult {
@@ -14,7 +14,7 @@ fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) 
     return result;
 }
 
-// Of a point with 3 neighbours or more.
+// Result of a point with at least 3 neighbours.
 fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
     let n = u32(surface.n);
     if surface.plane.is_degenerate {

@@ -1,7 +1,7 @@
-// Where the sensor stands in the cloud's frame (docs/method.md, section 11).
+// Position of the sensor in the cloud's frame (docs/method.md, section 11).
 //
-// Points stay as they were measured, so that offsets between them are exact; a point turned into the sensor's frame would be
-// rounded once more. A ray leads from the sensor to a point, in the cloud's frame. Where that is the sensor's own, the same
+// Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
+// once more. A ray leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
 // operations change no bit (up to 1e18 m).
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
@@ -12,7 +12,7 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     if !IS_POINTS {
         return p;
     }
-    // Clamped, so that what is computed from it stays finite.
+    // Clamped, so that derived values stay finite.
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 

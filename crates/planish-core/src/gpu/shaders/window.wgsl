@@ -5,8 +5,8 @@
 
 const SIDE: u32 = 2u * WINDOW + 1u;
 
-// One pixel a thread, one tile of pixels a workgroup, one frame a layer of workgroups: a tile's first pixel. STRIDE workgroups
-// share a block of rows, each with its rows STRIDE apart.
+// Returns the first pixel of a tile. One thread per pixel, one workgroup per tile, one layer of workgroups per frame.
+// STRIDE workgroups share a block of rows, each with rows STRIDE apart.
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
     return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
 }

@@ -1,8 +1,8 @@
 // The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
 //
-// One workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so that the rows of all their windows are
-// the rows of the tile and WINDOW more at either side; columns are neighbours, so that loads and stores are whole lines. x, y
-// and z are in arrays of their own, where the threads of a row read neighbouring words.
+// A workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so its windows cover the rows of
+// the tile and WINDOW more on either side. Columns are adjacent, so loads and stores cover whole cache lines. x, y and
+// z are separate arrays, in which the threads of a row read adjacent words.
 
 const REACH: u32 = WINDOW * STRIDE;
 const PITCH: u32 = TILE_WIDTH + 2u * REACH;
@@ -12,7 +12,7 @@ var<workgroup> tile_x: array<f32, TILE_AREA>;
 var<workgroup> tile_y: array<f32, TILE_AREA>;
 var<workgroup> tile_z: array<f32, TILE_AREA>;
 
-// Where a pixel's candidates are: the index of the first.
+// Index of a pixel's first candidate.
 alias WindowOrigin = u32;
 
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {

@@ -1,6 +1,6 @@
 // The candidates straight from the frame, for windows whose tile outgrows workgroup memory (docs/method.md, section 2).
 
-// Where a pixel's candidates are: the frame, and the first candidate's column and row.
+// Frame, and column and row of a pixel's first candidate.
 struct WindowOrigin {
     frame: u32,
     x: i32,

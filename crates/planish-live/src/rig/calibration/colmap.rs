@@ -10,7 +10,8 @@ use crate::rig::{RigCamera, file::MAX_BYTES};
 use planish_core::{Camera, FormatError, SensorPose, internal::RigidTransform};
 use planish_io::{self as io, ReadOptions};
 
-/// The cameras of the first rig of a `rig_config.json`. Its poses are cam_from_rig; the reference sensor is the rig.
+/// Returns the cameras of the first rig of a `rig_config.json`. Its poses are cam_from_rig; the reference sensor is the
+/// rig.
 pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec<RigCamera>, FormatError> {
     #[derive(Deserialize)]
     struct RigEntry {
@@ -30,7 +31,7 @@ pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec
     let rigs: Vec<RigEntry> =
         serde_json::from_str(text).map_err(|error| malformed(format!("not a rig_config.json of COLMAP: {error}")))?;
     let [rig] = &rigs[..] else {
-        return Err(malformed(format!("{} rigs: a rig_config.json with one is understood", rigs.len())));
+        return Err(malformed(format!("{} rigs; a rig_config.json must contain one", rigs.len())));
     };
     let camera = |entry: &CameraEntry| {
         let prefix = entry.image_prefix.trim_end_matches('/');
@@ -53,13 +54,13 @@ pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec
     rig.cameras.iter().map(camera).collect()
 }
 
-/// The cameras of a model as text: `cameras.txt`, and `images.txt` with one image of each camera of the rig.
+/// Returns the cameras of a model as text: `cameras.txt`, and `images.txt` with one image of each camera of the rig.
 pub(super) fn model(folder: &Path, options: &CalibrationOptions) -> Result<Vec<RigCamera>, FormatError> {
     let read = |name: &str| {
         let path = folder.join(name);
         if !path.is_file() {
             let convert = "colmap model_converter --input_path MODEL --output_path MODEL --output_type TXT";
-            return Err(malformed(format!("no {name} in the folder; a binary model is converted by `{convert}`")));
+            return Err(malformed(format!("no {name} in the folder; convert a binary model with `{convert}`")));
         }
         let bytes = io::read_bytes(&path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
         String::from_utf8(bytes).map_err(|_| malformed(format!("{name} is not text")))
@@ -101,7 +102,7 @@ fn of_lists(cameras: &str, images: &str, options: &CalibrationOptions) -> Result
         let placed = place(of_camera, &camera_from_world, options).map_err(|error| problem(&error.to_string()))?;
         if found.iter().any(|camera| camera.name == placed.name) {
             return Err(problem(
-                "a second image of its camera: leave in images.txt one image of each camera, of one moment",
+                "a second image of its camera; keep one image per camera in images.txt, all of one moment",
             ));
         }
         found.push(placed.with_camera(Some(*intrinsics)));
@@ -109,10 +110,10 @@ fn of_lists(cameras: &str, images: &str, options: &CalibrationOptions) -> Result
     Ok(found)
 }
 
-/// A camera at the inverse of camera_from_rig, in metres.
+/// Returns a camera at the inverse of camera_from_rig, in metres.
 fn place(name: &str, camera_from_rig: &SensorPose, options: &CalibrationOptions) -> Result<RigCamera, FormatError> {
     if camera_from_rig.orientation == [0.0; 4] {
-        return Err(malformed("its rotation is 0, 0, 0, 0, which is none"));
+        return Err(malformed("its rotation is 0, 0, 0, 0, which is invalid"));
     }
     let camera_from_rig = camera_from_rig.transform()?;
     let translation = camera_from_rig.translation * options.metres_per_unit;
@@ -125,7 +126,8 @@ mod tests {
 
     const CAMERAS: &str =
         "# Camera list\n1 PINHOLE 640 480 525 525 320 240\n2 OPENCV 320 240 260 260 160 120 0.1 0 0 0\n";
-    const IMAGES: &str = "# Image list\n1 1 0 0 0 0 0 0 1 left/000.png\n\n2 0.7071067811865476 0 0.7071067811865476 0 0 0 2 2 right/000.png\n1 2 3\n";
+    const IMAGES: &str = "# Image list\n1 1 0 0 0 0 0 0 1 left/000.png\n\n2 0.7071067811865476 0 0.7071067811865476 0 \
+                          0 0 2 2 right/000.png\n1 2 3\n";
 
     #[test]
     fn a_model_s_images_are_the_cameras() {

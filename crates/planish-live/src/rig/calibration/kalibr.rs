@@ -21,12 +21,12 @@ struct Entry {
     from_previous: Option<Vec<[f64; 4]>>,
 }
 
-/// Whether a text has the cameras of a chain.
+/// Returns true if a text has the cameras of a chain.
 pub(super) fn is_camchain(text: &str) -> bool {
     text.lines().any(|line| line.trim_end() == "cam0:")
 }
 
-/// The cameras of a chain; the first one's frame is the rig's.
+/// Returns the cameras of a chain; the first one's frame is the rig's.
 pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
     let file: serde_yaml_ng::Mapping =
         serde_yaml_ng::from_str(text).map_err(|error| malformed(format!("not a camchain of Kalibr: {error}")))?;
@@ -45,7 +45,7 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
                 rig_from_camera = rig_from_camera.after(from_previous.inverse());
             }
             None if cameras.is_empty() => {}
-            None => return Err(problem("no T_cn_cnm1: it was not calibrated to the camera before it".into())),
+            None => return Err(problem("no T_cn_cnm1: it was not calibrated to the previous camera".into())),
         }
         let camera = camera_at(&name, &rig_from_camera).with_camera(Some(intrinsics));
         // Both take time stamps to the clock of the IMU.
@@ -65,17 +65,17 @@ fn intrinsics(entry: &Entry) -> Result<Camera, String> {
         (camera_model.as_deref().unwrap_or("pinhole"), distortion_model.as_deref().unwrap_or("none"));
     let (&[fx, fy, cx, cy], "pinhole") = (&entry.intrinsics[..], model) else {
         return Err(format!(
-            "the camera model {model:?} with {} intrinsics: pinhole with 4 is understood",
+            "unsupported camera model {model:?} with {} intrinsics; only pinhole with 4 is supported",
             entry.intrinsics.len()
         ));
     };
     let distortion = match distortion {
         "radtan" => Distortion::from_opencv(distortion_coeffs)
-            .ok_or_else(|| format!("{} distortion coefficients: radtan has 4", distortion_coeffs.len()))?,
+            .ok_or_else(|| format!("{} distortion coefficients, but radtan has 4", distortion_coeffs.len()))?,
         "none" => Distortion::NONE,
         other => {
             return Err(format!(
-                "the distortion model {other:?}: radtan and none are understood; rectify the images first"
+                "unsupported distortion model {other:?}; only radtan and none are supported; rectify the images first"
             ));
         }
     };

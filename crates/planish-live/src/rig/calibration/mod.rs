@@ -1,9 +1,8 @@
-//! Rigs from the calibrations that other programs make: static transforms of ROS (as `ros2 topic echo /tf_static`
-//! prints them, or a URDF), Kalibr's camchain, and COLMAP (its rig_config.json, or a model as text). Which one a file
-//! is, is detected from its contents.
+//! Reads rigs from other programs' calibrations: static transforms of ROS (as `ros2 topic echo /tf_static` prints them,
+//! or a URDF), Kalibr's camchain, and COLMAP (its rig_config.json, or a text model). The type is detected from the
+//! contents.
 //!
-//! A calibration says where cameras stand, and some of them what their intrinsics are; where their frames come from is
-//! added afterwards.
+//! A calibration states the poses of cameras, and sometimes their intrinsics; you add the sources of their frames.
 
 mod colmap;
 mod kalibr;
@@ -16,19 +15,20 @@ use super::{Rig, RigCamera};
 use planish_core::{FormatError, IoError, internal::RigidTransform};
 use planish_io::{self as io, ReadOptions};
 
-const HELP: &str = "a calibration is a list of static transforms (ros2 topic echo /tf_static), a URDF, Kalibr's camchain.yaml, COLMAP's \
+const HELP: &str = "a calibration is a list of static transforms (ros2 topic echo /tf_static), a URDF, Kalibr's \
+                    camchain.yaml, COLMAP's \
                     rig_config.json, or a folder with COLMAP's cameras.txt and images.txt";
 
-/// What a calibration does not say by itself.
+/// Information that a calibration lacks.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct CalibrationOptions {
-    /// Of transforms of ROS: the frame that becomes the rig's; `None` is the one that all others hang on.
+    /// For ROS transforms: the frame that becomes the rig's; `None` selects the root of the tree.
     pub base: Option<String>,
-    /// Of transforms of ROS: which frames are cameras; empty are those whose names end in `depth_optical_frame`, or
-    /// else in `optical_frame`.
+    /// For ROS transforms: the camera frames. If empty, all frames whose names end in `depth_optical_frame`, otherwise
+    /// in `optical_frame`.
     pub frames: Vec<String>,
-    /// Of COLMAP's models, whose scale is any: metres in a unit.
+    /// For COLMAP models, whose scale is arbitrary: metres per unit.
     pub metres_per_unit: f64,
 }
 
@@ -68,7 +68,7 @@ impl CalibrationOptions {
         if self.metres_per_unit == 1.0 {
             return Ok(());
         }
-        Err(malformed(format!("{what} is in metres: leave out the scale, which only COLMAP's units need")))
+        Err(malformed(format!("{what} is in metres; omit the scale, which applies only to COLMAP")))
     }
 }
 
@@ -106,7 +106,7 @@ fn parse(text: &str, options: &CalibrationOptions) -> Result<Rig, FormatError> {
             options.refuse_scale("a list of transforms of ROS")?;
             of_tree(ros::transforms(text)?, options)
         }
-        _ => Err(malformed(format!("no calibration that is known; {HELP}"))),
+        _ => Err(malformed(format!("unknown kind of calibration; {HELP}"))),
     }
 }
 
@@ -124,12 +124,12 @@ fn malformed(problem: impl Into<String>) -> FormatError {
     FormatError::Malformed(problem.into())
 }
 
-/// A camera at a place that was computed.
+/// Returns a camera at a place that was computed.
 fn camera_at(name: &str, rig_from_camera: &RigidTransform) -> RigCamera {
     RigCamera::new(name, planish_core::SensorPose::from_transform(rig_from_camera))
 }
 
-/// A name that a camera of a rig may have: what is not allowed becomes `_`.
+/// Converts a text to a valid camera name: other characters become `_`.
 fn as_name(text: &str) -> String {
     let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     let name: String = text.trim_matches('/').chars().map(|c| if is_allowed(c) { c } else { '_' }).collect();

@@ -12,10 +12,10 @@ use planish_core::{FormatError, SensorPose, internal::RigidTransform};
 /// Deeper than this no robot is; a loop is.
 const DEEPEST: usize = 1000;
 
-/// What frames of depth cameras, and of cameras, are called (REP 103).
+/// Suffixes of the frames of depth cameras, and of cameras (REP 103).
 const OPTICAL: [&str; 2] = ["depth_optical_frame", "optical_frame"];
 
-/// Of each frame its parent, and where it stands in that: parent_from_child.
+/// For each frame, its parent and its pose there: parent_from_child.
 #[derive(Default)]
 pub(super) struct Tree {
     parents: BTreeMap<String, (String, RigidTransform)>,
@@ -27,16 +27,16 @@ impl Tree {
     fn add(&mut self, parent: &str, child: &str, pose: SensorPose) -> Result<(), FormatError> {
         let problem = |what: String| malformed(format!("the transform from {parent:?} to {child:?}: {what}"));
         if pose.orientation == [0.0; 4] {
-            return Err(problem("its rotation is 0, 0, 0, 0, which is none".to_owned()));
+            return Err(problem("its rotation is 0, 0, 0, 0, which is invalid".to_owned()));
         }
         let transform = pose.transform().map_err(|error| problem(error.to_string()))?;
         match self.parents.insert(child.to_owned(), (parent.to_owned(), transform)) {
-            Some((other, _)) if other != parent => Err(problem(format!("{child:?} hangs on {other:?} too"))),
+            Some((other, _)) if other != parent => Err(problem(format!("{child:?} has a second parent, {other:?}"))),
             _ => Ok(()),
         }
     }
 
-    /// The frame that others hang on and that hangs on none.
+    /// Returns the frame that others hang on and that hangs on none.
     fn root(&self) -> Result<String, FormatError> {
         let mut roots: Vec<&String> = self
             .parents
@@ -48,10 +48,10 @@ impl Tree {
         roots.dedup();
         match roots[..] {
             [root] => Ok(root.clone()),
-            [] => Err(malformed("it has no transforms, or they go round in a circle")),
-            _ => Err(malformed(format!(
-                "frames hang on several that hang on none ({roots:?}): say which is the rig's (--base)"
-            ))),
+            [] => Err(malformed("it has no transforms, or they form a cycle")),
+            _ => {
+                Err(malformed(format!("several frames have no parent ({roots:?}); choose the rig's frame with --base")))
+            }
         }
     }
 
@@ -76,11 +76,11 @@ impl Tree {
         if let Some(moving) = on_one_side(&of_base, &of_frame).or_else(|| on_one_side(&of_frame, &of_base)) {
             let joint = self.moving.get(&moving).cloned().unwrap_or_default();
             return Err(malformed(format!(
-                "between {base:?} and {frame:?} the joint {joint:?} moves, and a rig's cameras do not: choose a frame beyond it as \
-                 the rig's (--base), and only the cameras there (--frame)"
+                "between {base:?} and {frame:?} the joint {joint:?} moves, but a rig is rigid; choose a frame beyond \
+                 it as the rig's (--base), and only the cameras there (--frame)"
             )));
         }
-        // Where they meet: common_from_base and common_from_frame.
+        // Their common ancestor: common_from_base and common_from_frame.
         let met = of_frame.iter().find_map(|(common, from_frame)| {
             of_base
                 .iter()
@@ -90,14 +90,14 @@ impl Tree {
         met.ok_or_else(|| malformed(format!("no transforms lead from {base:?} to {frame:?}")))
     }
 
-    /// The frame of the rig, and its cameras.
+    /// Returns the frame of the rig, and its cameras.
     pub(super) fn cameras(&self, options: &CalibrationOptions) -> Result<(String, Vec<RigCamera>), FormatError> {
         let is_known = |frame: &String| {
             self.parents.contains_key(frame) || self.parents.values().any(|(parent, _)| parent == frame)
         };
         let all: Vec<&String> = self.parents.keys().collect();
         if let Some(missing) = options.frames.iter().chain(&options.base).find(|frame| !is_known(frame)) {
-            return Err(malformed(format!("no frame {missing:?} in it; it has {all:?}")));
+            return Err(malformed(format!("no frame {missing:?}; available are {all:?}")));
         }
         let base = options.base.clone().map_or_else(|| self.root(), Ok)?;
         let ending =
@@ -108,7 +108,8 @@ impl Tree {
         }
         if frames.is_empty() {
             return Err(malformed(format!(
-                "no frame ends in optical_frame: say which are cameras (--frame), looking along their z; it has {all:?}"
+                "no frame name ends in optical_frame; choose cameras with --frame, looking along their z; available \
+                 are {all:?}"
             )));
         }
         let camera = |frame: &String| {
@@ -119,7 +120,7 @@ impl Tree {
     }
 }
 
-/// The transforms of messages as `ros2 topic echo` prints them.
+/// Returns the transforms of messages as `ros2 topic echo` prints them.
 pub(super) fn transforms(text: &str) -> Result<Tree, FormatError> {
     #[derive(Deserialize)]
     struct Message {
@@ -167,7 +168,7 @@ pub(super) fn transforms(text: &str) -> Result<Tree, FormatError> {
     Ok(tree)
 }
 
-/// The joints of a URDF; of those that move, where they are at zero.
+/// Reads the joints of a URDF; movable joints are taken at zero.
 pub(super) fn urdf(text: &str) -> Result<Tree, FormatError> {
     let document = roxmltree::Document::parse(text).map_err(|error| malformed(format!("not a URDF: {error}")))?;
     let robot = document.root_element();
@@ -191,7 +192,9 @@ pub(super) fn urdf(text: &str) -> Result<Tree, FormatError> {
             }
         };
         let (Some(xyz), Some(rpy)) = (numbers("xyz"), numbers("rpy")) else {
-            return Err(problem("has an origin that is not three numbers, as xyz=\"0 0 0.1\"; expand xacro first"));
+            return Err(problem(
+                "has an origin that is not three numbers, such as xyz=\"0 0 0.1\"; expand xacro first",
+            ));
         };
         // About fixed axes: first roll about x, then pitch about y, then yaw about z.
         let rotation = DMat3::from_rotation_z(rpy.z) * DMat3::from_rotation_y(rpy.y) * DMat3::from_rotation_x(rpy.x);
@@ -207,7 +210,7 @@ pub(super) fn urdf(text: &str) -> Result<Tree, FormatError> {
 mod tests {
     use super::*;
 
-    /// Two cameras on a robot: one by way of its own link, as RealSense's driver has it.
+    /// Two cameras on a robot, one of them through a separate link, as RealSense's driver publishes it.
     const TRANSFORMS: &str = "transforms:
 - header:
     stamp: {sec: 1, nanosec: 0}
@@ -310,10 +313,10 @@ transforms:
         let said = refused(&transforms(&two).unwrap(), CalibrationOptions::default());
         assert!(said.contains("--base"), "{said}");
         let circle = TRANSFORMS.replace("child_frame_id: right_depth_optical_frame", "child_frame_id: base_link");
-        assert!(transforms(&circle).is_ok_and(|tree| refused(&tree, CalibrationOptions::default()).contains("circle")));
+        assert!(transforms(&circle).is_ok_and(|tree| refused(&tree, CalibrationOptions::default()).contains("cycle")));
         let twice =
             TRANSFORMS.replace("child_frame_id: right_depth_optical_frame", "child_frame_id: left_depth_optical_frame");
-        assert!(transforms(&twice).map(drop).unwrap_err().to_string().contains("too"));
+        assert!(transforms(&twice).map(drop).unwrap_err().to_string().contains("second parent"));
         let turned = TRANSFORMS.replace("w: 1.0", "w: 2.0");
         assert!(transforms(&turned).map(drop).unwrap_err().to_string().contains("left_link"));
         for bad in ["<robot><joint/></robot>", "<robot", "<html/>", &URDF.replace("1 0.5 0.25", "${x} 0 0")] {

@@ -11,7 +11,7 @@ const TOLD_EARLIER_S: f64 = 0.5;
 const MOST_REFUSALS_TOLD: usize = 5;
 
 impl RigStream<'_> {
-    /// Whether nobody would get the results any more, which is reported.
+    /// Returns true if nobody would get the results any more, which is reported.
     pub(super) fn sinks_are_gone(&self, tell: &mut impl FnMut(RigEvent<'_>)) -> bool {
         let are_gone = SinkThread::all_failed(&self.sinks);
         if are_gone {
@@ -55,8 +55,8 @@ impl RigStream<'_> {
         let all = self.rig.cameras.iter().zip(self.smoothed.iter().zip(&self.together));
         for (camera, _) in all.filter(|(_, (smoothed, together))| **smoothed > 1 && **together == 0) {
             tell(RigEvent::Warning(format!(
-                "camera {}: none of its frames came together with another camera's: its time stamps are not within the tolerance of theirs \
-                 (time_offset_s, tolerance_ms; of a live camera \"clock\": \"arrival\")",
+                "camera {}: none of its frames matched another camera's: time stamps differ by more than the \
+                 tolerance (set time_offset_s or tolerance_ms; for a live camera \"clock\": \"arrival\")",
                 camera.name
             )));
         }

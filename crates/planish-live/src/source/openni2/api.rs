@@ -127,17 +127,17 @@ c_functions! {
 }
 
 impl Functions {
-    /// Loads and starts OpenNI2, once in a process. It is never shut down: that unloads its drivers, whose threads may
-    /// still run (those of its dummy device do).
+    /// Loads and starts OpenNI2, once per process. It is never shut down: that would unload its drivers, whose threads
+    /// may still run (as those of its dummy device do).
     pub(super) fn load() -> Result<&'static Self, DeviceError> {
         static LOADED: Mutex<Option<&'static Functions>> = Mutex::new(None);
-        let help = "install OpenNI2 (Debian: libopenni2-0), or name its file in PLANISH_LIBOPENNI2";
+        let help = "install OpenNI2 (Debian: libopenni2-0), or set PLANISH_LIBOPENNI2 to its file";
         driver::load_once(&LOADED, || {
             let usual = ["libOpenNI2.so.0", "libOpenNI2.so"].map(str::to_owned);
             let library = driver::load("PLANISH_LIBOPENNI2", usual, help)?;
-            // SAFETY: the signatures are those of OniCAPI.h 2.2.
+            // SAFETY: the signatures match OniCAPI.h 2.2.
             let functions = unsafe { Self::find(library) }
-                .map_err(|error| DeviceError::Driver { what: format!("no OpenNI2 of version 2.2: {error}"), help })?;
+                .map_err(|error| DeviceError::Driver { what: format!("not OpenNI2 2.2: {error}"), help })?;
             // SAFETY: needs nothing.
             functions.check("OpenNI2 does not start", unsafe { (functions.Initialize)(VERSION) })?;
             Ok(functions)
@@ -175,7 +175,7 @@ impl Functions {
         }
     }
 
-    /// Returns what a device calls itself, and its URI.
+    /// Returns the name and the URI of a device.
     pub(super) fn info_of(&self, device: Handle) -> Option<(String, String)> {
         let mut info = DeviceInfo { uri: [0; 256], vendor: [0; 256], name: [0; 256], usb_vendor: 0, usb_product: 0 };
         // SAFETY: the device is open.
@@ -185,7 +185,7 @@ impl Functions {
 
     /// Returns the modes of a device's sensor; none if it lacks that sensor.
     pub(super) fn modes_of(&self, device: Handle, sensor: c_int) -> Vec<VideoMode> {
-        // SAFETY: the device is open; what it says of a sensor lives as long.
+        // SAFETY: the device is open, and its description of a sensor lives as long.
         unsafe {
             match (self.DeviceGetSensorInfo)(device, sensor).as_ref() {
                 Some(info) if !info.modes.is_null() => {
@@ -207,7 +207,7 @@ impl DeviceInfo {
     }
 }
 
-/// A property that is a C value of its own.
+/// A property whose value is a plain C type.
 pub(super) trait Property: Copy + Default {}
 
 impl Property for c_int {}
@@ -250,7 +250,7 @@ impl Functions {
     }
 }
 
-/// A text in a field of fixed size.
+/// Returns a text in a field of fixed size.
 fn text(field: &[c_char]) -> String {
     let bytes: Vec<u8> = field.iter().map(|&c| c as u8).take_while(|&c| c != 0).collect();
     String::from_utf8_lossy(&bytes).into_owned()

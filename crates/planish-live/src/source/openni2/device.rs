@@ -1,5 +1,5 @@
-//! What is open of OpenNI2: a device, its streams, a frame, and the watch over whether the device is still there. Each
-//! is closed when it is dropped.
+//! Open objects of OpenNI2: a device, its streams, a frame, and the watch that reports a disconnected device. Each is
+//! closed when dropped.
 
 use std::ffi::{CString, c_int, c_void};
 use std::path::Path;
@@ -31,7 +31,7 @@ impl Device {
         let text =
             CString::new(uri).map_err(|_| DeviceError::Failed { what: format!("{uri:?}: a zero byte in a URI") })?;
         let name = if uri.is_empty() { std::ptr::null() } else { text.as_ptr() };
-        // SAFETY: the text outlives the call; none stands for any device.
+        // SAFETY: the text outlives the call; a null name selects any device.
         let status = unsafe { (library.DeviceOpen)(name, &raw mut handle) };
         let Err(error) = library.check("the device cannot be opened", status) else {
             return Ok(Self { library, handle });
@@ -41,10 +41,10 @@ impl Device {
         }
         let there = library.devices();
         if there.iter().any(|(known, _)| uri.is_empty() || known == uri) {
-            let help = "may you use it (the udev rules of OpenNI2's package), and does another program?";
+            let help = "check your permissions (udev rules of OpenNI2's package), and that no other program uses it";
             return Err(DeviceError::Driver { what: error.to_string(), help });
         }
-        let help = "is it plugged in? Orbbec cameras need Orbbec's build of OpenNI2";
+        let help = "check its cable; Orbbec cameras need Orbbec's build of OpenNI2";
         let there: Vec<String> = there.iter().map(|(uri, name)| format!("{uri} ({name})")).collect();
         let found = if there.is_empty() { "none found".to_owned() } else { format!("found {}", there.join(", ")) };
         let which = if uri.is_empty() { String::new() } else { format!(" {uri}") };
@@ -54,7 +54,7 @@ impl Device {
 
 impl Drop for Device {
     fn drop(&mut self) {
-        // SAFETY: the device has no streams left, and this is its only owner.
+        // SAFETY: the device has no open streams, and this is its only owner.
         unsafe { (self.library.DeviceClose)(self.handle) };
     }
 }
@@ -103,7 +103,7 @@ impl Stream {
         let status = unsafe { (self.library.StreamReadFrame)(self.handle, &raw mut frame) };
         self.library.check("a frame cannot be read", status)?;
         match frame.is_null() {
-            true => Err(DeviceError::Failed { what: "a frame cannot be read: OpenNI2 gave none".into() }),
+            true => Err(DeviceError::Failed { what: "a frame cannot be read: OpenNI2 returned none".into() }),
             false => Ok(OwnedFrame { library: self.library, frame }),
         }
     }
@@ -114,7 +114,7 @@ impl Drop for Stream {
         // SAFETY: the stream is open, and this is its only owner.
         unsafe {
             (self.library.StreamStop)(self.handle);
-            // The dummy device's thread ends some time after it is told to, and uses its stream until then.
+            // The dummy device's thread ends some time after the stop, and uses its stream until then.
             std::thread::sleep(AFTER_STOP);
             (self.library.StreamDestroy)(self.handle);
         }
@@ -147,7 +147,7 @@ impl Drop for OwnedFrame {
 pub(super) struct Watch {
     library: &'static Functions,
     registration: Handle,
-    /// What the library's callbacks see: a box's, owned here.
+    /// Data of the library's callbacks: owned here, allocated by a box.
     watched: *mut Watched,
 }
 
@@ -164,7 +164,7 @@ impl Watch {
         let mut registration = std::ptr::null_mut();
         // Takes the box back if the registration fails, and with it at its end.
         let mut watch = Self { library, registration: std::ptr::null_mut(), watched };
-        // SAFETY: what is watched lives until the registration is taken back.
+        // SAFETY: the watched data live until they are unregistered.
         let status =
             unsafe { (library.RegisterDeviceCallbacks)(&raw mut callbacks, watched.cast(), &raw mut registration) };
         library.check("the device cannot be watched", status)?;
@@ -191,7 +191,7 @@ impl Drop for Watch {
 }
 
 /// # Safety
-/// Called by the library with a device of its own, and with what a [`Watch`] registered.
+/// The library calls this with one of its devices, and with the data registered by a [`Watch`].
 unsafe extern "C" fn on_disconnected(device: *const DeviceInfo, watched: *mut c_void) {
     // SAFETY: as above.
     unsafe { end(device, watched) }
@@ -217,7 +217,7 @@ unsafe fn end(device: *const DeviceInfo, watched: *mut c_void) {
     }
 }
 
-/// Whether a URI is a file's.
+/// Returns true if a URI is a file's.
 pub(super) fn is_recording(uri: &str) -> bool {
     let path = Path::new(uri);
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("oni")) || path.is_file()

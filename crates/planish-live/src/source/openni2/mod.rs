@@ -2,11 +2,10 @@
 //! time and never linked.
 //!
 //! The library is `libOpenNI2.so.0`, or the path in the environment variable PLANISH_LIBOPENNI2. Depth is mapped to the
-//! colour camera where the device can and has colour images of the same size. The library states fields of view and no
-//! intrinsics: the focal length follows from them, and the principal point is taken to be the centre. Images are turned
-//! back if the device mirrors them. Of a live camera the newest frame wins, and frames that are missing by their
-//! numbers are counted; of a recording (.oni) every frame of depth comes, in order; should the library lose one, it is
-//! counted too.
+//! colour camera if the device supports it and has colour images of the same size. The library states fields of view
+//! but not intrinsics: the focal length follows from them, and the principal point is assumed at the centre. Mirrored
+//! images are flipped back. A live camera delivers its newest frame, and gaps in frame numbers are counted as dropped.
+//! A recording (.oni) delivers every depth frame in order; if the library loses one, it is counted too.
 
 mod api;
 mod device;
@@ -35,13 +34,13 @@ const AS_TAKEN: f32 = -1.0;
 /// A camera of OpenNI2 that is running, or a recording of one.
 pub struct OpenNi2Source {
     library: &'static Functions,
-    /// The caller's camera instead of what follows from the device's field of view.
+    /// The caller's camera, which replaces the one derived from the device's field of view.
     camera: Option<Camera>,
     description: String,
     recording: Option<PathBuf>,
     rgb: Option<Image>,
     last_index: Option<u64>,
-    /// Whether a recording is over: by its end, or by an error, which is told once.
+    /// True once a recording is over, at its end or after an error, which is returned once.
     has_ended: bool,
     dropped: u64,
     ended: Arc<AtomicBool>,
@@ -52,7 +51,7 @@ pub struct OpenNi2Source {
     _device: Device,
 }
 
-/// What came of the streams.
+/// Result of waiting for the streams.
 enum Polled {
     Depth(DepthFrame),
     Color,
@@ -66,8 +65,8 @@ struct Image {
 }
 
 impl OpenNi2Source {
-    /// Opens the device or the recording with a URI, or the first device for an empty one. Its 640x480 at 30 frames a
-    /// second unless another mode is asked for, and depth mapped to colour if it can and is not told otherwise.
+    /// Opens the device or recording with a URI; an empty URI selects the first device. By default at 640x480 and 30
+    /// frames per second, with depth mapped to colour if possible.
     pub fn open(
         uri: &str,
         camera: Option<Camera>,
@@ -75,15 +74,15 @@ impl OpenNi2Source {
         mode: Option<StreamMode>,
     ) -> Result<Self, Error> {
         if alignment == Some(Alignment::Depth) {
-            let allowed = "color or none: OpenNI2 maps depth to colour and not the reverse";
+            let allowed = "color or none, since OpenNI2 can only map depth to colour";
             return Err(ParamError { field: "align", value: "depth".into(), allowed }.into());
         }
         let recording = Self::is_recording(uri).then(|| PathBuf::from(uri));
         if let Some(file) = &recording {
-            // The library's error does not say whether the file is there.
+            // The library's error does not tell whether the file exists.
             std::fs::File::open(file).map_err(|error| IoError { path: file.clone(), problem: error.into() })?;
             if let Some(mode) = mode {
-                let allowed = "none for a recording, which has its own";
+                let allowed = "no value for a recording, which states it";
                 return Err(ParamError { field: "mode", value: mode.to_string(), allowed }.into());
             }
         }
@@ -93,7 +92,7 @@ impl OpenNi2Source {
         started.map_err(|error| named(recording.as_deref(), error))
     }
 
-    /// Whether a URI is a file's.
+    /// Returns true if a URI is a file's.
     pub(super) fn is_recording(uri: &str) -> bool {
         device::is_recording(uri)
     }
@@ -119,8 +118,8 @@ impl OpenNi2Source {
                 depth.set_mode(mode)?;
             }
         }
-        // Depth is mapped to colour only where colour comes with it: what else would say what it is seen by? A
-        // recording does not say whether it was, but its user may.
+        // Map depth to colour only if colour is delivered: otherwise nothing would state the camera that sees it. A
+        // recording does not state whether its depth was mapped, but its user may.
         let wants_colour = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Colour);
         let color =
             if wants_colour { colour_stream(library, device.handle, &depth, recording.is_some()) } else { None };
@@ -131,7 +130,7 @@ impl OpenNi2Source {
             let _ = library.set(of_device, api::IMAGE_REGISTRATION, 0);
         }
         if alignment == Some(Alignment::Colour) && !is_registered {
-            let what = format!("{description} does not map depth to colour images of its size: align none");
+            let what = format!("{description} cannot map depth to colour images of its size; use align none");
             return Err(DeviceError::Failed { what }.into());
         }
         for stream in std::iter::once(&depth).chain(&color) {
@@ -186,7 +185,7 @@ impl OpenNi2Source {
             api::DEPTH_1_MM => 1000.0,
             api::DEPTH_100_UM => 10_000.0,
             format => {
-                let what = format!("depth in OpenNI2's format {format}: 1 mm (100) or 0.1 mm (101) are expected");
+                let what = format!("depth in OpenNI2's format {format}; 1 mm (100) or 0.1 mm (101) is expected");
                 return Err(DeviceError::Failed { what }.into());
             }
         };
@@ -218,7 +217,7 @@ impl OpenNi2Source {
         let VideoMode { width, height, .. } = frame.mode;
         let Some(fx) = angle(api::HORIZONTAL_FOV).map(|angle| focal_length(width, angle)) else {
             let what = format!("{} states no field of view", self.description);
-            return Err(DeviceError::Driver { what, help: "give its intrinsics: --camera FX,FY,CX,CY" });
+            return Err(DeviceError::Driver { what, help: "give its intrinsics with --camera FX,FY,CX,CY" });
         };
         let fy = angle(api::VERTICAL_FOV).map_or(fx, |angle| focal_length(height, angle));
         let (mut cx, mut cy) = (0.5 * f64::from(width - 1), 0.5 * f64::from(height - 1));
@@ -234,12 +233,12 @@ impl OpenNi2Source {
     fn wait_for_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         let deadline = Instant::now() + longest_silence();
         while !self.ended.load(Ordering::Relaxed) {
-            // Asked before the wait: what comes after the end of the recording is its last.
+            // Checked before waiting: a frame that arrives after the end of the recording is its last.
             let is_over = self.watch.is_over();
             match self.poll()? {
                 Polled::Depth(frame) => return Ok(Some(OwnedFrame::Depth(frame))),
                 Polled::Nothing if is_over => return self.over(),
-                // Colour may go on without depth.
+                // Colour may continue without depth.
                 Polled::Color | Polled::Nothing if Instant::now() >= deadline => return Err(self.silent()),
                 Polled::Color | Polled::Nothing => {}
             }
@@ -247,20 +246,20 @@ impl OpenNi2Source {
         Ok(None)
     }
 
-    /// What the end of the recording, or of the device, means.
+    /// Handles the end of the recording or of the device.
     fn over(&self) -> Result<Option<OwnedFrame>, Error> {
         match &self.recording {
             Some(_) if self.last_index.is_some() => Ok(None),
-            Some(file) => Err(malformed(file, "no depth in it that OpenNI2 can play").into()),
+            Some(file) => Err(malformed(file, "it has no depth that OpenNI2 can play").into()),
             None => Err(DeviceError::Gone { what: format!("{} is gone", self.description) }.into()),
         }
     }
 
-    /// The error of a source that has been silent for long.
+    /// Returns the error of a source that has been silent for long.
     fn silent(&self) -> Error {
-        let what = format!("{} gave no depth for {} s", self.description, longest_silence().as_secs());
+        let what = format!("{} delivered no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
-            Some(file) => malformed(file, format!("{what}: it is cut off")).into(),
+            Some(file) => malformed(file, format!("{what}: it is truncated")).into(),
             None => DeviceError::Gone { what }.into(),
         }
     }
@@ -272,7 +271,7 @@ impl Source for OpenNi2Source {
             return Ok(None);
         }
         let result = self.wait_for_frame();
-        // What is wrong with a recording stays wrong.
+        // An error in a recording is permanent.
         self.has_ended = self.recording.is_some() && !matches!(result, Ok(Some(_)));
         result.map_err(|error| named(self.recording.as_deref(), error))
     }
@@ -294,8 +293,8 @@ impl Source for OpenNi2Source {
     }
 }
 
-/// Returns the mode to set: the one that was asked for, else 640x480 at 30 frames a second if there is one, in
-/// millimetres or tenths of them.
+/// Returns the mode to set: the requested one, or 640x480 at 30 frames per second if available, in millimetres or tenths
+/// of them.
 fn mode_of(modes: &[VideoMode], asked: Option<StreamMode>) -> Result<Option<VideoMode>, DeviceError> {
     let usable = |mode: &&VideoMode| matches!(mode.format, api::DEPTH_1_MM | api::DEPTH_100_UM);
     let wanted = asked.unwrap_or(StreamMode { width: 640, height: 480, fps: Some(30) });
@@ -351,15 +350,15 @@ fn size(value: c_int) -> usize {
 }
 
 impl Image {
-    /// Copies a frame's rows without what is behind their ends, each turned back if the device mirrors it.
+    /// Copies a frame's rows without their padding, flipped if the device mirrors them.
     fn of(frame: &Frame, bytes_a_pixel: usize, is_mirrored: bool) -> Result<Self, DeviceError> {
         let (width, height, stride) = (size(frame.width), size(frame.height), size(frame.stride));
         let (row, bytes) = (width * bytes_a_pixel, size(frame.bytes));
         if frame.data.is_null() || row == 0 || height == 0 || row > stride || bytes < stride * (height - 1) + row {
-            let what = format!("a frame of {width}x{height} pixels, {stride} bytes a row, has {bytes} bytes");
+            let what = format!("a frame of {width}x{height} pixels, {stride} bytes per row, has {bytes} bytes");
             return Err(DeviceError::Failed { what });
         }
-        // SAFETY: the frame has so many bytes, and is not released before they are copied.
+        // SAFETY: the frame has this many bytes, and is released only after they are copied.
         let data = unsafe { std::slice::from_raw_parts(frame.data.cast::<u8>(), bytes) };
         let mut image = Vec::with_capacity(row * height);
         for line in data.chunks(stride).take(height) {

@@ -6,7 +6,7 @@
 use crate::source::{OwnedFrame, Source};
 use planish_core::{DepthFrame, Error};
 
-/// The second player, and what the first has ready.
+/// The second player, and the pending frame of the first.
 pub(super) struct AllDepth {
     pub(super) player: Box<dyn Source>,
     coloured: Option<DepthFrame>,
@@ -27,7 +27,7 @@ impl AllDepth {
         let Some(OwnedFrame::Depth(depth)) = self.player.next_frame()? else { return Ok(None) };
         let time = depth.timestamp_s;
         while !self.is_colour_over && self.coloured.as_ref().is_none_or(|frame| frame.timestamp_s < time) {
-            // Where colour ends is no error, and what is wrong with depth its own player finds.
+            // The end of colour is not an error, and the depth player detects errors in depth.
             self.coloured = match next_coloured() {
                 Ok(Some(OwnedFrame::Depth(frame))) => Some(frame),
                 _ => None,

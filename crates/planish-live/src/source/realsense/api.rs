@@ -27,7 +27,7 @@ const PLAYBACK_STOPPED: c_int = 3;
 // rs2_exception_type
 const EXCEPTION_CAMERA_DISCONNECTED: c_int = 1;
 
-/// How often frames are asked for.
+/// Polling interval.
 const POLL_EVERY: Duration = Duration::from_millis(1);
 
 /// `rs2_intrinsics`.
@@ -46,7 +46,7 @@ pub(super) struct Intrinsics {
 
 const _: () = assert!(size_of::<Intrinsics>() == 48);
 
-/// Where a call puts an error.
+/// Output argument for an error.
 type Error = *mut Object;
 
 c_functions! {
@@ -142,23 +142,26 @@ pub(super) struct DeviceName {
 }
 
 impl Functions {
-    /// Loads librealsense, once in a process: it keeps threads of its own and is never unloaded.
+    /// Loads librealsense, once per process: its threads keep running, so it is never unloaded.
     pub(super) fn load() -> Result<&'static Self, DeviceError> {
         static LOADED: Mutex<Option<&'static Functions>> = Mutex::new(None);
-        let help = "install librealsense2, or name its file in PLANISH_LIBREALSENSE (the Python package pyrealsense2 has it too)";
+        let help = "install librealsense2, or set PLANISH_LIBREALSENSE to its file (the Python package pyrealsense2 \
+                    includes it)";
         // Debian and Ubuntu have the minor version in the name; the name without it comes with the packages for
         // development.
         let numbered = (39..100).rev().map(|minor| format!("librealsense2.so.2.{minor}"));
         let usual = std::iter::once("librealsense2.so".to_owned()).chain(numbered);
         driver::load_once(&LOADED, || {
             let library = driver::load("PLANISH_LIBREALSENSE", usual, help)?;
-            // SAFETY: the signatures are those of rs.h, the same in all versions 2.
-            unsafe { Self::find(library) }
-                .map_err(|error| DeviceError::Driver { what: format!("no librealsense2 since 2.39: {error}"), help })
+            // SAFETY: the signatures match rs.h, which is the same in all versions 2.
+            unsafe { Self::find(library) }.map_err(|error| DeviceError::Driver {
+                what: format!("not librealsense2 2.39 or later: {error}"),
+                help,
+            })
         })
     }
 
-    /// Makes a call, and turns what it reports into an error.
+    /// Makes a call, and converts a reported error.
     pub(super) fn call<T>(&self, what: &str, call: impl FnOnce(&Self, Error) -> T) -> Result<T, DeviceError> {
         let mut error: Object = std::ptr::null_mut();
         let result = call(self, &raw mut error);
@@ -184,7 +187,9 @@ impl Functions {
         call: impl FnOnce(&Self, Error) -> Object,
     ) -> Result<Owned, DeviceError> {
         match self.call(what, call)? {
-            object if object.is_null() => Err(DeviceError::Failed { what: format!("{what}: librealsense gave none") }),
+            object if object.is_null() => {
+                Err(DeviceError::Failed { what: format!("{what}: librealsense returned nothing") })
+            }
             object => Ok(Owned { object, delete }),
         }
     }
@@ -198,7 +203,7 @@ impl Functions {
     }
 
     pub(super) fn create_pipeline(&self, context: &Owned) -> Result<Owned, DeviceError> {
-        // SAFETY: the context outlives the call, and the pipeline holds what it needs of it.
+        // SAFETY: the context outlives the call, and the pipeline keeps references to its parts.
         let call = |f: &Self, e| unsafe { (f.create_pipeline)(context.get(), e) };
         self.create("no pipeline", self.delete_pipeline, call)
     }
@@ -235,7 +240,7 @@ impl Functions {
         DeviceName { name: info(INFO_NAME), serial: info(INFO_SERIAL_NUMBER) }
     }
 
-    /// Whether a recording is being played: not before it starts, and not after its end.
+    /// Returns true if a recording is being played: not before it starts, and not after its end.
     pub(super) fn is_playing(&self, device: &Owned) -> bool {
         // SAFETY: the device outlives the call.
         let call = |f: &Self, e| unsafe { (f.playback_device_get_current_status)(device.get(), e) };
@@ -260,7 +265,7 @@ impl Functions {
         }
     }
 
-    /// Has a processing block work on frames, and returns what it puts into its queue.
+    /// Runs a processing block on frames, and returns its output from the queue.
     pub(super) fn process(&self, block: &Owned, queue: &Owned, frames: Owned) -> Result<Owned, DeviceError> {
         let what = "frames cannot be aligned";
         let frames = frames.into_object();
@@ -274,7 +279,7 @@ impl Functions {
     /// Returns the frame of a kind among frames that belong together.
     pub(super) fn frame_of(&self, frames: &Owned, stream: c_int) -> Result<Option<Owned>, DeviceError> {
         let what = "frames cannot be read";
-        // SAFETY: the frames outlive the calls; what is extracted or counted once more is released by its owner.
+        // SAFETY: the frames outlive the calls; each extracted or additional reference is released by its owner.
         unsafe {
             let is_set =
                 self.call(what, |f, e| (f.is_frame_extendable_to)(frames.get(), EXTENSION_COMPOSITE_FRAME, e))? != 0;
@@ -316,7 +321,7 @@ impl Functions {
         Ok(intrinsics)
     }
 
-    /// Returns width, height and the rows of a frame's image without what is behind their ends.
+    /// Returns width, height and the rows of a frame's image without their padding.
     pub(super) fn image_of(
         &self,
         frame: &Owned,
@@ -338,7 +343,7 @@ impl Functions {
             let data = self.call(what, |f, e| (f.get_frame_data)(frame.get(), e))?.cast::<u8>();
             let row = width * bytes_a_pixel;
             if data.is_null() || height == 0 || row == 0 || row > stride || bytes < stride * (height - 1) + row {
-                let what = format!("a frame of {width}x{height} pixels, {stride} bytes a row, has {bytes} bytes");
+                let what = format!("a frame of {width}x{height} pixels, {stride} bytes per row, has {bytes} bytes");
                 return Err(DeviceError::Failed { what });
             }
             let data = std::slice::from_raw_parts(data, bytes);

@@ -1,8 +1,8 @@
 //! A RealSense's intrinsics as a [`Camera`].
 //!
-//! Depth images are rectified, mostly. Where Intel gives distortion by models of its own, in which tangential
-//! distortion is applied to what is radially distorted already, it is replaced by OpenCV's with five coefficients,
-//! fitted over the image: to a hundredth of a pixel for the lenses of these cameras.
+//! Most depth images are rectified. Intel has a distortion model that applies tangential distortion after radial
+//! distortion. It is replaced by OpenCV's model with five coefficients, fitted over the image, with an error of at most
+//! a hundredth of a pixel for these cameras.
 //!
 //! Depth that is aligned to the colour camera states that camera's distortion, but the library's `align` applies it for
 //! one model alone (sse-align.cpp and neon-align.cpp): for the others its image is one without distortion.
@@ -24,8 +24,8 @@ const SAMPLES: u32 = 25;
 /// The largest error of a fit, in pixels.
 const MOST_ERROR_PX: f64 = 0.1;
 
-/// Returns the camera of an image of depth in units of so many metres, as the camera measured it or as `align` mapped
-/// it onto the colour image.
+/// Returns the camera of a depth image with this many metres per unit, either as measured or as mapped onto the colour
+/// image by `align`.
 pub(super) fn camera_of(
     intrinsics: &Intrinsics,
     metres_per_unit: f32,
@@ -44,7 +44,7 @@ pub(super) fn camera_of(
         MODIFIED_BROWN_CONRADY | INVERSE_BROWN_CONRADY => fitted(intrinsics, coefficients)?,
         model => {
             let what = format!(
-                "the camera's lens has distortion model {model} of librealsense, a fisheye's: pinhole cameras are smoothed"
+                "the camera has librealsense's distortion model {model} (fisheye); only pinhole cameras are supported"
             );
             return Err(DeviceError::Failed { what });
         }
@@ -53,7 +53,7 @@ pub(super) fn camera_of(
     Ok(Camera::new(shape, focal, centre).with_depth_units_per_metre(units).with_distortion(distortion))
 }
 
-/// The library gives metres per unit as f32: 0.001 there is 1000 units a metre, not 999.99995.
+/// Returns the library gives metres per unit as f32: 0.001 there is 1000 units per metre, not 999.99995.
 fn units_per_metre(metres_per_unit: f32) -> f64 {
     let units = 1.0 / f64::from(metres_per_unit);
     let whole = units.round();
@@ -67,7 +67,8 @@ fn fitted(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Result<Distortion,
         Some((distortion, error_px)) if error_px <= MOST_ERROR_PX => Ok(distortion),
         _ => {
             let what = format!(
-                "the camera's distortion, model {} with {coefficients:?}, has no equivalent in OpenCV's to {MOST_ERROR_PX} pixels",
+                "the camera's distortion, model {} with {coefficients:?}, has no equivalent in OpenCV's to \
+                 {MOST_ERROR_PX} pixels",
                 intrinsics.model
             );
             Err(DeviceError::Failed { what })
@@ -90,7 +91,7 @@ fn pairs_of(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Vec<([f64; 2], [
     (0..SAMPLES * SAMPLES).map(direction).collect()
 }
 
-/// rs2_project_point_to_pixel for both models; "inverse" is what it is called, and not what it is.
+/// rs2_project_point_to_pixel for both models. Despite its name, the "inverse" model is applied in the same direction.
 fn distorted([x, y]: [f64; 2], [k1, k2, p1, p2, k3]: [f64; 5]) -> [f64; 2] {
     let r2 = x * x + y * y;
     let q = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
@@ -102,7 +103,7 @@ fn distorted([x, y]: [f64; 2], [k1, k2, p1, p2, k3]: [f64; 5]) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    /// Of a D455's colour camera, which has a wide lens.
+    /// Coefficients of a D455's colour camera, which has a wide lens.
     const COEFFICIENTS: [f32; 5] = [-0.0559, 0.0668, -0.00077, 0.00044, -0.0213];
 
     fn intrinsics(model: c_int, coefficients: [f32; 5]) -> Intrinsics {

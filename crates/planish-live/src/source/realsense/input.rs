@@ -15,7 +15,7 @@ pub enum RealSenseInput {
 }
 
 impl RealSenseInput {
-    /// What is behind the colon of a source's name: nothing, a file, or a serial number.
+    /// Parses the text after the colon of a source's name: empty, a file, or a serial number.
     pub(in crate::source) fn parse(name: &str) -> Self {
         let path = Path::new(name);
         let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);

@@ -1,10 +1,10 @@
 //! Intel RealSense cameras, and recordings of them, through librealsense2, loaded at run time and never linked.
 //!
-//! The library is `librealsense2.so`, or the path in the environment variable PLANISH_LIBREALSENSE. Its pipeline
-//! chooses the device's default modes, or one that was asked for, and puts depth and colour of one time together; its
-//! `align` maps one onto the other. Of a live camera the newest frames win and frames that are missing by their numbers
-//! are counted. Of a recording every frame of depth comes once, from the first colour image to the last with the one
-//! closest in time ([`all_depth`]). Depth that is mapped onto colour comes where there is colour alone.
+//! The library is `librealsense2.so`, or the path in the environment variable PLANISH_LIBREALSENSE. Its pipeline uses
+//! the device's default modes, or the requested one, and pairs depth and colour by time; its `align` maps one onto the
+//! other. A live camera delivers its newest frames, and gaps in frame numbers are counted as dropped. A recording
+//! delivers every depth frame once, between the first and the last colour image, paired with the colour image closest
+//! in time ([`all_depth`]). Depth mapped onto colour has values only where there is colour.
 
 mod all_depth;
 mod api;
@@ -45,9 +45,9 @@ pub struct RealSenseSource {
     recording: Option<PathBuf>,
     aligner: Option<Aligner>,
     held: Option<Held>,
-    /// Of a recording whose colour is mapped onto depth.
+    /// For a recording whose colour is mapped onto depth.
     all_depth: Option<AllDepth>,
-    /// Whether a recording has begun, and whether it is over: by its end, or by an error, which is told once.
+    /// True once a recording has begun; true once it is over, at its end or after an error, which is returned once.
     has_begun: bool,
     delivered: u64,
     is_over: bool,
@@ -79,8 +79,8 @@ struct Aligner {
 }
 
 impl RealSenseSource {
-    /// Starts a camera or a recording; with the camera's own intrinsics unless others are given. Its own mode, and
-    /// colour mapped onto depth if it has any, unless others are asked for.
+    /// Starts a camera or a recording, with the camera's intrinsics unless others are given. By default in its default
+    /// mode, with colour mapped onto depth if available.
     pub fn open(
         input: &RealSenseInput,
         camera: Option<Camera>,
@@ -90,7 +90,7 @@ impl RealSenseSource {
         let library = Functions::load()?;
         let context = library.create_context()?;
         match input {
-            // The library's error does not say whether the file is there.
+            // The library's error does not tell whether the file exists.
             RealSenseInput::Recording(file) => {
                 std::fs::File::open(file).map_err(|error| IoError { path: file.clone(), problem: error.into() })?;
             }
@@ -115,7 +115,7 @@ impl RealSenseSource {
             _ => None,
         };
         if let (Some(mode), Some(_)) = (mode, &recording) {
-            let allowed = "none for a recording, which has its own";
+            let allowed = "no value for a recording, which states it";
             return Err(ParamError { field: "mode", value: mode.to_string(), allowed }.into());
         }
         let named = |error: DeviceError| named(recording.as_deref(), error.into());
@@ -197,7 +197,7 @@ impl RealSenseSource {
         self.library.call("a frame has no time stamp", call)
     }
 
-    /// Returns depth and colour as one frame; `None` if depth cannot be aligned, since there is no colour yet.
+    /// Returns depth and colour as one frame; `None` if depth cannot be aligned because colour has not arrived yet.
     fn frame_from(&mut self, frames: Owned) -> Result<Option<OwnedFrame>, Error> {
         let library = self.library;
         let what = "a frame of depth cannot be read";
@@ -254,7 +254,7 @@ impl RealSenseSource {
         let deadline = Instant::now() + longest_silence();
         let mut quiet = 0;
         while !self.ended.load(Ordering::Relaxed) {
-            // Asked before the wait: what comes after the end of the recording is its last.
+            // Checked before waiting: a frame that arrives after the end of the recording is its last.
             let is_playing = self.recording.is_none() || self.library.is_playing(&self.device);
             let frames = match self.library.wait(&self.pipeline, PATIENCE)? {
                 Some(frames) => {
@@ -280,7 +280,7 @@ impl RealSenseSource {
                 self.delivered += 1;
                 return Ok(Some(frame));
             }
-            // Other streams may go on without depth.
+            // Other streams may continue without depth.
             if Instant::now() >= deadline {
                 // The last frame before the silence is whole.
                 let last = self.held.take().map(|held| self.frame_from(held.frames)).transpose()?.flatten();
@@ -290,24 +290,24 @@ impl RealSenseSource {
         Ok(None)
     }
 
-    /// What helps where the library waits for colour.
+    /// Returns advice for the case that the library waits for colour.
     fn advice(&self) -> &'static str {
-        if self.aligner.is_some() { "; depth without colour, --align none, plays on" } else { "" }
+        if self.aligner.is_some() { "; --align none plays depth without colour" } else { "" }
     }
 
-    /// The error of a recording from which no frame came.
+    /// Returns the error of a recording from which no frame came.
     fn empty(&self) -> Error {
         let file = self.recording.as_deref().unwrap_or(Path::new(""));
-        let what = if self.aligner.is_some() { "no depth that colour belongs to" } else { "no depth" };
+        let what = if self.aligner.is_some() { "no depth with matching colour" } else { "no depth" };
         malformed(file, format!("{what} in it, or it is damaged{}", self.advice())).into()
     }
 
-    /// The error of a source that has been silent for long.
+    /// Returns the error of a source that has been silent for long.
     fn silent(&self) -> Error {
-        let what = format!("{} gave no depth for {} s", self.description, longest_silence().as_secs());
+        let what = format!("{} delivered no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
             Some(file) => {
-                malformed(file, format!("{what}: it is cut off, or one of its streams is{}", self.advice())).into()
+                malformed(file, format!("{what}: it is truncated, or one of its streams is{}", self.advice())).into()
             }
             None => DeviceError::Gone { what }.into(),
         }
@@ -327,7 +327,7 @@ impl Source for RealSenseSource {
             }
             None => self.wait_for_frame(),
         };
-        // What is wrong with a recording stays wrong.
+        // An error in a recording is permanent.
         self.is_over = self.recording.is_some() && !matches!(result, Ok(Some(_)));
         result.map_err(|error| named(self.recording.as_deref(), error))
     }

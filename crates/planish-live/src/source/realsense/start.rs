@@ -1,4 +1,4 @@
-//! Starts a pipeline on the device that was asked for, in its mode, with colour if it has any.
+//! Starts a pipeline on the requested device in the requested mode, with colour if available.
 
 use std::ffi::{CString, c_int};
 
@@ -7,9 +7,10 @@ use super::input::RealSenseInput;
 use crate::source::{Alignment, StreamMode};
 use planish_core::DeviceError;
 
-/// Refuses a device that is not there, with the names of those that are.
+/// Refuses a missing device and lists the connected ones.
 pub(super) fn check_device(devices: &[DeviceName], serial: Option<&str>) -> Result<(), DeviceError> {
-    let help = "is it plugged in, at USB 3, and may you use it? (librealsense's udev rules); a recording is named realsense:FILE.bag or FILE.db3";
+    let help = "check its cable (USB 3) and your permissions (librealsense's udev rules); name a recording \
+                realsense:FILE.bag or FILE.db3";
     let is_there = match serial {
         None => !devices.is_empty(),
         Some(serial) => devices.iter().any(|device| device.serial == serial),
@@ -26,7 +27,7 @@ pub(super) fn check_device(devices: &[DeviceName], serial: Option<&str>) -> Resu
     Err(DeviceError::NotFound { what, help })
 }
 
-/// Which colour images are asked for.
+/// Requirements on colour images.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Colour {
     AtRateOfDepth,
@@ -41,7 +42,7 @@ pub(super) struct Started {
     pub(super) colour: Colour,
 }
 
-/// Starts a pipeline with colour at the rate of depth, else at any; and without colour unless it was asked for.
+/// Starts a pipeline with colour at the rate of depth, then at any rate; then without colour, unless it was requested.
 pub(super) fn start(
     library: &Functions,
     pipeline: &Owned,
@@ -65,7 +66,7 @@ pub(super) fn start(
     let mut resolved = resolve(attempts[0]);
     for &colour in &attempts[1..] {
         if resolved.is_err() {
-            // The first reason is that of what was asked for.
+            // Report the error of the requested mode.
             resolved = resolve(colour).or(resolved);
         }
     }
@@ -131,7 +132,7 @@ fn configure(
     }
 }
 
-/// Describes what a camera was asked for, for errors.
+/// Describes the request, for errors.
 fn asked_for(mode: Option<StreamMode>, colour: bool) -> String {
     let colour = if colour { " with colour" } else { "" };
     match mode {

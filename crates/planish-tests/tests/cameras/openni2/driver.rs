@@ -1,9 +1,9 @@
 //! A driver of OpenNI2 for the tests, which compile it: a camera in software, as a PrimeSense sensor behaves
 //! (OniDriverAPI.h).
 //!
-//! The device `planish-test` mirrors its images unless told otherwise, maps depth to colour if asked to, and starts at
-//! 320x240. It is unplugged after as many frames as the file named by PLANISH_TEST_UNPLUG says when its depth starts,
-//! and plugged in again 0.3 s later.
+//! The device `planish-test` mirrors its images unless configured otherwise, maps depth to colour on request, and
+//! starts at 320x240. It is unplugged after the number of frames stated in the file PLANISH_TEST_UNPLUG when its depth
+//! starts, and plugged in again 0.3 s later.
 
 #![allow(non_snake_case, clippy::missing_safety_doc)]
 
@@ -161,7 +161,7 @@ fn run(stream: Pointer) {
     }
 }
 
-/// A property's value, as bytes.
+/// Returns a property's value, as bytes.
 unsafe fn bytes_of<T>(value: &T) -> Vec<u8> {
     unsafe { std::slice::from_raw_parts((&raw const *value).cast(), size_of::<T>()).to_vec() }
 }

@@ -15,7 +15,7 @@ use planish::source::{Alignment, OpenNi2Source, OwnedFrame, Source, SourceOption
 use planish::{Camera, DepthFrame, DeviceError, Error};
 use recorder::OpenNi2;
 
-/// The folder where Debian's OpenNI2 is.
+/// Returns the folder where Debian's OpenNI2 is.
 fn installed() -> Option<PathBuf> {
     let folders = fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
     let folder = folders.into_iter().find(|folder| folder.join("libOpenNI2.so.0").exists());
@@ -26,7 +26,7 @@ fn installed() -> Option<PathBuf> {
     folder
 }
 
-/// Puts a copy of OpenNI2 into a folder, with the driver of recordings and the test's own beside it.
+/// Copies OpenNI2 into a folder, with the driver for recordings and the test's driver.
 fn set_up(folder: &Path, installed: &Path) -> PathBuf {
     let (library, drivers) = (folder.join("libOpenNI2.so.0"), folder.join("OpenNI2/Drivers"));
     fs::create_dir_all(&drivers).unwrap();
@@ -59,7 +59,7 @@ fn next(source: &mut OpenNi2Source) -> Result<Option<DepthFrame>, Error> {
     }))
 }
 
-/// The number of a frame of the test's driver, whose every pixel is checked.
+/// Returns the number of a frame of the test's driver, whose every pixel is checked.
 fn number_of(frame: &DepthFrame) -> usize {
     let Camera { width, height, .. } = frame.camera;
     let number = usize::from(frame.raw[0]) - 1000;
@@ -82,7 +82,7 @@ const FOLDER: &str = "PLANISH_TEST_OPENNI2";
 /// The file in it that says after how many frames the driver unplugs its camera.
 const UNPLUG: &str = "unplug";
 
-/// What the process says when it has come to its end.
+/// Printed by the process at its end.
 const DONE: &str = "OpenNI2: all done";
 
 #[test]
@@ -170,7 +170,7 @@ fn what_it_lacks_is_refused() {
     let absent = refused(open("1d27/0601@1/99", None, None));
     assert!(absent.contains("1d27/0601@1/99") && absent.contains("planish-test (planish test camera)"), "{absent}");
     let options = SourceOptions::default().with_fps(Some(30.0));
-    assert!(refused(planish::source::open("openni2", &options)).contains("own pace"));
+    assert!(refused(planish::source::open("openni2", &options)).contains("sets the rate"));
 }
 
 fn one_that_is_unplugged_is_gone_and_comes_back(folder: &Path) {
@@ -202,7 +202,7 @@ fn recordings_play(library: &Path, folder: &Path) {
     assert_eq!(source.dropped(), 0);
     drop(source);
     assert!(refused(open(uri, None, mode(320, 240, None))).contains("recording"));
-    // It does not say that depth was mapped to colour, but its user may.
+    // It does not state that depth was mapped to colour, but its user may.
     let mut source = open(uri, Some(Alignment::Colour), None).unwrap();
     let frame = std::iter::from_fn(|| next(&mut source).unwrap()).find(|frame| frame.rgb.is_some()).unwrap();
     assert_eq!(frame.camera.fx, focal_length(320, 1.1));
@@ -216,7 +216,7 @@ fn recordings_play(library: &Path, folder: &Path) {
         assert!(said.contains(name), "{name}: {said}");
     }
     let bytes = fs::read(&file).unwrap();
-    // Cut off: what is whole, then what is wrong; too short to be one at all.
+    // Truncated files: the complete part is read, then an error follows; a shorter file is not a recording at all.
     let cut = folder.join("cut.oni");
     for share in [1, 5] {
         fs::write(&cut, &bytes[..bytes.len() * share / 10]).unwrap();
@@ -225,7 +225,7 @@ fn recordings_play(library: &Path, folder: &Path) {
     }
 }
 
-/// Plays a recording to its end; returns what is wrong with it, if anything is, and how many frames came.
+/// Plays a recording to its end; returns its error, if any, and the number of frames.
 fn played(file: &Path) -> (String, usize) {
     let mut source = match planish::source::open(&format!("openni2:{}", file.display()), &SourceOptions::default()) {
         Ok(source) => source,

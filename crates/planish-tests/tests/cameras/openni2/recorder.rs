@@ -17,7 +17,7 @@ pub struct OpenNi2(Library);
 /// Calls a function of OpenNI2 by its name, with the types of its arguments.
 macro_rules! oni {
     ($library:expr, $name:literal, $($argument:expr => $type:ty),*; $result:ty) => {
-        // SAFETY: the signature is that of the function in OniCAPI.h.
+        // SAFETY: the signature matches the function in OniCAPI.h.
         unsafe {
             let function = $library.0.get::<unsafe extern "C" fn($($type),*) -> $result>(concat!("oni", $name).as_bytes());
             function.unwrap()($($argument),*)

@@ -62,7 +62,7 @@ fn timestamp_ms(i: usize) -> f64 {
     1.6e12 + 1000.0 / 30.0 * i as f64
 }
 
-/// An image whose pixels state where they are, and the number of its frame.
+/// Returns an image whose pixels state where they are, and the number of its frame.
 fn color_image(number: usize) -> Vec<u8> {
     let (width, height) = COLOR_SHAPE;
     (0..width * height).flat_map(|i| [(i % width / 4) as u8, (i / width / 4) as u8, number as u8]).collect()
@@ -128,7 +128,7 @@ fn depth_of_a_recording_comes_back_bit_for_bit() {
     });
 }
 
-/// A wall at 1 m.
+/// Returns a wall at 1 m.
 fn wall() -> DepthFrame {
     DepthFrame::new(camera(), vec![1000; 848 * 480]).unwrap()
 }
@@ -140,12 +140,12 @@ fn colour_and_depth_are_mapped_to_one_image() {
     let found = next(&mut open(&file, Some(Alignment::Depth)).unwrap()).unwrap().unwrap();
     let rgb = found.rgb.unwrap();
     for (u, v) in [(424, 240), (300, 100), (600, 400)] {
-        // The colour camera is 15 mm to the left of what the point is at in its frame.
+        // The colour camera is 15 mm to the left, so the point is shifted in its frame.
         let x = (f64::from(u) - 427.5) / 425.0 + 0.015;
         let y = (f64::from(v) - 237.75) / 426.0;
         let expected = [(600.0 * x + 323.5) / 4.0, (601.0 * y + 237.75) / 4.0];
         let at = 3 * (848 * v + u) as usize;
-        // To a pixel, a quarter here, and what is cut off.
+        // To within a pixel: a quarter here, plus truncation.
         let seen = [rgb[at], rgb[at + 1]].map(f64::from);
         assert!(
             (seen[0] - expected[0]).abs() <= 1.25 && (seen[1] - expected[1]).abs() <= 1.25,

@@ -70,7 +70,7 @@ unsafe extern "C" {
 pub struct RealSense(Library);
 
 impl RealSense {
-    /// Loads what PLANISH_LIBREALSENSE names; the Python package's needs PLANISH_LIBPYTHON beside it.
+    /// Loads the library named by PLANISH_LIBREALSENSE; the Python package's also needs PLANISH_LIBPYTHON.
     pub fn load() -> Result<&'static Self, String> {
         static LOADED: OnceLock<Result<RealSense, String>> = OnceLock::new();
         LOADED.get_or_init(Self::open).as_ref().map_err(Clone::clone)
@@ -107,7 +107,7 @@ impl RealSense {
 macro_rules! rs2 {
     ($library:expr, $name:literal, $($argument:expr => $type:ty),*; $result:ty) => {{
         let mut error: Object = std::ptr::null_mut();
-        // SAFETY: the signature is that of the function in the headers of version 2.
+        // SAFETY: the signature matches the function in the headers of version 2.
         let result = unsafe {
             let function = $library.0.get::<unsafe extern "C" fn($($type,)* Error) -> $result>(concat!("rs2_", $name).as_bytes());
             function.unwrap()($($argument,)* &raw mut error)
@@ -117,7 +117,7 @@ macro_rules! rs2 {
     }};
 }
 
-/// A device with a depth sensor, and with a colour sensor if it is asked for.
+/// A device with a depth sensor and optionally a colour sensor.
 pub struct SoftwareCamera {
     library: &'static RealSense,
     device: Object,
@@ -236,7 +236,7 @@ impl Sensor {
     }
 
     fn deliver(&self, library: &RealSense, number: usize, timestamp_ms: f64, bytes: &[u8], depth_units: f32) {
-        // SAFETY: as many bytes are copied as there is room for; librealsense frees them by the deleter.
+        // SAFETY: copies as many bytes as fit; librealsense frees them through the deleter.
         let pixels = unsafe {
             let pixels = malloc(bytes.len()).cast::<u8>();
             assert!(!pixels.is_null(), "out of memory");

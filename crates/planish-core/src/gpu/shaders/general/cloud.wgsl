@@ -1,4 +1,4 @@
-// What every kernel for general clouds knows (general/passes.rs declares the buffers).
+// Declarations shared by all kernels for unorganized clouds (general/passes.rs declares the buffers).
 //
 // Points are sorted along a curve; equal positions become one place with a count. 16 places are a leaf, 8 nodes a node of the
 // next level; where a node's children are follows from its number.
@@ -21,13 +21,13 @@ struct Cloud {
     least_neighbours: u32,
     // Places in a part of the fit.
     part_places: u32,
-    // Where each level of nodes begins.
+    // Offset of each level of nodes.
     levels: array<vec4<u32>, 3>,
-    // Of a part with its halo the first so many are its own; the others need no results.
+    // Number of points of a part that need results, without its halo; they come first.
     own_points: u32,
 }
 
-// What one dispatch of several differs in.
+// Parameters that differ between the dispatches of a pass.
 struct Part {
     number: u32,
 }

@@ -1,4 +1,4 @@
-// The first planes of all positions, and the radii that were taken for them: three words of four floats each (docs/method.md,
+// The first planes of all positions, and the radii used for them: three words of four floats each (docs/method.md,
 // section 10).
 
 const PLANE_WORDS: u32 = 3u;

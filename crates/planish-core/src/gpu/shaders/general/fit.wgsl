@@ -1,4 +1,5 @@
-// The results: sections 3 to 7 and 10 with the points within the radius as neighbours, one place a thread.
+// Computes the results: sections 3 to 7 and 10, with the points within the radius as neighbours, one position per
+// thread.
 
 @compute @workgroup_size(64)
 fn fit_places(

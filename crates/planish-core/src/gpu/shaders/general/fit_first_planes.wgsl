@@ -1,4 +1,4 @@
-// The pass of the first planes, one place a thread (docs/method.md, section 10).
+// Computes the first planes, one position per thread (docs/method.md, section 10).
 
 fn fit_first_plane(place: u32) {
     let p = positions[place].xyz;

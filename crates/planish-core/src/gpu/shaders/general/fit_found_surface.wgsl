@@ -1,6 +1,6 @@
-// The plane that a position lies on, found from the first planes around it (docs/method.md, section 10).
+// Finds the plane of a position from the first planes around it (docs/method.md, section 10).
 
-// The noise, and the mean of the positions near by, which stands for p where its distance from a plane is asked.
+// The noise, and the mean of nearby positions, which replaces p when its distance from a plane is measured.
 struct Surroundings {
     // One over the square of the noise; 0 where no plane is usable.
     per_variance: f32,
@@ -25,7 +25,7 @@ fn surroundings_of(p: vec3<f32>, radius: f32) -> Surroundings {
             if nearness > 0.0 {
                 total += nearness;
                 let residual = planes[PLANE_WORDS * place + FIRST_NUMBERS].x;
-                // The harmonic mean is that of the planes that fit.
+                // Planes that fit well dominate the harmonic mean.
                 inverse += select(nearness * (radius_squared / residual), 0.0, residual >= NOT_USABLE);
                 let closeness = clamp(unclamped(mean_gate, squared), 0.0, 1.0);
                 near += closeness;

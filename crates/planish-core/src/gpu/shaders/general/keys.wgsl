@@ -1,4 +1,4 @@
-// Where each point is along a Hilbert curve: first the lowest bits, then, in the order of those, the others.
+// Computes the position of each point along a Hilbert curve: first the lowest bits, then, in their order, the others.
 
 const LOWEST_BITS: u32 = 0u;
 
@@ -12,7 +12,7 @@ fn cell_of(p: vec3<f32>) -> vec3<u32> {
     let t = (p - cloud.middle) * cloud.per_half_extent;
     let within = 0.5 * abs(t);
     let beyond = 0.5 + log2(max(abs(t), vec3<f32>(1.0))) * (0.5 / OCTAVES);
-    // Short of the border: the curve ends in a corner, whose key is that of holes.
+    // Stay clear of the border: the curve ends in a corner, whose key marks holes.
     let u = min(select(within, beyond, abs(t) > vec3<f32>(1.0)), vec3<f32>(0.99999));
     // From the middle, near which f32 is finer.
     let steps = vec3<u32>(u * f32(HALF));

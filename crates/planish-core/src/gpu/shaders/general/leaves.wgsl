@@ -18,7 +18,7 @@ fn build_leaves(
         positions[place].w = f32(firsts[place + 1u] - firsts[place]);
         node = union_of(node, Node(p, p, 1.0, p, 0.0));
     }
-    // What fills up the last leaf is no neighbour of anything.
+    // Pad the last leaf with points that are nobody's neighbours.
     for (var place = max(end, LEAF * leaf); place < LEAF * (leaf + 1u) && end > LEAF * leaf; place++) {
         positions[place] = vec4<f32>(NO_POINT, NO_POINT, NO_POINT, 0.0);
     }

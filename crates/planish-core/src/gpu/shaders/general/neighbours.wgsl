@@ -3,10 +3,10 @@
 // Results have 24 bits for the number of neighbours.
 const MOST_COUNTED: f32 = 16777215.0;
 
-// What a window is to a pixel: all that is needed is the point.
+// Counterpart of a pixel's window; here only the point is needed.
 alias WindowOrigin = u32;
 
-// Where the gate has faded out, squared.
+// Squared distance at which the gate reaches zero.
 fn reach_squared_of(radius_squared: f32) -> f32 {
     return radius_squared * (1.0 + 0.5 / GATE_FADE);
 }

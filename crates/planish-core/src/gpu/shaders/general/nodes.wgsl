@@ -1,4 +1,4 @@
-// The nodes of a level over those of the one below.
+// Builds the nodes of a level from those one level below.
 
 @compute @workgroup_size(64)
 fn build_nodes(

@@ -32,9 +32,9 @@ fn place_heads(
             firsts[place] = i;
             place++;
         }
-        // Of a hole this means nothing.
+        // Undefined for holes.
         order_out[i] = place - 1u;
-        // The last point that is no hole.
+        // The last valid point.
         if any(keys[i] != HOLE_KEY) && (i + 1u == cloud.points || all(keys[min(i + 1u, cloud.points - 1u)] == HOLE_KEY)) {
             firsts[place] = i + 1u;
             atomicStore(&state[PLACES], place);

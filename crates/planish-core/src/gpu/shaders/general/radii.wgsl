@@ -99,8 +99,8 @@ fn crowd_squared(p: vec3<f32>) -> f32 {
 fn radius_of(place: u32) -> f32 {
     let p = positions[place].xyz;
     let largest = cloud.largest_radius * cloud.largest_radius;
-    // As dense as the point's own leaf, and a little further; where that is far, no further than there are points. Starting from too
-    // large a radius makes the search slow.
+    // Start with the density of the point's leaf, slightly enlarged, and at most the extent of the cloud. Starting from
+    // too large a radius makes the search slow.
     let near = min(0.5 * cloud.half_count * min(fourth_squared(p, place / LEAF), largest), crowd_squared(p));
     var limit = clamp(near, 1e-12 * largest, largest);
     var found = within(p, limit);

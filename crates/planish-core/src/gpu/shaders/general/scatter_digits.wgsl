@@ -1,4 +1,4 @@
-// Puts the keys of a tile, with their points, where they belong by one digit; those with the same digit stay in their order.
+// Moves the keys of a tile and their points to their positions by one digit; equal digits keep their order.
 
 // By digit, then thread: how many keys; then how many come before.
 var<workgroup> ranks: array<u32, DIGITS * SORT_THREADS>;

@@ -19,7 +19,7 @@ fn store(i: u32, result: PixelResult) {
     }
 }
 
-// Of a point with too few neighbours.
+// Result of a point with too few neighbours.
 fn isolated(p: vec3<f32>, n: u32) -> PixelResult {
     if !KEEPS_ISOLATED {
         return no_result(STATUS_TOO_FEW, n);

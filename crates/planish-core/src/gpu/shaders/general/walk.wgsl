@@ -32,7 +32,7 @@ fn box_distance_squared(at: u32, p: vec3<f32>) -> f32 {
     return dot(outside, outside);
 }
 
-// Finds the next leaf within reach of p; false if there is none.
+// Finds the next leaf within reach of p; returns false after the last.
 fn next_leaf(walk: ptr<function, Walk>, p: vec3<f32>, reach_squared: f32) -> bool {
     while !(*walk).is_done {
         let at = NODE_WORDS * (level_at((*walk).level) + (*walk).node);
@@ -50,7 +50,7 @@ fn next_leaf(walk: ptr<function, Walk>, p: vec3<f32>, reach_squared: f32) -> boo
     return false;
 }
 
-// Some drivers end loops of many rounds early; then the host is told.
+// Some drivers end long loops early; report it to the host.
 fn check_done(walk: Walk) {
     if !walk.is_done {
         atomicStore(&state[ENDED_EARLY], 1u);
