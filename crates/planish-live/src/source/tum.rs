@@ -149,8 +149,8 @@ fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
     Ok(depths.into_iter().map(entry).collect())
 }
 
-/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units per metre, as the layout has it, if the camera's
-/// unit is a whole multiple of that, as a millimetre is. Finer units are kept, and `camera.json` states them.
+/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units per metre, as the layout has it, if the
+/// camera's unit is a whole multiple of that, as a millimetre is. Finer units are kept, and `camera.json` states them.
 ///
 /// Files are named by time stamps in microseconds; one that repeats or goes back becomes 1 us later than the one
 /// before.

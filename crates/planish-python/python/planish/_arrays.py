@@ -1,4 +1,4 @@
-"""What callers hand in, as numpy's arrays of a kind that the engines read where they lie."""
+"""Conversion of input to numpy arrays that the engines can read in place."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _HOST_DEVICES = (1, 3, 11)
 
 
 def as_array(given: Any) -> NDArray[Any]:
-    """The array that an object holds, without a copy where that is possible.
+    """Return the array of an object, without a copy if possible.
 
     Takes numpy's arrays, anything with ``__array_interface__``, ``__array__`` or ``__dlpack__`` (torch, cupy, jax), structured arrays and
     data frames with columns x, y and z, and nested sequences. What lies on a device is copied to the host, with a warning.
@@ -43,16 +43,16 @@ def as_array(given: Any) -> NDArray[Any]:
 
 
 def _without_names(array: NDArray[Any]) -> NDArray[Any]:
-    """A structured array with x, y and z as points [.., 3]."""
+    """Convert a structured array with x, y and z to points [.., 3]."""
     if array.dtype.names is None:
         return array
     if not {"x", "y", "z"} <= set(array.dtype.names):
-        raise TypeError(f"a structured array needs the fields x, y and z, and this one has {', '.join(array.dtype.names)}")
+        raise TypeError(f"a structured array needs the fields x, y and z, but this one has {', '.join(array.dtype.names)}")
     return np.stack([array["x"], array["y"], array["z"]], axis=-1)
 
 
 def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
-    """The array of a frame, and whether it is a depth image."""
+    """Return the array of a frame, and True if it is a depth image."""
     array = as_array(given)
     is_float = array.dtype.kind == "f"
     is_depth = False
@@ -76,14 +76,14 @@ def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
         raise ValueError("a depth image needs its camera: camera=planish.Camera(width, height, fx, fy)")
     if is_depth and camera is not None and array.shape != (camera.height, camera.width):
         height, width = array.shape
-        raise ValueError(f"the depth image is {width}x{height}, and its camera {camera.width}x{camera.height}")
+        raise ValueError(f"the depth image is {width}x{height}, but its camera {camera.width}x{camera.height}")
     if not array.dtype.isnative:
         array = array.astype(array.dtype.newbyteorder("="))
     return _readable(array, is_depth), is_depth
 
 
 def _readable(array: NDArray[Any], is_depth: bool) -> NDArray[Any]:
-    """The same array where the engines can read it as it lies; else a copy in order."""
+    """Return the array if the engines can read it in place, otherwise a contiguous copy."""
     strides, size = array.strides, array.itemsize
     in_order = array.flags.aligned and all(stride >= 0 for stride in strides)
     if is_depth:
@@ -99,7 +99,7 @@ def _readable(array: NDArray[Any], is_depth: bool) -> NDArray[Any]:
 
 
 def origin_of(points: NDArray[Any]) -> tuple[float, float, float] | None:
-    """An origin near most of the points, where float32 would lose digits that matter; ``None`` near the origin of coordinates.
+    """Return an origin near most of the points if float32 would lose relevant digits; ``None`` near the origin of coordinates.
 
     Of scenes float32 keeps 0.06 mm and better up to a kilometre away.
     """

@@ -1,4 +1,4 @@
-"""Drivers of cameras that come as Python packages."""
+"""Camera drivers from Python packages."""
 
 import importlib.util
 import os
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def find_realsense(source: str) -> None:
-    """Has the source ``realsense`` use the library in the package pyrealsense2, if that is installed and no other is named."""
+    """Let the source ``realsense`` use the library of the package pyrealsense2, if it is installed and no other is named."""
     if source.split(":")[0] != "realsense" or os.environ.get("PLANISH_LIBREALSENSE"):
         return
     package = importlib.util.find_spec("pyrealsense2")

@@ -21,7 +21,7 @@ from ._planish import Camera
 
 @dataclass(slots=True, eq=False)
 class Frame:
-    """What a file holds: a depth image, or points.
+    """Contents of a file: a depth image, or points.
 
     Attributes
     ----------
@@ -30,13 +30,13 @@ class Frame:
     depth : ndarray, [H, W]
         Raw values (uint16, holes 0) or metres (float32, holes NaN); ``None`` for points.
     points : ndarray, [H, W, 3] or [N, 3]
-        Metres, holes NaN; float32, or float64 for coordinates of a map, over a kilometre from the origin; ``None`` for depth.
+        Metres, holes NaN; float32, or float64 if coordinates exceed a kilometre; ``None`` for depth.
     fields : dict of str to ndarray
-        Every other field of the points: colour, intensity, label, ..., [H, W] or [N].
+        All other fields of the points: colour, intensity, label, ..., [H, W] or [N].
     camera : Camera
-        Where the file says it.
+        The camera, if the file states it.
     pose : tuple of 7 floats
-        Where the sensor stands: x, y, z, qw, qx, qy, qz; ``None`` if the file does not say.
+        Pose of the sensor: x, y, z, qw, qx, qy, qz; ``None`` if the file does not state it.
     """
 
     format: str
@@ -48,11 +48,11 @@ class Frame:
 
     @property
     def array(self) -> NDArray[Any]:
-        """The depth or the points, as `planish.smooth` takes them."""
+        """The depth or the points, as accepted by `planish.smooth`."""
         if self.depth is not None:
             return self.depth
         if self.points is None:
-            raise ValueError("the frame holds neither depth nor points")
+            raise ValueError("the frame has neither depth nor points")
         return self.points
 
 
@@ -67,7 +67,7 @@ class Simulated:
     camera : Camera
         The camera that took it.
     points, normals : ndarray of float32, [H, W, 3]
-        The true surface in metres; NaN where there is none.
+        The true surface in metres; NaN for pixels that see no surface.
     """
 
     depth: NDArray[np.uint16]
@@ -83,11 +83,11 @@ class Devices:
     Attributes
     ----------
     gpus : list of (index, name, kind)
-        Every adapter, software renderers among them.
+        Every adapter, including software renderers.
     auto : str
-        The engine that ``engine="auto"`` takes.
+        The choice of ``engine="auto"``.
     reason : str
-        Why.
+        The reason for it.
     """
 
     gpus: list[tuple[int, str, str]]
@@ -101,7 +101,7 @@ def read(path: str | PathLike[str]) -> Frame:
     Raises
     ------
     OSError
-        If there is no such file (``FileNotFoundError``), or it cannot be read.
+        If the file does not exist (``FileNotFoundError``) or cannot be read.
     ValueError
         If its contents contradict its format.
     """
@@ -128,7 +128,7 @@ def write(
     pose: Iterable[float] | None = None,
     encoding: Literal["binary", "ascii", "compressed"] = "binary",
 ) -> None:
-    """Write points or a depth image; the extension says the format.
+    """Write points or a depth image; the extension determines the format.
 
     Parameters
     ----------
@@ -137,20 +137,20 @@ def write(
     data : array or Frame
         Points [H, W, 3] or [N, 3], or depth [H, W] (uint16, or float32 in metres).
     fields : mapping of str to array, optional
-        A value for each point: ``{"intensity": ..., "normal_x": ...}``.
+        One value per point: ``{"intensity": ..., "normal_x": ...}``.
     pose : sequence of 7 floats, optional
-        Where the sensor stands: x, y, z, qw, qx, qy, qz.
+        Pose of the sensor: x, y, z, qw, qx, qy, qz.
     encoding : {"binary", "ascii", "compressed"}
-        Of .pcd and .ply.
+        Encoding of .pcd and .ply.
 
     Warns
     -----
     RuntimeWarning
-        If the format has no place for the pose or the grid.
+        If the format cannot store the pose or the grid.
     """
     folder = Path(path).parent
     if not folder.is_dir():
-        raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(folder))
+        raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder))
     if isinstance(data, Frame):
         fields = {**data.fields, **(fields or {})}
         pose = data.pose if pose is None else pose
@@ -159,7 +159,7 @@ def write(
     if not array.dtype.isnative:
         array = array.astype(array.dtype.newbyteorder("="))
     if fields and Path(path).suffix.lower() == ".npy":
-        raise ValueError(f"{path}: an array alone has no room for fields; .npz has")
+        raise ValueError(f"{path}: an .npy file cannot store fields; write .npz")
     if array.ndim == 2 and (array.dtype == np.uint16 or (array.dtype == np.float32 and array.shape[1] != 3)):
         if fields or pose is not None:
             raise ValueError("a depth image has neither fields nor a pose")
@@ -185,11 +185,11 @@ def write(
     lost = ["the sensor's pose"] if pose is not None and suffix not in _WITH_POSES else []
     lost += ["the grid"] if grid is not None and suffix not in _WITH_GRIDS else []
     if lost:
-        warnings.warn(f"{path}: {suffix} has no place for {' and '.join(lost)}; .pcd has", RuntimeWarning, stacklevel=2)
+        warnings.warn(f"{path}: {suffix} cannot store {' and '.join(lost)}; .pcd can", RuntimeWarning, stacklevel=2)
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """The same values in a type that files know."""
+    """Convert to a type that files support."""
     if values.dtype == np.bool_:
         return values.astype(np.uint8)
     if values.dtype == np.float16:
@@ -198,7 +198,7 @@ def _plain(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def info(path: str | PathLike[str]) -> dict[str, Any]:
-    """What a file holds, in short.
+    """Summarize a file.
 
     Examples
     --------
@@ -240,15 +240,15 @@ def simulate(
     Parameters
     ----------
     scene : {"table", "room", "shapes"}
-        What is seen.
+        The scene.
     seed : int
-        Of the scene and its noise.
+        Seed of scene and noise.
     camera : Camera, optional
-        A Kinect v1 if left out.
+        The camera [default: a Kinect v1].
     sensor : str
-        Whose noise, as `Smoother` names them.
+        Sensor whose noise to simulate; see `Settings`.
     index : int
-        Which image of the same still scene.
+        Index of the image in a series of the static scene.
     """
     camera = Camera.kinect_v1() if camera is None else camera
     depth, points, normals = _planish.simulate(scene, seed, camera, sensor, index)
@@ -261,9 +261,9 @@ def evaluate(*, seeds: Iterable[int] = (1,), **settings: Any) -> dict[str, Any]:
     Parameters
     ----------
     seeds : iterable of int
-        Three frames each.
+        Seeds, with three frames each.
     **settings
-        As `Smoother` takes them.
+        See `Settings`.
 
     Returns
     -------
@@ -275,5 +275,5 @@ def evaluate(*, seeds: Iterable[int] = (1,), **settings: Any) -> dict[str, Any]:
 
 
 def devices() -> Devices:
-    """The GPUs of this machine, and what ``engine="auto"`` takes."""
+    """List the GPUs of this machine, and the choice of ``engine="auto"``."""
     return Devices(*_planish.devices())

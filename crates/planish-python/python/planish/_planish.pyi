@@ -1,4 +1,4 @@
-"""The extension module; what users call is in `planish` itself."""
+"""The extension module; the public API is `planish`."""
 
 from os import PathLike
 from typing import Any

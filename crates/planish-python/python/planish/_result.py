@@ -1,4 +1,4 @@
-"""What comes out of smoothing."""
+"""Smoothing results."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 
 class Status(enum.IntEnum):
-    """What became of a point."""
+    """Status of a point in the result."""
 
-    #: No measurement came in, none goes out.
+    #: A hole: no measurement in the input, no point in the output.
     HOLE = 0
-    #: Fewer than 3 neighbours, or an isolated point that was to be removed: the output is a hole.
+    #: Fewer than 3 neighbours, or an isolated point with ``remove_isolated``: the output is a hole.
     TOO_FEW = 1
     #: The neighbours are collinear: the point is unchanged and has no normal.
     DEGENERATE = 2
@@ -31,20 +31,20 @@ class Status(enum.IntEnum):
 
 @dataclass(slots=True, eq=False)
 class Smoothed:
-    """The result of a frame; what was not asked for is ``None``.
+    """The result of a frame; outputs that were not requested are ``None``.
 
     Attributes
     ----------
     points : ndarray of float32, [H, W, 3] or [N, 3]
-        Points in metres, NaN for holes; float64 where the points that came in were.
+        Points in metres, NaN for holes; float64 if the input was.
     normals : ndarray of float32, the same shape
-        Unit normals towards the sensor, NaN where there is none.
+        Unit normals towards the sensor, NaN for points without one.
     curvature : ndarray of float32, [H, W] or [N]
-        Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN where there is no plane.
+        Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN for points without a plane.
     status : ndarray of uint8, [H, W] or [N]
-        What became of each point, as `Status`.
+        Status of each point; see `Status`.
     neighbours : ndarray of uint32, [H, W] or [N]
-        Number of neighbours, the point itself included.
+        Number of neighbours, including the point.
     depth : ndarray of uint16, [H, W]
         Raw depth in the camera's units, 0 for holes.
     depth_m : ndarray of float32, [H, W]

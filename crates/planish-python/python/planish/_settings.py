@@ -1,4 +1,4 @@
-"""Settings: what a user may choose, with the same names, ranges and files in every front end."""
+"""Settings, with the same names, ranges and files in every front end."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ SensorName = Literal["kinect1", "d415", "d435", "d455", "azure-kinect", "l515", 
 
 
 class Sensor(TypedDict, total=False):
-    """A sensor without a name: its depth step and its noise in metres, as coefficients of 1, z and z²."""
+    """An unnamed sensor: depth step and noise in metres, as coefficients of 1, z and z²."""
 
     step: list[float]
     sigma: list[float]
 
 
 class Settings(TypedDict, total=False):
-    """The keyword arguments of `smooth`, `Smoother` and `stream`, which settings files hold too.
+    """The keyword arguments of `smooth`, `Smoother` and `stream`, and the contents of settings files.
 
-    Every field may be left out; it then has the value of the preset.
+    Omitted fields take the value of the preset.
 
     Examples
     --------
@@ -38,22 +38,22 @@ class Settings(TypedDict, total=False):
     """
 
     preset: Preset | None
-    """How much to smooth: windows of 15x15 (light), 25x25 (default) or 29x29 (strong) pixels of a Kinect v1, wider for noisier
+    """Preset: windows of 15x15 (light), 25x25 (default) or 29x29 (strong) pixels of a Kinect v1, wider for noisier
     sensors; paper is the setting of the 2011 report."""
     strength: float | None
-    """How much to smooth as a number from 0 (light) to 1 (strong), instead of a preset."""
+    """Strength from 0 (light) to 1 (strong), instead of a preset."""
     sensor: SensorName | Sensor | None
     """The sensor that took the frames [default: kinect1]; auto estimates it from the first frame."""
     radius_m: float | Literal["sensor"] | None
-    """Radius of a neighbourhood in metres; sensor grows with distance as the sensor's noise does (frames on a grid)."""
+    """Radius of a neighbourhood in metres; sensor: growing with range like the sensor's noise (frames only)."""
     radius: float | Literal["sensor"] | None
     """Another name for radius_m."""
     neighbours: int | None
-    """Neighbours of a point of a cloud without a grid, 6 to 1000 [default: 40], instead of a radius."""
+    """For unorganized clouds: number of neighbours, 6 to 1000 [default: 40], instead of a radius."""
     edges: Literal["robust", "off"] | None
-    """Edge handling [default: robust for frames on a grid, off for clouds without one]."""
+    """Edge handling [default: robust for frames, off for unorganized clouds]."""
     window: int | None
-    """Half-width of the window in samples, 1 to 7; with neither window nor stride, both follow the frame's resolution."""
+    """Half-width of the window in samples, 1 to 7; without window and stride, both adapt to the frame's resolution."""
     stride: int | None
     """Distance between samples in pixels, 1 to 8."""
     average_blocks: bool | None
@@ -65,31 +65,31 @@ class Settings(TypedDict, total=False):
     bandwidth: float | None
     """Another name for bandwidth_m."""
     ridge: float | None
-    """Ridge of the fit, 1e-3 (little) to 100 (a plane)."""
+    """Damping of slopes and curvatures, 1e-3 (weak) to 100 (a plane)."""
     project: Literal["ray", "normal"] | None
-    """Along which line points are moved onto the surface; frames on a grid only."""
+    """Direction in which points move onto the surface; frames only."""
     remove_floating: bool | None
-    """Whether pixels that float between two surfaces become holes first; `smooth` and `Smoother` do not support it."""
+    """Whether pixels that float between two surfaces become holes before smoothing; streams and the command only."""
     remove_isolated: bool | None
     """Whether isolated points of unorganized clouds become holes [default: False]."""
     engine: Literal["auto", "cpu", "gpu", "reference"] | None
-    """The engine [default: auto, a real GPU where there is one, otherwise the CPU]."""
+    """The engine [default: auto, a real GPU if available, otherwise the CPU]."""
     adapter: str | int | None
     """The GPU by index or part of its name; needs engine="gpu"."""
     devices: str | None
-    """Devices that a stream deals frames to, separated by commas: all, or indices or names of GPUs, and cpu."""
+    """Devices that share the frames of a stream, separated by commas: all, or indices or names of GPUs, and cpu."""
     threads: int | None
     """Threads of the CPU engine [default: one per core]."""
 
 
 class SettingsFile(Settings, total=False):
-    """Settings of a file, which may name the outputs too."""
+    """Contents of a settings file, which may also name outputs."""
 
     outputs: list[Output]
 
 
 def read_settings(path: str | PathLike[str]) -> SettingsFile:
-    """Read a settings file in JSON or YAML, as the command's ``--settings`` takes it and the browser's page saves it.
+    """Read a settings file in JSON or YAML, the format of the command's ``--settings`` and of the browser's page.
 
     Examples
     --------
@@ -103,6 +103,6 @@ def read_settings(path: str | PathLike[str]) -> SettingsFile:
 
 
 def write_settings(path: str | PathLike[str], settings: Mapping[str, Any]) -> None:
-    """Write settings to a file in JSON, checked as `Smoother` checks them."""
+    """Check settings as `Smoother` does, and write them to a JSON file."""
     text = _settings_to_json(dict(settings))
     Path(path).write_text(json.dumps(json.loads(text), indent=2) + "\n", encoding="utf-8")

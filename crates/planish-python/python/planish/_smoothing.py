@@ -38,7 +38,7 @@ _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
 
 @dataclass(slots=True)
 class _Kind:
-    """What the result of a frame is like."""
+    """Shape and type of a frame's result."""
 
     shape: tuple[int, ...]
     points: DTypeLike
@@ -46,19 +46,18 @@ class _Kind:
 
 
 class Smoother:
-    """An open engine with its buffers: the way to smooth many frames.
+    """An open engine with its buffers, for smoothing many frames.
 
-    The engine is opened with the first frame, whose resolution strides and windows follow, and again where frames change their shape, camera or
-    pose. A smoother is for one thread at a time;
-    open one for each. It can be pickled: its settings are, its buffers are not.
+    The engine opens with the first frame, whose resolution determines stride and window, and again if the shape, camera or pose of frames
+    changes. Use a smoother in one thread at a time; open one per thread. Pickling keeps its settings, not its buffers.
 
     Parameters
     ----------
     camera : Camera, optional
-        Of depth images, and of organized points whose depth is wanted.
+        Camera of depth images, and of organized points if depth is requested.
     outputs : iterable of str
-        Of ``"points"``, ``"normals"``, ``"curvature"``, ``"status"``, ``"neighbours"``, ``"depth"`` (uint16) and ``"depth_m"``; the fewer, the
-        faster.
+        Any of ``"points"``, ``"normals"``, ``"curvature"``, ``"status"``, ``"neighbours"``, ``"depth"`` (uint16) and ``"depth_m"``. Fewer outputs
+        are faster.
     **settings : Settings
         ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...; see `Settings`. ``planish.read_settings`` reads them from a
         file.
@@ -83,7 +82,7 @@ class Smoother:
         if camera is not None and not isinstance(camera, Camera):
             raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
         if settings.get("remove_floating"):
-            raise ValueError("remove_floating: is for streams and the command; a Smoother leaves its input as it is")
+            raise ValueError("remove_floating: applies to streams and the command; a Smoother does not change its input")
         self._camera = camera
         self._outputs = _checked_outputs(outputs)
         self._settings: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
@@ -98,18 +97,18 @@ class Smoother:
 
     @property
     def camera(self) -> Camera | None:
-        """The camera that depth images are taken to be from."""
+        """The camera of depth images."""
         return self._camera
 
     @property
     def engine(self) -> str | None:
-        """The engine that is open, with the name of its GPU; ``None`` before the first frame."""
+        """The open engine with the name of its GPU; ``None`` before the first frame."""
         name, gpu, _ = self._engine.opened()
         return f"{name}, {gpu}" if gpu else name
 
     @property
     def chosen_because(self) -> str | None:
-        """Why ``engine="auto"`` chose as it did."""
+        """The reason for the choice of ``engine="auto"``."""
         return self._engine.opened()[2]
 
     def smooth(
@@ -125,26 +124,26 @@ class Smoother:
         ----------
         frame : array
             Depth [H, W], uint16 in the camera's units or float32 in metres; organized points [H, W, 3], or an unorganized cloud [N, 3], float32 or
-            float64 in metres. Holes are 0 in depth and NaN in points. Arrays are read where they lie, whatever their strides; anything
-            with ``__array_interface__`` or ``__dlpack__`` is taken, and data frames with columns x, y and z.
+            float64 in metres. Holes are 0 in depth and NaN in points. Arrays are read in place with any strides; objects with
+            ``__array_interface__`` or ``__dlpack__``, and data frames with columns x, y and z, are accepted too.
         out : Smoothed or mapping of str to ndarray, optional
-            C-contiguous arrays to write into, instead of new ones; what they are decides the outputs.
+            C-contiguous arrays to write into instead of new ones; they determine the outputs.
         pose : sequence of 7 floats, optional
-            Where the sensor stands in the frame of the points: x, y, z, qw, qx, qy, qz.
+            Pose of the sensor in the frame of the points: x, y, z, qw, qx, qy, qz.
 
         Returns
         -------
         Smoothed
-            With `out`, that which holds the same arrays.
+            With `out`, the result refers to these arrays.
 
         Raises
         ------
         TypeError
-            For an array of another type.
+            If an array has an unsupported type.
         ValueError
-            For another shape, parameters out of range, arrays that overlap or are read-only.
+            If a shape is wrong, a parameter is out of range, or arrays overlap or are read-only.
         RuntimeError
-            If an engine is not available or fails, or while another thread smooths with it.
+            If an engine is unavailable or fails, or another thread uses this smoother.
         """
         array, is_depth = as_frame(frame, self._camera)
         kind = _kind_of(array, is_depth)
@@ -158,16 +157,16 @@ class Smoother:
             raise ValueError("pose: depth images are in their camera's frame; give the pose with points")
         if out is not None and any(np.may_share_memory(array, other) for other in arrays.values()):
             raise ValueError("out: an array overlaps the input")
-        # The engine writes float32; points of other types are made of them.
+        # The engine writes float32; points of other types are converted.
         written = {name: _written(name, array) for name, array in arrays.items()}
         for event in self._engine.smooth(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), written):
             warnings.warn(event, RuntimeWarning, stacklevel=2)
         return _finished(arrays, written, array, kind)
 
     def submit(self, frame: Any, *, pose: Pose | None = None) -> None:
-        """Hand a frame over without waiting for its result; a GPU computes it while Python goes on.
+        """Submit a frame without waiting for its result; a GPU computes it asynchronously.
 
-        The frame may be changed as soon as this returns. At most `max_in_flight` frames may be in flight.
+        The frame may be modified as soon as this returns. At most `max_in_flight` frames may be in flight.
         """
         array, is_depth = as_frame(frame, self._camera)
         kind = _kind_of(array, is_depth)
@@ -177,7 +176,7 @@ class Smoother:
             self._in_flight.append((kind, array.copy() if kind.points == np.float64 else None))
 
     def receive(self) -> Smoothed | None:
-        """Wait for the result of the first frame in flight; ``None`` if none is."""
+        """Wait for the oldest frame in flight and return its result; ``None`` if no frame is in flight."""
         with self._order:
             if not self._in_flight:
                 return None
@@ -195,12 +194,12 @@ class Smoother:
 
     @property
     def in_flight(self) -> int:
-        """How many frames are in flight."""
+        """Number of frames in flight."""
         return self._engine.in_flight()[0]
 
     @property
     def max_in_flight(self) -> int:
-        """How many frames may be; 1 before the first."""
+        """Maximum number of frames in flight; 1 before the first frame."""
         return self._engine.in_flight()[1]
 
     def smooth_batch(
@@ -208,7 +207,7 @@ class Smoother:
         frames: Any,
         out: Mapping[str, NDArray[Any]] | None = None,
     ) -> Smoothed:
-        """Smooth frames of one shape, as many at once as the engine takes.
+        """Smooth frames of one shape, as many at once as the engine allows.
 
         Parameters
         ----------
@@ -228,9 +227,9 @@ class Smoother:
         given = [as_frame(frame, self._camera) for frame in frames]
         kinds = {(array.shape, array.dtype.str, is_depth) for array, is_depth in given}
         if len(kinds) > 1:
-            raise ValueError(f"frames of a batch have one shape and type, and these have {len(kinds)}")
+            raise ValueError(f"frames of a batch need one shape and type, but these have {len(kinds)}")
         if not given:
-            raise ValueError("a batch has one frame or more")
+            raise ValueError("a batch needs at least one frame")
         kind = _kind_of(*given[0])
         kind = _Kind((len(given), *kind.shape), kind.points, None)
         arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
@@ -245,7 +244,7 @@ class Smoother:
         return Smoothed(**arrays)
 
     def close(self) -> None:
-        """Close the engine and give its memory back; the next frame opens it again."""
+        """Close the engine and free its memory; the next frame opens it again."""
         with self._order:
             self._engine.close()
             self._in_flight.clear()
@@ -278,18 +277,18 @@ def smooth(
     outputs: Iterable[Output] = ("points", "normals", "status"),
     **settings: Unpack[Settings],
 ) -> Smoothed:
-    """Smooth one frame. For many, open a `Smoother`: it keeps its engine and buffers.
+    """Smooth one frame. For many frames open a `Smoother`, which keeps its engine and buffers.
 
     Parameters
     ----------
     frame : array
         Depth [H, W] (uint16 or float32), points [H, W, 3] or [N, 3] (float32 or float64); see `Smoother.smooth`.
     camera : Camera, optional
-        Of a depth image.
+        Camera of a depth image.
     pose : sequence of 7 floats, optional
-        Where the sensor stands in the frame of the points: x, y, z, qw, qx, qy, qz.
+        Pose of the sensor in the frame of the points: x, y, z, qw, qx, qy, qz.
     outputs : iterable of str
-        What is wanted; see `Smoother`.
+        Requested outputs; see `Smoother`.
     **settings : Settings
         ``preset``, ``strength``, ``sensor``, ``radius_m``, ``neighbours``, ``edges``, ``engine``, ...; see `Settings`.
 
@@ -314,7 +313,7 @@ def smooth(
 
 def _checked_outputs(outputs: Iterable[str]) -> tuple[str, ...]:
     if isinstance(outputs, str):
-        raise TypeError(f"outputs: a list of names is expected, as [{outputs!r}]")
+        raise TypeError(f"outputs: a list of names is expected, such as [{outputs!r}]")
     names = tuple(dict.fromkeys(outputs))
     unknown = [name for name in names if name not in _OUTPUTS]
     if unknown or not names:
@@ -350,7 +349,7 @@ def _new_arrays(names: Iterable[str], kind: _Kind) -> dict[str, NDArray[Any]]:
 
 
 def _given_arrays(out: Smoothed | Mapping[str, NDArray[Any]], kind: _Kind) -> dict[str, NDArray[Any]]:
-    """The caller's arrays, checked."""
+    """Check the caller's arrays."""
     if isinstance(out, Smoothed):
         given = {name: getattr(out, name) for name in _OUTPUTS if getattr(out, name) is not None}
     elif isinstance(out, Mapping):
@@ -378,14 +377,14 @@ def _given_arrays(out: Smoothed | Mapping[str, NDArray[Any]], kind: _Kind) -> di
 
 
 def _written(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    """What the engine writes for an output."""
+    """Return the array that the engine writes for an output."""
     return array if array.dtype == _OUTPUTS[name][0] else np.empty(array.shape, _OUTPUTS[name][0])
 
 
 def _finished(
     arrays: dict[str, NDArray[Any]], written: dict[str, NDArray[Any]], measured: NDArray[Any] | None, kind: _Kind
 ) -> Smoothed:
-    """The result, with points of the type that came in: float64 ones as measured, plus how far they moved, so that none loses digits."""
+    """Build the result with points of the input type. For float64, add the displacement to the measured points, which keeps all digits."""
     points = arrays.get("points")
     if points is not None and points is not written["points"] and measured is not None:
         relative = measured if kind.origin is None else measured - kind.origin

@@ -1,4 +1,4 @@
-"""Streams: frames of a camera, a recording or a folder, smoothed as they come."""
+"""Streams: frames of a camera, a recording or a folder, smoothed as they arrive."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ class StreamFrame:
     smoothed : Smoothed
         The result.
     depth : ndarray of uint16, [H, W]
-        The depth image as it was measured; ``None`` for a cloud.
+        The measured depth image; ``None`` for a cloud.
     points : ndarray of float32, [H, W, 3]
-        The points as they were measured; ``None`` for a depth image.
+        The measured points; ``None`` for a depth image.
     rgb : ndarray of uint8, [H, W, 3]
-        Colour registered to the depth image, where the source has it.
+        Colour registered to the depth image, if available.
     camera : Camera
-        Of a depth image.
+        Camera of a depth image.
     index : int
-        Its number among the frames smoothed, from 0.
+        Index among the smoothed frames, from 0.
     name : str
-        The name of its file without the extension, where it has one.
+        File name without extension, if it comes from a file.
     timestamp_s : float
-        When it was taken, in seconds of the source's clock, where that is known.
+        Time of capture in seconds of the source's clock, if known.
     latency_s : float
-        From its arrival until its result was there.
+        Time from its arrival to its result.
     """
 
     smoothed: Smoothed
@@ -62,12 +62,12 @@ class StreamFrame:
 
 
 class Stream:
-    """A running stream: iterate over it, and close it or use it in a ``with`` block. `stream` opens one."""
+    """A running stream, opened by `stream`. Iterate over it; close it, or use it in a ``with`` block."""
 
     def __init__(self, running: _Stream) -> None:
         self._running = running
         self._warned: set[str] = set()
-        # Taken, and not given yet since a warning was made an error.
+        # Received but not yet delivered, because a warning was turned into an error.
         self._taken: dict[str, Any] | None = None
 
     def __iter__(self) -> Iterator[StreamFrame]:
@@ -88,12 +88,12 @@ class Stream:
 
     @property
     def is_live(self) -> bool:
-        """Whether the source is a camera, or plays at a camera's pace: then the newest frame replaces one that waits."""
+        """True for a camera, or a source played at a fixed rate: the newest frame then replaces a waiting one."""
         return self._running.is_live()
 
     @property
     def statistics(self) -> dict[str, Any] | None:
-        """Counts, frames per second and latency of the whole stream, once it has ended; ``None`` before."""
+        """Counts, frames per second and latency of the stream after its end; ``None`` before."""
         return self._running.statistics()
 
     def close(self) -> None:
@@ -121,29 +121,29 @@ def stream(
     mode: str | None = None,
     **settings: Unpack[Settings],
 ) -> Stream:
-    """Smooth frames as they come; the library captures and smooths in threads of its own while Python works on the last one.
+    """Smooth frames as they arrive. Capture and smoothing run in background threads while Python processes the previous frame.
 
     Parameters
     ----------
     source : str or path
         A camera (``"realsense"``, ``"openni2"``, ``"kinect"``), ``"synthetic"``, a recording of a camera (``"realsense:walk.bag"``,
-        ``"openni2:walk.oni"``), or a path: a folder of frames, a data set of TUM, a recording of fakenect, a file. A RealSense needs
-        librealsense2, which the package pyrealsense2 has.
+        ``"openni2:walk.oni"``), or a path: a folder of frames, a TUM data set, a fakenect recording, a file. A RealSense needs
+        librealsense2, which the package pyrealsense2 includes.
     camera : Camera, optional
-        Of depth images that come without one.
+        Camera of depth images whose source does not state one.
     outputs : iterable of str
-        What is wanted; see `Smoother`.
+        Requested outputs; see `Smoother`.
     fps : float, optional
-        Play at this pace, as a camera does: frames that come while Python is busy are left out. Without it a file or folder waits, and no frame is lost.
+        Play at this rate, like a camera: frames that arrive while Python is busy are dropped. Without it, a file or folder waits and no frame is lost.
     frames : int, optional
-        End after so many.
+        Maximum number of frames.
     depth_units_per_metre : float, optional
-        Of a data set that does not say it.
+        Depth unit of a data set that does not state it.
     align : {"depth", "color", "none"}, optional
-        Of a RealSense or an OpenNI2 camera: the image that depth and colour are both mapped to. Colour is mapped to depth
-        (the RealSense's default), depth to colour (the default of OpenNI2 cameras that can), or depth comes alone.
+        For RealSense and OpenNI2 cameras: the image that depth and colour are mapped to. Colour is mapped to depth
+        (default of a RealSense), depth to colour (default of OpenNI2 cameras that support it), or colour is omitted.
     mode : str, optional
-        Of a RealSense or an OpenNI2 camera: size and rate of depth, as ``"848x480@30"``.
+        For RealSense and OpenNI2 cameras: size and rate of depth, such as ``"848x480@30"``.
     **settings : Settings
         ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...; see `Settings`.
 
@@ -170,7 +170,7 @@ def stream(
     if not isinstance(source, str) and not os.path.exists(source):
         raise FileNotFoundError(f"{os.fspath(source)}: no such file or folder")
     find_realsense(os.fspath(source))
-    # The same checks, names and defaults as any smoother's.
+    # Checks settings as a Smoother does.
     checked = Smoother(camera, outputs=outputs, **settings)
     names = list(checked.__getstate__()["outputs"])
     return Stream(_Stream(os.fspath(source), names, dict(settings), camera, fps, frames, depth_units_per_metre, align, mode))

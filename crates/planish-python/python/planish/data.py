@@ -16,23 +16,23 @@ from ._smoothing import Smoother
 class SmoothFrames:
     """Smooths a column of depth images batch by batch.
 
-    Made for actors: one thread and one `Smoother` each, opened where the actor runs. Frames that cannot be smoothed are not fatal: their
-    row gets an image of holes and the text of the error.
+    Designed for actors with one thread and one `Smoother` each, which opens in the actor's process. A frame that cannot be smoothed is not
+    fatal: its row gets an image of holes and the error message.
 
     Parameters
     ----------
     camera : Camera
-        Of all frames.
+        Camera of all frames.
     column : str
         Name of the column of depth images, uint16 [H, W] each.
     output : {"depth", "points"}
         uint16 depth (0.6 MB for 640x480), or float32 points (3.7 MB).
     result_column, error_column : str
-        Names of the columns that are added.
+        Names of the added columns.
     threads : int
-        Of the CPU engine; one, since there is an actor for each core.
+        Threads of the CPU engine [default: 1, for one actor per core].
     **settings
-        As `planish.Smoother` takes them. With ``engine="gpu"`` and no ``adapter`` the first GPU that the actor is shown is taken.
+        See `planish.Settings`. With ``engine="gpu"`` and no ``adapter``, the first GPU visible to the actor is used.
 
     Examples
     --------
@@ -68,7 +68,7 @@ class SmoothFrames:
         self._smoother = Smoother(camera, outputs=[output], threads=threads, **settings)  # type: ignore[list-item]
 
     def __call__(self, batch: Mapping[str, Any]) -> dict[str, Any]:
-        """Smooth a batch: columns by name, one of them the depth images."""
+        """Smooth a batch of named columns, one of which contains the depth images."""
         column, result_column, error_column = self._columns
         if column not in batch:
             raise KeyError(f"the batch has no column {column!r}: {', '.join(batch)}")

@@ -230,8 +230,8 @@ impl PointCloud2 {
         Ok(())
     }
 
-    /// Returns the cloud of a smoothed frame: x, y, z in 16 bytes per point, with normals and curvature in 32; the fields
-    /// are float32, as in PCL's structs.
+    /// Returns the cloud of a smoothed frame: x, y, z in 16 bytes per point, with normals and curvature in 32; the
+    /// fields are float32, as in PCL's structs.
     pub fn of_smoothed(header: Header, smoothed: &Smoothed) -> Self {
         let with_normals = smoothed.normals.is_some() || smoothed.curvature.is_some();
         let point_step: u32 = if with_normals { 32 } else { 16 };

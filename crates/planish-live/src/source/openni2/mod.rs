@@ -293,8 +293,8 @@ impl Source for OpenNi2Source {
     }
 }
 
-/// Returns the mode to set: the requested one, or 640x480 at 30 frames per second if available, in millimetres or tenths
-/// of them.
+/// Returns the mode to set: the requested one, or 640x480 at 30 frames per second if available, in millimetres or
+/// tenths of them.
 fn mode_of(modes: &[VideoMode], asked: Option<StreamMode>) -> Result<Option<VideoMode>, DeviceError> {
     let usable = |mode: &&VideoMode| matches!(mode.format, api::DEPTH_1_MM | api::DEPTH_100_UM);
     let wanted = asked.unwrap_or(StreamMode { width: 640, height: 480, fps: Some(30) });
