@@ -33,9 +33,9 @@ impl PointCloud {
         Some(r?.iter().zip(g?).zip(b?).map(|((&r, &g), &b)| [r, g, b]).collect())
     }
 
-    /// Returns 8-bit colours in any representation of the field; `None` for a cloud without colours. Of 16-bit colours
-    /// (LAS) the upper 8 bits are used, or the lower if the upper are all zero; fractions (Open3D) are multiplied by
-    /// 255.
+    /// Returns 8-bit colours in any representation of the field; `None` for a cloud without colours. 16-bit colours
+    /// (LAS) contribute their upper 8 bits, or the lower if the upper are all zero; fractions (Open3D) are multiplied
+    /// by 255.
     pub fn shown_rgb(&self) -> Option<Vec<[u8; 3]>> {
         self.rgb().or_else(|| self.wide_rgb())
     }

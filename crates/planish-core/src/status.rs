@@ -10,7 +10,7 @@ pub enum Status {
     Hole = 0,
     /// Fewer than 3 neighbours, or an isolated point that was to be removed: the output is a hole.
     TooFew = 1,
-    /// The neighbours are collinear: the point is unchanged and has no normal.
+    /// The neighbours are collinear: the point is unchanged, without a normal.
     Degenerate = 2,
     /// The foot of the point on the plane.
     Plane = 3,
@@ -19,7 +19,7 @@ pub enum Status {
     /// On a polynomial of degree 3.
     Polynomial3 = 5,
     /// In an unorganized cloud, fewer than 3 neighbours, or fewer than about a quarter of the number that its radius
-    /// was chosen for (section 8): the point is unchanged and has no normal.
+    /// was chosen for (section 8): the point is unchanged, without a normal.
     Isolated = 6,
 }
 

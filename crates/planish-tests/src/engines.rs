@@ -96,7 +96,7 @@ impl TestEngine {
 /// software. `None` without an adapter.
 ///
 /// # Panics
-/// If there is none and the environment variable PLANISH_REQUIRE_GPU is set.
+/// Without an adapter, if the environment variable PLANISH_REQUIRE_GPU is set.
 pub fn test_adapter() -> Option<&'static GpuAdapter> {
     static ADAPTER: OnceLock<Option<GpuAdapter>> = OnceLock::new();
     let adapter = ADAPTER.get_or_init(|| {
@@ -113,7 +113,7 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
     adapter.as_ref()
 }
 
-/// Returns true if the GPU engine is tested on a software adapter, which takes minutes for what a GPU does in seconds.
+/// Returns true if the GPU engine is tested on a software adapter, which needs minutes instead of seconds.
 pub fn is_software() -> bool {
     test_adapter().is_some_and(|adapter| adapter.kind == AdapterKind::Software)
 }

@@ -119,7 +119,7 @@ pub fn nasty_clouds_keep_the_invariants(subjects: &[Subject]) {
     }
 }
 
-/// Compares on the same clouds, except those with numbers near the limits of f32: results agree too.
+/// Compares results on the same clouds, without numbers near the limits of f32.
 ///
 /// # Panics
 /// If they do not.

@@ -273,8 +273,8 @@ fn sensors_strengths_and_edges_are_chosen_by_name() {
     assert!(
         refused(&["smooth", str(&path), str(&output), "--strength", "1", "--preset", "light"]).contains("--preset")
     );
-    // Estimation needs a frame, and a stream has none yet. A stream estimates the sensor from its first frame, unless
-    // floating pixels are removed before.
+    // Estimation needs a frame, which a stream lacks at this point. A stream estimates the sensor from its first frame,
+    // unless floating pixels are removed before.
     ok(&["stream", "synthetic", "--sensor", "auto", "--frames", "1"]);
     let early = ["stream", "synthetic", "--sensor", "auto", "--remove-floating", "--frames", "1"];
     assert!(refused(&early).contains("planish info"));
@@ -491,7 +491,7 @@ fn a_ply_described_in_parts_is_described_as_whole() {
         let median = |info: &serde_json::Value| info["median_z_m"].as_f64().unwrap();
         assert!((median(&whole) - median(&parts)).abs() < 0.5, "{whole} {parts}");
     }
-    // An element without properties has no bytes, and no points.
+    // An element without properties stores neither bytes nor points.
     fs::write(&file, "ply\nformat binary_big_endian 1.0\nelement vertex 0\nend_header\n").unwrap();
     assert!(refused(&["info", str(&file)]).contains("no properties"));
     // A line that does not end is not read into memory.

@@ -163,7 +163,7 @@ fn strange_arguments_are_refused_by_name() {
         let stderr = refused(&["smooth", str(&path), str(&output), option, value]);
         assert!(!stderr.contains("unexpected argument") && stderr.contains(value), "{stderr}");
     }
-    // A duration beyond the clock's range is no limit.
+    // A duration beyond the clock's range does not limit the stream.
     ok(&["stream", "synthetic", "--duration", "1e19", "--frames", "1"]);
     let recording = folder.path().join("recording");
     ok(&["record", "synthetic", str(&recording), "--duration", "1e19", "--frames", "1"]);

@@ -212,7 +212,7 @@ fn two_frames_of_one_name_are_told_apart_and_an_engine_that_is_not_there_is_refu
     // The reference alone is too slow for these.
     let text = ok(&["bench", "profile", "--quick", "--engine", "reference", "--input", str(&path)]);
     assert!(text.contains("Not run with the reference engine alone."), "{text}");
-    // Without a driver there is no GPU; the command reports it and uses nothing else instead.
+    // Without a driver the command reports that no GPU was found, and uses no other engine instead.
     let output = Command::new(env!("CARGO_BIN_EXE_planish"))
         .args(["bench", "quality", "--engine", "gpu", "--input", str(&path)])
         .env("VK_DRIVER_FILES", "/nonexistent")

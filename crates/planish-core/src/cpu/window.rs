@@ -1,7 +1,7 @@
 //! The neighbours of a vector of pixels: a strided window and a gate on distance (docs/method.md, sections 2 and 3).
 //!
 //! Offsets e = q - p in metres. Holes and infinities fail the gate by comparison: neither NaN nor an infinite distance
-//! is within it. A hole has no neighbours, not even itself.
+//! is within it. The number of neighbours of a hole is 0; it does not count itself.
 
 use std::ops::Range;
 

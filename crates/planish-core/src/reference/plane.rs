@@ -10,7 +10,7 @@ use crate::eigen::symmetric_eigen;
 /// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
 pub(super) const DEGENERATE_RATIO: f64 = 1e-4;
 
-/// Larger doubt has no effect.
+/// Upper bound of the doubt.
 const MAX_DOUBT: f64 = 1e6;
 
 /// The plane, in coordinates relative to p.

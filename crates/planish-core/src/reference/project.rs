@@ -59,7 +59,7 @@ fn along_ray(surface: DVec3, normal: DVec3, ray: DVec3, radius_m: f64) -> f64 {
     let cosine = ray.dot(normal) / length;
     let along_m = surface.dot(normal) * cosine / (cosine * cosine).max(GRAZING_COSINE * GRAZING_COSINE);
     let limit = (radius_m / length).min(MAX_ALONG);
-    // A point at the sensor has no ray.
+    // The ray of a point at the sensor is undefined.
     if length > 0.0 { (along_m / length).clamp(-limit, limit) } else { 0.0 }
 }
 

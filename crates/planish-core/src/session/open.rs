@@ -143,7 +143,7 @@ impl Open {
     }
 }
 
-/// Returns the process ID. WebAssembly has no processes; the standard library panics there.
+/// Returns the process ID, or a constant in WebAssembly, where the standard library panics.
 pub(super) fn process_id() -> u32 {
     if cfg!(target_family = "wasm") { 0 } else { std::process::id() }
 }

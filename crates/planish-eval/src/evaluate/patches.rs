@@ -34,8 +34,8 @@ pub struct PatchReport {
 
 /// Fits planes to patches of 64 points: seeds spread evenly over the file, each with its nearest points. The `measured`
 /// positions decide which points form a patch and whether they are on one surface, so every method is scored on the
-/// same patches, except those of which it leaves fewer than 12 points. `points` and `normals` correspond to `measured`
-/// one to one.
+/// same patches. A method that leaves fewer than 12 points of a patch is not scored there. `points` and `normals`
+/// correspond to `measured` one to one.
 ///
 /// # Errors
 /// [`EngineError::Unavailable`](planish_core::EngineError::Unavailable) for more points than the search takes.

@@ -50,7 +50,7 @@ const POINTS_LIST: &str = "points.txt";
 const RIG_FILE: &str = "rig.json";
 
 impl FusedSink {
-    /// Creates the folder. Refuses a folder with files, and formats of depth images, since a fused cloud has no depth.
+    /// Creates the folder. Refuses folders with files, and formats of depth images: a fused cloud stores only points.
     pub fn create(folder: &Path, format: SinkFormat, rig: &Rig) -> Result<Self, Error> {
         if format == SinkFormat::DepthPng {
             let problem =

@@ -20,7 +20,7 @@ impl FileSource {
     /// Reads every frame file of a folder once, in order of their names. Depth images need a camera.
     ///
     /// # Errors
-    /// If the folder is unreadable or has no frames, or if the first frame is a depth image and no camera is given.
+    /// If the folder is unreadable or empty, or if the first frame is a depth image and no camera is given.
     pub fn folder(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
         let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
         let entries: Result<Vec<PathBuf>, _> =

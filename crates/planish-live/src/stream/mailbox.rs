@@ -123,7 +123,7 @@ impl Mailbox {
         }
         match state.items.pop_front() {
             Some(item) => {
-                // Counted when taken: frames read ahead but never taken are beyond the stream's end.
+                // Counted when taken: frames that were read ahead and never taken are beyond the stream's end.
                 state.unreadable += u64::from(item.is_err());
                 self.changed.notify_all();
                 Taken::Item(item)
@@ -164,7 +164,7 @@ impl Mailbox {
         self.lock().closed
     }
 
-    /// Sets the number of frames that the source has dropped so far.
+    /// Sets the number of frames dropped by the source.
     pub(super) fn set_dropped_by_source(&self, dropped: u64) {
         self.lock().dropped_by_source = dropped;
     }

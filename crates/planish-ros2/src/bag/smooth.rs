@@ -24,9 +24,9 @@ use planish_io::{ReadOptions, internal::AtomicFile};
 pub struct SmoothBagOptions {
     /// The topics to smooth; none for the only one with depth.
     pub topics: Vec<String>,
-    /// The topic with the camera of all images, if there is none next to each.
+    /// The topic with the camera of all images, if their namespaces have none.
     pub camera_info_topic: Option<String>,
-    /// The camera, which replaces that of the recording. A width and height of 0 accept images of any shape.
+    /// The camera, which replaces the recording's. A width and height of 0 accept images of any shape.
     pub camera: Option<Camera>,
     /// Adds a cloud for each depth image on this topic.
     pub points_topic: Option<String>,
@@ -100,7 +100,7 @@ pub struct SmoothBagReport {
 /// compression of the input.
 ///
 /// A message that cannot be smoothed is copied and counted. A truncated recording is smoothed up to its end. After each
-/// smoothed message, `tell` is called with the number so far and the total, if known. The output is either complete or
+/// smoothed message, `tell` is called with the current and the total number, if known. The output is either complete or
 /// absent.
 ///
 /// # Errors
@@ -187,7 +187,7 @@ pub fn smooth_bag(
                 cut_off = Some("it ends in the middle of a record".to_owned());
                 break;
             }
-            // Messages read so far are worth keeping.
+            // Keep the messages that were read.
             Err(error) if copy.done + copy.copied > 0 => {
                 cut_off = Some(error.to_string());
                 break;

@@ -27,7 +27,7 @@ impl BagSource {
     /// recording's.
     ///
     /// # Errors
-    /// If it is not a recording, or if it has no such topic, several, or none with the camera.
+    /// If the file is not a recording, or lacks such a topic or its camera, or has several.
     pub fn open(
         path: &Path,
         topic: Option<&str>,

@@ -57,7 +57,7 @@ fn a_crease_stays_sharp_that_is_rounded_off_without() {
     let [off, robust] = [Edges::Off, Edges::Robust].map(|edges| worst(61, &smooth(&cloud, edges), distance));
     assert!(off > 1e-3, "{off:e}");
     assert!(robust < 0.1 * off, "{robust:e} {off:e}");
-    // Next to the crease the normals are those of the faces.
+    // Next to the crease, normals equal those of the faces.
     let smoothed = smooth(&cloud, Edges::Robust);
     let normals = smoothed.normals.as_ref().unwrap();
     for u in 10..51 {
@@ -191,7 +191,7 @@ fn blocks_know_the_spacing_of_pixels_without_intrinsics() {
 
 #[test]
 fn the_suite_says_what_it_is_told() {
-    // The truth has no error, and a shifted one has exactly the shift.
+    // The truth scores zero error, and shifted points score exactly their shift.
     let mut exact = Evaluation::default();
     let mut moved = Evaluation::default();
     for case in CASES.iter() {

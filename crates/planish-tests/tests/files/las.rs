@@ -128,7 +128,7 @@ fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
     let copy = through_las(&twice).unwrap();
     assert_eq!((values(&copy, "status"), values(&copy, "curvature")), (vec![4u8; 3].into(), vec![0.25f32; 3].into()));
 
-    // So many that their descriptions follow the points; and more than a record holds.
+    // Enough fields for their descriptions to follow the points, and more than one record can hold.
     let mut wide = PointCloud::new([[1.0; 3], [2.0; 3]].into_iter().collect());
     (0..400).for_each(|i| wide.set_attribute(&format!("c{i}"), vec![i as f32, 0.5]));
     let mut copy = through_las(&wide).unwrap();

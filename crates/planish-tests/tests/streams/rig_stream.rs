@@ -123,7 +123,7 @@ fn every_moment_of_recordings_comes_once_in_order_and_one_that_ends_early_holds_
         stream(vec![script((0..40).map(frame).collect(), false), script((0..10).map(frame).collect(), false)]);
     assert_eq!(result.unwrap().moments.frames_out, 40);
     assert!(warnings.len() == 1 && warnings[0].contains("right") && warnings[0].contains("0.6 s"), "{warnings:?}");
-    // A camera that is cut off with the stream has not ended before it.
+    // Cutting off the stream does not count as the end of its cameras.
     let slow = |i: u32| Step::Frame(f64::from(i), Duration::ZERO);
     let sources = (0..2).map(|_| script((0..30).map(slow).collect(), false)).collect();
     let rig = rig_of_two();

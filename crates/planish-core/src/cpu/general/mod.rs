@@ -1,8 +1,8 @@
 //! Unorganized clouds (docs/method.md, section 8): a vector of points that lie together at a time.
 //!
 //! [`PointIndex`] sorts the points; the neighbours of all points of a vector are gathered once ([`gather`]), and the
-//! stages equal those of frames. Each result depends only on its point and is computed in the order of the index, then
-//! moved to the order of the cloud, so results are bit-identical for any number of threads.
+//! stages equal the stages of frames. Each result depends only on its point and is computed in the order of the index,
+//! then moved to the order of the cloud. Results are therefore bit-identical for any number of threads.
 
 mod edges;
 mod first_planes;

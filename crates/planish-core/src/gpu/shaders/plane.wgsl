@@ -13,7 +13,7 @@ struct Plane {
     extent_squared: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
+    // How far the second extent exceeds a line's, relative to it: l1/(1e-4 l2) - 1.
     off_line: f32,
     // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
