@@ -63,7 +63,7 @@ mod tests {
     fn errors_name_the_file_the_field_and_what_is_allowed() {
         for (text, expected) in [
             ("{\"window\": 9}", "window = 9 is not allowed: 1 to 7"),
-            ("strenght: 0.5", "\"strenght\" is not allowed: preset, strength"),
+            ("strenght: 0.5", "\"strenght\" (did you mean strength?) is not allowed: preset, strength"),
             ("strength: much", "strength = \"much\" is not allowed: 0 (light) to 1 (strong)"),
             ("[1, 2]", "an object of settings"),
             ("preset: light\nstrength: 0.2", "set one of the two"),

@@ -1,24 +1,23 @@
 //! Settings from Python's keyword arguments.
 
-use planish::{SensorModel, SettingValue, Settings};
+use planish::{ParamError, SensorModel, SettingValue, Settings};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict};
 
 use crate::errors::param;
 
-/// Reads every item of the dictionary; `None` is not given.
+/// Reads every item of the dictionary; `None` leaves a setting unset.
 pub fn from_dict(given: &Bound<'_, PyDict>) -> PyResult<Settings> {
     let mut settings = Settings::default();
     for (key, value) in given.iter() {
         let key: String = key.extract()?;
-        if !Settings::NAMES.contains(&key.as_str()) && !["radius", "bandwidth"].contains(&key.as_str()) {
-            return Err(PyTypeError::new_err(format!(
-                "unknown setting {key:?}; settings are {}",
-                Settings::NAMES.join(", ")
-            )));
-        }
-        settings.set(&key, value_of(&key, &value)?).map_err(param)?;
+        // An unknown keyword is a TypeError in Python.
+        let refused = |error: ParamError| match error.field {
+            "settings" => PyTypeError::new_err(error.to_string()),
+            _ => param(error),
+        };
+        settings.set(&key, value_of(&key, &value)?).map_err(refused)?;
     }
     settings.validate().map_err(param)?;
     Ok(settings)

@@ -1,7 +1,5 @@
 //! Your own camera as a source, in 30 lines. `cargo run --release --example 03_own_source`
 
-use std::sync::atomic::AtomicBool;
-
 use planish::source::{OwnedFrame, Source};
 use planish::stream::{self, StreamOptions};
 use planish::{Camera, DepthFrame, Error, FrameParams, SmootherOptions};
@@ -36,7 +34,7 @@ impl Source for MyCamera {
 fn main() -> Result<(), Error> {
     let source = MyCamera { camera: Camera::kinect_v1(), frames: 0 };
     let options = StreamOptions::new(FrameParams::default(), SmootherOptions::default());
-    let statistics = stream::run(Box::new(source), &options, Vec::new(), &AtomicBool::new(false), |_| ())?;
+    let statistics = stream::Stream::new(Box::new(source), options).run()?;
     println!("{} frames, {:.1} a second", statistics.frames_out, statistics.fps());
     Ok(())
 }

@@ -58,6 +58,9 @@ struct Patches {
 }
 
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
+    if args.smoothing.settings()?.devices.is_some() && args.rig.is_none() {
+        bail!("devices has no effect on evaluate, which smooths one frame at a time; use engine and adapter");
+    }
     match (&args.input, args.rig) {
         (Some(file), _) => on_file(args, file),
         (None, Some(cameras)) => super::rig::evaluate(args, cameras.into()),
@@ -65,7 +68,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     }
 }
 
-/// Returns a real cloud, whose truth nobody knows.
+/// Evaluates a real frame, whose truth is unknown.
 fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
     let contents = io::read(file)?.1;
     if let Contents::General(cloud) = &contents {
@@ -107,7 +110,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Returns a real cloud without a grid.
+/// Evaluates a real unorganized cloud.
 fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<ExitCode> {
     let (points, normals) = match &args.results {
         Some(result) => {
@@ -402,7 +405,7 @@ fn percent(share: f64) -> String {
     format!("{:.2} %", 100.0 * share)
 }
 
-/// Returns the RMS error over z, a line a method.
+/// Draws the RMS error over z, one line per method.
 fn draw_error_over_z(file: &Path, rows: &[Row]) -> Result<()> {
     const COLOURS: [RGBColor; 4] =
         [RGBColor(150, 150, 150), RGBColor(200, 120, 30), RGBColor(20, 90, 180), RGBColor(0, 0, 0)];

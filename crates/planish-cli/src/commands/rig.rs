@@ -17,12 +17,12 @@ use planish::rig::{
 };
 use planish::source::Source;
 use planish::stream::SinkFormat;
-use planish::{Outputs, SensorModel, io, source};
+use planish::{Outputs, io, source};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::checks::is_mcap;
-use super::sources::{WithoutFloating, open_named};
+use super::sources::open_named;
 use super::status_line::{StatusLine, ms};
 use crate::args::{LimitArgs, RigArgs, StreamArgs, by_option_of_error, option_of, outputs_of};
 use crate::exit::ExitCode;
@@ -171,7 +171,6 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     let mut settings = args.smoothing.settings_with(&args.gpus)?;
     settings.outputs = Some(outputs);
     let options = RigOptions::from_settings(&rig, way, &settings, args.voxel).map_err(by_option_of_error)?;
-    let sensors: Vec<SensorModel> = options.params.iter().map(|params| params.sensor).collect();
     let registration_m = args.registration.map_or(options.registration_m, |mm| 1e-3 * mm);
     if args.registration.is_some() && way != RigWay::Views {
         bail!("--registration needs --fuse views");
@@ -191,12 +190,8 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     check_outputs(args, &rig)?;
     // Opening may take seconds: until then a signal ends the command at once.
     let stop = Arc::default();
-    let mut sources = open_sources(&rig, &args.source.limits, &stop)?;
+    let sources = open_sources(&rig, &args.source.limits, &stop)?;
     stop_by(&stop);
-    if settings.remove_floating == Some(true) {
-        let without = |(source, sensor)| Box::new(WithoutFloating { source, sensor }) as Box<dyn Source>;
-        sources = sources.into_iter().zip(sensors).map(without).collect();
-    }
     let mut sinks: Vec<Box<dyn RigSink>> = Vec::new();
     if let Some(folder) = &args.save {
         sinks.push(Box::new(FusedSink::create(folder, format_of_fused(args, format), &rig)?));
@@ -219,7 +214,8 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
         RigEvent::Moment(statistics) => line.show("moments", &statistics.moments),
         _ => {}
     };
-    let statistics = rig::run(&rig, sources, &options, sinks, &stop, tell)?;
+    let statistics =
+        rig::RigStream::new(&rig, sources, options).with_sinks(sinks).with_stop(&stop).with_events(tell).run()?;
     line.end();
     let report = report(&statistics, way);
     if args.json {

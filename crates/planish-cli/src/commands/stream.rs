@@ -11,9 +11,9 @@ use planish_bench::outln;
 use serde::Serialize;
 
 use super::checks::{check_is_new, check_not_input, is_mcap};
-use super::sources::{WithoutFloating, open_source};
+use super::sources::open_source;
 use super::status_line::{StatusLine, ms};
-use crate::args::{StreamArgs, StreamFormatArg, by_option, by_option_of_error, outputs_of};
+use crate::args::{StreamArgs, StreamFormatArg, by_option_of_error, outputs_of};
 use crate::signals::stop_by;
 
 /// Report at the end.
@@ -81,22 +81,14 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         outputs.points = true;
     }
     settings.outputs = Some(outputs);
-    // A stream removes floating pixels before it has a frame to estimate a sensor from.
-    if settings.remove_floating == Some(true) {
-        settings.frame_params().map_err(by_option)?;
-    }
-    let floating_sensor = settings.frame_floating_sensor();
     let options = StreamOptions::from_settings(settings)
         .map_err(by_option_of_error)?
         .with_max_frames(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
     // Opening may take seconds: until then a signal ends the command at once.
     let stop = Arc::default();
-    let mut source = open_source(&args.source, &stop)?;
+    let source = open_source(&args.source, &stop)?;
     stop_by(&stop);
-    if let Some(sensor) = floating_sensor {
-        source = Box::new(WithoutFloating { source, sensor });
-    }
     // After the source: one that is not there leaves no folder behind.
     if let Some(folder) = &args.save {
         check_not_input(Path::new(args.source.name()), folder, None)?;
@@ -110,7 +102,11 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     }
 
     let line = StatusLine::new();
-    let statistics = stream::run(source, &options, sinks, &stop, |event| line.tell(event))?;
+    let statistics = stream::Stream::new(source, options)
+        .with_sinks(sinks)
+        .with_stop(&stop)
+        .with_events(|event| line.tell(event))
+        .run()?;
     line.end();
     let report = report(&statistics);
     if args.json {

@@ -8,6 +8,7 @@ mod merge;
 mod resolve;
 #[cfg(feature = "serde")]
 mod serialize;
+mod suggest;
 mod value;
 
 use std::str::FromStr;
@@ -199,7 +200,9 @@ impl Settings {
             "threads" => self.threads = value.whole("threads", "1 or more")?.map(|threads| threads as usize),
             "outputs" => self.outputs = outputs_of(value)?,
             _ => {
-                return Err(ParamError { field: "settings", value: format!("{name:?}"), allowed: FIELDS });
+                let suggestion = suggest::closest(name, &Self::NAMES);
+                let suggestion = suggestion.map_or(String::new(), |meant| format!(" (did you mean {meant}?)"));
+                return Err(ParamError { field: "settings", value: format!("{name:?}{suggestion}"), allowed: FIELDS });
             }
         }
         self.check_ranges()

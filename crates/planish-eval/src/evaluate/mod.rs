@@ -114,18 +114,19 @@ const CREASE_COSINE: f64 = 0.966;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulate::{DVec3, Pose, Scene, Shape};
+    use crate::simulate::{Pose, Scene, Shape};
+    use glam::DVec3;
 
     #[test]
     fn errors_measure_along_the_normal_and_margins_keep_off_the_edges() {
         let camera = Camera::new((64, 48), [60.0; 2], [31.5, 23.5]);
         let scene = Scene {
             objects: vec![
-                Shape::Plane { point: DVec3::new(0.0, 0.0, 2.0), normal: DVec3::Z },
-                Shape::Sphere { centre: DVec3::new(0.0, 0.0, 1.0), radius_m: 0.1 },
+                Shape::Plane { point_m: [0.0, 0.0, 2.0], normal: [0.0, 0.0, 1.0] },
+                Shape::Sphere { centre_m: [0.0, 0.0, 1.0], radius_m: 0.1 },
             ],
         };
-        let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
+        let truth = scene.render(&camera, &Pose::looking([0.0; 3], 0.0, 0.0));
         let exact = errors(&truth, &truth.points, &truth.normals, |_| true);
         assert_eq!((exact.pixels, exact.rms_m), (64 * 48, 0.0));
         assert!(exact.mean_normal_deg < 0.05);

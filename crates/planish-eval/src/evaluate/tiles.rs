@@ -182,10 +182,10 @@ mod tests {
     #[test]
     fn the_largest_plane_and_the_tiles_of_a_noisy_wall_have_its_noise() {
         let camera = Camera::new((160, 120), [131.0; 2], [79.5, 59.5]);
-        let wall = Shape::Plane { point: DVec3::new(0.0, 0.0, 2.0), normal: DVec3::new(0.2, 0.1, 1.0).normalize() };
-        let ball = Shape::Sphere { centre: DVec3::new(0.3, 0.0, 1.2), radius_m: 0.15 };
+        let wall = Shape::Plane { point_m: [0.0, 0.0, 2.0], normal: DVec3::new(0.2, 0.1, 1.0).normalize().to_array() };
+        let ball = Shape::Sphere { centre_m: [0.3, 0.0, 1.2], radius_m: 0.15 };
         let scene = Scene { objects: vec![wall, ball] };
-        let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
+        let truth = scene.render(&camera, &Pose::looking([0.0; 3], 0.0, 0.0));
         let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).unwrap();
         let cloud = frame.deproject().unwrap();
         let found = largest_plane(&cloud).unwrap();

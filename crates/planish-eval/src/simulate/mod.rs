@@ -21,8 +21,6 @@ mod scene;
 mod scenes;
 mod sensor;
 
-/// The linear algebra of scenes and poses.
-pub use glam::{DMat3, DVec3};
 #[doc(hidden)]
 pub use planish_core::Camera;
 #[doc(hidden)]

@@ -54,7 +54,7 @@ impl RigScene {
             let position =
                 DVec3::new(angle.sin(), 0.0, -angle.cos()) * DISTANCE_M + DVec3::new(CENTRE.x, 0.0, CENTRE.z);
             let down = (CENTRE.y - position.y).atan2(DISTANCE_M);
-            Pose::looking(position, -angle, down)
+            Pose::looking(position.to_array(), -angle, down)
         };
         Self { scene, poses: (0..cameras).map(pose).collect() }
     }

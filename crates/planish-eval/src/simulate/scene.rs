@@ -14,33 +14,33 @@ pub const NO_OBJECT: u16 = u16::MAX;
 pub enum Shape {
     /// An infinite plane through a point.
     Plane {
-        /// Any point on it.
-        point: DVec3,
+        /// Any point on it, in metres.
+        point_m: [f64; 3],
         /// Its unit normal, either way.
-        normal: DVec3,
+        normal: [f64; 3],
     },
     /// A sphere.
     Sphere {
-        /// Its centre.
-        centre: DVec3,
+        /// Its centre in metres.
+        centre_m: [f64; 3],
         /// Its radius in metres.
         radius_m: f64,
     },
     /// A box.
     Cuboid {
-        /// Its centre.
-        centre: DVec3,
+        /// Its centre in metres.
+        centre_m: [f64; 3],
         /// Half its extent along each of its axes, in metres.
-        half_extent_m: DVec3,
-        /// Columns are its axes.
-        world_from_box: DMat3,
+        half_extent_m: [f64; 3],
+        /// Its axes in the world, unit vectors at right angles.
+        axes: [[f64; 3]; 3],
     },
     /// A cylinder with flat ends.
     Cylinder {
-        /// The middle of its axis.
-        centre: DVec3,
+        /// The middle of its axis, in metres.
+        centre_m: [f64; 3],
         /// Unit direction of its axis.
-        axis: DVec3,
+        axis: [f64; 3],
         /// Its radius in metres.
         radius_m: f64,
         /// Half its length in metres.
@@ -56,12 +56,13 @@ impl Shape {
     /// Returns the first hit of the ray in front of its origin.
     fn intersect(&self, origin: DVec3, direction: DVec3) -> Option<Hit> {
         match *self {
-            Self::Plane { point, normal } => {
+            Self::Plane { point_m, normal } => {
+                let (point, normal) = (DVec3::from(point_m), DVec3::from(normal));
                 let t = (point - origin).dot(normal) / direction.dot(normal);
                 in_front(t).then_some((t, normal))
             }
-            Self::Sphere { centre, radius_m } => {
-                let from_centre = origin - centre;
+            Self::Sphere { centre_m, radius_m } => {
+                let from_centre = origin - DVec3::from(centre_m);
                 let a = direction.length_squared();
                 let b = from_centre.dot(direction);
                 let c = from_centre.length_squared() - radius_m * radius_m;
@@ -69,9 +70,10 @@ impl Shape {
                 let t = (-b - root) / a;
                 in_front(t).then(|| (t, (from_centre + t * direction) / radius_m))
             }
-            Self::Cuboid { centre, half_extent_m, world_from_box } => {
+            Self::Cuboid { centre_m, half_extent_m, axes } => {
+                let world_from_box = DMat3::from_cols_array_2d(&axes);
                 let box_from_world = world_from_box.transpose();
-                let (o, d) = (box_from_world * (origin - centre), box_from_world * direction);
+                let (o, d) = (box_from_world * (origin - DVec3::from(centre_m)), box_from_world * direction);
                 let (mut enter, mut leave, mut entered) = (f64::NEG_INFINITY, f64::INFINITY, 0);
                 for axis in 0..3 {
                     let t0 = (-half_extent_m[axis] - o[axis]) / d[axis];
@@ -83,8 +85,8 @@ impl Shape {
                 }
                 (enter <= leave && in_front(enter)).then(|| (enter, world_from_box.col(entered)))
             }
-            Self::Cylinder { centre, axis, radius_m, half_height_m } => {
-                let from_centre = origin - centre;
+            Self::Cylinder { centre_m, axis, radius_m, half_height_m } => {
+                let (from_centre, axis) = (origin - DVec3::from(centre_m), DVec3::from(axis));
                 let across = |x: DVec3| x - x.dot(axis) * axis;
                 let (o, d) = (across(from_centre), across(direction));
                 let (a, b, c) = (d.length_squared(), o.dot(d), o.length_squared() - radius_m * radius_m);
@@ -111,15 +113,26 @@ fn in_front(t: f64) -> bool {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Position of the camera in the world, in metres.
-    pub position: DVec3,
+    pub(crate) position: DVec3,
     /// Rotation from camera to world axes.
-    pub world_from_camera: DMat3,
+    pub(crate) world_from_camera: DMat3,
 }
 
 impl Pose {
-    /// Returns a camera at `position`, turned by `yaw_rad` to the right and then by `pitch_rad` downwards.
-    pub fn looking(position: DVec3, yaw_rad: f64, pitch_rad: f64) -> Self {
-        Self { position, world_from_camera: DMat3::from_rotation_y(yaw_rad) * DMat3::from_rotation_x(-pitch_rad) }
+    /// Returns a camera at `position_m`, turned by `yaw_rad` to the right and then by `pitch_rad` downwards.
+    pub fn looking(position_m: [f64; 3], yaw_rad: f64, pitch_rad: f64) -> Self {
+        let world_from_camera = DMat3::from_rotation_y(yaw_rad) * DMat3::from_rotation_x(-pitch_rad);
+        Self { position: position_m.into(), world_from_camera }
+    }
+
+    /// Returns the camera moved by an offset in its frame, in metres.
+    pub fn moved(self, offset_m: [f64; 3]) -> Self {
+        Self { position: self.position + self.world_from_camera * DVec3::from(offset_m), ..self }
+    }
+
+    /// Transforms a point from the camera's frame to the world, in metres.
+    pub fn to_world(&self, point_m: [f64; 3]) -> [f64; 3] {
+        (self.world_from_camera * DVec3::from(point_m) + self.position).to_array()
     }
 
     /// Converts to the pose type of clouds and rigs, with the world as their frame.
@@ -220,20 +233,20 @@ mod tests {
 
     #[test]
     fn rays_meet_shapes_where_geometry_says() {
-        let centre = DVec3::new(0.0, 0.0, 2.0);
-        let sphere = Shape::Sphere { centre, radius_m: 0.5 };
+        let centre_m = [0.0, 0.0, 2.0];
+        let sphere = Shape::Sphere { centre_m, radius_m: 0.5 };
         assert_eq!(probe(sphere, DVec3::Z), Some((DVec3::new(0.0, 0.0, 1.5), -DVec3::Z)));
         assert_eq!(probe(sphere, DVec3::X), None);
-        let cuboid =
-            Shape::Cuboid { centre, half_extent_m: DVec3::new(1.0, 1.0, 0.25), world_from_box: DMat3::IDENTITY };
+        let axes = DMat3::IDENTITY.to_cols_array_2d();
+        let cuboid = Shape::Cuboid { centre_m, half_extent_m: [1.0, 1.0, 0.25], axes };
         assert_eq!(probe(cuboid, DVec3::Z).map(|hit| hit.0.z), Some(1.75));
         assert_eq!(probe(cuboid, DVec3::new(1.0, 0.0, 1.0)), None);
-        let cylinder = Shape::Cylinder { centre, axis: DVec3::Y, radius_m: 0.5, half_height_m: 0.1 };
+        let cylinder = Shape::Cylinder { centre_m, axis: [0.0, 1.0, 0.0], radius_m: 0.5, half_height_m: 0.1 };
         assert_eq!(probe(cylinder, DVec3::Z).map(|hit| hit.0.z), Some(1.5));
         // From above, through the flat end.
         let end = probe(cylinder, DVec3::new(0.0, 0.1, 1.9));
         assert!(end.is_none_or(|(p, _)| p.y.abs() <= 0.1 + 1e-12));
-        let plane = Shape::Plane { point: centre, normal: DVec3::Z };
+        let plane = Shape::Plane { point_m: centre_m, normal: [0.0, 0.0, 1.0] };
         assert_eq!(probe(plane, -DVec3::Z), None);
         assert_eq!(probe(plane, DVec3::new(0.5, 0.0, 1.0)).map(|hit| hit.0), Some(DVec3::new(1.0, 0.0, 2.0)));
     }
@@ -254,15 +267,17 @@ mod tests {
                 let p = truth.points.vector(i);
                 let world = pose.world_from_camera * p + pose.position;
                 let distance = match scene.objects[truth.objects[i] as usize] {
-                    Shape::Plane { point, normal } => (world - point).dot(normal),
-                    Shape::Sphere { centre, radius_m } => (world - centre).length() - radius_m,
-                    Shape::Cuboid { centre, half_extent_m, world_from_box } => {
-                        let local = (world_from_box.transpose() * (world - centre)).abs() - half_extent_m;
-                        local.max_element()
+                    Shape::Plane { point_m, normal } => (world - DVec3::from(point_m)).dot(normal.into()),
+                    Shape::Sphere { centre_m, radius_m } => (world - DVec3::from(centre_m)).length() - radius_m,
+                    Shape::Cuboid { centre_m, half_extent_m, axes } => {
+                        let box_from_world = DMat3::from_cols_array_2d(&axes).transpose();
+                        let local = (box_from_world * (world - DVec3::from(centre_m))).abs();
+                        (local - DVec3::from(half_extent_m)).max_element()
                     }
-                    Shape::Cylinder { centre, axis, radius_m, half_height_m } => {
-                        let along = (world - centre).dot(axis);
-                        let across = (world - centre - along * axis).length();
+                    Shape::Cylinder { centre_m, axis, radius_m, half_height_m } => {
+                        let (offset, axis) = (world - DVec3::from(centre_m), DVec3::from(axis));
+                        let along = offset.dot(axis);
+                        let across = (offset - along * axis).length();
                         (across - radius_m).max(along.abs() - half_height_m)
                     }
                 };

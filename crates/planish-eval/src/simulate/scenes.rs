@@ -18,15 +18,15 @@ impl Scene {
         let table_y = CAMERA_OVER_TABLE_M;
         let yaw = random.between(-0.15, 0.15);
         let mut objects = vec![
-            Shape::Plane { point: DVec3::new(0.0, floor_y, 0.0), normal: DVec3::Y },
+            Shape::Plane { point_m: [0.0, floor_y, 0.0], normal: DVec3::Y.to_array() },
             Shape::Plane {
-                point: DVec3::new(0.0, 0.0, random.between(2.2, 2.8)),
-                normal: DMat3::from_rotation_y(yaw) * DVec3::Z,
+                point_m: [0.0, 0.0, random.between(2.2, 2.8)],
+                normal: (DMat3::from_rotation_y(yaw) * DVec3::Z).to_array(),
             },
             Shape::Cuboid {
-                centre: DVec3::new(0.0, table_y + 0.02, 1.05),
-                half_extent_m: DVec3::new(0.7, 0.02, 0.45),
-                world_from_box: DMat3::from_rotation_y(random.between(-0.1, 0.1)),
+                centre_m: [0.0, table_y + 0.02, 1.05],
+                half_extent_m: [0.7, 0.02, 0.45],
+                axes: DMat3::from_rotation_y(random.between(-0.1, 0.1)).to_cols_array_2d(),
             },
         ];
         // One object per cell of a 4 x 2 grid, so that they neither touch nor occlude each other much.
@@ -35,7 +35,7 @@ impl Scene {
             let z = 0.85 + 0.32 * f64::from(cell / 4) + random.between(-0.05, 0.05);
             objects.push(standing_object(&mut random, DVec3::new(x, table_y, z), 1.0));
         }
-        let pose = Pose::looking(DVec3::ZERO, random.between(-0.05, 0.05), random.between(0.45, 0.55));
+        let pose = Pose::looking([0.0; 3], random.between(-0.05, 0.05), random.between(0.45, 0.55));
         (Self { objects }, pose)
     }
 
@@ -44,17 +44,17 @@ impl Scene {
         let mut random = Random::new(seed, 2);
         let floor_y = 1.2;
         let mut objects = vec![
-            Shape::Plane { point: DVec3::new(0.0, floor_y, 0.0), normal: DVec3::Y },
-            Shape::Plane { point: DVec3::new(0.0, 0.0, random.between(3.6, 4.2)), normal: DVec3::Z },
-            Shape::Plane { point: DVec3::new(random.between(-2.2, -1.6), 0.0, 0.0), normal: DVec3::X },
-            Shape::Plane { point: DVec3::new(random.between(1.6, 2.2), 0.0, 0.0), normal: DVec3::X },
+            Shape::Plane { point_m: [0.0, floor_y, 0.0], normal: DVec3::Y.to_array() },
+            Shape::Plane { point_m: [0.0, 0.0, random.between(3.6, 4.2)], normal: DVec3::Z.to_array() },
+            Shape::Plane { point_m: [random.between(-2.2, -1.6), 0.0, 0.0], normal: DVec3::X.to_array() },
+            Shape::Plane { point_m: [random.between(1.6, 2.2), 0.0, 0.0], normal: DVec3::X.to_array() },
         ];
         for cell in 0..6 {
             let x = -1.0 + f64::from(cell % 3) + random.between(-0.2, 0.2);
             let z = 1.8 + 1.1 * f64::from(cell / 3) + random.between(-0.3, 0.3);
             objects.push(standing_object(&mut random, DVec3::new(x, floor_y, z), 4.0));
         }
-        (Self { objects }, Pose::looking(DVec3::ZERO, random.between(-0.2, 0.2), random.between(0.1, 0.25)))
+        (Self { objects }, Pose::looking([0.0; 3], random.between(-0.2, 0.2), random.between(0.1, 0.25)))
     }
 
     /// Creates shapes of known size in front of a wall: the 90° edge of a box at 1 m, a sphere and a cylinder of 60 to
@@ -68,9 +68,9 @@ impl Scene {
         // Turned by some 45°, this is the edge nearest to the camera.
         let to_edge = world_from_box * DVec3::new(half_m, 0.0, -half_m);
         let wedge = Shape::Cuboid {
-            centre: DVec3::new(0.0, 0.0, 1.0) - to_edge,
-            half_extent_m: DVec3::new(half_m, 0.25, half_m),
-            world_from_box,
+            centre_m: (DVec3::new(0.0, 0.0, 1.0) - to_edge).to_array(),
+            half_extent_m: [half_m, 0.25, half_m],
+            axes: world_from_box.to_cols_array_2d(),
         };
         let (sphere_radius_m, cylinder_radius_m) = (random.between(0.06, 0.1), random.between(0.06, 0.1));
         let (sphere_z, cylinder_z) = (random.between(0.8, 1.4), random.between(0.8, 1.4));
@@ -78,12 +78,12 @@ impl Scene {
         let cylinder_centre = DVec3::new(0.38 * cylinder_z, 0.0, cylinder_z);
         let cylinder_axis = (DVec3::Y + random.between(-0.3, 0.3) * DVec3::Z).normalize();
         let objects = vec![
-            Shape::Plane { point: DVec3::new(0.0, 0.0, random.between(1.8, 2.4)), normal: DVec3::Z },
+            Shape::Plane { point_m: [0.0, 0.0, random.between(1.8, 2.4)], normal: DVec3::Z.to_array() },
             wedge,
-            Shape::Sphere { centre: sphere_centre, radius_m: sphere_radius_m },
+            Shape::Sphere { centre_m: sphere_centre.to_array(), radius_m: sphere_radius_m },
             Shape::Cylinder {
-                centre: cylinder_centre,
-                axis: cylinder_axis,
+                centre_m: cylinder_centre.to_array(),
+                axis: cylinder_axis.to_array(),
                 radius_m: cylinder_radius_m,
                 half_height_m: 0.2,
             },
@@ -98,7 +98,7 @@ impl Scene {
             cylinder_axis,
             cylinder_radius_m,
         };
-        (Self { objects }, Pose::looking(DVec3::ZERO, 0.0, 0.0), gauge)
+        (Self { objects }, Pose::looking([0.0; 3], 0.0, 0.0), gauge)
     }
 }
 
@@ -110,15 +110,15 @@ pub struct Gauge {
     /// The sphere.
     pub sphere: u16,
     /// Its centre in metres.
-    pub sphere_centre: DVec3,
+    pub(crate) sphere_centre: DVec3,
     /// Its radius in metres.
     pub sphere_radius_m: f64,
     /// The cylinder.
     pub cylinder: u16,
     /// A point on its axis in metres.
-    pub cylinder_centre: DVec3,
+    pub(crate) cylinder_centre: DVec3,
     /// The direction of its axis, of length 1.
-    pub cylinder_axis: DVec3,
+    pub(crate) cylinder_axis: DVec3,
     /// Its radius in metres.
     pub cylinder_radius_m: f64,
 }
@@ -127,14 +127,14 @@ pub struct Gauge {
 fn standing_object(random: &mut Random, base: DVec3, scale: f64) -> Shape {
     let radius_m = scale * random.between(0.05, 0.08);
     let half_height_m = scale * random.between(0.05, 0.11);
-    let above = |height: f64| base - DVec3::new(0.0, height, 0.0);
+    let above = |height: f64| (base - DVec3::new(0.0, height, 0.0)).to_array();
     match random.uniform() {
-        kind if kind < 0.35 => Shape::Sphere { centre: above(radius_m), radius_m },
+        kind if kind < 0.35 => Shape::Sphere { centre_m: above(radius_m), radius_m },
         kind if kind < 0.7 => Shape::Cuboid {
-            centre: above(half_height_m),
-            half_extent_m: DVec3::new(radius_m, half_height_m, scale * random.between(0.04, 0.07)),
-            world_from_box: DMat3::from_rotation_y(random.between(-0.8, 0.8)),
+            centre_m: above(half_height_m),
+            half_extent_m: [radius_m, half_height_m, scale * random.between(0.04, 0.07)],
+            axes: DMat3::from_rotation_y(random.between(-0.8, 0.8)).to_cols_array_2d(),
         },
-        _ => Shape::Cylinder { centre: above(half_height_m), axis: DVec3::Y, radius_m, half_height_m },
+        _ => Shape::Cylinder { centre_m: above(half_height_m), axis: DVec3::Y.to_array(), radius_m, half_height_m },
     }
 }

@@ -303,13 +303,12 @@ fn colours(truth: &Truth) -> Vec<u8> {
 mod tests {
     use super::super::{Pose, Scene, Shape};
     use super::*;
-    use glam::DVec3;
 
     fn wall(distance_m: f64) -> (Truth, Camera) {
         let camera = Camera::kinect_v1();
-        let plane = Shape::Plane { point: DVec3::new(0.0, 0.0, distance_m), normal: DVec3::Z };
+        let plane = Shape::Plane { point_m: [0.0, 0.0, distance_m], normal: [0.0, 0.0, 1.0] };
         let scene = Scene { objects: vec![plane] };
-        (scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0)), camera)
+        (scene.render(&camera, &Pose::looking([0.0; 3], 0.0, 0.0)), camera)
     }
 
     /// Depth errors in metres over the whole wall.
@@ -386,11 +385,11 @@ mod tests {
         let camera = Camera::kinect_v1();
         let scene = Scene {
             objects: vec![
-                Shape::Plane { point: DVec3::new(0.0, 0.0, 2.0), normal: DVec3::Z },
-                Shape::Sphere { centre: DVec3::new(0.0, 0.0, 1.0), radius_m: 0.1 },
+                Shape::Plane { point_m: [0.0, 0.0, 2.0], normal: [0.0, 0.0, 1.0] },
+                Shape::Sphere { centre_m: [0.0, 0.0, 1.0], radius_m: 0.1 },
             ],
         };
-        let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
+        let truth = scene.render(&camera, &Pose::looking([0.0; 3], 0.0, 0.0));
         let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).unwrap();
         let row = &frame.raw[240 * 640..241 * 640];
         // The disparities of 1 m and 2 m differ by 0.075 * 525 / 2, 20 pixels.

@@ -1,8 +1,8 @@
 //! Rigs: several cameras as one sensor.
 //!
 //! A [`Rig`] lists cameras and their poses; [`Rig::read`] reads it from a `rig.json`, and [`calibration`] converts
-//! calibrations of ROS, Kalibr and COLMAP. [`run`] streams it. Each camera has a thread, and [`Matcher`] groups frames
-//! by their time stamps into moments. A moment is smoothed as [`RigWay`] selects, and [`RigSink`]s receive each
+//! calibrations of ROS, Kalibr and COLMAP. [`RigStream`] streams it. Each camera has a thread, and [`Matcher`] groups
+//! frames by their time stamps into moments. A moment is smoothed as [`RigWay`] selects, and [`RigSink`]s receive each
 //! camera's frame and one [fused](RigFrame::fused) cloud in the rig's frame.
 
 pub mod calibration;
@@ -45,7 +45,7 @@ pub use picture::{PictureSink, top_down};
 pub use sinks::{CamerasSink, FusedSink, RigSink};
 pub use smoother::{RigResults, RigSmoother, RigWay};
 pub use statistics::{CameraStatistics, RigStatistics};
-pub use stream::{RigEvent, run};
+pub use stream::{RigEvent, RigStream};
 pub use viewpoint::Viewpoint;
 
 /// How far time stamps of one moment may be apart if a rig does not say: half the time between frames at 30 Hz.

@@ -31,6 +31,8 @@ pub struct RigOptions {
     pub smoother: SmootherOptions,
     /// The devices that cameras are spread over, instead of the one of the options; none for that one.
     pub devices: Vec<FleetDevice>,
+    /// Whether pixels that float between two surfaces are turned into holes before smoothing.
+    pub remove_floating: bool,
     /// Stop after N moments.
     pub max_moments: Option<u64>,
     /// Stop after this time.
@@ -51,6 +53,7 @@ impl RigOptions {
             voxel_m: None,
             smoother,
             devices: Vec::new(),
+            remove_floating: false,
             max_moments: None,
             max_duration: None,
         }
@@ -77,10 +80,11 @@ impl RigOptions {
         let merged = voxel_m.map_or_else(super::merged_params, super::merged_params_in_voxels);
         let general_params = settings.override_cloud(merged)?;
         let options = Self::new(rig, way, settings.options()).with_params(params, general_params);
+        let options = options.with_remove_floating(settings.remove_floating == Some(true));
         Ok(options.with_devices(settings.devices()?).with_voxel_m(voxel_m))
     }
 
-    /// Refuses options that contradict each other; [`run`](super::run) does so before it begins.
+    /// Refuses options that contradict each other; [`RigStream::run`](super::RigStream::run) does so before it begins.
     ///
     /// # Errors
     /// If `registration_m` is above 0.1, or if `voxel_m` is set for another way than merged, below 0.1 mm, or above
@@ -111,6 +115,11 @@ impl RigOptions {
     /// Sets the parameters: one set per camera, and one for all points as one cloud.
     pub fn with_params(self, params: Vec<FrameParams>, general_params: CloudParams) -> Self {
         Self { params, general_params, ..self }
+    }
+
+    /// Sets whether pixels that float between two surfaces are turned into holes before smoothing.
+    pub fn with_remove_floating(self, remove_floating: bool) -> Self {
+        Self { remove_floating, ..self }
     }
 
     /// Sets the maximum distance between surfaces of two cameras due to errors of their poses, in metres.

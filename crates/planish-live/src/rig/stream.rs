@@ -14,7 +14,7 @@ use super::{
     RigSmoother, RigStatistics, RigWay,
 };
 use crate::{
-    source::Source,
+    source::{Source, WithoutFloating},
     stream::{SinkThread, StreamFrame, StreamStatistics},
 };
 use planish_core::{
@@ -38,17 +38,62 @@ pub enum RigEvent<'a> {
     Warning(String),
 }
 
-/// Streams a rig until all its cameras end, its limits are reached, all its sinks have failed, or `stop` is set; then
-/// waits for the sinks and closes them.
-///
-/// `sources` are the sources of its cameras, in their order: either all live, in which case only the newest moment is
-/// smoothed, or all recorded, in which case every frame is. A camera that fails or ends is reported and counted, and
-/// the others continue. A lost GPU is reopened once, after which the CPU engine takes over; with several devices, the
-/// others take over its cameras.
-///
-/// # Errors
-/// If the options are not allowed, an engine fails for good, or every camera failed before it gave a frame.
-pub fn run(
+/// A stream of a rig's cameras to sinks, to be run on the calling thread.
+pub struct RigStream<'a> {
+    rig: &'a Rig,
+    sources: Vec<Box<dyn Source>>,
+    options: RigOptions,
+    sinks: Vec<Box<dyn RigSink>>,
+    stop: Option<&'a AtomicBool>,
+    tell: Box<dyn FnMut(RigEvent<'_>) + 'a>,
+}
+
+impl<'a> RigStream<'a> {
+    /// Creates a stream without sinks, which nothing stops and nobody observes.
+    ///
+    /// `sources` are the sources of the rig's cameras, in their order: either all live, in which case only the newest
+    /// moment is smoothed, or all recorded, in which case every frame is.
+    pub fn new(rig: &'a Rig, sources: Vec<Box<dyn Source>>, options: RigOptions) -> Self {
+        Self { rig, sources, options, sinks: Vec::new(), stop: None, tell: Box::new(|_| ()) }
+    }
+
+    /// Adds sinks for the results.
+    pub fn with_sinks(mut self, sinks: Vec<Box<dyn RigSink>>) -> Self {
+        self.sinks.extend(sinks);
+        self
+    }
+
+    /// Sets a flag that ends the stream early.
+    pub fn with_stop(self, stop: &'a AtomicBool) -> Self {
+        Self { stop: Some(stop), ..self }
+    }
+
+    /// Sets a function to be called on each event.
+    pub fn with_events(self, tell: impl FnMut(RigEvent<'_>) + 'a) -> Self {
+        Self { tell: Box::new(tell), ..self }
+    }
+
+    /// Runs the stream until all cameras end, its limits are reached, all sinks have failed, or the stop flag is set;
+    /// then waits for the sinks and closes them.
+    ///
+    /// A camera that fails or ends is reported and counted, and the others continue. A lost GPU is reopened once, after
+    /// which the CPU engine takes over; with several devices, the others take over its cameras.
+    ///
+    /// # Errors
+    /// If the options are not allowed, an engine fails for good, or every camera failed before it delivered a frame.
+    pub fn run(self) -> Result<RigStatistics, Error> {
+        let never = AtomicBool::new(false);
+        let Self { rig, mut sources, options, sinks, stop, tell } = self;
+        if options.remove_floating {
+            let sensors = options.params.iter().map(|params| params.sensor);
+            let without = |(source, sensor)| Box::new(WithoutFloating::new(source, sensor)) as Box<dyn Source>;
+            sources = sources.into_iter().zip(sensors).map(without).collect();
+        }
+        run(rig, sources, &options, sinks, stop.unwrap_or(&never), tell)
+    }
+}
+
+fn run(
     rig: &Rig,
     sources: Vec<Box<dyn Source>>,
     options: &RigOptions,
@@ -72,7 +117,7 @@ pub fn run(
     let threads: Result<Vec<_>, EngineError> = sources.into_iter().enumerate().map(capture).collect();
     let sinks: Result<Vec<_>, Error> = sinks.into_iter().map(SinkThread::start).collect();
     let result = sinks.and_then(|sinks| {
-        let mut stream = RigStream {
+        let mut stream = Running {
             rig: Arc::new(rig.clone()),
             options,
             smoother: smoother
@@ -136,7 +181,7 @@ fn check_sources(rig: &Rig, sources: &[Box<dyn Source>]) -> Result<bool, ParamEr
     Ok(live != 0)
 }
 
-struct RigStream<'a> {
+struct Running<'a> {
     rig: Arc<Rig>,
     options: &'a RigOptions,
     smoother: RigSmoother,
@@ -162,7 +207,7 @@ struct RigStream<'a> {
     at_start: Option<(Vec<u64>, u64)>,
 }
 
-impl RigStream<'_> {
+impl Running<'_> {
     /// Runs until the end; a moment that is being smoothed when `stop` is set is given up, where that may take long.
     fn run_until(
         &mut self,

@@ -254,7 +254,7 @@ impl Drop for KinectSource {
     }
 }
 
-/// Returns the thread's work: opens the device, handles its events until told to stop or until it ends, closes it.
+/// Runs the thread: opens the device, handles its events until stopped or disconnected, and closes it.
 fn run(
     freenect: &Freenect,
     index: u32,

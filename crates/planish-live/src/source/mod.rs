@@ -12,9 +12,11 @@ mod kinect;
 mod openni2;
 mod paced;
 mod realsense;
+mod reconnecting;
 mod silence;
 mod synthetic;
 mod tum;
+mod without_floating;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -39,8 +41,10 @@ pub use kinect::KinectSource;
 pub use openni2::OpenNi2Source;
 pub use paced::Paced;
 pub use realsense::{RealSenseInput, RealSenseSource};
+pub use reconnecting::Reconnecting;
 pub use synthetic::SyntheticSource;
 pub use tum::{TumRecorder, TumSource};
+pub use without_floating::WithoutFloating;
 
 /// Delivers one frame after another.
 pub trait Source: Send {

@@ -44,9 +44,7 @@ impl SyntheticSource {
     /// Returns the frame of a perfect camera at `index` of a full round.
     pub fn truth(&self, index: u64) -> Truth {
         let turn = TAU * (index % ROUND) as f64 / ROUND as f64;
-        let mut pose = self.start;
-        pose.position +=
-            pose.world_from_camera * planish_eval::simulate::DVec3::new(0.08 * turn.sin(), 0.03 * turn.cos(), 0.0);
+        let pose = self.start.moved([0.08 * turn.sin(), 0.03 * turn.cos(), 0.0]);
         self.scene.render(&self.camera, &pose)
     }
 }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::{Sink, StreamEvent, StreamFrame, StreamOptions, StreamStatistics, run};
+use super::{Sink, Stream, StreamEvent, StreamFrame, StreamOptions, StreamStatistics};
 use crate::source::Source;
 use planish_core::{EngineError, Error};
 
@@ -57,7 +57,7 @@ struct State {
 }
 
 impl Frames {
-    /// Starts a stream on another thread; see [`run`].
+    /// Starts a stream on another thread; see [`Stream::run`].
     ///
     /// # Errors
     ///
@@ -67,11 +67,14 @@ impl Frames {
         let sink = Handover { shared: Arc::clone(&shared), is_live };
         let ending = Ending(Arc::clone(&shared));
         let work = move || {
-            let result = run(source, &options, vec![Box::new(sink)], &ending.0.stop, |event| {
-                if let StreamEvent::Warning(warning) = event {
-                    ending.0.warn(warning);
-                }
-            });
+            let stream = Stream::new(source, options).with_sinks(vec![Box::new(sink)]).with_stop(&ending.0.stop);
+            let result = stream
+                .with_events(|event| {
+                    if let StreamEvent::Warning(warning) = event {
+                        ending.0.warn(warning);
+                    }
+                })
+                .run();
             ending.end(result);
         };
         thread::Builder::new().name("planish-stream".into()).spawn(work).map_err(|error| failed(&error.to_string()))?;

@@ -19,11 +19,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::source::{OwnedFrame, Source};
+use crate::source::{OwnedFrame, Source, WithoutFloating};
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{
-    CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, SensorChoice, Session, Settings,
-    Smoothed, SmoothedView, SmootherOptions,
+    CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, SensorChoice, SensorModel,
+    Session, Settings, Smoothed, SmoothedView, SmootherOptions,
 };
 
 #[cfg(feature = "rerun")]
@@ -114,6 +114,10 @@ impl StreamOptions {
         let mut of_known_sensor = settings.clone();
         of_known_sensor.sensor = settings.known_sensor().map(SensorChoice::Known);
         of_known_sensor.frame_params()?;
+        // Floating pixels are removed before there is a frame from which to estimate a sensor.
+        if settings.remove_floating == Some(true) {
+            settings.frame_params()?;
+        }
         let (smoother, devices) = (settings.options(), settings.devices()?);
         Ok(Self { params: StreamParams::Settings(settings), smoother, devices, ..Self::default() })
     }
@@ -121,6 +125,14 @@ impl StreamOptions {
     /// Sets the engine and the outputs.
     pub fn with_smoother(self, smoother: SmootherOptions) -> Self {
         Self { smoother, ..self }
+    }
+
+    /// Returns the sensor whose noise determines floating pixels, if they are to be removed.
+    fn floating_sensor(&self) -> Option<SensorModel> {
+        match &self.params {
+            StreamParams::Settings(settings) => settings.frame_floating_sensor(),
+            StreamParams::Params(_) => None,
+        }
     }
 
     fn session(&self, is_live: bool) -> Result<Session, Error> {
@@ -160,13 +172,70 @@ pub enum StreamEvent<'a> {
     Warning(String),
 }
 
-/// Runs a stream until its source ends, its limits are reached, or `stop` is set; then waits for the sinks and closes
-/// them.
+/// A stream from a source to sinks, to be run on the calling thread. [`Frames`] is the same as an iterator.
 ///
-/// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes over;
-/// with several devices, the others continue. Frames keep their order. A frame or sink that fails is reported and
-/// counted, and the stream continues.
-pub fn run(
+/// ```
+/// use planish::source::SyntheticSource;
+/// use planish::stream::{Stream, StreamOptions};
+/// use planish::{Camera, Engine, FrameParams, Outputs, SmootherOptions};
+///
+/// let source = SyntheticSource::of_frames(1, Camera::new((80, 60), [65.6; 2], [39.5, 29.5]), 2)?;
+/// let smoother = SmootherOptions::new(Engine::Cpu, Outputs::POINTS);
+/// let options = StreamOptions::new(FrameParams::default(), smoother).with_max_frames(Some(2));
+/// let statistics = Stream::new(Box::new(source), options).run()?;
+/// assert_eq!(statistics.frames_out, 2);
+/// # Ok::<(), planish::Error>(())
+/// ```
+pub struct Stream<'a> {
+    source: Box<dyn Source>,
+    options: StreamOptions,
+    sinks: Vec<Box<dyn Sink>>,
+    stop: Option<&'a AtomicBool>,
+    tell: Box<dyn FnMut(StreamEvent<'_>) + 'a>,
+}
+
+impl<'a> Stream<'a> {
+    /// Creates a stream without sinks, which nothing stops and nobody observes.
+    pub fn new(source: Box<dyn Source>, options: StreamOptions) -> Self {
+        Self { source, options, sinks: Vec::new(), stop: None, tell: Box::new(|_| ()) }
+    }
+
+    /// Adds sinks for the results.
+    pub fn with_sinks(mut self, sinks: Vec<Box<dyn Sink>>) -> Self {
+        self.sinks.extend(sinks);
+        self
+    }
+
+    /// Sets a flag that ends the stream early.
+    pub fn with_stop(self, stop: &'a AtomicBool) -> Self {
+        Self { stop: Some(stop), ..self }
+    }
+
+    /// Sets a function to be called on each event.
+    pub fn with_events(self, tell: impl FnMut(StreamEvent<'_>) + 'a) -> Self {
+        Self { tell: Box::new(tell), ..self }
+    }
+
+    /// Runs the stream until its source ends, its limits are reached, or the stop flag is set; then waits for the sinks
+    /// and closes them.
+    ///
+    /// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes
+    /// over; with several devices, the others continue. Frames keep their order. A frame or sink that fails is reported
+    /// and counted, and the stream continues.
+    ///
+    /// # Errors
+    /// If the settings are not allowed, an engine fails for good, or the source fails for good.
+    pub fn run(self) -> Result<StreamStatistics, Error> {
+        let never = AtomicBool::new(false);
+        let Self { mut source, options, sinks, stop, tell } = self;
+        if let Some(sensor) = options.floating_sensor() {
+            source = Box::new(WithoutFloating::new(source, sensor));
+        }
+        run(source, &options, sinks, stop.unwrap_or(&never), tell)
+    }
+}
+
+fn run(
     mut source: Box<dyn Source>,
     options: &StreamOptions,
     sinks: Vec<Box<dyn Sink>>,
@@ -187,7 +256,7 @@ pub fn run(
     };
     let sinks = sinks.into_iter().map(SinkThread::start).collect::<Result<Vec<_>, _>>();
     let result = sinks.and_then(|sinks| {
-        let mut stream = Stream {
+        let mut stream = Running {
             options,
             live,
             session: options.session(live)?,
@@ -200,7 +269,7 @@ pub fn run(
         let result = stream.run(&mailbox, stop, &mut tell);
         // Frames that arrive while the engine is closed are not missed.
         mailbox.close();
-        let Stream { sinks, mut statistics, smooth_time, .. } = stream;
+        let Running { sinks, mut statistics, smooth_time, .. } = stream;
         statistics.time_smoothing = smooth_time.total();
         for sink in sinks {
             if let Some(warning) = sink.finish(&mut statistics) {
@@ -270,7 +339,7 @@ fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
     }
 }
 
-struct Stream<'a> {
+struct Running<'a> {
     options: &'a StreamOptions,
     live: bool,
     session: Session,
@@ -289,7 +358,7 @@ struct InFlight {
     since: Instant,
 }
 
-impl Stream<'_> {
+impl Running<'_> {
     fn run(
         &mut self,
         mailbox: &Mailbox,

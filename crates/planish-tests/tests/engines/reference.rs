@@ -81,11 +81,11 @@ fn a_frame_of_another_shape_is_refused_with_both_shapes() {
 
 #[test]
 fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
-    use planish::simulate::{DVec3, DepthNoise, DepthSimulator, Pose, Scene, Shape};
+    use planish::simulate::{DepthNoise, DepthSimulator, Pose, Scene, Shape};
     let camera = small_camera();
-    let normal = DVec3::new(0.8, 0.0, -0.6);
-    let scene = Scene { objects: vec![Shape::Plane { point: DVec3::new(0.0, 0.0, 1.2), normal }] };
-    let truth = scene.render(&camera, &Pose::looking(DVec3::ZERO, 0.0, 0.0));
+    let normal = [0.8, 0.0, -0.6];
+    let scene = Scene { objects: vec![Shape::Plane { point_m: [0.0, 0.0, 1.2], normal }] };
+    let truth = scene.render(&camera, &Pose::looking([0.0; 3], 0.0, 0.0));
     // Independent noise: this tests geometry, not which noise a small window can remove.
     let noise =
         DepthNoise { dropout_incidence_deg: 89.0, fixed_pattern_rms: 0.0, temporal_rms: 0.6, ..DepthNoise::default() };

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use planish::internal::lose_gpu_devices;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::source::{OwnedFrame, Source};
-use planish::stream::{Sink, StreamEvent, StreamFrame, StreamOptions, run};
+use planish::stream::{Sink, Stream, StreamEvent, StreamFrame, StreamOptions};
 use planish::{
     DepthFrame, Engine, Error, Fleet, FleetDevice, FrameParams, Outputs, Smoothed, Smoother, SmootherOptions, Xyz,
 };
@@ -141,12 +141,15 @@ fn a_gpu_and_the_cpu_share_frames_and_a_lost_gpu_leaves_its_own_to_the_cpu() {
     let options = StreamOptions::new(params(), SmootherOptions::default()).with_devices(devices.to_vec());
     let mut warnings = Vec::new();
     let sinks: Vec<Box<dyn Sink>> = vec![Box::new(Kept(Arc::clone(&kept)))];
-    let statistics = run(Box::new(source), &options, sinks, &AtomicBool::new(false), |event| {
-        if let StreamEvent::Warning(warning) = event {
-            warnings.push(warning);
-            told.store(true, Ordering::Relaxed);
-        }
-    });
+    let statistics = Stream::new(Box::new(source), options)
+        .with_sinks(sinks)
+        .with_events(|event| {
+            if let StreamEvent::Warning(warning) = event {
+                warnings.push(warning);
+                told.store(true, Ordering::Relaxed);
+            }
+        })
+        .run();
     let statistics = statistics.unwrap();
     assert_eq!((statistics.frames_out, statistics.dropped, statistics.unreadable), (statistics.frames_in, 0, 0));
     let kept = kept.lock().unwrap();

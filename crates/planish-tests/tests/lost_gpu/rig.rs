@@ -1,9 +1,9 @@
 //! A rig on a GPU, and one whose GPU is lost.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use planish::rig::{Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigWay, run};
+use planish::rig::{Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigStream, RigWay};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::source::Source;
 use planish::{DepthFrame, Engine, Error, GpuOptions, Outputs, SensorPose, Smoothed, Smoother, SmootherOptions, Xyz};
@@ -56,12 +56,15 @@ fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_f
     let options = RigOptions::new(&rig, RigWay::Each, options);
     let (mut warnings, mut gpu_moments) = (Vec::new(), 0);
     let sinks: Vec<Box<dyn RigSink>> = vec![Box::new(Kept(Arc::clone(&count), Arc::clone(&kept)))];
-    let statistics = run(&rig, sources, &options, sinks, &AtomicBool::new(false), |event| match event {
-        RigEvent::Warning(warning) => warnings.push(warning),
-        RigEvent::Moment(statistics) => gpu_moments += u64::from(statistics.moments.engine == Engine::Gpu),
-        _ => {}
-    })
-    .unwrap();
+    let statistics = RigStream::new(&rig, sources, options.clone())
+        .with_sinks(sinks)
+        .with_events(|event| match event {
+            RigEvent::Warning(warning) => warnings.push(warning),
+            RigEvent::Moment(statistics) => gpu_moments += u64::from(statistics.moments.engine == Engine::Gpu),
+            _ => {}
+        })
+        .run()
+        .unwrap();
     assert_eq!(
         (statistics.moments.frames_out, statistics.complete, gpu_moments),
         (MOMENTS, MOMENTS, 6),

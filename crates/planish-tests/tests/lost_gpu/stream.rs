@@ -1,6 +1,6 @@
 //! A stream whose GPU is lost.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
@@ -52,7 +52,7 @@ fn a_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_in_order() {
         _ => {}
     };
     let sinks: Vec<Box<dyn Sink>> = vec![Box::new(Seen(count, Arc::clone(&results)))];
-    let statistics = stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), tell).unwrap();
+    let statistics = stream::Stream::new(Box::new(source), options).with_sinks(sinks).with_events(tell).run().unwrap();
     assert_eq!(*results.lock().unwrap(), (0..9).collect::<Vec<_>>());
     assert_eq!((statistics.frames_out, statistics.engine), (9, Engine::Cpu));
     assert!(warnings.len() == 2 && warnings[1].contains("CPU"), "{warnings:?}");

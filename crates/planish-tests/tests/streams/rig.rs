@@ -81,12 +81,14 @@ fn merged_is_what_the_general_engine_gives_for_all_points_in_the_rig_s_frame() {
             continue;
         }
         let pose = &case.cameras[i].stated;
-        let vector = |xyz: &Xyz, at: usize| planish::simulate::DVec3::from_array(xyz.get(at).map(f64::from));
-        let back = pose.world_from_camera * vector(&results[i].points, p) + pose.position;
-        worst = worst.max((back - vector(&smoothed.points, k)).length());
+        let vector = |xyz: &Xyz, at: usize| xyz.get(at).map(f64::from);
+        let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (back, fused) = (pose.to_world(vector(&results[i].points, p)), vector(&smoothed.points, k));
+        let off = [0, 1, 2].map(|axis| back[axis] - fused[axis]);
+        worst = worst.max(dot(off, off).sqrt());
         // Towards the camera.
         let normals = results[i].normals.as_ref().unwrap();
-        assert!(!normals.is_finite(p) || vector(normals, p).dot(vector(&results[i].points, p)) <= 1e-6);
+        assert!(!normals.is_finite(p) || dot(vector(normals, p), vector(&results[i].points, p)) <= 1e-6);
     }
     assert!(worst < 1e-6, "{worst}");
     assert!(results.iter().all(|result| (result.width, result.height) == (160, 120)));
@@ -156,10 +158,7 @@ fn organized_clouds_in_another_frame_than_their_camera_s_fuse_to_the_same() {
             .map(|(camera, placed)| {
                 let mut cloud = camera.frame.deproject().unwrap();
                 let pose = &camera.stated;
-                let place = |p: [f32; 3]| {
-                    let p = planish::simulate::DVec3::from_array(p.map(f64::from));
-                    (pose.world_from_camera * p + pose.position).as_vec3().to_array()
-                };
+                let place = |p: [f32; 3]| pose.to_world(p.map(f64::from)).map(|value| value as f32);
                 cloud.points.positions = cloud.points.positions.iter().map(place).collect();
                 cloud.points.pose = placed.pose;
                 OwnedFrame::Cloud { cloud, timestamp_s: None }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use planish::rig::{Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigWay, run};
+use planish::rig::{Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigStream, RigWay};
 use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
 use planish::source::{OwnedFrame, Source};
 use planish::{Camera, DepthFrame, Engine, Error, Outputs, SensorPose, SmootherOptions};
@@ -117,15 +117,18 @@ fn eight_cameras_lose_nothing_but_the_frames_of_the_one_that_is_unplugged_and_me
         .with_max_duration(Some(duration));
     let sinks: Vec<Box<dyn RigSink>> = vec![Box::new(Fused(Arc::clone(&points)))];
     let (mut memory, mut next, mut warnings) = (Vec::new(), Duration::ZERO, Vec::new());
-    let statistics = run(&rig, sources, &options, sinks, &AtomicBool::new(false), |event| match event {
-        RigEvent::Warning(warning) => warnings.push(warning),
-        _ if start.elapsed() >= next => {
-            next += duration / 20;
-            memory.extend(resident_mb());
-        }
-        _ => {}
-    })
-    .unwrap();
+    let statistics = RigStream::new(&rig, sources, options)
+        .with_sinks(sinks)
+        .with_events(|event| match event {
+            RigEvent::Warning(warning) => warnings.push(warning),
+            _ if start.elapsed() >= next => {
+                next += duration / 20;
+                memory.extend(resident_mb());
+            }
+            _ => {}
+        })
+        .run()
+        .unwrap();
     let of = &statistics.moments;
     let (latency, mean_ms) = (of.latency(), 1e3 * of.time_in_sinks.as_secs_f64() / of.frames_out.max(1) as f64);
     eprintln!("{} moments, {} complete; {latency:?}; {mean_ms:.1} ms in the sink", of.frames_out, statistics.complete);

@@ -6,7 +6,7 @@ use std::thread;
 use std::time::Duration;
 
 use planish::evaluate::RigSuite;
-use planish::rig::{RigOptions, RigWay, merged_params, run};
+use planish::rig::{RigOptions, RigStream, RigWay, merged_params};
 use planish::source::{OwnedFrame, Source};
 use planish::{Camera, DepthFrame, Engine, Error, Outputs, SmootherOptions};
 use planish_tests::rigs::rig_of;
@@ -51,7 +51,7 @@ fn a_moment_of_merged_points_is_given_up_when_the_stream_is_stopped() {
             thread::sleep(Duration::from_millis(500));
             stop.store(true, Ordering::Relaxed);
         });
-        run(&rig, sources, &options, Vec::new(), &stop, |_| ()).unwrap()
+        RigStream::new(&rig, sources, options).with_stop(&stop).run().unwrap()
     });
     assert_eq!(statistics.moments.frames_out, 0);
 }

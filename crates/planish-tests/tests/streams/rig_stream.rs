@@ -7,7 +7,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use planish::rig::{
-    CamerasSink, Clock, FusedSink, Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigStatistics, RigWay, run,
+    CamerasSink, Clock, FusedSink, Rig, RigCamera, RigEvent, RigFrame, RigOptions, RigSink, RigStatistics, RigStream,
+    RigWay,
 };
 use planish::source::{OwnedFrame, Source};
 use planish::stream::SinkFormat;
@@ -97,11 +98,14 @@ fn rig_of_two() -> Rig {
 fn stream(sources: Vec<Box<dyn Source>>) -> (Result<RigStatistics, Error>, Vec<Moment>, Vec<String>) {
     let (rig, kept, mut warnings) = (rig_of_two(), Kept::default(), Vec::new());
     let options = RigOptions::new(&rig, RigWay::Each, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
-    let result = run(&rig, sources, &options, vec![Box::new(kept.clone())], &AtomicBool::new(false), |event| {
-        if let RigEvent::Warning(warning) = event {
-            warnings.push(warning);
-        }
-    });
+    let result = RigStream::new(&rig, sources, options)
+        .with_sinks(vec![Box::new(kept.clone())])
+        .with_events(|event| {
+            if let RigEvent::Warning(warning) = event {
+                warnings.push(warning);
+            }
+        })
+        .run();
     let moments = kept.0.lock().unwrap().clone();
     (result, moments, warnings)
 }
@@ -135,7 +139,7 @@ fn every_moment_of_recordings_comes_once_in_order_and_one_that_ends_early_holds_
         }
     };
     let options = options.with_max_moments(Some(2));
-    let statistics = run(&rig, sources, &options, Vec::new(), &AtomicBool::new(false), tell).unwrap();
+    let statistics = RigStream::new(&rig, sources, options).with_events(tell).run().unwrap();
     assert!(statistics.cameras.iter().all(|camera| !camera.has_ended) && warnings.is_empty(), "{warnings:?}");
 }
 
@@ -152,7 +156,7 @@ fn time_stamps_of_no_clock_are_refused_and_so_is_the_arrival_of_recordings() {
     let rig = rig_of_two().with_clock(Clock::Arrival);
     let options = RigOptions::new(&rig, RigWay::Each, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
     let sources = (0..2).map(|_| script(vec![frame(0)], false)).collect();
-    let error = run(&rig, sources, &options, Vec::new(), &AtomicBool::new(false), |_| ()).unwrap_err();
+    let error = RigStream::new(&rig, sources, options).run().unwrap_err();
     assert!(error.to_string().contains("recordings"), "{error}");
 }
 
@@ -176,11 +180,14 @@ fn a_stream_whose_sinks_have_all_failed_ends_and_one_that_has_another_goes_on() 
     let of = |sinks: Vec<Box<dyn RigSink>>| {
         let sources = (0..2).map(|_| script((0..200).map(frame).collect(), false)).collect();
         let mut last = String::new();
-        let statistics = run(&rig, sources, &options, sinks, &AtomicBool::new(false), |event| {
-            if let RigEvent::Warning(warning) = event {
-                last = warning;
-            }
-        });
+        let statistics = RigStream::new(&rig, sources, options.clone())
+            .with_sinks(sinks)
+            .with_events(|event| {
+                if let RigEvent::Warning(warning) = event {
+                    last = warning;
+                }
+            })
+            .run();
         (statistics.unwrap().moments, last)
     };
     let (moments, last) = of(vec![Box::new(Full)]);
@@ -241,7 +248,7 @@ fn fused_clouds_and_each_camera_s_own_are_saved() {
         Box::new(CamerasSink::create(&own, SinkFormat::Pcd, Outputs::POINTS, &rig).unwrap()),
     ];
     let sources = (0..2).map(|_| script((0..3).map(frame).collect(), false)).collect();
-    let statistics = run(&rig, sources, &options, sinks, &AtomicBool::new(false), |_| ()).unwrap();
+    let statistics = RigStream::new(&rig, sources, options).with_sinks(sinks).run().unwrap();
     assert_eq!((statistics.moments.frames_out, statistics.moments.failed_sinks), (3, 0));
     let (_, contents) = planish::io::read(&fused.join("000002.pcd")).unwrap();
     let planish::io::Contents::General(cloud) = contents else { panic!("an unorganized cloud") };

@@ -86,8 +86,11 @@ fn run(source: impl Source + 'static, options: &StreamOptions, sink: Seen) -> (S
             warnings.push(warning);
         }
     };
-    let statistics =
-        stream::run(Box::new(source), options, vec![Box::new(sink)], &AtomicBool::new(false), tell).unwrap();
+    let statistics = stream::Stream::new(Box::new(source), options.clone())
+        .with_sinks(vec![Box::new(sink)])
+        .with_events(tell)
+        .run()
+        .unwrap();
     (statistics, warnings)
 }
 
@@ -187,7 +190,8 @@ fn windows_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
         };
         let options = StreamOptions::new(params, SmootherOptions::default().with_engine(Engine::Cpu));
         let sinks: Vec<Box<dyn Sink>> = vec![Box::new(points.clone())];
-        let statistics = stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), tell).unwrap();
+        let statistics =
+            stream::Stream::new(Box::new(source), options).with_sinks(sinks).with_events(tell).run().unwrap();
         assert_eq!((statistics.unreadable, statistics.frames_out, warnings.len()), (1, 4, 1), "{warnings:?}");
         points.0.lock().unwrap().clone()
     };
@@ -206,7 +210,8 @@ fn a_sink_that_fails_is_told_once_and_the_others_go_on() {
     let sinks: Vec<Box<dyn Sink>> = vec![Box::new(bad.clone()), Box::new(good.clone())];
     let tell = |event: StreamEvent<'_>| warnings += usize::from(matches!(event, StreamEvent::Warning(_)));
     let source = Box::new(Given::frames(15));
-    let statistics = stream::run(source, &options(Engine::Cpu), sinks, &AtomicBool::new(false), tell).unwrap();
+    let statistics =
+        stream::Stream::new(source, options(Engine::Cpu)).with_sinks(sinks).with_events(tell).run().unwrap();
     in_order(&good, 15);
     assert_eq!((bad.frames.lock().unwrap().len(), statistics.failed_sinks, warnings), (2, 1, 1));
 }
@@ -262,7 +267,8 @@ fn a_sink_that_is_too_slow_for_a_live_stream_holds_nothing_up() {
     };
     let source = Box::new(Still(frame(small_camera(), 0)));
     let options = options(Engine::Cpu).with_max_frames(Some(FRAMES));
-    let statistics = stream::run(source, &options, vec![Box::new(sink)], &AtomicBool::new(false), tell).unwrap();
+    let statistics =
+        stream::Stream::new(source, options).with_sinks(vec![Box::new(sink)]).with_events(tell).run().unwrap();
     // All frames were smoothed before the sink had written one; it received the frame it was writing and the waiting
     // ones.
     assert_eq!((statistics.frames_out, written_by_then, warnings), (FRAMES, Some(0), 1));
@@ -282,7 +288,8 @@ fn a_stream_ends_when_it_is_told_to() {
             stop.store(count >= 7, Ordering::Relaxed);
         }
     };
-    let statistics = stream::run(Box::new(source), &options(Engine::Cpu), Vec::new(), &stop, tell).unwrap();
+    let statistics =
+        stream::Stream::new(Box::new(source), options(Engine::Cpu)).with_stop(&stop).with_events(tell).run().unwrap();
     assert!((7..=10).contains(&statistics.frames_out));
 }
 
@@ -409,7 +416,7 @@ fn a_folder_gives_its_frames_by_name_and_keeps_results_whole() {
     let source = FileSource::folder(folder.path(), Some(small_camera())).unwrap();
     let mut options = options(Engine::Cpu);
     options.smoother.outputs = Outputs::DEPTH;
-    stream::run(Box::new(source), &options, sinks, &AtomicBool::new(false), |_| ()).unwrap();
+    stream::Stream::new(Box::new(source), options).with_sinks(sinks).run().unwrap();
     for i in 0..3 {
         let found = planish::io::read_depth_frame(&out.join(format!("{i}.png")), small_camera()).unwrap();
         let expected = TestEngine::cpu(planish::SimdLevel::best()).smooth_to(
@@ -453,7 +460,7 @@ fn what_is_read_ahead_of_the_last_frame_does_not_count() {
     let count = |most: Option<u64>| {
         let source = Box::new(FileSource::folder(folder.path(), Some(small_camera())).unwrap());
         let options = options(Engine::Cpu).with_max_frames(most);
-        let statistics = stream::run(source, &options, Vec::new(), &AtomicBool::new(false), |_| ()).unwrap();
+        let statistics = stream::Stream::new(source, options).run().unwrap();
         (statistics.frames_out, statistics.unreadable)
     };
     assert_eq!((count(Some(2)), count(None)), ((2, 0), (2, 1)));
@@ -468,7 +475,14 @@ fn real_data_sets_stream() {
         let mut warnings = 0;
         let tell = |event: StreamEvent<'_>| warnings += usize::from(matches!(event, StreamEvent::Warning(_)));
         let stop = AtomicBool::new(false);
-        (stream::run(Box::new(source), &options(Engine::Cpu), Vec::new(), &stop, tell).unwrap(), warnings)
+        (
+            stream::Stream::new(Box::new(source), options(Engine::Cpu))
+                .with_stop(&stop)
+                .with_events(tell)
+                .run()
+                .unwrap(),
+            warnings,
+        )
     };
     assert_eq!((statistics.frames_out, warnings), (5, 0));
 }

@@ -186,7 +186,7 @@ fn count(number: u64, what: &str) -> String {
     if number == 1 { format!("1 {what}") } else { format!("{number} {what}s") }
 }
 
-/// Returns a recording into a folder, or a folder into a recording.
+/// Smooths a recording into a folder, or a folder into a recording.
 fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     if args.points_topic.is_some() || args.topics.topic.len() > 1 {
         bail!(
@@ -231,7 +231,11 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
             errln!("warning: {warning}");
         }
     };
-    let statistics = stream::run(source, &options_of_stream, vec![sink], &stop, tell)?;
+    let statistics = stream::Stream::new(source, options_of_stream)
+        .with_sinks(vec![sink])
+        .with_stop(&stop)
+        .with_events(tell)
+        .run()?;
     if stop.load(Ordering::Relaxed) {
         let left = if is_mcap(&args.output) { "nothing was written" } else { "the frames so far were written" };
         errln!("{}: stopped; {left}", args.output.display());

@@ -1,6 +1,6 @@
 //! Warnings of a running rig: failing cameras and disappointing results.
 
-use super::{Inbox, Received, RigEvent, RigStream, SinkThread};
+use super::{Inbox, Received, RigEvent, Running, SinkThread};
 use crate::{source::OwnedFrame, stream::ALL_SINKS_FAILED};
 use planish_core::{FrameError, IntoFrame, Smoothed};
 
@@ -10,7 +10,7 @@ const TOLD_EARLIER_S: f64 = 0.5;
 /// Different reasons why a camera's frames are refused that are reported; later ones are only counted.
 const MOST_REFUSALS_TOLD: usize = 5;
 
-impl RigStream<'_> {
+impl Running<'_> {
     /// Returns true if nobody would get the results any more, which is reported.
     pub(super) fn sinks_are_gone(&self, tell: &mut impl FnMut(RigEvent<'_>)) -> bool {
         let are_gone = SinkThread::all_failed(&self.sinks);

@@ -428,7 +428,7 @@ fn rates() {
     let smoother = SmootherOptions::default().with_engine(Engine::Cpu);
     let options = StreamOptions::new(FrameParams::default(), smoother).with_max_duration(Some(Duration::from_secs(60)));
     let stop = AtomicBool::new(false);
-    let statistics = stream::run(Box::new(source), &options, Vec::new(), &stop, |_| ()).unwrap();
+    let statistics = stream::Stream::new(Box::new(source), options).with_stop(&stop).run().unwrap();
     drop(delivers);
     let latency = statistics.latency();
     println!(

@@ -1,0 +1,97 @@
+//! Removal of floating pixels before smoothing.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use super::{OwnedFrame, Source};
+use planish_core::{Error, SensorModel};
+
+/// A source whose floating pixels, between two surfaces, are turned into holes.
+pub struct WithoutFloating {
+    source: Box<dyn Source>,
+    sensor: SensorModel,
+}
+
+impl WithoutFloating {
+    /// Wraps a source; the sensor's noise determines which pixels float.
+    pub fn new(source: Box<dyn Source>, sensor: SensorModel) -> Self {
+        Self { source, sensor }
+    }
+}
+
+impl Source for WithoutFloating {
+    fn end_with(&mut self, ended: Arc<AtomicBool>) {
+        self.source.end_with(ended);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        let mut frame = self.source.next_frame()?;
+        match &mut frame {
+            Some(OwnedFrame::Depth(depth)) => {
+                depth.remove_floating(&self.sensor);
+            }
+            Some(OwnedFrame::Cloud { cloud, .. }) => {
+                cloud.remove_floating(&self.sensor);
+            }
+            _ => {}
+        }
+        Ok(frame)
+    }
+
+    fn frame_name(&self) -> Option<String> {
+        self.source.frame_name()
+    }
+
+    fn description(&self) -> Option<String> {
+        self.source.description()
+    }
+
+    fn dropped(&self) -> u64 {
+        self.source.dropped()
+    }
+
+    fn is_live(&self) -> bool {
+        self.source.is_live()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use planish_core::{Camera, DepthFrame, Settings};
+
+    use super::*;
+    use crate::stream::{Frames, StreamOptions};
+
+    /// Delivers one frame.
+    struct Steps(Option<DepthFrame>);
+
+    impl Source for Steps {
+        fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+            Ok(self.0.take().map(OwnedFrame::Depth))
+        }
+    }
+
+    #[test]
+    fn streams_remove_floating_pixels_if_their_settings_say_so() {
+        let camera = Camera::kinect_v1().with_shape((64, 48));
+        // Two walls, and a pixel that floats between them.
+        let depth = |i: usize| match i % 64 {
+            _ if i == 24 * 64 + 32 => 1500,
+            0..32 => 1000,
+            _ => 2000,
+        };
+        let frame = DepthFrame::new(camera, (0..64 * 48).map(depth).collect()).unwrap();
+        let holes_of = |settings: &str| {
+            let settings: Settings = settings.parse().unwrap();
+            let options = StreamOptions::from_settings(settings).unwrap();
+            let mut frames = Frames::start(Box::new(Steps(Some(frame.clone()))), options).unwrap();
+            let smoothed = frames.next().unwrap().unwrap();
+            let OwnedFrame::Depth(measured) = &smoothed.source else { panic!("depth") };
+            measured.raw.iter().filter(|raw| **raw == 0).count()
+        };
+        assert_eq!(holes_of("engine=cpu outputs=points"), 0);
+        assert_eq!(holes_of("engine=cpu outputs=points remove_floating=true"), 1);
+        let auto: Settings = "sensor=auto remove_floating=true".parse().unwrap();
+        assert!(StreamOptions::from_settings(auto).unwrap_err().to_string().contains("sensor"));
+    }
+}
