@@ -58,17 +58,17 @@ function why(of: string, reason: string): void {
 /** Disables controls without effect, and explains why. */
 function explain(): void {
   const isGeneral = frame?.kind === "general";
-  const noGrid = isGeneral ? "A cloud without a pixel grid has no window and no sensor." : "";
-  why("strength", noGrid || (control("preset").value === "" ? "" : "The preset sets it: choose “by strength”."));
-  why("sensor", noGrid || (control("preset").value === "paper" && !control("edges").checked ? "The 2011 setting has a fixed radius." : ""));
+  const noGrid = isGeneral ? "Unorganized clouds have neither window nor sensor." : "";
+  why("strength", noGrid || (control("preset").value === "" ? "" : "The preset determines it; choose “by strength”."));
+  why("sensor", noGrid || (control("preset").value === "paper" && !control("edges").checked ? "The 2011 setting uses a fixed radius." : ""));
   why("window", noGrid);
   why("edges", "");
-  why("webgpu", isGeneral ? "Clouds without a grid are smoothed by the CPU here." : hasGpu ? "" : (withoutGpu ?? ""));
+  why("webgpu", isGeneral ? "The browser smooths unorganized clouds on the CPU." : hasGpu ? "" : (withoutGpu ?? ""));
   if (hasGpu && !isGeneral && result?.withoutGpu) find('.why[data-of="webgpu"]').textContent = result.withoutGpu;
-  why("png", frame && frame.kind !== "depth" ? "The frame came as points; a PNG holds depth." : "");
+  why("png", frame && frame.kind !== "depth" ? "A PNG stores depth, but this frame has points." : "");
   const colour = control("kind").querySelector<HTMLOptionElement>('[value="colour"]')!;
   colour.disabled = !frame?.hasColour;
-  find(`.why[data-of="kind"]`).textContent = frame?.hasColour ? "" : "The frame has no colour of its own.";
+  find(`.why[data-of="kind"]`).textContent = frame?.hasColour ? "" : "The frame has no colour.";
   find("#camera-fields").hidden = !frame?.assumedCamera;
   for (const button of find("#save").querySelectorAll("button")) {
     button.disabled = !result || (button.dataset["format"] === "png" && frame?.kind !== "depth");
@@ -160,7 +160,7 @@ async function openCamera(file: File | undefined): Promise<void> {
   if (!file || !frame) return;
   const of = frame;
   try {
-    if (!of.assumedCamera) throw new Error("this frame came as points, which need no camera");
+    if (!of.assumedCamera) throw new Error("this frame has points and needs no camera");
     const camera = await ask<Camera>({ method: "readCamera", frame: of, text: await file.text() });
     if (frame !== of) return;
     given = { camera, width: of.width, height: of.height };
@@ -380,7 +380,7 @@ async function start(): Promise<void> {
   control("webgpu").defaultChecked = hasGpu && !about.isSoftware;
   control("sensor").replaceChildren(...about.sensors.concat("auto").map((sensor) => new Option(sensor, sensor)));
   const gpu = about.isSoftware ? `a GPU in software, ${about.adapter}: WebAssembly is faster` : about.adapter;
-  const has = hasGpu ? `WebGPU: ${gpu}` : `No WebGPU (${about.withoutGpu}; Chrome and Edge have it, and newer Safari and Firefox)`;
+  const has = hasGpu ? `WebGPU: ${gpu}` : `No WebGPU (${about.withoutGpu}; Chrome, Edge, and recent Safari and Firefox support it)`;
   find("#about").textContent = `planish ${about.version}. ${has}.`;
   await take(() => ask<Frame>({ method: "simulate", seed }), "simulated");
 }
