@@ -34,8 +34,19 @@ use super::checks::{
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs, by_option, by_option_of_error, option_of};
 
+/// Refuses two files that would both be read from standard input.
+fn check_one_reads_standard_input(args: &SmoothArgs) -> Result<()> {
+    let is_standard_input = |path: &Path| path == Path::new("-");
+    let readers = [Some(&args.input), args.smoothing.settings.as_ref(), args.camera.camera_file.as_ref()];
+    if readers.into_iter().flatten().filter(|path| is_standard_input(path)).count() > 1 {
+        bail!("-: only one of INPUT, --settings and --camera-file can be standard input");
+    }
+    Ok(())
+}
+
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     // Options that contradict each other are refused whatever the input turns out to be.
+    check_one_reads_standard_input(args)?;
     let settings = args.smoothing.settings_with(&args.gpus)?;
     let mut worker = Worker {
         args,

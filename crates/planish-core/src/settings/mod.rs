@@ -22,6 +22,7 @@ use crate::params::{Edges, Params, Project, Strength};
 use crate::sensor::SensorModel;
 
 pub use value::SettingValue;
+use value::quoted;
 
 /// A named setting of all parameters; single values override it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -202,7 +203,7 @@ impl Settings {
             _ => {
                 let suggestion = suggest::closest(name, &Self::NAMES);
                 let suggestion = suggestion.map_or(String::new(), |meant| format!(" (did you mean {meant}?)"));
-                return Err(ParamError { field: "settings", value: format!("{name:?}{suggestion}"), allowed: FIELDS });
+                return Err(ParamError { field: "settings", value: quoted(name) + &suggestion, allowed: FIELDS });
             }
         }
         self.check_ranges()
@@ -345,7 +346,7 @@ impl FromStr for Settings {
         let mut settings = Self::default();
         for pair in text.split([' ', ',', '\n', '\t', '\r']).filter(|pair| !pair.is_empty()) {
             let Some((name, value)) = pair.split_once('=') else {
-                return Err(ParamError { field: "settings", value: format!("{pair:?}"), allowed: "name=value pairs" });
+                return Err(ParamError { field: "settings", value: quoted(pair), allowed: "name=value pairs" });
             };
             settings.set(name, SettingValue::Text(value.to_owned()))?;
         }
@@ -363,7 +364,7 @@ fn sensor_of(value: SettingValue) -> Result<Option<SensorChoice>, ParamError> {
         "auto" => Ok(Some(SensorChoice::Auto)),
         name => match name.parse() {
             Ok(sensor) => Ok(Some(SensorChoice::Known(sensor))),
-            Err(_) => Err(ParamError { field: "sensor", value: format!("{name:?}"), allowed: SENSORS }),
+            Err(_) => Err(ParamError { field: "sensor", value: quoted(name), allowed: SENSORS }),
         },
     }
 }
@@ -394,7 +395,7 @@ fn outputs_of(value: SettingValue) -> Result<Option<Outputs>, ParamError> {
     for name in &names {
         outputs = outputs.with_named(name).ok_or_else(|| ParamError {
             field: "outputs",
-            value: format!("{name:?}"),
+            value: quoted(name),
             allowed: OUTPUTS,
         })?;
     }

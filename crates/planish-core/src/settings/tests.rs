@@ -118,3 +118,12 @@ fn json_keeps_every_field() {
     assert!(error.contains("window = 9 is not allowed: 1 to 7"), "{error}");
     assert!(serde_json::from_str::<Settings>(r#"{"edges": true, "edges": "off"}"#).is_err());
 }
+
+#[test]
+fn errors_quote_the_beginning_of_a_long_value() {
+    let long = "x".repeat(10_000);
+    for text in [format!("{long}=1"), format!("preset={long}"), format!("outputs={long}"), long.clone()] {
+        let error = text.parse::<Settings>().unwrap_err().to_string();
+        assert!(error.len() < 400 && error.contains("xxx..."), "{} bytes", error.len());
+    }
+}

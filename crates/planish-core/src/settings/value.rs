@@ -70,6 +70,20 @@ impl<T: Into<Self>> From<Option<T>> for SettingValue {
     }
 }
 
+/// Returns the beginning of a text for an error message.
+fn beginning(text: &str) -> String {
+    const MOST_LETTERS: usize = 60;
+    match text.char_indices().nth(MOST_LETTERS) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+/// Returns the beginning of a text in quotation marks, on one line.
+pub(super) fn quoted(text: &str) -> String {
+    format!("{:?}", beginning(text))
+}
+
 impl SettingValue {
     /// Returns the value as text; `None` if it was not given.
     pub(super) fn text(&self) -> Option<String> {
@@ -85,8 +99,8 @@ impl SettingValue {
 
     fn refused<T>(&self, field: &'static str, allowed: &'static str) -> Result<T, ParamError> {
         let value = match self {
-            Self::Text(text) => format!("{text:?}"),
-            other => other.text().unwrap_or_default(),
+            Self::Text(text) => quoted(text),
+            other => beginning(&other.text().unwrap_or_default()),
         };
         Err(ParamError { field, value, allowed })
     }
