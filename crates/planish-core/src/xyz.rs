@@ -81,7 +81,7 @@ impl Xyz {
         [&self.x, &self.y, &self.z]
     }
 
-    /// Returns the components x, y and z, to be changed.
+    /// Returns the components x, y and z as mutable slices.
     pub fn as_mut_slices(&mut self) -> [&mut [f32]; 3] {
         [&mut self.x, &mut self.y, &mut self.z]
     }

@@ -43,7 +43,7 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
     let kind = (reader.info().color_type, reader.info().bit_depth);
     if kind != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
         return Err(FormatError::Unsupported(format!(
-            "a PNG of {:?}, {} bits; a depth image is 16-bit grayscale",
+            "unsupported PNG type {:?}, {} bits; a depth image must be 16-bit grayscale",
             kind.0, kind.1 as u8
         )));
     }

@@ -56,7 +56,9 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
     let (width, height) = (width as usize, height as usize);
     let kind = decoder.colortype().map_err(malformed)?;
     if kind != ColorType::Gray(16) {
-        return Err(FormatError::Unsupported(format!("a TIFF of {kind:?}; a depth image is 16-bit grayscale")));
+        return Err(FormatError::Unsupported(format!(
+            "unsupported TIFF type {kind:?}; a depth image must be 16-bit grayscale"
+        )));
     }
     validate_shape(width, height)?;
     Ok((decoder, (width, height)))

@@ -99,7 +99,7 @@ impl EngineArg {
 pub struct SmoothingArgs {
     /// Preset
     ///
-    /// By default the recommended one. Other options override single values.
+    /// By default the recommended one. Other options override individual values.
     #[arg(long, value_enum)]
     pub preset: Option<PresetArg>,
     /// Strength: 0 light, 0.5 default, 1 strong

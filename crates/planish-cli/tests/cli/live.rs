@@ -71,7 +71,7 @@ fn a_recording_streams_back() {
     assert_eq!(stamps(&saved), stamps(&recording));
     let camera = |folder: &Path| fs::read_to_string(folder.join("camera.json")).unwrap();
     assert_eq!(camera(&saved), camera(&recording));
-    // Which is not replaced by another.
+    // An existing data set is not overwritten.
     let list = fs::read(saved.join("depth.txt")).unwrap();
     assert!(refused(&["stream", str(&recording), "--save", str(&saved), "--format", "png"]).contains("another folder"));
     assert_eq!(fs::read(saved.join("depth.txt")).unwrap(), list);

@@ -245,7 +245,7 @@ impl Shard {
         self.starts.len() - 1
     }
 
-    /// Its voxels whose first points are within a range.
+    /// The shard's voxels whose first point is in the given range.
     fn begun_within(&self, points: Range<usize>) -> Range<u32> {
         // First points ascend.
         let begun_before = |point: usize| {

@@ -174,7 +174,7 @@ impl<S: Simd> Terms<S> {
         Self { w: zeros, a: zeros, b: zeros, f: zeros }
     }
 
-    /// Computes the terms of the candidates in some rows.
+    /// Computes the terms of the candidates in the given rows.
     ///
     /// Not inlined: the sums, kept in registers before and after it, would be spilled in its loop.
     #[inline(never)]

@@ -79,7 +79,7 @@ impl Plan {
     /// Plans frames that are like this one: of its grid and resolution, and depth or points as it is.
     ///
     /// # Errors
-    /// If the parameters are not allowed, the frame is an unorganized cloud, or larger than the device takes.
+    /// If the parameters are invalid, or the frame is an unorganized cloud or exceeds the device's limits.
     pub fn new<'a>(
         params: FrameParams,
         outputs: Outputs,

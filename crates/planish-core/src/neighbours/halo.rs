@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::constants::PLANE_REACH;
 use crate::params::{CloudParams, Edges, EngineParams, Radius};
 
-/// The share of a part's points with its halo that are its own, when parts are planned.
+/// Assumed ratio of a part's points to its points with the halo, for planning parts.
 pub const OWN_SHARE: f64 = 0.6;
 /// How far the gate reaches, in radii.
 const GATE_REACH: f64 = 1.02;

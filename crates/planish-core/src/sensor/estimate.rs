@@ -228,7 +228,7 @@ mod tests {
         assert_eq!(SensorModel::estimate(&nothing), None);
     }
 
-    /// Slanted walls from 0.7 to 6 m, with independent noise of a model.
+    /// Returns slanted walls at 0.7 to 6 m, with independent noise of a sensor model.
     fn slanted_walls(sigma: [f32; 3]) -> OrganizedCloud {
         let camera = Camera::kinect_v1();
         let model = SensorModel::from_noise(sigma);

@@ -183,7 +183,7 @@ impl<'a> Compressed<'a> {
             }
             _ => {
                 return Err(FormatError::Unsupported(format!(
-                    "an image in the format {}, which is not compressed depth (16UC1 or 32FC1; compressedDepth png)",
+                    "unsupported image format {}, not compressed depth (16UC1 or 32FC1; compressedDepth png)",
                     quoted(&image.format)
                 )));
             }

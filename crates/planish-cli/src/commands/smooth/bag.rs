@@ -190,7 +190,7 @@ fn count(number: u64, what: &str) -> String {
 fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     if args.points_topic.is_some() || args.topics.topic.len() > 1 {
         bail!(
-            "{}: --points-topic, and more than one --topic, apply only when a recording is written from a recording",
+            "{}: --points-topic, and more than one --topic, need a recording as both input and output",
             args.output.display()
         );
     }

@@ -21,7 +21,7 @@ use crate::params::Radius;
 use crate::smoothing_engine::AdmittedFrame;
 use crate::xyz::Xyz;
 
-/// More of a part's points than this share, which reach beyond its halo, ask for a wider one.
+/// If more than this share of a part's points reach beyond its halo, the halo is widened.
 const MAY_REACH_BEYOND: f64 = 0.01;
 /// Points that reach beyond their halo are recomputed this many at a time, or a typical part's points over `FAR_SHARE`.
 const FAR_TOGETHER: usize = 64;
@@ -30,7 +30,7 @@ const FAR_SHARE: usize = 1024;
 const RUNS_A_PART: usize = 24;
 /// Share of a part's progress reported before its far-reaching points are done.
 const FIRST_SHARE: f64 = 0.8;
-/// More of a cloud's points than this share, which reach more than the device takes, are an error.
+/// Maximum share of a cloud's points whose neighbourhoods exceed the device; above it, smoothing fails.
 const MAY_BE_INEXACT: f64 = 1e-3;
 /// Maximum factor by which a halo is widened at once.
 const MOST_WIDENING: f64 = 4.0;

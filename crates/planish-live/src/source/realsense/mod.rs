@@ -299,7 +299,7 @@ impl RealSenseSource {
     fn empty(&self) -> Error {
         let file = self.recording.as_deref().unwrap_or(Path::new(""));
         let what = if self.aligner.is_some() { "no depth with matching colour" } else { "no depth" };
-        malformed(file, format!("{what} in it, or it is damaged{}", self.advice())).into()
+        malformed(file, format!("it has {what}, or is damaged{}", self.advice())).into()
     }
 
     /// Returns the error of a source that has been silent for long.
