@@ -18,7 +18,7 @@ import numpy as np
 import planish
 
 ROOT = Path(__file__).resolve().parent.parent
-# The tests' build, which has every feature; else the one beside Python, which does not read recordings in MCAP.
+# The tests' build has every feature; the one next to Python cannot read MCAP recordings.
 BUILT = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug/planish"
 COMMAND = str(BUILT if BUILT.exists() else Path(sys.executable).with_name("planish"))
 SHELL = ["README.md", "docs/index.md", "docs/coming-from.md", "docs/cameras.md", "docs/rigs.md", "docs/command-line.md", "crates/planish-cli/README.md"]

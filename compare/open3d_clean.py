@@ -19,7 +19,7 @@ def report(name, way, run, points_in):
 
 radius, voxel = float(sys.argv[2]), float(sys.argv[3])
 cloud = open3d.io.read_point_cloud(sys.argv[1]).remove_non_finite_points()
-# Its number of neighbours counts the point itself.
+# Its number of neighbours includes the point.
 report("statistical", "legacy", lambda: cloud.remove_statistical_outlier(21, 2.0)[0], lambda out: out.points)
 report("radius", "legacy", lambda: cloud.remove_radius_outlier(5, radius)[0], lambda out: out.points)
 report("voxel", "legacy", lambda: cloud.voxel_down_sample(voxel), lambda out: out.points)

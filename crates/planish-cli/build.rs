@@ -1,4 +1,4 @@
-//! Tells the program its own commit and compiler, which results are worth little without.
+//! Embeds the commit and compiler version, so that benchmark results can be traced.
 
 use std::path::Path;
 use std::process::Command;

@@ -15,12 +15,12 @@ pub struct Document {
     path: PathBuf,
     /// The markers of its first and its last line.
     marks: [String; 2],
-    /// From the document to the folder with the figures.
+    /// Path from the document to the folder with the pictures.
     folder: String,
 }
 
 impl Document {
-    /// Looks whether the block is there: done before anything is measured, so that nothing is measured in vain.
+    /// Checks for the block before anything is measured, so that no measurement is lost.
     pub fn open(path: &Path, folder: &Path) -> Result<Self> {
         let absolute = |path: &Path| std::path::absolute(path).with_context(|| path.display().to_string());
         let (whole_path, whole_folder) = (absolute(path)?, absolute(folder)?);

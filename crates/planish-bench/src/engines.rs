@@ -15,7 +15,7 @@ pub struct Subject {
     pub options: SmootherOptions,
 }
 
-/// By which clock a frame is timed.
+/// The clock of a measurement.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Clock {
     /// The host's, from the frame in its memory to the result in its memory.
@@ -39,7 +39,7 @@ impl Subject {
         subject
     }
 
-    /// By which clocks it can be timed.
+    /// Returns the clocks that can time it.
     pub fn clocks(&self) -> Result<Vec<Clock>> {
         if !self.is_gpu() {
             return Ok(vec![Clock::Host]);
@@ -52,7 +52,7 @@ impl Subject {
         }
     }
 
-    /// Its name in a table of both clocks.
+    /// Returns its name in a table with both clocks.
     pub fn name_by(&self, clock: Clock) -> String {
         match clock {
             Clock::Host => self.name.clone(),
@@ -103,12 +103,12 @@ pub fn subjects(asked: &[Engine], all_levels: bool) -> Result<Vec<Subject>> {
     Ok(subjects)
 }
 
-/// How frames go through an engine and their results are taken.
+/// How frames pass through an engine, and how results are read.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Way {
-    /// One after the other, each result copied to the host's own memory.
+    /// One at a time; each result is copied to host memory.
     CopiedOut,
-    /// One after the other, each result read where the engine puts it.
+    /// One at a time; each result is read in place.
     InPlace,
     /// Copied out, with as many frames in flight as the engine allows.
     CopiedOutInFlight,
@@ -134,8 +134,8 @@ impl<'a> Load<'a> {
         Ok(Self { smoother, way, frames, results })
     }
 
-    /// Sends the frames through once; in flight one goes in and one comes out. Gives the engine's own times where it
-    /// has them.
+    /// Processes the frames once; in flight, one is submitted and one received. Returns the engine's times if it
+    /// reports them.
     pub fn once(&mut self) -> Result<Option<FrameTimings>> {
         match self.way {
             Way::Batch => self.smoother.smooth_batch(&self.frames, &mut self.results)?,
@@ -163,8 +163,8 @@ impl<'a> Load<'a> {
         Ok(timings)
     }
 
-    /// Sends the frames through once more and shows the points of each, taken as they are when they are timed: with as
-    /// many under way, through every buffer that is used again.
+    /// Processes the frames once more and shows the points of each, with as many in flight as during timing, through
+    /// every reused buffer.
     pub fn show(&mut self, mut look: impl FnMut([&[f32]; 3]) -> Result<()>) -> Result<()> {
         while self.smoother.receive()?.is_some() {}
         if matches!(self.way, Way::CopiedOut | Way::Batch) {
@@ -206,7 +206,7 @@ impl<'a> Load<'a> {
     }
 }
 
-/// Looks at a result, so that it is there.
+/// Reads a result, so that it must be available.
 fn touch(view: &SmoothedView) {
     black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
 }

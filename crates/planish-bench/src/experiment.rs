@@ -20,9 +20,9 @@ use crate::Options;
 /// Input and transfer of a measurement.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Frames {
-    /// One frame; on a GPU its result is read where the device puts it.
+    /// One frame; a GPU's result is read in place.
     One,
-    /// One frame, its result copied to the host's own memory on a GPU too.
+    /// One frame; the result is copied to host memory, also from a GPU.
     OneCopiedOut,
     /// This many copies of the frame, as points, stacked vertically into one.
     Tall(usize),
@@ -35,14 +35,14 @@ pub enum Frames {
 pub enum Patience {
     /// For single figures: 100 frames and 3 s, but at most 20 s unless three frames take longer.
     Long,
-    /// For one of many: 20 frames and 1 s, but no more than 3 s.
+    /// For one of many figures: 20 frames and 1 s, but at most 3 s.
     Short,
 }
 
 /// A measurement, and the memory used during it.
 pub struct Timed {
     pub time: Timing,
-    /// The engine's stages in each of the measurements, where it tells them.
+    /// Times of the engine's stages in each measurement, if it reports them.
     pub stages: Vec<FrameTimings>,
     pub buffer_bytes: u64,
     /// Memory of the process, if the system reports it.
@@ -122,7 +122,7 @@ impl<'a> Bench<'a> {
 
     /// Many values of what `one` measures, in milliseconds, once it is warm.
     pub fn measure(&self, patience: Patience, mut one: impl FnMut() -> Result<f64>) -> Result<Timing> {
-        // A GPU that was idle takes a third of a second to come to its full clock.
+        // An idle GPU needs a third of a second to reach its full clock.
         let (fewest, runs, least_ms, most_ms, warm_up_ms) = match patience {
             _ if self.options.quick => (1, 20, 0, 400, 100),
             Patience::Long => (3, 100, 3_000, 20_000, 300),
@@ -182,7 +182,7 @@ impl<'a> Bench<'a> {
     ) -> Result<Timed> {
         let tall;
         let (copies, way, frames) = match frames {
-            // The CPU engines write into the given buffers, which is in place.
+            // The CPU engines write directly into the given buffers.
             Frames::One if !subject.is_gpu() => (1, Way::CopiedOut, vec![input.frame()?]),
             Frames::One => (1, Way::InPlace, vec![input.frame()?]),
             Frames::OneCopiedOut => (1, Way::CopiedOut, vec![input.frame()?]),
@@ -225,8 +225,8 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Holds points against the reference's; wrong ones are an error. They are of the input's frame, or of `copies` of
-    /// it one under the other, whose rows near a seam see the next copy and are left out.
+    /// Compares points with the reference; a difference is an error. Of `copies` stacked frames, rows near a seam see
+    /// the next copy and are left out.
     fn hold(
         &self,
         subject: &Subject,

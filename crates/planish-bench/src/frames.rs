@@ -6,7 +6,7 @@ use planish::{Camera, DepthFrame, Error, Frame, IntoFrame, OrganizedCloud};
 
 /// A frame under a name.
 pub struct Input {
-    /// Its place among the others: two may have one name.
+    /// Its index, since two frames may have one name.
     pub(crate) index: usize,
     name: String,
     /// Set if the frame is a depth image.
@@ -40,7 +40,7 @@ impl Input {
         (self.cloud.width(), self.cloud.height())
     }
 
-    /// Its name, shape and kind.
+    /// Returns its name, shape and kind.
     pub(crate) fn describe(&self) -> String {
         let (width, height) = self.shape();
         let kind = if self.depth.is_some() { "16-bit depth" } else { "points" };

@@ -30,9 +30,9 @@ pub struct GeneralOptions {
     pub degree: u32,
     /// Whether edges are kept.
     pub edges: Edges,
-    /// Which engines; none, or `Auto` among them, are the CPU and a real GPU.
+    /// The engines; if empty or containing `Auto`, the CPU and a real GPU.
     pub engines: Vec<Engine>,
-    /// Whether the CPU engine is measured with every instruction set of the machine, instead of the widest alone.
+    /// Whether to measure the CPU engine at every SIMD level, instead of only the widest.
     pub every_simd: bool,
     /// Threads of the CPU engine.
     pub threads: Option<usize>,
@@ -104,7 +104,7 @@ pub fn run(options: &GeneralOptions) -> Result<()> {
     Ok(())
 }
 
-/// Returns the engines to measure, each with the instruction set where that is chosen.
+/// Returns the engines to measure, with the instruction set if it is selected.
 fn engines(options: &GeneralOptions) -> Vec<(Engine, Option<SimdLevel>)> {
     let engines = if !options.engines.is_empty() && !options.engines.contains(&Engine::Auto) {
         options.engines.clone()
@@ -242,7 +242,7 @@ fn scan(points: usize) -> PointCloud {
     PointCloud::new(positions.collect())
 }
 
-/// How far the yard is along a unit ray.
+/// Returns the distance to the yard's surface along a unit ray.
 fn range_m(ray: [f64; 3]) -> f64 {
     let [x, y, z] = ray;
     let wall = 20.0 / x.abs().max(1e-9);

@@ -18,10 +18,10 @@ use super::timing::Spread;
 use report::{BatchRow, FleetRow, KernelRow, LatencyRow, Report, ThroughputRow, print_text};
 
 const KINECT_SHAPE: (usize, usize) = (640, 480);
-/// How long frames run before the first that is timed: a GPU that was idle takes as long to come to its full clock.
+/// Time to run frames before the first measurement: an idle GPU needs as long to reach its full clock.
 const WARM_UP: Duration = Duration::from_millis(300);
 
-/// How a result is taken.
+/// How a result is read.
 #[derive(Clone, Copy, PartialEq)]
 enum Take {
     PointsInPlace,
@@ -44,7 +44,7 @@ impl Take {
         if self == Self::DepthInPlace { Outputs::DEPTH } else { Outputs::POINTS }
     }
 
-    /// Looks at a result, so that it is there.
+    /// Reads a result, so that it must be available.
     fn touch(view: &SmoothedView) {
         black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
         black_box(view.depth_rows().and_then(|mut rows| rows.nth(rows.len() / 2)));
@@ -229,7 +229,7 @@ impl Bench<'_> {
         settings.into_iter().map(row).collect()
     }
 
-    /// From depth in the host's memory to the result in the host's memory, waiting for each frame.
+    /// Times single frames, from depth to the result, both in host memory.
     fn one_at_a_time(&self) -> Result<Vec<LatencyRow>> {
         let mut rows = Vec::new();
         for ((setting, params), transfer) in timed_settings() {

@@ -69,7 +69,7 @@ impl Experiment {
 pub enum Ended {
     /// All was measured.
     Whole,
-    /// `stop` was set: finished measurements are kept.
+    /// `stop` was set; finished measurements are kept.
     Interrupted,
 }
 

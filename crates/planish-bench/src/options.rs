@@ -7,7 +7,7 @@ use planish::Engine;
 /// The experiments to run, and the folder for results.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// Which engines; none, or `Auto` among them, are all that this machine has but GPUs in software.
+    /// The engines; if empty or containing `Auto`, all of this machine except software GPUs.
     pub engines: Vec<Engine>,
     /// Fewer and shorter measurements: all five in about a minute on two cores.
     pub quick: bool,

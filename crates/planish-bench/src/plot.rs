@@ -68,7 +68,7 @@ pub enum Scale {
     Logarithmic,
 }
 
-/// Returns a bar for each of `rows`, with its number; `marks` are lines across all of them.
+/// Returns a bar for each of `rows`, labelled with its number; `marks` are vertical lines across all bars.
 pub fn bars(title: &str, x: &str, scale: Scale, rows: &[(String, f64)], marks: &[f64]) -> Result<String> {
     let values = || rows.iter().map(|row| row.1).chain(marks.iter().copied());
     let (low, high) = values().fold((f64::INFINITY, 0.0), |(low, high), value| (value.min(low), value.max(high)));

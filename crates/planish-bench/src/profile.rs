@@ -1,4 +1,4 @@
-//! The profile: where the time of one frame goes.
+//! The profile: time per stage of a frame.
 
 use anyhow::{Result, bail};
 use planish::{FrameParams, FrameTimings};

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::timing::Timing;
 
-/// How long moments run before the first that is timed.
+/// Warm-up time before the first measured moment.
 const WARM_UP: Duration = Duration::from_millis(500);
 /// No way is timed for longer than this.
 const LONGEST: Duration = Duration::from_secs(20);
@@ -21,7 +21,7 @@ const LONGEST: Duration = Duration::from_secs(20);
 /// Options of the experiment on rigs.
 #[derive(Debug, Clone)]
 pub struct RigBenchOptions {
-    /// How many simulated cameras of 640x480 stand round the table.
+    /// Number of simulated 640x480 cameras around the table.
     pub cameras: usize,
     /// The ways.
     pub ways: Vec<RigWay>,
@@ -44,9 +44,9 @@ struct Row {
     way: &'static str,
     engine: &'static str,
     points: usize,
-    /// From the frames of a moment to its fused cloud, before the next is given.
+    /// Time from the frames of a moment to its fused cloud, one moment at a time.
     one_ms: Timing,
-    /// With as many moments in flight as the way takes.
+    /// Rate with the useful number of moments in flight.
     moments_a_second: f64,
     in_flight: usize,
 }

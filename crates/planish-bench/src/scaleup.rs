@@ -18,7 +18,7 @@ struct Row {
     copies: usize,
     time: Timing,
     nanoseconds_a_pixel: f64,
-    /// Copies times the time of one, over the time of all: 1 if all the copies take as many times as long.
+    /// Scale-up = copies x t(1) / t(copies).
     scaleup: f64,
     /// Memory of the engine, on the device or on the host.
     buffers_mib: f64,
@@ -41,7 +41,7 @@ struct Results {
 
 /// Up to this number, every thread count is timed; beyond it, powers of two and the maximum.
 const EACH_UP_TO: usize = 16;
-/// One thread at the start and at the end should take as long.
+/// Maximum relative difference between one thread's times at the start and at the end.
 const THREADS_DRIFT: f64 = 0.05;
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {

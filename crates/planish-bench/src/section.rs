@@ -37,7 +37,7 @@ impl Section {
         Self { name, text: format!("## {title}\n"), json: Value::Null, figures: Vec::new() }
     }
 
-    /// Adds a table: its header, and a row for each of `rows`.
+    /// Adds a table with a header and one line per entry of `rows`.
     pub fn table(&mut self, header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
         let line = |cells: &mut dyn Iterator<Item = String>| {
             format!("| {} |\n", cells.map(|cell| cell.replace('|', "\\|")).collect::<Vec<_>>().join(" | "))
@@ -69,8 +69,8 @@ impl Section {
         self.figures.push(Figure { file: file.to_owned(), title: title.to_owned(), content: Drawing::Svg(svg) });
     }
 
-    /// Text and figures as Markdown, for a document that reaches the figures by `folder`, which ends in a slash or is
-    /// empty.
+    /// Returns text and pictures as Markdown, for a document that reaches the pictures by `folder`, which ends in a
+    /// slash or is empty.
     pub fn markdown(&self, folder: &str) -> String {
         let figures = self.figures.iter().map(|figure| format!("\n![{}]({folder}{})\n", figure.title, figure.file));
         self.text.clone() + &figures.collect::<String>()
@@ -85,7 +85,7 @@ impl Section {
         skipped.into_iter().for_each(|what| self.note(format!("Not measured: {what}.")));
     }
 
-    /// Writes it into a folder, the numbers with where they come from.
+    /// Writes it into a folder, including the origin of the numbers.
     pub fn write(&self, folder: &Path, origin: &Origin) -> Result<()> {
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
         let write = |name: &str, bytes: &[u8]| {

@@ -1,5 +1,4 @@
-//! Experiment 1: how long a frame takes, from the host's memory to the host's memory, and how many times faster that is
-//! than the general serial method.
+//! Experiment 1: time per frame from host memory to host memory, and the speedup over the general serial method.
 
 use std::time::Instant;
 

@@ -49,7 +49,7 @@ impl Timing {
         Self { ms, runs, noisy: drifts || (runs >= ENOUGH && ms.p95 > WIDE_SPREAD * ms.p5) }
     }
 
-    /// Returns the median in a table; `~` where it was noisy.
+    /// Returns the median for a table, with `~` if it was noisy.
     pub fn cell(&self) -> String {
         format!("{}{}", milliseconds(self.ms.median), if self.noisy { " ~" } else { "" })
     }

@@ -1,4 +1,4 @@
-//! SIGINT, SIGTERM and SIGHUP, in every command: no half-written file stays behind.
+//! Handles SIGINT, SIGTERM and SIGHUP in every command, so that no half-written file remains.
 
 use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,10 +6,10 @@ use std::sync::{Arc, OnceLock};
 
 use anyhow::{Context, Result};
 
-/// The exit code of a process that was asked to end, as shells have it for SIGINT.
+/// Exit code of an interrupted process, as shells report it for SIGINT.
 pub const INTERRUPTED: u8 = 130;
 
-/// Set by the first signal, where a command looks at it.
+/// Set by the first signal, for commands that check it.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
 /// SIGXFSZ, on Linux and macOS.

@@ -26,7 +26,7 @@ pub const POSITION_9999_M: f64 = 1e-4;
 /// Every position: the normal of few points that are nearly as far off a plane in two directions is badly determined.
 pub const POSITION_WORST_M: f64 = 6e-4;
 
-/// How far results are from the reference's, gathered over one or more frames.
+/// Differences between results and the reference, collected over one or more frames.
 #[derive(Debug, Clone, Default)]
 pub struct Agreement {
     pixels: usize,

@@ -22,7 +22,7 @@ macro_rules! attribute_values {
         }
 
         impl AttributeValues {
-            /// How many values there are: points times values per point.
+            /// Returns the number of values: points times values per point.
             pub fn len(&self) -> usize {
                 match self { $(Self::$variant(values) => values.len(),)* }
             }
@@ -130,7 +130,7 @@ impl Attribute {
 pub struct PositionColumns {
     /// Indices of x, y and z among all columns; the attributes fill the others in order.
     pub index: [usize; 3],
-    /// Whether they are f64 in the file.
+    /// Whether the file stores f64.
     pub double: bool,
 }
 
@@ -154,8 +154,8 @@ pub struct PointCloud {
     pub position_columns: PositionColumns,
     /// The sensor's pose in the frame of the file (not relative to `origin_m`); the identity if unknown.
     pub pose: SensorPose,
-    /// The coordinates as the file has them, x, y and z, where f32 loses digits (an axis where it does not may be
-    /// empty): a point that is not moved is written with all of them.
+    /// The file's coordinates x, y and z if f32 would lose digits (empty for axes where it does not). Unmoved points
+    /// are written with these digits.
     pub exact_m: Option<[Vec<f64>; 3]>,
     /// Format-specific data of the cloud's file; written back to a file of the same format.
     pub provenance: Provenance,
@@ -178,12 +178,12 @@ impl PointCloud {
         }
     }
 
-    /// Sets where each scanner stood; see [`scanners_m`](Self::scanners_m).
+    /// Sets the position of each scanner; see [`scanners_m`](Self::scanners_m).
     pub fn set_scanners_m(&mut self, scanners_m: Vec<Option<[f64; 3]>>) {
         self.scanners_m = Some(scanners_m.into());
     }
 
-    /// How many points there are, holes included.
+    /// Returns the number of points, including holes.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
@@ -193,7 +193,7 @@ impl PointCloud {
         self.positions.is_empty()
     }
 
-    /// How many points are finite.
+    /// Returns the number of finite points.
     pub fn valid_points(&self) -> usize {
         (0..self.len()).filter(|&i| self.positions.is_finite(i)).count()
     }
@@ -203,7 +203,7 @@ impl PointCloud {
         self.attributes.iter().find(|attribute| attribute.name == name)
     }
 
-    /// Replaces the scalar field of that name where it stands, or adds it at the end.
+    /// Replaces the scalar field with that name in place, or appends it.
     pub fn set_attribute(&mut self, name: &str, values: impl Into<AttributeValues>) {
         let attribute = Attribute { name: name.to_owned(), count: 1, values: values.into() };
         match self.attributes.iter_mut().find(|a| a.name == name) {
@@ -245,7 +245,7 @@ impl PointCloud {
         self.exact(axis, i).unwrap_or(origin + f64::from(here))
     }
 
-    /// Returns true if that coordinate is known as the file had it.
+    /// Returns true if that coordinate is unchanged since the file was read.
     pub fn is_unmoved(&self, axis: usize, i: usize) -> bool {
         self.exact(axis, i).is_some()
     }
@@ -325,14 +325,14 @@ impl PointCloud {
     }
 }
 
-/// A cloud on the pixel grid of the camera that took it.
+/// A cloud on the pixel grid of its camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OrganizedCloud {
     width: usize,
     height: usize,
     /// The points, row by row; `points.len()` is width * height.
     pub points: PointCloud,
-    /// The camera, where it is known. The sensor radius needs its fx; without one it is estimated.
+    /// The camera, if known. The sensor radius needs its fx, which is otherwise estimated.
     pub camera: Option<Camera>,
 }
 
@@ -371,7 +371,7 @@ impl OrganizedCloud {
         &self.points.positions
     }
 
-    /// Sets the camera that took the cloud.
+    /// Sets the cloud's camera.
     pub fn with_camera(self, camera: Camera) -> Self {
         Self { camera: Some(camera), ..self }
     }

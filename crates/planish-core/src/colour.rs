@@ -64,7 +64,7 @@ impl PointCloud {
         }
     }
 
-    /// Makes 16-bit integers, as LAS has them, of intensities that are fractions from 0 to 1; NaN becomes 0. Returns
+    /// Converts intensities that are fractions from 0 to 1 to 16-bit integers, the type of LAS; NaN becomes 0. Returns
     /// whether any were converted.
     pub fn scale_intensity(&mut self) -> bool {
         let Some(Attribute { count: 1, values, .. }) = self.attribute("intensity") else { return false };
@@ -79,7 +79,8 @@ impl PointCloud {
         true
     }
 
-    /// Replaces a packed colour by the fields `red`, `green`, `blue`, as PLY files have them; `rgba` gives `alpha` too.
+    /// Replaces a packed colour by the fields `red`, `green`, `blue`, the names of PLY files; `rgba` also gives
+    /// `alpha`.
     pub fn unpack_colour(&mut self) {
         let Some((index, packed)) = self.packed_colour() else { return };
         let channels = if self.attributes[index].name == "rgba" { 4 } else { 3 };

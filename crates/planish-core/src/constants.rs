@@ -1,4 +1,5 @@
-//! Constants of the method for the f32 engines, once for CPU and GPU; the reference has its own (docs/method.md).
+//! Constants of the method for the f32 engines, shared by CPU and GPU; the reference defines them separately
+//! (docs/method.md).
 
 /// The smallest number of neighbours for a plane (section 7).
 pub(crate) const LEAST_NEIGHBOURS: f32 = 3.0;
@@ -42,7 +43,7 @@ pub(crate) const MIN_BLOCK_WEIGHT: f32 = 0.02;
 pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
 /// No camera sees a surface as steep as this; what looks like one is a row of points far apart.
 pub(crate) const MIN_INCIDENCE_COSINE: f32 = 0.05;
-/// From this much more on, the plane counts wholly.
+/// Beyond this excess, the plane counts fully.
 pub(crate) const COSINE_FADE: f32 = 0.01;
 /// Weight of a zero displacement, relative to the surrounding planes.
 pub(crate) const STAY_WEIGHT: f32 = 1e-3;

@@ -14,7 +14,7 @@ pub(super) struct Report {
     pub(super) in_flight: Vec<ThroughputRow>,
     pub(super) batches: Vec<BatchRow>,
     pub(super) fleets: Vec<FleetRow>,
-    /// From a device that is open to a smoother: kernel compiled, memory had.
+    /// Time to open a smoother on an open device, including compilation and allocation.
     pub(super) open_ms: f64,
     pub(super) first_frame_ms: f64,
 }

@@ -206,7 +206,7 @@ pub fn by_option(error: ParamError) -> anyhow::Error {
     }
 }
 
-/// Names the option in place of the setting, where the error is one of a setting.
+/// Replaces the setting's name by the option's, if the error is about a setting.
 pub fn by_option_of_error(error: planish::Error) -> anyhow::Error {
     match error {
         planish::Error::Param(error) => by_option(error),

@@ -138,7 +138,7 @@ pub fn report_losses(output: &Path, cloud: &PointCloud) {
     }
 }
 
-/// Puts colours, and intensities, as the format to write has them.
+/// Converts colours and intensities to the representation of the output format.
 pub fn convert_fields(cloud: &mut PointCloud, read: Format, output: &Path) {
     match Format::of_extension(output) {
         Some(Format::Ply) if read != Format::Ply => cloud.unpack_colour(),

@@ -13,7 +13,7 @@ use super::checks::{check_not_input, check_output, convert_fields, report_column
 use super::{ms_since, organized};
 use crate::args::CleanArgs;
 
-/// How many points each step took away.
+/// Number of points removed by each step.
 #[derive(Serialize)]
 struct Report {
     points_in: usize,

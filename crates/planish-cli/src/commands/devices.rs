@@ -1,4 +1,4 @@
-//! `planish devices`: what this machine computes with, and what `auto` takes.
+//! `planish devices`: engines of this machine, and the choice of `auto`.
 
 use crate::exit::ExitCode;
 use std::thread::available_parallelism;
@@ -20,7 +20,7 @@ struct Devices {
 #[derive(Serialize)]
 struct Cpu {
     threads: usize,
-    /// The instruction set that is taken.
+    /// The instruction set in use.
     simd: &'static str,
     /// All that the machine has and the build knows.
     simd_levels: Vec<&'static str>,
@@ -34,7 +34,7 @@ struct Auto {
 
 pub fn run(args: &DevicesArgs) -> Result<ExitCode> {
     let gpus = gpu_adapters();
-    // A GPU that is there may still not open.
+    // A listed GPU may still fail to open.
     let smoother = Smoother::open(FrameParams::default(), Engine::Auto, (640, 480))?;
     let devices = Devices {
         cpu: Cpu {

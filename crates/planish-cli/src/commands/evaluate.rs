@@ -172,7 +172,7 @@ fn sensor_of(args: &EvaluateArgs) -> Result<SensorModel> {
     args.smoothing.settings()?.known_sensor().context("--sensor auto: simulated frames need a named sensor")
 }
 
-/// Returns the normals that a cloud came with.
+/// Returns the normals stored in a cloud.
 fn normals_field(cloud: &PointCloud) -> Option<Xyz> {
     let [x, y, z] = ["normal_x", "normal_y", "normal_z"].map(|name| match &cloud.attribute(name)?.values {
         AttributeValues::F32(values) => Some(values.clone()),
@@ -278,7 +278,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
 /// A setting and its results so far.
 struct Method {
     name: &'static str,
-    /// Whether frames lose their grid before.
+    /// Whether frames are smoothed as unorganized clouds.
     is_general: bool,
     smoother: Smoother,
     smoothed: Smoothed,

@@ -30,10 +30,9 @@ struct Info {
     median_z_m: Option<f64>,
     /// Metres between neighbouring pixels at a range of 1 m.
     pixel_pitch_at_1m: Option<f64>,
-    /// How ranges are measured: `depth` of a camera, `distance` from another sensor, `constant` where the sensor is
-    /// unknown.
+    /// The range rule: `depth` of a camera, `distance` from another sensor, `constant` if the sensor is unknown.
     range: Option<&'static str>,
-    /// Position and orientation (quaternion w, x, y, z) of the sensor, where the file states them.
+    /// Position and orientation (quaternion w, x, y, z) of the sensor, if the file states them.
     sensor_pose: Option<[f64; 7]>,
     /// The sensor that --sensor auto would choose.
     sensor: Option<SensorInfo>,

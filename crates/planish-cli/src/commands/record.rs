@@ -18,7 +18,7 @@ use crate::signals::stop_by;
 #[derive(Serialize)]
 struct Report {
     frames: u64,
-    /// Frames of a camera that came while others were written.
+    /// Frames of a camera that arrived while others were being written.
     dropped: u64,
     /// Frames that could not be read.
     unreadable: u64,
@@ -30,7 +30,7 @@ const MOST_FAILURES: u32 = 100;
 
 /// What is recorded into.
 enum Recorder {
-    /// A data set in TUM layout, which has depth images.
+    /// A data set of depth images in TUM layout.
     Tum(TumRecorder),
     #[cfg(feature = "mcap")]
     Bag(Box<planish::bag::BagWriter>),
@@ -103,7 +103,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.source.limits.max_duration()?;
     super::checks::check_not_input(std::path::Path::new(args.source.name()), &args.folder, None)?;
     Recorder::check(&args.folder)?;
-    // Opening may take seconds: until then a signal ends the command at once.
+    // Opening may take seconds; until then a signal ends the command at once.
     let stop = Arc::default();
     let mut source = open_source(&args.source, &stop)?;
     stop_by(&stop);
@@ -129,7 +129,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
                 }
                 frames += 1;
             }
-            // An unreadable frame is skipped; a camera that is gone ends the recording, which keeps its frames.
+            // An unreadable frame is skipped; a disconnected camera ends the recording, which keeps its frames.
             Err(error) => {
                 failures_in_a_row += 1;
                 if matches!(error, Error::Device(_)) || failures_in_a_row == MOST_FAILURES {

@@ -188,7 +188,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
         .with_max_duration(args.source.limits.max_duration()?);
     options.validate().map_err(planish::Error::from)?;
     check_outputs(args, &rig)?;
-    // Opening may take seconds: until then a signal ends the command at once.
+    // Opening may take seconds; until then a signal ends the command at once.
     let stop = Arc::default();
     let sources = open_sources(&rig, &args.source.limits, &stop)?;
     stop_by(&stop);
@@ -277,7 +277,7 @@ fn rig_outputs(args: &StreamArgs) -> Outputs {
     }
 }
 
-/// Returns the format of fused clouds, which are no depth images.
+/// Returns the format of fused clouds, which cannot be depth images.
 fn format_of_fused(args: &StreamArgs, format: SinkFormat) -> SinkFormat {
     if format == SinkFormat::DepthPng && args.save_cameras.is_some() { SinkFormat::Pcd } else { format }
 }

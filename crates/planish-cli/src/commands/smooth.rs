@@ -104,7 +104,7 @@ struct Worker<'a> {
     session: Session,
     /// Replaces the pose stated in the files.
     pose: Option<SensorPose>,
-    /// How many workers there are, of which each has its share of the threads and the memory.
+    /// Number of workers, which share threads and memory equally.
     beside: u64,
     smoothed: Smoothed,
     /// Notes already printed, shared by all workers.
@@ -234,7 +234,7 @@ impl Worker<'_> {
             let only = Outputs::DEPTH.with_depth(!stays_in_metres).with_depth_m(stays_in_metres);
             outputs = only.with_status(true);
         }
-        // A raw depth image goes to the engine as it is.
+        // A raw depth image is passed to the engine unchanged.
         let (mut depth, mut cloud) = match contents {
             Contents::Depth(image) => {
                 let camera = self.args.camera.required(shape, input)?;
@@ -438,7 +438,7 @@ fn is_depth(path: &Path) -> bool {
     matches!(Format::of_extension(path), Some(Format::DepthPng | Format::DepthTiff))
 }
 
-/// How many points came in, and how many of those became holes.
+/// Number of input points, and of points that became holes.
 struct PointCounts {
     valid: usize,
     lost: usize,

@@ -6,7 +6,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use planish::stream::{Latency, StreamEvent, StreamStatistics};
 use planish_bench::errln;
 
-/// One line on a terminal, or a plain line every 5 s.
+/// An updated line on a terminal, or a plain line every 5 s elsewhere.
 pub struct StatusLine {
     bar: ProgressBar,
     last: std::cell::Cell<Instant>,
@@ -32,7 +32,7 @@ impl StatusLine {
         self.bar.suspend(|| errln!("warning: {warning}"));
     }
 
-    /// Shows how the stream goes, if it is time.
+    /// Shows the stream's progress, at most at a fixed rate.
     pub fn show(&self, what: &str, statistics: &StreamStatistics) {
         let every = if self.bar.is_hidden() { Self::PLAIN_EVERY } else { Duration::from_millis(200) };
         if self.last.get().elapsed() < every {

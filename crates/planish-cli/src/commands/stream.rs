@@ -85,11 +85,11 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         .map_err(by_option_of_error)?
         .with_max_frames(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
-    // Opening may take seconds: until then a signal ends the command at once.
+    // Opening may take seconds; until then a signal ends the command at once.
     let stop = Arc::default();
     let source = open_source(&args.source, &stop)?;
     stop_by(&stop);
-    // After the source: one that is not there leaves no folder behind.
+    // Created after the source, so that a missing source leaves no folder behind.
     if let Some(folder) = &args.save {
         check_not_input(Path::new(args.source.name()), folder, None)?;
         sinks.push(saving_sink(folder, format, outputs)?);
@@ -128,7 +128,7 @@ impl StreamArgs {
     }
 }
 
-/// Returns a sink that writes a folder, or a recording where the name ends in .mcap.
+/// Returns a sink that writes a folder, or a recording if the name ends in .mcap.
 pub fn saving_sink(output: &Path, format: SinkFormat, outputs: Outputs) -> Result<Box<dyn Sink>> {
     if is_mcap(output) {
         check_is_new(output)?;

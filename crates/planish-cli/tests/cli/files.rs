@@ -310,7 +310,7 @@ fn strides_follow_the_resolution_unless_they_are_given() {
     assert_eq!(points(&fs::read(saved.join("000000.pcd")).unwrap()), points(&found));
 }
 
-/// Returns a wall of 64x48 points 2 m before a camera, as a robot has it in its base frame: x forward, z up.
+/// Returns a wall of 64x48 points 2 m in front of a camera, in a robot's base frame: x forward, z up.
 fn wall_in_base_frame() -> OrganizedCloud {
     let point = |i: usize| {
         let (right, down) = (((i % 64) as f32 - 31.5) / 52.5 * 2.0, ((i / 64) as f32 - 23.5) / 52.5 * 2.0);

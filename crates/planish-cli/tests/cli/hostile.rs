@@ -241,10 +241,10 @@ fn a_signal_at_any_time_leaves_no_temporary_and_no_broken_file() {
             .unwrap();
         std::thread::sleep(Duration::from_millis(37 * run % 60));
         let signal = if run.is_multiple_of(2) { "-TERM" } else { "-INT" };
-        // It may be over already.
+        // The process may already have ended.
         let _ = Command::new("kill").args([signal, &child.id().to_string()]).stderr(Stdio::null()).status().unwrap();
         let code = child.wait().unwrap().code();
-        // Before the handler is there, the signal itself ends the process.
+        // Before the handler is installed, the signal ends the process directly.
         assert!(matches!(code, None | Some(0 | 130)), "{code:?}");
         for entry in fs::read_dir(output).into_iter().flatten().map(Result::unwrap) {
             let name = entry.file_name();

@@ -130,7 +130,7 @@ fn a_stream_that_is_killed_leaves_only_whole_files() {
     }
 }
 
-/// Returns the playback library of libfreenect, where it is installed.
+/// Returns libfreenect's playback library, if installed.
 fn playback_library() -> Option<PathBuf> {
     let folders = fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
     let library = folders.map(|folder| folder.join("fakenect/libfreenect.so.0.5")).find(|library| library.exists());

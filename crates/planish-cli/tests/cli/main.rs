@@ -29,14 +29,14 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Runs the command, which must succeed, and gives its standard output.
+/// Runs the command, which must succeed, and returns its standard output.
 fn ok(arguments: &[&str]) -> String {
     let output = planish(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
     text(&output.stdout)
 }
 
-/// Runs the command, which must fail with exit code 2 and without a panic, and gives its standard error.
+/// Runs the command, which must fail with exit code 2 and without a panic, and returns its standard error.
 fn refused(arguments: &[&str]) -> String {
     let output = planish(arguments);
     let stderr = text(&output.stderr);

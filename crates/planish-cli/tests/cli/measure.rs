@@ -49,7 +49,7 @@ fn evaluate_measures_what_others_made_of_the_same_frames_and_files_by_themselves
     let others: Value = serde_json::from_str(&others).unwrap();
     for (raw, same) in others[0]["ranges"].as_array().unwrap().iter().zip(others[1]["ranges"].as_array().unwrap()) {
         assert_eq!(raw["rmse_mm"], same["rmse_mm"]);
-        // Its normals were made unit again.
+        // Its normals were normalized again.
         let [raw, same] = [raw, same].map(|range| range["normal_mean_deg"].as_f64().unwrap());
         assert!((raw - same).abs() < 1e-3, "{raw} {same}");
     }

@@ -12,7 +12,7 @@ use planish::{Camera, DepthImage};
 
 use super::{str, text};
 
-/// How long a run may take, and how much address space, in KiB.
+/// Limits of a run: time, and address space in KiB.
 const LONGEST: Duration = Duration::from_secs(5);
 const MEMORY_KIB: u32 = 1 << 20;
 
@@ -163,14 +163,14 @@ fn mutated_files_are_survived(files: usize, seed: u64) {
             assert!(matches!(code, Some(0 | 2)) && !stderr.contains("panicked"), "{}", keep());
             read += usize::from(code == Some(0));
         }
-        // Whatever came of it, the output is there whole or not at all.
+        // In any case the output is either complete or absent.
         for entry in fs::read_dir(output.parent().unwrap()).unwrap().map(Result::unwrap) {
             assert_eq!(entry.file_name().to_str(), Some(*name), "mutation {number}");
             planish::io::read(&entry.path()).unwrap_or_else(|error| panic!("mutation {number}: {error}"));
             fs::remove_file(entry.path()).unwrap();
         }
     }
-    // Some mutations leave a file that can be read, or this tests nothing behind the headers.
+    // Some mutated files must be readable, otherwise only headers were tested.
     assert!(read > files / 10, "{read} of {files} read");
 }
 

@@ -97,7 +97,7 @@ fn a_simulated_rig_is_there_as_a_whole_or_not_at_all() {
     let refused_into = |out: &Path| refused(&simulate(out).iter().map(String::as_str).collect::<Vec<_>>());
     refused_into(&file);
     assert_eq!((fs::read_dir(folder.path()).unwrap().count(), fs::read(&file).unwrap()), (1, b"mine".to_vec()));
-    // Into a folder that is there and empty, and one whose parents are not there.
+    // Into an existing empty folder, and into one whose parents do not exist.
     let rig = folder.path().join("rig");
     fs::create_dir(&rig).unwrap();
     for out in [&rig, &folder.path().join("new/parent/rig")] {

@@ -16,11 +16,12 @@ pub struct Distortion {
     pub tangential: [f64; 2],
 }
 
-/// Newton steps until the ray of a pixel is found; from the distorted position as a start, wide lenses take some ten.
+/// Maximum number of Newton steps to find a pixel's ray; starting from the distorted position, wide lenses need about
+/// ten.
 const MAX_STEPS: usize = 50;
 /// Directions between the centre and a ray that are checked for a fold.
 const FOLD_SAMPLES: u32 = 24;
-/// The residual of a ray that is found, in units of the focal length: a millionth of a pixel.
+/// Maximum residual of a ray, in focal lengths: a millionth of a pixel.
 const RESIDUAL: f64 = 1e-9;
 
 impl Distortion {
@@ -101,9 +102,8 @@ impl Distortion {
 }
 
 impl Distortion {
-    /// Returns the model with five coefficients that maps directions (x, y, 1) to the positions at which they are seen,
-    /// by least squares, and the largest distance that remains: both in units of the focal length. `None` if they
-    /// determine none.
+    /// Fits the model with five coefficients that maps directions (x, y, 1) to observed positions, by least squares.
+    /// Returns it with its largest error, in focal lengths; `None` if the pairs do not determine it.
     pub fn fit(pairs: &[([f64; 2], [f64; 2])]) -> Option<(Self, f64)> {
         // The model is linear in k1, k2, k3, p1, p2.
         let (mut a, mut t) = ([[0.0; 5]; 5], [0.0; 5]);
@@ -131,7 +131,7 @@ impl Distortion {
     }
 }
 
-/// Solves A c = t for a symmetric positive A by elimination; `None` where it is not.
+/// Solves A c = t for a symmetric positive A by elimination; `None` if A is singular.
 fn solve<const N: usize>(mut a: [[f64; N]; N], mut t: [f64; N]) -> Option<[f64; N]> {
     for i in 0..N {
         // False for a NaN.
@@ -207,7 +207,7 @@ mod tests {
         let barrel = Distortion::from_opencv(&[-0.4, 0.0, 0.0, 0.0]).unwrap();
         assert!(barrel.undistort([0.3, 0.3]).is_some());
         assert_eq!(barrel.undistort([2.0, 2.0]), None);
-        // Newton's method may jump over the fold, at r = 1.04 here, to the branch behind it.
+        // Newton's method may jump over the fold, at r = 1.04 here, to the next branch.
         let folding = Distortion::from_opencv(&[-0.4, 0.05, 0.0, 0.0]).unwrap();
         for i in 0..200 {
             let found = folding.undistort([0.02 * f64::from(i), 0.0]);

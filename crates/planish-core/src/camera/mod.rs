@@ -54,8 +54,7 @@ impl Camera {
         Self { width, height, fx, fy, cx, cy, depth_units_per_metre: 1000.0, distortion: Distortion::NONE }
     }
 
-    /// Returns a Kinect v1 registered to its colour camera, as the ROS and TUM default has it: 640x480, f = 525,
-    /// millimetres.
+    /// Returns a Kinect v1 registered to its colour camera, the default of ROS and TUM: 640x480, f = 525, millimetres.
     pub const fn kinect_v1() -> Self {
         Self::new((640, 480), [525.0, 525.0], [319.5, 239.5])
     }
@@ -115,13 +114,13 @@ impl Camera {
         depth_m(raw, self.metres_per_unit())
     }
 
-    /// Returns the raw value nearest to a depth in metres; 0 (a hole) where it is not finite or not representable.
+    /// Returns the raw value nearest to a depth in metres; 0 (a hole) if it is not finite or not representable.
     pub fn raw_depth(&self, depth_m: f32) -> u16 {
         let raw = (f64::from(depth_m) * self.depth_units_per_metre + 0.5).floor();
         if raw >= 1.0 && raw < f64::from(SATURATED_DEPTH) { raw as u16 } else { 0 }
     }
 
-    /// The image coordinates (u, v) at which a point of the camera's frame is seen; `None` behind the camera.
+    /// Projects a point of the camera's frame to image coordinates (u, v); `None` behind the camera.
     pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
         // False for a NaN.
         (z > 0.0).then(|| {
@@ -131,7 +130,7 @@ impl Camera {
         })
     }
 
-    /// The index of the pixel at which a point of the camera's frame is seen; `None` outside of the image.
+    /// Returns the index of the pixel that sees a point of the camera's frame; `None` outside the image.
     pub fn pixel_of(&self, point: [f64; 3]) -> Option<usize> {
         let [u, v] = self.project(point)?.map(f64::round);
         let is_inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;

@@ -8,7 +8,7 @@ pub struct Rays {
     camera: Option<Camera>,
     /// X/Z of each column, or with lens distortion of each pixel.
     pub x: Vec<f32>,
-    /// Y/Z of each row, or with lens distortion of each pixel. NaN in both where the lens shows nothing.
+    /// Y/Z of each row, or of each pixel with lens distortion. NaN for pixels outside the lens.
     pub y: Vec<f32>,
 }
 
@@ -28,7 +28,7 @@ pub enum RowRaysY<'a> {
 }
 
 impl Rays {
-    /// Takes a camera; does nothing if it is the last one.
+    /// Sets the camera; does nothing if it is unchanged.
     pub fn set(&mut self, camera: &Camera) {
         if self.camera.as_ref() == Some(camera) {
             return;

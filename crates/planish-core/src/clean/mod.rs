@@ -24,8 +24,8 @@ pub fn outside_box(points: &PointsView<'_>, low: [f64; 3], high: [f64; 3]) -> Re
     outside(points.len(), |i| points.get(i), low, high)
 }
 
-/// Marks the points outside the box from `low` to `high`, in metres in the cloud's frame, as its file has them; its
-/// borders are inside.
+/// Marks the points outside the box from `low` to `high`, in metres in the frame of the cloud's file; points on its
+/// border are inside.
 ///
 /// # Errors
 /// If the box is empty or not of numbers.

@@ -97,7 +97,7 @@ struct Search<'a> {
     index: &'a PointIndex,
     positions: [Vec<f32>; 3],
     counts: Vec<f32>,
-    /// Whether several points are at one of these positions.
+    /// Whether some positions have several points.
     has_repeated: bool,
     squares: Vec<f32>,
     nearest: Vec<f32>,
@@ -143,7 +143,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Returns the places of a leaf and the boxes to gather around: one for all, or one for each where the leaf has
+    /// Returns the positions of a leaf and the boxes to gather around: one for all, or one per position if the leaf has
     /// strays.
     #[inline(always)]
     fn groups(&self, leaf: usize, reach_m: f32) -> impl Iterator<Item = (std::ops::Range<usize>, Bounds)> + use<> {
@@ -215,7 +215,7 @@ impl<'a> Search<'a> {
         }
         self.nearest.truncate(within);
         if self.has_repeated {
-            // They count as often as they are there.
+            // Each position counts with its number of points.
             for (&square, &count) in self.squares.iter().zip(&self.counts).filter(|(square, _)| **square <= most) {
                 self.nearest.extend(std::iter::repeat_n(square, (count as usize - 1).min(neighbours)));
             }
@@ -235,8 +235,8 @@ impl<'a> Search<'a> {
         Some((((sum + f64::from(farthest_m)) / neighbours as f64) as f32, farthest_m))
     }
 
-    /// Returns true if the points of a leaf have enough others within the radius in it and the leaves before and after
-    /// it alone, which is so for most and soon found out.
+    /// Returns true if the points of a leaf have enough neighbours in it and the adjacent leaves. This is cheap and
+    /// true for most leaves.
     #[inline(always)]
     fn have_company(&self, leaf: usize, most: f32, least: usize) -> bool {
         let [x, y, z] = &self.index.positions;
@@ -254,7 +254,7 @@ impl<'a> Search<'a> {
         (LEAF * leaf..(LEAF * (leaf + 1)).min(self.index.len())).all(has_company)
     }
 
-    /// Whether each point of some leaves has fewer than `least` others within the radius.
+    /// Computes whether each point of some leaves has fewer than `least` others within the radius.
     #[inline(always)]
     fn are_alone(&mut self, first_leaf: usize, radius_m: f32, least: usize, is_outlier: &mut [bool]) {
         let most = radius_m * radius_m;

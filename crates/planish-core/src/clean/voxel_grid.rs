@@ -1,4 +1,4 @@
-//! Which points lie in which voxel.
+//! Assignment of points to voxels.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -43,7 +43,7 @@ struct Grid {
     origin_m: [f64; 3],
     /// The voxel with the least coordinates, in multiples of the size.
     first: [f64; 3],
-    /// How many voxels the cloud is wide.
+    /// Extent of the cloud in voxels.
     along: [u64; 3],
 }
 
@@ -113,7 +113,7 @@ impl<'a> VoxelMap<'a> {
         Self { voxels, ranks }
     }
 
-    /// The voxel in which a point lies, if it has points.
+    /// Returns the occupied voxel that contains a point.
     pub fn at(&self, p: [f32; 3]) -> Option<usize> {
         self.at_place(self.voxels.grid.place(p).map(f64::floor))
     }
@@ -141,7 +141,7 @@ impl<'a> VoxelMap<'a> {
     }
 }
 
-/// Which of the shards, a power of two, a key belongs to: by other bits of its hash than tables use.
+/// Returns the shard of a key, one of a power of two, from other bits of its hash than tables use.
 fn shard_of(key: u64, shards: usize) -> u8 {
     ((hash(key) >> 40) as usize & (shards - 1)) as u8
 }
@@ -152,7 +152,7 @@ fn hash(key: u64) -> u64 {
     product ^ (product >> 32)
 }
 
-/// The box around points; holes are left out.
+/// Returns the bounding box of points without holes.
 fn bounds_of([x, y, z]: [&[f32]; 3]) -> Bounds {
     let Bounds { mut low, mut high } = Bounds::EMPTY;
     for ((&x, &y), &z) in x.iter().zip(y).zip(z) {
@@ -347,7 +347,7 @@ mod tests {
             let mean: f64 = around.iter().map(|&(i, weight)| weight * f64::from(cloud.positions.get(i)[axis])).sum();
             assert!((mean - f64::from(value)).abs() < 1e-6, "{mean}");
         }
-        // At a corner of the grid one of the eight is there, outside none.
+        // Next to a corner of the grid, one of the eight exists; farther out none.
         assert_eq!(map.around([-0.9; 3]).count(), 1);
         assert_eq!(map.at([-1.1, 0.0, 0.0]), None);
         assert_eq!(map.around([5.0, 0.0, 0.0]).count(), 0);

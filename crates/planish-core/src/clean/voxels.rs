@@ -1,4 +1,4 @@
-//! One point for each voxel that has any.
+//! Thinning to one point per occupied voxel.
 
 use rayon::prelude::*;
 
@@ -21,7 +21,7 @@ enum Merge {
 /// Puts one point into each voxel of `size_m` metres that has any: their centroid, with the means of fields that have
 /// one (colour, intensity, normals, floats with fractions) and otherwise the field of the point nearest the centroid.
 ///
-/// Voxels begin at multiples of their size in the cloud's frame; results come in the order of the first point of each.
+/// Voxels begin at multiples of their size in the cloud's frame; results have the order of each voxel's first point.
 /// Holes are left out.
 ///
 /// # Errors

@@ -21,7 +21,7 @@ pub(super) struct Block<'a, S: Simd> {
 }
 
 impl<'a, S: Simd> Block<'a, S> {
-    /// Around the points p from an index on, whose ranges are given.
+    /// Computes means around the points p from an index on, given their ranges.
     #[inline(always)]
     pub(super) fn around(
         simd: S,
@@ -46,7 +46,7 @@ impl<'a, S: Simd> Block<'a, S> {
                 let e = self.measured.load(simd, first + row * row_len + column).sub(self.p);
                 let (gate, near) = self.gate.weight(simd, e);
                 let weight = gate * weigh(e);
-                // One that is not near may be no number, and changes nothing.
+                // A point beyond the gate may be NaN and must not change the sum.
                 sum = sum.add_scaled(weight, e).or(near, sum);
                 total = near.select(total + weight, total);
             }

@@ -1,7 +1,7 @@
 //! Edge preservation: finds the surface of each point from the planes around it (docs/method.md, section 10).
 //!
-//! One pass fits the first planes of all pixels; another one finds from them each pixel's surface, and the mean of the
-//! points of its block that are on it. Each number of a plane is a channel laid out like the padded frame.
+//! One pass fits the first planes of all pixels. Another derives each pixel's surface from them, and the mean of its
+//! block's points on that surface. Each component of a plane is a channel with the layout of the padded frame.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -28,7 +28,7 @@ const RESIDUAL: usize = 4;
 /// For a surface: the distance in metres within which neighbours count.
 const WIDTH: usize = 4;
 const CURVATURE: usize = 5;
-/// The number of neighbours; negative where they are on a line.
+/// The number of neighbours; negative if they are collinear.
 const COUNT: usize = 6;
 /// The square of the extent in m².
 const EXTENT: usize = 7;
@@ -135,7 +135,7 @@ impl Planes {
         Vec3::new(self.load(simd, NORMAL, at), self.load(simd, NORMAL + 1, at), self.load(simd, NORMAL + 2, at))
     }
 
-    /// Returns the planes from an index on, which are taken as they are.
+    /// Returns the planes from an index on, unchanged.
     #[inline(always)]
     fn plane<S: Simd>(&self, simd: S, at: usize) -> Plane<S> {
         Plane {
@@ -157,8 +157,8 @@ impl Planes {
         Surface { plane: self.plane(simd, at), n, width: Some(self.load(simd, WIDTH, at)) }
     }
 
-    /// Finds the surfaces of the points from an index on, from their own first planes and the eight around them;
-    /// returns plane, number of neighbours and width. The distance of `mean` from a plane decides how well it fits.
+    /// Finds the surfaces of the points from an index on, from their first planes and the eight around them; returns
+    /// plane, number of neighbours and width. The distance of `mean` from a plane determines how well it fits.
     #[inline(always)]
     fn find_surface<S: Simd>(
         &self,
@@ -183,7 +183,7 @@ impl Planes {
                 let offset = measured.load(simd, at).sub(p);
                 let (nearness, near) = gate.weight(simd, offset);
                 let n = self.normal(simd, at);
-                // From p to the plane along its normal.
+                // Distance from p to the plane along the plane's normal.
                 let to_plane = offset.dot(n) + self.load(simd, HEIGHT, at);
                 let from_mean = to_plane - to_mean.dot(n);
                 let residual =
@@ -213,7 +213,7 @@ impl Planes {
     }
 }
 
-/// Whether planes are usable, from 0 to 1: not where the neighbours are too few, on a line, or on a plane seen edge-on.
+/// Returns how far planes are usable, from 0 to 1: 0 if neighbours are too few, collinear, or on a plane seen edge-on.
 #[inline(always)]
 fn usable<S: Simd>(simd: S, ray: Vec3<S>, plane: &Plane<S>, total: S::f32s) -> S::f32s {
     // Scaled, since the squares may be too large.

@@ -73,7 +73,7 @@ pub(super) fn smallest_eigenvector<S: Simd>(simd: S, m: &Symmetric<S>) -> Smalle
     );
     let half_det = (det * splat(simd, 0.5)).max(splat(simd, -1.0)).min(one);
 
-    // The root that stands alone: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
+    // The isolated root: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
     let line_like: Mask<S> = half_det.simd_gt(splat(simd, LINE_LIKE));
     let sign = line_like.select(one, splat(simd, -1.0));
     let half_alone = sign * cos_third_acos(simd, half_det * sign);
@@ -110,7 +110,7 @@ fn minor<S: Simd>(a: S::f32s, b: S::f32s, c: S::f32s, d: S::f32s) -> S::f32s {
     a.mul_add(b, -(c * d))
 }
 
-/// Returns a unit vector that B - value I takes to zero: the longest cross product of two of its rows.
+/// Returns a unit vector in the null space of B - value I: the longest cross product of two of its rows.
 #[inline(always)]
 fn null_vector<S: Simd>(simd: S, m: &Symmetric<S>, value: S::f32s) -> Vec3<S> {
     let shifted = Symmetric { xx: m.xx - value, yy: m.yy - value, zz: m.zz - value, ..*m };

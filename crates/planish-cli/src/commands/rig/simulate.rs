@@ -30,7 +30,7 @@ pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCod
     written
 }
 
-/// Writes the rig under a temporary name, and then moves it to where it belongs, rig.json last.
+/// Writes the rig under a temporary name, then moves it to its final name, rig.json last.
 fn write(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
     let scene = RigScene::tabletop(args.seed, cameras);
     let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();

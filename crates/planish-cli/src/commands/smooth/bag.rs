@@ -46,7 +46,7 @@ struct TopicReport<'a> {
     first_failure: Option<&'a str>,
 }
 
-/// How many frames are looked at for one that can be read.
+/// Maximum number of frames to try until one is readable.
 const FRAMES_TRIED: usize = 1000;
 
 /// Smooths a recording, or a folder into one; `None` where input and output are neither.
@@ -260,11 +260,11 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     Ok(if statistics.failed_sinks + unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
-/// Whether the first frame that can be read is depth; clouds with a camera count where depth is wanted.
+/// Returns true if the first readable frame is depth; clouds with a camera count if depth is requested.
 fn holds_depth(name: &str, options: &SourceOptions, wants_depth: bool) -> Result<bool> {
     let mut source = source::open(name, options)?;
     let mut failure = None;
-    // A source that fails for good gives no more frames after that.
+    // A source that fails for good delivers no further frames.
     for _ in 0..FRAMES_TRIED {
         match source.next_frame() {
             Ok(None) => break,

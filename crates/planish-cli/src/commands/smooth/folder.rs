@@ -23,14 +23,14 @@ use crate::args::SmoothArgs;
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
 
-/// Larger files are smoothed one after the other, each with all threads.
+/// Larger files are smoothed one at a time, each with all threads.
 const LARGEST_BESIDE_OTHERS: u64 = 64 << 20;
-/// As many keep a GPU busy with files.
+/// Number of workers that keep a GPU busy.
 const WORKERS_OF_A_GPU: usize = 4;
 /// Memory of a compressed frame, as a multiple of its file size.
 const MEMORY_OVER_SIZE: u64 = 40;
 
-/// A frame: where it is, and where it goes.
+/// Input and output path of a frame.
 type Job = (PathBuf, PathBuf);
 
 pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
@@ -52,7 +52,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
         let workers = workers(worker, jobs.len() - next, largest)?;
         if workers > 1 {
             beside_each_other(worker, workers, &jobs[next..], &mut done[next..], &stop, &bar);
-            // One that needed the memory which others had is tried alone.
+            // A frame that lacked memory, because others used it, is retried alone.
             for (job, done) in jobs[next..].iter().zip(&mut done[next..]) {
                 if matches!(done, Some(Err(error)) if needs_memory(error)) {
                     let is_stopped = stop.load(Ordering::Relaxed);

@@ -16,16 +16,15 @@ pub struct Report {
     pub engine: &'static str,
     /// The GPU's name.
     pub adapter: Option<String>,
-    /// Why `auto` took this engine.
+    /// Reason for the choice of `auto`.
     pub engine_reason: Option<String>,
     pub width: usize,
     pub height: usize,
     pub points_in: usize,
-    /// How many of those became holes.
+    /// Number of points that became holes.
     pub points_lost: usize,
     pub status: StatusCounts,
-    /// How many tiles a file was smoothed in that is larger than memory; the time to smooth then includes reading and
-    /// writing.
+    /// Number of tiles of a file larger than memory; the smoothing time then includes reading and writing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<usize>,
     pub read_ms: f64,
@@ -44,7 +43,7 @@ pub struct StatusCounts {
 }
 
 impl StatusCounts {
-    /// From the number of points of each status, by its code.
+    /// Creates counts from the number of points with each status code.
     pub fn of([hole, too_few, degenerate, plane, quadratic, cubic, isolated]: [usize; 7]) -> Self {
         Self { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated }
     }
@@ -80,7 +79,7 @@ pub struct Failure {
 pub struct FolderReport {
     pub frames: Vec<Report>,
     pub failed: Vec<Failure>,
-    /// Whether a signal ended the run before its last frame.
+    /// Whether a signal ended the run early.
     pub interrupted: bool,
 }
 
@@ -128,8 +127,7 @@ pub fn report_range_rule(input: &Path, frame: Frame<'_>, rule: Option<RangeRule>
     }
 }
 
-/// Reports where the sensor of an unorganized cloud is taken to have stood whose file does not tell; `None` for the
-/// origin of the coordinates.
+/// Reports the assumed sensor position of an unorganized cloud whose file states none; `None` means the origin.
 pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
     let (input, what) = (input.display(), "(change with --sensor-pose)");
     match position_m {

@@ -105,7 +105,7 @@ pub(super) fn find_surfaces<S: Simd>(
         #[inline(always)]
         |offset, place| {
             let first = &first_planes.planes[place];
-            // One on a line may hold anything.
+            // The normal of a collinear neighbourhood is undefined.
             if first.residual == f32::INFINITY {
                 return;
             }
@@ -115,7 +115,7 @@ pub(super) fn find_surfaces<S: Simd>(
                 splat(simd, first.normal[1]),
                 splat(simd, first.normal[2]),
             );
-            // From p to the plane along its normal, and from the mean.
+            // Distances to the plane along its normal, from p and from the mean.
             let to_plane = offset.dot(n) + splat(simd, first.height);
             let from_mean = to_plane - mean.dot(n);
             let residual =

@@ -13,11 +13,11 @@ pub(super) struct FirstPlane {
     pub(super) normal: [f32; 3],
     /// The foot of the position is this times the normal.
     pub(super) height: f32,
-    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or
-    /// on a line.
+    /// Measures how badly the plane fits its points and how little they determine it, in m²: infinite for too few or
+    /// collinear points.
     pub(super) residual: f32,
     pub(super) curvature: f32,
-    /// The number of neighbours; negative where they are on a line.
+    /// The number of neighbours; negative if they are collinear.
     pub(super) count: f32,
     /// The square of the extent in m².
     pub(super) extent_squared: f32,
