@@ -13,7 +13,7 @@ pub enum AdapterKind {
     Integrated,
     /// A GPU lent to a virtual machine.
     Virtual,
-    /// A GPU emulated on the CPU, such as lavapipe: for tests. `Auto` never takes it.
+    /// A GPU emulated on the CPU, such as lavapipe, for tests. `Auto` never chooses it.
     Software,
     /// The driver does not say.
     Other,
@@ -40,7 +40,7 @@ pub struct GpuAdapter {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Transfer {
-    /// The faster one of this device, as far as is known.
+    /// The faster transfer for this device, as far as is known.
     #[default]
     Auto,
     /// Copied to the device's memory, computed there, and copied back.
@@ -53,16 +53,17 @@ pub enum Transfer {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct GpuOptions {
-    /// The adapter by its index (a number is nothing else) or any part of its name, in any case; `None` is the first
-    /// real GPU. A software adapter is only taken by this. `Engine::Auto` does not look at it.
+    /// The adapter by its index or any part of its name, case-insensitive; `None` is the first real GPU. This is the
+    /// only way to select a software adapter. `Engine::Auto` ignores it.
     pub adapter: Option<String>,
-    /// How many frames may be in flight: submitted and not received. At least 1. 3 keep a GPU busy whose results are
-    /// read in place, 6 one whose results are copied out. Other engines keep to it too.
+    /// Maximum number of frames in flight, submitted and not yet received; at least 1. To keep a GPU busy, 3 suffice if
+    /// results are read in place, 6 if they are copied out. Other engines obey it too.
     pub slots: usize,
-    /// Whether each frame's times on the device are taken; see [`SmoothedView::timings`](crate::SmoothedView::timings).
-    /// Frames in flight may overlap, and each then takes longer than alone. The CPU engine takes its own by the same.
+    /// Whether to measure each frame's times on the device; see
+    /// [`SmoothedView::timings`](crate::SmoothedView::timings). Frames in flight may overlap, and each then takes
+    /// longer than alone. The CPU engine measures its times as well.
     pub timestamps: bool,
-    /// Whether the shader checks every access to memory against its bounds.
+    /// Whether shaders check the bounds of every memory access.
     pub bounds_checks: bool,
     /// How frames get there and results back.
     pub transfer: Transfer,

@@ -1,5 +1,4 @@
-//! All engines: their capabilities, how they are opened, and the choice of `Auto`. Adding an engine touches
-//! this file and its own folder.
+//! All engines: capabilities, opening, and the choice of `Auto`. Adding an engine changes this file and adds a folder.
 
 use crate::cpu::{Cpu, GeneralCpu};
 use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
@@ -13,7 +12,7 @@ use crate::reference::Reference;
 use crate::simd_level::SimdLevel;
 use crate::smoothing_engine::{Immediate, SmoothingEngine};
 
-/// Which implementation computes the result. All agree within docs/method.md, section 9.
+/// The implementation that computes the result. All agree within docs/method.md, section 9.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Engine {
@@ -53,7 +52,7 @@ pub struct Capabilities {
     pub edges: bool,
     /// Depth as an output.
     pub depth_out: bool,
-    /// Whether submitted frames are computed in the background, so several in flight are worth their latency.
+    /// Whether submitted frames are computed in the background, which makes several in flight useful.
     pub pipelined: bool,
 }
 
@@ -86,7 +85,7 @@ impl Engine {
     }
 }
 
-/// Why [`Engine::Auto`] took its engine.
+/// Reason for the choice of [`Engine::Auto`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ChoiceReason {
@@ -122,14 +121,13 @@ impl std::fmt::Display for ChoiceReason {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct SmootherOptions {
-    /// Which engine. An engine chosen by name never falls back to another; only a stream continues on the CPU if its
-    /// GPU is lost twice.
+    /// The engine. An engine chosen by name is not replaced by another, except in a stream that loses its GPU twice.
     pub engine: Engine,
     /// Which results to compute.
     pub outputs: Outputs,
-    /// How many threads the CPU engines use; `None` is one for each core.
+    /// Threads of the CPU engines; `None` is one per core.
     pub threads: Option<usize>,
-    /// Which instruction set the CPU engine uses; `None` is the widest of this machine.
+    /// Instruction set of the CPU engine; `None` is the widest of this machine.
     pub simd: Option<SimdLevel>,
     /// How to open the GPU engine.
     pub gpu: GpuOptions,
@@ -199,7 +197,7 @@ pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
     }
 }
 
-/// An engine that was opened, which one it is, and why `Auto` took it.
+/// An open engine, its kind, and the reason for the choice of `Auto`.
 pub(crate) type Opened = (Box<dyn SmoothingEngine>, Engine, Option<ChoiceReason>);
 
 /// Opens the engine of the options for frames on a grid, or for unorganized clouds.

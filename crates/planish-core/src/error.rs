@@ -11,7 +11,7 @@ use std::path::PathBuf;
 pub struct ParamError {
     /// The field of the parameter struct, as it is spelled in code.
     pub field: &'static str,
-    /// The value it was given.
+    /// The refused value.
     pub value: String,
     /// What it may be.
     pub allowed: &'static str,
@@ -29,7 +29,7 @@ fn shortened(value: &str) -> String {
 /// Bytes in a KiB.
 pub const KIB: u64 = 1 << 10;
 
-/// Bytes in whole KiB, or in MiB with a digit where they are many.
+/// Formats bytes in whole KiB, or large numbers in MiB with one digit.
 pub fn memory(bytes: u64) -> String {
     let kib = bytes / KIB;
     if kib < 10 * KIB { format!("{kib} KiB") } else { format!("{:.1} MiB", kib as f64 / KIB as f64) }
@@ -103,7 +103,7 @@ pub enum FrameError {
         /// Which output.
         output: &'static str,
     },
-    /// A cloud without any finite point, where there must be one.
+    /// A cloud without any finite point, where at least one is required.
     #[error("the cloud has no points")]
     NoPoints,
     /// An invalid sensor pose.
@@ -145,7 +145,7 @@ pub enum EngineError {
         /// Why it is not there, and what would help.
         reason: String,
     },
-    /// A frame, or a batch of them, that is larger than the device can take.
+    /// A frame, or a batch of frames, that exceeds the device's limits.
     #[error(
         "the GPU {device} allows {what} of {allowed}, but {needed} are needed; smooth smaller frames or use the CPU \
          engine"
@@ -169,7 +169,7 @@ pub enum EngineError {
     Crowded {
         /// The device's name.
         device: String,
-        /// Points that the device takes at once.
+        /// Number of points that the device can hold at once.
         points_at_once: u64,
     },
     /// The device is out of memory.
@@ -201,7 +201,7 @@ pub enum EngineError {
     /// The maximum number of frames is in flight: receive one first.
     #[error("{in_flight} frames are in flight, the maximum; receive one before submitting the next")]
     Full {
-        /// How many are in flight.
+        /// Number of frames in flight.
         in_flight: usize,
     },
     /// The frame was stopped by [`Progress::stop`](crate::Progress::stop); its result is not there.
@@ -224,7 +224,7 @@ impl EngineError {
     }
 }
 
-/// A camera or a viewer that is unavailable, or that is gone.
+/// A camera or a viewer that is missing or was disconnected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeviceError {
@@ -236,7 +236,7 @@ pub enum DeviceError {
         /// What would help.
         help: &'static str,
     },
-    /// Its driver is not there, or cannot use it.
+    /// Its driver is missing, or cannot use it.
     #[error("{what}; {help}")]
     Driver {
         /// What is missing.
@@ -250,7 +250,7 @@ pub enum DeviceError {
         /// What failed.
         what: String,
     },
-    /// It worked, and is gone: unplugged or hung. It may come back.
+    /// It worked and was disconnected: unplugged or hung. It may return.
     #[error("{what}: unplugged?")]
     Gone {
         /// What happened.
@@ -274,7 +274,7 @@ pub enum FormatError {
     /// The contents make no frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// Reading it would take more memory than allowed.
+    /// Reading it needs more memory than allowed.
     #[error("needs {} of memory, but only {} are allowed; raise the limit if the file is correct", memory(needed.saturating_add(KIB - 1)), memory(*allowed))]
     TooLarge {
         /// Bytes that would be needed.
@@ -314,7 +314,7 @@ pub enum Error {
     /// An engine that is unavailable, or that failed.
     #[error(transparent)]
     Engine(#[from] EngineError),
-    /// A camera or a viewer that is unavailable, or that is gone.
+    /// A camera or a viewer that is missing or was disconnected.
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// A file that could not be read or written.

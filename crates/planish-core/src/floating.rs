@@ -4,7 +4,7 @@ use crate::cloud::OrganizedCloud;
 use crate::frame::{DepthFrame, PointsView};
 use crate::sensor::SensorModel;
 
-/// A neighbour supports a pixel if their depths differ by no more than this many standard deviations of the noise.
+/// A neighbour supports a pixel if their depths differ by at most this many standard deviations of the noise.
 const SUPPORT_DEVIATIONS: f64 = 6.0;
 /// And by at least this share of the depth, since surfaces slope: 60° at a focal length of 170 pixels, 80° at one of
 /// 525.
@@ -12,7 +12,7 @@ const SUPPORT_SHARE: f64 = 0.01;
 /// A pixel supported by fewer of its eight neighbours floats. A straight edge has four, a wire two, and its end one.
 const MIN_SUPPORT: usize = 2;
 
-/// Which pixels float, by their ranges: fewer than two of their eight neighbours are within six deviations of the
+/// Finds floating pixels by their ranges: fewer than two of their eight neighbours are within six deviations of the
 /// noise, or a hundredth of the range.
 fn floating(width: usize, ranges_m: &[f64], sensor: &SensorModel) -> Vec<bool> {
     let width = width.max(1);
@@ -28,7 +28,7 @@ fn floating(width: usize, ranges_m: &[f64], sensor: &SensorModel) -> Vec<bool> {
                 support += usize::from((ranges_m[y * width + x] - range_m).abs() <= near_m);
             }
         }
-        // It is within its own distance.
+        // The pixel counts itself.
         range_m.is_finite() && support < MIN_SUPPORT + 1
     };
     (0..ranges_m.len()).map(floats).collect()

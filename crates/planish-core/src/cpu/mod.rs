@@ -76,7 +76,7 @@ struct Kernel {
 struct Fitting {
     bandwidth_m: Option<f32>,
     ridge: f32,
-    /// Whether points with too few neighbours stay where they are.
+    /// Whether points with too few neighbours are kept unchanged.
     keeps_isolated: bool,
     /// With fewer a point has too few.
     least_neighbours: f32,
@@ -96,7 +96,7 @@ impl RangeRules {
         radius.max(splat(simd, MIN_GATE_M)).min(splat(simd, MAX_RADIUS_M))
     }
 
-    /// How far from its pixel's point a point of a block may be.
+    /// Returns the maximum distance between a pixel's point and the points of its block.
     #[inline(always)]
     fn block_gate<S: Simd>(&self, simd: S, range: S::f32s) -> S::f32s {
         let gate = (range * splat(simd, self.block_linear)).max(polynomial_in_range(simd, self.block, range));
@@ -105,7 +105,8 @@ impl RangeRules {
 }
 
 impl Kernel {
-    /// Returns the ranges at the end of rays. Beyond the limit the radius is at its own; the square stays finite.
+    /// Returns the ranges at the end of rays, limited so that squares stay finite; beyond the limit the radius is
+    /// constant anyway.
     #[inline(always)]
     fn range<S: Simd>(&self, simd: S, ray: Vec3<S>) -> S::f32s {
         let range = if self.rules.by_distance { ray.dot(ray).sqrt() } else { self.sensor.depth(simd, ray).abs() };
@@ -130,7 +131,7 @@ pub(crate) struct Cpu {
     padded: PaddedFrame,
     /// Where blocks are averaged.
     means: Option<PaddedFrame>,
-    /// First planes and surfaces, where edges are kept.
+    /// First planes and surfaces, if edges are kept.
     planes: Option<[Planes; 2]>,
     rays: Rays,
     timings: FrameTimings,
@@ -261,8 +262,8 @@ fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
     p.scale(zero).dot(Vec3::splat(simd, 1.0)).simd_eq(zero)
 }
 
-/// Sections 2 to 7 and 10 for one vector of pixels. The terms are kept from vector to vector, so that they are not
-/// cleared for each.
+/// Applies sections 2 to 7 and 10 to one vector of pixels. The terms are reused between vectors, to avoid clearing
+/// them.
 #[inline(always)]
 fn smooth_vector<S: Simd, const D: usize>(
     simd: S,

@@ -112,7 +112,7 @@ impl<'a> OutputRows<'a> {
         if let Some(curvature) = &mut self.out.curvature {
             let out = &mut curvature[at.clone()];
             put(plane.curvature, out);
-            // Curvature is present exactly where the normal is.
+            // Curvature is finite exactly for points with a normal.
             for (value, &status) in out.iter_mut().zip(projected.status.as_slice()) {
                 if !(3.0..6.0).contains(&status) {
                     *value = f32::NAN;

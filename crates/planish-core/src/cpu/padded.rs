@@ -1,9 +1,9 @@
 //! The frame with a border: the input of every window load.
 //!
 //! Stage: copy or deproject (docs/method.md, section 1), in the cloud's frame. Layout: x, y and z each as rows of
-//! `row_len` values, `border` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 behind its last
-//! column, so that every load of a window, at every vector of pixels, is a plain load inside the buffer. A NaN fails
-//! the gate, and so does everything not finite: an infinite distance is over every radius.
+//! `row_len` values, with `border` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 after its
+//! last column. Every load of a window, for every vector of pixels, is then a plain load inside the buffer. NaN and
+//! infinite values fail the gate.
 
 use fearless_simd::{Simd, SimdBase};
 
@@ -121,7 +121,7 @@ impl PaddedFrame {
         PaddedRows { first: 0, row_len, border, xyz }
     }
 
-    /// Takes a frame of the shape that this was made for; `rays` are its camera's.
+    /// Copies a frame of the shape that this was created for; `rays` belong to its camera.
     pub(super) fn fill(&mut self, admitted: &AdmittedFrame<'_>, rays: &Rays, parallel: bool) {
         let (row_len, width, border) = (self.row_len, self.width, self.border);
         let rows = self.rows();

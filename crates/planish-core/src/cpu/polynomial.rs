@@ -1,10 +1,10 @@
 //! The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
 //!
-//! The weight is the gate's times 2^-(a² + b² + f²), narrower across the surface where edges are kept, with a, b the
-//! in-plane coordinates and f the height over the plane, all in units of the bandwidth over sqrt(log2 e). The reference
-//! divides a and b by h; this unit saves a multiplication, and the ridge is converted to it. Moments: M_ij = sum w a^i
-//! b^j for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a
-//! and b: one fused multiply-add each, and plain additions for j = 0.
+//! The weight is g 2^-(a² + b² + f²), with the gate g, and narrower across the surface if edges are kept. a and b are
+//! the in-plane coordinates and f the height over the plane, in units of the bandwidth over sqrt(log2 e). The reference
+//! divides a and b by h; this unit saves a multiplication, and the ridge is converted. Moments: M_ij = sum w a^i b^j
+//! for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and
+//! b: one fused multiply-add each, and plain additions for j = 0.
 
 use std::ops::Range;
 
@@ -32,15 +32,15 @@ struct Frame<S: Simd> {
     narrowing: S::f32s,
 }
 
-/// Which candidates are neighbours, and their weights.
+/// Selection and weights of neighbours.
 pub(super) struct Weighting<S: Simd> {
     pub(super) radius: S::f32s,
     pub(super) bandwidth: S::f32s,
-    /// How far from the plane a neighbour counts; `None` for no limit.
+    /// Maximum distance of a neighbour from the plane; `None` for no limit.
     pub(super) width: Option<S::f32s>,
 }
 
-/// Candidates whose terms are kept at once; their four values each fit the first-level cache.
+/// Number of candidates whose terms are stored at once; their four values each fit the first-level cache.
 const CHUNK: usize = 64;
 
 /// Contribution of each candidate: its coordinates, and its weight (0 for candidates outside the gate).
@@ -237,7 +237,7 @@ impl<S: Simd> Terms<S> {
         (self.a[at], self.b[at], self.f[at]) = (a, b, f);
     }
 
-    /// First pass: the sums over the candidates, which are left here for the second pass if they fit.
+    /// First pass: computes the sums over the candidates, and keeps the candidates for the second pass if they fit.
     #[inline(always)]
     pub(super) fn keep<C: Candidates<S>>(
         &mut self,

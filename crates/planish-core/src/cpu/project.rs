@@ -9,7 +9,7 @@ use crate::constants::{GRAZING_COSINE, MAX_ALONG, coefficient_count};
 
 pub(super) struct Projected<S: Simd> {
     pub(super) point: Vec3<S>,
-    /// The plane's where the normal is not needed.
+    /// The plane's normal if the surface's is not needed.
     pub(super) normal: Vec3<S>,
     /// Codes of [`crate::Status`], as numbers.
     pub(super) status: S::f32s,
@@ -17,16 +17,16 @@ pub(super) struct Projected<S: Simd> {
     pub(super) depth_scale: S::f32s,
 }
 
-/// How points are put onto the surface.
+/// How points move onto the surface.
 #[derive(Clone, Copy)]
 pub(super) struct Projection {
     /// True: along the ray; false: along the plane's normal.
     pub(super) on_ray: bool,
     /// True if normals are needed, for the caller or a later stage.
     pub(super) needs_normal: bool,
-    /// Whether the depth at which a ray meets the surface is needed.
+    /// Whether the depth of the ray's intersection with the surface is needed.
     pub(super) needs_depth: bool,
-    /// Whether points with too few neighbours stay where they are.
+    /// Whether points with too few neighbours are kept unchanged.
     pub(super) keeps_isolated: bool,
     /// With fewer a point has too few.
     pub(super) least_neighbours: f32,

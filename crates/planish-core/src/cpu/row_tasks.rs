@@ -6,10 +6,10 @@ use std::ops::RangeInclusive;
 /// keep many threads evenly busy.
 const ROWS_PER_TASK: RangeInclusive<usize> = 4..=8;
 
-/// Tasks for each thread, where there are rows enough.
+/// Tasks per thread, if there are enough rows.
 const TASKS_PER_THREAD: usize = 8;
 
-/// Some rows of something, which can be split.
+/// Rows that can be split into two parts.
 pub(super) trait SplitRows: Send + Sized {
     fn count(&self) -> usize;
 

@@ -28,7 +28,7 @@ impl Sensor {
         p.sub(in_every_lane(simd, self.position))
     }
 
-    /// How far each ray reaches along the sensor's axis.
+    /// Returns the length of each ray along the sensor's axis.
     #[inline(always)]
     pub(super) fn depth<S: Simd>(&self, simd: S, ray: Vec3<S>) -> S::f32s {
         ray.dot(in_every_lane(simd, self.axis))

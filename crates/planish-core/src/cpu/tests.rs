@@ -21,7 +21,7 @@ macro_rules! at_every_level {
     };
 }
 
-/// One lane's value in every lane, through memory, so that nothing is computed at compile time.
+/// Copies one value to every lane through memory, so that nothing is computed at compile time.
 fn lanes<S: Simd>(simd: S, value: f64) -> S::f32s {
     splat(simd, std::hint::black_box(value as f32))
 }
@@ -79,7 +79,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
     fn test<S: Simd>(simd: S, level: &str) {
         let mut random = Random::new(11, 1);
         for case in 0..20_000 {
-            // From a plane over a line to a ball, at the scales of a window.
+            // From a plane through a line to a ball, at the scales of a window.
             let l2 = 10f64.powf(random.between(-10.0, 0.0));
             let l1 = l2 * 10f64.powf(random.between(-3.0, 0.0));
             let l0 = l1 * if case % 5 == 0 { 0.0 } else { random.between(0.0, 0.9) };
@@ -92,7 +92,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
             let off = n.cross(vector).length();
             assert!(off < 2e-6 * l2 / (l1 - l0) + 1e-6, "{what}: off by {off:e}");
             for (value, expected) in found.values.iter().zip([l0, l1, l2]) {
-                // Two eigenvalues that coincide are known to the root of a rounding error each.
+                // Two equal eigenvalues are each determined only to the square root of a rounding error.
                 let tolerance = if l2 - l1 < 0.01 * l2 { 1e-3 } else { 1e-5 };
                 assert!((f64::from(value[0]) - expected).abs() < tolerance * l2, "{what}: {} {expected:e}", value[0]);
             }

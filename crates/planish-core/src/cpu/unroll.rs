@@ -2,8 +2,8 @@
 
 /// Repeats the body for I = 0, 1, ..., 6 or 9 as a constant: `unroll!(I in 7 { ... })`.
 ///
-/// The compiler leaves loops over vectors rolled at these sizes, with the arrays in memory and an index computed for
-/// each access: the second pass took twice as long.
+/// The compiler does not unroll loops over vectors of these sizes; it keeps the arrays in memory and computes an index
+/// for each access, which made the second pass twice as slow.
 macro_rules! unroll {
     ($i:ident in 7 $body:block) => {
         unroll!(@each $i $body 0 1 2 3 4 5 6)

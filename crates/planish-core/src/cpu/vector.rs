@@ -9,7 +9,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 /// The mask that belongs to the f32 vector of a SIMD level.
 pub(super) type Mask<S> = <<S as Simd>::f32s as SimdBase<S>>::Mask;
 
-/// One value in every lane.
+/// Copies one value to every lane.
 #[inline(always)]
 pub(super) fn splat<S: Simd>(simd: S, value: f32) -> S::f32s {
     S::f32s::splat(simd, value)

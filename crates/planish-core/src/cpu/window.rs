@@ -35,14 +35,14 @@ impl<S: Simd> Gate<S> {
         Self { slope: splat(simd, -GATE_FADE) / (radius * radius) }
     }
 
-    /// How much an offset counts where it does, and where that is: not where it is too far or no number.
+    /// Returns the weight of each offset, and the mask of lanes within the gate (false for NaN).
     #[inline(always)]
     pub(super) fn weight(&self, simd: S, e: Vec3<S>) -> (S::f32s, Mask<S>) {
         let weight = e.dot(e).mul_add(self.slope, splat(simd, GATE_FADE + 0.5));
         (weight.min(splat(simd, 1.0)), weight.simd_gt(splat(simd, 0.0)))
     }
 
-    /// Returns the offset, zero where it is too far or no number; how much it counts; and where it does.
+    /// Returns the offset (zero outside the gate), its weight, and the mask of lanes within the gate.
     #[inline(always)]
     pub(super) fn apply(&self, simd: S, e: Vec3<S>) -> (Vec3<S>, S::f32s, Mask<S>) {
         let zero = splat(simd, 0.0);
@@ -55,7 +55,7 @@ impl<S: Simd> Gate<S> {
 pub(super) struct Sums<S: Simd> {
     /// How many.
     pub(super) n: S::f32s,
-    /// How much they count together.
+    /// Sum of the weights.
     pub(super) total: S::f32s,
     pub(super) e: Vec3<S>,
     pub(super) xx: S::f32s,
@@ -70,7 +70,7 @@ pub(super) struct Sums<S: Simd> {
 pub(super) trait Candidates<S: Simd>: Copy {
     fn rows(&self) -> usize;
 
-    /// How many candidates a row has.
+    /// Returns the number of candidates in a row.
     fn row_len(&self) -> usize;
 
     /// Visits the candidates of some rows in order: their offsets from p (zero outside the gate), gate weights, and the

@@ -1,4 +1,4 @@
-//! Which device a frame goes to: the one that is expected to have its result first.
+//! Chooses the device of a frame: the one that is expected to finish it first.
 
 use std::time::{Duration, Instant};
 
@@ -21,7 +21,7 @@ pub(super) struct Pace {
 }
 
 impl Pace {
-    /// Takes in a result of now, of a frame that the device was given at `since`.
+    /// Updates the pace with a result received now, of a frame submitted at `since`.
     pub(super) fn add(&mut self, since: Instant, now: Instant) {
         // Frames overlap: busy with this one alone it was since the one before.
         let began = self.last_result.map_or(since, |last| last.max(since));
@@ -47,7 +47,7 @@ pub(super) fn choose(
 ) -> Option<usize> {
     let fastest = devices.clone().filter_map(|(_, pace, _)| pace.known(now)).fold(f64::INFINITY, f64::min);
     let slowest = SLOWEST_SHARE * window as f64 * fastest;
-    // One that nothing is known of is given a frame, and no more until that is back while others are known.
+    // A device of unknown pace gets one frame, and no more until it is done if other paces are known.
     let expected = |(device, pace, frames): (usize, Pace, usize)| {
         let seconds = match (pace.known(now), frames) {
             (Some(seconds), _) if seconds > fastest.max(slowest) => f64::INFINITY,

@@ -1,4 +1,4 @@
-//! Which devices a fleet has.
+//! The devices of a fleet.
 
 use crate::devices::{AdapterKind, GpuAdapter, GpuOptions, choose};
 use crate::engines::{Engine, SmootherOptions, gpu_adapters};

@@ -4,8 +4,8 @@ use crate::engines::Engine;
 use crate::error::{EngineError, FrameError};
 use crate::frame::{Frame, IntoFrame};
 
-/// A frame that several threads own: what [`Fleet`](crate::Fleet) takes in an [`Arc`](std::sync::Arc). Every type that
-/// a reference converts to a [`Frame`] of is one.
+/// A frame that several threads own: [`Fleet`](crate::Fleet) takes it in an [`Arc`](std::sync::Arc). Implemented for
+/// every type whose reference converts to a [`Frame`].
 pub trait SharedFrame: Send + Sync + 'static {
     /// Returns the frame.
     ///
@@ -31,7 +31,7 @@ pub struct FleetMember {
     pub name: String,
     /// Its engine.
     pub engine: Engine,
-    /// How many frames it has computed.
+    /// Number of frames it has computed.
     pub frames: u64,
     /// Why it is out; `None` while it works.
     pub lost: Option<EngineError>,

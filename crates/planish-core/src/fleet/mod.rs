@@ -69,7 +69,7 @@ pub struct Fleet {
     shared: Arc<Shared>,
     workers: Vec<Worker>,
     grid: Option<(usize, usize)>,
-    /// How many frames can be in flight while a device works.
+    /// Maximum number of frames in flight while a device works.
     room: usize,
     /// The window of pixels as long as no frame has shown its resolution, and its size from that frame on.
     undecided: Option<Window>,
@@ -85,7 +85,7 @@ impl Fleet {
     /// engine and adapter.
     ///
     /// # Errors
-    /// If there are no devices, one does not open, or the parameters are not allowed.
+    /// If there are no devices, one does not open, or the parameters are invalid.
     pub fn open(
         params: FrameParams,
         options: &SmootherOptions,
@@ -162,7 +162,7 @@ impl Fleet {
         self.deal(frame, Some(buffer))
     }
 
-    /// Submits a frame whose result is read where the device writes it, without a copy.
+    /// Submits a frame whose result is read in place, without a copy.
     pub fn submit_in_place<F: SharedFrame>(&mut self, frame: Arc<F>) -> Result<(), Error> {
         self.deal(frame, None)
     }
@@ -205,23 +205,24 @@ impl Fleet {
         result.map(Some)
     }
 
-    /// How many frames were submitted and not received.
+    /// Returns the number of frames submitted and not yet received.
     pub fn in_flight(&self) -> usize {
         (self.next_in - self.next_out) as usize
     }
 
-    /// How many frames can be; one more is an [`EngineError::Full`]. 0 once every device is lost.
+    /// Returns the maximum number of frames in flight; one more is an [`EngineError::Full`]. 0 once every device is
+    /// lost.
     pub fn max_in_flight(&self) -> usize {
         // The room of all devices while one of them works: it must not shrink while the caller uses it.
         if self.shared.works() { self.room } else { 0 }
     }
 
-    /// Its devices, in the order given.
+    /// Returns its devices, in the given order.
     pub fn members(&self) -> Vec<FleetMember> {
         self.shared.members()
     }
 
-    /// Its engine: the GPU's while one works.
+    /// Returns its engine: the GPU's while one works.
     pub fn engine(&self) -> Engine {
         let members = self.members();
         let mut working = members.iter().filter(|member| member.lost.is_none()).map(|member| member.engine);

@@ -18,7 +18,7 @@ use crate::view::SmoothedView;
 pub(super) struct Job {
     number: u64,
     frame: Arc<dyn SharedFrame>,
-    /// Whether the result is copied out; a device that was lost has taken the buffer with it.
+    /// Whether the result is copied out; a lost device has taken the buffer with it.
     is_copied: bool,
     buffer: Option<Smoothed>,
     /// The window, once it is decided.
@@ -39,11 +39,11 @@ impl Job {
 
 pub(super) struct Shared {
     state: Mutex<State>,
-    /// For each device: that it has a frame to take.
+    /// For each device, signals a frame to take.
     given: Vec<Condvar>,
     /// Signals a result, or the loss of a device.
     done: Condvar,
-    /// How many frames can be in flight while all devices work.
+    /// Maximum number of frames in flight while all devices work.
     window: usize,
 }
 
@@ -103,14 +103,14 @@ impl Shared {
             return Err(state.last_loss().unwrap_or_else(unknown));
         };
         let waiting = &mut state.devices[chosen].waiting;
-        // One that another device had is older than what waits here.
+        // A frame from another device is older than the frames waiting here.
         let at = waiting.partition_point(|other| other.number < job.number);
         waiting.insert(at, job);
         self.given[chosen].notify_one();
         Ok(())
     }
 
-    /// Waits for the result of a frame that was given to a device.
+    /// Waits for the result of a frame given to a device.
     pub(super) fn wait_for(&self, number: u64) -> Result<SmoothedView, Error> {
         let mut state = self.lock();
         loop {
@@ -121,7 +121,7 @@ impl Shared {
         }
     }
 
-    /// Takes a device out, and gives its frames to the others; where there are none, each has this error as its result.
+    /// Removes a device and passes its frames to the others; without others, each frame gets this error.
     pub(super) fn lose(&self, device: usize, error: &EngineError) {
         let mut state = self.lock();
         let lost = &mut state.devices[device];
@@ -186,12 +186,12 @@ impl Shared {
         }
     }
 
-    /// Puts the result of a frame that a device has taken: the newest, which it refused, or the oldest.
+    /// Stores the result of a frame taken by a device: of the newest if it was refused, otherwise of the oldest.
     fn put(&self, device: usize, result: Result<SmoothedView, Error>, is_newest: bool) {
         let mut state = self.lock();
         let Device { taken, pace, frames, .. } = &mut state.devices[device];
         let job = if is_newest { taken.pop_back() } else { taken.pop_front() };
-        // None where the device was taken out in the meantime: another one has the frame.
+        // If the device was removed meanwhile, another one has the frame.
         let Some(job) = job else { return };
         if result.is_ok() {
             *frames += 1;
@@ -239,7 +239,7 @@ impl Worker {
     }
 }
 
-/// Takes a device out when its thread ends, also by a panic.
+/// Removes a device when its thread ends, also by a panic.
 struct EndOf<'a> {
     shared: &'a Shared,
     device: usize,
@@ -263,7 +263,7 @@ impl Drop for EndOf<'_> {
 
 /// Smooths the frames of a device until the fleet is closed or the device fails.
 fn work(shared: &Shared, device: usize, mut smoother: Smoother) -> Result<(), Error> {
-    // Other engines compute where a frame is submitted: its result is there.
+    // Other engines compute during submission: the result is available at once.
     let most = if smoother.capabilities().pipelined { smoother.max_in_flight() } else { 1 };
     loop {
         while smoother.in_flight() < most {

@@ -84,7 +84,7 @@ impl<'a> DepthView<'a> {
         }
     }
 
-    /// Returns the camera that took it.
+    /// Returns its camera.
     pub fn camera(&self) -> &'a Camera {
         self.camera
     }
@@ -104,7 +104,7 @@ impl<'a> DepthView<'a> {
         }
     }
 
-    /// How many pixels are no holes.
+    /// Returns the number of pixels that are not holes.
     pub fn valid_pixels(&self) -> usize {
         (0..self.camera.height)
             .map(|v| match self.row(v) {

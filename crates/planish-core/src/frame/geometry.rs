@@ -25,7 +25,7 @@ const BESIDE_EXTENTS: f64 = 5.0;
 const SURFACE_RATIOS: [f64; 2] = [2.4, 4.2];
 /// Each is compared with ten times as many, up to a quarter of the sample.
 const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
-/// Unorganized clouds are judged by no more points than this.
+/// Maximum number of points by which unorganized clouds are judged.
 const GENERAL_SAMPLE: usize = 4096;
 
 impl FrameGeometry {
@@ -89,15 +89,15 @@ impl FrameGeometry {
             return distance;
         }
 
-        // Nobody said where the sensor stood. Seen from it, neighbours are the same angle apart, however far away they
-        // are.
+        // The sensor position is not stated. Seen from the sensor, neighbours are equal angles apart, however far away
+        // they are.
         let pairs = if horizontal.is_empty() { vertical } else { horizontal };
         let of_angle = spread(pairs.iter().map(|pair| pair.angle), pitches);
         let of_spacing = spread(pairs.iter().map(|pair| pair.spacing_m), pitches);
         let Some(extent) = Extent::of_grid(&sample, extent) else { return distance };
         let to_origin_m = (extent.centre - assumed.sensor_position()).length();
         let has_even_angles = of_angle < SMALL_SPREAD || of_angle < CLEARLY_LESS * of_spacing;
-        // It sees every surface from the front: corners of pixels all turn the same way.
+        // A sensor sees every surface from the front, so all pixel corners have the same orientation.
         let [one, other] = sample.turns();
         let sees_one_side = f64::from(one.min(other)) <= MAX_TURNED * f64::from(one + other);
         if has_even_angles && sees_one_side && to_origin_m <= MAX_EXTENTS * extent.radius_m {
@@ -136,8 +136,8 @@ fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransfo
     (!may_be_sensor).then(|| extent.sensor_beside(None))
 }
 
-/// Returns true if a place is in the midst of points as they lie on a surface: the number of those around it grows with
-/// the square of the distance, where a sensor has all at some distance.
+/// Returns true if a position is surrounded by points on a surface: their number grows with the square of the distance,
+/// whereas a sensor has all points at some distance.
 fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
     // Zeros mean no data.
     let squares = sample.iter().map(|point| point.distance_squared(place)).filter(|square| *square > 0.0);

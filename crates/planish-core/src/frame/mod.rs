@@ -21,7 +21,7 @@ pub use range_rule::RangeRule;
 pub(crate) use range_rule::{FrameGeometry, assumed_range_m};
 pub(crate) use sample::GeometryScratch;
 
-/// A 16-bit depth image, row by row, without the camera that took it. 0 and 65535 are holes.
+/// A 16-bit depth image, row by row, without its camera. 0 and 65535 are holes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DepthImage {
     /// Width in pixels.
@@ -42,7 +42,7 @@ pub struct DepthFrame {
     pub raw: Vec<u16>,
     /// Colour registered to the depth image, 3 bytes (red, green, blue) a pixel.
     pub rgb: Option<Vec<u8>>,
-    /// When the frame was taken, in seconds of the source's clock.
+    /// Time of capture in seconds of the source's clock.
     pub timestamp_s: Option<f64>,
 }
 
@@ -54,7 +54,7 @@ impl DepthFrame {
         Ok(frame)
     }
 
-    /// Puts depth values and their camera together that are known to fit; [`validate`](Self::validate) checks it.
+    /// Combines depth values and a camera that are known to fit; [`validate`](Self::validate) checks it.
     #[doc(hidden)]
     pub fn unchecked(camera: Camera, raw: Vec<u16>) -> Self {
         Self { camera, raw, rgb: None, timestamp_s: None }
@@ -97,7 +97,7 @@ impl DepthFrame {
         Ok(cloud)
     }
 
-    /// Its colour as PCL packs it.
+    /// Returns its colour in PCL's packed form.
     pub fn packed_rgb(&self) -> Option<Attribute> {
         let packed = self.rgb.as_ref()?.chunks_exact(3).map(|c| u32::from_be_bytes([0, c[0], c[1], c[2]]));
         let values = packed.map(f32::from_bits).collect::<Vec<_>>().into();
@@ -131,7 +131,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// How many pixels or points are no holes.
+    /// Returns the number of pixels or points that are not holes.
     pub fn valid_points(&self) -> usize {
         match self {
             Self::Depth(depth) => depth.valid_pixels(),
@@ -139,7 +139,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Returns the camera, where it is known.
+    /// Returns the camera, if known.
     pub fn camera(&self) -> Option<&'a Camera> {
         match self {
             Self::Depth(depth) => Some(depth.camera()),

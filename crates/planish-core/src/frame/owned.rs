@@ -14,7 +14,7 @@ pub enum OwnedFrame {
     Cloud {
         /// The points.
         cloud: OrganizedCloud,
-        /// When it was taken, in seconds of the source's clock.
+        /// Time of capture in seconds of the source's clock.
         timestamp_s: Option<f64>,
     },
 }
@@ -28,7 +28,7 @@ impl OwnedFrame {
         }
     }
 
-    /// When it was taken, in seconds of the source's clock.
+    /// Returns the time of capture in seconds of the source's clock.
     pub fn timestamp_s(&self) -> Option<f64> {
         match self {
             Self::Depth(depth) => depth.timestamp_s,

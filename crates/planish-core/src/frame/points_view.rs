@@ -33,8 +33,7 @@ pub struct PointLayout {
     pub row_stride: usize,
 }
 
-/// Points, borrowed where they are: three planes or interleaved rows, f32 or f64, on a grid (organized) or not
-/// (general).
+/// Borrowed points in their layout: three planes or interleaved rows, f32 or f64, organized or unorganized.
 ///
 /// ```
 /// use planish::{PointsView, SensorPose};
@@ -209,17 +208,17 @@ impl<'a> PointsView<'a> {
         Self { whole: Some((extent_m, points)), ..self }
     }
 
-    /// How far the whole cloud spans, if these points are a part of one.
+    /// Returns the extent of the whole cloud, if these points are a part of one.
     pub fn extent_m(&self) -> Option<f64> {
         self.whole.map(|(extent_m, _)| extent_m)
     }
 
-    /// How many points the whole cloud has, holes left out.
+    /// Returns the number of points of the whole cloud, without holes.
     pub fn points_of_whole(&self) -> usize {
         self.whole.map_or_else(|| self.valid_points(), |(_, points)| points)
     }
 
-    /// How many points there are, holes included.
+    /// Returns the number of points, including holes.
     pub fn len(&self) -> usize {
         self.len
     }
@@ -244,7 +243,7 @@ impl<'a> PointsView<'a> {
         self.origin_m.to_array()
     }
 
-    /// Returns the camera, where it is known.
+    /// Returns the camera, if known.
     pub fn camera(&self) -> Option<&'a Camera> {
         self.camera
     }
@@ -254,7 +253,7 @@ impl<'a> PointsView<'a> {
         self.point(i).to_array()
     }
 
-    /// How many points are finite.
+    /// Returns the number of finite points.
     pub fn valid_points(&self) -> usize {
         if let Positions::Planes([x, y, z]) = self.positions {
             // This form vectorizes: x * 0 is 0 only for finite x.
@@ -335,7 +334,7 @@ fn check_planes([len, y, z]: [usize; 3]) -> Result<(), FrameError> {
     Ok(())
 }
 
-/// Beyond the end, which no view reaches, NaN.
+/// NaN beyond the end, which no view reaches.
 fn read_f32(bytes: &[u8], at: usize) -> f32 {
     bytes.get(at..at + 4).and_then(|value| value.try_into().ok()).map_or(f32::NAN, f32::from_ne_bytes)
 }
@@ -356,7 +355,7 @@ mod tests {
         let plane = |axis: usize| rows.iter().map(|row| row[axis]).collect::<Vec<f32>>();
         let plane_f64 = |axis: usize| rows.iter().map(|row| f64::from(row[axis])).collect::<Vec<f64>>();
         let (planes, planes_f64) = ([0, 1, 2].map(plane), [0, 1, 2].map(plane_f64));
-        // Unaligned, with a byte before, fields between and padding behind each row of 4.
+        // Unaligned, with a byte before, fields between and padding after each row of 4.
         let mut bytes = vec![0u8; 1];
         for (i, [x, y, z]) in rows.iter().enumerate() {
             bytes.extend(z.to_ne_bytes());

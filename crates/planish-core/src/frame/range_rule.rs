@@ -19,8 +19,8 @@ pub enum RangeRule {
         /// Metres between neighbouring pixels at a distance of 1 m, of rows or columns, whichever are farther apart.
         pitch_at_1m: f64,
     },
-    /// It is not known where the sensor stood: every point has the range at which pixels of a Kinect v1 are as far
-    /// apart as these points are.
+    /// The sensor position is unknown: every point has the range at which pixels of a Kinect v1 are as far apart as
+    /// these points.
     Constant {
         /// Metres between neighbouring points.
         spacing_m: f64,
@@ -29,7 +29,7 @@ pub enum RangeRule {
 
 /// The focal length of a Kinect v1 in pixels, assumed if none is known.
 const KINECT_FOCAL_LENGTH_PX: f64 = 525.0;
-/// Sensor models end here: where the range is unknown, none larger than this is assumed.
+/// Maximum range for sensor models if the range is unknown.
 const MAX_ASSUMED_RANGE_M: f64 = 5.0;
 
 impl RangeRule {
@@ -38,7 +38,7 @@ impl RangeRule {
         self.known_pitch_at_1m().unwrap_or(1.0 / KINECT_FOCAL_LENGTH_PX)
     }
 
-    /// Returns the same, but `None` where it can only be guessed.
+    /// Returns the pitch, or `None` if it would be a guess.
     pub(crate) fn known_pitch_at_1m(&self) -> Option<f64> {
         match *self {
             Self::Depth { pitch_at_1m } => pitch_at_1m,
@@ -51,7 +51,7 @@ impl RangeRule {
 /// The geometry of a frame that an engine needs in addition to its samples.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrameGeometry {
-    /// `None` where the cloud's frame is the sensor's.
+    /// `None` if the cloud's frame is the sensor's.
     pub(crate) cloud_from_sensor: Option<RigidTransform>,
     pub(crate) rule: RangeRule,
 }
@@ -71,8 +71,8 @@ impl FrameGeometry {
         self.cloud_from_sensor.map_or(DVec3::Z, |transform| transform.rotation.z_axis)
     }
 
-    /// Returns true if points move along their rays (docs/method.md, section 7): if asked to, and if it is known where
-    /// the sensor stands.
+    /// Returns true if points move along their rays (docs/method.md, section 7): if requested, and if the sensor
+    /// position is known.
     pub(crate) fn is_on_rays(&self, project: Project) -> bool {
         project == Project::Ray && !matches!(self.rule, RangeRule::Constant { .. })
     }
@@ -88,7 +88,7 @@ impl FrameGeometry {
     }
 }
 
-/// Returns the range at which sensor models are evaluated where it is not known.
+/// Returns the range for sensor models if it is unknown.
 pub(crate) fn assumed_range_m(spacing_m: f64) -> f64 {
     (KINECT_FOCAL_LENGTH_PX * spacing_m).min(MAX_ASSUMED_RANGE_M)
 }

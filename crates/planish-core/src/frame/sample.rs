@@ -56,15 +56,14 @@ pub(super) struct Sample<'a, 'p> {
 }
 
 impl Sample<'_, '_> {
-    /// Returns a point in the sensor's frame; `None` for a hole, and for zeros, which some writers mean as one.
+    /// Returns a point in the sensor's frame; `None` for a hole, and for zeros, which some writers use for holes.
     fn point(&self, i: usize) -> Option<DVec3> {
         let point = self.points.point_in_sensor(i, &self.geometry);
         (point.is_finite() && self.points.point(i) != DVec3::ZERO).then_some(point)
     }
 
-    /// Returns true if a camera at the origin of coordinates, rather than at the stated pose, took the points. PCL's
-    /// grabbers state how the camera is turned and write the points in its own frame nevertheless; others do so with
-    /// its position.
+    /// Returns true if the camera was at the origin of coordinates rather than at the stated pose. PCL's grabbers state
+    /// the camera's rotation but write points in its frame; other programs do so with its position.
     pub(super) fn is_likelier_than(&self, stated: &Self, scratch: &mut GeometryScratch) -> bool {
         if stated.points.pose().position_m == [0.0; 3] {
             return true;
@@ -103,8 +102,8 @@ impl Sample<'_, '_> {
             && self.is_constant(self.law_rows(), |row, column| (column, row), |p| p.y / p.z, columns(), scratch)
     }
 
-    /// How many corners of pixels turn right-handed, as a camera's do, and how many the other way: the sign of the
-    /// determinant of three neighbouring rays, whatever the surface and the noise.
+    /// Returns the number of pixel corners with a camera's orientation, and with the opposite one: the sign of the
+    /// determinant of three neighbouring rays, for any surface and noise.
     pub(super) fn turns(&self) -> [u32; 2] {
         let mut turns = [0, 0];
         for row in self.law_rows().filter(|row| row + 1 < self.height) {
@@ -205,7 +204,7 @@ fn add_pitches(tangents: impl Iterator<Item = f64>, pitches: &mut Vec<f64>) {
     }
 }
 
-/// How large a cloud is, and how it lies; stray points left out.
+/// Size and orientation of a cloud, without stray points.
 pub(super) struct Extent {
     pub(super) centre: DVec3,
     /// Root mean square of the distance from the centre.
@@ -229,7 +228,7 @@ impl Extent {
         Self::of(points)
     }
 
-    /// By some finite points, of which stray ones are removed.
+    /// Computes the extent of some finite points, after removing stray ones.
     pub(super) fn of(points: &mut Vec<DVec3>) -> Option<Self> {
         let median_of = |points: &mut [DVec3], value: &dyn Fn(&DVec3) -> f64| {
             let middle = points.len() / 2;

@@ -46,7 +46,7 @@ impl Copier {
                     pool.install(|| view.copy_frame_to(0, &mut buffer));
                     (buffer, view.timings())
                 });
-                // Nobody waits where the smoother was dropped.
+                // If the smoother was dropped, the receiver is gone.
                 let _ = done.send(result);
             }
         };
@@ -55,7 +55,7 @@ impl Copier {
         Ok(Self { jobs: Some(jobs), thread: Some(thread) })
     }
 
-    /// Copies the result of a submission into a buffer, once it is there.
+    /// Copies the result of a submission into a buffer when it is ready.
     pub(super) fn copy(&self, flight: Flight, buffer: Smoothed) -> Copied {
         let (done, result) = channel();
         // Without the thread nothing is sent, and waiting for the result reports the error.

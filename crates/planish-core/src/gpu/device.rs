@@ -18,14 +18,14 @@ use crate::error::EngineError;
 /// A device that has not responded for this long is considered hung.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// How long a waiter sleeps to let other threads take the lock.
+/// Time for which a waiter sleeps to let other threads take the lock.
 const STEP: Duration = Duration::from_millis(1);
 
-/// How long to poll a failing device for its loss.
+/// Time to poll a failing device for its loss.
 const LOSS_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// How long a waiter spins before it blocks: most frames are done by then, and waking up costs 30 to 60 µs. Not on
-/// software adapters, which need the CPU.
+/// Time for which a waiter spins before it blocks: most frames finish before, and waking up costs 30 to 60 µs. Not used
+/// on software adapters, which need the CPU.
 const SPIN: Duration = Duration::from_millis(1);
 
 /// Locks, ignoring poisoning: the state behind the locks here is consistent at any time.
@@ -44,7 +44,7 @@ pub(super) enum Purpose {
 
 /// An open adapter.
 pub(super) struct OpenAdapter {
-    /// One for each queue, at least one; they share one fault.
+    /// One per queue, at least one; they share one fault.
     pub(super) devices: Vec<Arc<GpuDevice>>,
 }
 
@@ -233,7 +233,7 @@ impl GpuDevice {
         }
     }
 
-    /// Refuses time stamps where there are none.
+    /// Refuses time stamps on devices without them.
     pub(super) fn check_timestamps(&self, options: &GpuOptions) -> Result<(), EngineError> {
         let needed = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
         if options.timestamps && !self.features.contains(needed) {
@@ -371,7 +371,7 @@ impl GpuDevice {
                 module: &module,
                 entry_point: Some(entry_point),
                 compilation_options: wgpu::PipelineCompilationOptions {
-                    // It is fully written before it is read.
+                    // Workgroup memory is fully written before it is read.
                     zero_initialize_workgroup_memory: false,
                     ..Default::default()
                 },

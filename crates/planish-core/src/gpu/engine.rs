@@ -237,7 +237,7 @@ impl Gpu {
         (bytes / Self::frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize
     }
 
-    /// Refuses frames of a layout that the device cannot take.
+    /// Refuses frames whose layout exceeds the device's limits.
     fn check_limits(&self, layout: Layout, frames: usize) -> Result<(), EngineError> {
         let limits = [
             ("bytes in a buffer", self.buffer_limit(), Self::frame_bytes(layout) * frames as u64),
@@ -264,7 +264,7 @@ impl Gpu {
             if let Some(at) = free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
                 return Ok(free.remove(at));
             }
-            // One batch at a time: slots of other sizes are not kept.
+            // Only one batch is processed at a time, so slots of other sizes are not kept.
             free.retain(|slot| slot.frames == 1);
         }
         let devices = &self.adapter.devices;
@@ -305,7 +305,7 @@ impl SmoothingEngine for Gpu {
         Ok(())
     }
 
-    /// Smooths a batch, with as many frames per submission as the device takes.
+    /// Smooths a batch, with as many frames per submission as the device allows.
     fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
         let (mut done, mut timings) = (0, None::<FrameTimings>);
         while let Some(first) = frames.get(done) {
@@ -339,7 +339,7 @@ impl SmoothingEngine for Gpu {
             None => Pending::InPlace(Box::new(flight)),
             Some(buffer) => {
                 let queue = self.adapter.devices.iter().position(|gpu| Arc::ptr_eq(gpu, &flight.slot.gpu)).unwrap_or(0);
-                // There may be fewer, where the system had no more threads.
+                // There may be fewer if the system had no more threads.
                 let copier = &self.copiers[queue.min(self.copiers.len() - 1)];
                 Pending::Copied(copier.copy(flight, buffer))
             }

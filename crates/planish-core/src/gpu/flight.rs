@@ -16,7 +16,7 @@ pub(super) struct Flight {
 }
 
 impl Flight {
-    /// Waits until the result is there.
+    /// Waits until the result is ready.
     pub(super) fn wait(&self) -> Result<(), EngineError> {
         self.slot.gpu.wait(self.submission.clone())?;
         self.slot.wait_mapped()

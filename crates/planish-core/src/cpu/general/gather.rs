@@ -8,7 +8,7 @@ use super::super::vector::{Mask, Vec3, splat};
 use super::super::window::{Candidates, Gate, Sums};
 use crate::neighbours::{Bounds, LEAF, LeafMoments, PointIndex};
 
-/// Leaves that reach beyond this, squared, are never taken as a whole: their moments may leave f32.
+/// Leaves that reach beyond this squared distance are never summed as a whole: their moments may exceed f32.
 const LARGEST_SQUARE: f32 = 1e24;
 
 /// Candidates copied together.
@@ -28,7 +28,7 @@ struct Copied {
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
-    /// How many points are at each.
+    /// Number of points at each position.
     counts: Vec<f32>,
     places: Vec<u32>,
     len: usize,
@@ -162,7 +162,7 @@ fn is_reached<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>, reach_squared: S::f
     reached.any_true()
 }
 
-/// How far values are below `low` or above `high`.
+/// Returns how far values are outside `low` to `high`.
 #[inline(always)]
 fn outside<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
     (splat(simd, low) - values).max(values - splat(simd, high)).max(splat(simd, 0.0))
@@ -180,7 +180,7 @@ fn farthest_squared<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>) -> S::f32s {
     .length_squared()
 }
 
-/// How far values are from `low` or `high`, whichever is farther.
+/// Returns the larger of the distances from `low` and `high`.
 #[inline(always)]
 fn farther<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
     (values - splat(simd, low)).max(splat(simd, high) - values)

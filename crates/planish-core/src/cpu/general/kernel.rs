@@ -25,7 +25,7 @@ pub(super) struct Kernel<'a> {
 #[derive(Clone, Copy)]
 pub(super) enum Radii<'a> {
     Fixed(f32),
-    /// By the density around each point, before those around it limit it.
+    /// By density, before the limit from the radii around each point.
     Of(&'a [f32]),
     /// After that limit.
     Known(&'a [f32]),
@@ -47,7 +47,7 @@ impl Kernel<'_> {
         let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), splat(simd, f32::NAN));
         let inner = match self.radii {
             Radii::Fixed(_) | Radii::Known(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
-            // The radius that counts is known only when its candidates are.
+            // The limited radius is known only after the candidates were gathered.
             Radii::Of(_) => splat(simd, 0.0),
         };
         gathered.fill(simd, self.index, p, Reach { outer, inner });
@@ -70,8 +70,8 @@ pub(super) fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S
     }
 }
 
-/// Returns the mean of the radii around each point: of an isolated one its own is much larger. Infinite for one without
-/// neighbours.
+/// Returns the mean of the radii around each point, which is much smaller than the radius of an isolated point.
+/// Infinite without neighbours.
 #[inline(always)]
 fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));

@@ -50,7 +50,7 @@ pub(crate) struct GeneralCpu {
     index: PointIndex,
     /// In the order of the index, where radii differ.
     radii: Vec<f32>,
-    /// With their radii; of use where edges are kept.
+    /// First planes with their radii, if edges are kept.
     first_planes: FirstPlanes,
     sorted: Smoothed,
     progress: Arc<Progress>,
@@ -74,7 +74,7 @@ impl GeneralCpu {
         let level = *level;
         progress.reset();
         index.fill(&view);
-        // Radii take about a tenth as long as the fits, first planes half.
+        // Computing radii takes about a tenth of the time of the fits, first planes about half.
         let of_radius = if matches!(params.radius, Radius::Neighbours { .. }) { 1 } else { 0 };
         let of_fit = 9;
         let keeps_edges = params.edges != Edges::Off;

@@ -9,9 +9,9 @@ use crate::neighbours::{LEAF, PointIndex};
 
 /// The first reach that is tried, in radii of the points before.
 const FIRST_REACH: f32 = 1.25;
-/// How much further each next one reaches.
+/// Factor between successive trial radii.
 const NEXT_REACH: f32 = 1.5;
-/// How many are tried for all lanes together.
+/// Number of trial radii for all lanes together.
 const TRIES: usize = 4;
 /// Steps of Newton's method; five to eight usually suffice.
 const MOST_STEPS: usize = 50;
@@ -98,7 +98,8 @@ pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows
     }
 }
 
-/// How far candidates must be gathered for the radius of a single point: nearest first, until there are enough.
+/// Returns the distance within which to gather candidates for a single point's radius, nearest first until there are
+/// enough.
 fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
     let (mut n, mut sum) = (0.0, 0.0);
     for square in index.nearest(point) {
@@ -119,8 +120,8 @@ fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
 
 /// Returns the radii of lanes whose candidates within `reach` are enough; NaN for the others.
 ///
-/// The sum of 1 - d²/r² is convex and falls in u = 1/r², and it is a straight line between two candidates: from a large
-/// radius on, Newton's method goes to the solution without passing it, and ends there.
+/// The sum of 1 - d²/r² is convex and decreasing in u = 1/r², and linear between two candidates. Starting from a large
+/// radius, Newton's method reaches the solution without overshooting, and stops there.
 #[inline(always)]
 fn radii_within<S: Simd>(
     simd: S,
@@ -155,7 +156,7 @@ fn radii_within<S: Simd>(
     enough.select(limit.sqrt(), splat(simd, f32::NAN))
 }
 
-/// How many candidates are within a radius, and the sum of their squares.
+/// Returns the number of candidates within a radius, and the sum of their squared distances.
 #[inline(always)]
 fn within<S: Simd>(simd: S, squares: &[S::f32s], limit: S::f32s) -> (S::f32s, S::f32s) {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));

@@ -19,7 +19,7 @@ use crate::xyz::MAX_PIXELS;
 const CHILDREN: usize = 8;
 /// Levels of nodes that a cloud may have, and one more.
 const LEVELS: usize = 12;
-/// Bytes from one part's number to the next: every device takes uniforms at such offsets.
+/// Distance in bytes between the numbers of parts; every device accepts uniforms at such offsets.
 const PART_STRIDE: u64 = 256;
 /// Parts of a pass, at most.
 pub(super) const MOST_PARTS: usize = 64;
@@ -74,7 +74,7 @@ impl Levels {
         }
     }
 
-    /// How many nodes a level has, those included that fill up the last group of children.
+    /// Returns the number of nodes of a level, including those that pad the last group of children.
     pub(super) fn nodes(&self, level: usize) -> usize {
         (self.firsts[level + 1] - self.firsts[level]) as usize
     }
@@ -121,12 +121,12 @@ impl Sizes {
     }
 }
 
-/// Returns the bytes of the largest buffer that the device takes.
+/// Returns the size of the largest buffer that the device allows.
 fn largest_buffer(gpu: &GpuDevice) -> u64 {
     gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size)
 }
 
-/// Returns how many points the device takes at once, by its limits.
+/// Returns the maximum number of points on the device at once, by its limits.
 pub(super) fn most_points(gpu: &GpuDevice, output_words: usize, keeps_edges: bool) -> usize {
     let allowed = largest_buffer(gpu);
     let fits = |points: usize| Sizes::of(points, output_words, keeps_edges).largest() <= allowed;
@@ -151,7 +151,7 @@ pub(super) struct Buffers {
     pub(super) state: wgpu::Buffer,
     pub(super) mapped: Mapped,
     pub(super) stamps: Option<Stamps>,
-    /// By pass and part; of passes without parts the first.
+    /// By pass and part; passes without parts have one.
     groups: Vec<Vec<wgpu::BindGroup>>,
     _counted: Counted,
 }
@@ -203,7 +203,7 @@ impl Buffers {
             parts.unmap();
             let kept = sizes.kept.map(|(label, size)| buffer(label, size, Usage::STORAGE, false));
             let bind = |kernel: &Compiled, part: usize, is_swapped: bool| {
-                // Every second pass of the sort goes back.
+                // Every second pass of the sort writes back.
                 let (from, to) = if is_swapped { (1, 0) } else { (0, 1) };
                 kernel.bind(gpu, |resource| {
                     let buffer = match resource {

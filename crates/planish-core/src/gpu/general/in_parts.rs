@@ -1,4 +1,4 @@
-//! Clouds of more points than the device takes at once, part by part.
+//! Smooths clouds with more points than the device can hold, part by part.
 //!
 //! Radii by density are known only after a part has been computed. If many of its points reach beyond the halo, the
 //! part is computed again with a wider one; if few do, only these points are, each with a wider halo. Radii with
@@ -26,7 +26,7 @@ const MAY_REACH_BEYOND: f64 = 0.01;
 /// Points that reach beyond their halo are recomputed this many at a time, or a typical part's points over `FAR_SHARE`.
 const FAR_TOGETHER: usize = 64;
 const FAR_SHARE: usize = 1024;
-/// Runs for each part as dealt at first; clouds that need more are left to other engines. Scans need some four.
+/// Maximum runs per part as planned at first; clouds that need more are left to other engines. Scans need about four.
 const RUNS_A_PART: usize = 24;
 /// Share of a part's progress reported before its far-reaching points are done.
 const FIRST_SHARE: f64 = 0.8;
@@ -37,7 +37,7 @@ const MOST_WIDENING: f64 = 4.0;
 /// If an estimate from a sample exceeds the device's capacity by this factor, there are certainly too many points
 /// around one point.
 const SURELY_TOO_MANY: f64 = 2.0;
-/// Points closer than this are at one place, with as many others as the device does not take.
+/// Points closer than this count as coincident, together with more others than the device can hold.
 const LEAST_HALO_M: f64 = 1e-9;
 /// Parts of a usual one's points over this are not cut further for the sake of their halo.
 const SMALL: usize = 64;
@@ -62,23 +62,22 @@ struct Work {
     /// Points of the whole cloud that are no holes, and how far it spans in metres.
     whole: (usize, f64),
     wants_radii: bool,
-    /// The points that reach beyond the halo of their part, by their numbers, and how far each of them reaches, in
-    /// metres.
+    /// Points that reach beyond the halo of their part, by index, and how far each reaches, in metres.
     far: HashMap<u32, f64>,
     far_records: Vec<Record>,
     /// The halo of the part before, in those by its density.
     last_share: f64,
     /// Points of a part, followed by its halo.
     points: Xyz,
-    /// How many runs there may be yet.
+    /// Number of remaining runs.
     runs_left: usize,
-    /// How many points may yet be left with what their part gave.
+    /// Number of points that may still keep the inexact result of their part.
     inexact_left: usize,
 }
 
 impl Work {
-    /// Takes the points that reach far, in the order of the cloud: of each place the first, and the pairs of that and
-    /// each other one.
+    /// Takes the far-reaching points in the order of the cloud: the first of each position, and pairs of it and each
+    /// other point there.
     fn far_places(&mut self) -> (Vec<Record>, Vec<(u32, u32)>) {
         let mut records = std::mem::take(&mut self.far_records);
         // -0 and 0 are one place.
@@ -179,7 +178,7 @@ impl GeneralGpu {
         Ok(())
     }
 
-    /// Smooths a part, and notes its points that reach beyond its halo; false if the device does not take it with its
+    /// Smooths a part, and records its points that reach beyond its halo; false if the device cannot hold it with its
     /// halo.
     fn smooth_part(
         &mut self,
@@ -251,8 +250,8 @@ impl GeneralGpu {
         self.run_part(buffers, work, Own { points: part.len(), steps: 0, largest_radius_m: halo_m as f32 })?;
         let radii = self.take_results(buffers, work, part, out)?;
         let (Some(&radius_m), Some(record)) = (radii.first(), part.own().first()) else { return Ok(true) };
-        // With more points around it than in its part its radius is smaller. One that still reaches more than the
-        // device takes is left.
+        // With more points around it than in its part, its radius is smaller. A point that still exceeds the device is
+        // left.
         let smaller_m = reach(&self.params) * f64::from(radius_m);
         let is_left = halo_m == reach_m || smaller_m > NARROWER * reach_m;
         work.far.insert(record.number, smaller_m);
