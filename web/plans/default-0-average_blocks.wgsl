@@ -82,7 +82,7 @@ const READS_MEANS: bool = false;
 struct Batch {
     width: u32,
     height: u32,
-    // From one frame to the next.
+    // Distance between frames.
     input_words: u32,
     output_words: u32,
 }
@@ -266,7 +266,7 @@ fn gate_of(radius: f32) -> Gate {
     return Gate(-GATE_FADE / (radius * radius));
 }
 
-// How much an offset counts by its square: not at all from 0 down, fully from 1 up.
+// Weight of an offset by its square, before clamping to 0 to 1.
 fn unclamped(gate: Gate, squared: f32) -> f32 {
     return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
@@ -275,7 +275,7 @@ fn unclamped(gate: Gate, squared: f32) -> f32 {
 struct Sums {
     // How many.
     n: f32,
-    // How much they count together.
+    // Sum of the weights.
     total: f32,
     e: vec3<f32>,
     // xx, xy, xz
@@ -344,10 +344,10 @@ fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
 }
 // The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
 //
-// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half their
-// digits, so the root that stands alone is solved for first: the smallest where the points lie on a plane, the largest where
-// they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
-// (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
+// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
+// their digits, so the isolated root is solved for first: the smallest for planar points, the largest for points along
+// a line. In the second case the other two come from the matrix restricted to the plane across the line (after Eberly,
+// "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and an arbitrary unit vector.
 
 // If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
@@ -403,7 +403,7 @@ fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
     return fma(a, b, -(c * d));
 }
 
-// A unit vector that B - value I takes to zero: the longest cross product of two of its rows.
+// Returns a unit vector in the null space of B - value I: the longest cross product of two of its rows.
 fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
     let x = vec3<f32>(b.xx - value, b.xy, b.xz);
     let y = vec3<f32>(b.xy, b.yy - value, b.yz);
@@ -485,7 +485,7 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
     );
     let half_det = clamp(det * 0.5, -1.0, 1.0);
 
-    // The root that stands alone: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
+    // The isolated root: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
     let is_line_like = half_det > LINE_LIKE;
     let sign = select(-1.0, 1.0, is_line_like);
     let half_alone = sign * cos_third_acos(half_det * sign);
@@ -517,7 +517,7 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
-// How far a ray reaches along the sensor's axis.
+// Returns the length of a ray along the sensor's axis.
 fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
     if !IS_POINTS {
         return ray.z;
@@ -526,7 +526,7 @@ fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
 }
 // The means of blocks of points (docs/method.md, sections 2 and 10). The windows of this pass are the blocks.
 
-// How far from its pixel's point a point of a block may be, whose range is given.
+// Maximum distance between a pixel's point, at this range, and the points of its block.
 fn block_gate(frame: u32, range: f32) -> Gate {
     let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
     return gate_of(clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M));

@@ -82,7 +82,7 @@ const READS_MEANS: bool = true;
 struct Batch {
     width: u32,
     height: u32,
-    // From one frame to the next.
+    // Distance between frames.
     input_words: u32,
     output_words: u32,
 }
@@ -239,7 +239,7 @@ fn gate_of(radius: f32) -> Gate {
     return Gate(-GATE_FADE / (radius * radius));
 }
 
-// How much an offset counts by its square: not at all from 0 down, fully from 1 up.
+// Weight of an offset by its square, before clamping to 0 to 1.
 fn unclamped(gate: Gate, squared: f32) -> f32 {
     return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
@@ -248,7 +248,7 @@ fn unclamped(gate: Gate, squared: f32) -> f32 {
 struct Sums {
     // How many.
     n: f32,
-    // How much they count together.
+    // Sum of the weights.
     total: f32,
     e: vec3<f32>,
     // xx, xy, xz
@@ -317,10 +317,10 @@ fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
 }
 // The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
 //
-// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half their
-// digits, so the root that stands alone is solved for first: the smallest where the points lie on a plane, the largest where
-// they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
-// (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
+// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
+// their digits, so the isolated root is solved for first: the smallest for planar points, the largest for points along
+// a line. In the second case the other two come from the matrix restricted to the plane across the line (after Eberly,
+// "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and an arbitrary unit vector.
 
 // If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
@@ -376,7 +376,7 @@ fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
     return fma(a, b, -(c * d));
 }
 
-// A unit vector that B - value I takes to zero: the longest cross product of two of its rows.
+// Returns a unit vector in the null space of B - value I: the longest cross product of two of its rows.
 fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
     let x = vec3<f32>(b.xx - value, b.xy, b.xz);
     let y = vec3<f32>(b.xy, b.yy - value, b.yz);
@@ -458,7 +458,7 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
     );
     let half_det = clamp(det * 0.5, -1.0, 1.0);
 
-    // The root that stands alone: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
+    // The isolated root: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
     let is_line_like = half_det > LINE_LIKE;
     let sign = select(-1.0, 1.0, is_line_like);
     let half_alone = sign * cos_third_acos(half_det * sign);
@@ -490,7 +490,7 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
-// How far a ray reaches along the sensor's axis.
+// Returns the length of a ray along the sensor's axis.
 fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
     if !IS_POINTS {
         return ray.z;
@@ -512,7 +512,7 @@ struct Plane {
     extent_squared: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
+    // How far the second extent exceeds a line's, relative to it: l1/(1e-4 l2) - 1.
     off_line: f32,
     // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
@@ -523,7 +523,7 @@ struct LocalSurface {
     plane: Plane,
     // How many neighbours.
     n: f32,
-    // How far from the plane a neighbour counts, in metres; means nothing where KEEPS_EDGES is false.
+    // Maximum distance of a neighbour from the plane in metres; undefined if KEEPS_EDGES is false.
     width: f32,
 }
 
@@ -544,7 +544,7 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
     return Plane(normal, dot(c, normal), residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }
-// The first planes where edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
+// Fits the first planes if edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn fit_first_planes(

@@ -4,7 +4,7 @@ use crate::error::{FrameError, ParamError};
 use crate::status::Status;
 use crate::xyz::Xyz;
 
-/// Outputs to compute. Each takes some time and memory, and on a GPU its share of the readback.
+/// Outputs to compute. Each costs time and memory, and on a GPU readback.
 ///
 /// ```
 /// use planish::Outputs;
@@ -142,7 +142,7 @@ pub enum VectorsMut<'a> {
     Planes([&'a mut [f32]; 3]),
     /// Interleaved x, y and z.
     Rows(&'a mut [[f32; 3]]),
-    /// x, y, z and a fourth value, which is not written.
+    /// x, y, z and a fourth value that is left unchanged.
     Rows4(&'a mut [[f32; 4]]),
 }
 

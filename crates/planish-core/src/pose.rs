@@ -4,17 +4,17 @@ use glam::{DMat3, DQuat, DVec3};
 
 use crate::error::{FrameError, ParamError};
 
-/// How far from 1 the length of a quaternion may be: files round to a few digits.
+/// Maximum deviation of a quaternion's length from 1: files round to a few digits.
 const LENGTH_TOLERANCE: f64 = 0.01;
 
-/// No sensor stands farther from the origin of its coordinates.
+/// Maximum distance of a sensor from the origin of its coordinates.
 const MAX_POSITION_M: f64 = 1e9;
 
 /// Position and orientation of a sensor, as PCD's VIEWPOINT states them: cloud_from_sensor.
 ///
-/// The sensor looks along its own +z, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the
-/// origin that looks along +z; since files state it where nothing is known, a cloud with that pose is checked against
-/// it (docs/method.md, section 11).
+/// The sensor looks along its z axis, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the
+/// origin that looks along +z. Files also state it if the pose is unknown, so clouds with this pose are checked
+/// (docs/method.md, section 11).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorPose {
     /// Position of the sensor in metres.
@@ -85,7 +85,7 @@ impl SensorPose {
             return Ok(RigidTransform::IDENTITY);
         }
         let [w, x, y, z] = self.orientation;
-        // Some writers leave zeros where they know the position alone.
+        // Some writers leave zeros if they know only the position.
         let is_unknown = self.orientation == [0.0; 4];
         let quaternion = if is_unknown { DQuat::IDENTITY } else { DQuat::from_xyzw(x, y, z, w) };
         // False for a NaN.

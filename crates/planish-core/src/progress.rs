@@ -1,4 +1,4 @@
-//! How far the smoothing of a large cloud has come, for another thread to show; and a way for that thread to stop it.
+//! Progress of smoothing a large cloud, for another thread to show, and a way for that thread to cancel it.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -13,7 +13,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// From 0 to 1; 0 before the first frame.
+    /// Returns the progress from 0 to 1; 0 before the first frame.
     pub fn share(&self) -> f32 {
         let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
         if total == 0 { 0.0 } else { (done as f32 / total as f32).min(1.0) }

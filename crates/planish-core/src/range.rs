@@ -11,7 +11,7 @@ const REACHES: f64 = 2.0;
 /// infinite radius, and values computed from the radius must stay finite.
 pub(crate) const MAX_RADIUS_M: f32 = 1e6;
 
-/// No gate is narrower, so that a point that is its own sample is its neighbour, and squares stay within f32.
+/// Minimum width of a gate, so that a point that is its own sample is its neighbour, and squares fit f32.
 pub(crate) const MIN_GATE_M: f32 = 1e-12;
 
 /// The square of a larger range would leave f32; its radius is at the limit or fixed.

@@ -1,4 +1,4 @@
-//! Clouds that several scanners measured: where each stood, and normals that face the right one.
+//! Clouds measured by several scanners: the position of each, and normals that face the right one.
 
 use crate::cloud::{AttributeValues, PointCloud};
 
@@ -7,7 +7,7 @@ const SCAN: &str = "scan";
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 
 impl PointCloud {
-    /// Returns where each scanner stood, in metres in the cloud's frame, indexed by the field `scan`.
+    /// Returns the position of each scanner, in metres in the cloud's frame, indexed by the field `scan`.
     ///
     /// Returns the scanner positions in metres. `None` if they are unknown, if the cloud lacks the field `scan`, or if
     /// it states one pose. An entry is `None` if the file does not state the pose of that scan.
@@ -16,7 +16,7 @@ impl PointCloud {
         self.scanners_m.as_deref()
     }
 
-    /// Turns normals towards the scanner of each point, where it is known.
+    /// Turns normals towards the scanner of each point, if it is known.
     pub(crate) fn face_scanners(&mut self) {
         let Some(scanners) = self.scanners_m() else { return };
         let Some(AttributeValues::U16(scan_of)) = self.attribute(SCAN).map(|scan| &scan.values) else { return };

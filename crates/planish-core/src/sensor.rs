@@ -24,8 +24,8 @@ const NOISE_IN_STEPS: f64 = 0.63;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct SensorModel {
-    /// From one depth that the sensor can tell to the next, in metres: coefficients of 1, z and z². At least as far as
-    /// noise makes neighbouring pixels differ, since the radius of section 3 is four of these.
+    /// Difference between adjacent depths that the sensor distinguishes, in metres: coefficients of 1, z and z². At
+    /// least the noise between neighbouring pixels, since the radius of section 3 is four steps.
     pub step: [f32; 3],
     /// Standard deviation of depth in metres: coefficients of 1, z and z².
     pub sigma: [f32; 3],
@@ -33,13 +33,13 @@ pub struct SensorModel {
 
 impl SensorModel {
     /// Kinect v1 and others with its pattern (Xtion, PrimeSense Carmine): one unit of 11-bit disparity is 2.85e-3 z²
-    /// (Khoshelham & Elberink 2012); the noise of real frames after a line is taken out of 8 pixels is 1.66e-3 to
-    /// 1.88e-3 z² (docs/method.md, section 10).
+    /// (Khoshelham & Elberink 2012); on real frames the noise around a line through 8 pixels is 1.66e-3 to 1.88e-3 z²
+    /// (docs/method.md, section 10).
     pub const KINECT_V1: Self = Self { step: [0.0, 0.0, 2.85e-3], sigma: [0.0, 0.0, 1.8e-3] };
     /// RealSense D415 at 1280x720: baseline 55 mm, focal length 1005 px (horizontal field of view 65°).
     pub const REALSENSE_D415: Self = Self::realsense_d400(0.055, 1005.0);
-    /// RealSense D435 at 848x480: baseline 50 mm, focal length 424 px (90°). The D435i and D405 families differ in
-    /// baseline: [`SensorModel::realsense_d400`] takes it.
+    /// RealSense D435 at 848x480: baseline 50 mm, focal length 424 px (90°). For the D435i and D405 families, whose
+    /// baselines differ, use [`SensorModel::realsense_d400`].
     pub const REALSENSE_D435: Self = Self::realsense_d400(0.050, 424.0);
     /// RealSense D455 at 848x480: baseline 95 mm, focal length 424 px (90°).
     pub const REALSENSE_D455: Self = Self::realsense_d400(0.095, 424.0);

@@ -1,4 +1,4 @@
-//! Files that are there whole or not at all: written under a temporary name in the same folder, then renamed.
+//! Files that are either complete or absent: written under a temporary name in the same folder, then renamed.
 //!
 //! The name of a temporary file contains the machine and the process that writes it, so a later process can delete
 //! leftovers of a killed one.
@@ -14,7 +14,7 @@ use planish_core::FormatError;
 
 const PREFIX: &str = ".planish-";
 const SUFFIX: &str = ".tmp";
-/// How many links from name to name are followed, as Linux does.
+/// Maximum number of links to follow, as in Linux.
 const MOST_LINKS: usize = 40;
 
 /// The temporaries being written, and the folders whose stale ones have been removed.
@@ -31,8 +31,7 @@ fn known() -> MutexGuard<'static, Known> {
     KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes the temporaries of files that are being written in this process, which is about to end: from now on it can
-/// write none.
+/// Removes the temporary files of this process, which is about to end; from now on it can write none.
 pub fn remove_temporaries() {
     let mut known = known();
     known.is_over = true;
@@ -106,7 +105,7 @@ impl Temporary {
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(fs::Permissions::from_mode(0o666));
         }
-        // Made and noted at once, or a signal between the two would leave it behind.
+        // Created and registered at once, since a signal in between would leave it behind.
         let mut known = known();
         if known.is_over {
             return Err(std::io::Error::from(std::io::ErrorKind::Interrupted).into());
@@ -177,7 +176,7 @@ fn behind_links(path: &Path) -> FormatResult<PathBuf> {
     Err(FormatError::Unsupported("a link that points to itself".into()))
 }
 
-/// Removes what killed processes of this user and this machine left behind in a folder; once for each folder.
+/// Removes leftovers of this user's killed processes on this machine; once per folder.
 fn sweep(folder: &Path) {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
     if !known().swept.get_or_insert_default().insert(folder.clone()) {
@@ -225,7 +224,7 @@ fn is_own(metadata: &fs::Metadata) -> bool {
     }
 }
 
-/// Returns true if a process runs; where that cannot be asked, it is taken to.
+/// Returns true if a process runs, or if that cannot be determined.
 fn is_alive(process: u32) -> bool {
     let processes = Path::new("/proc");
     !processes.join("self").exists() || processes.join(process.to_string()).exists()

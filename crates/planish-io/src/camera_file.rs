@@ -17,7 +17,7 @@ const MAX_BYTES: u64 = 1 << 20;
 
 /// Reads a camera file for frames of `shape` (width, height); a file of another shape is refused.
 ///
-/// With `None` the camera has the shape that the file states, and width and height 0 where it states none.
+/// With `None`, the camera has the shape stated in the file, or 0x0.
 pub fn read_camera(path: &Path, shape: Option<(usize, usize)>) -> Result<Camera, IoError> {
     read_text(path).and_then(|text| parse_camera(&text, shape)).map_err(IoError::at(path))
 }
@@ -120,7 +120,7 @@ struct JsonCamera {
         alias = "d"
     )]
     distortion: Vec<f64>,
-    /// Row by row, as OpenCV and ROS have it.
+    /// Row by row, as in OpenCV and ROS.
     #[serde(rename = "K", alias = "k", alias = "camera_matrix")]
     matrix: Option<[f64; 9]>,
     k1: Option<f64>,
@@ -240,7 +240,7 @@ pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
     Ok(camera.with_distortion(distortion_of(&distortion)?))
 }
 
-/// Returns the YAML of a ROS camera_info, as calibration files have it or as `topic echo` prints the message.
+/// Parses the YAML of a ROS camera_info, from a calibration file or from `topic echo`.
 fn from_camera_info(text: &str) -> FormatResult<Camera> {
     #[derive(Deserialize)]
     struct Matrix {

@@ -29,12 +29,12 @@ pub use with_values;
 /// Every integer up to this is an f64.
 pub(crate) const EXACT_INTEGERS: u64 = 1 << 53;
 
-/// Coordinates in f64 beyond this lose more than 0.1 mm as f32; such a cloud is kept relative to its first point.
+/// Beyond this, f64 coordinates lose more than 0.1 mm as f32; such a cloud is stored relative to its first point.
 const FAR_M: f64 = 1000.0;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Takes x, y and z out of the columns of a file.
+/// Extracts x, y and z from the columns of a file.
 pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
     let mut index = [0; 3];
     for (axis, name) in AXES.iter().enumerate() {

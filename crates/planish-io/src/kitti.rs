@@ -1,4 +1,4 @@
-//! Scans of lidars as plain f32: KITTI's `.bin` of x, y, z, intensity, and nuScenes' `.pcd.bin` with a ring besides.
+//! Lidar scans as plain f32: KITTI's `.bin` with x, y, z, intensity, and nuScenes' `.pcd.bin` with an additional ring.
 //!
 //! The files have no header: the file name's extension decides.
 

@@ -74,7 +74,7 @@ pub use read::{
 pub use settings_file::{parse_settings, read_settings, settings_to_json};
 pub use write::{check_writable, encode_cloud, encode_depth, write_cloud, write_depth, write_depth_metres};
 
-/// For planish's other crates and its own tests; it may change with every version.
+/// For planish's other crates and tests; it may change with every version.
 #[doc(hidden)]
 pub mod internal {
     pub use crate::atomic_write::AtomicFile;

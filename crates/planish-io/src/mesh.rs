@@ -7,7 +7,7 @@ use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, quoted};
 use planish_core::{Attribute, FormatError, PointCloud};
 
-/// Reads the lines `v x y z` of a Wavefront OBJ, with colours behind them if there are any.
+/// Reads the lines `v x y z` of a Wavefront OBJ, with optional colours.
 pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
     let text = text_of(bytes, "OBJ")?;
     let lines = (1..).zip(text.lines()).filter_map(|(number, line)| {

@@ -29,7 +29,7 @@ use super::{depth_png, kitti, mesh, npy, pcd, ply, xyz_text};
 
 /// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
 pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
-    /// A file of these formats begins with no more.
+    /// Number of bytes that identify any format.
     const MAGIC_BYTES: u64 = 8;
     let summarize = || {
         if !fs::metadata(path)?.is_file() {
@@ -60,8 +60,8 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
     read_file(path, options).map(|file| (file.format, file.contents))
 }
 
-/// Reads a LAS, LAZ or PLY file in parts, each a cloud with all fields and its own origin; a file without points is one
-/// empty cloud.
+/// Reads a LAS, LAZ or PLY file in parts, each a cloud with all fields and a separate origin; a file without points is
+/// one empty cloud.
 #[cfg(feature = "scans")]
 pub fn read_in_parts(
     path: &Path,
@@ -105,7 +105,7 @@ pub struct FileRead {
     pub encoding: Option<Encoding>,
     /// What it holds.
     pub contents: Contents,
-    /// Data that were dropped and guesses that were made, one clause each, for users to read.
+    /// Dropped data and guesses, one clause each, for users.
     pub notes: Vec<String>,
 }
 
@@ -130,7 +130,7 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError
     read().map_err(IoError::at(path))
 }
 
-/// Decodes a file's contents; `announced` is the format of its extension, used where the contents are ambiguous.
+/// Decodes a file's contents; `announced` is the format of its extension, for ambiguous contents.
 pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, Contents)> {
     decode_with(bytes, announced, &ReadOptions::default())
 }

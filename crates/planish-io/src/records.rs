@@ -18,7 +18,7 @@ pub(crate) trait RecordReader: Sized {
 
     fn header(&self) -> &Self::Header;
 
-    /// How many points the file has.
+    /// Returns the number of points in the file.
     fn points(&self) -> usize;
 
     /// Bytes of a record.
@@ -46,11 +46,10 @@ pub(crate) trait RecordReader: Sized {
 pub(crate) trait RecordEncoder: Sized {
     type Header;
 
-    /// Whether a hole has a record.
+    /// Whether holes have records.
     const KEEPS_HOLES: bool;
 
-    /// For clouds with the columns of this one, of which some points are kept, on their way from a file with this
-    /// header to another one.
+    /// Prepares for clouds with the columns of this one, of which some points are kept, from a file with this header.
     fn new(
         header: &Self::Header,
         cloud: &PointCloud,

@@ -36,7 +36,7 @@ pub fn parse_settings(text: &str) -> FormatResult<Settings> {
     parsed.map_err(|error| FormatError::Malformed(format!("settings: {error}")))
 }
 
-/// Returns settings as JSON, with the fields that are given.
+/// Returns settings as JSON, with only the fields that are set.
 pub fn settings_to_json(settings: &Settings) -> String {
     serde_json::to_string_pretty(settings).unwrap_or_default()
 }

@@ -15,8 +15,8 @@ use super::{CloudRef, Encoding, Format, depth_png, kitti, npy, pcd, ply, write_w
 use super::{e57, las};
 use planish_core::{DepthImage, FormatError, IoError, Outputs, Smoothed};
 
-/// Encodes a cloud as the bytes of a file. Text has a comment with the names of its columns, CSV a line of them; holes
-/// are left out of LAS and LAZ, and NPY has the positions alone.
+/// Encodes a cloud as the bytes of a file. Text files name their columns in a comment, CSV in the first line. LAS and
+/// LAZ lose holes, and NPY stores only positions.
 ///
 /// # Errors
 /// If the format cannot represent the cloud, or fields differ in length.

@@ -10,7 +10,7 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud};
 const FAR_M: f64 = 1000.0;
 /// The length of a unit normal written with few digits.
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
-/// Digits behind the point of far coordinates: a hundredth of a millimetre.
+/// Decimals of coordinates far from the origin: a hundredth of a millimetre.
 const FAR_DIGITS: usize = 5;
 /// Significant digits for points that have not moved.
 const UNMOVED_DIGITS: usize = 9;
@@ -23,7 +23,7 @@ const MOST_UNNAMED: usize = 64;
 /// Separator of the cells of a line.
 #[derive(Debug, Clone, Copy)]
 enum Separator {
-    /// One of these ends a cell, which may be empty.
+    /// Each occurrence ends a cell, which may be empty.
     Mark(char),
     /// Any number of spaces.
     Space,
@@ -39,14 +39,14 @@ impl Separator {
             Self::Space => line.split_whitespace().collect(),
             Self::Mark(mark) => line.split(mark).map(|cell| cell.trim().trim_matches('"').trim()).collect(),
         };
-        // Behind the last cell there may be a comment.
+        // A comment may follow the last cell.
         if let Some(end) = cells.iter().position(|cell| is_comment(cell)) {
             cells.truncate(end);
         }
         cells
     }
 
-    /// Returns true if a line has a comment behind its cells.
+    /// Returns true if a line ends with a comment.
     fn ends_in_comment(self, line: &str) -> bool {
         match self {
             Self::Space => line.split_whitespace().any(is_comment),
@@ -55,7 +55,7 @@ impl Separator {
     }
 }
 
-/// Returns the cells without one that is empty behind the last separator.
+/// Returns the cells without an empty one after the last separator.
 fn without_empty_end(mut cells: Vec<&str>) -> Vec<&str> {
     if cells.last().is_some_and(|last| last.is_empty()) {
         cells.pop();
@@ -220,7 +220,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     cloud_from_columns(attributes.collect())
 }
 
-/// Returns the name of a column as other formats have it, without its unit.
+/// Converts a column header to the field name of other formats, without its unit.
 fn name_of(cell: &str) -> String {
     let name = cell.split(['[', '(']).next().unwrap_or(cell).to_ascii_lowercase();
     let name = name.split_whitespace().collect::<Vec<_>>().join("_");
@@ -283,7 +283,7 @@ fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Resul
     if is_rounding { text.write_str(digits) } else { write!(text, "{value}") }
 }
 
-/// Which coordinate a column is.
+/// Returns the axis of a coordinate column.
 fn axis_of(name: &str) -> Option<usize> {
     ["x", "y", "z"].iter().position(|axis| *axis == name)
 }
@@ -293,7 +293,7 @@ fn axis_of(name: &str) -> Option<usize> {
 pub(super) enum Heading {
     /// The names, in a comment, if there is more than x, y and z.
     Comment,
-    /// The number of points, as PTS has it.
+    /// The number of points, as in PTS.
     Count,
     /// The names, with commas between all cells.
     Names,

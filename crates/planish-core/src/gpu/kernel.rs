@@ -16,9 +16,9 @@ use crate::params::{Edges, EngineParams, edge_shift_px};
 pub(super) enum Pass {
     /// The means of blocks.
     Blocks,
-    /// The first planes, where edges are kept.
+    /// Fits the first planes, if edges are kept.
     FirstPlanes,
-    /// From those the surfaces, and the means of the points on them.
+    /// Finds the surfaces from them, and the means of the points on these surfaces.
     Surfaces,
     /// The results.
     Smooth,
@@ -52,10 +52,10 @@ pub(super) struct KernelKey {
     pub(super) window: u32,
     pub(super) stride: u32,
     pub(super) degree: u32,
-    /// How far away the planes are that are considered, in pixels.
+    /// Distance in pixels to the planes that are considered.
     edge_shift: u32,
     pub(super) pass: Pass,
-    /// Whether its points lie on surfaces that were found before.
+    /// Whether its points are on surfaces found by earlier passes.
     keeps_edges: bool,
     /// Whether the samples of its windows are block means.
     reads_means: bool,
@@ -63,7 +63,7 @@ pub(super) struct KernelKey {
     reads_input: bool,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
-    /// Whether every access to memory is checked against its bounds.
+    /// Whether the bounds of every memory access are checked.
     pub(super) bounds_checks: bool,
     /// Whether the candidates of a tile fit workgroup memory.
     pub(super) tiled: bool,
@@ -196,7 +196,7 @@ const WINDOW_LOOP: [&str; 2] = [
     "} }",
 ];
 
-/// From the plane to the point on the surface, for a degree and a loop over the candidates.
+/// Generates the function that returns the point on the surface, for a degree and a loop over the candidates.
 pub(super) fn surface(degree: usize, [before, after]: [&str; 2]) -> String {
     let mut text = include_str!("shaders/project_plane.wgsl").to_owned();
     if degree == 1 {
@@ -251,8 +251,8 @@ fn moment_sums(degree: usize) -> String {
 
 /// `fn solve`: c_00, c_10 and c_01 by LDL^T of the normal equations with their ridge.
 ///
-/// With too few neighbours for degree 3 its unknowns are left out; as the order is by degree, the solution of degree 2
-/// remains.
+/// With too few neighbours for degree 3, the cubic unknowns are left out; since unknowns are ordered by degree, the
+/// solution of degree 2 remains.
 pub(super) fn solve(degree: usize) -> String {
     let count = coefficient_count(degree);
     let entry =

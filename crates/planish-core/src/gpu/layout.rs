@@ -31,7 +31,7 @@ pub(super) struct FrameHeader {
     /// With the range z, the gate of a block is max(linear z, block polynomial).
     pub(super) block_linear: f32,
     pub(super) block: [f32; 3],
-    /// Coefficients of the standard deviation of depth, where edges are kept.
+    /// Coefficients of the standard deviation of depth, if edges are kept.
     pub(super) sigma: [f32; 3],
     /// 0 means the radius.
     pub(super) bandwidth: f32,
@@ -81,8 +81,8 @@ impl InputKind {
     #[cfg(feature = "gpu")]
     pub(super) const ALL: [Self; 3] = [Self::Depth, Self::DepthMetres, Self::Points];
 
-    /// Returns how a frame is uploaded. Depth seen through a distorted lens is deprojected by the host, which has a ray
-    /// per pixel.
+    /// Returns how a frame is uploaded. Depth from a distorted lens is deprojected by the host, which has a ray per
+    /// pixel.
     pub(super) fn of(frame: &Frame<'_>) -> Self {
         match frame {
             Frame::Depth(depth) if !depth.camera().distortion.is_none() => Self::Points,
@@ -100,7 +100,7 @@ pub(super) struct Layout {
     pub(super) height: usize,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
-    /// Whether passes leave points for one another, and planes.
+    /// Whether passes keep points and planes for later passes.
     pub(super) keeps_points: bool,
     pub(super) keeps_planes: bool,
 }

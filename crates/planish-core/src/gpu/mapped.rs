@@ -9,7 +9,7 @@ use crate::error::EngineError;
 #[derive(Default)]
 pub(super) struct Mapped(Arc<Counts>);
 
-/// How many buffers are still the device's, and whether one of the others will not come back.
+/// Number of buffers that are not mapped yet, and whether mapping one of the others has failed.
 ///
 /// Any thread that calls the device may run the callbacks that count, also a little after another has seen the
 /// submission done: a thread that needs the buffers waits for the counts.

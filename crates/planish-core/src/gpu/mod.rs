@@ -1,9 +1,9 @@
 //! The GPU engine: docs/method.md in f32, one thread per pixel, through wgpu: Vulkan, Metal or DirectX 12.
 //!
-//! One kernel for each pass of a setting ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the
-//! requested outputs from depth or points; where blocks are averaged or edges kept, others before it leave points and
-//! planes for it. [`layout`] describes uploads ([`upload`]) and results ([`results`]). These parts know nothing of
-//! wgpu: [`plan`] hands them to other hosts of WebGPU.
+//! For each setting, a kernel ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the requested
+//! outputs from depth or points. If blocks are averaged or edges kept, earlier kernels compute points and planes for
+//! it. [`layout`] describes uploads ([`upload`]) and results ([`results`]). These modules are independent of wgpu:
+//! [`plan`] exports them to other WebGPU hosts.
 //!
 //! The other modules are the host side on wgpu: the engine, slots with the buffers of one frame or batch in flight, and
 //! results, which are read in mapped memory or, for frames in flight, copied out by a separate thread.

@@ -59,7 +59,7 @@ impl WebGpuLimits {
 pub struct PlannedPass {
     /// The name of its entry point.
     pub entry_point: &'static str,
-    /// Its source. Passes of the same source are the same kernel, in every plan.
+    /// Its source. Equal sources are the same kernel, in every plan.
     pub wgsl: String,
     /// Workgroups to dispatch, across and down.
     pub workgroups: [u32; 2],
@@ -124,7 +124,7 @@ impl Plan {
         }
     }
 
-    /// Its kernels, in the order in which they are dispatched.
+    /// Returns its kernels in the order of dispatch.
     pub fn passes(&self) -> Vec<PlannedPass> {
         let shape = (self.layout.width, self.layout.height);
         let pass = |key: &KernelKey| PlannedPass {

@@ -40,7 +40,7 @@ mod vulkan {
     use ash::vk;
     use wgpu::hal::{DropCallback, api, vulkan};
 
-    /// How many queues are used, where there are as many.
+    /// Maximum number of queues to use.
     const QUEUES: usize = 3;
 
     /// Queue priorities; all are equal.
@@ -62,19 +62,18 @@ mod vulkan {
             let added = vk::DeviceQueueCreateInfo::default().queue_family_index(family);
             device.queue_create_infos.push(added.queue_priorities(&PRIORITIES[..queues]));
         });
-        // SAFETY: features and limits are the adapter's own. The callback adds queues that it has, of another family
-        // than wgpu's own queue, which can draw.
+        // SAFETY: features and limits are the adapter's. The callback adds existing queues, of another family than
+        // wgpu's graphics queue.
         let owner =
             unsafe { raw_adapter.open_with_callback(features, limits, &descriptor.memory_hints, Some(add_queues)) };
-        // It destroys Vulkan's device when the last of wgpu's devices is gone. Its own queue is not used.
+        // Destroys the Vulkan device with the last wgpu device. Its own queue is not used.
         let owner = Arc::new(owner.ok()?);
         let extensions = raw_adapter.required_device_extensions(features);
         let open = |index: u32| {
             let kept = Arc::clone(&owner);
             let drop_owner: DropCallback = Box::new(move || drop(kept));
-            // SAFETY: the device was made from this adapter with these features, the extensions that they need, and
-            // this queue, which nothing else uses. It lives until wgpu has called the callback, which is after its last
-            // use of it.
+            // SAFETY: the device was created from this adapter with these features, their extensions, and this queue,
+            // which has no other user. It lives until wgpu calls the callback, after its last use of the device.
             let opened = unsafe {
                 raw_adapter.device_from_raw(
                     owner.device.raw_device().clone(),
@@ -87,7 +86,7 @@ mod vulkan {
                     index,
                 )
             };
-            // SAFETY: it was made from this adapter with the features of the descriptor.
+            // SAFETY: created from this adapter with the features of the descriptor.
             unsafe { adapter.create_device_from_hal(opened.ok()?, &descriptor) }.ok()
         };
         (0..queues as u32).map(open).collect()

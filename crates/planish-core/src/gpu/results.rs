@@ -8,7 +8,7 @@ use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::view::Rows;
 
-/// One frame of a result, in the bytes that the device has written.
+/// One frame of a result, in the bytes written by the device.
 #[derive(Clone, Copy)]
 pub(super) struct Results<'a> {
     layout: &'a Layout,

@@ -43,7 +43,7 @@ pub(super) struct Slot {
     _counted: Counted,
 }
 
-/// Counts the bytes of buffers as long as they are there.
+/// Counts the bytes of buffers during their lifetime.
 pub(super) struct Counted {
     bytes: u64,
     all: Arc<AtomicU64>,
@@ -127,7 +127,7 @@ impl Slot {
         })
     }
 
-    /// Writes the frames into the upload buffer, which is mapped.
+    /// Writes the frames into the upload buffer, which must be mapped.
     pub(super) fn write(&mut self, frames: &[AdmittedFrame<'_>], uploader: &mut Uploader) -> Result<(), EngineError> {
         let mut range = self.upload.get_mapped_range_mut(..).map_err(|error| self.gpu.failed(error))?;
         for (i, frame) in frames.iter().enumerate() {
@@ -140,7 +140,7 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the frames to kernels, each with its workgroups across and down, and asks for the buffers back when they
+    /// Submits the frames to kernels, each with its workgroups across and down, and requests the buffers for when they
     /// are done.
     pub(super) fn submit(&self, kernels: &[(wgpu::ComputePipeline, [usize; 2])]) -> wgpu::SubmissionIndex {
         self.upload.unmap();

@@ -108,7 +108,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
     let mut cases = Vec::new();
     let mut input = Vec::new();
     for case in 0..20_000 {
-        // From a plane over a line to a ball, at the scales of a window.
+        // From a plane through a line to a ball, at the scales of a window.
         let l2 = 10f64.powf(random.between(-10.0, 0.0));
         let l1 = l2 * 10f64.powf(random.between(-3.0, 0.0));
         let l0 = l1 * if case % 5 == 0 { 0.0 } else { random.between(0.0, 0.9) };
@@ -137,7 +137,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
         let off = n.cross(vector).length();
         assert!(off < 4e-6 * l2 / (l1 - l0) + 1e-6, "case {i}, {values:?}: off by {off:e}");
         for (value, expected) in found.iter().zip(values) {
-            // Two eigenvalues that coincide are known to the root of a rounding error each.
+            // Two equal eigenvalues are each determined only to the square root of a rounding error.
             let tolerance = if l2 - l1 < 0.01 * l2 { 1e-3 } else { 1e-5 };
             assert!((f64::from(*value) - expected).abs() < tolerance * l2, "case {i}: {value:e} {expected:e}");
         }
@@ -170,7 +170,7 @@ fn the_solve_finds_coefficients_and_damps_what_is_not_supported() {
         let (mut input, mut expected) = (Vec::new(), Vec::new());
         for case in 0..500 {
             let c: Vec<f64> = (0..6).map(|_| random.between(-1.0, 1.0)).collect();
-            // All over the square; or on the line b = 0, which supports no monomial with b.
+            // Spread over the square, or on the line b = 0, which determines no monomial with b.
             let on_line = case % 2 == 1;
             let points: Vec<[f64; 3]> = (0..49)
                 .map(|_| {
@@ -271,7 +271,7 @@ fn frames_on_several_queues_come_back_in_order_and_the_same() {
         };
         assert_eq!((bits(&found), found.status), (bits(&expected), expected.status));
     }
-    // Every slot came back. The one of the device that was open before is not used again.
+    // All slots were returned. The slot of the device opened first is not used again.
     spread.submit(&admitted[0], None).unwrap();
     drop(spread.receive().unwrap());
     let is_of_several = |slot: &Slot| spread.adapter.devices.iter().any(|gpu| Arc::ptr_eq(gpu, &slot.gpu));

@@ -9,7 +9,7 @@ use crate::params::{Edges, EngineParams};
 use crate::range::RangeRules;
 use crate::smoothing_engine::AdmittedFrame;
 
-/// Writes frames; its scratch buffers are kept from one to the next.
+/// Writes frames; keeps its scratch buffers between them.
 pub(super) struct Uploader {
     params: EngineParams,
     rays: Rays,
@@ -22,11 +22,11 @@ impl Uploader {
         Self { params, rays: Rays::default(), raw: Vec::new(), row: Default::default() }
     }
 
-    /// Writes a frame through `put`, which takes the index of a word in the frame, and bytes.
+    /// Writes a frame through `put`, which takes a word index and bytes.
     pub(super) fn write(&mut self, layout: &Layout, admitted: &AdmittedFrame<'_>, put: &mut dyn FnMut(usize, &[u8])) {
         let camera = admitted.frame.camera();
         if let Some(camera) = camera.filter(|_| layout.kind != InputKind::Points) {
-            // Through a distorted lens depth goes up as points.
+            // Depth from a distorted lens is uploaded as points.
             self.rays.set(camera);
             let at = layout.rays();
             put(at.start, cast_slice(&self.rays.x));

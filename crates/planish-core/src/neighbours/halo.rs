@@ -11,7 +11,7 @@ use crate::params::{CloudParams, Edges, EngineParams, Radius};
 
 /// Assumed ratio of a part's points to its points with the halo, for planning parts.
 pub const OWN_SHARE: f64 = 0.6;
-/// How far the gate reaches, in radii.
+/// Reach of the gate, in radii.
 const GATE_REACH: f64 = 1.02;
 
 /// How wide a halo has to be.
@@ -21,7 +21,7 @@ pub struct NeededHalo {
     pub halo_m: f64,
     /// Number of points that reach beyond the present halo.
     pub beyond: usize,
-    /// Whether those are more than allowed, so that it has to be wider.
+    /// Whether these are too many, so that the halo must be wider.
     pub is_wider: bool,
 }
 

@@ -79,7 +79,7 @@ pub(crate) struct LeafMoments {
 pub(crate) struct PointIndex {
     /// x, y and z, with NaN after the last point up to a whole leaf.
     pub(crate) positions: [Vec<f32>; 3],
-    /// How many points of the cloud are at each position.
+    /// Number of points of the cloud at each position.
     pub(crate) counts: Vec<f32>,
     /// The place of each point of the cloud among the positions.
     places: Vec<AtomicU32>,
@@ -168,7 +168,7 @@ impl PointIndex {
         self.extent_m as f32
     }
 
-    /// How many distinct positions there are.
+    /// Returns the number of distinct positions.
     pub(crate) fn len(&self) -> usize {
         self.len
     }
@@ -184,7 +184,7 @@ impl PointIndex {
         self.levels[0][leaf]
     }
 
-    /// How many leaves they fill.
+    /// Returns the number of leaves.
     pub(crate) fn leaves(&self) -> usize {
         self.len.div_ceil(LEAF)
     }
@@ -233,7 +233,7 @@ impl PointIndex {
         }
     }
 
-    /// Squares of the distances from a point to the positions, ascending, as far as the caller takes them.
+    /// Returns the squared distances from a point to the positions, ascending, computed on demand.
     pub(crate) fn nearest(&self, point: [f32; 3]) -> Nearest<'_> {
         let mut nearest = Nearest { index: self, point, queue: Default::default() };
         if let Some(top) = self.levels.len().checked_sub(1) {
@@ -261,7 +261,7 @@ impl LeafMoments {
         let mean = (weighted().map(|(count, p)| count * p).sum::<DVec3>() / count).as_vec3();
         let mut products = [0.0; 6];
         for (count, p) in weighted() {
-            // From the mean as it was rounded.
+            // Relative to the mean as rounded to f32.
             let d = p - mean.as_dvec3();
             let terms = [d.x * d.x, d.x * d.y, d.x * d.z, d.y * d.y, d.y * d.z, d.z * d.z];
             products.iter_mut().zip(terms).for_each(|(product, term)| *product += count * term);
@@ -318,7 +318,7 @@ fn point_of([x, y, z]: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
     [x[i], y[i], z[i]]
 }
 
-/// Sorts the points of one cell, if they are many and not all at one place, along a curve through their own box.
+/// Sorts the points of a crowded cell along a curve through their bounding box, unless they coincide.
 fn refine(cell: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
     if cell.len() <= CROWDED {
         return;
@@ -364,8 +364,8 @@ impl Curve {
         Self { low: range.map(|[low, _]| low as f32), cells_per_metre, extent_m }
     }
 
-    /// How far along the curve the cell of a point is: Skilling's transposition ("Programming the Hilbert curve",
-    /// 2004).
+    /// Returns the position of a point's cell along the curve: Skilling's transposition ("Programming the Hilbert
+    /// curve", 2004).
     fn key(&self, point: [f32; 3]) -> u64 {
         let largest = (1u32 << CURVE_BITS) - 1;
         // The cast saturates.

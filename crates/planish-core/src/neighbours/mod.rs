@@ -13,7 +13,7 @@ pub(crate) use index::{Bounds, LEAF, LeafMoments, PointIndex};
 #[cfg(feature = "kd-tree")]
 pub use search::NeighbourSearch;
 
-/// Points from which an extent is taken.
+/// Number of sampled points for an extent.
 const SAMPLE: usize = 10_000;
 
 /// Returns the smallest and largest of some values without one percent of strays at either end. `None` if none is

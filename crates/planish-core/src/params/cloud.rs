@@ -6,7 +6,7 @@ use crate::error::ParamError;
 /// About how many neighbours points of unorganized clouds have by default.
 const NEIGHBOURS: u32 = 40;
 
-/// How the radius of a neighbourhood is found in unorganized clouds (docs/method.md, sections 3 and 8).
+/// The radius of a neighbourhood in unorganized clouds (docs/method.md, sections 3 and 8).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum CloudRadius {
@@ -31,8 +31,8 @@ pub struct CloudParams {
     pub fit: Fit,
     /// The gate: points further away than this from a point are no neighbours.
     pub radius: CloudRadius,
-    /// Whether points become holes if they have fewer than three neighbours or a quarter of
-    /// [`CloudRadius::Neighbours`]; otherwise they stay as measured.
+    /// Whether isolated points become holes: those with fewer than three neighbours, or a quarter of
+    /// [`CloudRadius::Neighbours`]. Otherwise they are unchanged.
     pub remove_isolated: bool,
 }
 
@@ -55,7 +55,7 @@ impl CloudParams {
 
     fit_setters!();
 
-    /// Sets how the radius is found.
+    /// Sets the radius.
     pub const fn with_radius(self, radius: CloudRadius) -> Self {
         Self { radius, ..self }
     }

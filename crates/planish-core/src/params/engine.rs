@@ -1,4 +1,4 @@
-//! The parameters as engines take them: windows are resolved, and both kinds of input have one form.
+//! The parameters in the form that engines use: with resolved windows, and equal for both kinds of input.
 
 use super::cloud::{CloudParams, CloudRadius};
 use super::fit::{Edges, Fit, Project};
@@ -86,13 +86,13 @@ impl EngineParams {
         Self { window: size.half_width, stride: size.stride, ..self }
     }
 
-    /// How far a window reaches from its centre, in pixels: k s.
+    /// Returns the reach of a window from its centre in pixels: k s.
     pub(crate) fn reach_px(&self) -> usize {
         (self.window * self.stride) as usize
     }
 
-    /// Half width of the blocks that are averaged, in pixels: blocks are as wide as the stride, or a pixel wider where
-    /// that is even.
+    /// Returns the half-width of the averaged blocks in pixels: blocks are as wide as the stride, or one pixel wider if
+    /// it is even.
     pub(crate) fn block_half_px(&self) -> usize {
         self.stride as usize / 2
     }
@@ -102,7 +102,7 @@ impl EngineParams {
         self.average_blocks && self.block_half_px() > 0
     }
 
-    /// How many samples a window has: (2k+1)².
+    /// Returns the number of samples of a window: (2k+1)².
     #[cfg(any(test, feature = "reference"))]
     pub(crate) fn candidates(&self) -> usize {
         let side = 2 * self.window as usize + 1;

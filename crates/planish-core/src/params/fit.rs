@@ -77,8 +77,8 @@ pub enum Edges {
     /// Every neighbour counts: the surface is rounded off within a window's reach of an edge.
     Off,
     /// The surface of each point is found from the planes around it, and neighbours off that surface by more than the
-    /// sensor's noise do not count: edges stay, and flat surfaces become smoother too. In unorganized clouds, the
-    /// planes around a point give its noise.
+    /// sensor's noise are ignored. Edges stay sharp, and flat surfaces become smoother too. In unorganized clouds, the
+    /// planes around a point determine its noise.
     Robust,
 }
 
@@ -91,8 +91,8 @@ impl Edges {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Project {
-    /// Along the ray on which it was measured, as depth noise acts: points stay on the rays of their pixels. Falls back
-    /// to the normal where the position of the sensor is unknown.
+    /// Along the measuring ray, the direction of depth noise: points stay on the rays of their pixels. If the sensor
+    /// position is unknown, along the normal.
     Ray,
     /// Along the normal of its plane.
     Normal,

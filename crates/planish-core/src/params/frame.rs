@@ -12,7 +12,7 @@ const TUNED_RANGE_M: f64 = 1.5;
 /// Noise below this at 1 m needs no wide windows: rounding to millimetres is as large.
 const LITTLE_SIGMA_M: f64 = 3e-4;
 
-/// How the radius of a neighbourhood is found in frames (docs/method.md, section 3).
+/// The radius of a neighbourhood in frames (docs/method.md, section 3).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum FrameRadius {
@@ -43,8 +43,8 @@ pub struct FrameParams {
     pub fit: Fit,
     /// The window of samples around each pixel.
     pub window: Window,
-    /// Whether every sample is the mean of its block of pixels, as wide as the stride or a pixel wider where that is
-    /// even, so that every pixel of the window counts.
+    /// Whether every sample is the mean of its block of pixels, as wide as the stride or one pixel wider if that is
+    /// even, so that every pixel of the window contributes.
     pub average_blocks: bool,
     /// The gate: samples further away than this from the point are no neighbours.
     pub radius: FrameRadius,
@@ -65,10 +65,9 @@ impl Default for FrameParams {
 impl FrameParams {
     /// Returns the parameters for a sensor: degree 2, edges kept, the radius and the noise of the sensor.
     ///
-    /// The width of windows grows with the cube root of the noise at 1.5 m, where the remaining noise and the
-    /// flattening of curved surfaces balance: 25x25 pixels for a Kinect v1, 31x31 for a RealSense D435, 15x15 for an
-    /// Azure Kinect. A sensor with hardly any noise (under 0.3 mm at 1 m) gets 11x11: there is little to gain, and
-    /// small things to lose.
+    /// The width of windows grows with the cube root of the noise at 1.5 m, which balances remaining noise and
+    /// flattening of curved surfaces: 25x25 pixels for a Kinect v1, 31x31 for a RealSense D435, 15x15 for an Azure
+    /// Kinect. A sensor with little noise (under 0.3 mm at 1 m) gets 11x11, to preserve small objects.
     pub fn for_sensor(sensor: SensorModel, strength: Strength) -> Self {
         let has_noise = sensor.sigma_m(1.0) >= LITTLE_SIGMA_M;
         let noise = sensor.sigma_m(TUNED_RANGE_M) / SensorModel::KINECT_V1.sigma_m(TUNED_RANGE_M);
@@ -115,7 +114,7 @@ impl FrameParams {
         Self { average_blocks, ..self }
     }
 
-    /// Sets how the radius is found.
+    /// Sets the radius.
     pub const fn with_radius(self, radius: FrameRadius) -> Self {
         Self { radius, ..self }
     }
@@ -135,8 +134,8 @@ impl FrameParams {
         Self { sensor, ..self }
     }
 
-    /// Returns these parameters with the window fixed for the resolution of a frame; fixed windows stay, and so does
-    /// the nominal size where the frame's resolution is unknown. Smoothers do this themselves.
+    /// Returns these parameters with the window fixed for the resolution of a frame. Fixed windows are kept, and so is
+    /// the nominal size if the resolution is unknown. Smoothers do this themselves.
     ///
     /// ```
     /// use planish::{Camera, DepthFrame, FrameParams};
@@ -211,7 +210,7 @@ mod tests {
             let camera = Camera::new((40, 4), [fx; 2], [19.5, 1.5]);
             let depth = DepthFrame::new(camera, vec![1000; 160]).unwrap();
             let mut cloud = depth.deproject().unwrap();
-            // As a file has it: the pitch must be estimated.
+            // As read from a file: the pitch must be estimated.
             cloud.camera = None;
             let params = FrameParams::default();
             assert_eq!(params.at_resolution_of(&depth), params.at_resolution_of(&cloud));

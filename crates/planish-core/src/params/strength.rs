@@ -1,10 +1,10 @@
-//! One number for how much to smooth.
+//! Strength of smoothing as one number.
 
 use super::fit::{LIGHT_RIDGE, RIDGE};
 use super::window::WindowSize;
 use crate::error::ParamError;
 
-/// How far and how much to smooth, from 0 to 1: windows grow in steps, the ridge steadily.
+/// Strength of smoothing from 0 to 1: windows grow in steps, the ridge continuously.
 ///
 /// ```
 /// use planish::{FrameParams, SensorModel, Strength};

@@ -27,7 +27,7 @@ pub struct WindowSize {
 }
 
 impl WindowSize {
-    /// How far the window reaches from its centre, in pixels: k s.
+    /// Returns the reach of the window from its centre in pixels: k s.
     pub const fn reach_px(self) -> usize {
         (self.half_width * self.stride) as usize
     }
@@ -44,11 +44,11 @@ impl WindowSize {
         check("stride", self.stride, STRIDES, "1 to 8")
     }
 
-    /// Returns the size for pixels of a pitch in metres at 1 m. Strides are chosen for pixels of a Kinect v1, 1/525 of
-    /// the range; where a frame's are coarser, they are as much shorter, so that windows span about as much of the
-    /// scene, down to 1. (At 160x120 the default's windows would reach over whole objects and mix them.) Windows get
-    /// wider where that leaves them less than half of their reach in pixels, since it is pixels that noise is averaged
-    /// over. Finer pixels change nothing.
+    /// Returns the size for a pixel pitch in metres at 1 m. Strides are tuned for a Kinect v1, whose pixels span 1/525
+    /// of the range. Coarser pixels shorten the stride in proportion, down to 1, so that a window covers a similar area
+    /// of the scene. (At 160x120 the default's windows would otherwise reach over whole objects and mix them.) If that
+    /// leaves less than half of the reach in pixels, windows get wider, since noise is averaged over pixels. Finer
+    /// pixels change nothing.
     fn at_pitch(self, pitch_at_1m: f64) -> Self {
         if !STRIDES.contains(&self.stride) {
             return self;

@@ -18,7 +18,7 @@ const SURFACE_WIDTH: f64 = 1.5;
 /// The root of the weight of a point that is farther off.
 const MIN_WEIGHT: f64 = 0.02;
 
-/// How far from its pixel's point p a point of a block may be.
+/// Returns the maximum distance between a pixel's point p and the points of its block.
 fn gate_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     let width_m = params.block_half_px() as f64 * spacing_m(geometry, p);
     (STEPS * params.sensor.step_m(geometry.range_m(p))).max(HALF_WIDTHS * width_m)

@@ -26,7 +26,7 @@ pub(super) const DOUBT_WEIGHT: f64 = 0.01;
 
 /// No camera measures a surface steeper than this; what looks like one is a row of points far apart.
 const MIN_INCIDENCE_COSINE: f64 = 0.05;
-/// From this much more on the plane is used wholly.
+/// Beyond this excess, the plane counts fully.
 const COSINE_FADE: f64 = 0.01;
 
 /// Weight of a zero displacement of p, relative to the surrounding planes.
@@ -49,9 +49,9 @@ pub(super) struct FirstPlanes<'a, N> {
 }
 
 impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
-    /// Returns the point of a pixel, its first plane, and the variance of its points about it plus its own uncertainty,
-    /// in m²: more and more, without a limit, where the neighbours are too few, nearly on a line, or on a plane seen
-    /// edge-on. `None` for a hole, and where the limit is reached.
+    /// Returns the point of a pixel, its first plane, and the variance of its points about it plus its uncertainty, in
+    /// m². The variance grows without limit if neighbours are too few, nearly collinear, or on a plane seen edge-on.
+    /// `None` for a hole, or at the limit.
     fn usable(&self, u: usize, v: usize) -> Option<(DVec3, &Plane, f64)> {
         let first = self.surfaces[v * self.grid.width + u].as_ref()?;
         let (p, plane) = (self.grid.point(u, v)?, first.plane.as_ref()?);
@@ -85,7 +85,7 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
                 let Some(row) = v.checked_add_signed(dv).filter(|&v| v < self.grid.height) else { continue };
                 let Some((at, plane, own_residual)) = self.usable(column, row) else { continue };
                 let offset = at - p;
-                // From p to the plane along its normal, and from the mean.
+                // Distances to the plane along its normal, from p and from the mean.
                 let to_plane_m = (offset + plane.foot).dot(plane.normal);
                 let from_mean_m = to_plane_m - mean_offset.dot(plane.normal);
                 let residual = own_residual + DISTANCE_WEIGHT * from_mean_m * from_mean_m;

@@ -32,7 +32,7 @@ pub(super) struct Cloud<'a> {
     pub(super) least_neighbours: u32,
 }
 
-/// The positions of a cloud, each once, and how many points are there.
+/// The distinct positions of a cloud, and the number of points at each.
 struct Positions {
     points: Vec<DVec3>,
     counts: Vec<u32>,

@@ -23,8 +23,8 @@ const FACING_COSINE: f64 = 0.1;
 pub(super) struct FirstPlane {
     pub(super) surface: Surface,
     pub(super) radius_m: f64,
-    /// How badly the plane fits its points, and how little they determine it, in m²: infinite where they are too few or
-    /// on a line.
+    /// How badly the plane fits its points, and how little they determine it, in m²: infinite for too few or collinear
+    /// points.
     residual: f64,
 }
 
@@ -59,7 +59,7 @@ impl FirstPlane {
         let (mut normal, mut height_m, mut total) = (OWN_NORMAL_WEIGHT * own_plane.normal, 0.0, STAY_WEIGHT);
         for &(offset, first) in around {
             let Some(plane) = first.surface.plane.filter(|_| first.residual.is_finite()) else { continue };
-            // From p to the plane along its normal, and from the mean.
+            // Distances to the plane along its normal, from p and from the mean.
             let to_plane_m = (offset + plane.foot).dot(plane.normal);
             let from_mean_m = to_plane_m - mean.dot(plane.normal);
             let residual = first.residual + DISTANCE_WEIGHT * from_mean_m * from_mean_m;

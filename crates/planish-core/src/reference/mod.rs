@@ -36,7 +36,7 @@ use window::Grid;
 /// The reference's result for one point, in the sensor's frame.
 #[derive(Debug, Clone, Copy)]
 struct PointResult {
-    /// From the measured point to the smoothed one; NaN for a hole.
+    /// Displacement from the measured to the smoothed point; NaN for a hole.
     displacement: DVec3,
     /// The depth at which the point's ray meets the surface, over the measured one; NaN for a hole.
     depth_scale: f64,
@@ -52,7 +52,7 @@ impl PointResult {
         Self { displacement, depth_scale: f64::NAN, normal, curvature: f64::NAN, status: Status::Hole, neighbours: 0 }
     }
 
-    /// Returns the result of a point that is kept unmoved because it has too few neighbours.
+    /// Returns the result of a point that is left unchanged because it has too few neighbours.
     fn kept(self) -> Self {
         Self { displacement: DVec3::ZERO, depth_scale: 1.0, status: Status::Isolated, ..self }
     }
@@ -65,7 +65,7 @@ struct Surface {
     neighbours: u32,
     /// `None` if they lie on a line.
     plane: Option<Plane>,
-    /// How far from the plane a neighbour still counts (section 10).
+    /// Distance from the plane within which a neighbour counts (section 10).
     width_m: f64,
 }
 
@@ -158,7 +158,7 @@ impl Reference {
                     None => points.clone(),
                     Some(transform) => points.iter().map(|&p| transform.to_sensor(p)).collect(),
                 };
-                // Passes over all pixels: the last takes by far the longest.
+                // Counts only the last pass over all pixels, which takes by far the longest.
                 self.progress.begin(width * height);
                 self.smooth_grid(&Grid { points, width, height }, &frame.geometry)
             }
@@ -234,8 +234,8 @@ impl Reference {
     }
 }
 
-/// Turns the results back into the cloud's frame, as displacements of the measured points, and rounds them to f32 into
-/// whichever buffers are there.
+/// Rotates the results back into the cloud's frame, as displacements of the measured points, and rounds them to f32
+/// into the available buffers.
 fn store(frame: &AdmittedFrame<'_>, points: &[DVec3], results: &[PointResult], mut out: SmoothedMut<'_>) {
     let rotation = frame.geometry.cloud_from_sensor.map(|transform| transform.rotation);
     let turned = |vector: DVec3| rotation.map_or(vector, |rotation| rotation * vector);
@@ -342,7 +342,7 @@ mod tests {
         }
     }
 
-    /// Section 6: the result does not depend on the in-plane axes, which a roll of the sensor's frame turns.
+    /// Section 6: the result does not depend on the in-plane axes, which a roll of the sensor's frame rotates.
     #[test]
     fn turned_in_plane_axes_change_nothing() {
         let points = noisy_points(Scene::tabletop(5));

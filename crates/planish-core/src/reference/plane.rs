@@ -30,7 +30,7 @@ pub(super) struct Plane {
     pub largest_variance: f64,
     /// l0/(l0+l1+l2).
     pub curvature: f64,
-    /// How much the neighbours count together by the gate.
+    /// Sum of the neighbours' gate weights.
     pub total: f64,
 }
 

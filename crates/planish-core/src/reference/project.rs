@@ -13,7 +13,7 @@ const GRAZING_COSINE: f64 = 0.2;
 const MAX_ALONG: f64 = 0.5;
 
 pub(super) struct Projected {
-    /// From the measured point to its place on the surface.
+    /// Displacement from the measured point to its position on the surface.
     pub displacement: DVec3,
     pub normal: DVec3,
     pub status: Status,
@@ -51,9 +51,9 @@ pub(super) fn project(
     Projected { displacement, normal, status, depth_scale: 1.0 + along }
 }
 
-/// How far along the ray, in its lengths, the tangent plane through `surface` lies from the ray's end, which is the
-/// origin here. With c the cosine of the angle of incidence, c/max(c², 0.2²) instead of 1/c: where the ray grazes the
-/// plane, it says little.
+/// Returns the distance along the ray, in ray lengths, from its end (the origin here) to the tangent plane through
+/// `surface`. With c the cosine of the angle of incidence, 1/c is replaced by c/max(c², 0.2²), since a grazing ray
+/// determines little.
 fn along_ray(surface: DVec3, normal: DVec3, ray: DVec3, radius_m: f64) -> f64 {
     let length = ray.length();
     let cosine = ray.dot(normal) / length;

@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::frame::{FrameGeometry, RangeRule};
 use crate::params::{EngineParams, Radius};
 
-/// No radius is smaller, so that a point that is its own sample is its neighbour wherever it is.
+/// Minimum radius, so that a point that is its own sample is its neighbour at any position.
 const MIN_RADIUS_M: f64 = 1e-12;
 
 /// r of a point in the sensor's frame.
@@ -21,7 +21,7 @@ pub(super) fn radius_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3
     }
 }
 
-/// How far apart neighbouring pixels are at a point in the sensor's frame.
+/// Returns the distance between adjacent pixels at a point in the sensor's frame.
 pub(super) fn spacing_m(geometry: &FrameGeometry, p: DVec3) -> f64 {
     match geometry.rule {
         RangeRule::Constant { spacing_m } => spacing_m,

@@ -16,7 +16,7 @@ use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, brief};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
 
-/// The field that has the number of a point's scan, where there are several.
+/// The field with the number of each point's scan, in files of several scans.
 const SCAN: &str = "scan";
 /// Standard fields by our names.
 const FIELDS: [(&str, RecordName); 12] = [
@@ -60,7 +60,7 @@ impl Kind {
         }
     }
 
-    /// One that has room for the values of both.
+    /// Returns a type that can represent the values of both.
     fn union(self, other: Self) -> Self {
         match (self, other) {
             (Self::Integer { min: a, max: b }, Self::Integer { min: c, max: d }) => {
@@ -292,7 +292,7 @@ fn value_of(attribute: &Attribute, i: usize) -> RecordValue {
     }
 }
 
-/// Writes each scan that the cloud came from, in its own frame, or one with everything.
+/// Writes each scan of the cloud in its frame, or one scan with all points.
 pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     let cannot = |error: e57::Error| {
         FormatError::Unsupported(format!("cannot encode this cloud as E57: {}", brief(&error.to_string())))

@@ -15,7 +15,7 @@ const DESCRIPTION: usize = 192;
 const TYPE_AT: usize = 2;
 const OPTIONS_AT: usize = 3;
 const NAME_AT: std::ops::Range<usize> = 4..36;
-/// Scales and offsets of three values, and the bits of the options that say they are there.
+/// Offset of the scales and offsets of three values, and the option bits that mark them as present.
 const SCALES_AT: usize = 112;
 const OFFSETS_AT: usize = 136;
 const HAS_SCALE: u8 = 8;
@@ -38,7 +38,7 @@ enum Stored {
     F64,
     /// Some bits of a byte: the lowest, and how many.
     Bits(u32, u32),
-    /// Bytes of which nothing is known.
+    /// Undescribed bytes.
     Bytes(usize),
 }
 
@@ -140,7 +140,7 @@ impl Scale {
     }
 
     fn number(&self, stored: f64) -> f64 {
-        // A division by 100 gives 535.06 where a multiplication by 0.01 gives 535.0600000000001.
+        // Dividing by 100 gives 535.06, multiplying by 0.01 gives 535.0600000000001.
         let inverse = (1.0 / self.scale).round();
         let is_inverse = inverse.abs() >= 1.0 && inverse.is_finite() && 1.0 / inverse == self.scale;
         self.offset + if is_inverse { stored / inverse } else { stored * self.scale }

@@ -23,7 +23,7 @@ use errors::{cannot, damaged, unreadable};
 use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
 use validate::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
 
-/// Coordinates of files that we make are multiples of this, where they fit: finer than any scanner measures.
+/// Resolution of coordinates in new files, if it fits: finer than any scanner measures.
 const SCALE_M: f64 = 1e-5;
 /// The most that 32 bits hold, with room to move points.
 const LARGEST_INTEGER: f64 = 2e9;
@@ -134,7 +134,7 @@ fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
     Ok(cloud)
 }
 
-/// The header of the LAS file that a cloud came from: its coordinate system, scales, offsets and extra bytes.
+/// The header of the cloud's LAS file: coordinate system, scales, offsets and extra bytes.
 #[derive(Debug, PartialEq)]
 struct LasHeader(Arc<Header>);
 
@@ -161,7 +161,7 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// For clouds with the columns of this one, of which some points are kept.
+    /// Prepares for clouds with the columns of this one, of which some points are kept.
     fn new(cloud: &PointCloud, kept: &[usize], compressed: bool) -> FormatResult<Self> {
         let has_colour = cloud.rgb().is_some();
         let mut builder = match cloud.provenance.get::<LasHeader>() {

@@ -163,7 +163,7 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
     };
     let layers: usize = description.items().iter().map(layers).sum();
     let points_at = u64::from(u32::from_le_bytes(read_at(bytes, 96)?));
-    // Its decoder trusts the table as it does the points.
+    // The decoder of the table trusts its input like that of the points.
     let table = catch_unwind(AssertUnwindSafe(|| ChunkTable::read_from(bytes.reader(points_at)?, description).ok()));
     let table = table.ok()??;
     let mut at = points_at + ChunkTable::OFFSET_SIZE as u64;
@@ -183,7 +183,7 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
     Some(Ok(()))
 }
 
-/// Returns the extended records, behind the points. The library reads the first alone.
+/// Returns the extended records after the points. The library reads only the first.
 pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (mut at, count): (usize, u32)) -> Option<Vec<Vlr>> {
     let mut records = Vec::new();
     // Without records their offset is meaningless.

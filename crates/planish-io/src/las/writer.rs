@@ -37,7 +37,7 @@ impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
         self.with_writer(|writer| writer.write_points(&points))
     }
 
-    /// Writes what stands behind the points, and the header again.
+    /// Writes the data after the points, then the header again.
     pub(super) fn finish(mut self) -> FormatResult<W> {
         self.with_writer(Writer::close)?;
         let writer = self.writer.take().ok_or_else(|| FormatError::Malformed("nothing was written".into()))?;

@@ -1,4 +1,4 @@
-//! One array in NumPy's format (versions 1 to 3): a header, which is a dict in Python's notation, and the values.
+//! An array in NumPy's format (versions 1 to 3): a header, which is a Python dict, and the values.
 
 use super::header::Header;
 use crate::little_endian::LittleEndian;
@@ -26,7 +26,7 @@ pub(crate) struct Array<'a> {
 }
 
 impl<'a> Array<'a> {
-    /// Reads the header, and checks that all values are there.
+    /// Reads the header, and checks that all values are present.
     ///
     /// # Errors
     /// If the file is damaged or cut short, or its values are no numbers.

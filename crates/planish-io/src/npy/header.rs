@@ -8,7 +8,7 @@ const MAGIC: &[u8] = b"\x93NUMPY";
 /// The largest header accepted, in bytes; NumPy's own are about a hundred.
 const MAX_BYTES: usize = 16 * 1024;
 
-/// The most dimensions accepted, which are NumPy's own limit.
+/// Maximum number of dimensions, NumPy's limit.
 const MAX_DIMENSIONS: usize = 64;
 
 /// Values begin at a multiple of this many bytes.
@@ -24,7 +24,7 @@ pub(crate) struct Header {
     /// Bytes of a value.
     pub(crate) size: usize,
     pub(super) is_big_endian: bool,
-    /// Whether the first index runs fastest instead of the last.
+    /// Whether the first index varies fastest instead of the last.
     pub(super) is_fortran: bool,
     pub(crate) shape: Vec<usize>,
 }
@@ -150,7 +150,7 @@ impl<'a> Dict<'a> {
         Ok(shape)
     }
 
-    /// Returns a number, which Python 2 suffixed with L.
+    /// Parses a number, which Python 2 suffixed with L.
     fn number(&mut self) -> Result<usize, FormatError> {
         self.skip_blanks();
         let digits = self.0.iter().take_while(|byte| byte.is_ascii_digit()).count();

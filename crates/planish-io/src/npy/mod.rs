@@ -51,7 +51,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
     }
 }
 
-/// Returns true if an array is a line of numbers for each of many points, not an image.
+/// Returns true if an array is a table with a row per point, not an image.
 fn is_table(rows: usize, columns: usize) -> bool {
     columns <= 16 && rows >= 16 * columns
 }
@@ -61,7 +61,7 @@ fn points(width: usize, height: usize, values: Vec<f32>) -> Result<Contents, For
     organized_if_grid(Gridded { width, height, points: PointCloud::new(positions) })
 }
 
-/// Far clouds are kept relative to an origin, and written as f64 again.
+/// Clouds far from the origin are stored relative to an origin, and written as f64 again.
 fn points_f64(width: usize, height: usize, values: Vec<f64>) -> Result<Contents, FormatError> {
     let column = |axis: usize| {
         let values: Vec<f64> = values.iter().skip(axis).step_by(3).copied().collect();

@@ -1,4 +1,4 @@
-//! The element `camera`: the sensor's pose and the grid, as PCL writes them behind the vertices.
+//! The element `camera`: the sensor's pose and the grid, as PCL writes them after the vertices.
 //!
 //! PCL stores the rows of cloud_from_sensor's rotation in `x_axis`, `y_axis` and `z_axis`, and width and height in the
 //! viewport. It does not use the other properties and writes 0. MeshLab has an element of the same name with different
@@ -37,7 +37,7 @@ const FOCAL_AND_SCALES: std::ops::Range<usize> = 12..15;
 const WIDTH: usize = 17;
 const HEIGHT: usize = 18;
 
-/// Positions are written in f32, which PCL reads, unless that moves them farther than this.
+/// Positions are written in f32, as PCL reads them, unless that moves them farther than this.
 const MAX_ROUNDING_M: f64 = 1e-4;
 
 /// What the element says.
@@ -50,7 +50,7 @@ pub(super) struct PlyCamera {
 }
 
 impl PlyCamera {
-    /// From the values of the element's properties, in their order. Nothing where they are not PCL's.
+    /// Decodes the element's properties from their values, in order. Nothing if they are not PCL's.
     pub(super) fn of(element: &ElementDef, values: &[f64]) -> Self {
         if values.len() != element.properties.len() {
             return Self::default();

@@ -42,7 +42,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         check_size(element, bytes.len())?;
         check_properties(element, stated)?;
         let is_read_by_the_library = header.encoding != PlyEncoding::Ascii && element.name != "vertex";
-        // It keeps every value of an element as an enum, in a vector for each line.
+        // The library stores every value of an element as an enum, in one vector per line.
         let [value_bytes, line_bytes] =
             if is_read_by_the_library { [size_of::<Property>() + 8, size_of::<Record>()] } else { [8, 0] };
         options.check(element.count, line_bytes + element.properties.len() * value_bytes)?;
@@ -81,7 +81,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
 }
 
 fn damaged(error: impl Into<std::io::Error>) -> FormatError {
-    // Behind that, the library prints its parser's state.
+    // After this text the library prints its parser's state.
     const STATE: &str = " Error: ";
     let message = error.into().to_string();
     let message = message.split_once(STATE).map_or(message.as_str(), |(message, _)| message);
@@ -150,7 +150,7 @@ fn read_text_element(
     Ok(())
 }
 
-/// Reads a binary body: the vertices without the library, which takes some ten times their memory.
+/// Reads a binary body. The vertices bypass the library, which needs about ten times their memory.
 fn read_binary(header: &Header, mut body: &[u8], columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let mut found = Body::default();
     for (name, element, is_needed) in elements_to_read(header) {
@@ -245,7 +245,7 @@ pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
     Some(if stated.trim_start().starts_with("ascii") { Encoding::Ascii } else { Encoding::Binary })
 }
 
-/// How many properties each element states, in order.
+/// Returns the number of properties of each element, in order.
 fn stated_properties(header_lines: &[&str]) -> Vec<usize> {
     let mut counts = Vec::new();
     for line in header_lines {

@@ -28,7 +28,7 @@ pub(crate) struct VertexHeader {
     layout: Layout,
     /// Columns without values.
     columns: Vec<Attribute>,
-    /// Which fields are x, y and z.
+    /// Indices of the fields x, y and z.
     axes: [usize; 3],
     pose: SensorPose,
     remarks: Remarks,
@@ -198,7 +198,7 @@ impl RecordReader for PlyReader {
     }
 }
 
-/// Returns the element `camera` that stands behind the vertices, which begin at a place of the file.
+/// Reads the element `camera` after the vertices, which begin at this offset of the file.
 fn camera_behind(
     path: &Path,
     vertices_at: usize,

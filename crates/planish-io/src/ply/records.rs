@@ -1,4 +1,4 @@
-//! Vertices as records of scalars, little-endian, one after another, as binary files have them.
+//! Vertices as consecutive little-endian records of scalars, as in binary files.
 
 use ply_rs_bw::ply::{ElementDef, Encoding as PlyEncoding, PropertyType, ScalarType};
 
@@ -110,7 +110,7 @@ impl Layout {
     }
 }
 
-/// Takes the records of an element off the front of a binary body, in little-endian order.
+/// Splits the records of an element off the front of a binary body, in little-endian order.
 pub(super) fn take_records<'a>(
     layout: &Layout,
     count: usize,

@@ -40,7 +40,7 @@ pub struct TileOptions {
     pub pose: Option<SensorPose>,
     /// How a PLY file is to store its points; `None` for as the input does.
     pub encoding: Option<Encoding>,
-    /// Bytes that may be used; LAZ takes some 100 MB besides.
+    /// Memory limit in bytes; LAZ needs about 100 MB in addition.
     pub max_memory_bytes: u64,
 }
 
@@ -70,7 +70,7 @@ impl TileOptions {
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct TilesReport {
-    /// How many points there were.
+    /// Number of points.
     pub points: usize,
     /// In how many tiles.
     pub tiles: usize,
@@ -80,7 +80,7 @@ pub struct TilesReport {
     pub status_counts: [usize; 7],
     /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
     pub reaching_beyond: usize,
-    /// Whether the file states its sensor's pose, or the options do.
+    /// Whether the file or the options state the sensor's pose.
     pub has_pose: bool,
     /// Assumed position of the sensor, if neither the file nor the options state it and it cannot have been the origin
     /// of coordinates.
@@ -96,8 +96,8 @@ pub fn are_tiled(input: &Path, output: &Path) -> bool {
     (is_las(input) && is_las(output)) || (is_ply(input) && is_ply(output))
 }
 
-/// Returns the bytes that smoothing a LAS, LAZ or PLY file whole takes; `None` for other files, organized clouds and
-/// what cannot be read.
+/// Returns the memory in bytes for smoothing a LAS, LAZ or PLY file at once; `None` for other, organized or unreadable
+/// files.
 pub fn bytes_in_memory(path: &Path) -> Option<u64> {
     fn needed<R: RecordReader>(path: &Path) -> Option<u64> {
         let reader = R::open(path).ok()?;
@@ -145,7 +145,7 @@ fn smooth_records<R: RecordReader>(
 ) -> Result<TilesReport, Error> {
     let engine = options.smoother.engine;
     if engine == Engine::Reference && matches!(options.params.radius, CloudRadius::Neighbours { .. }) {
-        // Radii by density have to be known, which it does not keep.
+        // Radii by density must be reported, which this engine does not do.
         let reason = "radii by density in tiles need the CPU or GPU engine; or set a radius".to_owned();
         return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
     }
@@ -292,7 +292,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         let needed_m = (0..tile.points as usize).filter_map(|i| {
             // A hole reaches nothing, and may belong to any tile. Without radii by density there are none.
             let radius_m = self.smoother.as_ref()?.own_radius_m(i)?;
-            // From the point to the border of its tile, beyond which there are other points.
+            // Distance from the point to the border of its tile, beyond which there are other points.
             let to_border = (0..2).map(|axis| {
                 let value = cloud.coordinate(axis, i);
                 (value - low[axis]).min(high[axis] - value)

@@ -1,4 +1,4 @@
-//! Which points per tile has: rectangles of cells seen from above, each with about as many points as fit.
+//! Assigns points to tiles: rectangles of cells seen from above, each with about as many points as fit into memory.
 
 /// Cells along the longer side of a cloud.
 const CELLS: usize = 2048;
@@ -118,7 +118,7 @@ const ENGINE_BYTES_A_POINT: u64 = 250;
 /// Copies of a tile's records in memory: as read, in columns, and as written.
 const COPIES: u64 = 3;
 
-/// Returns the memory that a point of a tile takes, in bytes.
+/// Returns the memory per point of a tile, in bytes.
 pub(super) fn bytes_a_point(record: usize) -> u64 {
     COPIES * record as u64 + ENGINE_BYTES_A_POINT
 }
@@ -149,7 +149,7 @@ mod tests {
         }
         assert_eq!(counts, tiles.iter().map(|tile| tile.points).collect::<Vec<_>>());
         assert_eq!(cells.tiles(20_000).len(), 1);
-        // One cell alone may have more than fit.
+        // A single cell may exceed the limit.
         let mut heap = Cells::new([0.0; 2], [1.0; 2]);
         (0..50).for_each(|_| heap.add(0.5, 0.5));
         heap.add(0.9, 0.1);

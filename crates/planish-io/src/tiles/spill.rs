@@ -17,7 +17,7 @@ use planish_core::{
 const BATCH: usize = 1 << 18;
 /// Each has two open files: fewer than any system allows.
 const MOST_TILES: usize = 100;
-/// Points by which the extent of a cloud is known.
+/// Number of sampled points that determine the extent of a cloud.
 const SAMPLE: usize = 10_000;
 
 /// The records of a file, dealt to tiles.

@@ -20,8 +20,7 @@ const MOST_FAILURES_TOLD: u64 = 5;
 /// Frames a second of a recording without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// When each of two cameras has had this many moments alone since the last match, their clocks are taken to be
-/// unrelated.
+/// If two cameras each had this many moments alone since the last match, their clocks are considered unrelated.
 const UNMATCHED_ARE_TOLD: u32 = 10;
 
 /// A frame that has arrived from a camera.
@@ -69,7 +68,7 @@ pub(super) struct Received {
     pub(super) unreadable: u64,
     pub(super) dropped_by_source: u64,
     pub(super) has_ended: bool,
-    /// Whether it ended with an error, which was reported.
+    /// Whether it ended with a reported error.
     pub(super) has_failed: bool,
     /// The latest of its time stamps, time offset added, in seconds.
     pub(super) last_s: Option<f64>,
@@ -166,7 +165,7 @@ impl Inbox {
         self.changed.notify_all();
     }
 
-    /// Takes the next moment, of live cameras the newest, waiting no longer than `patience`.
+    /// Takes the next moment (of live cameras the newest), waiting at most `patience`.
     pub(super) fn take(&self, patience: Duration) -> Taken {
         let deadline = Instant::now() + patience;
         let mut state = self.lock();

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use planish_core::{SensorModel, Xyz};
 
-/// Pixels that a thread takes at a time.
+/// Number of pixels per task.
 pub(super) const PIXELS_OF_A_TASK: usize = 4096;
 
 /// Half the distance in pixels over which the orientation of a surface is estimated.

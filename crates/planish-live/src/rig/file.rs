@@ -1,4 +1,4 @@
-//! `rig.json`: which cameras a rig has and where they stand.
+//! `rig.json`: the cameras of a rig and their poses.
 
 use std::path::Path;
 
@@ -40,7 +40,7 @@ struct CameraEntry {
     name: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     source: Option<String>,
-    /// Intrinsics as a camera file has them, or the name of one.
+    /// Intrinsics in the format of a camera file, or the name of one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     camera: Option<serde_json::Value>,
     #[serde(default, skip_serializing_if = "Option::is_none")]

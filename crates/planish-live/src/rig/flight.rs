@@ -16,9 +16,9 @@ pub(super) enum FlightResults {
     /// The state of each camera's frame.
     Submitted(Vec<Submitted>),
     Landed(RigViews),
-    /// All points together, which wait to be brought into voxels.
+    /// All points together, waiting to be sorted into voxels.
     Together(Box<Together>),
-    /// In voxels, which wait to be smoothed.
+    /// Points in voxels, waiting to be smoothed.
     InVoxels(Box<InVoxels>),
 }
 

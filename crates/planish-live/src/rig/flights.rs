@@ -1,4 +1,4 @@
-//! Moments in flight: while a GPU smooths the frames of one, the next goes up and the last is fused.
+//! Moments in flight: while a GPU smooths the frames of one, the next is uploaded and the previous one fused.
 
 use std::borrow::Cow;
 
@@ -19,7 +19,7 @@ const IN_FLIGHT_IN_VOXELS: usize = 2;
 /// Transforms of each camera's points into the rig's frame, and the result.
 type Placed = (Vec<Option<RigidTransform>>, RigViews);
 
-/// A moment whose results are there.
+/// A moment with its results.
 enum Landed {
     Views(Placed),
     InVoxels(Box<InVoxels>),
@@ -149,8 +149,8 @@ impl RigSmoother {
         Ok(landed.is_some())
     }
 
-    /// Returns the same where points are thinned: while the oldest moment is smoothed, the one before the next is
-    /// brought into voxels, and the points of the next are put together.
+    /// Receives the next moment with voxels: while the oldest is smoothed, the second is sorted into voxels, and the
+    /// points of the third are collected.
     fn next_in_voxels(
         &mut self,
         frames: &[Option<Frame<'_>>],
@@ -190,7 +190,7 @@ impl RigSmoother {
         self.general.voxel_m().filter(|_| self.way == RigWay::Merged)
     }
 
-    /// How many moments were submitted and not received.
+    /// Returns the number of moments submitted and not yet received.
     pub fn in_flight(&self) -> usize {
         self.flights.len()
     }
@@ -241,7 +241,7 @@ impl RigSmoother {
         Ok(())
     }
 
-    /// Waits for the results of all moments in flight, which stay to be received.
+    /// Waits for the results of all moments in flight and keeps them for `receive`.
     pub(super) fn land_all(&mut self) -> Result<(), Error> {
         let mut flights = std::mem::take(&mut self.flights);
         flights.iter_mut().try_for_each(|flight| self.land(flight))?;

@@ -11,7 +11,7 @@ use planish_core::{FrameError, Outputs, PointCloud};
 /// The frames of a moment with their results, as sinks get them.
 #[non_exhaustive]
 pub struct RigFrame {
-    /// Its index among the moments smoothed, from 0.
+    /// Its index among the smoothed moments, from 0.
     pub index: u64,
     /// The earliest time stamp of its frames, in seconds, time offsets added.
     pub time_s: f64,
@@ -21,7 +21,7 @@ pub struct RigFrame {
     pub rig: Arc<Rig>,
     /// The fields that were computed.
     pub outputs: Outputs,
-    /// From the arrival of its first frame until its result was available.
+    /// Time from the arrival of its first frame until its result was available.
     pub latency: Duration,
     /// The size of the voxels that its points were thinned to, in metres, if they were.
     pub voxel_m: Option<f64>,

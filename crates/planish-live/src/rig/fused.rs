@@ -1,4 +1,4 @@
-//! One cloud of several cameras', in the rig's frame.
+//! Fuses the clouds of several cameras in the rig's frame.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -20,12 +20,12 @@ const MOST_WITHOUT_ORIGIN_M: f64 = 1000.0;
 /// Fields that are directions, one component each.
 const DIRECTIONS: [[&str; 3]; 2] = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]];
 
-/// The field with the index of the camera that took a point.
+/// The field with the index of each point's camera.
 pub(super) const CAMERA_FIELD: &str = "camera";
 
 /// A camera's part of a fused cloud.
 pub(super) struct Part<'a> {
-    /// Its index in the rig.
+    /// Index of the camera in the rig.
     pub(super) camera: usize,
     pub(super) rig_from_points: RigidTransform,
     /// x, y and z of its points, of which some are holes.
@@ -39,9 +39,9 @@ const POINTS_OF_A_TASK: usize = 1 << 14;
 /// Puts clouds together in the rig's frame: for each its camera's index, its pose (rig_from_camera) and its points in
 /// the camera's frame.
 ///
-/// Holes are left out. Fields of one name become one field, zero for points of cameras without it; normals are turned;
-/// the field `camera` has each point's camera. Positions are relative to [`PointCloud::origin_m`], which is zero unless
-/// the rig is more than 1 km from its origin.
+/// Holes are left out. Fields with the same name are merged, with zeros for points of cameras without them; normals are
+/// rotated; the field `camera` contains each point's camera. Positions are relative to [`PointCloud::origin_m`], which
+/// is zero unless the rig is more than 1 km from its origin.
 ///
 /// # Errors
 /// If a pose is invalid.
@@ -101,7 +101,7 @@ fn place(parts: &[Part<'_>], origin: DVec3, positions: &mut Xyz, cameras: &mut V
     let ranges: Vec<(&Part<'_>, Range<usize>)> = parts.iter().flat_map(ranges).collect();
     let counts: Vec<usize> = ranges.par_iter().map(|(part, range)| part.count(range.clone())).collect();
     let total = counts.iter().sum();
-    // New memory is zero as it comes: the tasks are the first to touch it.
+    // New memory is already zero; the tasks are the first to touch it.
     if positions.capacity() < total {
         *positions = Xyz::filled(total, 0.0);
     }
@@ -163,7 +163,7 @@ fn of_all_parts(field: &Attribute, parts: &[Part<'_>], points: &[Vec<usize>]) ->
     Attribute { name: field.name.clone(), count: field.count, values }
 }
 
-/// Turns directions, where the cloud has them, from the cameras' frames into the rig's.
+/// Rotates direction fields, if present, from the cameras' frames to the rig's.
 fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>], points: &[Vec<usize>]) {
     let index = |name: &str| {
         let is_it = |a: &Attribute| a.name == name && a.count == 1 && matches!(a.values, AttributeValues::F32(_));

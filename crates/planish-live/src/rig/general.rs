@@ -13,7 +13,7 @@ pub(super) struct General {
     stopper: Stopper,
 }
 
-/// Ends the work on all points together, from another thread: on millions of points it takes seconds.
+/// Cancels the work on all points together from another thread; on millions of points it takes seconds.
 #[derive(Clone, Default)]
 pub(super) struct Stopper(Arc<Mutex<Option<Arc<Progress>>>>);
 

@@ -1,4 +1,4 @@
-//! Which frames of several cameras are of one moment, by their time stamps.
+//! Groups frames of several cameras into moments, by their time stamps.
 //!
 //! Frames of each camera wait in a queue. The earliest waiting frame opens a moment. The first waiting frame of every
 //! other camera belongs to it if its time stamp is within the tolerance, and not closer to the next frame of the camera
@@ -16,10 +16,10 @@ const CLOCK_JUMP_S: f64 = 0.5;
 /// A live camera that was missing from this many moments in a row is not waited for.
 const MISSING_IS_GONE: u32 = 15;
 
-/// How many frames of a live camera wait at most.
+/// Maximum number of waiting frames of a live camera.
 const MOST_WAITING: usize = 8;
 
-/// The time between frames of a camera of which only one is known, in seconds.
+/// Assumed time in seconds between frames of a camera of which only one is known.
 const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
 
 /// Frames of one moment, at most one of each camera.
@@ -38,7 +38,7 @@ pub struct Moment<T> {
 pub struct MatcherCounts {
     /// Frames that came.
     pub received: u64,
-    /// Frames that came when their moment had passed.
+    /// Frames that arrived after their moment.
     pub late: u64,
     /// Frames with the time stamp of the previous frame, or an earlier one.
     pub out_of_order: u64,
@@ -67,7 +67,7 @@ struct Queue<T> {
     has_ended: bool,
     /// Added to time stamps, since the clock jumped.
     offset_s: f64,
-    /// Its last time stamp, corrected, and when that came.
+    /// Its last time stamp, corrected, and the time of its arrival.
     last: Option<(f64, Instant)>,
     interval_s: f64,
     /// Moments in a row without it.
@@ -83,23 +83,23 @@ struct Waiting<T> {
 }
 
 impl<T> Matcher<T> {
-    /// For so many cameras. Frames of one moment are at most `tolerance_s` apart, and wait for each other no longer
-    /// than `patience` or the time between two frames; `None` is for recordings, of which nothing may be left out.
+    /// Creates a matcher. Frames of one moment differ by at most `tolerance_s`, and wait for each other at most
+    /// `patience` or the time between two frames; `None` is for recordings, from which nothing may be dropped.
     pub fn new(cameras: usize, tolerance_s: f64, patience: Option<Duration>) -> Self {
         Self { cameras: (0..cameras).map(|_| Queue::new()).collect(), tolerance_s, patience, last_s: f64::NEG_INFINITY }
     }
 
-    /// Returns true if another frame of this camera may come: of a recording no more than a few are read ahead.
+    /// Returns true if the camera may deliver another frame: only a few are read ahead from recordings.
     pub fn has_room(&self, camera: usize) -> bool {
         self.patience.is_some() || self.cameras.get(camera).is_some_and(|queue| queue.waiting.len() < MOST_WAITING)
     }
 
-    /// Takes a frame of a camera, with its time stamp in seconds.
+    /// Adds a frame of a camera, with its time stamp in seconds.
     pub fn put(&mut self, camera: usize, time_s: f64, now: Instant, frame: T) {
         let (is_live, last_s, tolerance_s) = (self.patience.is_some(), self.last_s, self.tolerance_s);
         let Some(queue) = self.cameras.get_mut(camera) else { return };
         queue.counts.received += 1;
-        // One without a time is of the moment that it comes at.
+        // A frame without a time belongs to the moment of its arrival.
         let time_s = if time_s.is_finite() { time_s } else { last_s.max(0.0) };
         let Some(time_s) = queue.corrected(time_s, now, is_live) else {
             queue.counts.out_of_order += 1;
@@ -119,7 +119,7 @@ impl<T> Matcher<T> {
         queue.waiting.push_back(Waiting { time_s, since: now, frame });
     }
 
-    /// No more frames of this camera will come.
+    /// Records that this camera delivers no more frames.
     pub fn end(&mut self, camera: usize) {
         if let Some(queue) = self.cameras.get_mut(camera) {
             queue.has_ended = true;
@@ -131,7 +131,7 @@ impl<T> Matcher<T> {
         self.cameras.iter().all(|queue| queue.has_ended && queue.waiting.is_empty())
     }
 
-    /// Takes the next moment, if it is complete or has been waited for long enough.
+    /// Takes the next moment, if it is complete or has waited long enough.
     pub fn take(&mut self, now: Instant) -> Option<Moment<T>> {
         let (first, time_s) = self.opener()?;
         if self.is_worth_waiting(first, now) {
@@ -171,7 +171,7 @@ impl<T> Matcher<T> {
         queue.waiting.front()?.since.checked_add(self.patience?.min(a_frame))
     }
 
-    /// When [`take`](Self::take) will give a moment at the latest, if one waits for cameras that are not there.
+    /// Returns the time at which [`take`](Self::take) returns an incomplete moment at the latest.
     pub fn due(&self) -> Option<Instant> {
         self.due_of(self.opener()?.0)
     }

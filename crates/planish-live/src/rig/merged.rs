@@ -40,7 +40,7 @@ impl RigSmoother {
         Ok(PlacedFrames { frames, rays, lenses })
     }
 
-    /// Does something with the engine for all points together, which is opened if it is not.
+    /// Calls a function with the engine for all points together, which is opened if necessary.
     pub(super) fn with_general<T>(&mut self, work: impl FnOnce(&mut Smoother) -> Result<T, Error>) -> Result<T, Error> {
         let Self { options, devices, failed, general, engine, .. } = self;
         let device = devices.first();
@@ -53,7 +53,7 @@ impl RigSmoother {
     }
 }
 
-/// Smooths the points of all cameras as one cloud; each camera gets its own back, on its grid and in the frame of its
+/// Smooths the points of all cameras as one cloud, and returns each camera's points on its grid and in the frame of its
 /// points.
 fn smooth(smoother: &mut Smoother, together: &Together) -> Result<Vec<Option<Smoothed>>, Error> {
     let mut smoothed = Smoothed::default();

@@ -48,10 +48,10 @@ pub use statistics::{CameraStatistics, RigStatistics};
 pub use stream::{RigEvent, RigStream};
 pub use viewpoint::Viewpoint;
 
-/// How far time stamps of one moment may be apart if a rig does not say: half the time between frames at 30 Hz.
+/// Default tolerance between time stamps of one moment: half the time between frames at 30 Hz.
 const DEFAULT_TOLERANCE_S: f64 = 0.016;
 
-/// As many cameras as the field `camera` of a fused cloud can tell apart.
+/// Maximum number of cameras that the field `camera` of a fused cloud distinguishes.
 const MOST_CAMERAS: usize = 256;
 
 /// Each holds what all cameras see from there.
@@ -59,13 +59,13 @@ const MOST_VIEWPOINTS: usize = 64;
 /// Limit for all viewpoints together; each pixel takes about 80 bytes while a moment is smoothed.
 const MOST_VIEWPOINT_PIXELS: usize = 1 << 24;
 
-/// As far as the windows of single frames reach at some 1.2 m.
+/// The reach of the windows of single frames at about 1.2 m.
 const MERGED_RADIUS_M: f32 = 0.03;
 
 /// A surface has some 30 voxels within this many: three times as many as a polynomial of degree 3 has coefficients.
 const VOXELS_IN_RADIUS: f32 = 3.0;
 
-/// How far surfaces of two cameras may be apart for their poses' sake: 0.2° and 2 mm at 1.5 m, and some.
+/// Default distance between two cameras' surfaces due to errors of their poses: 0.2° and 2 mm at 1.5 m, plus a margin.
 const DEFAULT_REGISTRATION_M: f64 = 0.01;
 
 /// More than any clock's seconds since any epoch.
@@ -82,9 +82,9 @@ pub struct Rig {
     pub cameras: Vec<RigCamera>,
     /// Name of the rig's frame (`frame_id` in ROS); it does not affect results.
     pub frame: Option<String>,
-    /// How far the time stamps of one moment may be apart, in seconds: above 0, at most 1.
+    /// Maximum difference in seconds between time stamps of one moment: above 0, at most 1.
     pub tolerance_s: f64,
-    /// Which clock frames are matched by.
+    /// The clock by which frames are matched.
     pub clock: Clock,
     /// Up to 64 places without a camera from which views are smoothed too.
     pub viewpoints: Vec<Viewpoint>,
@@ -98,7 +98,7 @@ pub enum Clock {
     /// number, 30 a second, if it is not.
     #[default]
     Source,
-    /// When frames arrive, for live cameras whose clocks have nothing in common.
+    /// Time of arrival, for live cameras with unrelated clocks.
     Arrival,
 }
 
@@ -106,7 +106,7 @@ pub enum Clock {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct RigCamera {
-    /// Its name: letters, digits, `-`, `_` and `.`, 64 at most, the first no dot.
+    /// Its name: letters, digits, `-`, `_` and `.`, at most 64, not beginning with a dot.
     pub name: String,
     /// Source of its frames, as for [`source::open`](crate::source::open). A bare calibration has none.
     pub source: Option<String>,
@@ -123,7 +123,7 @@ pub struct RigCamera {
     pub sensor: Option<SensorModel>,
     /// Added to its time stamps, in seconds.
     pub time_offset_s: f64,
-    /// Which image of a RealSense or an OpenNI2 camera depth and colour are mapped to.
+    /// The image of a RealSense or OpenNI2 camera that depth and colour are mapped to.
     pub alignment: Option<Alignment>,
     /// The mode of a RealSense or an OpenNI2 camera.
     pub mode: Option<StreamMode>,
@@ -277,7 +277,7 @@ impl RigCamera {
         if let Err(FrameError::BadPose(problem)) = self.pose.validate() {
             return Err(of(problem));
         }
-        // PCD's sign of an orientation that is not known, which a rig's camera must have.
+        // PCD's code for an unknown orientation, which a rig's camera must have.
         if self.pose.orientation == [0.0; 4] {
             let value = "0, 0, 0, 0".to_owned();
             return Err(of(ParamError { field: "orientation", value, allowed: "a quaternion of length 1" }));

@@ -59,9 +59,9 @@ impl RigOptions {
         }
     }
 
-    /// Creates options from settings. Each camera has the sensor of the settings, or its own where they name none; all
+    /// Creates options from settings. Each camera has the sensor of the settings, or the rig's if they name none. All
     /// points as one cloud have the parameters of merged points ([`merged_params`](super::merged_params)), in voxels if
-    /// given, with these settings in their place.
+    /// given, overridden by the settings.
     ///
     /// # Errors
     /// If settings contradict each other, a sensor is to be estimated, or a device is not there.

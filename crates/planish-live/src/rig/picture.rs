@@ -35,7 +35,7 @@ const BACKGROUND: [u8; 3] = [18, 18, 22];
 /// Stray points beyond this share of the others, on either side, do not make the picture smaller.
 const STRAY_SHARE: f64 = 0.01;
 
-/// How long the lines of a camera's view are, in shares of the picture.
+/// Length of the lines of a camera's view, as a share of the picture.
 const FRUSTUM_SHARE: f64 = 0.08;
 /// Half of a camera's view where its intrinsics are not known.
 const HALF_VIEW: f64 = 0.6;

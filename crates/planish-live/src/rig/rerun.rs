@@ -16,7 +16,7 @@ use planish_core::{AttributeValues, Error, IntoFrame, PointCloud};
 
 /// Radius of a point that is drawn, in metres.
 const POINT_M: f32 = 0.0015;
-/// How far from the lens a camera's view is drawn, in metres.
+/// Distance in metres between the lens and the drawn view of a camera.
 const FRUSTUM_M: f32 = 0.15;
 
 /// Shows every moment of a rig in Rerun. The outputs must include points; a moment of four cameras of 640x480 is about

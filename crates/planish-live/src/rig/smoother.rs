@@ -20,7 +20,7 @@ use planish_core::{
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum RigWay {
-    /// Each camera's frame on its own, with the noise of its sensor.
+    /// Each camera's frame separately, with the noise of its sensor.
     #[default]
     Each,
     /// All points as one unorganized cloud, so that what several cameras see is supported by all of them.
@@ -58,7 +58,7 @@ pub struct RigSmoother {
     pub(super) threads: Threads,
     /// The cameras of the rig, then those of added viewpoints.
     pub(super) cameras: Vec<CameraSmoother>,
-    /// How many the rig has.
+    /// Number of cameras in the rig.
     of_rig: usize,
     /// For all points together.
     pub(super) general: General,
@@ -158,8 +158,8 @@ impl RigSmoother {
 
     /// Thins merged points to one per voxel of this size in metres; `None` keeps all.
     ///
-    /// A fused cloud has then one point a voxel: the centroid of the points in it, smoothed among the other centroids,
-    /// with the camera of the point nearest to it. Each camera's own points are put onto the surface that those make
+    /// A fused cloud then has one point per voxel: the centroid of its points, smoothed among the other centroids, with
+    /// the camera of the nearest point. Each camera's points are moved onto the surface of the centroids
     /// (docs/method.md, section 13).
     pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
         Self { general: self.general.with_voxel_m(voxel_m), ..self }
@@ -196,8 +196,8 @@ impl RigSmoother {
     /// Smooths one frame of each camera that has one. Results are in the frames of their cameras' points.
     ///
     /// # Errors
-    /// If the engine fails; moments in flight are lost then, and the next frames open the engines again. A frame that
-    /// cannot be smoothed is an error in its own place.
+    /// If the engine fails; moments in flight are then lost, and the next frames reopen the engines. A frame that
+    /// cannot be smoothed is an error in its position.
     pub fn smooth(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
         self.check_count(frames)?;
         let result = self.land_all().and_then(|()| self.smooth_now(frames));
@@ -251,7 +251,7 @@ impl RigSmoother {
             }
             opened?;
         }
-        // They differ only where the CPU is one of several devices.
+        // They differ only if the CPU is one of several devices.
         let mut engines = self.cameras.iter().filter_map(|camera| Some(camera.smoother.as_ref()?.engine()));
         let first = engines.clone().next().unwrap_or(self.engine);
         self.engine = engines.find(|&engine| engine == Engine::Gpu).unwrap_or(first);
@@ -357,7 +357,7 @@ impl CameraSmoother {
         Self { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0) }
     }
 
-    /// For views from where no camera stands.
+    /// Creates empty measurements for added viewpoints.
     fn measures_nothing(&self) -> Option<Measured> {
         Some(Measured::nothing(self.camera?, self.params.sensor, self.rig_from_camera))
     }

@@ -14,17 +14,17 @@ pub struct CameraStatistics {
     pub frames_out: u64,
     /// Moments without a frame of this camera.
     pub missing: u64,
-    /// Frames that came when their moment had passed.
+    /// Frames that arrived after their moment.
     pub late: u64,
     /// Frames with the time stamp of the previous frame, or an earlier one.
     pub out_of_order: u64,
-    /// How often its clock jumped.
+    /// Number of jumps of its clock.
     pub jumps: u64,
     /// Frames of a live camera that newer ones replaced, since the engine was open.
     pub dropped: u64,
     /// Frames that could not be read, or that the engine refused.
     pub unreadable: u64,
-    /// Whether it ended before the stream did.
+    /// Whether it ended before the stream.
     pub has_ended: bool,
 }
 

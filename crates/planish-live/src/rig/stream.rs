@@ -22,7 +22,7 @@ use planish_core::{
     internal::{GpuLosses, LIVE_IN_FLIGHT, Recovery},
 };
 
-/// Frames of one moment wait for each other no longer than this, nor than the time between two frames.
+/// Maximum time for which frames of one moment wait for each other, unless the time between two frames is shorter.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 /// Between two looks at whether the stream is to stop.
@@ -49,7 +49,7 @@ pub struct RigStream<'a> {
 }
 
 impl<'a> RigStream<'a> {
-    /// Creates a stream without sinks, which nothing stops and nobody observes.
+    /// Creates a stream without sinks, stop flag and event handler.
     ///
     /// `sources` are the sources of the rig's cameras, in their order: either all live, in which case only the newest
     /// moment is smoothed, or all recorded, in which case every frame is.
@@ -80,7 +80,7 @@ impl<'a> RigStream<'a> {
     /// which the CPU engine takes over; with several devices, the others take over its cameras.
     ///
     /// # Errors
-    /// If the options are not allowed, an engine fails for good, or every camera failed before it delivered a frame.
+    /// If the options are invalid, an engine fails for good, or every camera failed before it delivered a frame.
     pub fn run(self) -> Result<RigStatistics, Error> {
         let never = AtomicBool::new(false);
         let Self { rig, mut sources, options, sinks, stop, tell } = self;
@@ -146,10 +146,10 @@ fn run(
         result.map(|()| stream.statistics)
     });
     inbox.close();
-    // The wait for a live camera is bounded, so that this is seen.
+    // The wait for a live camera is bounded, so this flag is noticed.
     ended.store(true, Ordering::Relaxed);
     for thread in threads.into_iter().flatten() {
-        // One that panicked has told so.
+        // A panic has already been reported.
         let _ = thread.join();
     }
     while let Some(warning) = inbox.warning() {
@@ -161,7 +161,7 @@ fn run(
     }
 }
 
-/// Whether the sources are live; they must all be, or none.
+/// Returns true if the sources are live; refuses a mixture.
 fn check_sources(rig: &Rig, sources: &[Box<dyn Source>]) -> Result<bool, ParamError> {
     if sources.len() != rig.cameras.len() {
         let value = sources.len().to_string();
@@ -188,7 +188,7 @@ struct Running<'a> {
     /// Moments in flight, kept to be smoothed again if their device is lost.
     pending: VecDeque<Moment<Arrived>>,
     is_live: bool,
-    /// Whether an engine has taken a moment.
+    /// Whether an engine has received a moment.
     was_open: bool,
     /// Number of GPU losses so far.
     losses: GpuLosses,
@@ -201,14 +201,14 @@ struct Running<'a> {
     told_refusals: Vec<Vec<String>>,
     /// Cameras whose lost points were reported.
     told_lost_points: Vec<bool>,
-    /// Frames of each camera that came with one of another.
+    /// Number of frames of each camera that were matched with another's.
     together: Vec<u64>,
     /// Numbers dropped before the engine was open: frames of each camera, and moments.
     at_start: Option<(Vec<u64>, u64)>,
 }
 
 impl Running<'_> {
-    /// Runs until the end; a moment that is being smoothed when `stop` is set is given up, where that may take long.
+    /// Runs until the end. If `stop` is set, a moment that may take long is abandoned.
     fn run_until(
         &mut self,
         inbox: &Inbox,
@@ -398,8 +398,8 @@ impl Running<'_> {
         Ok(())
     }
 
-    /// After an error of a GPU: its cameras go to the other devices; of one alone the engines are opened once more,
-    /// then the CPU takes over. Moments in flight are submitted again.
+    /// Recovers from an error of a GPU: its cameras move to the other devices; a single GPU is reopened once, then the
+    /// CPU takes over. Moments in flight are submitted again.
     fn recover(&mut self, mut error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
         loop {
             let was_gpu = self.smoother.engine() == Engine::Gpu;

@@ -11,9 +11,9 @@ use planish_core::{
     internal::{Rays, RigidTransform},
 };
 
-/// The frames of a moment, and where they were taken from.
+/// The frames of a moment and their poses.
 pub(super) struct PlacedFrames<'a> {
-    /// Each with what takes its points into the rig's frame.
+    /// Each frame with the transform of its points to the rig's frame.
     pub(super) frames: Vec<Option<(Frame<'a>, RigidTransform)>>,
     /// For depth images.
     pub(super) rays: Vec<Arc<Rays>>,
@@ -51,7 +51,7 @@ impl Together {
         Self { cloud, cameras }
     }
 
-    /// From where a camera looks, in the frame of the points.
+    /// Returns the position of a camera's lens in the frame of the points.
     pub(super) fn lens(&self, camera: usize) -> DVec3 {
         let lens = self.cameras.get(camera).and_then(|camera| Some(camera.as_ref()?.lens));
         lens.unwrap_or_default() - DVec3::from_array(self.cloud.origin_m)

@@ -1,11 +1,11 @@
-//! Places where no camera stands, from which views are smoothed too.
+//! Additional viewpoints without a camera, from which views are smoothed too.
 
 use glam::{DQuat, DVec3};
 
 use planish_core::{Camera, FrameError, ParamError, SensorPose};
 
-/// A place from which what all cameras see is smoothed besides their own ([`RigWay::Views`](super::RigWay::Views));
-/// other ways take no notice.
+/// A pose from which the points of all cameras are smoothed as an additional view
+/// ([`RigWay::Views`](super::RigWay::Views)); other ways ignore it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Viewpoint {

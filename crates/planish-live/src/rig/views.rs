@@ -1,4 +1,4 @@
-//! The way of views: what all cameras see, as range images from where each of them stands.
+//! Smoothing by views: the points of all cameras, as range images from each camera's position.
 //!
 //! Each camera's grid is a view, and so is the grid of every added viewpoint. The front of a pixel is its sample or, in
 //! a pixel without one, the nearest point that falls into it. Samples of other cameras in that pixel belong to the same
@@ -26,12 +26,12 @@ const FACING_COSINE: f64 = 0.17;
 /// largest depth difference between them, in pixel widths.
 const STEEPEST_PX: f32 = 2.0 * 5.67;
 
-/// Pixels of one smooth surface have normals less than 30° apart, and it passes no farther than this from where a
-/// tangent plane has it.
+/// Pixels of one smooth surface have normals less than 30° apart, and the surface is at most this far from the extended
+/// tangent plane.
 const SAME_SURFACE_COSINE: f64 = 0.866;
 const SAME_SURFACE_M: f64 = 0.003;
 
-/// A pixel that a sample does not fall into, or where it is not of the front.
+/// Marks a sample that is in no pixel, or not part of its front.
 const NOWHERE: u32 = u32::MAX;
 
 /// Measurements of a camera, in its frame.
@@ -52,7 +52,7 @@ pub(super) struct Measured {
 pub(super) struct View {
     points: Xyz,
     shape: (usize, usize),
-    /// For each camera the pixel that each of its samples was counted in; none for the view's own.
+    /// For each camera, the pixel in which each of its samples was counted; none for the view's camera.
     counted: Vec<Option<Vec<u32>>>,
 }
 
@@ -182,7 +182,7 @@ impl Measured {
         Landings { pixels, points }
     }
 
-    /// Moves the points to where the smoothed views have them.
+    /// Moves the points onto the smoothed views.
     pub(super) fn carried_back(
         &self,
         index: usize,
@@ -260,7 +260,7 @@ fn as_dvec(vector: [f32; 3]) -> DVec3 {
 }
 
 impl View {
-    /// It as a frame of its camera.
+    /// Returns the view as a frame of its camera.
     pub(super) fn frame<'a>(&'a self, of: &'a Measured) -> Result<Frame<'a>, FrameError> {
         let [x, y, z] = self.points.as_slices();
         let (width, height) = self.shape;
@@ -332,7 +332,8 @@ impl Seen<'_> {
         if along.abs() <= f64::from(GRAZING_COSINE) {
             return;
         }
-        // Noise has moved the sample along its ray, and so to another pixel than that where the ray meets the surface.
+        // Noise has moved the sample along its ray, and thus to another pixel than the one where the ray meets the
+        // surface.
         let met = lens + (point - lens).dot(normal) / along * ray_in_view;
         let Tangent { point, normal } = self.surface_at(met, normal).unwrap_or(Tangent { point, normal });
         let turn = self.here_from_view.rotation;
@@ -346,7 +347,7 @@ impl Seen<'_> {
         Tangent { point: as_dvec(self.points.get(pixel)), normal: as_dvec(self.normals.get(pixel)) }
     }
 
-    /// Returns the surface between the four pixels around a point close to it; `None` beside edges.
+    /// Interpolates the surface between the four pixels around a point close to it; `None` next to edges.
     fn surface_at(&self, point: DVec3, normal: DVec3) -> Option<Tangent> {
         let [u, v] = self.camera.project(point.to_array())?;
         let (left, top) = (u.floor(), v.floor());

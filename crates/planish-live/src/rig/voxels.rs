@@ -42,7 +42,7 @@ impl InVoxels {
         Ok(())
     }
 
-    /// Returns the smoothed centroids with their camera and the fields that were computed; holes are left out.
+    /// Returns the smoothed centroids with their camera and the computed fields; holes are left out.
     pub(super) fn fused(self, fields: Outputs) -> PointCloud {
         let Self { mut cloud, smoothed, together, .. } = self;
         let mut smoothed = smoothed.unwrap_or_default();
@@ -121,7 +121,7 @@ impl Surface<'_> {
         }
         let own_normal = self.normal(own);
         let p = DVec3::from_array(point.map(f64::from));
-        // Without a normal the engine has left the centroid where it is.
+        // Without a normal, the engine has not moved the centroid.
         let there = |(voxel, weight): (usize, f64)| {
             let normal = self.normal(voxel);
             let cosine = normal.dot(own_normal);

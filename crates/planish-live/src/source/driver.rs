@@ -8,8 +8,8 @@ use libloading::Library;
 
 use planish_core::DeviceError;
 
-/// Declares the functions that are used of a C library: `find` looks them up, by their names behind a prefix. They are
-/// valid as long as the struct is.
+/// Declares the functions used from a C library: `find` looks them up by their names, without a common prefix. They are
+/// valid as long as the struct lives.
 macro_rules! c_functions {
     ($(#[$about:meta])* $visible:vis struct $name:ident($prefix:literal) {
         $($(#[$note:meta])* $function:ident($($argument:ty),* $(,)?) $(-> $result:ty)?;)*
@@ -24,7 +24,7 @@ macro_rules! c_functions {
             /// # Safety
             /// The library's functions of these names have these signatures.
             unsafe fn find(library: libloading::Library) -> Result<Self, libloading::Error> {
-                // SAFETY: as above; the functions are kept together with their library.
+                // SAFETY: as above; the functions are stored together with their library.
                 unsafe {
                     Ok(Self {
                         $($function: *library.get(concat!($prefix, stringify!($function), "\0").as_bytes())?,)*

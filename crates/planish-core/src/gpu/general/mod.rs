@@ -1,6 +1,6 @@
 //! Unorganized clouds on the GPU (docs/method.md, section 8): the points are sorted on the device along a curve, boxes
 //! are built over them, and each position is fitted by a thread that walks through the boxes within its reach. Nothing
-//! comes back before the results.
+//! is read back before the results.
 //!
 //! [`passes`] lists the kernels in execution order, [`buffers`] their data. Passes over all positions are submitted in
 //! parts, to stay below the GPU watchdog timeout and to report progress.
@@ -64,7 +64,7 @@ pub(crate) struct GeneralGpu {
     kernels: Vec<Compiled>,
     uploader: Uploader,
     buffers: Option<Buffers>,
-    /// How many points the device takes at once.
+    /// Maximum number of points on the device at once.
     most_points: usize,
     /// Whether radii by density are read back for [`ImmediateEngine::own_radius_m`]; the radii of the last cloud.
     keeps_radii: bool,
@@ -268,7 +268,7 @@ impl GeneralGpu {
         self.gpu.submit(commands.finish())
     }
 
-    /// Smooths a cloud that the device takes at once.
+    /// Smooths a cloud that fits on the device.
     fn smooth_at_once(
         &mut self,
         frame: &AdmittedFrame<'_>,
@@ -345,7 +345,7 @@ fn middle_of(view: &PointsView<'_>) -> [[f64; 2]; 3] {
     [0, 1, 2].map(|axis| middle(view.len(), |i| f64::from(view.get(i)[axis] as f32)).unwrap_or_default())
 }
 
-/// How far most points span, in metres.
+/// Returns the extent of most points in metres.
 fn extent_m(middle: &[[f64; 2]; 3]) -> f64 {
     middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt()
 }
@@ -373,7 +373,7 @@ impl ImmediateEngine for GeneralGpu {
                 self.smooth_in_parts(frame, &view, out.reborrow())
             };
             match result {
-                // Its limits allow more than it has room for.
+                // The device's limits allow more than its memory holds.
                 Err(Error::Engine(EngineError::OutOfMemory { .. }))
                     if self.most_points.min(view.len()) > PART_PLACES =>
                 {

@@ -1,7 +1,7 @@
-//! Clouds of more points than the device takes at once: dealt to boxes by medians, each of which is smoothed with a
-//! halo of the points around it (`neighbours/halo.rs`).
+//! Clouds with more points than the device can hold, divided at medians into boxes, each of which is smoothed with a
+//! halo of surrounding points (`neighbours/halo.rs`).
 //!
-//! The points of a part lie in the order of the cloud, so that results are put in their places in parallel.
+//! The points of a part keep the order of the cloud, so that results are stored in parallel.
 
 use std::cmp::Ordering;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use crate::frame::PointsView;
 use crate::range::MAX_RANGE_M;
 use crate::xyz::Xyz;
 
-/// Points from which the cuts between parts are taken.
+/// Number of sampled points that determine the cuts between parts.
 const SAMPLE: usize = 1 << 16;
 /// A part may exceed the intended number of points by this factor.
 const TOLERANCE: f64 = 1.1;
@@ -49,12 +49,12 @@ impl Part {
         Self { bounds: Some(bounds(&records)), records }
     }
 
-    /// Returns its own points, in the order of the cloud.
+    /// Returns its points without the halo, in the order of the cloud.
     pub(super) fn own(&self) -> &[Record] {
         &self.records
     }
 
-    /// Returns how many points are its own.
+    /// Returns the number of its points without the halo.
     pub(super) fn len(&self) -> usize {
         self.records.len()
     }

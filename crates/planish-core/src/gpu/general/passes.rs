@@ -74,7 +74,7 @@ pub(super) enum Pass {
     CountDigits,
     ScanCounts,
     ScatterDigits,
-    /// One place for equal positions.
+    /// Assigns one index to equal positions.
     CountHeads,
     PlaceHeads,
     /// The boxes.
@@ -82,12 +82,12 @@ pub(super) enum Pass {
     Nodes,
     /// Radii from the density.
     Radii,
-    /// The planes of all positions, where edges are kept.
+    /// Fits the planes of all positions, if edges are kept.
     FirstPlanes,
     Fit,
     /// The results of points at the same position.
     Repeat,
-    /// The radii in the order of the points, where the host asks for them.
+    /// Writes the radii in the order of the points, if the host requests them.
     PointRadii,
 }
 

@@ -10,7 +10,7 @@ use crate::status::Status;
 
 /// The results of a cloud, or of a part of one with its halo.
 pub(super) struct GeneralResults<'a> {
-    /// Status and neighbours lie behind the other channels, a word for each point.
+    /// Status and neighbours follow the other channels, one word per point.
     pub(super) layout: Layout,
     pub(super) words: &'a [u32],
     /// Radii in metres, before their limit; NaN for holes. Undefined unless requested.
@@ -44,8 +44,8 @@ impl<'a> GeneralResults<'a> {
         });
     }
 
-    /// Copies the results of a part's own points, which come first and lie in the order of the cloud, to where those
-    /// are in it.
+    /// Copies the results of a part's points, which come first and keep the order of the cloud, to their positions in
+    /// the cloud.
     pub(super) fn scatter_into(&self, own: &[Record], out: SmoothedMut<'_>) {
         fn put<T: Send, U: Copy + Sync>(own: &[Record], to: &mut [T], from: &[U], set: impl Fn(&mut T, U) + Sync) {
             put_from(0, own, to, from, &set);

@@ -1,6 +1,6 @@
 // The means of blocks of points (docs/method.md, sections 2 and 10). The windows of this pass are the blocks.
 
-// How far from its pixel's point a point of a block may be, whose range is given.
+// Maximum distance between a pixel's point, at this range, and the points of its block.
 fn block_gate(frame: u32, range: f32) -> Gate {
     let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
     return gate_of(clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M));

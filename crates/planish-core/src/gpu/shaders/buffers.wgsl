@@ -7,7 +7,7 @@
 struct Batch {
     width: u32,
     height: u32,
-    // From one frame to the next.
+    // Distance between frames.
     input_words: u32,
     output_words: u32,
 }

@@ -1,9 +1,9 @@
 // The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
 //
-// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root those lose half their
-// digits, so the root that stands alone is solved for first: the smallest where the points lie on a plane, the largest where
-// they lie along a line. In the second case the other two come from the matrix restricted to the plane across the line
-// (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and some unit vector.
+// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
+// their digits, so the isolated root is solved for first: the smallest for planar points, the largest for points along
+// a line. In the second case the other two come from the matrix restricted to the plane across the line (after Eberly,
+// "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and an arbitrary unit vector.
 
 // If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
@@ -59,7 +59,7 @@ fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
     return fma(a, b, -(c * d));
 }
 
-// A unit vector that B - value I takes to zero: the longest cross product of two of its rows.
+// Returns a unit vector in the null space of B - value I: the longest cross product of two of its rows.
 fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
     let x = vec3<f32>(b.xx - value, b.xy, b.xz);
     let y = vec3<f32>(b.xy, b.yy - value, b.yz);
@@ -141,7 +141,7 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
     );
     let half_det = clamp(det * 0.5, -1.0, 1.0);
 
-    // The root that stands alone: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
+    // The isolated root: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
     let is_line_like = half_det > LINE_LIKE;
     let sign = select(-1.0, 1.0, is_line_like);
     let half_alone = sign * cos_third_acos(half_det * sign);

@@ -32,7 +32,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
                 continue;
             }
             let n = normal_at(frame, FIRST_NORMAL, at);
-            // From p to the plane along its normal, and from the mean.
+            // Distances to the plane along its normal, from p and from the mean.
             let to_plane = dot(offset, n) + planes[plane_word(frame, FIRST_HEIGHT, at)];
             let from_mean = to_plane - dot(to_mean, n);
             let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, own_residual);

@@ -1,4 +1,4 @@
-// The first planes where edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
+// Fits the first planes if edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn fit_first_planes(

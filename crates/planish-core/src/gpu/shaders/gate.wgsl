@@ -9,7 +9,7 @@ fn gate_of(radius: f32) -> Gate {
     return Gate(-GATE_FADE / (radius * radius));
 }
 
-// How much an offset counts by its square: not at all from 0 down, fully from 1 up.
+// Weight of an offset by its square, before clamping to 0 to 1.
 fn unclamped(gate: Gate, squared: f32) -> f32 {
     return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
@@ -18,7 +18,7 @@ fn unclamped(gate: Gate, squared: f32) -> f32 {
 struct Sums {
     // How many.
     n: f32,
-    // How much they count together.
+    // Sum of the weights.
     total: f32,
     e: vec3<f32>,
     // xx, xy, xz

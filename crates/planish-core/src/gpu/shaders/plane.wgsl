@@ -24,7 +24,7 @@ struct LocalSurface {
     plane: Plane,
     // How many neighbours.
     n: f32,
-    // How far from the plane a neighbour counts, in metres; means nothing where KEEPS_EDGES is false.
+    // Maximum distance of a neighbour from the plane in metres; undefined if KEEPS_EDGES is false.
     width: f32,
 }
 

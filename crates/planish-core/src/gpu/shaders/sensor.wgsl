@@ -16,7 +16,7 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
-// How far a ray reaches along the sensor's axis.
+// Returns the length of a ray along the sensor's axis.
 fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
     if !IS_POINTS {
         return ray.z;

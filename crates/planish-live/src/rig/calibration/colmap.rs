@@ -45,7 +45,7 @@ pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec
         let placed = place(name, &camera_from_rig, options).map_err(|error| problem(error.to_string()))?;
         let intrinsics = entry.camera_model_name.as_ref().map(|model| {
             let parameters: Vec<String> = entry.camera_params.iter().map(f64::to_string).collect();
-            // Without a size, which the file does not have.
+            // Without a size, which the file lacks.
             planish_io::internal::colmap_camera(&format!("1 {model} 0 0 {}", parameters.join(" ")))
                 .map_err(|error| problem(error.to_string()))
         });

@@ -16,7 +16,7 @@ struct Entry {
     resolution: Option<[usize; 2]>,
     /// Added to the camera's time stamps to get the IMU's time, in seconds.
     timeshift_cam_imu: Option<f64>,
-    /// Takes points of the camera before this one into this one's frame.
+    /// Transforms points of the previous camera to this one's frame.
     #[serde(rename = "T_cn_cnm1")]
     from_previous: Option<Vec<[f64; 4]>>,
 }
@@ -48,7 +48,7 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
             None => return Err(problem("no T_cn_cnm1: it was not calibrated to the previous camera".into())),
         }
         let camera = camera_at(&name, &rig_from_camera).with_camera(Some(intrinsics));
-        // Both take time stamps to the clock of the IMU.
+        // Both offsets convert time stamps to the IMU's clock.
         cameras.push(camera.with_time_offset_s(entry.timeshift_cam_imu.unwrap_or(0.0)));
     }
     let is_camera = |key: &&str| key.strip_prefix("cam").is_some_and(|number| number.parse::<usize>().is_ok());

@@ -11,7 +11,7 @@ const TOLD_EARLIER_S: f64 = 0.5;
 const MOST_REFUSALS_TOLD: usize = 5;
 
 impl Running<'_> {
-    /// Returns true if nobody would get the results any more, which is reported.
+    /// Returns true, and reports it, if no sink is left to receive results.
     pub(super) fn sinks_are_gone(&self, tell: &mut impl FnMut(RigEvent<'_>)) -> bool {
         let are_gone = SinkThread::all_failed(&self.sinks);
         if are_gone {

@@ -1,7 +1,7 @@
 // Declarations shared by all kernels for unorganized clouds (general/passes.rs declares the buffers).
 //
-// Points are sorted along a curve; equal positions become one place with a count. 16 places are a leaf, 8 nodes a node of the
-// next level; where a node's children are follows from its number.
+// Points are sorted along a curve; equal positions become one entry with a count. Each 16 entries are a leaf, each 8
+// nodes a node of the next level; the indices of a node's children follow from its index.
 
 struct Cloud {
     // The cloud's points, holes among them.

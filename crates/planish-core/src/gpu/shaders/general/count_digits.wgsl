@@ -1,4 +1,4 @@
-// How many keys of each tile have which digit.
+// Counts the keys of each tile by digit.
 
 var<workgroup> found: array<atomic<u32>, DIGITS>;
 

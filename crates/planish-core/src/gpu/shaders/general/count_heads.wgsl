@@ -1,4 +1,4 @@
-// How many distinct positions begin in each tile.
+// Counts the distinct positions that begin in each tile.
 
 var<workgroup> found: atomic<u32>;
 

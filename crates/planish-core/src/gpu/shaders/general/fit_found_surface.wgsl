@@ -2,7 +2,7 @@
 
 // The noise, and the mean of nearby positions, which replaces p when its distance from a plane is measured.
 struct Surroundings {
-    // One over the square of the noise; 0 where no plane is usable.
+    // 1/noise²; 0 if no plane is usable.
     per_variance: f32,
     mean: vec3<f32>,
 }
@@ -66,7 +66,7 @@ fn found_surface(place: u32, p: vec3<f32>, radius: f32, own: Plane, n: f32) -> L
                 continue;
             }
             let first = planes[PLANE_WORDS * other + FIRST_NORMAL];
-            // From p to the plane along its normal, and from the mean.
+            // Distances to the plane along its normal, from p and from the mean.
             let to_plane = dot(offset, first.xyz) + first.w;
             let from_mean = to_plane - dot(around.mean, first.xyz);
             let residual = fma(GENERAL_DISTANCE_WEIGHT * from_mean, from_mean, own_residual);

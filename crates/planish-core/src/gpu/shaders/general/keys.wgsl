@@ -14,12 +14,13 @@ fn cell_of(p: vec3<f32>) -> vec3<u32> {
     let beyond = 0.5 + log2(max(abs(t), vec3<f32>(1.0))) * (0.5 / OCTAVES);
     // Stay clear of the border: the curve ends in a corner, whose key marks holes.
     let u = min(select(within, beyond, abs(t) > vec3<f32>(1.0)), vec3<f32>(0.99999));
-    // From the middle, near which f32 is finer.
+    // Relative to the middle, near which f32 is finer.
     let steps = vec3<u32>(u * f32(HALF));
     return select(HALF + steps, HALF - 1u - steps, t < vec3<f32>(0.0));
 }
 
-// How far along the curve a cell is, its bits still apart: Skilling's transposition ("Programming the Hilbert curve", 2004).
+// Returns the position of a cell along the curve, with its bits not yet interleaved: Skilling's transposition
+// ("Programming the Hilbert curve", 2004).
 fn transposed(cell_: vec3<u32>) -> vec3<u32> {
     var cell = cell_;
     for (var bit = 1u << (CELL_BITS - 1u); bit > 1u; bit >>= 1u) {

@@ -1,4 +1,5 @@
-// The radius by density of every point before its limit, where the results were, which the host has by then; NaN of holes.
+// Writes each point's radius by density before its limit over the results, which the host has read by then; NaN for
+// holes.
 
 @compute @workgroup_size(256)
 fn write_point_radii(

@@ -1,14 +1,14 @@
 // Radii from the density of the points (docs/method.md, section 8).
 //
-// The sum of 1 - d²/r² is convex and falls in u = 1/r², and it is a straight line between two candidates: from a large radius on,
-// Newton's method goes to the solution without passing it, and ends there.
+// The sum of 1 - d²/r² is convex and decreasing in u = 1/r², and linear between two candidates. Starting from a large
+// radius, Newton's method reaches the solution without overshooting, and stops there.
 
 // Steps of Newton's method; five to eight usually suffice.
 const MOST_STEPS: u32 = 50u;
-// How much further, squared, a reach is tried that holds too few points.
+// Factor of the squared reach if it contains too few points.
 const NEXT_REACH: f32 = 2.25;
 
-// How many positions are within a radius, and the sum of the squares of their distances.
+// Number of positions within a radius, and the sum of their squared distances.
 struct Within {
     n: f32,
     sum: f32,

@@ -1,4 +1,4 @@
-// The result of a point: channels of words, and a word of status and neighbours behind them.
+// The result of a point: channels of words, then a word of status and neighbours.
 
 fn store(i: u32, result: PixelResult) {
     if WANTS_POINTS {

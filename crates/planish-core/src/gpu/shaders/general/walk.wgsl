@@ -1,10 +1,10 @@
-// A walk through the nodes, from the highest level down, without a stack: after the last of eight siblings comes the one after
-// their parent.
+// Walks through the nodes from the highest level down, without a stack: the last of eight siblings is followed by the
+// sibling of their parent.
 
 struct Walk {
     level: u32,
     node: u32,
-    // The leaf that was found last.
+    // The last leaf found.
     leaf: u32,
     is_done: bool,
 }
