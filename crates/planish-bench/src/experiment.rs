@@ -131,7 +131,7 @@ impl<'a> Bench<'a> {
         let [least, most, warm_up] = [least_ms, most_ms, warm_up_ms].map(Duration::from_millis);
         let (mut values, mut start) = (Vec::new(), Instant::now());
         values.push(one()?);
-        // A long run needs no further warm-up.
+        // A long run warms up on its own.
         if start.elapsed() < warm_up {
             while start.elapsed() < warm_up && !self.stopped() {
                 one()?;
@@ -225,7 +225,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Compares points with the reference; a difference is an error. Of `copies` stacked frames, rows near a seam see
+    /// Compares points with the reference; a difference is an error. In `copies` stacked frames, rows near a seam see
     /// the next copy and are left out.
     fn hold(
         &self,

@@ -31,7 +31,7 @@ pub struct CloudParams {
     pub fit: Fit,
     /// The gate: points further away than this from a point are no neighbours.
     pub radius: CloudRadius,
-    /// Whether isolated points become holes: those with fewer than three neighbours, or a quarter of
+    /// Whether isolated points become holes: points with fewer than three neighbours, or a quarter of
     /// [`CloudRadius::Neighbours`]. Otherwise they are unchanged.
     pub remove_isolated: bool,
 }

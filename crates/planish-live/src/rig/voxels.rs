@@ -121,7 +121,7 @@ impl Surface<'_> {
         }
         let own_normal = self.normal(own);
         let p = DVec3::from_array(point.map(f64::from));
-        // Without a normal, the engine has not moved the centroid.
+        // The engine does not move a centroid without a normal.
         let there = |(voxel, weight): (usize, f64)| {
             let normal = self.normal(voxel);
             let cosine = normal.dot(own_normal);

@@ -10,7 +10,7 @@ use planish_core::{DeviceError, Error};
 /// Time between two attempts to open a camera.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 
-/// Opens a camera, or says why it cannot.
+/// Opens a camera, or returns the reason for the failure.
 type Open = Box<dyn FnMut() -> Result<Box<dyn Source>, Error> + Send>;
 
 /// A camera that is waited for while it is missing, and reopened when it returns.
@@ -29,8 +29,8 @@ pub struct Reconnecting {
 }
 
 impl Reconnecting {
-    /// Opens a camera by its name, or waits for it if it is missing. `tell` receives messages for users: what is
-    /// waited for, and the description of an opened camera.
+    /// Opens a camera by its name, or waits for it if it is missing. `tell` receives messages for users: waiting, and
+    /// the description of an opened camera.
     ///
     /// # Errors
     /// If the camera exists and cannot be opened, or the name or the options are not allowed.
