@@ -82,7 +82,7 @@ test("arrays of other types, numbers that are none and cameras that are misspelt
   await refused(() => planish.open("x.pcd", "text"), /Uint8Array or ArrayBuffer/);
   await refused(() => planish.smooth(depth, { ...camera, fx: NaN }), /fx = NaN is not a finite/);
   await refused(() => planish.smooth(depth, camera, { radius: Infinity }), /radius = Infinity/);
-  await refused(() => planish.smooth(depth, { ...camera, depthScale: 5000 }), /no "depthScale"/);
+  await refused(() => planish.smooth(depth, { ...camera, depthScale: 5000 }), /unknown field "depthScale"/);
 });
 
 test("a result outlives its frame", async () => {
