@@ -351,7 +351,7 @@ pub struct DevicesArgs {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  planish evaluate --seeds 2 --sensor d435\n  planish evaluate --input table.pcd")]
 pub struct EvaluateArgs {
-    /// Number of simulated seeds, three frames each, with the noise of --sensor
+    /// Number of simulated seeds, six frames each, with the noise of --sensor
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
     /// Single seed to simulate

@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{
-    Case, Evaluation, PatchReport, Report, Suite, TileReport, jitter_mm, patch_planes, tile_planes,
+    Case, CurveReport, Evaluation, PatchReport, Report, Suite, TileReport, jitter_mm, patch_planes, tile_planes,
 };
 use planish::internal::write_rgb_png;
 use planish::io::{self, Contents, Encoding, write_cloud, write_whole};
@@ -392,6 +392,26 @@ fn print(rows: &[Row]) {
     outln!("shapes");
     line("sphere, radius", &|r| format!("{:+.2} %", 100.0 * r.report.sphere_radius_bias));
     line("cylinder, radius", &|r| format!("{:+.2} %", 100.0 * r.report.cylinder_radius_bias));
+    outln!("curved surfaces: distance to the truth, RMS; its mean; facets, mean error");
+    for curve in &rows[0].report.curves {
+        let size = match curve.radius_m {
+            radius_m if radius_m.is_finite() => format!(" of {:.1} cm", 100.0 * radius_m),
+            _ => String::new(),
+        };
+        // A method may have lost a surface.
+        let same = |r: &Row| {
+            let is_same = |other: &&CurveReport| {
+                (other.name, other.radius_m, other.range_m) == (curve.name, curve.radius_m, curve.range_m)
+            };
+            r.report.curves.iter().find(is_same).cloned()
+        };
+        let value = |r: &Row, of: fn(&CurveReport) -> String| same(r).map_or("-".to_owned(), |curve| of(&curve));
+        line(&format!("{}{size} at {:.1} m: RMS, mm", curve.name, curve.range_m), &|r| {
+            value(r, |c| format!("{:.2}", c.rmse_mm))
+        });
+        line("  mean, mm", &|r| value(r, |c| format!("{:+.2}", c.bias_mm)));
+        line("  facets", &|r| value(r, |c| format!("{:.1}°", c.facet_mean_deg)));
+    }
     outln!("pixels");
     line("measured, but lost", &|r| percent(r.report.lost_share));
     line("  of which on a surface, not floating", &|r| percent(r.report.lost_true_share));

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use serde::Serialize;
 
+use super::curves::{CurveReport, Curves};
 use super::geometry::{angle_deg, distance_to_surface, floats, measured_point, plane, step_m};
 use super::suite::{Case, Gauges};
 use super::{edge_band, flat_pixels};
@@ -98,6 +99,8 @@ pub struct Report {
     pub sphere_radius_bias: f64,
     /// Mean distance of a cylinder's points from its axis over its radius, less 1.
     pub cylinder_radius_bias: f64,
+    /// Curved surfaces by shape, radius and range.
+    pub curves: Vec<CurveReport>,
     /// Share of the measured pixels that have no point.
     pub lost_share: f64,
     /// Share of the measured pixels on a surface (not floating) that have no point.
@@ -157,12 +160,12 @@ impl Flat {
     }
 }
 
-fn mean_deg(angles: &[f32]) -> f64 {
+pub(super) fn mean_deg(angles: &[f32]) -> f64 {
     angles.iter().map(|&deg| f64::from(deg)).sum::<f64>() / angles.len() as f64
 }
 
 /// Returns the value that a share of the values lie below; NaN for none.
-fn quantile(values: &[f32], share: f64) -> f64 {
+pub(super) fn quantile(values: &[f32], share: f64) -> f64 {
     let mut values = values.to_vec();
     let at = (values.len() as f64 * share) as usize;
     match values.get(at) {
@@ -193,6 +196,7 @@ pub struct Evaluation {
     crease_deg: Sum,
     sphere: Sum,
     cylinder: Sum,
+    curves: Curves,
     measured: usize,
     lost: usize,
     lost_true: usize,
@@ -203,6 +207,10 @@ impl Evaluation {
     /// Adds a result: points in camera coordinates, one per pixel of the case's frame, and their normals.
     pub fn add(&mut self, case: &Case, points: &Xyz, normals: &Xyz) {
         let truth = &case.truth;
+        if let Gauges::Curves(curves, range_m) = &case.gauges {
+            self.curves.add(truth, (curves, *range_m), points, normals);
+            return;
+        }
         for (i, &raw) in case.frame.raw.iter().enumerate() {
             let (measured, there) = (case.frame.camera.depth_m(raw).is_finite(), points.is_finite(i));
             self.measured += usize::from(measured);
@@ -212,12 +220,13 @@ impl Evaluation {
             }
             self.invented += usize::from(there && !measured);
         }
-        match case.gauges {
+        match &case.gauges {
             Gauges::Surfaces => {
                 self.add_flat(truth, points, normals);
                 self.add_edges(truth, points);
             }
-            Gauges::Shapes(gauge) => self.add_shapes(truth, &gauge, points),
+            Gauges::Shapes(gauge) => self.add_shapes(truth, gauge, points),
+            Gauges::Curves(..) => {}
         }
     }
 
@@ -341,6 +350,7 @@ impl Evaluation {
             crease_deg: self.crease_deg.mean(),
             sphere_radius_bias: self.sphere.mean(),
             cylinder_radius_bias: self.cylinder.mean(),
+            curves: self.curves.report(),
             lost_share: self.lost as f64 / self.measured as f64,
             lost_true_share: self.lost_true as f64 / self.measured as f64,
             invented: self.invented,

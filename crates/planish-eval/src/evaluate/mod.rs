@@ -3,6 +3,7 @@
 //! [`Suite`] renders the frames, [`Evaluation`] computes the scores of a method on them. [`tile_planes`] needs no
 //! ground truth.
 
+mod curves;
 mod evaluation;
 mod geometry;
 mod patches;
@@ -13,6 +14,7 @@ mod tiles;
 use crate::simulate::{NO_OBJECT, Truth};
 use planish_core::{Camera, Xyz};
 
+pub use curves::CurveReport;
 pub use evaluation::{AngleReport, Evaluation, RangeReport, Report, jitter_mm};
 pub use patches::{PatchReport, patch_planes};
 pub use rig::{RigCase, RigCaseCamera, RigEvaluation, RigReport, RigSuite};

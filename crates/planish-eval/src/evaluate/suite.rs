@@ -1,9 +1,9 @@
 //! The frames that methods are evaluated on: seeded scenes with the noise of a Kinect v1, and the gauges in them.
 
-use crate::simulate::{DepthNoise, DepthSimulator, Gauge, Scene, Truth};
+use crate::simulate::{CURVES_RANGES_M, Curve, DepthNoise, DepthSimulator, Gauge, Scene, Truth};
 use planish_core::{Camera, DepthFrame, FrameError};
 
-/// Three frames per seed: a table, a room, and shapes of known size.
+/// Six frames per seed: a table, a room, shapes of known size, and curved surfaces at three ranges.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Suite {
     /// The camera; it has the field of view of a Kinect v1 at any resolution.
@@ -19,13 +19,15 @@ impl Default for Suite {
 }
 
 /// Metrics of a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Gauges {
     /// Surfaces and edges, by range and angle.
     Surfaces,
     /// Sizes and angles.
     Shapes(Gauge),
+    /// Curved surfaces, and their range in metres.
+    Curves(Vec<Curve>, f64),
 }
 
 /// A frame with its truth.
@@ -46,13 +48,17 @@ impl Suite {
     pub fn cases(&self, seed: u64) -> Result<Vec<Case>, FrameError> {
         let (table, room, shapes) = (Scene::tabletop(seed), Scene::room(seed), Scene::gauges(seed));
         let gauge = shapes.2;
-        let scenes = [
-            ("table", (table.0, table.1), Gauges::Surfaces),
-            ("room", (room.0, room.1), Gauges::Surfaces),
-            ("shapes", (shapes.0, shapes.1), Gauges::Shapes(gauge)),
+        let mut scenes = vec![
+            ("table".to_owned(), (table.0, table.1), Gauges::Surfaces),
+            ("room".to_owned(), (room.0, room.1), Gauges::Surfaces),
+            ("shapes".to_owned(), (shapes.0, shapes.1), Gauges::Shapes(gauge)),
         ];
+        for range_m in CURVES_RANGES_M {
+            let (scene, pose, curves) = Scene::curves(seed, range_m);
+            scenes.push((format!("curves-{range_m}m"), (scene, pose), Gauges::Curves(curves, range_m)));
+        }
         let simulator = DepthSimulator::new(self.noise, self.camera, seed);
-        let case = |(name, (scene, pose), gauges): (&str, (Scene, _), _)| {
+        let case = |(name, (scene, pose), gauges): (String, (Scene, _), _)| {
             let truth = scene.render(&self.camera, &pose);
             let frame = simulator.frame(&truth, 0)?;
             Ok(Case { name: format!("{name}-{seed}"), truth, frame, gauges })

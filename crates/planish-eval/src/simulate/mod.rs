@@ -27,5 +27,5 @@ pub use planish_core::Camera;
 pub use random::Random;
 pub use rig::{PoseErrors, RigScene};
 pub use scene::{NO_OBJECT, Pose, Scene, Shape, Truth};
-pub use scenes::Gauge;
+pub use scenes::{CURVES_RANGES_M, Curve, Gauge};
 pub use sensor::{DepthNoise, DepthSimulator, ErrorUnit};

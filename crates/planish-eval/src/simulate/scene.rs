@@ -46,6 +46,27 @@ pub enum Shape {
         /// Half its length in metres.
         half_height_m: f64,
     },
+    /// A ring: a circle swept by a disc.
+    Torus {
+        /// Its centre in metres.
+        centre_m: [f64; 3],
+        /// Unit direction of its axis.
+        axis: [f64; 3],
+        /// Radius of the circle in metres.
+        radius_m: f64,
+        /// Radius of the disc in metres.
+        tube_radius_m: f64,
+    },
+    /// The part of the saddle z = (x² - y²)/(2 r) within a distance of its centre, with x, y and z along the world's
+    /// axes.
+    Saddle {
+        /// Its centre in metres.
+        centre_m: [f64; 3],
+        /// r, its radius of curvature along both axes, in metres.
+        radius_m: f64,
+        /// The distance in metres.
+        extent_m: f64,
+    },
 }
 
 /// Intersection of a ray and a surface: distance in units of the direction's length, and the surface's normal (either
@@ -100,9 +121,48 @@ impl Shape {
                 let on_end = across(from_centre + t * direction).length() <= radius_m;
                 (in_front(t) && on_end).then_some((t, axis))
             }
+            Self::Torus { centre_m, axis, radius_m, tube_radius_m } => {
+                let (from_centre, axis) = (origin - DVec3::from(centre_m), DVec3::from(axis));
+                // From the nearest point of the circle.
+                let off_circle = |point: DVec3| {
+                    let across = point - point.dot(axis) * axis;
+                    point - radius_m * across.normalize_or(axis.any_orthonormal_vector())
+                };
+                let distance = |point: DVec3| off_circle(point).length() - tube_radius_m;
+                // A step as long as the distance cannot pass the surface.
+                let (length, mut t) = (direction.length(), 0.0);
+                let farthest = (from_centre.length() + radius_m + tube_radius_m) / length;
+                for _ in 0..MOST_STEPS {
+                    let left = distance(from_centre + t * direction);
+                    if left < 1e-10 {
+                        return in_front(t).then(|| (t, off_circle(from_centre + t * direction) / tube_radius_m));
+                    }
+                    t += left / length;
+                    if t > farthest {
+                        return None;
+                    }
+                }
+                None
+            }
+            Self::Saddle { centre_m, radius_m, extent_m } => {
+                let (o, d) = (origin - DVec3::from(centre_m), direction);
+                // x² - y² - 2 r z = 0 along the ray.
+                let a = d.x * d.x - d.y * d.y;
+                let b = o.x * d.x - o.y * d.y - radius_m * d.z;
+                let c = o.x * o.x - o.y * o.y - 2.0 * radius_m * o.z;
+                // The numerically stable roots of a t² + 2 b t + c.
+                let q = -b - b.signum() * (b * b - a * c).sqrt();
+                let within = |&t: &f64| in_front(t) && (o + t * d).length() <= extent_m;
+                let t = [c / q, q / a].into_iter().filter(within).min_by(f64::total_cmp)?;
+                let point = o + t * d;
+                Some((t, DVec3::new(point.x, -point.y, -radius_m).normalize()))
+            }
         }
     }
 }
+
+/// A ray that comes no nearer to a torus within this many steps touches it at most.
+const MOST_STEPS: usize = 1000;
 
 /// False for NaN, a ray that misses.
 fn in_front(t: f64) -> bool {
@@ -225,6 +285,7 @@ impl Truth {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulate::CURVES_RANGES_M;
 
     /// Returns point and normal where a ray from the origin along z hits.
     fn probe(shape: Shape, direction: DVec3) -> Option<(DVec3, DVec3)> {
@@ -254,8 +315,12 @@ mod tests {
     #[test]
     fn every_hit_of_a_scene_lies_on_its_object_and_faces_the_camera() {
         let camera = Camera::new((80, 60), [66.0; 2], [39.5, 29.5]);
-        for seed in 0..4 {
-            let (scene, pose) = Scene::tabletop(seed);
+        let tables = (0..4).map(Scene::tabletop);
+        let curves = CURVES_RANGES_M.map(|range_m| {
+            let (scene, pose, _) = Scene::curves(0, range_m);
+            (scene, pose)
+        });
+        for (scene, pose) in tables.chain(curves) {
             let truth = scene.render(&camera, &pose);
             for i in 0..truth.objects.len() {
                 if truth.objects[i] == NO_OBJECT {
@@ -279,6 +344,16 @@ mod tests {
                         let along = offset.dot(axis);
                         let across = (offset - along * axis).length();
                         (across - radius_m).max(along.abs() - half_height_m)
+                    }
+                    Shape::Torus { centre_m, axis, radius_m, tube_radius_m } => {
+                        let (offset, axis) = (world - DVec3::from(centre_m), DVec3::from(axis));
+                        let along = offset.dot(axis);
+                        let across = (offset - along * axis).length();
+                        (across - radius_m).hypot(along) - tube_radius_m
+                    }
+                    Shape::Saddle { centre_m, radius_m, .. } => {
+                        let offset = world - DVec3::from(centre_m);
+                        offset.z - (offset.x * offset.x - offset.y * offset.y) / (2.0 * radius_m)
                     }
                 };
                 assert!(distance.abs() < 1e-6, "{distance}");

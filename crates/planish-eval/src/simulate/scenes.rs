@@ -102,6 +102,71 @@ impl Scene {
     }
 }
 
+/// The ranges in metres at which curved surfaces are measured.
+pub const CURVES_RANGES_M: [f64; 3] = [0.8, 1.2, 2.0];
+
+/// A curved surface of known size.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Curve {
+    /// Its index in the scene.
+    pub object: u16,
+    /// What it is called: `cylinder`, `sphere`, `torus`, `saddle`, or `board`, a flat one to compare with.
+    pub name: &'static str,
+    /// Its smallest radius of curvature in metres; infinite for the board.
+    pub radius_m: f64,
+}
+
+impl Scene {
+    /// Returns curved surfaces of known radius with their centres at one range, and a wall behind them: cylinders of
+    /// 1.5 to 10 cm, spheres of 3 to 10 cm, a torus, a saddle, and a flat board. The camera is at the origin and looks
+    /// along z.
+    pub fn curves(seed: u64, range_m: f64) -> (Self, Pose, Vec<Curve>) {
+        let mut random = Random::new(seed, 3);
+        let mut objects = vec![Shape::Plane { point_m: [0.0, 0.0, range_m + 0.5], normal: DVec3::Z.to_array() }];
+        let mut curves = Vec::new();
+        let mut add = |name, radius_m, shape| {
+            curves.push(Curve { object: objects.len() as u16, name, radius_m });
+            objects.push(shape);
+        };
+        let (above_m, below_m) = (-0.17, 0.17);
+        // A row from left to right, with the camera's axis in its middle: places at these distances from its start.
+        let mut place = |x_m: f64, y_m: f64| {
+            let jitter_m = [random.between(-0.004, 0.004), random.between(-0.004, 0.004)];
+            DVec3::new(x_m + jitter_m[0], y_m + jitter_m[1], range_m)
+        };
+        for (x_m, radius_m) in [(-0.40, 0.015), (-0.32, 0.03), (-0.20, 0.05), (-0.01, 0.1)] {
+            let axis = DVec3::new(0.04, 1.0, 0.15).normalize();
+            let shape = Shape::Cylinder {
+                centre_m: place(x_m, above_m).to_array(),
+                axis: axis.to_array(),
+                radius_m,
+                half_height_m: 0.14,
+            };
+            add("cylinder", radius_m, shape);
+        }
+        let torus = Shape::Torus {
+            centre_m: place(0.27, above_m).to_array(),
+            axis: DVec3::new(0.1, 0.5, -1.0).normalize().to_array(),
+            radius_m: 0.1,
+            tube_radius_m: 0.045,
+        };
+        add("torus", 0.045, torus);
+        for (x_m, radius_m) in [(-0.42, 0.03), (-0.31, 0.05), (-0.13, 0.1)] {
+            add("sphere", radius_m, Shape::Sphere { centre_m: place(x_m, below_m).to_array(), radius_m });
+        }
+        let saddle_m = 0.15;
+        let saddle = Shape::Saddle { centre_m: place(0.11, below_m).to_array(), radius_m: saddle_m, extent_m: 0.11 };
+        add("saddle", saddle_m, saddle);
+        let board = Shape::Cuboid {
+            centre_m: place(0.34, below_m).to_array(),
+            half_extent_m: [0.09, 0.11, 0.01],
+            axes: DMat3::from_rotation_y(0.3).to_cols_array_2d(),
+        };
+        add("board", f64::INFINITY, board);
+        (Self { objects }, Pose::looking([0.0; 3], 0.0, 0.0), curves)
+    }
+}
+
 /// The shapes of [`Scene::gauges`], in the camera's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gauge {
