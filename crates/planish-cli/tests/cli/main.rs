@@ -1,5 +1,6 @@
 //! The command as people and scripts run it: a process with arguments, exit codes, files and JSON.
 
+mod engines;
 mod files;
 mod folders;
 mod hostile;

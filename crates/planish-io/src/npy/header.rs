@@ -83,10 +83,10 @@ struct Dict<'a>(&'a [u8]);
 impl<'a> Dict<'a> {
     fn header(mut self) -> Result<Header, FormatError> {
         let (mut descr, mut is_fortran, mut shape) = (None, None, None);
-        self.expect(b'{')?;
+        self.require(b'{')?;
         while !self.eat(b'}') {
             let key = self.text()?;
-            self.expect(b':')?;
+            self.require(b':')?;
             match key {
                 "descr" if descr.is_none() => descr = Some(self.descr()?),
                 "fortran_order" if is_fortran.is_none() => is_fortran = Some(self.boolean()?),
@@ -94,7 +94,7 @@ impl<'a> Dict<'a> {
                 _ => return Err(damaged("one each of 'descr', 'fortran_order' and 'shape'")),
             }
             if !self.eat(b',') {
-                self.expect(b'}')?;
+                self.require(b'}')?;
                 break;
             }
         }
@@ -136,14 +136,14 @@ impl<'a> Dict<'a> {
 
     fn shape(&mut self) -> Result<Vec<usize>, FormatError> {
         let mut shape = Vec::new();
-        self.expect(b'(')?;
+        self.require(b'(')?;
         while !self.eat(b')') {
             shape.push(self.number()?);
             if shape.len() > MAX_DIMENSIONS {
                 return Err(damaged("a shape of at most 64 numbers"));
             }
             if !self.eat(b',') {
-                self.expect(b')')?;
+                self.require(b')')?;
                 break;
             }
         }
@@ -174,7 +174,7 @@ impl<'a> Dict<'a> {
         text.and_then(|text| std::str::from_utf8(text).ok()).ok_or_else(|| damaged("a text between quotes"))
     }
 
-    fn expect(&mut self, byte: u8) -> Result<(), FormatError> {
+    fn require(&mut self, byte: u8) -> Result<(), FormatError> {
         if self.eat(byte) { Ok(()) } else { Err(damaged(&format!("'{}'", char::from(byte)))) }
     }
 
