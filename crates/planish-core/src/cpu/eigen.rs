@@ -32,7 +32,7 @@ impl<S: Simd> Symmetric<S> {
     }
 
     #[inline(always)]
-    fn times(&self, v: Vec3<S>) -> Vec3<S> {
+    pub(super) fn times(&self, v: Vec3<S>) -> Vec3<S> {
         let [x, y, z] = self.rows();
         Vec3::new(x.dot(v), y.dot(v), z.dot(v))
     }

@@ -10,6 +10,7 @@
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
 
+mod bend;
 mod blocks;
 mod edges;
 mod eigen;
@@ -44,7 +45,7 @@ use crate::simd_level::SimdLevel;
 use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
 use crate::threads::Threads;
 use crate::timings::{FrameTimings, Stopwatch};
-use edges::{PlaneRows, Planes};
+use edges::{FirstPlanes, FirstRows, SurfaceRows, Surfaces};
 pub(crate) use general::GeneralCpu;
 use output::OutputRows;
 use padded::{PaddedFrame, PaddedRows};
@@ -132,7 +133,7 @@ pub(crate) struct Cpu {
     /// Where blocks are averaged.
     means: Option<PaddedFrame>,
     /// First planes and surfaces, if edges are kept.
-    planes: Option<[Planes; 2]>,
+    planes: Option<(FirstPlanes, Surfaces)>,
     rays: Rays,
     timings: FrameTimings,
 }
@@ -149,7 +150,8 @@ impl Cpu {
         let border = params.reach_px().max(edge_shift_px(params.reach_px()));
         let padded = PaddedFrame::new(shape.0, shape.1, border);
         let means = params.averages_blocks().then(|| PaddedFrame::new(shape.0, shape.1, border));
-        let planes = (params.edges == Edges::Robust).then(|| [(); 2].map(|()| Planes::new(&params, &padded)));
+        let planes =
+            (params.edges == Edges::Robust).then(|| (FirstPlanes::new(&params, &padded), Surfaces::new(&padded)));
         let (rays, timings) = (Rays::default(), FrameTimings::default());
         Ok(Self { params, level, threads, padded, means, planes, rays, timings })
     }
@@ -167,17 +169,17 @@ impl Cpu {
                 |mut rows: PaddedRows<'_>| dispatch!(level, simd => blocks::average(simd, measured, kernel, &mut rows));
             run_on_rows(means.rows(), parallel, &average);
         }
-        if let Some([first_planes, surfaces]) = &mut self.planes {
+        if let Some((first_planes, surfaces)) = &mut self.planes {
             let height = frame.frame.shape().1;
             let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
-            let fit = |mut rows: PlaneRows<'_>| dispatch!(level, simd => edges::fit_first_planes(simd, input, kernel, &mut rows));
-            run_on_rows(first_planes.rows(height, None), parallel, &fit);
+            let fit = |mut rows: FirstRows<'_>| dispatch!(level, simd => edges::fit_first_planes(simd, input, kernel, &mut rows));
+            run_on_rows(first_planes.rows(height), parallel, &fit);
             let first_planes = &*first_planes;
-            let find = |mut rows: PlaneRows<'_>| dispatch!(level, simd => edges::find_surfaces(simd, measured, first_planes, kernel, &mut rows));
+            let find = |mut rows: SurfaceRows<'_>| dispatch!(level, simd => edges::find_surfaces(simd, measured, first_planes, kernel, &mut rows));
             run_on_rows(surfaces.rows(height, self.means.as_mut().map(PaddedFrame::rows)), parallel, &find);
         }
         let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
-        let surfaces = self.planes.as_ref().map(|[_, surfaces]| surfaces);
+        let surfaces = self.planes.as_ref();
         let smooth = |mut rows: OutputRows<'_>| match kernel.degree {
             1 => dispatch!(level, simd => smooth_rows_simd::<_, 1>(simd, input, surfaces, kernel, &mut rows)),
             2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, input, surfaces, kernel, &mut rows)),
@@ -225,7 +227,7 @@ impl ImmediateEngine for Cpu {
     /// Includes its padded frames and planes.
     fn buffer_bytes(&self) -> u64 {
         let means = self.means.as_ref().map_or(0, PaddedFrame::bytes);
-        let planes: usize = self.planes.iter().flatten().map(Planes::bytes).sum();
+        let planes = self.planes.as_ref().map_or(0, |(first_planes, surfaces)| first_planes.bytes() + surfaces.bytes());
         (self.padded.bytes() + means + planes) as u64
     }
 }
@@ -243,7 +245,7 @@ struct Input<'a> {
 fn smooth_rows_simd<S: Simd, const D: usize>(
     simd: S,
     input: Input<'_>,
-    surfaces: Option<&Planes>,
+    surfaces: Option<&(FirstPlanes, Surfaces)>,
     kernel: &Kernel,
     rows: &mut OutputRows<'_>,
 ) {
@@ -269,7 +271,7 @@ fn smooth_vector<S: Simd, const D: usize>(
     simd: S,
     kernel: &Kernel,
     input: Input<'_>,
-    surfaces: Option<&Planes>,
+    surfaces: Option<&(FirstPlanes, Surfaces)>,
     terms: &mut Terms<S>,
     rows: &mut OutputRows<'_>,
     (u, row): (usize, usize),
@@ -288,10 +290,10 @@ fn smooth_vector<S: Simd, const D: usize>(
     let (surface, source) = match surfaces {
         None => {
             let (sums, source) = terms.keep(simd, window, p, radius);
-            (Surface { plane: plane::fit(simd, ray, &sums), n: sums.n, width: None }, source)
+            (Surface { plane: plane::fit(simd, ray, &sums), n: sums.n, width: None, bend: None }, source)
         }
-        Some(surfaces) => {
-            let surface = surfaces.surface(simd, here);
+        Some((first_planes, surfaces)) => {
+            let surface = surfaces.surface(simd, first_planes, here);
             let n = valid.select(surface.n, splat(simd, 0.0));
             (Surface { n, ..surface }, Source::Of(window))
         }
@@ -316,7 +318,7 @@ impl Fitting {
         terms: &mut Terms<S>,
     ) -> Projected<S> {
         let Points { p, radius, .. } = points;
-        let Surface { plane, n, width } = surface;
+        let Surface { plane, n, width, bend } = surface;
         let Self { keeps_isolated, least_neighbours, .. } = *self;
         let projection = Projection { keeps_isolated, least_neighbours, ..projection };
         if D == 1 {
@@ -327,7 +329,7 @@ impl Fitting {
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
-        let weighting = Weighting { radius, bandwidth, width: *width };
+        let weighting = Weighting { radius, bandwidth, width: *width, bend: *bend };
         let fit = polynomial::moments::<S, C, D>(simd, source, p, plane, &weighting, terms);
         let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, self.ridge, *n);
         project::project::<S, D>(simd, points, surface, Some((&fit, c)), projection)

@@ -4,6 +4,7 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
+use super::bend::Bend;
 use super::eigen::{Symmetric, smallest_eigenvector};
 use super::vector::{Mask, Vec3, splat};
 use super::window::Sums;
@@ -14,6 +15,10 @@ pub(super) struct Plane<S: Simd> {
     pub(super) normal: Vec3<S>,
     /// c·n: the foot of p on the plane is this times the normal.
     pub(super) height: S::f32s,
+    /// The mean of the neighbours, c.
+    pub(super) centroid: Vec3<S>,
+    /// The sum of the variances along the plane, l1 + l2, in m².
+    pub(super) spread: S::f32s,
     /// Variance along the normal, l0, in m².
     pub(super) residual: S::f32s,
     /// How little the points determine the normal: l2/(l1 - l0), at most [`MAX_DOUBT`].
@@ -48,6 +53,8 @@ pub(super) struct Surface<S: Simd> {
     /// The distance from the plane within which neighbours count, in metres, infinite without a plane; `None` if edges
     /// are not kept.
     pub(super) width: Option<S::f32s>,
+    /// How it bends along the tangents of the plane's normal; `None` for not at all.
+    pub(super) bend: Option<Bend<S>>,
 }
 
 /// `ray` leads from the sensor to p.
@@ -74,7 +81,18 @@ pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     let normal = eigen.vector.scale(away.select(splat(simd, -1.0), splat(simd, 1.0)));
     let doubt = (l2 / (l1 - residual).max(splat(simd, f32::MIN_POSITIVE))).min(splat(simd, MAX_DOUBT));
     let extent_squared = l2 * splat(simd, 4.0);
-    Plane { normal, height: c.dot(normal), residual, doubt, extent_squared, curvature, off_line, degenerate }
+    Plane {
+        normal,
+        height: c.dot(normal),
+        centroid: c,
+        spread: l1 + l2,
+        residual,
+        doubt,
+        extent_squared,
+        curvature,
+        off_line,
+        degenerate,
+    }
 }
 
 /// Mean of a product less the product of the means. All are of the size of the neighbourhood, so little cancels.

@@ -10,6 +10,7 @@ use std::ops::Range;
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
+use super::bend::Bend;
 use super::eigen::tangents;
 use super::math::exp2;
 use super::plane::Plane;
@@ -30,6 +31,8 @@ struct Frame<S: Simd> {
     f_offset: S::f32s,
     /// Extra factor of f² in the weight; 0 without [`edges`](super::edges).
     narrowing: S::f32s,
+    /// What is taken from f: half the bend, in units of a, b and f; 0 without edges.
+    half_bend: Bend<S>,
 }
 
 /// Selection and weights of neighbours.
@@ -38,6 +41,8 @@ pub(super) struct Weighting<S: Simd> {
     pub(super) bandwidth: S::f32s,
     /// Maximum distance of a neighbour from the plane; `None` for no limit.
     pub(super) width: Option<S::f32s>,
+    /// How the plane bends along its tangents; `None` for not at all.
+    pub(super) bend: Option<Bend<S>>,
 }
 
 /// Number of candidates whose terms are stored at once; their four values each fit the first-level cache.
@@ -141,6 +146,11 @@ pub(super) fn moments<S: Simd, C: Candidates<S>, const D: usize>(
         f_axis: plane.normal.scale(per_metre),
         f_offset: plane.height * per_metre,
         narrowing,
+        half_bend: weighting.bend.map_or(
+            Bend::none(simd),
+            #[inline(always)]
+            |bend| bend.scale(splat(simd, 0.5) / per_metre),
+        ),
     };
     let mut moments = Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
     match source {
@@ -154,9 +164,11 @@ pub(super) fn moments<S: Simd, C: Candidates<S>, const D: usize>(
             while !rows.is_empty() {
                 let len = rows.len() * candidates.row_len();
                 if weighting.width.is_none() {
-                    terms.fill::<C, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
+                    terms.fill::<C, false, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
+                } else if weighting.bend.is_none() {
+                    terms.fill::<C, true, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
                 } else {
-                    terms.fill::<C, true>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
+                    terms.fill::<C, true, true>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
                 }
                 accumulate_all::<S, D>(&mut moments, terms, len);
                 rows = rows.end..(rows.end + rows_at_once).min(candidates.rows());
@@ -178,7 +190,7 @@ impl<S: Simd> Terms<S> {
     ///
     /// Not inlined: the sums, kept in registers before and after it, would be spilled in its loop.
     #[inline(never)]
-    fn fill<C: Candidates<S>, const NARROW: bool>(
+    fn fill<C: Candidates<S>, const NARROW: bool, const BENT: bool>(
         &mut self,
         simd: S,
         candidates: C,
@@ -199,7 +211,7 @@ impl<S: Simd> Terms<S> {
                     rows,
                     #[inline(always)]
                     |e, weight, _| {
-                        self.set::<NARROW>(simd, at, e, weight, frame);
+                        self.set::<NARROW, BENT>(simd, at, e, weight, frame);
                         at += 1;
                     },
                 );
@@ -216,7 +228,7 @@ impl<S: Simd> Terms<S> {
             || {
                 for at in 0..len.min(CHUNK) {
                     let e = Vec3::new(self.a[at], self.b[at], self.f[at]);
-                    self.set::<false>(simd, at, e, self.w[at], frame);
+                    self.set::<false, false>(simd, at, e, self.w[at], frame);
                 }
             },
         );
@@ -224,14 +236,21 @@ impl<S: Simd> Terms<S> {
 
     /// Sets a term from a candidate at offset e with gate weight `weight`.
     #[inline(always)]
-    fn set<const NARROW: bool>(&mut self, simd: S, at: usize, e: Vec3<S>, weight: S::f32s, frame: &Frame<S>) {
+    fn set<const NARROW: bool, const BENT: bool>(
+        &mut self,
+        simd: S,
+        at: usize,
+        e: Vec3<S>,
+        weight: S::f32s,
+        frame: &Frame<S>,
+    ) {
         let a = e.dot(frame.a_axis);
         let b = e.dot(frame.b_axis);
         let f = e.dot(frame.f_axis) - frame.f_offset;
-        let f2 = f * f;
-        let mut exponent = a.mul_add(a, b.mul_add(b, f2));
+        let mut exponent = a.mul_add(a, b.mul_add(b, f * f));
+        let f = if BENT { f - frame.half_bend.of(a, b) } else { f };
         if NARROW {
-            exponent += (f2 * frame.narrowing).min(splat(simd, MAX_OFF_SURFACE));
+            exponent += (f * f * frame.narrowing).min(splat(simd, MAX_OFF_SURFACE));
         }
         self.w[at] = weight * exp2(simd, -exponent);
         (self.a[at], self.b[at], self.f[at]) = (a, b, f);

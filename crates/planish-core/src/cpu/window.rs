@@ -117,16 +117,23 @@ impl<S: Simd> Sums<S> {
     /// Adds a candidate: its offset, how much it counts, and how many neighbours it is.
     #[inline(always)]
     pub(super) fn add(&mut self, e: Vec3<S>, weight: S::f32s, count: S::f32s) {
-        let weighted = e.scale(weight);
-        self.n += count;
+        let weighted = self.add_squares(e, weight, count);
         self.total += weight;
         self.e = self.e.add(weighted);
+    }
+
+    /// Adds a candidate to the number and the products only; returns its weighted offset.
+    #[inline(always)]
+    pub(super) fn add_squares(&mut self, e: Vec3<S>, weight: S::f32s, count: S::f32s) -> Vec3<S> {
+        let weighted = e.scale(weight);
+        self.n += count;
         self.xx = weighted.x.mul_add(e.x, self.xx);
         self.xy = weighted.x.mul_add(e.y, self.xy);
         self.xz = weighted.x.mul_add(e.z, self.xz);
         self.yy = weighted.y.mul_add(e.y, self.yy);
         self.yz = weighted.y.mul_add(e.z, self.yz);
         self.zz = weighted.z.mul_add(e.z, self.zz);
+        weighted
     }
 }
 

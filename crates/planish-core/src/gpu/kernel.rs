@@ -142,6 +142,7 @@ impl KernelKey {
         let _ = writeln!(text, "const DEGREE: u32 = {degree}u;");
         let _ = writeln!(text, "const EDGE_SHIFT: u32 = {}u;", self.edge_shift);
         let _ = writeln!(text, "const KEEPS_EDGES: bool = {};", self.keeps_edges);
+        let _ = writeln!(text, "const BENDS: bool = {};", self.keeps_edges);
         let _ = writeln!(text, "const READS_MEANS: bool = {};", self.reads_means);
         text += include_str!("shaders/buffers.wgsl");
         text += include_str!("shaders/kept.wgsl");
@@ -165,12 +166,13 @@ impl KernelKey {
             text += include_str!("shaders/blocks.wgsl");
             text += match self.pass {
                 Pass::Blocks => include_str!("shaders/average_blocks.wgsl"),
-                _ => include_str!("shaders/find_surfaces.wgsl"),
+                _ => concat!(include_str!("shaders/bend.wgsl"), include_str!("shaders/find_surfaces.wgsl")),
             };
             return text;
         }
         text += include_str!("shaders/plane.wgsl");
         if self.pass == Pass::FirstPlanes {
+            text += include_str!("shaders/window_bend.wgsl");
             text += include_str!("shaders/fit_first_planes.wgsl");
             return text;
         }

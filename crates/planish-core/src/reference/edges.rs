@@ -1,9 +1,10 @@
 //! Edge preservation: finds the surface of a point from the planes around it, and excludes neighbours off that surface
 //! (docs/method.md, section 10). Metres.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::Surface;
+use super::bend::{self, Bend, Slope};
 use super::plane::{DEGENERATE_RATIO, Plane};
 use super::window::{Grid, fading_gate};
 use crate::params::{EngineParams, edge_shift_px};
@@ -31,6 +32,8 @@ const COSINE_FADE: f64 = 0.01;
 
 /// Weight of a zero displacement of p, relative to the surrounding planes.
 pub(super) const STAY_WEIGHT: f64 = 1e-3;
+/// At least this share of a plane's variance is not due to the bend.
+const LEAST_VARIANCE: f64 = 0.1;
 /// Additional weight of the normal of p's window, which defines a normal where no plane is near.
 pub(super) const OWN_NORMAL_WEIGHT: f64 = 1e-12;
 
@@ -49,20 +52,25 @@ pub(super) struct FirstPlanes<'a, N> {
 }
 
 impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
-    /// Returns the point of a pixel, its first plane, and the variance of its points about it plus its uncertainty, in
-    /// m². The variance grows without limit if neighbours are too few, nearly collinear, or on a plane seen edge-on.
-    /// `None` for a hole, or at the limit.
-    fn usable(&self, u: usize, v: usize) -> Option<(DVec3, &Plane, f64)> {
+    /// Returns a pixel's first plane as a candidate for the surface of p. Its variance grows without limit if neighbours
+    /// are too few, nearly collinear, or on a plane seen edge-on. `None` for a hole, or at the limit.
+    fn candidate(&self, u: usize, v: usize, p: DVec3, radius_m: f64) -> Option<Candidate> {
         let first = self.surfaces[v * self.grid.width + u].as_ref()?;
-        let (p, plane) = (self.grid.point(u, v)?, first.plane.as_ref()?);
+        let (q, plane) = (self.grid.point(u, v)?, first.plane?);
         let enough = plane.total - MIN_TOTAL;
         let off_line = plane.middle_variance / (DEGENERATE_RATIO * plane.largest_variance) - 1.0;
-        let cosine = plane.normal.dot(p).abs() / p.length();
+        let cosine = plane.normal.dot(q).abs() / q.length();
         let facing = (cosine - MIN_INCIDENCE_COSINE) / COSINE_FADE;
         let usable = [enough, off_line, facing].into_iter().map(|share| share.clamp(0.0, 1.0)).product::<f64>();
-        let noise_m = (self.noise_m)(p);
+        let noise_m = (self.noise_m)(q);
         let variance = plane.smallest_variance + DOUBT_WEIGHT * plane.doubt * noise_m * noise_m;
-        (usable > 0.0).then(|| (p, plane, variance / usable))
+        (usable > 0.0).then(|| Candidate {
+            centroid: q - p + plane.centroid,
+            plane,
+            variance: variance / usable,
+            nearness: fading_gate(q - p, PLANE_REACH * radius_m),
+            bend: first.bend,
+        })
     }
 
     /// Finds the surface of p from its first plane and the eight around it; without neighbours, its first plane.
@@ -75,34 +83,105 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         radius_m: f64,
     ) -> Option<Surface> {
         let own = self.surfaces[v * self.grid.width + u]?;
-        let Some(own_plane) = own.plane else { return Some(own) };
+        let Some(own_plane) = own.plane else { return Some(Surface { bend: DMat3::ZERO, ..own }) };
         let noise_m = (self.noise_m)(p);
-        let shift = edge_shift_px(self.params.reach_px()) as isize;
-        let (mut normal, mut height_m, mut total) = (OWN_NORMAL_WEIGHT * own_plane.normal, 0.0, STAY_WEIGHT);
-        for dv in [-shift, 0, shift] {
-            for du in [-shift, 0, shift] {
+        let shift = edge_shift_px(self.params.reach_px());
+        let mut around = Vec::with_capacity(9);
+        for dv in [-1, 0, 1].map(|step| step * shift as isize) {
+            for du in [-1, 0, 1].map(|step| step * shift as isize) {
                 let Some(column) = u.checked_add_signed(du).filter(|&u| u < self.grid.width) else { continue };
                 let Some(row) = v.checked_add_signed(dv).filter(|&v| v < self.grid.height) else { continue };
-                let Some((at, plane, own_residual)) = self.usable(column, row) else { continue };
-                let offset = at - p;
-                // Distances to the plane along its normal, from p and from the mean.
-                let to_plane_m = (offset + plane.foot).dot(plane.normal);
-                let from_mean_m = to_plane_m - mean_offset.dot(plane.normal);
-                let residual = own_residual + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
-                let nearness = fading_gate(offset, PLANE_REACH * radius_m);
-                let weight = nearness * (1.0 + residual / (noise_m * noise_m)).powi(-4);
-                normal += weight * plane.normal;
-                height_m += weight * to_plane_m;
-                total += weight;
+                around.extend(self.candidate(column, row, p, radius_m));
             }
         }
+        let voters = Voters { around, own_normal: own_plane.normal, mean_offset, noise_m };
+        let flat = voters.vote(DMat3::ZERO);
+        let normal = side_to_sensor(flat.normal, p) * flat.normal.normalize();
+        let bend = Bend::between(&voters.slopes(&flat), normal, radius_m, noise_m);
+        let vote = voters.vote(bend.tensor);
         // Planes that disagree may lie further away than a point may move.
-        let height_m = (height_m / total).clamp(-radius_m, radius_m);
-        // The foot is the same whichever way the normal points.
-        let foot = height_m * normal.normalize();
-        let normal = if normal.dot(p) > 0.0 { -normal.normalize() } else { normal.normalize() };
+        let height_m = (vote.height_m / vote.total).clamp(-radius_m, radius_m);
+        // Heights are along the mean normal of the planes, whichever way it points.
+        let height_m = height_m * side_to_sensor(vote.normal, p);
+        // In the middle of the planes, where this normal is, the slope differs from that at p.
+        let normal = bend.normal_at_p(side_to_sensor(vote.normal, p) * vote.normal.normalize());
+        let tensor = bend.along(normal);
+        // The other way round it is the same surface.
+        let side = side_to_sensor(normal, p);
+        let foot = height_m * normal;
         // Curvature and the extent that scales the fit come from the pixel's window.
-        let plane = Plane { normal, foot, ..own_plane };
-        Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, ..own })
+        let plane = Plane { normal: side * normal, foot, ..own_plane };
+        Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, bend: side * tensor, ..own })
+    }
+}
+
+/// Returns the sign that turns a normal towards the sensor.
+fn side_to_sensor(normal: DVec3, p: DVec3) -> f64 {
+    if normal.dot(p) > 0.0 { -1.0 } else { 1.0 }
+}
+
+/// A first plane that may be the surface of p. Offsets are from p.
+struct Candidate {
+    centroid: DVec3,
+    plane: Plane,
+    /// Variance of its points about it plus its uncertainty, in m².
+    variance: f64,
+    nearness: f64,
+    /// Of its window.
+    bend: DMat3,
+}
+
+impl Candidate {
+    /// Returns the distance from p to the surface along the plane's normal, if the surface bends like this.
+    fn height_m(&self, tensor: DMat3) -> f64 {
+        self.centroid.dot(self.plane.normal) + bend::rise_m(tensor, self.centroid, &self.plane)
+    }
+}
+
+/// The planes that decide on the surface of p.
+struct Voters {
+    around: Vec<Candidate>,
+    own_normal: DVec3,
+    /// Of p's block mean.
+    mean_offset: DVec3,
+    noise_m: f64,
+}
+
+/// Their decision: weighted sums, not yet divided by the total.
+struct Vote {
+    normal: DVec3,
+    height_m: f64,
+    total: f64,
+    /// Of the candidates around p.
+    weights: Vec<f64>,
+}
+
+impl Voters {
+    fn vote(&self, tensor: DMat3) -> Vote {
+        let (mut normal, mut height_m, mut sum) = (OWN_NORMAL_WEIGHT * self.own_normal, 0.0, 0.0);
+        let mut weights = Vec::with_capacity(self.around.len());
+        for candidate in &self.around {
+            let to_surface_m = candidate.height_m(tensor);
+            let from_mean_m = to_surface_m - self.mean_offset.dot(candidate.plane.normal);
+            let bent = bend::variance(tensor, &candidate.plane);
+            let variance = (candidate.variance - bent).max(LEAST_VARIANCE * candidate.variance);
+            let residual = variance + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
+            let weight = candidate.nearness * (1.0 + residual / (self.noise_m * self.noise_m)).powi(-4);
+            normal += weight * candidate.plane.normal;
+            height_m += weight * to_surface_m;
+            sum += weight;
+            weights.push(weight);
+        }
+        Vote { normal, height_m, total: STAY_WEIGHT + sum, weights }
+    }
+
+    fn slopes(&self, vote: &Vote) -> Vec<Slope> {
+        let slope = |(candidate, &weight): (&Candidate, &f64)| Slope {
+            weight,
+            offset: candidate.centroid,
+            normal: candidate.plane.normal,
+            of_window: candidate.bend,
+        };
+        self.around.iter().zip(&vote.weights).map(slope).collect()
     }
 }

@@ -2,9 +2,10 @@
 //! engines, so it shares no code with them and is never optimised.
 //!
 //! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and
-//! [`solve`] (5, 6), [`project`] (7), [`edges`] (10). Unorganized clouds differ in the neighbours only: [`general`]
+//! [`solve`] (5, 6), [`project`] (7), [`edges`] and [`bend`] (10). Unorganized clouds differ in the neighbours only: [`general`]
 //! (8). All compute in the sensor's frame (11); results are turned back at the end.
 
+mod bend;
 mod blocks;
 mod edges;
 mod general;
@@ -18,7 +19,7 @@ mod window;
 
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::error::{EngineError, Error};
@@ -31,7 +32,7 @@ use crate::status::Status;
 use crate::threads::Threads;
 use plane::Plane;
 use project::Projected;
-use window::Grid;
+use window::{Grid, Neighbour};
 
 /// The reference's result for one point, in the sensor's frame.
 #[derive(Debug, Clone, Copy)]
@@ -67,14 +68,20 @@ struct Surface {
     plane: Option<Plane>,
     /// Distance from the plane within which a neighbour counts (section 10).
     width_m: f64,
+    /// How its window bends and, once the surface is found, the surface (section 10), in 1/m.
+    bend: DMat3,
 }
 
 impl Surface {
     /// Returns the plane of a point's own neighbours (section 4), given as offsets from it.
     fn own(offsets: &[DVec3], radius_m: f64, ray: DVec3) -> Self {
         let plane = if offsets.len() < 3 { None } else { plane::fit(offsets, radius_m, ray) };
-        Self { neighbours: offsets.len() as u32, plane, width_m: f64::INFINITY }
+        Self { neighbours: offsets.len() as u32, plane, width_m: f64::INFINITY, bend: DMat3::ZERO }
     }
+}
+
+fn offsets_of(neighbours: &[Neighbour]) -> Vec<DVec3> {
+    neighbours.iter().map(|neighbour| neighbour.offset).collect()
 }
 
 /// Applies sections 5 to 7 to one point over its surface.
@@ -87,7 +94,7 @@ fn smooth_point(
     surface: &Surface,
     on_ray: bool,
 ) -> PointResult {
-    let &Surface { neighbours, ref plane, width_m } = surface;
+    let &Surface { neighbours, ref plane, width_m, bend } = surface;
     if neighbours < 3 {
         return PointResult { status: Status::TooFew, neighbours, ..PointResult::hole() };
     }
@@ -101,7 +108,7 @@ fn smooth_point(
         };
     };
     let bandwidth_m = params.bandwidth_m.map_or(radius_m, f64::from);
-    let polynomial = polynomial::fit(offsets, neighbours, plane, radius_m, bandwidth_m, width_m, params);
+    let polynomial = polynomial::fit(offsets, neighbours, plane, radius_m, bandwidth_m, (width_m, bend), params);
     let Projected { displacement, normal, status, depth_scale } =
         project::project(p, sensor, plane, polynomial.as_ref(), radius_m, on_ray);
     PointResult { displacement, depth_scale, normal, curvature: plane.curvature, status, neighbours }
@@ -176,11 +183,16 @@ impl Reference {
         });
         let samples = means.as_ref().unwrap_or(grid);
         let own = |p, pixel| {
-            let offsets = self.neighbours(samples, geometry, p, pixel);
-            Some(Surface::own(&offsets, self.radius_m(geometry, p), p))
+            let radius_m = self.radius_m(geometry, p);
+            let neighbours = self.neighbours(samples, geometry, p, pixel);
+            let surface = Surface::own(&offsets_of(&neighbours), radius_m, p);
+            let bends = |plane| bend::of_window(&neighbours, &plane, radius_m, params.window);
+            Some(Surface { bend: surface.plane.map_or(DMat3::ZERO, bends), ..surface })
         };
         let mut surfaces = self.for_each_pixel(grid, None, own);
-        if params.edges == Edges::Robust {
+        if params.edges == Edges::Off {
+            surfaces.iter_mut().flatten().for_each(|surface| surface.bend = DMat3::ZERO);
+        } else {
             let first_planes = edges::FirstPlanes { grid, surfaces: &surfaces, params, noise_m: &noise_m };
             let surface = |p: DVec3, (u, v): (usize, usize)| {
                 let mean_offset = samples.points[v * grid.width + u] - p;
@@ -197,7 +209,7 @@ impl Reference {
         let on_ray = geometry.is_on_rays(params.project);
         let smooth = |p, pixel| {
             let Some(surface) = surface_of(pixel) else { return PointResult::hole() };
-            let offsets = self.neighbours(samples, geometry, p, pixel);
+            let offsets = offsets_of(&self.neighbours(samples, geometry, p, pixel));
             self.progress.add(1);
             smooth_point(p, DVec3::ZERO, &offsets, self.radius_m(geometry, p), params, &surface, on_ray)
         };
@@ -208,8 +220,8 @@ impl Reference {
         radius::radius_m(&self.params, geometry, p)
     }
 
-    /// Returns the neighbours of p of a pixel, as offsets from it.
-    fn neighbours(&self, samples: &Grid, geometry: &FrameGeometry, p: DVec3, pixel: (usize, usize)) -> Vec<DVec3> {
+    /// Returns the neighbours of p of a pixel.
+    fn neighbours(&self, samples: &Grid, geometry: &FrameGeometry, p: DVec3, pixel: (usize, usize)) -> Vec<Neighbour> {
         window::neighbours(samples, pixel, p, &self.params, self.radius_m(geometry, p))
     }
 

@@ -20,6 +20,8 @@ pub(super) struct Plane {
     pub normal: DVec3,
     /// Foot of p on the plane: o - p = (c·n) n.
     pub foot: DVec3,
+    /// Mean of the neighbours, on the plane.
+    pub centroid: DVec3,
     /// Variance along the normal, l0, in m².
     pub smallest_variance: f64,
     /// Uncertainty of the normal, l2/(l1 - l0): 1 for a disc, up to [`MAX_DOUBT`] for points close to a line.
@@ -53,6 +55,7 @@ pub(super) fn fit(offsets: &[DVec3], radius_m: f64, from_sensor: DVec3) -> Optio
     Some(Plane {
         normal,
         foot: centroid.dot(normal) * normal,
+        centroid,
         smallest_variance: l0.max(0.0),
         doubt: (l2 / (l1 - l0)).min(MAX_DOUBT),
         middle_variance: l1,

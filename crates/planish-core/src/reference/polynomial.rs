@@ -1,6 +1,6 @@
 //! The weighted polynomial over the plane (docs/method.md, section 5). Metres, relative to p.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::plane::Plane;
 use super::solve::solve;
@@ -51,14 +51,15 @@ pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
 }
 
 /// Fits the polynomial of the highest degree, up to `degree`, that the neighbours support; `None` if that is 1, the
-/// plane itself. The weight of neighbours further from the plane than `width_m` falls off.
+/// plane itself. The surface is measured from the paraboloid that `bend` makes of the plane; the weight of neighbours
+/// further from it than `width_m` falls off.
 pub(super) fn fit(
     offsets: &[DVec3],
     neighbours: u32,
     plane: &Plane,
     radius_m: f64,
     bandwidth_m: f64,
-    width_m: f64,
+    (width_m, bend): (f64, DMat3),
     params: &EngineParams,
 ) -> Option<Polynomial> {
     let degree = (2..=params.degree).rev().find(|&d| coefficient_count(d) <= neighbours as usize)?;
@@ -70,7 +71,8 @@ pub(super) fn fit(
     let mut right_side = vec![0.0; m];
     for &offset in offsets {
         let x = offset - plane.foot;
-        let (a, b, f_m) = (x.dot(u) / h, x.dot(v) / h, x.dot(plane.normal));
+        let (a, b) = (x.dot(u) / h, x.dot(v) / h);
+        let f_m = x.dot(plane.normal) - 0.5 * x.dot(bend * x);
         let off_surface = ((f_m / width_m) * (f_m / width_m)).min(MAX_OFF_SURFACE);
         let gaussian = (-x.length_squared() / (bandwidth_m * bandwidth_m) - off_surface).exp();
         let w = fading_gate(offset, radius_m) * gaussian;

@@ -35,15 +35,24 @@ pub(super) fn reach_m(radius_m: f64) -> f64 {
     radius_m * (1.0 + 0.5 * FADE).sqrt()
 }
 
-/// Returns the neighbours q of the valid point p of pixel (u, v) among the samples, as q - p, in row order.
+/// A neighbour of a point on a grid.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Neighbour {
+    /// Column and row in the window, in strides from its centre.
+    pub place: [f64; 2],
+    /// q - p.
+    pub offset: DVec3,
+}
+
+/// Returns the neighbours of the valid point p of pixel (u, v) among the samples, in row order.
 pub(super) fn neighbours(
     samples: &Grid,
     (u, v): (usize, usize),
     p: DVec3,
     params: &EngineParams,
     radius_m: f64,
-) -> Vec<DVec3> {
-    let mut offsets = Vec::with_capacity(params.candidates());
+) -> Vec<Neighbour> {
+    let mut neighbours = Vec::with_capacity(params.candidates());
     let (window, stride) = (params.window as isize, params.stride as isize);
     let inside = |centre: usize, delta: isize, size: usize| {
         centre.checked_add_signed(delta * stride).filter(|&coordinate| coordinate < size)
@@ -55,9 +64,9 @@ pub(super) fn neighbours(
             let Some(q) = samples.point(column, row) else { continue };
             let offset = q - p;
             if fading_gate(offset, radius_m) > 0.0 {
-                offsets.push(offset);
+                neighbours.push(Neighbour { place: [du as f64, dv as f64], offset });
             }
         }
     }
-    offsets
+    neighbours
 }

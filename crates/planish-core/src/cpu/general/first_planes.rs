@@ -95,6 +95,8 @@ impl FirstPlanes {
         let plane = Plane {
             normal,
             height: self.load(simd, place, |plane| plane.height),
+            centroid: Vec3::splat(simd, 0.0),
+            spread: splat(simd, 0.0),
             residual: splat(simd, 0.0),
             doubt: splat(simd, 1.0),
             extent_squared: self.load(simd, place, |plane| plane.extent_squared),

@@ -197,7 +197,15 @@ fn smooth_vector<S: Simd, const D: usize>(
         None => {
             let radius = kernel.gather(simd, gathered, p, valid, place);
             let sums = (&*gathered).sums(simd, p, radius);
-            (Surface { plane: plane::fit(simd, kernel.sensor.ray(simd, p), &sums), n: sums.n, width: None }, radius)
+            (
+                Surface {
+                    plane: plane::fit(simd, kernel.sensor.ray(simd, p), &sums),
+                    n: sums.n,
+                    width: None,
+                    bend: None,
+                },
+                radius,
+            )
         }
         Some(first_planes) => {
             let surface = edges::find_surfaces(simd, kernel, first_planes, gathered, p, valid, place);

@@ -213,6 +213,8 @@ impl Pass {
                 text += include_str!("../shaders/sensor.wgsl");
                 let _ = writeln!(text, "const DEGREE: u32 = {}u;", params.degree);
                 let _ = writeln!(text, "const KEEPS_EDGES: bool = {keeps_edges};");
+                // Section 10 bends the surfaces of frames only.
+                let _ = writeln!(text, "const BENDS: bool = false;");
                 text += include_str!("../shaders/plane.wgsl");
                 text += include_str!("../shaders/general/neighbours.wgsl");
                 text += &kernel::surface(params.degree as usize, LEAVES_LOOP);

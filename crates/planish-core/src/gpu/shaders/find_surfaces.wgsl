@@ -5,15 +5,16 @@ struct Surface {
     normal: vec3<f32>,
     height: f32,
     width: f32,
+    // Along the tangents of the normal.
+    bend: vec3<f32>,
 }
 
-fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
-    let own = pixel.y * batch.width + pixel.x;
+// The nine planes, weighed by how well they fit a point whose surface bends by `bend` along the tangents, if it is known;
+// otherwise with the sums for it.
+fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32, is_known: bool, bend: vec3<f32>, tangents: Tangents) -> Around {
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
-    var normal = OWN_NORMAL_WEIGHT * normal_at(frame, FIRST_NORMAL, own);
-    var height = 0.0;
-    var total = STAY_WEIGHT;
+    var around: Around;
     for (var row = 0u; row < 3u; row++) {
         for (var column = 0u; column < 3u; column++) {
             let x = i32(pixel.x + column * EDGE_SHIFT) - i32(EDGE_SHIFT);
@@ -27,30 +28,85 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
             if !(nearness > 0.0) {
                 continue;
             }
-            let own_residual = planes[plane_word(frame, FIRST_RESIDUAL, at)];
-            if own_residual >= NOT_USABLE {
+            var variance = planes[plane_word(frame, FIRST_RESIDUAL, at)];
+            if variance >= NOT_USABLE {
                 continue;
             }
-            let n = normal_at(frame, FIRST_NORMAL, at);
-            // Distances to the plane along its normal, from p and from the mean.
-            let to_plane = dot(offset, n) + planes[plane_word(frame, FIRST_HEIGHT, at)];
-            let from_mean = to_plane - dot(to_mean, n);
-            let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, own_residual);
+            let n = plane_vector(frame, FIRST_NORMAL, at);
+            let centroid = offset + plane_vector(frame, FIRST_CENTROID, at);
+            // Distances to the surface along the plane's normal, from p and from the mean.
+            var to_surface = dot(centroid, n);
+            if is_known {
+                let spread = planes[plane_word(frame, FIRST_SPREAD, at)];
+                let place = place_along(tangents, centroid);
+                to_surface = fma(dot(place, bend_times(bend, place)), 0.5, to_surface);
+                to_surface -= spread * (bend.x + bend.z) * 0.25;
+                let bent = bend_square(bend) * (spread * spread) * BEND_VARIANCE;
+                variance = max(variance - bent, variance * LEAST_VARIANCE);
+            }
+            let from_mean = to_surface - dot(to_mean, n);
+            let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
             let root = 1.0 / fma(residual, per_variance, 1.0);
             let weight = (root * root) * (root * root) * min(nearness, 1.0);
-            normal += weight * n;
-            height += weight * to_plane;
-            total += weight;
+            let weighted = weight * n;
+            around.total += weight;
+            around.height = fma(weight, to_surface, around.height);
+            around.normal += weighted;
+            if !is_known {
+                let x_row = plane_vector(frame, FIRST_BEND, at);
+                let rest = plane_vector(frame, FIRST_BEND + 3u, at);
+                around.offset = fma(vec3<f32>(weight), centroid, around.offset);
+                around.offsets = plus_products(around.offsets, weight * centroid, centroid, 0.5);
+                around.slopes = plus_products(around.slopes, weighted, centroid, 1.0);
+                around.windows.xx = fma(weight, x_row.x, around.windows.xx);
+                around.windows.xy = fma(weight, x_row.y, around.windows.xy);
+                around.windows.xz = fma(weight, x_row.z, around.windows.xz);
+                around.windows.yy = fma(weight, rest.x, around.windows.yy);
+                around.windows.yz = fma(weight, rest.y, around.windows.yz);
+                around.windows.zz = fma(weight, rest.z, around.windows.zz);
+            }
         }
     }
+    return around;
+}
+
+// A unit normal towards the sensor, and the sign by which it differs from a vote's.
+struct Facing {
+    normal: vec3<f32>,
+    sign: f32,
+}
+
+fn facing(normal: vec3<f32>, ray: vec3<f32>) -> Facing {
+    let sign = select(1.0, -1.0, dot(normal, ray) > 0.0);
+    return Facing(normal * (sign / sqrt(dot(normal, normal))), sign);
+}
+
+fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
+    let own = pixel.y * batch.width + pixel.x;
+    let own_normal = plane_vector(frame, FIRST_NORMAL, own);
     // Without a plane every neighbour counts.
     if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
-        return Surface(normal_at(frame, FIRST_NORMAL, own), planes[plane_word(frame, FIRST_HEIGHT, own)], 1e18);
+        let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
+        return Surface(own_normal, height, 1e18, vec3<f32>(0.0));
     }
-    // Planes that disagree may lie further away than a point may move. The other way round it is the same plane.
-    let sign = select(1.0, -1.0, dot(normal, ray) > 0.0);
-    let moved = clamp(height / total, -radius, radius);
-    return Surface(normal * (sign / sqrt(dot(normal, normal))), sign * moved, NARROW_WIDTH * noise);
+    let none = Tangents(vec3<f32>(0.0), vec3<f32>(0.0));
+    var around = vote(frame, pixel, p, to_mean, radius, noise, false, vec3<f32>(0.0), none);
+    var found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    let tangents = tangents_of(found.normal);
+    let measured = bend_around(around, tangents, radius, noise);
+    // Most surfaces are flat.
+    if bend_square(measured.bend) > 0.0 {
+        around = vote(frame, pixel, p, to_mean, radius, noise, true, measured.bend, tangents);
+        found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    }
+    // Planes that disagree may lie further away than a point may move.
+    let height = found.sign * clamp(around.height / (around.total + STAY_WEIGHT), -radius, radius);
+    // In the middle of the planes, where this normal is, the slope differs from that at p.
+    let tilt = bend_times(measured.bend, measured.centre);
+    let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
+    // The other way round it is the same surface.
+    let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
+    return Surface(tilted.normal, tilted.sign * height, NARROW_WIDTH * noise, bend);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
@@ -81,7 +137,8 @@ fn find_surfaces(
         to_mean = kept_at(frame, KEPT_MEAN, at) - p;
     }
     let surface = surface_of(frame, pixel, p, to_mean, ray, radius, noise);
-    keep_normal(frame, SURFACE_NORMAL, at, surface.normal);
+    keep_vector(frame, SURFACE_NORMAL, at, surface.normal);
+    keep_vector(frame, SURFACE_BEND, at, surface.bend);
     planes[plane_word(frame, SURFACE_HEIGHT, at)] = surface.height;
     planes[plane_word(frame, SURFACE_WIDTH, at)] = surface.width;
     if WINDOW > 0u {

@@ -25,7 +25,8 @@ fn fit_first_planes(
     let ray = ray_to(frame, p);
     let range = range_of(frame, ray);
     let radius = radius_at(frame, range);
-    let sums = sums_of(window, p, gate_of(radius));
+    let places = place_sums_of(window, p, gate_of(radius));
+    let sums = places.sums;
     let plane = plane_of(ray, sums);
     // Scaled, since the squares may be too large.
     let direction = ray / max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
@@ -36,10 +37,14 @@ fn fit_first_planes(
     let usable = enough * clamp(plane.off_line, 0.0, 1.0) * facing;
     let noise = noise_at(frame, range, radius);
     let residual = fma(noise * noise * DOUBT_WEIGHT, plane.doubt, plane.residual) / max(usable, 1e-15);
-    keep_normal(frame, FIRST_NORMAL, at, plane.normal);
-    planes[plane_word(frame, FIRST_HEIGHT, at)] = plane.height;
+    keep_vector(frame, FIRST_NORMAL, at, plane.normal);
+    keep_vector(frame, FIRST_CENTROID, at, plane.centroid);
+    planes[plane_word(frame, FIRST_SPREAD, at)] = plane.spread;
     planes[plane_word(frame, FIRST_RESIDUAL, at)] = select(NOT_USABLE, min(residual, NOT_USABLE), usable > 0.0);
     planes[plane_word(frame, FIRST_CURVATURE, at)] = plane.curvature;
     planes[plane_word(frame, FIRST_EXTENT, at)] = plane.extent_squared;
     planes[plane_word(frame, FIRST_COUNT, at)] = select(sums.n, -sums.n, plane.is_degenerate);
+    let bend = window_bend(places, plane, radius);
+    keep_vector(frame, FIRST_BEND, at, vec3<f32>(bend.xx, bend.xy, bend.xz));
+    keep_vector(frame, FIRST_BEND + 3u, at, vec3<f32>(bend.yy, bend.yz, bend.zz));
 }

@@ -8,20 +8,24 @@
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// First planes: the normal; the height over the point; the variance along the normal plus the plane's uncertainty in m²
-// (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on); the curvature; the number
-// of neighbours, negative if they are collinear; and the squared extent in m².
+// First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
+// plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
+// the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
+// squared extent in m²; and how the window bends: xx, xy, xz, yy, yz, zz.
 const FIRST_NORMAL: u32 = 0u;
-const FIRST_HEIGHT: u32 = 3u;
-const FIRST_RESIDUAL: u32 = 4u;
-const FIRST_CURVATURE: u32 = 5u;
-const FIRST_COUNT: u32 = 6u;
-const FIRST_EXTENT: u32 = 7u;
-// Surfaces found from them: the normal, the height over the point, and the distance in metres within which neighbours
-// count.
-const SURFACE_NORMAL: u32 = 8u;
-const SURFACE_HEIGHT: u32 = 11u;
-const SURFACE_WIDTH: u32 = 12u;
+const FIRST_CENTROID: u32 = 3u;
+const FIRST_RESIDUAL: u32 = 6u;
+const FIRST_SPREAD: u32 = 7u;
+const FIRST_CURVATURE: u32 = 8u;
+const FIRST_COUNT: u32 = 9u;
+const FIRST_EXTENT: u32 = 10u;
+const FIRST_BEND: u32 = 11u;
+// Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
+// count, and how it bends along the tangents of the normal.
+const SURFACE_NORMAL: u32 = 17u;
+const SURFACE_HEIGHT: u32 = 20u;
+const SURFACE_WIDTH: u32 = 21u;
+const SURFACE_BEND: u32 = 22u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -44,18 +48,18 @@ fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
     return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
 }
 
-fn normal_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+fn plane_vector(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
     let at = plane_word(frame, channel, pixel);
     let pixels = batch.width * batch.height;
     return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
 }
 
-fn keep_normal(frame: u32, channel: u32, pixel: u32, normal: vec3<f32>) {
+fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
     let at = plane_word(frame, channel, pixel);
     let pixels = batch.width * batch.height;
-    planes[at] = normal.x;
-    planes[at + pixels] = normal.y;
-    planes[at + 2u * pixels] = normal.z;
+    planes[at] = vector.x;
+    planes[at + pixels] = vector.y;
+    planes[at + 2u * pixels] = vector.z;
 }
 
 // The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.

@@ -11,9 +11,10 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>
     plane.is_degenerate = count < 0.0;
     plane.curvature = planes[plane_word(frame, FIRST_CURVATURE, at)];
     plane.extent_squared = planes[plane_word(frame, FIRST_EXTENT, at)];
-    plane.normal = normal_at(frame, SURFACE_NORMAL, at);
+    plane.normal = plane_vector(frame, SURFACE_NORMAL, at);
     plane.height = planes[plane_word(frame, SURFACE_HEIGHT, at)];
     let radius = radius_at(frame, range_of(frame, ray_to(frame, p)));
-    let surface = LocalSurface(plane, abs(count), planes[plane_word(frame, SURFACE_WIDTH, at)]);
+    let bend = plane_vector(frame, SURFACE_BEND, at);
+    let surface = LocalSurface(plane, abs(count), planes[plane_word(frame, SURFACE_WIDTH, at)], bend);
     return result_of(frame, window, p, radius, surface);
 }

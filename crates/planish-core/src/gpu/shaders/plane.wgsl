@@ -5,6 +5,10 @@ struct Plane {
     normal: vec3<f32>,
     // c·n: the foot of p on the plane is this times the normal.
     height: f32,
+    // The mean of the neighbours, c.
+    centroid: vec3<f32>,
+    // The sum of the variances along the plane, l1 + l2, in m².
+    spread: f32,
     // Variance along the normal, l0, in m².
     residual: f32,
     // How little the points determine the normal: l2/(l1 - l0), at most MAX_DOUBT.
@@ -26,6 +30,8 @@ struct LocalSurface {
     n: f32,
     // Maximum distance of a neighbour from the plane in metres; undefined if KEEPS_EDGES is false.
     width: f32,
+    // How the plane bends along the tangents of its normal: uu, uv, vv; undefined if BENDS is false.
+    bend: vec3<f32>,
 }
 
 // `ray` leads from the sensor to p.
@@ -43,5 +49,5 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let doubt = min(l.z / max(l.y - residual, MIN_POSITIVE), MAX_DOUBT);
     let line = l.z * DEGENERATE_RATIO;
     let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
-    return Plane(normal, dot(c, normal), residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
+    return Plane(normal, dot(c, normal), c, l.y + l.z, residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }

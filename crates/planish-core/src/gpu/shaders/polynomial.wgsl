@@ -30,6 +30,8 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
     // Factor of f² in the weight of section 10.
     let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
+    // What is taken from f: half the bend, in these units.
+    let half_bend = surface.bend * (0.5 / per_metre);
     var s: Moments;
     FOR_EACH_CANDIDATE
         let a = fma(e.x, a_axis.x, fma(e.y, a_axis.y, e.z * a_axis.z));
@@ -39,8 +41,11 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
         let squared = fma(above_p, above_p, in_plane);
         let nearness = unclamped(gate, squared);
         if nearness > 0.0 {
-            let f = above_p - f_offset;
+            var f = above_p - f_offset;
             var exponent = fma(f, f, in_plane);
+            if BENDS {
+                f -= fma(a * a, half_bend.x, fma(b * b, half_bend.z, 2.0 * a * b * half_bend.y));
+            }
             if KEEPS_EDGES {
                 exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
             }
