@@ -14,7 +14,7 @@ const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
 const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 13u;
+const PLANE_CHANNELS: u32 = 25u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -62,6 +62,19 @@ const MIN_BLOCK_WEIGHT: f32 = 0.02;
 const DISTANCE_WEIGHT: f32 = 0.3;
 const NARROW_WIDTH: f32 = 1.0;
 const DOUBT_WEIGHT: f32 = 0.01;
+const WINDOW_BEND_DAMPING: f32 = 0.08;
+const LEAST_PLACES: f32 = 0.001;
+const LEAST_AREA: f32 = 1e-6;
+const MOST_WINDOW_BEND: f32 = 4.0;
+const LEAST_BEND_NEIGHBOURS: f32 = 6.0;
+const BEND_DAMPING: f32 = 0.009;
+const LEAST_BEND_WEIGHT: f32 = 1e-12;
+const BEND_SHARED_FROM: f32 = 0.2;
+const BEND_SHARED_TO: f32 = 0.5;
+const LEAST_RISE: f32 = 0.3;
+const MOST_BEND: f32 = 1.2;
+const BEND_VARIANCE: f32 = 0.0125;
+const LEAST_VARIANCE: f32 = 0.1;
 const MIN_INCIDENCE_COSINE: f32 = 0.05;
 const SQRT_LOG2_E: f32 = 1.2011224;
 const MAX_OFF_SURFACE: f32 = 11.54156;
@@ -72,6 +85,7 @@ const STRIDE: u32 = 1u;
 const DEGREE: u32 = 1u;
 const EDGE_SHIFT: u32 = 0u;
 const KEEPS_EDGES: bool = false;
+const BENDS: bool = false;
 const READS_MEANS: bool = false;
 // The buffers that the kernels read and write, by the word (layout.rs).
 //
@@ -114,20 +128,24 @@ fn is_finite(bits: u32) -> bool {
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// First planes: the normal; the height over the point; the variance along the normal plus the plane's uncertainty in m²
-// (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on); the curvature; the number
-// of neighbours, negative if they are collinear; and the squared extent in m².
+// First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
+// plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
+// the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
+// squared extent in m²; and how the window bends: xx, xy, xz, yy, yz, zz.
 const FIRST_NORMAL: u32 = 0u;
-const FIRST_HEIGHT: u32 = 3u;
-const FIRST_RESIDUAL: u32 = 4u;
-const FIRST_CURVATURE: u32 = 5u;
-const FIRST_COUNT: u32 = 6u;
-const FIRST_EXTENT: u32 = 7u;
-// Surfaces found from them: the normal, the height over the point, and the distance in metres within which neighbours
-// count.
-const SURFACE_NORMAL: u32 = 8u;
-const SURFACE_HEIGHT: u32 = 11u;
-const SURFACE_WIDTH: u32 = 12u;
+const FIRST_CENTROID: u32 = 3u;
+const FIRST_RESIDUAL: u32 = 6u;
+const FIRST_SPREAD: u32 = 7u;
+const FIRST_CURVATURE: u32 = 8u;
+const FIRST_COUNT: u32 = 9u;
+const FIRST_EXTENT: u32 = 10u;
+const FIRST_BEND: u32 = 11u;
+// Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
+// count, and how it bends along the tangents of the normal.
+const SURFACE_NORMAL: u32 = 17u;
+const SURFACE_HEIGHT: u32 = 20u;
+const SURFACE_WIDTH: u32 = 21u;
+const SURFACE_BEND: u32 = 22u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -150,18 +168,18 @@ fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
     return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
 }
 
-fn normal_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+fn plane_vector(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
     let at = plane_word(frame, channel, pixel);
     let pixels = batch.width * batch.height;
     return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
 }
 
-fn keep_normal(frame: u32, channel: u32, pixel: u32, normal: vec3<f32>) {
+fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
     let at = plane_word(frame, channel, pixel);
     let pixels = batch.width * batch.height;
-    planes[at] = normal.x;
-    planes[at + pixels] = normal.y;
-    planes[at + 2u * pixels] = normal.z;
+    planes[at] = vector.x;
+    planes[at + pixels] = vector.y;
+    planes[at + 2u * pixels] = vector.z;
 }
 
 // The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.

@@ -14,7 +14,7 @@ const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
 const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 13u;
+const PLANE_CHANNELS: u32 = 25u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -62,6 +62,19 @@ const MIN_BLOCK_WEIGHT: f32 = 0.02;
 const DISTANCE_WEIGHT: f32 = 0.3;
 const NARROW_WIDTH: f32 = 1.0;
 const DOUBT_WEIGHT: f32 = 0.01;
+const WINDOW_BEND_DAMPING: f32 = 0.08;
+const LEAST_PLACES: f32 = 0.001;
+const LEAST_AREA: f32 = 1e-6;
+const MOST_WINDOW_BEND: f32 = 4.0;
+const LEAST_BEND_NEIGHBOURS: f32 = 6.0;
+const BEND_DAMPING: f32 = 0.009;
+const LEAST_BEND_WEIGHT: f32 = 1e-12;
+const BEND_SHARED_FROM: f32 = 0.2;
+const BEND_SHARED_TO: f32 = 0.5;
+const LEAST_RISE: f32 = 0.3;
+const MOST_BEND: f32 = 1.2;
+const BEND_VARIANCE: f32 = 0.0125;
+const LEAST_VARIANCE: f32 = 0.1;
 const MIN_INCIDENCE_COSINE: f32 = 0.05;
 const SQRT_LOG2_E: f32 = 1.2011224;
 const MAX_OFF_SURFACE: f32 = 11.54156;
@@ -72,6 +85,7 @@ const STRIDE: u32 = 1u;
 const DEGREE: u32 = 1u;
 const EDGE_SHIFT: u32 = 11u;
 const KEEPS_EDGES: bool = false;
+const BENDS: bool = false;
 const READS_MEANS: bool = false;
 // The buffers that the kernels read and write, by the word (layout.rs).
 //
@@ -114,20 +128,24 @@ fn is_finite(bits: u32) -> bool {
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// First planes: the normal; the height over the point; the variance along the normal plus the plane's uncertainty in m²
-// (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on); the curvature; the number
-// of neighbours, negative if they are collinear; and the squared extent in m².
+// First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
+// plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
+// the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
+// squared extent in m²; and how the window bends: xx, xy, xz, yy, yz, zz.
 const FIRST_NORMAL: u32 = 0u;
-const FIRST_HEIGHT: u32 = 3u;
-const FIRST_RESIDUAL: u32 = 4u;
-const FIRST_CURVATURE: u32 = 5u;
-const FIRST_COUNT: u32 = 6u;
-const FIRST_EXTENT: u32 = 7u;
-// Surfaces found from them: the normal, the height over the point, and the distance in metres within which neighbours
-// count.
-const SURFACE_NORMAL: u32 = 8u;
-const SURFACE_HEIGHT: u32 = 11u;
-const SURFACE_WIDTH: u32 = 12u;
+const FIRST_CENTROID: u32 = 3u;
+const FIRST_RESIDUAL: u32 = 6u;
+const FIRST_SPREAD: u32 = 7u;
+const FIRST_CURVATURE: u32 = 8u;
+const FIRST_COUNT: u32 = 9u;
+const FIRST_EXTENT: u32 = 10u;
+const FIRST_BEND: u32 = 11u;
+// Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
+// count, and how it bends along the tangents of the normal.
+const SURFACE_NORMAL: u32 = 17u;
+const SURFACE_HEIGHT: u32 = 20u;
+const SURFACE_WIDTH: u32 = 21u;
+const SURFACE_BEND: u32 = 22u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -150,18 +168,18 @@ fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
     return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
 }
 
-fn normal_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
+fn plane_vector(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
     let at = plane_word(frame, channel, pixel);
     let pixels = batch.width * batch.height;
     return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
 }
 
-fn keep_normal(frame: u32, channel: u32, pixel: u32, normal: vec3<f32>) {
+fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
     let at = plane_word(frame, channel, pixel);
     let pixels = batch.width * batch.height;
-    planes[at] = normal.x;
-    planes[at + pixels] = normal.y;
-    planes[at + 2u * pixels] = normal.z;
+    planes[at] = vector.x;
+    planes[at + pixels] = vector.y;
+    planes[at + 2u * pixels] = vector.z;
 }
 
 // The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
@@ -519,6 +537,114 @@ fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: 
     // p itself has a weight.
     return p + sum / total;
 }
+// How surfaces bend: tensors H in 1/m, of a surface that is x·Hx/2 above its tangent plane at an offset x along it
+// (docs/method.md, section 10). Those of windows have six components in space; that of a surface has uu, uv and vv along
+// the tangents of its normal.
+
+// H (a, b).
+fn bend_times(h: vec3<f32>, at: vec2<f32>) -> vec2<f32> {
+    return vec2<f32>(fma(h.x, at.x, h.y * at.y), fma(h.y, at.x, h.z * at.y));
+}
+
+fn place_along(frame: Tangents, x: vec3<f32>) -> vec2<f32> {
+    return vec2<f32>(dot(x, frame.u), dot(x, frame.v));
+}
+
+// The sum of the squares of all entries.
+fn bend_square(h: vec3<f32>) -> f32 {
+    return fma(h.x, h.x, fma(h.z, h.z, 2.0 * h.y * h.y));
+}
+
+fn along(frame: Tangents, m: Symmetric) -> vec3<f32> {
+    let by_u = symmetric_times(m, frame.u);
+    let by_v = symmetric_times(m, frame.v);
+    return vec3<f32>(dot(frame.u, by_u), dot(frame.u, by_v), dot(frame.v, by_v));
+}
+
+// The same tensor along other tangents.
+fn turned(h: vec3<f32>, frame: Tangents, to: Tangents) -> vec3<f32> {
+    let u = place_along(frame, to.u);
+    let v = place_along(frame, to.v);
+    let by_u = bend_times(h, u);
+    let by_v = bend_times(h, v);
+    return vec3<f32>(dot(u, by_u), dot(u, by_v), dot(v, by_v));
+}
+
+// Weighted sums over the planes around a point.
+struct Around {
+    total: f32,
+    // Of the distances from the point to the surface, along the normals.
+    height: f32,
+    normal: vec3<f32>,
+    // Of the offsets x of their centroids from the point, and of x x^T.
+    offset: vec3<f32>,
+    offsets: Symmetric,
+    // Of n x^T + x n^T, with the normals n.
+    slopes: Symmetric,
+    // Of the bends in their windows.
+    windows: Symmetric,
+}
+
+// A sum plus a factor times x y^T + y x^T.
+fn plus_products(sum: Symmetric, x: vec3<f32>, y: vec3<f32>, factor: f32) -> Symmetric {
+    let x_row = factor * fma(vec3<f32>(x.x), y, y.x * x);
+    let rest = factor * fma(x.yyz, y.yzz, y.yyz * x.yzz);
+    return Symmetric(
+        sum.xx + x_row.x,
+        sum.xy + x_row.y,
+        sum.xz + x_row.z,
+        sum.yy + rest.x,
+        sum.yz + rest.y,
+        sum.zz + rest.z,
+    );
+}
+
+struct Measured {
+    bend: vec3<f32>,
+    // Mean place of the planes along the tangents.
+    centre: vec2<f32>,
+}
+
+// The bend of a surface along the tangents `frame` of its normal.
+fn bend_around(around: Around, frame: Tangents, radius: f32, noise: f32) -> Measured {
+    if !(around.total > LEAST_BEND_WEIGHT) {
+        return Measured(vec3<f32>(0.0), vec2<f32>(0.0));
+    }
+    let per_total = 1.0 / around.total;
+    // In units of the radius, whose square may be as small as 1e-24 m².
+    let per_radius = 1.0 / radius;
+    let scale = per_total * per_radius;
+    // A plane's place t, and its slope s, the sine of its angle: on a circle the slope grows with the place by 1/r.
+    let t = place_along(frame, around.offset) * scale;
+    let s = place_along(frame, around.normal) * -per_total;
+    let places = along(frame, around.offsets) * (scale * per_radius);
+    let slopes = along(frame, around.slopes) * -scale;
+    // The symmetric H that minimises the mean of |s - H t|² plus damping |H|², by Cramer's rule for
+    // [[a, b, 0], [b, a + c, b], [0, b, c]] (uu, uv, vv) = (p, q, r).
+    let a = max(places.x - t.x * t.x, 0.0) + BEND_DAMPING;
+    let b = places.y - t.x * t.y;
+    let c = max(places.z - t.y * t.y, 0.0) + BEND_DAMPING;
+    let p = fma(slopes.x, 0.5, -(s.x * t.x));
+    let q = slopes.y - s.x * t.y - s.y * t.x;
+    let r = fma(slopes.z, 0.5, -(s.y * t.y));
+    let bb = b * b;
+    let sum = a + c;
+    // H times the radius.
+    let bend = vec3<f32>(
+        (sum * c - bb) * p - b * c * q + bb * r,
+        a * c * q - b * c * p - a * b * r,
+        bb * p - a * b * q + (sum * a - bb) * r,
+    ) / (sum * (a * c - bb));
+    let square = bend_square(bend);
+    let size = sqrt(square);
+    let within = along(frame, around.windows) * (radius * per_total);
+    let product = fma(bend.x, within.x, fma(bend.z, within.z, 2.0 * bend.y * within.y));
+    let ratio = product / max(square, MIN_POSITIVE);
+    let counts = clamp((ratio - BEND_SHARED_FROM) / (BEND_SHARED_TO - BEND_SHARED_FROM), 0.0, 1.0);
+    let certain = clamp(size * radius / (noise * (8.0 * LEAST_RISE)) - 1.0, 0.0, 1.0);
+    let limit = min(MOST_BEND / max(size, MIN_POSITIVE), 1.0);
+    return Measured(bend * (counts * certain * limit * per_radius), t * radius);
+}
 // Finds the plane of each point from its first plane and the eight around it and, if blocks are averaged, the mean of
 // the points on that plane (docs/method.md, section 10).
 
@@ -526,15 +652,16 @@ struct Surface {
     normal: vec3<f32>,
     height: f32,
     width: f32,
+    // Along the tangents of the normal.
+    bend: vec3<f32>,
 }
 
-fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
-    let own = pixel.y * batch.width + pixel.x;
+// The nine planes, weighed by how well they fit a point whose surface bends by `bend` along the tangents, if it is known;
+// otherwise with the sums for it.
+fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32, is_known: bool, bend: vec3<f32>, tangents: Tangents) -> Around {
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
-    var normal = OWN_NORMAL_WEIGHT * normal_at(frame, FIRST_NORMAL, own);
-    var height = 0.0;
-    var total = STAY_WEIGHT;
+    var around: Around;
     for (var row = 0u; row < 3u; row++) {
         for (var column = 0u; column < 3u; column++) {
             let x = i32(pixel.x + column * EDGE_SHIFT) - i32(EDGE_SHIFT);
@@ -548,30 +675,85 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
             if !(nearness > 0.0) {
                 continue;
             }
-            let own_residual = planes[plane_word(frame, FIRST_RESIDUAL, at)];
-            if own_residual >= NOT_USABLE {
+            var variance = planes[plane_word(frame, FIRST_RESIDUAL, at)];
+            if variance >= NOT_USABLE {
                 continue;
             }
-            let n = normal_at(frame, FIRST_NORMAL, at);
-            // Distances to the plane along its normal, from p and from the mean.
-            let to_plane = dot(offset, n) + planes[plane_word(frame, FIRST_HEIGHT, at)];
-            let from_mean = to_plane - dot(to_mean, n);
-            let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, own_residual);
+            let n = plane_vector(frame, FIRST_NORMAL, at);
+            let centroid = offset + plane_vector(frame, FIRST_CENTROID, at);
+            // Distances to the surface along the plane's normal, from p and from the mean.
+            var to_surface = dot(centroid, n);
+            if is_known {
+                let spread = planes[plane_word(frame, FIRST_SPREAD, at)];
+                let place = place_along(tangents, centroid);
+                to_surface = fma(dot(place, bend_times(bend, place)), 0.5, to_surface);
+                to_surface -= spread * (bend.x + bend.z) * 0.25;
+                let bent = bend_square(bend) * (spread * spread) * BEND_VARIANCE;
+                variance = max(variance - bent, variance * LEAST_VARIANCE);
+            }
+            let from_mean = to_surface - dot(to_mean, n);
+            let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
             let root = 1.0 / fma(residual, per_variance, 1.0);
             let weight = (root * root) * (root * root) * min(nearness, 1.0);
-            normal += weight * n;
-            height += weight * to_plane;
-            total += weight;
+            let weighted = weight * n;
+            around.total += weight;
+            around.height = fma(weight, to_surface, around.height);
+            around.normal += weighted;
+            if !is_known {
+                let x_row = plane_vector(frame, FIRST_BEND, at);
+                let rest = plane_vector(frame, FIRST_BEND + 3u, at);
+                around.offset = fma(vec3<f32>(weight), centroid, around.offset);
+                around.offsets = plus_products(around.offsets, weight * centroid, centroid, 0.5);
+                around.slopes = plus_products(around.slopes, weighted, centroid, 1.0);
+                around.windows.xx = fma(weight, x_row.x, around.windows.xx);
+                around.windows.xy = fma(weight, x_row.y, around.windows.xy);
+                around.windows.xz = fma(weight, x_row.z, around.windows.xz);
+                around.windows.yy = fma(weight, rest.x, around.windows.yy);
+                around.windows.yz = fma(weight, rest.y, around.windows.yz);
+                around.windows.zz = fma(weight, rest.z, around.windows.zz);
+            }
         }
     }
+    return around;
+}
+
+// A unit normal towards the sensor, and the sign by which it differs from a vote's.
+struct Facing {
+    normal: vec3<f32>,
+    sign: f32,
+}
+
+fn facing(normal: vec3<f32>, ray: vec3<f32>) -> Facing {
+    let sign = select(1.0, -1.0, dot(normal, ray) > 0.0);
+    return Facing(normal * (sign / sqrt(dot(normal, normal))), sign);
+}
+
+fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
+    let own = pixel.y * batch.width + pixel.x;
+    let own_normal = plane_vector(frame, FIRST_NORMAL, own);
     // Without a plane every neighbour counts.
     if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
-        return Surface(normal_at(frame, FIRST_NORMAL, own), planes[plane_word(frame, FIRST_HEIGHT, own)], 1e18);
+        let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
+        return Surface(own_normal, height, 1e18, vec3<f32>(0.0));
     }
-    // Planes that disagree may lie further away than a point may move. The other way round it is the same plane.
-    let sign = select(1.0, -1.0, dot(normal, ray) > 0.0);
-    let moved = clamp(height / total, -radius, radius);
-    return Surface(normal * (sign / sqrt(dot(normal, normal))), sign * moved, NARROW_WIDTH * noise);
+    let none = Tangents(vec3<f32>(0.0), vec3<f32>(0.0));
+    var around = vote(frame, pixel, p, to_mean, radius, noise, false, vec3<f32>(0.0), none);
+    var found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    let tangents = tangents_of(found.normal);
+    let measured = bend_around(around, tangents, radius, noise);
+    // Most surfaces are flat.
+    if bend_square(measured.bend) > 0.0 {
+        around = vote(frame, pixel, p, to_mean, radius, noise, true, measured.bend, tangents);
+        found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    }
+    // Planes that disagree may lie further away than a point may move.
+    let height = found.sign * clamp(around.height / (around.total + STAY_WEIGHT), -radius, radius);
+    // In the middle of the planes, where this normal is, the slope differs from that at p.
+    let tilt = bend_times(measured.bend, measured.centre);
+    let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
+    // The other way round it is the same surface.
+    let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
+    return Surface(tilted.normal, tilted.sign * height, NARROW_WIDTH * noise, bend);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
@@ -602,7 +784,8 @@ fn find_surfaces(
         to_mean = kept_at(frame, KEPT_MEAN, at) - p;
     }
     let surface = surface_of(frame, pixel, p, to_mean, ray, radius, noise);
-    keep_normal(frame, SURFACE_NORMAL, at, surface.normal);
+    keep_vector(frame, SURFACE_NORMAL, at, surface.normal);
+    keep_vector(frame, SURFACE_BEND, at, surface.bend);
     planes[plane_word(frame, SURFACE_HEIGHT, at)] = surface.height;
     planes[plane_word(frame, SURFACE_WIDTH, at)] = surface.width;
     if WINDOW > 0u {
