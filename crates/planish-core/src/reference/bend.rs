@@ -27,9 +27,9 @@ const DAMPING: f64 = 0.009;
 const SHARED_FROM: f64 = 0.2;
 /// ...and from this share on it counts fully.
 const SHARED_TO: f64 = 0.5;
-/// A bend that lifts the surface by less than this share of the noise, at half the radius, is none; one of twice that
-/// height counts fully.
-const LEAST_RISE: f64 = 0.3;
+/// Planes whose normals spread by less than this many times the noise over the radius are on a flat surface; those that
+/// spread twice as much count fully.
+const LEAST_SPREAD: f64 = 1.0;
 /// A surface bends by at most this much over the radius.
 const MOST_BEND: f64 = 1.2;
 /// The variance that a bend adds to a window, in squares of the window's spread times the bend. About a sixth of a disc's,
@@ -150,8 +150,9 @@ impl Bend {
         let of_windows = slopes.iter().map(|s| s.weight * s.of_window).fold(DMat3::ZERO, |a, b| a + b) * (1.0 / total);
         let shared = inner(tensor, of_windows) / (size * size);
         let shared = ((shared - SHARED_FROM) / (SHARED_TO - SHARED_FROM)).clamp(0.0, 1.0);
-        let rise_m = size * radius_m * radius_m / 8.0;
-        let certain = (rise_m / (LEAST_RISE * noise_m) - 1.0).clamp(0.0, 1.0);
+        let mean_normal = slopes.iter().map(|s| s.weight * s.normal).sum::<DVec3>() / total;
+        let spread = (1.0 - mean_normal.length_squared()).max(0.0).sqrt();
+        let certain = (spread * radius_m / (LEAST_SPREAD * noise_m) - 1.0).clamp(0.0, 1.0);
         let limit = (MOST_BEND / (size * radius_m)).min(1.0);
         Self { tensor: shared * certain * limit * tensor, centre }
     }
