@@ -69,7 +69,7 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
             plane,
             variance: variance / usable,
             nearness: fading_gate(q - p, PLANE_REACH * radius_m),
-            bend: first.bend,
+            window_bend: first.window_bend,
         })
     }
 
@@ -83,7 +83,7 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         radius_m: f64,
     ) -> Option<Surface> {
         let own = self.surfaces[v * self.grid.width + u]?;
-        let Some(own_plane) = own.plane else { return Some(Surface { bend: DMat3::ZERO, ..own }) };
+        let Some(own_plane) = own.plane else { return Some(own) };
         let noise_m = (self.noise_m)(p);
         let shift = edge_shift_px(self.params.reach_px());
         let mut around = Vec::with_capacity(9);
@@ -127,8 +127,7 @@ struct Candidate {
     /// Variance of its points about it plus its uncertainty, in m².
     variance: f64,
     nearness: f64,
-    /// Of its window.
-    bend: DMat3,
+    window_bend: f64,
 }
 
 impl Candidate {
@@ -180,7 +179,7 @@ impl Voters {
             weight,
             offset: candidate.centroid,
             normal: candidate.plane.normal,
-            of_window: candidate.bend,
+            window_bend: candidate.window_bend,
         };
         self.around.iter().zip(&vote.weights).map(slope).collect()
     }

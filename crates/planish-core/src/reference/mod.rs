@@ -68,15 +68,17 @@ struct Surface {
     plane: Option<Plane>,
     /// Distance from the plane within which a neighbour counts (section 10).
     width_m: f64,
-    /// How its window bends and, once the surface is found, the surface (section 10), in 1/m.
+    /// How it bends, in 1/m (section 10).
     bend: DMat3,
+    /// The sum of its window's principal curvatures, in 1/m (section 10).
+    window_bend: f64,
 }
 
 impl Surface {
     /// Returns the plane of a point's own neighbours (section 4), given as offsets from it.
     fn own(offsets: &[DVec3], radius_m: f64, ray: DVec3) -> Self {
         let plane = if offsets.len() < 3 { None } else { plane::fit(offsets, radius_m, ray) };
-        Self { neighbours: offsets.len() as u32, plane, width_m: f64::INFINITY, bend: DMat3::ZERO }
+        Self { neighbours: offsets.len() as u32, plane, width_m: f64::INFINITY, bend: DMat3::ZERO, window_bend: 0.0 }
     }
 }
 
@@ -94,7 +96,7 @@ fn smooth_point(
     surface: &Surface,
     on_ray: bool,
 ) -> PointResult {
-    let &Surface { neighbours, ref plane, width_m, bend } = surface;
+    let &Surface { neighbours, ref plane, width_m, bend, .. } = surface;
     if neighbours < 3 {
         return PointResult { status: Status::TooFew, neighbours, ..PointResult::hole() };
     }
@@ -187,12 +189,10 @@ impl Reference {
             let neighbours = self.neighbours(samples, geometry, p, pixel);
             let surface = Surface::own(&offsets_of(&neighbours), radius_m, p);
             let bends = |plane| bend::of_window(&neighbours, &plane, radius_m, params.window);
-            Some(Surface { bend: surface.plane.map_or(DMat3::ZERO, bends), ..surface })
+            Some(Surface { window_bend: surface.plane.map_or(0.0, bends), ..surface })
         };
         let mut surfaces = self.for_each_pixel(grid, None, own);
-        if params.edges == Edges::Off {
-            surfaces.iter_mut().flatten().for_each(|surface| surface.bend = DMat3::ZERO);
-        } else {
+        if params.edges != Edges::Off {
             let first_planes = edges::FirstPlanes { grid, surfaces: &surfaces, params, noise_m: &noise_m };
             let surface = |p: DVec3, (u, v): (usize, usize)| {
                 let mean_offset = samples.points[v * grid.width + u] - p;
