@@ -1,4 +1,4 @@
-"""The table of accuracy.sh, from the reports in a folder. Errors are ratios to the raw frames."""
+"""The tables of accuracy.sh, from the reports in a folder. Errors in the first are ratios to the raw frames."""
 
 import json
 import pathlib
@@ -7,7 +7,7 @@ import sys
 folder = pathlib.Path(sys.argv[1])
 columns = [
     "", "RMS, near", "middle", "far", "normals, near", "middle", "far", "facets, near", "middle", "far",
-    "at 60-75°", "over 30°", "near steps", "floating", "90° edge", "sphere",
+    "at 60-75°", "over 30°", "near steps", "floating", "90° edge", "normals there", "sphere",
     "lost", "ms",
 ]
 print("| " + " | ".join(columns) + " |")
@@ -25,17 +25,40 @@ def row(name, report, raw, ms):
     cells += [f"{r['facet_mean_deg']:.1f}°" for r, _ in ranges]
     cells += [f"{report['angles'][2]['facet_mean_deg']:.1f}°", f"{100 * report['speck_share']:.2f} %"]
     cells += [ratio(report["edge_mean_mm"], raw["edge_mean_mm"]), f"{100 * report['flying_share']:.2f} %"]
-    cells += [f"{report['crease_deg']:.1f}°", f"{100 * report['sphere_radius_bias']:+.2f} %"]
+    cells += [f"{report['crease_deg']:.1f}°", f"{report['crease_normal_deg']:.1f}°", f"{100 * report['sphere_radius_bias']:+.2f} %"]
     cells += [f"{100 * report['lost_share']:.2f} %", ms]
     print("| " + " | ".join(cells) + " |")
 
 
-first = True
+def size(curve):
+    """Its name and radius; a board has none."""
+    radius_m = curve["radius_m"]
+    return curve["name"] + (f" {100 * radius_m:g} cm" if radius_m else "")
+
+
+def curves_table(reports, range_m):
+    """RMS in mm and the error of the facets of every curved surface at a range."""
+    def at_range(report):
+        return {size(curve): curve for curve in report["curves"] if curve["range_m"] == range_m}
+
+    shapes = list(at_range(reports[0][1]))
+    print(f"\n| at {range_m:g} m: RMS, mm; facets | " + " | ".join(shapes) + " |")
+    print("|" + "---|" * (len(shapes) + 1))
+    for name, report in reports:
+        found = at_range(report)
+        cells = [f"{found[s]['rmse_mm']:.2f}; {found[s]['facet_mean_deg']:.1f}°" if s in found else "-" for s in shapes]
+        print(f"| {name} | " + " | ".join(cells) + " |")
+
+
+reports = []
 for file in sorted(folder.glob("*.ms"), key=lambda file: file.stat().st_mtime_ns):
     rows = json.loads(file.with_suffix(".json").read_text())
     raw, found = rows[0], rows[-1]
-    if first:
+    if not reports:
         row("raw", raw, raw, "")
-        first = False
+        reports.append(("raw", raw))
     ms = file.read_text().strip()
     row(file.stem, found, raw, f"{found['frame_ms'] if ms == 'own' else float(ms):.1f}")
+    reports.append((file.stem, found))
+for range_m in sorted({curve["range_m"] for curve in reports[0][1]["curves"]}):
+    curves_table(reports, range_m)

@@ -14,7 +14,7 @@ const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
 const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 25u;
+const PLANE_CHANNELS: u32 = 20u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -62,19 +62,16 @@ const MIN_BLOCK_WEIGHT: f32 = 0.02;
 const DISTANCE_WEIGHT: f32 = 0.3;
 const NARROW_WIDTH: f32 = 1.0;
 const DOUBT_WEIGHT: f32 = 0.01;
-const WINDOW_BEND_DAMPING: f32 = 0.08;
-const LEAST_PLACES: f32 = 0.001;
-const LEAST_AREA: f32 = 1e-6;
+const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
-const LEAST_BEND_NEIGHBOURS: f32 = 6.0;
 const BEND_DAMPING: f32 = 0.009;
 const LEAST_BEND_WEIGHT: f32 = 1e-12;
+const LEAST_TURN: f32 = 1.0;
+const BEND_EXPLAINED_FROM: f32 = 0.65;
+const BEND_EXPLAINED_TO: f32 = 0.85;
 const BEND_SHARED_FROM: f32 = 0.2;
-const BEND_SHARED_TO: f32 = 0.5;
-const LEAST_RISE: f32 = 0.3;
+const BEND_SHARED_TO: f32 = 0.4;
 const MOST_BEND: f32 = 1.2;
-const BEND_VARIANCE: f32 = 0.0125;
-const LEAST_VARIANCE: f32 = 0.1;
 const MIN_INCIDENCE_COSINE: f32 = 0.05;
 const SQRT_LOG2_E: f32 = 1.2011224;
 const MAX_OFF_SURFACE: f32 = 11.54156;
@@ -131,7 +128,7 @@ const KEPT_MEAN: u32 = 3u;
 // First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
 // plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
 // the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
-// squared extent in m²; and how the window bends: xx, xy, xz, yy, yz, zz.
+// squared extent in m²; and how the window bends.
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 6u;
@@ -142,10 +139,10 @@ const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
 // Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
 // count, and how it bends along the tangents of the normal.
-const SURFACE_NORMAL: u32 = 17u;
-const SURFACE_HEIGHT: u32 = 20u;
-const SURFACE_WIDTH: u32 = 21u;
-const SURFACE_BEND: u32 = 22u;
+const SURFACE_NORMAL: u32 = 12u;
+const SURFACE_HEIGHT: u32 = 15u;
+const SURFACE_WIDTH: u32 = 16u;
+const SURFACE_BEND: u32 = 17u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;

@@ -14,7 +14,7 @@ const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
 const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 25u;
+const PLANE_CHANNELS: u32 = 20u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -62,19 +62,16 @@ const MIN_BLOCK_WEIGHT: f32 = 0.02;
 const DISTANCE_WEIGHT: f32 = 0.3;
 const NARROW_WIDTH: f32 = 1.0;
 const DOUBT_WEIGHT: f32 = 0.01;
-const WINDOW_BEND_DAMPING: f32 = 0.08;
-const LEAST_PLACES: f32 = 0.001;
-const LEAST_AREA: f32 = 1e-6;
+const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
-const LEAST_BEND_NEIGHBOURS: f32 = 6.0;
 const BEND_DAMPING: f32 = 0.009;
 const LEAST_BEND_WEIGHT: f32 = 1e-12;
+const LEAST_TURN: f32 = 1.0;
+const BEND_EXPLAINED_FROM: f32 = 0.65;
+const BEND_EXPLAINED_TO: f32 = 0.85;
 const BEND_SHARED_FROM: f32 = 0.2;
-const BEND_SHARED_TO: f32 = 0.5;
-const LEAST_RISE: f32 = 0.3;
+const BEND_SHARED_TO: f32 = 0.4;
 const MOST_BEND: f32 = 1.2;
-const BEND_VARIANCE: f32 = 0.0125;
-const LEAST_VARIANCE: f32 = 0.1;
 const MIN_INCIDENCE_COSINE: f32 = 0.05;
 const SQRT_LOG2_E: f32 = 1.2011224;
 const MAX_OFF_SURFACE: f32 = 11.54156;
@@ -131,7 +128,7 @@ const KEPT_MEAN: u32 = 3u;
 // First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
 // plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
 // the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
-// squared extent in m²; and how the window bends: xx, xy, xz, yy, yz, zz.
+// squared extent in m²; and how the window bends.
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 6u;
@@ -142,10 +139,10 @@ const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
 // Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
 // count, and how it bends along the tangents of the normal.
-const SURFACE_NORMAL: u32 = 17u;
-const SURFACE_HEIGHT: u32 = 20u;
-const SURFACE_WIDTH: u32 = 21u;
-const SURFACE_BEND: u32 = 22u;
+const SURFACE_NORMAL: u32 = 12u;
+const SURFACE_HEIGHT: u32 = 15u;
+const SURFACE_WIDTH: u32 = 16u;
+const SURFACE_BEND: u32 = 17u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -568,138 +565,32 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
     return Plane(normal, dot(c, normal), c, l.y + l.z, residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }
-// The sums over a window for its plane and its bend (docs/method.md, sections 2 and 10). Places (i, j) are columns and rows
-// from its centre.
+// How a window bends (docs/method.md, section 10).
 
-// Of i² over a row, of i⁴, and of (i² - mean)² and (i j)² over a window in which every pixel counts 1.
-const HALF: f32 = f32(WINDOW);
-const WHOLE_SECOND: f32 = HALF * (HALF + 1.0) * (2.0 * HALF + 1.0) / 3.0;
-const WHOLE_FOURTH: f32 = WHOLE_SECOND * (3.0 * HALF * (HALF + 1.0) - 1.0) / 5.0;
-const MEAN_SQUARE: f32 = WHOLE_SECOND / (2.0 * HALF + 1.0);
-const WHOLE_SQUARES: f32 = (2.0 * HALF + 1.0) * WHOLE_FOURTH - WHOLE_SECOND * WHOLE_SECOND;
-const WHOLE_MIXED: f32 = WHOLE_SECOND * WHOLE_SECOND;
+// Half the width of the middle of a window, and the share of its pixels' spread in the window's.
+const MIDDLE: u32 = WINDOW / 2u;
+const MIDDLE_SHARE: f32 = f32(MIDDLE * (MIDDLE + 1u)) / f32(WINDOW * (WINDOW + 1u));
 
-// Sums over the columns or rows: of the weights times powers of the place, and of the weighted offsets times such.
-struct LineSums {
-    weights: f32,
-    weights_1: f32,
-    weights_2: f32,
-    weights_3: f32,
-    weights_4: f32,
-    offsets_1: vec3<f32>,
-    offsets_2: vec3<f32>,
-}
-
-struct PlaceSums {
-    sums: Sums,
-    columns: LineSums,
-    rows: LineSums,
-    // Of the weighted offsets times i j, and of the weights times i j and its square.
-    mixed: vec3<f32>,
-    mixed_weights: f32,
-    mixed_squares: f32,
-}
-
-fn place_sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> PlaceSums {
-    var sums: Sums;
-    var columns: LineSums;
-    var rows: LineSums;
-    var mixed = vec3<f32>(0.0);
-    var mixed_weights = 0.0;
-    var mixed_squares = 0.0;
-    for (var row = 0u; row < SIDE; row++) {
-        var of_row: LineSums;
-        var offsets = vec3<f32>(0.0);
-        for (var column = 0u; column < SIDE; column++) {
+// The sum of the principal curvatures in 1/m, from the mean height of the neighbours in the middle over the plane, which
+// is fitted to all of them.
+fn window_bend(window: WindowOrigin, p: vec3<f32>, gate: Gate, plane: Plane, radius: f32) -> f32 {
+    var total = 0.0;
+    var height = 0.0;
+    for (var row = WINDOW - MIDDLE; row <= WINDOW + MIDDLE; row++) {
+        for (var column = WINDOW - MIDDLE; column <= WINDOW + MIDDLE; column++) {
             let offset = candidate(window, column, row) - p;
             let nearness = unclamped(gate, square(offset));
-            let is_neighbour = nearness > 0.0;
-            let e = select(vec3<f32>(0.0), offset, is_neighbour);
-            let weight = clamp(nearness, 0.0, 1.0);
-            let weighted = weight * e;
-            sums.n += select(0.0, 1.0, is_neighbour);
-            sums.x_row = fma(vec3<f32>(weighted.x), e, sums.x_row);
-            sums.rest = fma(weighted.yyz, e.yzz, sums.rest);
-            let i = f32(column) - HALF;
-            let i2 = i * i;
-            of_row.weights += weight;
-            of_row.weights_1 = fma(weight, i, of_row.weights_1);
-            of_row.weights_2 = fma(weight, i2, of_row.weights_2);
-            of_row.weights_3 = fma(weight, i2 * i, of_row.weights_3);
-            of_row.weights_4 = fma(weight, i2 * i2, of_row.weights_4);
-            offsets += weighted;
-            of_row.offsets_1 = fma(vec3<f32>(i), weighted, of_row.offsets_1);
-            of_row.offsets_2 = fma(vec3<f32>(i2), weighted, of_row.offsets_2);
+            if nearness > 0.0 {
+                let weight = min(nearness, 1.0);
+                total += weight;
+                height = fma(weight, dot(offset, plane.normal) - plane.height, height);
+            }
         }
-        let j = f32(row) - HALF;
-        let j2 = j * j;
-        sums.total += of_row.weights;
-        sums.e += offsets;
-        columns.weights_1 += of_row.weights_1;
-        columns.weights_2 += of_row.weights_2;
-        columns.weights_3 += of_row.weights_3;
-        columns.weights_4 += of_row.weights_4;
-        columns.offsets_1 += of_row.offsets_1;
-        columns.offsets_2 += of_row.offsets_2;
-        rows.weights_1 = fma(of_row.weights, j, rows.weights_1);
-        rows.weights_2 = fma(of_row.weights, j2, rows.weights_2);
-        rows.weights_3 = fma(of_row.weights, j2 * j, rows.weights_3);
-        rows.weights_4 = fma(of_row.weights, j2 * j2, rows.weights_4);
-        rows.offsets_1 = fma(vec3<f32>(j), offsets, rows.offsets_1);
-        rows.offsets_2 = fma(vec3<f32>(j2), offsets, rows.offsets_2);
-        mixed = fma(vec3<f32>(j), of_row.offsets_1, mixed);
-        mixed_weights = fma(of_row.weights_1, j, mixed_weights);
-        mixed_squares = fma(of_row.weights_2, j2, mixed_squares);
     }
-    columns.weights = sums.total;
-    rows.weights = sums.total;
-    return PlaceSums(sums, columns, rows, mixed, mixed_weights, mixed_squares);
-}
-
-// The second derivative, by the place, of the distance from the plane, and the offset of one stride.
-struct AlongLine {
-    bend: f32,
-    stride: vec3<f32>,
-}
-
-fn along_line(line: LineSums, e: vec3<f32>, plane: Plane) -> AlongLine {
-    let total = max(line.weights, MIN_POSITIVE);
-    let mean_place = line.weights_1 / total;
-    // Of the places, of i² - mean, of its square, and of its product with i.
-    let places = max(line.weights_2 - mean_place * line.weights_1, total * LEAST_PLACES);
-    let square = line.weights_2 - MEAN_SQUARE * total;
-    let squares = line.weights_4 - MEAN_SQUARE * (line.weights_2 + square);
-    let both = line.weights_3 - MEAN_SQUARE * line.weights_1 - mean_place * square;
-    let unexplained =
-        max(squares - square * square / total - both * both / places, 0.0) + WINDOW_BEND_DAMPING * WHOLE_SQUARES;
-    let heights = (dot(line.offsets_2, plane.normal) - MEAN_SQUARE * dot(e, plane.normal)) - plane.height * square;
-    return AlongLine(2.0 * heights / unexplained, (line.offsets_1 - mean_place * e) / places);
-}
-
-// How the surface in a window bends.
-fn window_bend(places: PlaceSums, plane: Plane, radius: f32) -> Symmetric {
-    let columns = along_line(places.columns, places.sums.e, plane);
-    let rows = along_line(places.rows, places.sums.e, plane);
-    let n = plane.normal;
-    let heights = dot(places.mixed, n) - plane.height * places.mixed_weights;
-    let mixed = heights / (places.mixed_squares + WINDOW_BEND_DAMPING * WHOLE_MIXED);
-    let area = dot(cross(columns.stride, rows.stride), n);
-    if !(abs(area) > radius * radius * LEAST_AREA) || places.sums.n < LEAST_BEND_NEIGHBOURS {
-        return Symmetric(0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    }
-    // Gradients of the place along the plane.
-    let c = cross(rows.stride, n) / area;
-    let r = cross(n, columns.stride) / area;
-    let by_c = columns.bend * c + mixed * r;
-    let by_r = mixed * c + rows.bend * r;
-    var x_row = by_c.x * c + by_r.x * r;
-    var rest = by_c.yyz * c.yzz + by_r.yyz * r.yzz;
-    let twice = 2.0 * (dot(x_row.yz, x_row.yz) + rest.y * rest.y);
-    let size = radius * sqrt(x_row.x * x_row.x + rest.x * rest.x + rest.z * rest.z + twice);
-    let limit = MOST_WINDOW_BEND / max(size, MOST_WINDOW_BEND);
-    x_row *= limit;
-    rest *= limit;
-    return Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z);
+    let spread = max(plane.spread, radius * radius * LEAST_SPREAD);
+    let bend = height * (-4.0 / (1.0 - MIDDLE_SHARE)) / (max(total, 1.0) * spread);
+    let most = MOST_WINDOW_BEND / radius;
+    return clamp(bend, -most, most);
 }
 // Fits the first planes if edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
 
@@ -728,8 +619,8 @@ fn fit_first_planes(
     let ray = ray_to(frame, p);
     let range = range_of(frame, ray);
     let radius = radius_at(frame, range);
-    let places = place_sums_of(window, p, gate_of(radius));
-    let sums = places.sums;
+    let gate = gate_of(radius);
+    let sums = sums_of(window, p, gate);
     let plane = plane_of(ray, sums);
     // Scaled, since the squares may be too large.
     let direction = ray / max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
@@ -747,7 +638,5 @@ fn fit_first_planes(
     planes[plane_word(frame, FIRST_CURVATURE, at)] = plane.curvature;
     planes[plane_word(frame, FIRST_EXTENT, at)] = plane.extent_squared;
     planes[plane_word(frame, FIRST_COUNT, at)] = select(sums.n, -sums.n, plane.is_degenerate);
-    let bend = window_bend(places, plane, radius);
-    keep_vector(frame, FIRST_BEND, at, vec3<f32>(bend.xx, bend.xy, bend.xz));
-    keep_vector(frame, FIRST_BEND + 3u, at, vec3<f32>(bend.yy, bend.yz, bend.zz));
+    planes[plane_word(frame, FIRST_BEND, at)] = window_bend(window, p, gate, plane, radius);
 }

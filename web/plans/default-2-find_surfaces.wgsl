@@ -14,7 +14,7 @@ const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
 const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 25u;
+const PLANE_CHANNELS: u32 = 20u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -62,19 +62,16 @@ const MIN_BLOCK_WEIGHT: f32 = 0.02;
 const DISTANCE_WEIGHT: f32 = 0.3;
 const NARROW_WIDTH: f32 = 1.0;
 const DOUBT_WEIGHT: f32 = 0.01;
-const WINDOW_BEND_DAMPING: f32 = 0.08;
-const LEAST_PLACES: f32 = 0.001;
-const LEAST_AREA: f32 = 1e-6;
+const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
-const LEAST_BEND_NEIGHBOURS: f32 = 6.0;
 const BEND_DAMPING: f32 = 0.009;
 const LEAST_BEND_WEIGHT: f32 = 1e-12;
+const LEAST_TURN: f32 = 1.0;
+const BEND_EXPLAINED_FROM: f32 = 0.65;
+const BEND_EXPLAINED_TO: f32 = 0.85;
 const BEND_SHARED_FROM: f32 = 0.2;
-const BEND_SHARED_TO: f32 = 0.5;
-const LEAST_RISE: f32 = 0.3;
+const BEND_SHARED_TO: f32 = 0.4;
 const MOST_BEND: f32 = 1.2;
-const BEND_VARIANCE: f32 = 0.0125;
-const LEAST_VARIANCE: f32 = 0.1;
 const MIN_INCIDENCE_COSINE: f32 = 0.05;
 const SQRT_LOG2_E: f32 = 1.2011224;
 const MAX_OFF_SURFACE: f32 = 11.54156;
@@ -131,7 +128,7 @@ const KEPT_MEAN: u32 = 3u;
 // First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
 // plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
 // the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
-// squared extent in m²; and how the window bends: xx, xy, xz, yy, yz, zz.
+// squared extent in m²; and how the window bends.
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 6u;
@@ -142,10 +139,10 @@ const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
 // Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
 // count, and how it bends along the tangents of the normal.
-const SURFACE_NORMAL: u32 = 17u;
-const SURFACE_HEIGHT: u32 = 20u;
-const SURFACE_WIDTH: u32 = 21u;
-const SURFACE_BEND: u32 = 22u;
+const SURFACE_NORMAL: u32 = 12u;
+const SURFACE_HEIGHT: u32 = 15u;
+const SURFACE_WIDTH: u32 = 16u;
+const SURFACE_BEND: u32 = 17u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -538,8 +535,7 @@ fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: 
     return p + sum / total;
 }
 // How surfaces bend: tensors H in 1/m, of a surface that is x·Hx/2 above its tangent plane at an offset x along it
-// (docs/method.md, section 10). Those of windows have six components in space; that of a surface has uu, uv and vv along
-// the tangents of its normal.
+// (docs/method.md, section 10): uu, uv and vv along the tangents of its normal. Of a window's bend only the trace is known.
 
 // H (a, b).
 fn bend_times(h: vec3<f32>, at: vec2<f32>) -> vec2<f32> {
@@ -573,7 +569,7 @@ fn turned(h: vec3<f32>, frame: Tangents, to: Tangents) -> vec3<f32> {
 // Weighted sums over the planes around a point.
 struct Around {
     total: f32,
-    // Of the distances from the point to the surface, along the normals.
+    // Of the distances from the point to the planes, along their normals.
     height: f32,
     normal: vec3<f32>,
     // Of the offsets x of their centroids from the point, and of x x^T.
@@ -582,7 +578,9 @@ struct Around {
     // Of n x^T + x n^T, with the normals n.
     slopes: Symmetric,
     // Of the bends in their windows.
-    windows: Symmetric,
+    windows: f32,
+    // Of their points' variances along them.
+    spreads: f32,
 }
 
 // A sum plus a factor times x y^T + y x^T.
@@ -599,31 +597,53 @@ fn plus_products(sum: Symmetric, x: vec3<f32>, y: vec3<f32>, factor: f32) -> Sym
     );
 }
 
+// How the normals of the planes around a point turn.
+struct Turn {
+    per_total: f32,
+    mean_normal: vec3<f32>,
+    // The variance of the normals.
+    variance: f32,
+    // How far that is beyond what noise does, from 0 to 1.
+    certain: f32,
+}
+
+fn turn_of(around: Around, radius: f32, noise: f32) -> Turn {
+    if !(around.total > LEAST_BEND_WEIGHT) {
+        return Turn(0.0, vec3<f32>(0.0), 0.0, 0.0);
+    }
+    let per_total = 1.0 / around.total;
+    let mean_normal = around.normal * per_total;
+    let variance = max(1.0 - dot(mean_normal, mean_normal), 0.0);
+    let turns = sqrt(variance) * radius / (noise * LEAST_TURN);
+    return Turn(per_total, mean_normal, variance, clamp(turns - 1.0, 0.0, 1.0));
+}
+
 struct Measured {
     bend: vec3<f32>,
-    // Mean place of the planes along the tangents.
+    // Mean place of the planes along the tangents, where the normal is that of the surface.
     centre: vec2<f32>,
+    // Weighted sum of how much higher the surface is at the point than the planes, which are fitted to it.
+    rise: f32,
 }
 
 // The bend of a surface along the tangents `frame` of its normal.
-fn bend_around(around: Around, frame: Tangents, radius: f32, noise: f32) -> Measured {
-    if !(around.total > LEAST_BEND_WEIGHT) {
-        return Measured(vec3<f32>(0.0), vec2<f32>(0.0));
-    }
-    let per_total = 1.0 / around.total;
+fn bend_around(around: Around, turn: Turn, frame: Tangents, radius: f32) -> Measured {
+    let per_total = turn.per_total;
     // In units of the radius, whose square may be as small as 1e-24 m².
     let per_radius = 1.0 / radius;
     let scale = per_total * per_radius;
     // A plane's place t, and its slope s, the sine of its angle: on a circle the slope grows with the place by 1/r.
     let t = place_along(frame, around.offset) * scale;
-    let s = place_along(frame, around.normal) * -per_total;
-    let places = along(frame, around.offsets) * (scale * per_radius);
+    let s = -place_along(frame, turn.mean_normal);
+    let squares = along(frame, around.offsets);
+    let places = squares * (scale * per_radius);
     let slopes = along(frame, around.slopes) * -scale;
     // The symmetric H that minimises the mean of |s - H t|² plus damping |H|², by Cramer's rule for
     // [[a, b, 0], [b, a + c, b], [0, b, c]] (uu, uv, vv) = (p, q, r).
-    let a = max(places.x - t.x * t.x, 0.0) + BEND_DAMPING;
+    let variances = max(places.xz - t * t, vec2<f32>(0.0));
+    let a = variances.x + BEND_DAMPING;
     let b = places.y - t.x * t.y;
-    let c = max(places.z - t.y * t.y, 0.0) + BEND_DAMPING;
+    let c = variances.y + BEND_DAMPING;
     let p = fma(slopes.x, 0.5, -(s.x * t.x));
     let q = slopes.y - s.x * t.y - s.y * t.x;
     let r = fma(slopes.z, 0.5, -(s.y * t.y));
@@ -636,14 +656,21 @@ fn bend_around(around: Around, frame: Tangents, radius: f32, noise: f32) -> Meas
         bb * p - a * b * q + (sum * a - bb) * r,
     ) / (sum * (a * c - bb));
     let square = bend_square(bend);
+    // Covariance of H t with the slopes, and the variance of H t.
+    let trace = bend.x + bend.z;
+    let with_slopes = fma(bend.x, p, fma(bend.y, q, bend.z * r));
+    let of_places = dot(variances, bend.xz * bend.xz + bend.y * bend.y) + 2.0 * b * bend.y * trace;
+    let explained = with_slopes * with_slopes / max(of_places * turn.variance, MIN_POSITIVE);
+    let within = around.windows * (radius * per_total);
+    let agreed = within * trace / max(max(trace * trace, 0.5 * square), MIN_POSITIVE);
     let size = sqrt(square);
-    let within = along(frame, around.windows) * (radius * per_total);
-    let product = fma(bend.x, within.x, fma(bend.z, within.z, 2.0 * bend.y * within.y));
-    let ratio = product / max(square, MIN_POSITIVE);
-    let counts = clamp((ratio - BEND_SHARED_FROM) / (BEND_SHARED_TO - BEND_SHARED_FROM), 0.0, 1.0);
-    let certain = clamp(size * radius / (noise * (8.0 * LEAST_RISE)) - 1.0, 0.0, 1.0);
+    let counts = turn.certain
+        * clamp((explained - BEND_EXPLAINED_FROM) / (BEND_EXPLAINED_TO - BEND_EXPLAINED_FROM), 0.0, 1.0)
+        * clamp((agreed - BEND_SHARED_FROM) / (BEND_SHARED_TO - BEND_SHARED_FROM), 0.0, 1.0);
     let limit = min(MOST_BEND / max(size, MIN_POSITIVE), 1.0);
-    return Measured(bend * (counts * certain * limit * per_radius), t * radius);
+    let found = bend * (counts * limit * per_radius);
+    let twice = fma(found.x, squares.x, fma(found.z, squares.z, 2.0 * found.y * squares.y));
+    return Measured(found, t * radius, 0.5 * twice - 0.25 * around.spreads * (found.x + found.z));
 }
 // Finds the plane of each point from its first plane and the eight around it and, if blocks are averaged, the mean of
 // the points on that plane (docs/method.md, section 10).
@@ -656,9 +683,8 @@ struct Surface {
     bend: vec3<f32>,
 }
 
-// The nine planes, weighed by how well they fit a point whose surface bends by `bend` along the tangents, if it is known;
-// otherwise with the sums for it.
-fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32, is_known: bool, bend: vec3<f32>, tangents: Tangents) -> Around {
+// The nine planes, weighed by how well they fit a point.
+fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Around {
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
     var around: Around;
@@ -675,43 +701,27 @@ fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: 
             if !(nearness > 0.0) {
                 continue;
             }
-            var variance = planes[plane_word(frame, FIRST_RESIDUAL, at)];
+            let variance = planes[plane_word(frame, FIRST_RESIDUAL, at)];
             if variance >= NOT_USABLE {
                 continue;
             }
             let n = plane_vector(frame, FIRST_NORMAL, at);
             let centroid = offset + plane_vector(frame, FIRST_CENTROID, at);
-            // Distances to the surface along the plane's normal, from p and from the mean.
-            var to_surface = dot(centroid, n);
-            if is_known {
-                let spread = planes[plane_word(frame, FIRST_SPREAD, at)];
-                let place = place_along(tangents, centroid);
-                to_surface = fma(dot(place, bend_times(bend, place)), 0.5, to_surface);
-                to_surface -= spread * (bend.x + bend.z) * 0.25;
-                let bent = bend_square(bend) * (spread * spread) * BEND_VARIANCE;
-                variance = max(variance - bent, variance * LEAST_VARIANCE);
-            }
-            let from_mean = to_surface - dot(to_mean, n);
+            // Distances to the plane along its normal, from p and from the mean.
+            let to_plane = dot(centroid, n);
+            let from_mean = to_plane - dot(to_mean, n);
             let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
             let root = 1.0 / fma(residual, per_variance, 1.0);
             let weight = (root * root) * (root * root) * min(nearness, 1.0);
             let weighted = weight * n;
             around.total += weight;
-            around.height = fma(weight, to_surface, around.height);
+            around.height = fma(weight, to_plane, around.height);
             around.normal += weighted;
-            if !is_known {
-                let x_row = plane_vector(frame, FIRST_BEND, at);
-                let rest = plane_vector(frame, FIRST_BEND + 3u, at);
-                around.offset = fma(vec3<f32>(weight), centroid, around.offset);
-                around.offsets = plus_products(around.offsets, weight * centroid, centroid, 0.5);
-                around.slopes = plus_products(around.slopes, weighted, centroid, 1.0);
-                around.windows.xx = fma(weight, x_row.x, around.windows.xx);
-                around.windows.xy = fma(weight, x_row.y, around.windows.xy);
-                around.windows.xz = fma(weight, x_row.z, around.windows.xz);
-                around.windows.yy = fma(weight, rest.x, around.windows.yy);
-                around.windows.yz = fma(weight, rest.y, around.windows.yz);
-                around.windows.zz = fma(weight, rest.z, around.windows.zz);
-            }
+            around.offset = fma(vec3<f32>(weight), centroid, around.offset);
+            around.offsets = plus_products(around.offsets, weight * centroid, centroid, 0.5);
+            around.slopes = plus_products(around.slopes, weighted, centroid, 1.0);
+            around.windows = fma(weight, planes[plane_word(frame, FIRST_BEND, at)], around.windows);
+            around.spreads = fma(weight, planes[plane_word(frame, FIRST_SPREAD, at)], around.spreads);
         }
     }
     return around;
@@ -736,24 +746,27 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
         let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
         return Surface(own_normal, height, 1e18, vec3<f32>(0.0));
     }
-    let none = Tangents(vec3<f32>(0.0), vec3<f32>(0.0));
-    var around = vote(frame, pixel, p, to_mean, radius, noise, false, vec3<f32>(0.0), none);
-    var found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    let around = vote(frame, pixel, p, to_mean, radius, noise);
+    let found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    let turn = turn_of(around, radius, noise);
     let tangents = tangents_of(found.normal);
-    let measured = bend_around(around, tangents, radius, noise);
+    var measured: Measured;
     // Most surfaces are flat.
-    if bend_square(measured.bend) > 0.0 {
-        around = vote(frame, pixel, p, to_mean, radius, noise, true, measured.bend, tangents);
-        found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    if turn.certain > 0.0 {
+        measured = bend_around(around, turn, tangents, radius);
     }
     // Planes that disagree may lie further away than a point may move.
-    let height = found.sign * clamp(around.height / (around.total + STAY_WEIGHT), -radius, radius);
+    let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
+    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0));
+    if bend_square(measured.bend) == 0.0 {
+        return surface;
+    }
     // In the middle of the planes, where this normal is, the slope differs from that at p.
     let tilt = bend_times(measured.bend, measured.centre);
     let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
     // The other way round it is the same surface.
     let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
-    return Surface(tilted.normal, tilted.sign * height, NARROW_WIDTH * noise, bend);
+    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)

@@ -52,30 +52,23 @@ pub(crate) const OWN_NORMAL_WEIGHT: f32 = 1e-12;
 /// Upper bound of the exponent: a neighbour far from the surface keeps exp(-8) of its weight. Stored as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 
-/// The bend of a window with few columns or rows is damped, by this share of the sums over a whole window.
-pub(crate) const WINDOW_BEND_DAMPING: f32 = 0.08;
-/// The least variance of the neighbours' columns or rows.
-pub(crate) const LEAST_PLACES: f32 = 1e-3;
-/// Windows whose strides span less than this share of the squared radius are lines.
-pub(crate) const LEAST_AREA: f32 = 1e-6;
-/// A window has a bend if it has this many neighbours.
-pub(crate) const LEAST_BEND_NEIGHBOURS: f32 = 6.0;
+/// The variance along a plane is taken to be at least this share of the squared radius when its window's bend is measured.
+pub(crate) const LEAST_SPREAD: f32 = 0.01;
 /// A window bends by at most this much over the radius.
 pub(crate) const MOST_WINDOW_BEND: f32 = 4.0;
 /// Damps the bend between planes, as a share of the squared radius.
 pub(crate) const BEND_DAMPING: f32 = 0.009;
 /// Planes that weigh less together say nothing about the bend.
 pub(crate) const LEAST_BEND_WEIGHT: f32 = 1e-12;
+/// Planes whose normals spread by less than this many times the noise over the radius are on a flat surface. Those that
+/// spread twice as much count fully.
+pub(crate) const LEAST_TURN: f32 = 1.0;
+/// The share of the normals' variance that a bend explains: none counts below the first, all from the second.
+pub(crate) const BEND_EXPLAINED: [f32; 2] = [0.65, 0.85];
 /// The share of the bend between planes that is also within their windows: none below the first, all from the second.
-pub(crate) const BEND_SHARED: [f32; 2] = [0.2, 0.5];
-/// A bend that rises by less than this share of the noise at half the radius is none; twice as much counts fully.
-pub(crate) const LEAST_RISE: f32 = 0.3;
+pub(crate) const BEND_SHARED: [f32; 2] = [0.2, 0.4];
 /// A surface bends by at most this much over the radius.
 pub(crate) const MOST_BEND: f32 = 1.2;
-/// The variance that a bend adds to a window, in squares of the window's spread times the bend.
-pub(crate) const BEND_VARIANCE: f32 = 0.0125;
-/// At least this share of a plane's variance is not due to the bend.
-pub(crate) const LEAST_VARIANCE: f32 = 0.1;
 
 // Section 10 in unorganized clouds.
 

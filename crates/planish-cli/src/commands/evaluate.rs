@@ -389,6 +389,7 @@ fn print(rows: &[Row]) {
     line("within 3 px of a step: distance, mean, mm", &|r| format!("{:.2}", r.report.edge_mean_mm));
     line("  floating between two surfaces", &|r| percent(r.report.flying_share));
     line("90° edge at 1 m: error of its angle", &|r| format!("{:.1}°", r.report.crease_deg));
+    line("  normals within 6 px of it, mean error", &|r| format!("{:.1}°", r.report.crease_normal_deg));
     outln!("shapes");
     line("sphere, radius", &|r| format!("{:+.2} %", 100.0 * r.report.sphere_radius_bias));
     line("cylinder, radius", &|r| format!("{:+.2} %", 100.0 * r.report.cylinder_radius_bias));

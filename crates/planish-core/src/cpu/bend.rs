@@ -1,191 +1,48 @@
 //! How the surface bends: within a window, and between the planes around a point (docs/method.md, section 10).
 //!
-//! A bend is a symmetric tensor H in 1/m: a surface with normal n is x·Hx/2 above its tangent plane, at an offset x along
-//! it. Those of windows have six components in space, to be compared and averaged; that of a surface has three in the
-//! plane's [`tangents`].
+//! A bend is a symmetric tensor H in 1/m along the plane's [`tangents`](super::eigen::tangents): the surface is x·Hx/2
+//! above its tangent plane, at an offset x along it. Of a window's bend only the trace is known.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::eigen::Symmetric;
 use super::plane::Plane;
 use super::vector::{Mask, Vec3, share, splat};
-use super::window::{Candidates, Sums, Window};
+use super::window::{Candidates, Window};
 use crate::constants::{
-    BEND_DAMPING, BEND_SHARED, BEND_VARIANCE, LEAST_AREA, LEAST_BEND_NEIGHBOURS, LEAST_BEND_WEIGHT, LEAST_PLACES,
-    LEAST_RISE, MOST_BEND, MOST_WINDOW_BEND, WINDOW_BEND_DAMPING,
+    BEND_DAMPING, BEND_EXPLAINED, BEND_SHARED, LEAST_BEND_WEIGHT, LEAST_SPREAD, LEAST_TURN, MOST_BEND, MOST_WINDOW_BEND,
 };
 
-/// Sums over one row of a window: of the weights times powers of the column, and of the weighted offsets times such.
-struct RowSums<S: Simd> {
-    powers: [S::f32s; 5],
-    offsets: [Vec3<S>; 3],
-}
-
-/// Sums over the columns or rows of a window.
-struct LineSums<S: Simd> {
-    /// Of the weights times powers of the place.
-    powers: [S::f32s; 5],
-    /// Of the weighted offsets times the place, and times its square.
-    offsets: [Vec3<S>; 2],
-}
-
-/// Sums over a window for its bend, beyond those for its plane. Places (i, j) are columns and rows from its centre.
-pub(super) struct PlaceSums<S: Simd> {
-    columns: LineSums<S>,
-    rows: LineSums<S>,
-    /// Of the weighted offsets times i j, and of the weights times i j and its square.
-    mixed: Vec3<S>,
-    mixed_weights: S::f32s,
-    mixed_squares: S::f32s,
-}
-
-/// Computes all sums over a window of half width `half`.
+/// Returns how the windows bend, as the sums of their principal curvatures in 1/m: from the mean height of the neighbours
+/// in their middle over their planes, which are fitted to all of them.
 #[inline(always)]
-pub(super) fn sums<S: Simd>(
+pub(super) fn of_window<S: Simd>(
     simd: S,
     window: Window<'_>,
     p: Vec3<S>,
     radius: S::f32s,
-    half: usize,
-) -> (Sums<S>, PlaceSums<S>) {
-    let (zero, none) = (splat(simd, 0.0), Vec3::splat(simd, 0.0));
-    let mut sums = Sums::zero(simd);
-    let line = || LineSums { powers: [zero; 5], offsets: [none; 2] };
-    let mut places = PlaceSums { columns: line(), rows: line(), mixed: none, mixed_weights: zero, mixed_squares: zero };
-    for row in 0..2 * half + 1 {
-        let mut of_row = RowSums::<S> { powers: [zero; 5], offsets: [none; 3] };
-        let mut i = -(half as f32);
-        window.neighbours(
-            simd,
-            p,
-            radius,
-            row..row + 1,
-            #[inline(always)]
-            |e, weight, count| {
-                let weighted = sums.add_squares(e, weight, count);
-                let (first, second) = (splat(simd, i), splat(simd, i * i));
-                of_row.powers[0] += weight;
-                of_row.powers[1] = weight.mul_add(first, of_row.powers[1]);
-                of_row.powers[2] = weight.mul_add(second, of_row.powers[2]);
-                of_row.powers[3] = weight.mul_add(splat(simd, i * i * i), of_row.powers[3]);
-                of_row.powers[4] = weight.mul_add(splat(simd, i * i * i * i), of_row.powers[4]);
-                of_row.offsets[0] = of_row.offsets[0].add(weighted);
-                of_row.offsets[1] = of_row.offsets[1].add_scaled(first, weighted);
-                of_row.offsets[2] = of_row.offsets[2].add_scaled(second, weighted);
-                i += 1.0;
-            },
-        );
-        let j = row as f32 - half as f32;
-        sums.total += of_row.powers[0];
-        sums.e = sums.e.add(of_row.offsets[0]);
-        places.add_row(simd, j, &of_row);
-    }
-    (sums, places)
-}
-
-impl<S: Simd> PlaceSums<S> {
-    #[inline(always)]
-    fn add_row(&mut self, simd: S, j: f32, row: &RowSums<S>) {
-        let (first, second) = (splat(simd, j), splat(simd, j * j));
-        let (third, fourth) = (splat(simd, j * j * j), splat(simd, j * j * j * j));
-        let [weights, by_i, by_i2, by_i3, by_i4] = row.powers;
-        let columns = &mut self.columns.powers;
-        columns[0] += weights;
-        columns[1] += by_i;
-        columns[2] += by_i2;
-        columns[3] += by_i3;
-        columns[4] += by_i4;
-        let rows = &mut self.rows.powers;
-        rows[0] += weights;
-        rows[1] = weights.mul_add(first, rows[1]);
-        rows[2] = weights.mul_add(second, rows[2]);
-        rows[3] = weights.mul_add(third, rows[3]);
-        rows[4] = weights.mul_add(fourth, rows[4]);
-        let [offsets, offsets_i, offsets_i2] = row.offsets;
-        self.columns.offsets[0] = self.columns.offsets[0].add(offsets_i);
-        self.columns.offsets[1] = self.columns.offsets[1].add(offsets_i2);
-        self.rows.offsets[0] = self.rows.offsets[0].add_scaled(first, offsets);
-        self.rows.offsets[1] = self.rows.offsets[1].add_scaled(second, offsets);
-        self.mixed = self.mixed.add_scaled(first, offsets_i);
-        self.mixed_weights = by_i.mul_add(first, self.mixed_weights);
-        self.mixed_squares = by_i2.mul_add(second, self.mixed_squares);
-    }
-
-    /// Returns how the surface in a window of half width `half` bends.
-    #[inline(always)]
-    pub(super) fn bend(&self, simd: S, half: usize, radius: S::f32s, sums: &Sums<S>, plane: &Plane<S>) -> Symmetric<S> {
-        let zero = splat(simd, 0.0);
-        let whole = WholeWindow::new(half);
-        let total = sums.total.max(splat(simd, f32::MIN_POSITIVE));
-        let (columns, right) = self.columns.along(simd, &whole, total, sums.e, plane);
-        let (rows, down) = self.rows.along(simd, &whole, total, sums.e, plane);
-        let n = plane.normal;
-        let heights = self.mixed.dot(n) - plane.height * self.mixed_weights;
-        let mixed = heights / (self.mixed_squares + splat(simd, WINDOW_BEND_DAMPING * whole.mixed));
-        let area = right.cross(down).dot(n);
-        let least = radius * radius * splat(simd, LEAST_AREA);
-        let bends: Mask<S> = area.abs().simd_gt(least) & sums.n.simd_ge(splat(simd, LEAST_BEND_NEIGHBOURS));
-        let per_area = splat(simd, 1.0) / bends.select(area, splat(simd, 1.0));
-        // Gradients of the place along the plane.
-        let (c, r) = (down.cross(n).scale(per_area), n.cross(right).scale(per_area));
-        let (cc, cr) = (c.scale(columns).add(r.scale(mixed)), c.scale(mixed).add(r.scale(rows)));
-        let bend = Symmetric::<S> {
-            xx: cc.x.mul_add(c.x, cr.x * r.x),
-            xy: cc.x.mul_add(c.y, cr.x * r.y),
-            xz: cc.x.mul_add(c.z, cr.x * r.z),
-            yy: cc.y.mul_add(c.y, cr.y * r.y),
-            yz: cc.y.mul_add(c.z, cr.y * r.z),
-            zz: cc.z.mul_add(c.z, cr.z * r.z),
-        };
-        let size = bend.square().sqrt() * radius;
-        let limit = splat(simd, MOST_WINDOW_BEND) / size.max(splat(simd, MOST_WINDOW_BEND));
-        bend.scale(bends.select(limit, zero))
-    }
-}
-
-/// Sums over a window in which every pixel counts 1.
-struct WholeWindow {
-    /// Mean of i².
-    mean_square: f32,
-    /// Of (i² - mean)².
-    squares: f32,
-    /// Of (i j)².
-    mixed: f32,
-}
-
-impl WholeWindow {
-    #[inline(always)]
-    fn new(half: usize) -> Self {
-        let half = half as f32;
-        // Sums of i² and of i⁴ over a row.
-        let second = half * (half + 1.0) * (2.0 * half + 1.0) / 3.0;
-        let fourth = second * (3.0 * half * (half + 1.0) - 1.0) / 5.0;
-        let side = 2.0 * half + 1.0;
-        let mean_square = second / side;
-        Self { mean_square, squares: side * fourth - second * second, mixed: second * second }
-    }
-}
-
-impl<S: Simd> LineSums<S> {
-    /// Returns the second derivative, by the place, of the distance from the plane, and the offset of one stride.
-    #[inline(always)]
-    fn along(&self, simd: S, whole: &WholeWindow, total: S::f32s, e: Vec3<S>, plane: &Plane<S>) -> (S::f32s, Vec3<S>) {
-        let zero = splat(simd, 0.0);
-        let [_, first, second, third, fourth] = self.powers;
-        let [offsets, offsets_2] = self.offsets;
-        let mean_square = splat(simd, whole.mean_square);
-        let mean_place = first / total;
-        // Of the places, of i² - mean, of its square, and of its product with i.
-        let places = (second - mean_place * first).max(total * splat(simd, LEAST_PLACES));
-        let square = second - mean_square * total;
-        let squares = fourth - mean_square * (second + square);
-        let both = third - mean_square * first - mean_place * square;
-        let unexplained = (squares - square * square / total - both * both / places).max(zero)
-            + splat(simd, WINDOW_BEND_DAMPING * whole.squares);
-        let heights = (offsets_2.dot(plane.normal) - mean_square * e.dot(plane.normal)) - plane.height * square;
-        let stride = offsets.add_scaled(-mean_place, e).scale(splat(simd, 1.0) / places);
-        (heights * splat(simd, 2.0) / unexplained, stride)
-    }
+    plane: &Plane<S>,
+) -> S::f32s {
+    let middle = window.middle();
+    let (mut total, mut height) = (splat(simd, 0.0), splat(simd, 0.0));
+    middle.neighbours(
+        simd,
+        p,
+        radius,
+        0..Candidates::<S>::rows(&middle),
+        #[inline(always)]
+        |e, weight, _| {
+            total += weight;
+            height = weight.mul_add(e.dot(plane.normal) - plane.height, height);
+        },
+    );
+    let [half, middle] = [window.half() as f32, middle.half() as f32];
+    // The spread of the middle's pixels is this share of the window's.
+    let share = middle * (middle + 1.0) / (half * (half + 1.0));
+    let spread = plane.spread.max(radius * radius * splat(simd, LEAST_SPREAD));
+    let bend = height * splat(simd, -4.0 / (1.0 - share)) / (total.max(splat(simd, 1.0)) * spread);
+    let most = splat(simd, MOST_WINDOW_BEND) / radius;
+    bend.max(-most).min(most)
 }
 
 /// The bend of a surface along its plane's tangents, in 1/m.
@@ -212,35 +69,6 @@ impl<S: Simd> Symmetric<S> {
     }
 
     #[inline(always)]
-    fn add_scaled(&mut self, factor: S::f32s, other: &Self) {
-        self.xx = factor.mul_add(other.xx, self.xx);
-        self.xy = factor.mul_add(other.xy, self.xy);
-        self.xz = factor.mul_add(other.xz, self.xz);
-        self.yy = factor.mul_add(other.yy, self.yy);
-        self.yz = factor.mul_add(other.yz, self.yz);
-        self.zz = factor.mul_add(other.zz, self.zz);
-    }
-
-    #[inline(always)]
-    fn scale(&self, factor: S::f32s) -> Self {
-        Self {
-            xx: self.xx * factor,
-            xy: self.xy * factor,
-            xz: self.xz * factor,
-            yy: self.yy * factor,
-            yz: self.yz * factor,
-            zz: self.zz * factor,
-        }
-    }
-
-    /// The sum of the squares of all entries.
-    #[inline(always)]
-    fn square(&self) -> S::f32s {
-        let twice = self.xy.mul_add(self.xy, self.xz.mul_add(self.xz, self.yz * self.yz));
-        self.xx.mul_add(self.xx, self.yy.mul_add(self.yy, self.zz.mul_add(self.zz, twice + twice)))
-    }
-
-    #[inline(always)]
     fn along(&self, u: Vec3<S>, v: Vec3<S>) -> Bend<S> {
         let (by_u, by_v) = (self.times(u), self.times(v));
         Bend { uu: u.dot(by_u), uv: u.dot(by_v), vv: v.dot(by_v) }
@@ -257,6 +85,13 @@ impl<S: Simd> Bend<S> {
     #[inline(always)]
     pub(super) fn scale(self, factor: S::f32s) -> Self {
         Self { uu: self.uu * factor, uv: self.uv * factor, vv: self.vv * factor }
+    }
+
+    /// Returns the bends where they count, and none elsewhere.
+    #[inline(always)]
+    pub(super) fn or_none(self, simd: S, counts: Mask<S>) -> Self {
+        let zero = splat(simd, 0.0);
+        Self { uu: counts.select(self.uu, zero), uv: counts.select(self.uv, zero), vv: counts.select(self.vv, zero) }
     }
 
     #[inline(always)]
@@ -292,18 +127,56 @@ impl<S: Simd> Bend<S> {
     }
 }
 
-/// Weighted sums over the planes around a point.
+/// Weighted sums over the planes around a point, for the bend between them.
 pub(super) struct Around<S: Simd> {
-    pub(super) total: S::f32s,
-    /// Of the normals.
-    pub(super) normal: Vec3<S>,
     /// Of the offsets x of their centroids from the point, and of x x^T.
     offset: Vec3<S>,
     offsets: Symmetric<S>,
     /// Of n x^T + x n^T, with the normals n.
     slopes: Symmetric<S>,
     /// Of the bends in their windows.
-    windows: Symmetric<S>,
+    windows: S::f32s,
+    /// Of their points' variances along them.
+    spreads: S::f32s,
+}
+
+/// A bend along the tangents of a normal.
+pub(super) struct Measured<S: Simd> {
+    pub(super) bend: Bend<S>,
+    /// Mean place of the planes along the tangents, where the normal is that of the surface.
+    pub(super) centre: [S::f32s; 2],
+    /// Weighted sum of how much higher the surface is at the point than the planes, which are fitted to it.
+    pub(super) rise: S::f32s,
+}
+
+/// How the normals of the planes around a point turn.
+pub(super) struct Turn<S: Simd> {
+    per_total: S::f32s,
+    mean_normal: Vec3<S>,
+    /// The variance of the normals.
+    pub(super) variance: S::f32s,
+    /// How far that is beyond what noise does, from 0 to 1.
+    pub(super) certain: S::f32s,
+}
+
+impl<S: Simd> Turn<S> {
+    /// From the sums of the weights and of the normals.
+    #[inline(always)]
+    pub(super) fn new(simd: S, total: S::f32s, normals: Vec3<S>, radius: S::f32s, noise: S::f32s) -> Self {
+        let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+        let enough: Mask<S> = total.simd_gt(splat(simd, LEAST_BEND_WEIGHT));
+        let per_total = enough.select(one / enough.select(total, one), zero);
+        let mean_normal = normals.scale(per_total);
+        let variance = enough.select((one - mean_normal.dot(mean_normal)).max(zero), zero);
+        let turns = variance.sqrt() * radius / (noise * splat(simd, LEAST_TURN));
+        Self { per_total, mean_normal, variance, certain: share(simd, turns - one) }
+    }
+}
+
+/// Returns how far values are from the first of two limits to the second, from 0 to 1.
+#[inline(always)]
+fn rises<S: Simd>(simd: S, value: S::f32s, [from, to]: [f32; 2]) -> S::f32s {
+    share(simd, (value - splat(simd, from)) * splat(simd, 1.0 / (to - from)))
 }
 
 impl<S: Simd> Around<S> {
@@ -311,30 +184,24 @@ impl<S: Simd> Around<S> {
     pub(super) fn nothing(simd: S) -> Self {
         let (zero, none) = (splat(simd, 0.0), Vec3::splat(simd, 0.0));
         Self {
-            total: zero,
-            normal: none,
             offset: none,
             offsets: Symmetric::zero(simd),
             slopes: Symmetric::zero(simd),
-            windows: Symmetric::zero(simd),
+            windows: zero,
+            spreads: zero,
         }
     }
 
-    /// Adds a plane at an offset x with a normal; only to the total and the normal if the bend is `KNOWN`.
+    /// Adds a plane whose centroid is at an offset x, with its spread and how its window bends.
     #[inline(always)]
-    pub(super) fn add<const KNOWN: bool>(
+    pub(super) fn add(
         &mut self,
         weight: S::f32s,
         x: Vec3<S>,
         normal: Vec3<S>,
-        window: &Symmetric<S>,
+        (spread, window_bend): (S::f32s, S::f32s),
     ) {
-        self.total += weight;
         let n = normal.scale(weight);
-        self.normal = self.normal.add(n);
-        if KNOWN {
-            return;
-        }
         let wx = x.scale(weight);
         self.offset = self.offset.add(wx);
         let (sums, slopes) = (&mut self.offsets, &mut self.slopes);
@@ -350,35 +217,29 @@ impl<S: Simd> Around<S> {
         slopes.yy = n.y.mul_add(x.y + x.y, slopes.yy);
         slopes.yz = n.y.mul_add(x.z, n.z.mul_add(x.y, slopes.yz));
         slopes.zz = n.z.mul_add(x.z + x.z, slopes.zz);
-        self.windows.add_scaled(weight, window);
+        self.windows = weight.mul_add(window_bend, self.windows);
+        self.spreads = weight.mul_add(spread, self.spreads);
     }
 
-    /// Returns the bend of the surface along the tangents `frame`, and the mean place of the planes along them.
+    /// Returns the bend of the surface along the tangents of the normal.
     #[inline(always)]
-    pub(super) fn bend(
-        &self,
-        simd: S,
-        (u, v): (Vec3<S>, Vec3<S>),
-        radius: S::f32s,
-        noise: S::f32s,
-    ) -> (Bend<S>, [S::f32s; 2]) {
+    pub(super) fn bend(&self, simd: S, turn: &Turn<S>, (u, v): (Vec3<S>, Vec3<S>), radius: S::f32s) -> Measured<S> {
         let (zero, one, tiny) = (splat(simd, 0.0), splat(simd, 1.0), splat(simd, f32::MIN_POSITIVE));
-        let enough: Mask<S> = self.total.simd_gt(splat(simd, LEAST_BEND_WEIGHT));
-        let per_total = enough.select(one / self.total.max(tiny), zero);
+        let per_total = turn.per_total;
         // In units of the radius, whose square may be as small as 1e-24 m².
         let per_radius = one / radius;
         let scale = per_total * per_radius;
         // A plane's place, and its slope, the sine of its angle: on a circle the slope grows with the place by 1/r.
         let (t0, t1) = (self.offset.dot(u) * scale, self.offset.dot(v) * scale);
-        let (s0, s1) = (-(self.normal.dot(u) * per_total), -(self.normal.dot(v) * per_total));
-        let places = self.offsets.along(u, v).scale(scale * per_radius);
+        let (s0, s1) = (-turn.mean_normal.dot(u), -turn.mean_normal.dot(v));
+        let squares: Bend<S> = self.offsets.along(u, v);
+        let places = squares.scale(scale * per_radius);
         let slopes = self.slopes.along(u, v).scale(scale);
         let damping = splat(simd, BEND_DAMPING);
         // The symmetric H that minimises the mean of |s - H t|² plus damping |H|², by Cramer's rule for
         // [[a, b, 0], [b, a + c, b], [0, b, c]] (uu, uv, vv) = (p, q, r).
-        let a = (places.uu - t0 * t0).max(zero) + damping;
-        let b = places.uv - t0 * t1;
-        let c = (places.vv - t1 * t1).max(zero) + damping;
+        let (var_0, var_1) = ((places.uu - t0 * t0).max(zero), (places.vv - t1 * t1).max(zero));
+        let (a, b, c) = (var_0 + damping, places.uv - t0 * t1, var_1 + damping);
         let p = -(slopes.uu * splat(simd, 0.5)) - s0 * t0;
         let q = -slopes.uv - s0 * t1 - s1 * t0;
         let r = -(slopes.vv * splat(simd, 0.5)) - s1 * t1;
@@ -391,21 +252,19 @@ impl<S: Simd> Around<S> {
             vv: (bb * p - a * b * q + (sum * a - bb) * r) * per_determinant,
         };
         let size_squared: S::f32s = bend.square();
-        let size = size_squared.sqrt();
-        let within = self.windows.along(u, v).scale(radius * per_total);
-        let product = bend.uu.mul_add(within.uu, bend.vv.mul_add(within.vv, bend.uv * (within.uv + within.uv)));
-        let [from, to] = BEND_SHARED;
-        let shared = product / size_squared.max(tiny);
-        let shared = share(simd, (shared - splat(simd, from)) * splat(simd, 1.0 / (to - from)));
-        let rise = size * radius / (noise * splat(simd, 8.0 * LEAST_RISE));
-        let limit = (splat(simd, MOST_BEND) / size.max(tiny)).min(one);
-        let factor = shared * share(simd, rise - one) * limit * per_radius;
-        (bend.scale(enough.select(factor, zero)), [t0 * radius, t1 * radius])
+        // Covariance of H t with the slopes, and the variance of H t.
+        let with_slopes = bend.uu.mul_add(p, bend.uv.mul_add(q, bend.vv * r));
+        let across = bend.uv * bend.trace() * (b + b);
+        let of_places = bend.uu * bend.uu * var_0 + bend.uv * bend.uv * (var_0 + var_1) + bend.vv * bend.vv * var_1;
+        let explained = with_slopes * with_slopes / ((of_places + across) * turn.variance).max(tiny);
+        let trace = bend.trace();
+        let within = self.windows * (radius * per_total);
+        let shared = within * trace / (trace * trace).max(size_squared * splat(simd, 0.5)).max(tiny);
+        let limit = (splat(simd, MOST_BEND) / size_squared.sqrt().max(tiny)).min(one);
+        let counts = turn.certain * rises(simd, explained, BEND_EXPLAINED) * rises(simd, shared, BEND_SHARED);
+        let bend = bend.scale(counts * limit * per_radius);
+        let twice = bend.uu.mul_add(squares.uu, bend.vv.mul_add(squares.vv, bend.uv * (squares.uv + squares.uv)));
+        let rise = twice * splat(simd, 0.5) - self.spreads * bend.trace() * splat(simd, 0.25);
+        Measured { bend, centre: [t0 * radius, t1 * radius], rise }
     }
-}
-
-/// Returns the variance that a bend adds to a plane's points, whose variances along the plane sum to `spread`, in m².
-#[inline(always)]
-pub(super) fn variance<S: Simd>(simd: S, bend: &Bend<S>, spread: S::f32s) -> S::f32s {
-    bend.square() * (spread * spread) * splat(simd, BEND_VARIANCE)
 }

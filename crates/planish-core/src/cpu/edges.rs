@@ -5,44 +5,44 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
-use super::bend::{self, Around, Bend};
+use super::bend::{self, Around, Bend, Turn};
 use super::blocks::Block;
-use super::eigen::{Symmetric, tangents};
+use super::eigen::tangents;
 use super::padded::{PaddedFrame, PaddedRows};
 use super::plane::{self, Plane, Points, Surface};
 use super::row_tasks::SplitRows;
 use super::vector::{Mask, Vec3, share, splat};
-use super::window::{Gate, Window};
+use super::window::{Candidates, Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
 use crate::constants::{
-    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, LEAST_VARIANCE, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL,
-    NARROW_WIDTH, OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
+    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,
+    OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
 };
 use crate::params::{EngineParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
 
-// Channels of first planes and of surfaces: the normal...
+// Channels of first planes and of surfaces: the normal, and the height over the point along it...
 const NORMAL: usize = 0;
+const HEIGHT: usize = 3;
 
 // ...of first planes:
-/// The mean of the neighbours, relative to the pixel's point.
-const CENTROID: usize = 3;
 /// The variance along the normal plus the plane's uncertainty, in m². Larger, and finally infinite, if neighbours are too
 /// few, collinear, or on a plane seen edge-on.
-const RESIDUAL: usize = 6;
-/// The variance along the plane in m².
-const SPREAD: usize = 7;
-const CURVATURE: usize = 8;
+const RESIDUAL: usize = 4;
+const CURVATURE: usize = 5;
 /// The number of neighbours; negative if they are collinear.
-const COUNT: usize = 9;
+const COUNT: usize = 6;
 /// The square of the extent in m².
-const EXTENT: usize = 10;
-/// How the surface in the window bends: xx, xy, xz, yy, yz, zz.
-const WINDOW_BEND: usize = 11;
-const FIRST_CHANNELS: usize = 17;
+const EXTENT: usize = 7;
+/// The mean of the neighbours, relative to the pixel's point.
+const CENTROID: usize = 8;
+/// The variance along the plane in m².
+const SPREAD: usize = 11;
+/// How the window bends.
+const WINDOW_BEND: usize = 12;
+const FIRST_CHANNELS: usize = 13;
 
 // ...of surfaces:
-const HEIGHT: usize = 3;
 /// The distance in metres within which neighbours count.
 const WIDTH: usize = 4;
 /// How it bends along the tangents of its normal: uu, uv, vv.
@@ -181,63 +181,36 @@ impl Surfaces {
             height: self.planes.load(simd, HEIGHT, at),
             ..first_planes.plane(simd, at)
         };
-        let bend = Bend {
+        let bend: Bend<S> = Bend {
             uu: self.planes.load(simd, BEND, at),
             uv: self.planes.load(simd, BEND + 1, at),
             vv: self.planes.load(simd, BEND + 2, at),
         };
+        let bends: Mask<S> = bend.square().simd_gt(splat(simd, 0.0));
         let width = self.planes.load(simd, WIDTH, at);
-        Surface { plane, n: first_planes.count(simd, at).abs(), width: Some(width), bend: Some(bend) }
+        let n = first_planes.count(simd, at).abs();
+        Surface { plane, n, width: Some(width), bend: bends.any_true().then_some(bend) }
     }
 }
 
-/// A first plane that may be the surface of a point, and how much it counts. Without a weight, all is 0.
-struct Candidate<S: Simd> {
-    /// Offset of its centroid from the point.
-    centroid: Vec3<S>,
+/// What the planes around a point agree on: weighted sums, not yet divided by the total.
+struct Vote<S: Simd> {
     normal: Vec3<S>,
-    nearness: S::f32s,
-    variance: S::f32s,
-    spread: S::f32s,
-    /// How its window bends.
-    window_bend: Symmetric<S>,
+    height: S::f32s,
+    total: S::f32s,
+    weights: [S::f32s; 9],
 }
 
-/// Weighs the candidates by how well they fit a point, whose surface bends like this along the tangents `frame` if it
-/// `BENDS`. Returns their sums, for the bend only if it does not yet, and that of their heights.
-#[inline(always)]
-fn vote<S: Simd, const BENDS: bool>(
-    simd: S,
-    candidates: &[Candidate<S>; 9],
+/// The points whose surfaces are sought, and by what the planes around them are weighed.
+struct Voting<'a, S: Simd> {
+    measured: &'a PaddedFrame,
+    /// Index of the first point.
+    here: usize,
+    p: Vec3<S>,
+    /// From it to its block mean, whose distance from a plane determines how well it fits.
     to_mean: Vec3<S>,
     per_variance: S::f32s,
-    bend: &Bend<S>,
-    frame: (Vec3<S>, Vec3<S>),
-) -> (Around<S>, S::f32s) {
-    let one = splat(simd, 1.0);
-    let (mut around, mut height) = (Around::nothing(simd), splat(simd, 0.0));
-    for candidate in candidates {
-        let n = candidate.normal;
-        // Distance from p to the surface along the plane's normal.
-        let mut to_surface = candidate.centroid.dot(n);
-        let mut variance = candidate.variance;
-        if BENDS {
-            let square = bend.of(candidate.centroid.dot(frame.0), candidate.centroid.dot(frame.1));
-            to_surface = square.mul_add(splat(simd, 0.5), to_surface);
-            to_surface -= candidate.spread * bend.trace() * splat(simd, 0.25);
-            let bent = bend::variance(simd, bend, candidate.spread);
-            variance = (variance - bent).max(variance * splat(simd, LEAST_VARIANCE));
-        }
-        let from_mean = to_surface - to_mean.dot(n);
-        let residual = (from_mean * from_mean).mul_add(splat(simd, DISTANCE_WEIGHT), variance);
-        let badness = residual.mul_add(per_variance, one);
-        let square = badness * badness;
-        // An unusable plane has an infinite residual, hence no weight.
-        let weight = candidate.nearness / (square * square);
-        height = weight.mul_add(to_surface, height);
-        around.add::<BENDS>(weight, candidate.centroid, n, &candidate.window_bend);
-    }
-    (around, height)
+    gate: Gate<S>,
 }
 
 impl FirstPlanes {
@@ -264,12 +237,11 @@ impl FirstPlanes {
     /// Returns the planes from an index on, unchanged.
     #[inline(always)]
     fn plane<S: Simd>(&self, simd: S, at: usize) -> Plane<S> {
-        let (normal, centroid) = (self.planes.vector(simd, NORMAL, at), self.planes.vector(simd, CENTROID, at));
         Plane {
-            normal,
-            height: centroid.dot(normal),
-            centroid,
-            spread: self.planes.load(simd, SPREAD, at),
+            normal: self.planes.vector(simd, NORMAL, at),
+            height: self.planes.load(simd, HEIGHT, at),
+            centroid: Vec3::splat(simd, 0.0),
+            spread: splat(simd, 0.0),
             residual: splat(simd, 0.0),
             doubt: splat(simd, 1.0),
             extent_squared: self.planes.load(simd, EXTENT, at),
@@ -279,42 +251,56 @@ impl FirstPlanes {
         }
     }
 
-    #[inline(always)]
-    fn near<S: Simd>(&self, simd: S, channel: usize, at: usize, near: Mask<S>) -> S::f32s {
-        near.select(self.planes.load(simd, channel, at), splat(simd, 0.0))
+    /// Returns the index of the k-th of the nine planes around a point.
+    fn nearby(&self, here: usize, k: usize) -> usize {
+        let row_len = self.planes.row_len;
+        here + self.shift * (k / 3 * row_len + k % 3) - self.shift * (row_len + 1)
     }
 
-    /// Returns the k-th of the nine planes around the points p from an index on.
+    /// Weighs the planes around points by how well they fit.
     #[inline(always)]
-    fn candidate<S: Simd>(
-        &self,
-        simd: S,
-        measured: &PaddedFrame,
-        (here, k): (usize, usize),
-        p: Vec3<S>,
-        gate: &Gate<S>,
-    ) -> Candidate<S> {
-        let row_len = self.planes.row_len;
-        let at = here + self.shift * (k / 3 * row_len + k % 3) - self.shift * (row_len + 1);
-        let (zero, nothing) = (splat(simd, 0.0), Vec3::splat(simd, 0.0));
-        let offset = measured.load(simd, at).sub(p);
-        let (nearness, near) = gate.weight(simd, offset);
-        // One that is not near may hold anything.
-        Candidate {
-            centroid: offset.add(self.planes.vector(simd, CENTROID, at)).or(near, nothing),
-            normal: self.planes.vector(simd, NORMAL, at).or(near, nothing),
-            nearness: near.select(nearness, zero),
-            variance: self.near(simd, RESIDUAL, at, near),
-            spread: self.near(simd, SPREAD, at, near),
-            window_bend: Symmetric {
-                xx: self.near(simd, WINDOW_BEND, at, near),
-                xy: self.near(simd, WINDOW_BEND + 1, at, near),
-                xz: self.near(simd, WINDOW_BEND + 2, at, near),
-                yy: self.near(simd, WINDOW_BEND + 3, at, near),
-                yz: self.near(simd, WINDOW_BEND + 4, at, near),
-                zz: self.near(simd, WINDOW_BEND + 5, at, near),
-            },
+    fn vote<S: Simd>(&self, simd: S, voting: &Voting<'_, S>) -> Vote<S> {
+        let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+        let mut vote = Vote { normal: Vec3::splat(simd, 0.0), height: zero, total: zero, weights: [zero; 9] };
+        for k in 0..9 {
+            let at = self.nearby(voting.here, k);
+            let offset = voting.measured.load(simd, at).sub(voting.p);
+            let (nearness, near) = voting.gate.weight(simd, offset);
+            let n = self.planes.vector(simd, NORMAL, at);
+            // Distance from p to the plane along the plane's normal.
+            let to_plane = offset.dot(n) + self.planes.load(simd, HEIGHT, at);
+            let from_mean = to_plane - voting.to_mean.dot(n);
+            let variance = self.planes.load(simd, RESIDUAL, at);
+            let residual = (from_mean * from_mean).mul_add(splat(simd, DISTANCE_WEIGHT), variance);
+            let badness = residual.mul_add(voting.per_variance, one);
+            let square = badness * badness;
+            // An unusable plane has an infinite residual, hence no weight. One that is not near may hold anything, and
+            // changes nothing.
+            let weight = near.select(nearness / (square * square), zero);
+            vote.normal = vote.normal.add_scaled(weight, n).or(near, vote.normal);
+            vote.height = near.select(weight.mul_add(to_plane, vote.height), vote.height);
+            vote.total += weight;
+            vote.weights[k] = weight;
         }
+        vote
+    }
+
+    /// Returns the sums for the bend between the planes that a vote has weighed.
+    #[inline(always)]
+    fn around<S: Simd>(&self, simd: S, voting: &Voting<'_, S>, vote: &Vote<S>) -> Around<S> {
+        let (zero, none) = (splat(simd, 0.0), Vec3::splat(simd, 0.0));
+        let mut around = Around::nothing(simd);
+        for (k, &weight) in vote.weights.iter().enumerate() {
+            let at = self.nearby(voting.here, k);
+            let counts: Mask<S> = weight.simd_gt(zero);
+            let offset = voting.measured.load(simd, at).sub(voting.p);
+            let x = offset.add(self.planes.vector(simd, CENTROID, at)).or(counts, none);
+            let n = self.planes.vector(simd, NORMAL, at).or(counts, none);
+            let spread = counts.select(self.planes.load(simd, SPREAD, at), zero);
+            let window_bend = counts.select(self.planes.load(simd, WINDOW_BEND, at), zero);
+            around.add(weight, x, n, (spread, window_bend));
+        }
+        around
     }
 
     /// Finds the surfaces of the points from an index on, from their first planes and the eight around them. The distance
@@ -331,56 +317,45 @@ impl FirstPlanes {
     ) -> Surface<S> {
         let Points { p, ray, radius, valid } = points;
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-        let per_variance = one / (noise * noise);
         let gate = Gate::new(simd, radius * splat(simd, PLANE_REACH));
-        let to_mean = mean.sub(p);
+        let voting = Voting { measured, here, p, to_mean: mean.sub(p), per_variance: one / (noise * noise), gate };
         let mut plane = self.plane(simd, here);
         let count = self.count(simd, here);
         // A hole may hold anything, and so may a point on a line.
         let has_plane = valid & count.simd_ge(splat(simd, 3.0));
-        let candidates = [
-            self.candidate(simd, measured, (here, 0), p, &gate),
-            self.candidate(simd, measured, (here, 1), p, &gate),
-            self.candidate(simd, measured, (here, 2), p, &gate),
-            self.candidate(simd, measured, (here, 3), p, &gate),
-            self.candidate(simd, measured, (here, 4), p, &gate),
-            self.candidate(simd, measured, (here, 5), p, &gate),
-            self.candidate(simd, measured, (here, 6), p, &gate),
-            self.candidate(simd, measured, (here, 7), p, &gate),
-            self.candidate(simd, measured, (here, 8), p, &gate),
-        ];
+        let vote = self.vote(simd, &voting);
         let own_normal = plane.normal.scale(splat(simd, OWN_NORMAL_WEIGHT));
-        let none = (Vec3::splat(simd, 0.0), Vec3::splat(simd, 0.0));
-        let flat = Bend::none(simd);
-        let (around, height) = vote::<S, false>(simd, &candidates, to_mean, per_variance, &flat, none);
-        let (mut normal, mut sign) = facing(simd, around.normal.add(own_normal), ray, has_plane);
-        let frame = tangents(simd, normal);
-        let (bend, centre) = around.bend(simd, frame, radius, noise);
-        let (mut total, mut height) = (around.total, height);
+        let (normal, sign) = facing(simd, vote.normal.add(own_normal), ray, has_plane);
+        // Heights are along the mean normal of the planes, whichever way it points.
+        let per_total = one / (vote.total + splat(simd, STAY_WEIGHT));
+        plane.normal = normal.or(has_plane, plane.normal);
+        plane.height = has_plane.select(sign * moved::<S>(vote.height * per_total, radius), plane.height);
+        let turn = Turn::new(simd, vote.total, vote.normal, radius, noise);
+        let turns: Mask<S> = has_plane & turn.certain.simd_gt(zero);
+        let mut bend = Bend::none(simd);
         // Most surfaces are flat.
-        if (bend.square().simd_gt(zero) & has_plane).any_true() {
-            let (around, height_m) = vote::<S, true>(simd, &candidates, to_mean, per_variance, &bend, frame);
-            (normal, sign) = facing(simd, around.normal.add(own_normal), ray, has_plane);
-            (total, height) = (around.total, height_m);
+        if turns.any_true() {
+            let frame = tangents(simd, normal);
+            let measured = self.around(simd, &voting, &vote).bend(simd, &turn, frame, radius);
+            let bends = turns & measured.bend.square().simd_gt(zero);
+            // In the middle of the planes, where this normal is, the slope differs from that at p.
+            let (a, b) = measured.bend.times(measured.centre[0], measured.centre[1]);
+            let (tilted, side) = facing(simd, normal.add_scaled(a, frame.0).add_scaled(b, frame.1), ray, has_plane);
+            plane.normal = tilted.or(bends, plane.normal);
+            // The other way round it is the same surface.
+            plane.height =
+                bends.select(side * sign * moved::<S>((vote.height + measured.rise) * per_total, radius), plane.height);
+            bend = measured.bend.turned(frame, tangents(simd, plane.normal)).scale(side).or_none(simd, bends);
         }
-        // Planes that disagree may lie further away than a point may move.
-        let height = sign * (height / (total + splat(simd, STAY_WEIGHT))).max(-radius).min(radius);
-        // In the middle of the planes, where this normal is, the slope differs from that at p.
-        let (a, b) = bend.times(centre[0], centre[1]);
-        let tilted = normal.add_scaled(a, frame.0).add_scaled(b, frame.1);
-        // The other way round it is the same surface.
-        let (tilted, side) = facing(simd, tilted, ray, has_plane);
-        plane.normal = tilted.or(has_plane, plane.normal);
-        plane.height = has_plane.select(side * height, plane.height);
         let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY));
-        let bend = bend.turned(frame, tangents(simd, plane.normal)).scale(side);
-        let bend = Bend {
-            uu: has_plane.select(bend.uu, zero),
-            uv: has_plane.select(bend.uv, zero),
-            vv: has_plane.select(bend.vv, zero),
-        };
         Surface { plane, n: count.abs(), width: Some(width), bend: Some(bend) }
     }
+}
+
+/// Limits heights: planes that disagree may lie further away than a point may move.
+#[inline(always)]
+fn moved<S: Simd>(height: S::f32s, radius: S::f32s) -> S::f32s {
+    height.max(-radius).min(radius)
 }
 
 /// Returns unit normals towards the sensor where there are planes, and the signs by which they differ from the given ones.
@@ -420,26 +395,25 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
             let range = kernel.range(simd, ray);
             let radius = kernel.rules.radius(simd, range);
             let noise = noise(simd, &kernel.rules, range, radius);
-            let half = kernel.side / 2;
             let window = Window::at(input.samples, kernel, u, v);
-            let (sums, places) = bend::sums(simd, window, p, radius, half);
+            let sums = window.sums(simd, p, radius);
             let plane = plane::fit(simd, ray, &sums);
             let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
             let usable = usable(simd, ray, &plane, sums.total);
             // A single point has no residual.
             let is_usable: Mask<S> = usable.simd_gt(splat(simd, 0.0));
             let residual = is_usable.select(residual / usable, splat(simd, f32::INFINITY));
-            let bend = places.bend(simd, half, radius, &sums, &plane);
+            let window_bend = bend::of_window(simd, window, p, radius, &plane);
             let at = rows.index(row, u);
             rows.store_vector(NORMAL, at, plane.normal);
-            rows.store_vector(CENTROID, at, plane.centroid);
+            rows.store::<S>(HEIGHT, at, plane.height);
             rows.store::<S>(RESIDUAL, at, residual);
-            rows.store::<S>(SPREAD, at, plane.spread);
             rows.store::<S>(CURVATURE, at, plane.curvature);
             rows.store::<S>(COUNT, at, plane.degenerate.select(-sums.n, sums.n));
             rows.store::<S>(EXTENT, at, plane.extent_squared);
-            rows.store_vector(WINDOW_BEND, at, Vec3::<S>::new(bend.xx, bend.xy, bend.xz));
-            rows.store_vector(WINDOW_BEND + 3, at, Vec3::<S>::new(bend.yy, bend.yz, bend.zz));
+            rows.store_vector(CENTROID, at, plane.centroid);
+            rows.store::<S>(SPREAD, at, plane.spread);
+            rows.store::<S>(WINDOW_BEND, at, window_bend);
         }
     }
 }

@@ -117,23 +117,16 @@ impl<S: Simd> Sums<S> {
     /// Adds a candidate: its offset, how much it counts, and how many neighbours it is.
     #[inline(always)]
     pub(super) fn add(&mut self, e: Vec3<S>, weight: S::f32s, count: S::f32s) {
-        let weighted = self.add_squares(e, weight, count);
-        self.total += weight;
-        self.e = self.e.add(weighted);
-    }
-
-    /// Adds a candidate to the number and the products only; returns its weighted offset.
-    #[inline(always)]
-    pub(super) fn add_squares(&mut self, e: Vec3<S>, weight: S::f32s, count: S::f32s) -> Vec3<S> {
         let weighted = e.scale(weight);
         self.n += count;
+        self.total += weight;
+        self.e = self.e.add(weighted);
         self.xx = weighted.x.mul_add(e.x, self.xx);
         self.xy = weighted.x.mul_add(e.y, self.xy);
         self.xz = weighted.x.mul_add(e.z, self.xz);
         self.yy = weighted.y.mul_add(e.y, self.yy);
         self.yz = weighted.y.mul_add(e.z, self.yz);
         self.zz = weighted.z.mul_add(e.z, self.zz);
-        weighted
     }
 }
 
@@ -144,6 +137,20 @@ impl<'a> Window<'a> {
         let reach = kernel.side / 2 * kernel.stride;
         let first = samples.index(u, v) - reach * (samples.row_len + 1);
         Self { samples, first, side: kernel.side, stride: kernel.stride }
+    }
+
+    /// Half its width, in strides.
+    #[inline(always)]
+    pub(super) fn half(&self) -> usize {
+        self.side / 2
+    }
+
+    /// Returns the middle of the window, half as wide.
+    #[inline(always)]
+    pub(super) fn middle(&self) -> Self {
+        let half = self.half() / 2;
+        let skipped = (self.half() - half) * self.stride;
+        Self { first: self.first + skipped * (self.samples.row_len + 1), side: 2 * half + 1, ..*self }
     }
 }
 

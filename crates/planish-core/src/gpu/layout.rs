@@ -50,7 +50,7 @@ pub(super) const ON_RAY: u32 = 2;
 
 /// Channels of the points and the planes that passes leave for one another (kept.wgsl).
 const POINT_CHANNELS: usize = 6;
-const PLANE_CHANNELS: usize = 25;
+const PLANE_CHANNELS: usize = 20;
 
 pub(super) const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
 const _: () = assert!(size_of::<FrameHeader>() == 88);
@@ -298,19 +298,16 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("DISTANCE_WEIGHT", constants::DISTANCE_WEIGHT),
         ("NARROW_WIDTH", constants::NARROW_WIDTH),
         ("DOUBT_WEIGHT", constants::DOUBT_WEIGHT),
-        ("WINDOW_BEND_DAMPING", constants::WINDOW_BEND_DAMPING),
-        ("LEAST_PLACES", constants::LEAST_PLACES),
-        ("LEAST_AREA", constants::LEAST_AREA),
+        ("LEAST_SPREAD", constants::LEAST_SPREAD),
         ("MOST_WINDOW_BEND", constants::MOST_WINDOW_BEND),
-        ("LEAST_BEND_NEIGHBOURS", constants::LEAST_BEND_NEIGHBOURS),
         ("BEND_DAMPING", constants::BEND_DAMPING),
         ("LEAST_BEND_WEIGHT", constants::LEAST_BEND_WEIGHT),
+        ("LEAST_TURN", constants::LEAST_TURN),
+        ("BEND_EXPLAINED_FROM", constants::BEND_EXPLAINED[0]),
+        ("BEND_EXPLAINED_TO", constants::BEND_EXPLAINED[1]),
         ("BEND_SHARED_FROM", constants::BEND_SHARED[0]),
         ("BEND_SHARED_TO", constants::BEND_SHARED[1]),
-        ("LEAST_RISE", constants::LEAST_RISE),
         ("MOST_BEND", constants::MOST_BEND),
-        ("BEND_VARIANCE", constants::BEND_VARIANCE),
-        ("LEAST_VARIANCE", constants::LEAST_VARIANCE),
         ("MIN_INCIDENCE_COSINE", constants::MIN_INCIDENCE_COSINE),
         ("SQRT_LOG2_E", constants::SQRT_LOG2_E),
         ("MAX_OFF_SURFACE", constants::MAX_OFF_SURFACE),

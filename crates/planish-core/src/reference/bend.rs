@@ -26,10 +26,6 @@ const EXPLAINED: [f64; 2] = [0.65, 0.85];
 const SHARED: [f64; 2] = [0.2, 0.4];
 /// A surface bends by at most this much over the radius.
 const MOST_BEND: f64 = 1.2;
-/// The variance that a bend adds to a window, in squares of the window's spread times the bend. About a sixth of a disc's,
-/// since the bend is uncertain.
-const VARIANCE: f64 = 0.0125;
-
 /// Returns x y^T.
 fn outer(x: DVec3, y: DVec3) -> DMat3 {
     DMat3::from_cols(x * y.x, x * y.y, x * y.z)
@@ -145,11 +141,6 @@ impl Bend {
 /// Returns how much higher the bent surface is at p than a plane fitted to it, whose centroid is at this offset.
 pub(super) fn rise_m(tensor: DMat3, offset: DVec3, plane: &Plane) -> f64 {
     0.5 * offset.dot(tensor * offset) - 0.25 * spread(plane) * trace(tensor)
-}
-
-/// Returns the variance that the bend adds to the points about a plane, in m².
-pub(super) fn variance(tensor: DMat3, plane: &Plane) -> f64 {
-    VARIANCE * inner(tensor, tensor) * spread(plane) * spread(plane)
 }
 
 /// The variance of the points along the plane, in m².

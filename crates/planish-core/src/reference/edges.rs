@@ -32,8 +32,6 @@ const COSINE_FADE: f64 = 0.01;
 
 /// Weight of a zero displacement of p, relative to the surrounding planes.
 pub(super) const STAY_WEIGHT: f64 = 1e-3;
-/// At least this share of a plane's variance is not due to the bend.
-const LEAST_VARIANCE: f64 = 0.1;
 /// Additional weight of the normal of p's window, which defines a normal where no plane is near.
 pub(super) const OWN_NORMAL_WEIGHT: f64 = 1e-12;
 
@@ -95,16 +93,15 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
             }
         }
         let voters = Voters { around, own_normal: own_plane.normal, mean_offset, noise_m };
-        let flat = voters.vote(DMat3::ZERO);
-        let normal = side_to_sensor(flat.normal, p) * flat.normal.normalize();
-        let bend = Bend::between(&voters.slopes(&flat), normal, radius_m, noise_m);
-        let vote = voters.vote(bend.tensor);
-        // Planes that disagree may lie further away than a point may move.
-        let height_m = (vote.height_m / vote.total).clamp(-radius_m, radius_m);
+        let vote = voters.vote();
         // Heights are along the mean normal of the planes, whichever way it points.
-        let height_m = height_m * side_to_sensor(vote.normal, p);
+        let side = side_to_sensor(vote.normal, p);
+        let normal = side * vote.normal.normalize();
+        let bend = Bend::between(&voters.slopes(&vote), normal, radius_m, noise_m);
+        // Planes that disagree may lie further away than a point may move.
+        let height_m = side * (voters.height_m(&vote, bend.tensor) / vote.total).clamp(-radius_m, radius_m);
         // In the middle of the planes, where this normal is, the slope differs from that at p.
-        let normal = bend.normal_at_p(side_to_sensor(vote.normal, p) * vote.normal.normalize());
+        let normal = bend.normal_at_p(normal);
         let tensor = bend.along(normal);
         // The other way round it is the same surface.
         let side = side_to_sensor(normal, p);
@@ -130,13 +127,6 @@ struct Candidate {
     window_bend: f64,
 }
 
-impl Candidate {
-    /// Returns the distance from p to the surface along the plane's normal, if the surface bends like this.
-    fn height_m(&self, tensor: DMat3) -> f64 {
-        self.centroid.dot(self.plane.normal) + bend::rise_m(tensor, self.centroid, &self.plane)
-    }
-}
-
 /// The planes that decide on the surface of p.
 struct Voters {
     around: Vec<Candidate>,
@@ -149,29 +139,33 @@ struct Voters {
 /// Their decision: weighted sums, not yet divided by the total.
 struct Vote {
     normal: DVec3,
-    height_m: f64,
     total: f64,
     /// Of the candidates around p.
     weights: Vec<f64>,
 }
 
 impl Voters {
-    fn vote(&self, tensor: DMat3) -> Vote {
-        let (mut normal, mut height_m, mut sum) = (OWN_NORMAL_WEIGHT * self.own_normal, 0.0, 0.0);
+    fn vote(&self) -> Vote {
+        let (mut normal, mut total) = (OWN_NORMAL_WEIGHT * self.own_normal, STAY_WEIGHT);
         let mut weights = Vec::with_capacity(self.around.len());
         for candidate in &self.around {
-            let to_surface_m = candidate.height_m(tensor);
-            let from_mean_m = to_surface_m - self.mean_offset.dot(candidate.plane.normal);
-            let bent = bend::variance(tensor, &candidate.plane);
-            let variance = (candidate.variance - bent).max(LEAST_VARIANCE * candidate.variance);
-            let residual = variance + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
+            let n = candidate.plane.normal;
+            let from_mean_m = (candidate.centroid - self.mean_offset).dot(n);
+            let residual = candidate.variance + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
             let weight = candidate.nearness * (1.0 + residual / (self.noise_m * self.noise_m)).powi(-4);
-            normal += weight * candidate.plane.normal;
-            height_m += weight * to_surface_m;
-            sum += weight;
+            normal += weight * n;
+            total += weight;
             weights.push(weight);
         }
-        Vote { normal, height_m, total: STAY_WEIGHT + sum, weights }
+        Vote { normal, total, weights }
+    }
+
+    /// Returns the weighted sum of the distances from p to the surface along the planes' normals, if it bends like this.
+    fn height_m(&self, vote: &Vote, tensor: DMat3) -> f64 {
+        let height_m = |candidate: &Candidate| {
+            candidate.centroid.dot(candidate.plane.normal) + bend::rise_m(tensor, candidate.centroid, &candidate.plane)
+        };
+        self.around.iter().zip(&vote.weights).map(|(candidate, weight)| weight * height_m(candidate)).sum()
     }
 
     fn slopes(&self, vote: &Vote) -> Vec<Slope> {

@@ -95,6 +95,8 @@ pub struct Report {
     /// Mean error of the angle of a 90° edge at 1 m, between planes through the points up to 6 pixels from it, in
     /// degrees.
     pub crease_deg: f64,
+    /// Mean error of the normals up to 6 pixels from that edge, in degrees.
+    pub crease_normal_deg: f64,
     /// Mean distance of a sphere's points from its centre over its radius, less 1.
     pub sphere_radius_bias: f64,
     /// Mean distance of a cylinder's points from its axis over its radius, less 1.
@@ -194,6 +196,7 @@ pub struct Evaluation {
     edge_m: Sum,
     flying: usize,
     crease_deg: Sum,
+    crease_normal_deg: Sum,
     sphere: Sum,
     cylinder: Sum,
     curves: Curves,
@@ -225,7 +228,7 @@ impl Evaluation {
                 self.add_flat(truth, points, normals);
                 self.add_edges(truth, points);
             }
-            Gauges::Shapes(gauge) => self.add_shapes(truth, gauge, points),
+            Gauges::Shapes(gauge) => self.add_shapes(truth, gauge, points, normals),
             Gauges::Curves(..) => {}
         }
     }
@@ -266,7 +269,7 @@ impl Evaluation {
         }
     }
 
-    fn add_shapes(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz) {
+    fn add_shapes(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz, normals: &Xyz) {
         let flat = flat_pixels(truth, FLAT_MARGIN_PX);
         for i in (0..flat.len()).filter(|&i| flat[i] && points.is_finite(i)) {
             // On steeper surfaces the sensor itself loses and shifts points.
@@ -282,11 +285,12 @@ impl Evaluation {
                 self.cylinder.add(from_axis / gauge.cylinder_radius_m - 1.0);
             }
         }
-        self.add_crease(truth, gauge, points);
+        self.add_crease(truth, gauge, points, normals);
     }
 
-    /// The angle between planes through the points on either side of the edge, piece by piece along it.
-    fn add_crease(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz) {
+    /// The angle between planes through the points on either side of the edge, piece by piece along it, and the normals
+    /// there.
+    fn add_crease(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz, normals: &Xyz) {
         let (width, height) = (truth.camera.width, truth.camera.height);
         // The column at which a row passes from the left face to the right one.
         let edge = |v: usize| -> Option<usize> {
@@ -308,6 +312,12 @@ impl Evaluation {
             let (left, right) = (face(|u| u - CREASE_PX..u), face(|u| u..u + CREASE_PX));
             if let (Some(left), Some(right)) = (left, right) {
                 self.crease_deg.add((angle_deg(left.0, right.0) - 90.0).abs());
+            }
+            for (u, v) in rows {
+                let beside = (u - CREASE_PX..u + CREASE_PX).map(|u| v * width + u);
+                for i in beside.filter(|&i| normals.is_finite(i)) {
+                    self.crease_normal_deg.add(angle_deg(normals.vector(i), truth.normals.vector(i)));
+                }
             }
         }
     }
@@ -348,6 +358,7 @@ impl Evaluation {
             edge_mean_mm: 1e3 * self.edge_m.mean(),
             flying_share: self.flying as f64 / self.edge_m.count as f64,
             crease_deg: self.crease_deg.mean(),
+            crease_normal_deg: self.crease_normal_deg.mean(),
             sphere_radius_bias: self.sphere.mean(),
             cylinder_radius_bias: self.cylinder.mean(),
             curves: self.curves.report(),

@@ -1,6 +1,5 @@
 // How surfaces bend: tensors H in 1/m, of a surface that is x·Hx/2 above its tangent plane at an offset x along it
-// (docs/method.md, section 10). Those of windows have six components in space; that of a surface has uu, uv and vv along
-// the tangents of its normal.
+// (docs/method.md, section 10): uu, uv and vv along the tangents of its normal. Of a window's bend only the trace is known.
 
 // H (a, b).
 fn bend_times(h: vec3<f32>, at: vec2<f32>) -> vec2<f32> {
@@ -34,7 +33,7 @@ fn turned(h: vec3<f32>, frame: Tangents, to: Tangents) -> vec3<f32> {
 // Weighted sums over the planes around a point.
 struct Around {
     total: f32,
-    // Of the distances from the point to the surface, along the normals.
+    // Of the distances from the point to the planes, along their normals.
     height: f32,
     normal: vec3<f32>,
     // Of the offsets x of their centroids from the point, and of x x^T.
@@ -43,7 +42,9 @@ struct Around {
     // Of n x^T + x n^T, with the normals n.
     slopes: Symmetric,
     // Of the bends in their windows.
-    windows: Symmetric,
+    windows: f32,
+    // Of their points' variances along them.
+    spreads: f32,
 }
 
 // A sum plus a factor times x y^T + y x^T.
@@ -60,31 +61,53 @@ fn plus_products(sum: Symmetric, x: vec3<f32>, y: vec3<f32>, factor: f32) -> Sym
     );
 }
 
+// How the normals of the planes around a point turn.
+struct Turn {
+    per_total: f32,
+    mean_normal: vec3<f32>,
+    // The variance of the normals.
+    variance: f32,
+    // How far that is beyond what noise does, from 0 to 1.
+    certain: f32,
+}
+
+fn turn_of(around: Around, radius: f32, noise: f32) -> Turn {
+    if !(around.total > LEAST_BEND_WEIGHT) {
+        return Turn(0.0, vec3<f32>(0.0), 0.0, 0.0);
+    }
+    let per_total = 1.0 / around.total;
+    let mean_normal = around.normal * per_total;
+    let variance = max(1.0 - dot(mean_normal, mean_normal), 0.0);
+    let turns = sqrt(variance) * radius / (noise * LEAST_TURN);
+    return Turn(per_total, mean_normal, variance, clamp(turns - 1.0, 0.0, 1.0));
+}
+
 struct Measured {
     bend: vec3<f32>,
-    // Mean place of the planes along the tangents.
+    // Mean place of the planes along the tangents, where the normal is that of the surface.
     centre: vec2<f32>,
+    // Weighted sum of how much higher the surface is at the point than the planes, which are fitted to it.
+    rise: f32,
 }
 
 // The bend of a surface along the tangents `frame` of its normal.
-fn bend_around(around: Around, frame: Tangents, radius: f32, noise: f32) -> Measured {
-    if !(around.total > LEAST_BEND_WEIGHT) {
-        return Measured(vec3<f32>(0.0), vec2<f32>(0.0));
-    }
-    let per_total = 1.0 / around.total;
+fn bend_around(around: Around, turn: Turn, frame: Tangents, radius: f32) -> Measured {
+    let per_total = turn.per_total;
     // In units of the radius, whose square may be as small as 1e-24 m².
     let per_radius = 1.0 / radius;
     let scale = per_total * per_radius;
     // A plane's place t, and its slope s, the sine of its angle: on a circle the slope grows with the place by 1/r.
     let t = place_along(frame, around.offset) * scale;
-    let s = place_along(frame, around.normal) * -per_total;
-    let places = along(frame, around.offsets) * (scale * per_radius);
+    let s = -place_along(frame, turn.mean_normal);
+    let squares = along(frame, around.offsets);
+    let places = squares * (scale * per_radius);
     let slopes = along(frame, around.slopes) * -scale;
     // The symmetric H that minimises the mean of |s - H t|² plus damping |H|², by Cramer's rule for
     // [[a, b, 0], [b, a + c, b], [0, b, c]] (uu, uv, vv) = (p, q, r).
-    let a = max(places.x - t.x * t.x, 0.0) + BEND_DAMPING;
+    let variances = max(places.xz - t * t, vec2<f32>(0.0));
+    let a = variances.x + BEND_DAMPING;
     let b = places.y - t.x * t.y;
-    let c = max(places.z - t.y * t.y, 0.0) + BEND_DAMPING;
+    let c = variances.y + BEND_DAMPING;
     let p = fma(slopes.x, 0.5, -(s.x * t.x));
     let q = slopes.y - s.x * t.y - s.y * t.x;
     let r = fma(slopes.z, 0.5, -(s.y * t.y));
@@ -97,12 +120,19 @@ fn bend_around(around: Around, frame: Tangents, radius: f32, noise: f32) -> Meas
         bb * p - a * b * q + (sum * a - bb) * r,
     ) / (sum * (a * c - bb));
     let square = bend_square(bend);
+    // Covariance of H t with the slopes, and the variance of H t.
+    let trace = bend.x + bend.z;
+    let with_slopes = fma(bend.x, p, fma(bend.y, q, bend.z * r));
+    let of_places = dot(variances, bend.xz * bend.xz + bend.y * bend.y) + 2.0 * b * bend.y * trace;
+    let explained = with_slopes * with_slopes / max(of_places * turn.variance, MIN_POSITIVE);
+    let within = around.windows * (radius * per_total);
+    let agreed = within * trace / max(max(trace * trace, 0.5 * square), MIN_POSITIVE);
     let size = sqrt(square);
-    let within = along(frame, around.windows) * (radius * per_total);
-    let product = fma(bend.x, within.x, fma(bend.z, within.z, 2.0 * bend.y * within.y));
-    let ratio = product / max(square, MIN_POSITIVE);
-    let counts = clamp((ratio - BEND_SHARED_FROM) / (BEND_SHARED_TO - BEND_SHARED_FROM), 0.0, 1.0);
-    let certain = clamp(size * radius / (noise * (8.0 * LEAST_RISE)) - 1.0, 0.0, 1.0);
+    let counts = turn.certain
+        * clamp((explained - BEND_EXPLAINED_FROM) / (BEND_EXPLAINED_TO - BEND_EXPLAINED_FROM), 0.0, 1.0)
+        * clamp((agreed - BEND_SHARED_FROM) / (BEND_SHARED_TO - BEND_SHARED_FROM), 0.0, 1.0);
     let limit = min(MOST_BEND / max(size, MIN_POSITIVE), 1.0);
-    return Measured(bend * (counts * certain * limit * per_radius), t * radius);
+    let found = bend * (counts * limit * per_radius);
+    let twice = fma(found.x, squares.x, fma(found.z, squares.z, 2.0 * found.y * squares.y));
+    return Measured(found, t * radius, 0.5 * twice - 0.25 * around.spreads * (found.x + found.z));
 }

@@ -9,9 +9,8 @@ struct Surface {
     bend: vec3<f32>,
 }
 
-// The nine planes, weighed by how well they fit a point whose surface bends by `bend` along the tangents, if it is known;
-// otherwise with the sums for it.
-fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32, is_known: bool, bend: vec3<f32>, tangents: Tangents) -> Around {
+// The nine planes, weighed by how well they fit a point.
+fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Around {
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
     var around: Around;
@@ -28,43 +27,27 @@ fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: 
             if !(nearness > 0.0) {
                 continue;
             }
-            var variance = planes[plane_word(frame, FIRST_RESIDUAL, at)];
+            let variance = planes[plane_word(frame, FIRST_RESIDUAL, at)];
             if variance >= NOT_USABLE {
                 continue;
             }
             let n = plane_vector(frame, FIRST_NORMAL, at);
             let centroid = offset + plane_vector(frame, FIRST_CENTROID, at);
-            // Distances to the surface along the plane's normal, from p and from the mean.
-            var to_surface = dot(centroid, n);
-            if is_known {
-                let spread = planes[plane_word(frame, FIRST_SPREAD, at)];
-                let place = place_along(tangents, centroid);
-                to_surface = fma(dot(place, bend_times(bend, place)), 0.5, to_surface);
-                to_surface -= spread * (bend.x + bend.z) * 0.25;
-                let bent = bend_square(bend) * (spread * spread) * BEND_VARIANCE;
-                variance = max(variance - bent, variance * LEAST_VARIANCE);
-            }
-            let from_mean = to_surface - dot(to_mean, n);
+            // Distances to the plane along its normal, from p and from the mean.
+            let to_plane = dot(centroid, n);
+            let from_mean = to_plane - dot(to_mean, n);
             let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
             let root = 1.0 / fma(residual, per_variance, 1.0);
             let weight = (root * root) * (root * root) * min(nearness, 1.0);
             let weighted = weight * n;
             around.total += weight;
-            around.height = fma(weight, to_surface, around.height);
+            around.height = fma(weight, to_plane, around.height);
             around.normal += weighted;
-            if !is_known {
-                let x_row = plane_vector(frame, FIRST_BEND, at);
-                let rest = plane_vector(frame, FIRST_BEND + 3u, at);
-                around.offset = fma(vec3<f32>(weight), centroid, around.offset);
-                around.offsets = plus_products(around.offsets, weight * centroid, centroid, 0.5);
-                around.slopes = plus_products(around.slopes, weighted, centroid, 1.0);
-                around.windows.xx = fma(weight, x_row.x, around.windows.xx);
-                around.windows.xy = fma(weight, x_row.y, around.windows.xy);
-                around.windows.xz = fma(weight, x_row.z, around.windows.xz);
-                around.windows.yy = fma(weight, rest.x, around.windows.yy);
-                around.windows.yz = fma(weight, rest.y, around.windows.yz);
-                around.windows.zz = fma(weight, rest.z, around.windows.zz);
-            }
+            around.offset = fma(vec3<f32>(weight), centroid, around.offset);
+            around.offsets = plus_products(around.offsets, weight * centroid, centroid, 0.5);
+            around.slopes = plus_products(around.slopes, weighted, centroid, 1.0);
+            around.windows = fma(weight, planes[plane_word(frame, FIRST_BEND, at)], around.windows);
+            around.spreads = fma(weight, planes[plane_word(frame, FIRST_SPREAD, at)], around.spreads);
         }
     }
     return around;
@@ -89,24 +72,27 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
         let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
         return Surface(own_normal, height, 1e18, vec3<f32>(0.0));
     }
-    let none = Tangents(vec3<f32>(0.0), vec3<f32>(0.0));
-    var around = vote(frame, pixel, p, to_mean, radius, noise, false, vec3<f32>(0.0), none);
-    var found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    let around = vote(frame, pixel, p, to_mean, radius, noise);
+    let found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    let turn = turn_of(around, radius, noise);
     let tangents = tangents_of(found.normal);
-    let measured = bend_around(around, tangents, radius, noise);
+    var measured: Measured;
     // Most surfaces are flat.
-    if bend_square(measured.bend) > 0.0 {
-        around = vote(frame, pixel, p, to_mean, radius, noise, true, measured.bend, tangents);
-        found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+    if turn.certain > 0.0 {
+        measured = bend_around(around, turn, tangents, radius);
     }
     // Planes that disagree may lie further away than a point may move.
-    let height = found.sign * clamp(around.height / (around.total + STAY_WEIGHT), -radius, radius);
+    let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
+    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0));
+    if bend_square(measured.bend) == 0.0 {
+        return surface;
+    }
     // In the middle of the planes, where this normal is, the slope differs from that at p.
     let tilt = bend_times(measured.bend, measured.centre);
     let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
     // The other way round it is the same surface.
     let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
-    return Surface(tilted.normal, tilted.sign * height, NARROW_WIDTH * noise, bend);
+    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)

@@ -25,8 +25,8 @@ fn fit_first_planes(
     let ray = ray_to(frame, p);
     let range = range_of(frame, ray);
     let radius = radius_at(frame, range);
-    let places = place_sums_of(window, p, gate_of(radius));
-    let sums = places.sums;
+    let gate = gate_of(radius);
+    let sums = sums_of(window, p, gate);
     let plane = plane_of(ray, sums);
     // Scaled, since the squares may be too large.
     let direction = ray / max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
@@ -44,7 +44,5 @@ fn fit_first_planes(
     planes[plane_word(frame, FIRST_CURVATURE, at)] = plane.curvature;
     planes[plane_word(frame, FIRST_EXTENT, at)] = plane.extent_squared;
     planes[plane_word(frame, FIRST_COUNT, at)] = select(sums.n, -sums.n, plane.is_degenerate);
-    let bend = window_bend(places, plane, radius);
-    keep_vector(frame, FIRST_BEND, at, vec3<f32>(bend.xx, bend.xy, bend.xz));
-    keep_vector(frame, FIRST_BEND + 3u, at, vec3<f32>(bend.yy, bend.yz, bend.zz));
+    planes[plane_word(frame, FIRST_BEND, at)] = window_bend(window, p, gate, plane, radius);
 }

@@ -11,7 +11,7 @@ const KEPT_MEAN: u32 = 3u;
 // First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
 // plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
 // the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
-// squared extent in m²; and how the window bends: xx, xy, xz, yy, yz, zz.
+// squared extent in m²; and how the window bends.
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 6u;
@@ -22,10 +22,10 @@ const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
 // Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
 // count, and how it bends along the tangents of the normal.
-const SURFACE_NORMAL: u32 = 17u;
-const SURFACE_HEIGHT: u32 = 20u;
-const SURFACE_WIDTH: u32 = 21u;
-const SURFACE_BEND: u32 = 22u;
+const SURFACE_NORMAL: u32 = 12u;
+const SURFACE_HEIGHT: u32 = 15u;
+const SURFACE_WIDTH: u32 = 16u;
+const SURFACE_BEND: u32 = 17u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
