@@ -535,7 +535,7 @@ fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: 
     return p + sum / total;
 }
 // How surfaces bend: tensors H in 1/m, of a surface that is x·Hx/2 above its tangent plane at an offset x along it
-// (docs/method.md, section 10): uu, uv and vv along the tangents of its normal. Of a window's bend only the trace is known.
+// (docs/method.md, section 10): uu, uv and vv along the tangents of its normal. For a window, only the trace of H is known.
 
 // H (a, b).
 fn bend_times(h: vec3<f32>, at: vec2<f32>) -> vec2<f32> {
@@ -569,17 +569,17 @@ fn turned(h: vec3<f32>, frame: Tangents, to: Tangents) -> vec3<f32> {
 // Weighted sums over the planes around a point.
 struct Around {
     total: f32,
-    // Of the distances from the point to the planes, along their normals.
+    // Sum of the distances from the point to the planes, along their normals.
     height: f32,
     normal: vec3<f32>,
-    // Of the offsets x of their centroids from the point, and of x x^T.
+    // Sums of x and of x x^T, where x is the offset of a plane's centroid from the point.
     offset: vec3<f32>,
     offsets: Symmetric,
-    // Of n x^T + x n^T, with the normals n.
+    // Sum of n x^T + x n^T, where n is the normal.
     slopes: Symmetric,
-    // Of the bends in their windows.
+    // Sum of the bends of the windows.
     windows: f32,
-    // Of their points' variances along them.
+    // Sum of the variances along the planes.
     spreads: f32,
 }
 
@@ -620,7 +620,7 @@ fn turn_of(around: Around, radius: f32, noise: f32) -> Turn {
 
 struct Measured {
     bend: vec3<f32>,
-    // Mean place of the planes along the tangents, where the normal is that of the surface.
+    // Mean place of the planes along the tangents; the vote's normal applies there.
     centre: vec2<f32>,
     // Weighted sum of how much higher the surface is at the point than the planes, which are fitted to it.
     rise: f32,

@@ -720,7 +720,7 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
     // Factor of f² in the weight of section 10.
     let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
-    // What is taken from f: half the bend, in these units.
+    // Half the bend in these units, subtracted from f.
     let half_bend = surface.bend * (0.5 / per_metre);
     var s: Moments;
     for (var row = 0u; row < SIDE; row++) { for (var column = 0u; column < SIDE; column++) {

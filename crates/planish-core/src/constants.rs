@@ -58,10 +58,10 @@ pub(crate) const LEAST_SPREAD: f32 = 0.01;
 pub(crate) const MOST_WINDOW_BEND: f32 = 4.0;
 /// Damps the bend between planes, as a share of the squared radius.
 pub(crate) const BEND_DAMPING: f32 = 0.009;
-/// Planes that weigh less together say nothing about the bend.
+/// The bend is not estimated if the planes' weights sum to less.
 pub(crate) const LEAST_BEND_WEIGHT: f32 = 1e-12;
-/// Planes whose normals spread by less than this many times the noise over the radius are on a flat surface. Those that
-/// spread twice as much count fully.
+/// If normals spread by less than this many times the noise over the radius, the surface is flat. Twice as much counts
+/// fully.
 pub(crate) const LEAST_TURN: f32 = 1.0;
 /// The share of the normals' variance that a bend explains: none counts below the first, all from the second.
 pub(crate) const BEND_EXPLAINED: [f32; 2] = [0.65, 0.85];

@@ -1,7 +1,7 @@
 //! How the surface bends: within a window, and between the planes around a point (docs/method.md, section 10).
 //!
 //! A bend is a symmetric tensor H in 1/m along the plane's [`tangents`](super::eigen::tangents): the surface is x·Hx/2
-//! above its tangent plane, at an offset x along it. Of a window's bend only the trace is known.
+//! above its tangent plane, at an offset x along it. For a window, only the trace of H is known.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -118,7 +118,7 @@ impl<S: Simd> Bend<S> {
         x.mul_add(a, y * b)
     }
 
-    /// Returns the same tensor along other tangents, given those of this one.
+    /// Converts the tensor from its tangents to other ones.
     #[inline(always)]
     pub(super) fn turned(&self, (u, v): (Vec3<S>, Vec3<S>), (to_u, to_v): (Vec3<S>, Vec3<S>)) -> Self {
         let (uu, uv, vu, vv) = (to_u.dot(u), to_u.dot(v), to_v.dot(u), to_v.dot(v));
@@ -129,21 +129,21 @@ impl<S: Simd> Bend<S> {
 
 /// Weighted sums over the planes around a point, for the bend between them.
 pub(super) struct Around<S: Simd> {
-    /// Of the offsets x of their centroids from the point, and of x x^T.
+    /// Sums of x and of x x^T, where x is the offset of a plane's centroid from the point.
     offset: Vec3<S>,
     offsets: Symmetric<S>,
-    /// Of n x^T + x n^T, with the normals n.
+    /// Sum of n x^T + x n^T, where n is the normal.
     slopes: Symmetric<S>,
-    /// Of the bends in their windows.
+    /// Sum of the bends of the windows.
     windows: S::f32s,
-    /// Of their points' variances along them.
+    /// Sum of the variances along the planes.
     spreads: S::f32s,
 }
 
 /// A bend along the tangents of a normal.
 pub(super) struct Measured<S: Simd> {
     pub(super) bend: Bend<S>,
-    /// Mean place of the planes along the tangents, where the normal is that of the surface.
+    /// Mean place of the planes along the tangents; the vote's normal applies there.
     pub(super) centre: [S::f32s; 2],
     /// Weighted sum of how much higher the surface is at the point than the planes, which are fitted to it.
     pub(super) rise: S::f32s,

@@ -193,7 +193,7 @@ impl Surfaces {
     }
 }
 
-/// What the planes around a point agree on: weighted sums, not yet divided by the total.
+/// The vote of the planes around a point: weighted sums, not yet divided by the total.
 struct Vote<S: Simd> {
     normal: Vec3<S>,
     height: S::f32s,
@@ -201,7 +201,7 @@ struct Vote<S: Simd> {
     weights: [S::f32s; 9],
 }
 
-/// The points whose surfaces are sought, and by what the planes around them are weighed.
+/// The points whose surfaces are sought, and the quantities that weigh the planes around them.
 struct Voting<'a, S: Simd> {
     measured: &'a PaddedFrame,
     /// Index of the first point.

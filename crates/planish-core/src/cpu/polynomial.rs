@@ -31,7 +31,7 @@ struct Frame<S: Simd> {
     f_offset: S::f32s,
     /// Extra factor of f² in the weight; 0 without [`edges`](super::edges).
     narrowing: S::f32s,
-    /// What is taken from f: half the bend, in units of a, b and f; 0 without edges.
+    /// Half the bend in units of a, b and f, subtracted from f; 0 without edges.
     half_bend: Bend<S>,
 }
 

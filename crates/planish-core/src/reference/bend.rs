@@ -12,17 +12,17 @@ const LEAST_SPREAD: f64 = 0.01;
 /// A window bends by at most this much over the radius.
 const MOST_WINDOW_BEND: f64 = 4.0;
 
-/// Planes that weigh less together say nothing about the bend.
+/// The bend is not estimated if the planes' weights sum to less.
 const LEAST_WEIGHT: f64 = 1e-12;
 /// Damps the bend between planes, as a share of the squared radius.
 const DAMPING: f64 = 0.009;
-/// Planes whose normals spread by less than this many times the noise over the radius are on a flat surface. Those that
-/// spread twice as much count fully.
+/// If normals spread by less than this many times the noise over the radius, the surface is flat. Twice as much counts
+/// fully.
 const LEAST_TURN: f64 = 1.0;
 /// The share of that spread which a bend must explain, and the share from which on it counts fully.
 const EXPLAINED: [f64; 2] = [0.65, 0.85];
 /// The share of the bend between planes that must also be within their windows, and the share from which on it counts
-/// fully. Windows beside a crease are flat, those on a round object are not.
+/// fully. Windows on a round object bend too, but windows beside a crease are flat.
 const SHARED: [f64; 2] = [0.2, 0.4];
 /// A surface bends by at most this much over the radius.
 const MOST_BEND: f64 = 1.2;
@@ -71,7 +71,7 @@ pub(super) struct Slope {
     pub window_bend: f64,
 }
 
-/// How the surface bends around p, and the mean offset of the planes that say so.
+/// The bend of the surface around p, and the mean offset of the planes it was estimated from.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bend {
     pub tensor: DMat3,
@@ -108,10 +108,10 @@ impl Bend {
         let centre = mean_place[0] * u + mean_place[1] * v;
         let size = norm(tensor);
         let mean_normal = slopes.iter().map(|s| s.weight * s.normal).sum::<DVec3>() / total;
-        // Variance of the normals, and that of H t times the square of their correlation.
+        // Variance of the normals, and the part of it that H t explains.
         let turns = (1.0 - mean_normal.length_squared()).max(0.0);
         let explained = h.dot(right_side).powi(2) / h.dot(matrix(0.0) * h);
-        // Zero or none at all.
+        // Nothing bends, or the normals do not turn.
         if !(size > 0.0 && turns > 0.0 && explained > 0.0) {
             return Self { centre, ..Self::NONE };
         }
