@@ -43,7 +43,8 @@ fn report(of: impl Fn(Rig) -> Rig) -> RigReport {
 #[test]
 fn surfaces_are_no_worse_whether_one_camera_sees_them_or_several() {
     let (without, with) = (report(|rig| rig), report(with_viewpoints));
-    // Measured: 1.037.
+    // Measured: 0.235 and 0.244 mm. Without bends, 0.355 and 0.356 mm.
+    assert!(without.overlap_rmse_mm < 0.24 && with.overlap_rmse_mm < 0.248, "{without:?} {with:?}");
     assert!(with.overlap_rmse_mm < 1.05 * without.overlap_rmse_mm, "{without:?} {with:?}");
     assert!(with.single_rmse_mm < 1.01 * without.single_rmse_mm, "{without:?} {with:?}");
     assert!(with.edge_mean_mm < 1.02 * without.edge_mean_mm, "{without:?} {with:?}");
