@@ -52,7 +52,8 @@ pub(crate) const OWN_NORMAL_WEIGHT: f32 = 1e-12;
 /// Upper bound of the exponent: a neighbour far from the surface keeps exp(-8) of its weight. Stored as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 
-/// The variance along a plane is taken to be at least this share of the squared radius when its window's bend is measured.
+/// The variance along a plane is taken to be at least this share of the squared radius when its window's bend is
+/// measured.
 pub(crate) const LEAST_SPREAD: f32 = 0.01;
 /// A window bends by at most this much over the radius.
 pub(crate) const MOST_WINDOW_BEND: f32 = 4.0;

@@ -13,8 +13,8 @@ use crate::constants::{
     BEND_DAMPING, BEND_EXPLAINED, BEND_SHARED, LEAST_BEND_WEIGHT, LEAST_SPREAD, LEAST_TURN, MOST_BEND, MOST_WINDOW_BEND,
 };
 
-/// Returns how the windows bend, as the sums of their principal curvatures in 1/m: from the mean height of the neighbours
-/// in their middle over their planes, which are fitted to all of them.
+/// Returns how the windows bend, as the sums of their principal curvatures in 1/m: from the mean height of the
+/// neighbours in their middle over their planes, which are fitted to all of them.
 #[inline(always)]
 pub(super) fn of_window<S: Simd>(
     simd: S,

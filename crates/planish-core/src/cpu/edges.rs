@@ -26,8 +26,8 @@ const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
 
 // ...of first planes:
-/// The variance along the normal plus the plane's uncertainty, in m². Larger, and finally infinite, if neighbours are too
-/// few, collinear, or on a plane seen edge-on.
+/// The variance along the normal plus the plane's uncertainty, in m². Larger, and finally infinite, if neighbours are
+/// too few, collinear, or on a plane seen edge-on.
 const RESIDUAL: usize = 4;
 const CURVATURE: usize = 5;
 /// The number of neighbours; negative if they are collinear.
@@ -303,8 +303,8 @@ impl FirstPlanes {
         around
     }
 
-    /// Finds the surfaces of the points from an index on, from their first planes and the eight around them. The distance
-    /// of `mean` from a plane determines how well it fits.
+    /// Finds the surfaces of the points from an index on, from their first planes and the eight around them. The
+    /// distance of `mean` from a plane determines how well it fits.
     #[inline(always)]
     fn find_surface<S: Simd>(
         &self,
@@ -358,7 +358,8 @@ fn moved<S: Simd>(height: S::f32s, radius: S::f32s) -> S::f32s {
     height.max(-radius).min(radius)
 }
 
-/// Returns unit normals towards the sensor where there are planes, and the signs by which they differ from the given ones.
+/// Returns unit normals towards the sensor where there are planes, and the signs by which they differ from the given
+/// ones.
 #[inline(always)]
 fn facing<S: Simd>(simd: S, normal: Vec3<S>, ray: Vec3<S>, has_plane: Mask<S>) -> (Vec3<S>, S::f32s) {
     let one = splat(simd, 1.0);

@@ -1,5 +1,5 @@
-//! How the surface bends: within a window, and between the planes around a point (docs/method.md, section 10). Tensors in
-//! 1/m: a surface with normal n and tensor T is x·Tx/2 above its tangent plane, at an offset x along it.
+//! How the surface bends: within a window, and between the planes around a point (docs/method.md, section 10). Tensors
+//! in 1/m: a surface with normal n and tensor T is x·Tx/2 above its tangent plane, at an offset x along it.
 
 use glam::{DMat3, DVec3};
 
@@ -44,8 +44,8 @@ fn trace(a: DMat3) -> f64 {
     a.x_axis.x + a.y_axis.y + a.z_axis.z
 }
 
-/// Returns how a window of half width `window` bends, as the sum of the principal curvatures in 1/m: from the mean height
-/// of the neighbours in its middle over its plane, which is fitted to all of them.
+/// Returns how a window of half width `window` bends, as the sum of the principal curvatures in 1/m: from the mean
+/// height of the neighbours in its middle over its plane, which is fitted to all of them.
 pub(super) fn of_window(neighbours: &[Neighbour], plane: &Plane, radius_m: f64, window: u32) -> f64 {
     let (half, middle) = (f64::from(window), f64::from(window / 2));
     let (mut total, mut height_m) = (0.0, 0.0);

@@ -50,8 +50,8 @@ pub(super) struct FirstPlanes<'a, N> {
 }
 
 impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
-    /// Returns a pixel's first plane as a candidate for the surface of p. Its variance grows without limit if neighbours
-    /// are too few, nearly collinear, or on a plane seen edge-on. `None` for a hole, or at the limit.
+    /// Returns a pixel's first plane as a candidate for the surface of p. Its variance grows without limit if
+    /// neighbours are too few, nearly collinear, or on a plane seen edge-on. `None` for a hole, or at the limit.
     fn candidate(&self, u: usize, v: usize, p: DVec3, radius_m: f64) -> Option<Candidate> {
         let first = self.surfaces[v * self.grid.width + u].as_ref()?;
         let (q, plane) = (self.grid.point(u, v)?, first.plane?);
@@ -160,7 +160,8 @@ impl Voters {
         Vote { normal, total, weights }
     }
 
-    /// Returns the weighted sum of the distances from p to the surface along the planes' normals, if it bends like this.
+    /// Returns the weighted sum of the distances from p to the surface along the planes' normals, if it bends like
+    /// this.
     fn height_m(&self, vote: &Vote, tensor: DMat3) -> f64 {
         let height_m = |candidate: &Candidate| {
             candidate.centroid.dot(candidate.plane.normal) + bend::rise_m(tensor, candidate.centroid, &candidate.plane)
