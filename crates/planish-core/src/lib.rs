@@ -63,6 +63,7 @@ pub mod webgpu {
 
 pub use camera::{Camera, Distortion, SATURATED_DEPTH};
 pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns};
+pub use cpu::CloudEstimate;
 pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
 pub use engines::{
     Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters, silence_vulkan_drivers,

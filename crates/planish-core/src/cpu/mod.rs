@@ -46,6 +46,7 @@ use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
 use crate::threads::Threads;
 use crate::timings::{FrameTimings, Stopwatch};
 use edges::{FirstPlanes, FirstRows, SurfaceRows, Surfaces};
+pub use general::CloudEstimate;
 pub(crate) use general::GeneralCpu;
 use output::OutputRows;
 use padded::{PaddedFrame, PaddedRows};

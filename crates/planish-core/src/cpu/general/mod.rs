@@ -5,6 +5,7 @@
 //! then moved to the order of the cloud. Results are therefore bit-identical for any number of threads.
 
 mod edges;
+mod estimate;
 mod first_planes;
 mod gather;
 mod kernel;
@@ -33,6 +34,7 @@ use crate::simd_level::SimdLevel;
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
 use crate::threads::Threads;
+pub use estimate::CloudEstimate;
 use first_planes::{FirstPlaneRows, FirstPlanes};
 use gather::{Gathered, load};
 use kernel::{Kernel, Radii};

@@ -1,0 +1,143 @@
+//! The number of neighbours that suits a cloud, and its noise, from how far a sample of its points moves (docs/method.md,
+//! section 8).
+
+use fearless_simd::{Level, dispatch};
+use rayon::prelude::*;
+
+use super::kernel::{Kernel, Radii};
+use super::radius::{self, Density, RadiusRows};
+use super::smooth_leaves;
+use crate::cpu::Fitting;
+use crate::cpu::output::OutputRows;
+use crate::cpu::sensor::Sensor;
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, PointsView};
+use crate::neighbours::{LEAF, PointIndex};
+use crate::outputs::Outputs;
+use crate::params::CloudParams;
+use crate::range::MAX_RANGE_M;
+use crate::smoothed::Smoothed;
+
+/// The numbers of neighbours that are tried, each about the root of two times the one before.
+const TRIED: [u32; 10] = [40, 57, 80, 113, 160, 226, 320, 453, 640, 905];
+/// About this many points are smoothed with each of them.
+const SAMPLE: usize = 2000;
+/// From this ratio of the radius to the motion on, a neighbourhood is wider than the noise...
+const CLEAR_RATIO: f64 = 3.2;
+/// ...and so it is once that ratio has risen by this factor from its least.
+const CLEAR_RISE: f64 = 1.2;
+/// Coefficients of the polynomial over as many neighbours: by so many the fit follows the noise.
+const COEFFICIENTS: f64 = 6.0;
+/// The part of the noise's variance that a fit to one neighbour would leave.
+const LEFT: f64 = 12.0;
+
+/// What the points of an unorganized cloud say of themselves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct CloudEstimate {
+    /// The number of neighbours that suits the noise and the shape, 40 to 905.
+    pub neighbours: u32,
+    /// The standard deviation of the points across their surface, in metres.
+    pub noise_m: f32,
+}
+
+/// How far points moved with some number of neighbours.
+#[derive(Debug, Clone, Copy)]
+struct Motion {
+    neighbours: u32,
+    /// Mean square in m².
+    square: f64,
+    /// The mean radius over the root of that.
+    ratio: f64,
+}
+
+impl CloudEstimate {
+    /// Smooths about 2000 points of a cloud with several numbers of neighbours. `None` for a cloud of fewer than 160
+    /// distinct points, or if hardly any of them has enough neighbours.
+    pub fn of(cloud: &PointsView<'_>) -> Option<Self> {
+        let mut index = PointIndex::default();
+        index.fill(cloud);
+        let most = u32::try_from(index.len() / 4).unwrap_or(u32::MAX);
+        let geometry = FrameGeometry::of(Frame::Points(*cloud), false, &mut GeometryScratch::default());
+        let sample = Sample { index: &index, sensor: Sensor::new(&geometry), level: Level::new() };
+        let mut tried = TRIED.into_iter().take_while(|&neighbours| neighbours <= most);
+        // Widens until neighbourhoods are wider than the noise.
+        let mut narrow = sample.motion(tried.next()?)?;
+        let mut least_ratio = narrow.ratio;
+        while narrow.ratio < CLEAR_RATIO && narrow.ratio < CLEAR_RISE * least_ratio {
+            let Some(wider) = tried.next().and_then(|neighbours| sample.motion(neighbours)) else { break };
+            least_ratio = least_ratio.min(wider.ratio);
+            narrow = wider;
+        }
+        let variance = narrow.square / (1.0 - COEFFICIENTS / f64::from(narrow.neighbours));
+        // From there on, wider ones leave less noise but move points off a surface that bends.
+        let error = |motion: &Motion| motion.square + LEFT * variance / f64::from(motion.neighbours);
+        let mut best = narrow;
+        for wider in tried.map_while(|neighbours| sample.motion(neighbours)) {
+            if error(&wider) < error(&best) {
+                best = wider;
+            } else if error(&wider) > 2.0 * error(&best) {
+                break;
+            }
+        }
+        Some(Self { neighbours: best.neighbours, noise_m: variance.sqrt() as f32 })
+    }
+}
+
+/// Some leaves of the points of a cloud.
+struct Sample<'a> {
+    index: &'a PointIndex,
+    sensor: Sensor,
+    level: Level,
+}
+
+impl Sample<'_> {
+    /// Returns how far its points move; `None` if none has enough neighbours.
+    fn motion(&self, neighbours: u32) -> Option<Motion> {
+        let Self { index, level, .. } = *self;
+        let leaves = index.leaves();
+        let step = (LEAF * leaves).div_ceil(SAMPLE).max(1);
+        let is_sampled = |leaf: usize| leaf % step == step / 2;
+        let density = Density { half: neighbours as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
+        // Of the sampled points only; others are never read.
+        let mut radii = vec![f32::NAN; LEAF * leaves];
+        radii.par_chunks_mut(LEAF).enumerate().filter(|(leaf, _)| is_sampled(*leaf)).for_each(|(first, radii)| {
+            let mut rows = RadiusRows { first, radii };
+            dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
+        });
+        let sampled: Vec<_> = (0..leaves).filter(|&leaf| is_sampled(leaf)).collect();
+        let sums: Vec<_> = sampled.into_par_iter().map(|leaf| self.motion_of(leaf, neighbours, &radii)).collect();
+        // In the same order for any number of threads.
+        let [count, square, radius] = sums.into_iter().fold([0.0; 3], plus);
+        let ratio = radius / count / (square / count).sqrt();
+        (count > 0.0).then_some(Motion { neighbours, square: square / count, ratio })
+    }
+
+    /// Returns the number of a leaf's points that are smoothed, and the sums of their squared motions and radii.
+    fn motion_of(&self, leaf: usize, neighbours: u32, radii: &[f32]) -> [f64; 3] {
+        let Self { index, sensor, level } = *self;
+        let params = CloudParams::default();
+        let fitting = Fitting {
+            bandwidth_m: params.fit.bandwidth_m,
+            ridge: params.fit.ridge,
+            keeps_isolated: true,
+            least_neighbours: neighbours.div_ceil(4) as f32,
+        };
+        let kernel = Kernel { fitting, sensor, index, radii: Radii::Known(radii), first_planes: None };
+        let mut smoothed = Smoothed::default();
+        smoothed.prepare(LEAF, 1, Outputs::POINTS.with_status(true));
+        let mut rows = OutputRows::of_grid((LEAF, 1), smoothed.as_mut());
+        rows.first = leaf;
+        dispatch!(level, simd => smooth_leaves::<_, 2>(simd, &kernel, &mut rows));
+        let status = smoothed.status.as_deref().unwrap_or_default();
+        let of_point = |k: usize| {
+            let (from, to) = (index.point(LEAF * leaf + k), smoothed.points.get(k));
+            let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
+            [1.0, square, f64::from(radii[LEAF * leaf + k])]
+        };
+        (0..LEAF).filter(|&k| status[k].has_normal()).map(of_point).fold([0.0; 3], plus)
+    }
+}
+
+fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|k| a[k] + b[k])
+}
