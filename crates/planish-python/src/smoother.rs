@@ -4,7 +4,9 @@ use std::sync::{Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use planish::{Camera, Error, Frame, Outputs, Session, Settings, Smoothed, SmoothedMut, SmoothedView, Status};
+use planish::{
+    Camera, Error, Frame, Outputs, Session, SessionEvent, Settings, Smoothed, SmoothedMut, SmoothedView, Status,
+};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -78,7 +80,9 @@ impl State {
         result.map_err(to_py)?;
         out.store_status(status.iter().copied());
         self.status = status;
-        Ok(self.session.take_events().iter().map(ToString::to_string).collect())
+        // Python warns of events; a choice is none.
+        let is_warning = |event: &&SessionEvent| !matches!(event, SessionEvent::NeighboursChosen { .. });
+        Ok(self.session.take_events().iter().filter(is_warning).map(ToString::to_string).collect())
     }
 
     /// Refuses what would mix with frames in flight.

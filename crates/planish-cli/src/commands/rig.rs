@@ -175,7 +175,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     if args.registration.is_some() && way != RigWay::Views {
         bail!("--registration needs --fuse views");
     }
-    let unused: Vec<String> = settings.unused_by_clouds().into_iter().map(option_of).collect();
+    let unused: Vec<String> = settings.unused_by_clouds_of_known_spacing().into_iter().map(option_of).collect();
     if way == RigWay::Merged && !unused.is_empty() {
         errln!("no effect on merged points, which are an unorganized cloud: {}", unused.join(", "));
     }

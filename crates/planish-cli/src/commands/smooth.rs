@@ -329,15 +329,6 @@ impl Worker<'_> {
     /// Returns the parameters for an unorganized cloud; reports assumptions and options without effect.
     fn general_params(&self, input: &Path) -> Result<CloudParams> {
         let params = self.settings.cloud_params().map_err(by_option).with_context(|| input.display().to_string())?;
-        let is_chosen = self.settings.neighbours.is_some();
-        if let (CloudRadius::Neighbours { count }, false) = (params.radius, is_chosen) {
-            errln!(
-                "{}: an unorganized cloud, smoothed with about {count} neighbours per point (change with --neighbours \
-                 or --radius{})",
-                input.display(),
-                if params.fit.edges == Edges::Robust { "" } else { "; keep edges sharp with --edges robust" }
-            );
-        }
         let mut unused: Vec<String> = self.settings.unused_by_clouds().into_iter().map(option_of).collect();
         let given = [
             ("--camera", self.args.camera.camera.is_some() || self.args.camera.camera_file.is_some()),
@@ -394,8 +385,14 @@ impl Worker<'_> {
     /// Prints the session's events.
     fn report_events(&mut self, output: &Path) {
         for event in self.session.take_events() {
-            if !matches!(event, SessionEvent::SensorEstimated { .. }) {
-                errln!("{}: {event}", output.display());
+            match event {
+                SessionEvent::SensorEstimated { .. } => {}
+                SessionEvent::NeighboursChosen { .. } => {
+                    let is_sharp = self.settings.edges == Some(Edges::Robust);
+                    let sharp = if is_sharp { "" } else { "; keep edges sharp with --edges robust" };
+                    errln!("{}: {event} (change with --strength, --neighbours or --radius{sharp})", output.display());
+                }
+                _ => errln!("{}: {event}", output.display()),
             }
         }
     }

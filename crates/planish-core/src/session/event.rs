@@ -15,6 +15,14 @@ pub enum SessionEvent {
         /// The model.
         sensor: SensorModel,
     },
+    /// The number of neighbours in an unorganized cloud was chosen by its noise and shape.
+    NeighboursChosen {
+        /// About so many per point.
+        neighbours: u32,
+        /// The standard deviation of the points across their surface in metres; `None` if the cloud is too small for an
+        /// estimate.
+        noise_m: Option<f32>,
+    },
     /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
     TooLargeForGpu {
         /// What the GPU allows.
@@ -54,6 +62,10 @@ impl fmt::Display for SessionEvent {
             Self::SensorEstimated { sensor } => {
                 let SensorModel { step, sigma } = sensor;
                 write!(f, "estimated the sensor from the first frame: step {step:?}, sigma {sigma:?}")
+            }
+            Self::NeighboursChosen { neighbours, noise_m } => {
+                write!(f, "an unorganized cloud, smoothed with about {neighbours} neighbours per point")?;
+                noise_m.map_or(Ok(()), |noise_m| write!(f, ", since its noise is about {:.2} mm", 1e3 * noise_m))
             }
             Self::TooLargeForGpu { error } => write!(f, "{error}; smoothed on the CPU"),
             Self::Reopening { error } => write!(f, "{error}; opening it once more"),

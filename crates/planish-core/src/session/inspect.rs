@@ -4,6 +4,7 @@ use super::Session;
 use super::event::SessionEvent;
 use super::open::Open;
 use super::watch::ProgressWatch;
+use crate::cpu::CloudEstimate;
 use crate::engines::{ChoiceReason, Engine};
 use crate::fleet::FleetDevice;
 use crate::frame::RangeRule;
@@ -22,6 +23,11 @@ impl Session {
     /// Returns the sensor that was last estimated, if settings ask for that.
     pub fn estimated_sensor(&self) -> Option<SensorModel> {
         self.estimated
+    }
+
+    /// Returns the noise and the number of neighbours that were last estimated for an unorganized cloud.
+    pub fn cloud_estimate(&self) -> Option<CloudEstimate> {
+        self.cloud_estimate
     }
 
     /// Returns the devices that still work.

@@ -10,12 +10,13 @@ mod watch;
 
 use std::collections::VecDeque;
 
+use crate::cpu::CloudEstimate;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
 use crate::fleet::FleetDevice;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, RangeRule};
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{CloudParams, EngineParams, FrameParams, Params, WindowSize};
+use crate::params::{CloudParams, CloudRadius, EngineParams, FrameParams, Params, WindowSize};
 use crate::sensor::SensorModel;
 use crate::settings::{SensorChoice, Settings};
 use crate::smoothed::Smoothed;
@@ -60,10 +61,16 @@ pub struct Session {
     device: usize,
     /// The sensor that was estimated from the first frame.
     estimated: Option<SensorModel>,
+    /// What the last unorganized cloud said of itself, and its number of points.
+    cloud_estimate: Option<CloudEstimate>,
+    estimated_points: usize,
+    /// Whether the next frame is the one before, whose estimate holds.
+    is_prepared: bool,
     is_live: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
     keeps_window: bool,
     keeps_sensor: bool,
+    estimates_clouds: bool,
     kept_window: Option<((usize, usize), WindowSize)>,
     open: Option<Open>,
     /// The engine that has taken over: for clouds too large for the GPU, and for all frames after the GPU was lost.
@@ -117,9 +124,13 @@ impl Session {
             devices,
             device: 0,
             estimated: None,
+            cloud_estimate: None,
+            estimated_points: 0,
+            is_prepared: false,
             is_live: false,
             keeps_window: false,
             keeps_sensor: false,
+            estimates_clouds: true,
             kept_window: None,
             open: None,
             instead_for_clouds: None,
@@ -164,6 +175,13 @@ impl Session {
         Self { keeps_sensor, ..self }
     }
 
+    /// Sets whether the number of neighbours is chosen anew for every unorganized cloud, by its noise and shape, where
+    /// settings leave it open: the default. Otherwise it is that of [`Settings::cloud_params`], about 40: for real time,
+    /// and for videos, which would flicker.
+    pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
+        Self { estimates_clouds, ..self }
+    }
+
     /// Sets options that settings do not have (slots, time stamps, the instruction set); settings override the others.
     pub fn with_options(mut self, options: SmootherOptions) -> Self {
         self.options = match &self.chosen {
@@ -196,6 +214,7 @@ impl Session {
         }
         self.chosen = Chosen::Settings(Box::new(settings));
         (self.kept_window, self.estimated, self.instead_for_clouds) = (None, None, None);
+        (self.cloud_estimate, self.estimated_points) = (None, 0);
         Ok(())
     }
 
@@ -222,10 +241,19 @@ impl Session {
     /// # Errors
     /// As [`Settings::resolve`](crate::Settings::resolve).
     pub fn params_for<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(Params, Option<SensorModel>), Error> {
-        self.resolve(frame.into_frame()?)
+        let frame = frame.into_frame()?;
+        let events = self.events.len();
+        let resolved = self.resolve(frame);
+        if frame.grid().is_none() {
+            // Nothing is smoothed yet.
+            self.events.truncate(events);
+        }
+        resolved
     }
 
     fn resolve(&mut self, frame: Frame<'_>) -> Result<(Params, Option<SensorModel>), Error> {
+        let is_prepared = std::mem::take(&mut self.is_prepared);
+        let (width, height) = frame.shape();
         match &self.chosen {
             Chosen::Params(params, _) if frame.grid().is_some() => Ok(((*params).into(), None)),
             Chosen::Params(_, params) => Ok(((*params).into(), None)),
@@ -241,6 +269,21 @@ impl Session {
                     self.events.push(SessionEvent::SensorEstimated { sensor: params.sensor });
                 }
                 Ok((resolved.params, resolved.floating_sensor))
+            }
+            Chosen::Settings(settings) if frame.grid().is_none() && settings.chooses_neighbours() => {
+                if !self.estimates_clouds {
+                    return Ok((settings.cloud_params()?.into(), None));
+                }
+                if is_prepared && self.estimated_points == width * height {
+                    return Ok((settings.cloud_params_by(self.cloud_estimate)?.into(), None));
+                }
+                let resolved = settings.resolve(frame)?;
+                (self.cloud_estimate, self.estimated_points) = (resolved.cloud_estimate, width * height);
+                let noise_m = resolved.cloud_estimate.map(|estimate| estimate.noise_m);
+                if let Params::Cloud(CloudParams { radius: CloudRadius::Neighbours { count }, .. }) = resolved.params {
+                    self.events.push(SessionEvent::NeighboursChosen { neighbours: count, noise_m });
+                }
+                Ok((resolved.params, None))
             }
             Chosen::Settings(settings) => {
                 let resolved = settings.resolve(frame)?;
@@ -289,13 +332,16 @@ impl Session {
         }
     }
 
-    /// Opens the engine for frames like this one, if it is not open for them. [`smooth`](Self::smooth) does so itself.
+    /// Opens the engine for frames like this one, if it is not open for them; the neighbours chosen for it serve the next
+    /// cloud of its size. [`smooth`](Self::smooth) does so itself.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth).
     pub fn prepare<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
-        self.open_for(frame, false).map(drop)
+        self.open_for(frame, false)?;
+        self.is_prepared = true;
+        Ok(())
     }
 
     /// Opens what smooths this frame, alone or among others in flight, and returns the frame with its geometry.

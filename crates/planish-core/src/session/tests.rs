@@ -2,7 +2,8 @@ use std::sync::Arc;
 
 use super::*;
 use crate::camera::Camera;
-use crate::frame::DepthFrame;
+use crate::frame::{DepthFrame, PointsView};
+use crate::neighbours::tests::Random;
 use crate::testing::{DepthNoise, Scene, simulated};
 use crate::{Params, Smoother, Xyz};
 
@@ -43,7 +44,7 @@ fn shapes_and_kinds_may_change_from_frame_to_frame() {
     session.smooth(&cloud, &mut smoothed).unwrap();
     assert_eq!((smoothed.width, smoothed.height), (cloud.len(), 1));
     assert_eq!(session.engine(), Some(Engine::Cpu));
-    assert!(session.take_events().is_empty());
+    assert!(matches!(session.take_events()[..], [SessionEvent::NeighboursChosen { .. }]));
 }
 
 #[test]
@@ -115,4 +116,38 @@ fn one_call_smooths_one_frame() {
     let smoothed = smooth(&frame(64), &settings).unwrap();
     assert!(smoothed.status.is_some() && smoothed.points.len() == 64 * 48);
     assert!(smooth(&frame(64), &"radius=sensor".parse().unwrap()).is_ok());
+}
+
+#[test]
+fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
+    let mut random = Random(3);
+    let mut plane = |noise_m: f32| -> Vec<[f32; 3]> {
+        let mut normal = || (0..12).map(|_| random.next()).sum::<f32>() - 6.0;
+        (0..6000).map(|i| [0.01 * (i % 80) as f32, 0.01 * (i / 80) as f32, 1.0 + noise_m * normal()]).collect()
+    };
+    let (noisy, quiet) = (plane(0.02), plane(0.0));
+    let mut session = session("");
+    let mut smoothed = Smoothed::default();
+    let mut chosen = |session: &mut Session, points: &[[f32; 3]]| {
+        let view = PointsView::from_rows(points).unwrap();
+        // Once, although the cloud is seen twice.
+        session.prepare(view).unwrap();
+        session.smooth(view, &mut smoothed).unwrap();
+        let events = session.take_events();
+        let [SessionEvent::NeighboursChosen { neighbours, noise_m: Some(noise_m) }] = events[..] else {
+            panic!("{events:?}")
+        };
+        assert_eq!(session.cloud_estimate().unwrap().noise_m, noise_m);
+        (neighbours, noise_m)
+    };
+    let (most, noise_m) = chosen(&mut session, &noisy);
+    assert!(most > 600 && (0.018..0.022).contains(&noise_m), "{most} {noise_m}");
+    let (least, noise_m) = chosen(&mut session, &quiet);
+    assert!(least == 40 && noise_m < 1e-6, "{least} {noise_m}");
+    session.set_settings("preset=light engine=cpu".parse().unwrap()).unwrap();
+    assert_eq!(chosen(&mut session, &noisy).0, most.div_ceil(2));
+    // Real time has no time for that.
+    let mut fixed = self::session("").with_cloud_estimates(false);
+    fixed.smooth(PointsView::from_rows(&noisy).unwrap(), &mut smoothed).unwrap();
+    assert!(fixed.take_events().is_empty());
 }

@@ -13,6 +13,7 @@ mod value;
 
 use std::str::FromStr;
 
+use crate::cpu::CloudEstimate;
 use crate::devices::GpuOptions;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::ParamError;
@@ -132,6 +133,8 @@ pub struct Resolved {
     pub params: Params,
     /// The sensor whose noise decides which pixels float, if those are to be removed before smoothing.
     pub floating_sensor: Option<SensorModel>,
+    /// What an unorganized cloud says of itself, where that decides the number of neighbours.
+    pub cloud_estimate: Option<CloudEstimate>,
     /// Names of the given settings that have no effect on this kind of input.
     pub unused: Vec<&'static str>,
 }
@@ -256,6 +259,11 @@ impl Settings {
         }
     }
 
+    /// Returns whether the number of neighbours in an unorganized cloud is left to planish.
+    pub fn chooses_neighbours(&self) -> bool {
+        self.radius.is_none() && self.neighbours.is_none() && self.preset != Some(Preset::Paper)
+    }
+
     /// Returns whether a sensor is to be estimated from a frame.
     pub fn estimates_sensor(&self) -> bool {
         self.sensor == Some(SensorChoice::Auto)
@@ -315,16 +323,35 @@ impl Settings {
 
     /// Returns the names of the given settings that have no effect on unorganized clouds.
     pub fn unused_by_clouds(&self) -> Vec<&'static str> {
+        let mut unused = self.unused_without_pixels();
+        if !self.chooses_neighbours() {
+            unused.extend(self.given_preset_or_strength());
+        }
+        unused
+    }
+
+    /// As [`unused_by_clouds`](Self::unused_by_clouds), for clouds whose spacing decides the radius.
+    pub fn unused_by_clouds_of_known_spacing(&self) -> Vec<&'static str> {
+        let mut unused = self.unused_without_pixels();
+        unused.extend(self.given_preset_or_strength());
+        unused
+    }
+
+    fn unused_without_pixels(&self) -> Vec<&'static str> {
         let given = [
             ("window", self.window.is_some()),
             ("stride", self.stride.is_some()),
             ("average_blocks", self.average_blocks.is_some()),
             ("project", self.project == Some(Project::Ray)),
             ("sensor", self.sensor.is_some()),
-            ("preset", !matches!(self.preset, None | Some(Preset::Paper))),
-            ("strength", self.strength.is_some()),
         ];
         given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
+    }
+
+    fn given_preset_or_strength(&self) -> impl Iterator<Item = &'static str> {
+        let has_preset = !matches!(self.preset, None | Some(Preset::Paper));
+        let given = [("preset", has_preset), ("strength", self.strength.is_some())];
+        given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name)
     }
 
     /// Returns the names of the given settings that have no effect on frames.

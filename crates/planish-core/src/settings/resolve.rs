@@ -1,6 +1,7 @@
 //! Parameters of settings, for a frame, for a sensor, or for clouds.
 
 use super::{Preset, RadiusChoice, Resolved, Settings};
+use crate::cpu::CloudEstimate;
 use crate::error::ParamError;
 use crate::frame::Frame;
 use crate::params::{CloudParams, CloudRadius, Fit, FrameParams, FrameRadius, Strength};
@@ -8,15 +9,19 @@ use crate::sensor::SensorModel;
 
 impl Settings {
     /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from
-    /// the frame if the settings ask for it.
+    /// the frame if the settings ask for it, and the number of neighbours from the cloud if they do not give it.
     ///
     /// # Errors
     /// If settings contradict each other or the input, or the sensor cannot be estimated from this frame.
     pub fn resolve(&self, frame: Frame<'_>) -> Result<Resolved, ParamError> {
         self.validate()?;
         if frame.grid().is_none() {
-            let params = self.cloud_params()?.into();
-            return Ok(Resolved { params, floating_sensor: None, unused: self.unused_by_clouds() });
+            let cloud_estimate = match frame {
+                Frame::Points(cloud) if self.chooses_neighbours() => CloudEstimate::of(&cloud),
+                _ => None,
+            };
+            let params = self.cloud_params_by(cloud_estimate)?.into();
+            return Ok(Resolved { params, floating_sensor: None, cloud_estimate, unused: self.unused_by_clouds() });
         }
         let sensor = self.known_sensor().or_else(|| SensorModel::estimate_from(frame)).ok_or_else(|| {
             let allowed = "a named sensor such as kinect1, since this frame has too few depths for an estimate";
@@ -24,7 +29,7 @@ impl Settings {
         })?;
         let params = self.checked_frame_params(sensor)?.into();
         let floating_sensor = Some(sensor).filter(|_| self.remove_floating == Some(true));
-        Ok(Resolved { params, floating_sensor, unused: self.unused_by_frames() })
+        Ok(Resolved { params, floating_sensor, cloud_estimate: None, unused: self.unused_by_frames() })
     }
 
     /// Returns the parameters for frames of the sensor that is named, where no frame is at hand.
@@ -41,21 +46,30 @@ impl Settings {
         self.checked_frame_params(sensor)
     }
 
-    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor.
+    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor, where no cloud is at hand.
     ///
     /// # Errors
     /// If settings contradict each other, or ask for something that clouds do not have.
     pub fn cloud_params(&self) -> Result<CloudParams, ParamError> {
+        self.cloud_params_by(None)
+    }
+
+    /// Returns the parameters for a cloud that was estimated to be like this. Light has half as many neighbours as the
+    /// estimate says, strong twice as many.
+    ///
+    /// # Errors
+    /// As [`cloud_params`](Self::cloud_params).
+    pub fn cloud_params_by(&self, estimate: Option<CloudEstimate>) -> Result<CloudParams, ParamError> {
         self.validate()?;
-        if self.radius == Some(RadiusChoice::Sensor) {
-            let allowed = "neighbours or a radius in metres for unorganized clouds; sensor applies to frames on a grid";
-            return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
+        self.check_for_clouds()?;
+        let params = self.cloud_params_unchecked();
+        let CloudRadius::Neighbours { count } = params.radius else { return Ok(params) };
+        if !self.chooses_neighbours() {
+            return Ok(params);
         }
-        if self.remove_floating == Some(true) {
-            let allowed = "only frames on a grid, since it needs the pixels around each point";
-            return Err(ParamError { field: "remove_floating", value: "true".into(), allowed });
-        }
-        Ok(self.cloud_params_unchecked())
+        let strength = self.any_strength()?.unwrap_or(Strength::DEFAULT);
+        let count = estimate.map_or(count, |estimate| estimate.neighbours) as f32 * (2.0 * strength.get() - 1.0).exp2();
+        Ok(params.with_neighbours((count.round() as u32).clamp(6, 1000)))
     }
 
     /// Returns the parameters of a cloud with these settings instead of its preset's.
@@ -67,6 +81,18 @@ impl Settings {
         Ok(self.overridden_cloud(preset))
     }
 
+    fn check_for_clouds(&self) -> Result<(), ParamError> {
+        if self.radius == Some(RadiusChoice::Sensor) {
+            let allowed = "neighbours or a radius in metres for unorganized clouds; sensor applies to frames on a grid";
+            return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
+        }
+        if self.remove_floating == Some(true) {
+            let allowed = "only frames on a grid, since it needs the pixels around each point";
+            return Err(ParamError { field: "remove_floating", value: "true".into(), allowed });
+        }
+        Ok(())
+    }
+
     fn checked_frame_params(&self, sensor: SensorModel) -> Result<FrameParams, ParamError> {
         if let Some(count) = self.neighbours {
             let allowed = "a radius for frames on a grid; neighbours apply to unorganized clouds";
@@ -76,14 +102,7 @@ impl Settings {
     }
 
     pub(super) fn frame_params_for(&self, sensor: SensorModel) -> Result<FrameParams, ParamError> {
-        let strength = match (self.given_strength()?, self.preset) {
-            (Some(strength), _) => Some(strength),
-            (None, None | Some(Preset::Default)) => Some(Strength::DEFAULT),
-            (None, Some(Preset::Light)) => Some(Strength::LIGHT),
-            (None, Some(Preset::Strong)) => Some(Strength::STRONG),
-            (None, Some(Preset::Paper)) => None,
-        };
-        let mut params = match strength {
+        let mut params = match self.any_strength()? {
             Some(strength) => FrameParams::for_sensor(sensor, strength),
             None => FrameParams::paper().with_sensor(sensor),
         };
@@ -102,6 +121,17 @@ impl Settings {
         params.fit = self.override_fit(params.fit);
         params.project = self.project.unwrap_or(params.project);
         Ok(params)
+    }
+
+    /// The strength that is given or that of the preset; `None` for the paper's.
+    fn any_strength(&self) -> Result<Option<Strength>, ParamError> {
+        Ok(match (self.given_strength()?, self.preset) {
+            (Some(strength), _) => Some(strength),
+            (None, None | Some(Preset::Default)) => Some(Strength::DEFAULT),
+            (None, Some(Preset::Light)) => Some(Strength::LIGHT),
+            (None, Some(Preset::Strong)) => Some(Strength::STRONG),
+            (None, Some(Preset::Paper)) => None,
+        })
     }
 
     pub(super) fn cloud_params_unchecked(&self) -> CloudParams {

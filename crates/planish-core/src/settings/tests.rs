@@ -82,7 +82,9 @@ fn what_an_input_does_not_have_is_refused_or_listed() {
     assert_eq!(of_frame("remove_isolated=true").unwrap().unused, ["remove_isolated"]);
     assert_eq!(of_cloud("radius=sensor").unwrap_err().field, "radius_m");
     assert_eq!(of_cloud("remove_floating=true").unwrap_err().field, "remove_floating");
-    assert_eq!(of_cloud("preset=strong window=2 sensor=d435").unwrap().unused, ["window", "sensor", "preset"]);
+    assert_eq!(of_cloud("preset=strong window=2 sensor=d435").unwrap().unused, ["window", "sensor"]);
+    let known = of_cloud("preset=strong window=2 neighbours=50").unwrap();
+    assert_eq!((known.unused, known.cloud_estimate), (vec!["window", "preset"], None));
     assert_eq!(of_frame("sensor=auto").unwrap_err().field, "sensor");
     assert_eq!(parsed("sensor=auto").frame_params().unwrap_err().value, "auto");
 }

@@ -143,7 +143,8 @@ impl StreamOptions {
             }
         };
         let session = session.with_options(self.smoother.clone());
-        Ok(session.with_live(is_live).with_kept_window(true).with_kept_sensor(true))
+        let session = session.with_live(is_live).with_kept_window(true).with_kept_sensor(true);
+        Ok(session.with_cloud_estimates(false))
     }
 
     /// Distributes frames over these devices; with none, the options' device smooths all.

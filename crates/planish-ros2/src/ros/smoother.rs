@@ -56,7 +56,7 @@ impl MessageSmoother {
     /// If settings are outside their ranges or contradict each other, or a device is not there.
     pub fn new(settings: Settings) -> Result<Self, Error> {
         let outputs = settings.outputs.unwrap_or_default();
-        Ok(Self::of(Session::new(settings)?.with_kept_sensor(true), outputs))
+        Ok(Self::of(Session::new(settings)?.with_kept_sensor(true).with_cloud_estimates(false), outputs))
     }
 
     /// Creates a smoother with explicit parameters.

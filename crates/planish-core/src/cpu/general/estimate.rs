@@ -21,14 +21,17 @@ use crate::smoothed::Smoothed;
 const TRIED: [u32; 10] = [40, 57, 80, 113, 160, 226, 320, 453, 640, 905];
 /// About this many points are smoothed with each of them.
 const SAMPLE: usize = 2000;
-/// From this ratio of the radius to the motion on, a neighbourhood is wider than the noise...
+/// From this ratio of the radius to the motion on, a neighbourhood is wider than the noise,
 const CLEAR_RATIO: f64 = 3.2;
-/// ...and so it is once that ratio has risen by this factor from its least.
+/// and so it is once that ratio has risen by this factor from its least.
 const CLEAR_RISE: f64 = 1.2;
 /// Coefficients of the polynomial over as many neighbours: by so many the fit follows the noise.
 const COEFFICIENTS: f64 = 6.0;
 /// The part of the noise's variance that a fit to one neighbour would leave.
 const LEFT: f64 = 12.0;
+
+/// The median square of a normal deviate.
+const MEDIAN_SQUARE: f64 = 0.4549;
 
 /// What the points of an unorganized cloud say of themselves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,6 +49,8 @@ struct Motion {
     neighbours: u32,
     /// Mean square in m².
     square: f64,
+    /// Median square in m².
+    median: f64,
     /// The mean radius over the root of that.
     ratio: f64,
 }
@@ -68,7 +73,8 @@ impl CloudEstimate {
             least_ratio = least_ratio.min(wider.ratio);
             narrow = wider;
         }
-        let variance = narrow.square / (1.0 - COEFFICIENTS / f64::from(narrow.neighbours));
+        let whole = 1.0 / (1.0 - COEFFICIENTS / f64::from(narrow.neighbours));
+        let variance = narrow.square * whole;
         // From there on, wider ones leave less noise but move points off a surface that bends.
         let error = |motion: &Motion| motion.square + LEFT * variance / f64::from(motion.neighbours);
         let mut best = narrow;
@@ -79,7 +85,9 @@ impl CloudEstimate {
                 break;
             }
         }
-        Some(Self { neighbours: best.neighbours, noise_m: variance.sqrt() as f32 })
+        // Strays and edges, which the mean is to avoid, are no noise.
+        let noise_m = (narrow.median / MEDIAN_SQUARE * whole).sqrt() as f32;
+        Some(Self { neighbours: best.neighbours, noise_m })
     }
 }
 
@@ -105,15 +113,19 @@ impl Sample<'_> {
             dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
         });
         let sampled: Vec<_> = (0..leaves).filter(|&leaf| is_sampled(leaf)).collect();
-        let sums: Vec<_> = sampled.into_par_iter().map(|leaf| self.motion_of(leaf, neighbours, &radii)).collect();
         // In the same order for any number of threads.
-        let [count, square, radius] = sums.into_iter().fold([0.0; 3], plus);
-        let ratio = radius / count / (square / count).sqrt();
-        (count > 0.0).then_some(Motion { neighbours, square: square / count, ratio })
+        let motions: Vec<Vec<[f64; 2]>> =
+            sampled.into_par_iter().map(|leaf| self.motions_of(leaf, neighbours, &radii)).collect();
+        let motions = motions.concat();
+        let mean = |k: usize| motions.iter().map(|motion| motion[k]).sum::<f64>() / motions.len() as f64;
+        let mut squares: Vec<f64> = motions.iter().map(|[square, _]| *square).collect();
+        squares.sort_by(f64::total_cmp);
+        let median = *squares.get(squares.len() / 2)?;
+        Some(Motion { neighbours, square: mean(0), median, ratio: mean(1) / mean(0).sqrt() })
     }
 
-    /// Returns the number of a leaf's points that are smoothed, and the sums of their squared motions and radii.
-    fn motion_of(&self, leaf: usize, neighbours: u32, radii: &[f32]) -> [f64; 3] {
+    /// Returns the squared motions and the radii of those points of a leaf that are smoothed.
+    fn motions_of(&self, leaf: usize, neighbours: u32, radii: &[f32]) -> Vec<[f64; 2]> {
         let Self { index, sensor, level } = *self;
         let params = CloudParams::default();
         let fitting = Fitting {
@@ -132,12 +144,8 @@ impl Sample<'_> {
         let of_point = |k: usize| {
             let (from, to) = (index.point(LEAF * leaf + k), smoothed.points.get(k));
             let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
-            [1.0, square, f64::from(radii[LEAF * leaf + k])]
+            [square, f64::from(radii[LEAF * leaf + k])]
         };
-        (0..LEAF).filter(|&k| status[k].has_normal()).map(of_point).fold([0.0; 3], plus)
+        (0..LEAF).filter(|&k| status[k].has_normal()).map(of_point).collect()
     }
-}
-
-fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|k| a[k] + b[k])
 }
