@@ -80,7 +80,7 @@ impl State {
         result.map_err(to_py)?;
         out.store_status(status.iter().copied());
         self.status = status;
-        // Python warns of events; a choice is none.
+        // Python raises warnings for events; a choice is not a fault.
         let is_warning = |event: &&SessionEvent| !matches!(event, SessionEvent::NeighboursChosen { .. });
         Ok(self.session.take_events().iter().filter(is_warning).map(ToString::to_string).collect())
     }

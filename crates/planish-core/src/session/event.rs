@@ -17,7 +17,7 @@ pub enum SessionEvent {
     },
     /// The number of neighbours in an unorganized cloud was chosen by its noise and shape.
     NeighboursChosen {
-        /// About so many per point.
+        /// The approximate number per point.
         neighbours: u32,
         /// The standard deviation of the points across their surface in metres; `None` if the cloud is too small for an
         /// estimate.

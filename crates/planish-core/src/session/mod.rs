@@ -61,7 +61,7 @@ pub struct Session {
     device: usize,
     /// The sensor that was estimated from the first frame.
     estimated: Option<SensorModel>,
-    /// What the last unorganized cloud said of itself, and its number of points.
+    /// The estimate for the last unorganized cloud, and its number of points.
     cloud_estimate: Option<CloudEstimate>,
     estimated_points: usize,
     /// Whether the next frame is the one before, whose estimate holds.
@@ -176,8 +176,8 @@ impl Session {
     }
 
     /// Sets whether the number of neighbours is chosen anew for every unorganized cloud, by its noise and shape, where
-    /// settings leave it open: the default. Otherwise it is that of [`Settings::cloud_params`], about 40: for real time,
-    /// and for videos, which would flicker.
+    /// settings leave it open: the default. Otherwise it is about 40, as in [`Settings::cloud_params`]: faster, and without
+    /// flicker in a video.
     pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
         Self { estimates_clouds, ..self }
     }

@@ -146,7 +146,7 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     assert!(least == 40 && noise_m < 1e-6, "{least} {noise_m}");
     session.set_settings("preset=light engine=cpu".parse().unwrap()).unwrap();
     assert_eq!(chosen(&mut session, &noisy).0, most.div_ceil(2));
-    // Real time has no time for that.
+    // Streams keep 40 neighbours.
     let mut fixed = self::session("").with_cloud_estimates(false);
     fixed.smooth(PointsView::from_rows(&noisy).unwrap(), &mut smoothed).unwrap();
     assert!(fixed.take_events().is_empty());

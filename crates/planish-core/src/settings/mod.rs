@@ -133,7 +133,7 @@ pub struct Resolved {
     pub params: Params,
     /// The sensor whose noise decides which pixels float, if those are to be removed before smoothing.
     pub floating_sensor: Option<SensorModel>,
-    /// What an unorganized cloud says of itself, where that decides the number of neighbours.
+    /// The estimate for an unorganized cloud, if it decides the number of neighbours.
     pub cloud_estimate: Option<CloudEstimate>,
     /// Names of the given settings that have no effect on this kind of input.
     pub unused: Vec<&'static str>,

@@ -33,7 +33,7 @@ const LEFT: f64 = 12.0;
 /// The median square of a normal deviate.
 const MEDIAN_SQUARE: f64 = 0.4549;
 
-/// What the points of an unorganized cloud say of themselves.
+/// The noise of an unorganized cloud, and the number of neighbours that suits it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CloudEstimate {
