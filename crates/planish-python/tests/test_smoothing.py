@@ -411,7 +411,7 @@ def test_ctrl_c_ends_one_long_cloud() -> None:
 
 def test_settings_that_change_nothing_for_a_general_cloud_are_said_once() -> None:
     points = np.random.default_rng(1).random((500, 3)).astype(np.float32)
-    with planish.Smoother(preset="strong", stride=2, engine="cpu") as smoother:
+    with planish.Smoother(preset="strong", stride=2, neighbours=20, engine="cpu") as smoother:
         with pytest.warns(RuntimeWarning, match="stride, preset have no effect"):
             smoother.smooth(points)
         with warnings.catch_warnings():
