@@ -1,6 +1,7 @@
 //! Outputs of a smoother, and the caller's buffers for them.
 
 use crate::error::{FrameError, ParamError};
+use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::xyz::Xyz;
 
@@ -254,6 +255,29 @@ pub struct SmoothedMut<'a> {
 }
 
 impl<'a> SmoothedMut<'a> {
+    /// Fills the first entries of the buffers, entry `i` from entry `place(i)` of another result; `None` makes it a
+    /// hole. Not depth, which unorganized clouds do not have.
+    pub(crate) fn take_from(&mut self, len: usize, from: &Smoothed, place: impl Fn(usize) -> Option<usize>) {
+        for i in 0..len {
+            let place = place(i);
+            if let Some(points) = &mut self.points {
+                points.set(i, place.map_or([f32::NAN; 3], |place| from.points.get(place)));
+            }
+            if let (Some(to), Some(from)) = (&mut self.normals, &from.normals) {
+                to.set(i, place.map_or([f32::NAN; 3], |place| from.get(place)));
+            }
+            if let (Some(to), Some(from)) = (&mut self.curvature, &from.curvature) {
+                to[i] = place.map_or(f32::NAN, |place| from[place]);
+            }
+            if let (Some(to), Some(from)) = (&mut self.status, &from.status) {
+                to[i] = place.map_or(Status::Hole, |place| from[place]);
+            }
+            if let (Some(to), Some(from)) = (&mut self.neighbours, &from.neighbours) {
+                to[i] = place.map_or(0, |place| from[place]);
+            }
+        }
+    }
+
     /// Without buffers.
     pub fn new() -> Self {
         Self::default()

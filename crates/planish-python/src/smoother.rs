@@ -4,9 +4,7 @@ use std::sync::{Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use planish::{
-    Camera, Error, Frame, Outputs, Session, SessionEvent, Settings, Smoothed, SmoothedMut, SmoothedView, Status,
-};
+use planish::{Camera, Error, Frame, Outputs, Session, Settings, Smoothed, SmoothedMut, SmoothedView, Status};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -80,9 +78,9 @@ impl State {
         result.map_err(to_py)?;
         out.store_status(status.iter().copied());
         self.status = status;
-        // Python raises warnings for events; a choice is not a fault.
-        let is_warning = |event: &&SessionEvent| !matches!(event, SessionEvent::NeighboursChosen { .. });
-        Ok(self.session.take_events().iter().filter(is_warning).map(ToString::to_string).collect())
+        // Python raises warnings for them.
+        let events = self.session.take_events();
+        Ok(events.iter().filter(|event| event.is_fault()).map(ToString::to_string).collect())
     }
 
     /// Refuses what would mix with frames in flight.

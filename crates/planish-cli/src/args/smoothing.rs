@@ -64,6 +64,14 @@ impl EdgesArg {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
+pub enum GridArg {
+    /// Recognised by its points, which lie on the pixels of a camera
+    Auto,
+    /// Unorganized clouds stay unorganized
+    Off,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
 pub enum ProjectArg {
     /// Along its ray, the direction of depth noise
     Ray,
@@ -147,7 +155,9 @@ pub struct SmoothingArgs {
     /// Radius of a neighbourhood in metres, or `sensor`: growing with range like the sensor's noise
     #[arg(long, value_name = "METRES|sensor", allow_negative_numbers = true, hide_short_help = true, help_heading = TUNING)]
     pub radius: Option<RadiusArg>,
-    /// For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius [default: 40]
+    /// For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius
+    ///
+    /// By default the noise and the shape of each cloud decide.
     #[arg(long, value_name = "K", conflicts_with = "radius", hide_short_help = true, help_heading = TUNING)]
     pub neighbours: Option<u32>,
     /// For unorganized clouds: turn isolated points into holes [default: false]
@@ -155,6 +165,12 @@ pub struct SmoothingArgs {
     /// Isolated points have fewer than 3 neighbours, or fewer than a quarter of --neighbours.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub remove_isolated: Option<bool>,
+    /// For unorganized clouds: whether a frame that lost its grid is smoothed on it [default: auto]
+    ///
+    /// Such a cloud has one point for each pixel of a camera without distortion, but no holes, as PCL and RealSense save
+    /// them. On its grid it is smoothed like any frame: faster, and with edges kept.
+    #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
+    pub grid: Option<GridArg>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
     #[arg(long, value_name = "D", hide_short_help = true, help_heading = TUNING)]
     pub degree: Option<u32>,
@@ -260,7 +276,7 @@ impl SmoothingArgs {
             RadiusArg::Sensor => SettingValue::from("sensor"),
             RadiusArg::Metres(radius_m) => radius_m.into(),
         });
-        let given: [(&str, SettingValue); 17] = [
+        let given: [(&str, SettingValue); 18] = [
             ("preset", named(self.preset.as_ref())),
             ("strength", self.strength.into()),
             ("sensor", named(self.sensor.as_ref())),
@@ -272,6 +288,7 @@ impl SmoothingArgs {
             ("average_blocks", self.average_blocks.into()),
             ("radius_m", radius.into()),
             ("neighbours", self.neighbours.into()),
+            ("grid", named(self.grid.as_ref())),
             ("degree", self.degree.into()),
             ("bandwidth_m", self.bandwidth.into()),
             ("ridge", self.ridge.into()),

@@ -15,8 +15,8 @@ use planish::io::{self, Contents, Encoding, write_cloud, write_whole};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
 use planish::simulate::DepthNoise;
 use planish::{
-    AttributeValues, CloudParams, DepthFrame, Error, FrameParams, IntoFrame, Outputs, Params, PointCloud, PointsView,
-    SensorModel, Session, Smoothed, Smoother, Strength, Xyz,
+    AttributeValues, CloudParams, DepthFrame, Error, Frame, FrameParams, GridChoice, IntoFrame, Outputs, PointCloud,
+    PointsView, SensorModel, Session, Settings, Smoothed, Strength, Xyz,
 };
 use planish_bench::{errln, out, outln};
 use plotters::prelude::{ChartBuilder, Circle, IntoDrawingArea, LineSeries, RGBColor, SVGBackend, WHITE};
@@ -125,10 +125,10 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
             (moved_to_origin(&other, cloud.origin_m), normals)
         }
         None => {
-            let params = general_params(args, &file.display().to_string())?;
+            let settings = general_settings(args, &file.display().to_string())?;
             let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
             let mut smoothed = Smoothed::default();
-            Smoother::open_clouds(params, &options)?.smooth(cloud.into_frame().map_err(Error::from)?, &mut smoothed)?;
+            Session::new(settings)?.with_options(options).smooth(cloud, &mut smoothed)?;
             (smoothed.points, smoothed.normals)
         }
     };
@@ -153,8 +153,8 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
     Ok(ExitCode::SUCCESS)
 }
 
-/// Returns the parameters for unorganized clouds; reports options without effect on them.
-fn general_params(args: &EvaluateArgs, what: &str) -> Result<CloudParams> {
+/// Returns the settings for unorganized clouds; reports options without effect on them.
+fn general_settings(args: &EvaluateArgs, what: &str) -> Result<Settings> {
     let settings = args.smoothing.settings()?;
     let mut unused = settings.unused_by_clouds();
     // The sensor also applies to the simulated frames.
@@ -164,7 +164,8 @@ fn general_params(args: &EvaluateArgs, what: &str) -> Result<CloudParams> {
         let options: Vec<String> = unused.into_iter().map(option_of).collect();
         errln!("{what}: {} {verb} no effect on unorganized clouds", options.join(", "));
     }
-    settings.cloud_params().map_err(by_option).with_context(|| what.to_owned())
+    settings.cloud_params().map_err(by_option).with_context(|| what.to_owned())?;
+    Ok(settings)
 }
 
 /// Returns the sensor of the simulated frames.
@@ -280,7 +281,7 @@ struct Method {
     name: &'static str,
     /// Whether frames are smoothed as unorganized clouds.
     is_general: bool,
-    smoother: Smoother,
+    session: Session,
     smoothed: Smoothed,
     evaluation: Evaluation,
     times_ms: Vec<f64>,
@@ -297,13 +298,18 @@ impl Method {
             let cloud = frame.deproject().map_err(Error::from)?;
             let [x, y, z] = cloud.positions().as_slices();
             let points = PointsView::from_planes(x, y, z).map_err(Error::from)?;
-            let start = Instant::now();
-            self.smoother.smooth(points, &mut self.smoothed)?;
-            self.times_ms.push(ms_since(start));
-            return Ok(());
+            return self.smooth_timed(points.into_frame().map_err(Error::from)?);
+        }
+        self.smooth_timed((&frame).into_frame().map_err(Error::from)?)
+    }
+
+    fn smooth_timed(&mut self, frame: Frame<'_>) -> Result<()> {
+        if self.times_ms.is_empty() {
+            // Opens the engine.
+            self.session.prepare(frame)?;
         }
         let start = Instant::now();
-        self.smoother.smooth(&frame, &mut self.smoothed)?;
+        self.session.smooth(frame, &mut self.smoothed)?;
         self.times_ms.push(ms_since(start));
         Ok(())
     }
@@ -319,24 +325,25 @@ impl Method {
 /// Returns the requested method, after another to compare with: the 2011 report's setting or, for unorganized clouds,
 /// the default on the grid.
 fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
-    let camera = Suite::default().camera;
     let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
     let settings = args.smoothing.settings()?;
-    let method = |name: &'static str, params: Params| -> Result<Method> {
-        let (smoother, is_general) = match params {
-            Params::Frame(params) => (Smoother::open_with(params, &options, (camera.width, camera.height))?, false),
-            Params::Cloud(params) => (Smoother::open_clouds(params, &options)?, true),
-        };
+    let method = |name: &'static str, session: Session, is_general: bool| {
         let (smoothed, evaluation) = (Smoothed::default(), Evaluation::default());
-        Ok(Method { name, is_general, smoother, smoothed, evaluation, times_ms: Vec::new() })
+        Method { name, is_general, session, smoothed, evaluation, times_ms: Vec::new() }
+    };
+    let on_grid = |name: &'static str, params: FrameParams| -> Result<Method> {
+        let session = Session::with_params(params, CloudParams::default(), options.clone(), Vec::new())?;
+        Ok(method(name, session, false))
     };
     if args.general {
-        let on_grid = FrameParams::for_sensor(sensor_of(args)?, Strength::DEFAULT);
-        let clouds = general_params(args, "without their grid")?;
-        return Ok(vec![method("on the grid", on_grid.into())?, method("smoothed", clouds.into())?]);
+        let params = FrameParams::for_sensor(sensor_of(args)?, Strength::DEFAULT);
+        let mut settings = general_settings(args, "without their grid")?;
+        settings.grid = Some(GridChoice::Off);
+        let clouds = Session::new(settings)?.with_options(options.clone());
+        return Ok(vec![on_grid("on the grid", params)?, method("smoothed", clouds, true)]);
     }
     let params = settings.frame_params().map_err(by_option)?;
-    Ok(vec![method(PAPER, FrameParams::paper().into())?, method("smoothed", params.into())?])
+    Ok(vec![on_grid(PAPER, FrameParams::paper())?, on_grid("smoothed", params)?])
 }
 
 /// Reads another program's result for a frame of that shape: points and normals.

@@ -326,9 +326,13 @@ impl Worker<'_> {
         self.smooth(input, output, frame, outputs)
     }
 
-    /// Returns the parameters for an unorganized cloud; reports assumptions and options without effect.
+    /// Returns the parameters for an unorganized cloud.
     fn general_params(&self, input: &Path) -> Result<CloudParams> {
-        let params = self.settings.cloud_params().map_err(by_option).with_context(|| input.display().to_string())?;
+        self.settings.cloud_params().map_err(by_option).with_context(|| input.display().to_string())
+    }
+
+    /// Reports options that have no effect on unorganized clouds.
+    fn report_unused_by_clouds(&self, input: &Path) {
         let mut unused: Vec<String> = self.settings.unused_by_clouds().into_iter().map(option_of).collect();
         let given = [
             ("--camera", self.args.camera.camera.is_some() || self.args.camera.camera_file.is_some()),
@@ -339,7 +343,6 @@ impl Worker<'_> {
             let verb = if unused.len() == 1 { "has" } else { "have" };
             errln!("{}: {} {verb} no effect on unorganized clouds", input.display(), unused.join(", "));
         }
-        Ok(params)
     }
 
     /// Smooths a frame as many times as requested, and reports if many points were lost.
@@ -357,6 +360,9 @@ impl Worker<'_> {
             let prepared = self.session.prepare(frame);
             self.report_events(output);
             prepared.map_err(by_option_of_error).with_context(|| input.display().to_string())?;
+            if times_ms.is_empty() && frame.grid().is_none() && self.session.rebuilt_grid().is_none() {
+                self.report_unused_by_clouds(input);
+            }
             let start = Instant::now();
             let progress = self.session.watch().progress().filter(|_| self.beside == 1);
             let Self { session, smoothed, .. } = self;
@@ -387,14 +393,19 @@ impl Worker<'_> {
         for event in self.session.take_events() {
             match event {
                 SessionEvent::SensorEstimated { .. } => {}
-                SessionEvent::NeighboursChosen { .. } => {
-                    let is_sharp = self.settings.edges == Some(Edges::Robust);
-                    let sharp = if is_sharp { "" } else { "; keep edges sharp with --edges robust" };
-                    errln!("{}: {event} (change with --strength, --neighbours or --radius{sharp})", output.display());
+                SessionEvent::NeighboursChosen { .. } => self.report_neighbours(output, &event),
+                SessionEvent::GridRebuilt { .. } => {
+                    errln!("{}: {event} (leave it unorganized with --grid off)", output.display());
                 }
                 _ => errln!("{}: {event}", output.display()),
             }
         }
+    }
+
+    fn report_neighbours(&self, output: &Path, chosen: &SessionEvent) {
+        let is_sharp = self.settings.edges == Some(Edges::Robust);
+        let sharp = if is_sharp { "" } else { "; keep edges sharp with --edges robust" };
+        errln!("{}: {chosen} (change with --strength, --neighbours or --radius{sharp})", output.display());
     }
 
     /// Puts the result into the cloud.

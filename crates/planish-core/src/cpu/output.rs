@@ -135,25 +135,8 @@ impl<'a> OutputRows<'a> {
 
     /// Fills row `i` of a one-column result from position `place(i)` of another; `None` makes it a hole.
     pub(super) fn take_from(&mut self, from: &Smoothed, place: impl Fn(usize) -> Option<usize>) {
-        let out = &mut self.out;
-        for row in 0..self.rows {
-            let place = place(self.first + row);
-            if let Some(points) = &mut out.points {
-                points.set(row, place.map_or([f32::NAN; 3], |place| from.points.get(place)));
-            }
-            if let (Some(to), Some(from)) = (&mut out.normals, &from.normals) {
-                to.set(row, place.map_or([f32::NAN; 3], |place| from.get(place)));
-            }
-            if let (Some(to), Some(from)) = (&mut out.curvature, &from.curvature) {
-                to[row] = place.map_or(f32::NAN, |place| from[place]);
-            }
-            if let (Some(to), Some(from)) = (&mut out.status, &from.status) {
-                to[row] = place.map_or(Status::Hole, |place| from[place]);
-            }
-            if let (Some(to), Some(from)) = (&mut out.neighbours, &from.neighbours) {
-                to[row] = place.map_or(0, |place| from[place]);
-            }
-        }
+        let first = self.first;
+        self.out.take_from(self.rows, from, |row| place(first + row));
     }
 
     /// Writes holes for the pixels from column u on.

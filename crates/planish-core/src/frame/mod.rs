@@ -2,6 +2,7 @@
 
 mod depth_view;
 mod geometry;
+mod lattice;
 mod owned;
 mod points_view;
 mod range_rule;
@@ -15,6 +16,7 @@ use crate::xyz::validate_shape;
 pub(crate) use depth_view::DepthSamples;
 pub use depth_view::DepthView;
 pub use geometry::{assumed_sensor_of_sample, sampling_step};
+pub(crate) use lattice::Lattice;
 pub use owned::OwnedFrame;
 pub use points_view::{PointLayout, PointsView, Scalar};
 pub use range_rule::RangeRule;

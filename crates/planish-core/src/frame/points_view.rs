@@ -9,7 +9,7 @@ use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
 use crate::error::{FrameError, ParamError};
 use crate::pose::{RigidTransform, SensorPose};
-use crate::xyz::{MAX_PIXELS, validate_shape};
+use crate::xyz::{MAX_PIXELS, Xyz, validate_shape};
 
 /// The type of a coordinate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -216,6 +216,12 @@ impl<'a> PointsView<'a> {
     /// Returns the number of points of the whole cloud, without holes.
     pub fn points_of_whole(&self) -> usize {
         self.whole.map_or_else(|| self.valid_points(), |(_, points)| points)
+    }
+
+    /// Returns other points on a grid, relative to the same origin.
+    pub(super) fn regridded<'b>(&self, positions: &'b Xyz, grid: (usize, usize), pose: SensorPose) -> PointsView<'b> {
+        let planes = Positions::Planes([positions.x(), positions.y(), positions.z()]);
+        PointsView { grid: Some(grid), pose, origin_m: self.origin_m, ..PointsView::of(planes, positions.len()) }
     }
 
     /// Returns the number of points, including holes.

@@ -23,6 +23,13 @@ pub enum SessionEvent {
         /// estimate.
         noise_m: Option<f32>,
     },
+    /// An unorganized cloud is a frame that lost its grid, and was smoothed on that.
+    GridRebuilt {
+        /// Width in pixels.
+        width: usize,
+        /// Height in pixels.
+        height: usize,
+    },
     /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
     TooLargeForGpu {
         /// What the GPU allows.
@@ -56,6 +63,13 @@ pub enum SessionEvent {
     },
 }
 
+impl SessionEvent {
+    /// Returns true if something went wrong; the others report what was found or chosen.
+    pub fn is_fault(&self) -> bool {
+        !matches!(self, Self::SensorEstimated { .. } | Self::NeighboursChosen { .. } | Self::GridRebuilt { .. })
+    }
+}
+
 impl fmt::Display for SessionEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -66,6 +80,9 @@ impl fmt::Display for SessionEvent {
             Self::NeighboursChosen { neighbours, noise_m } => {
                 write!(f, "an unorganized cloud, smoothed with about {neighbours} neighbours per point")?;
                 noise_m.map_or(Ok(()), |noise_m| write!(f, ", since its noise is about {:.2} mm", 1e3 * noise_m))
+            }
+            Self::GridRebuilt { width, height } => {
+                write!(f, "a frame that lost its grid, smoothed on {width}x{height} pixels")
             }
             Self::TooLargeForGpu { error } => write!(f, "{error}; smoothed on the CPU"),
             Self::Reopening { error } => write!(f, "{error}; opening it once more"),

@@ -7,7 +7,7 @@ use super::watch::ProgressWatch;
 use crate::cpu::CloudEstimate;
 use crate::engines::{ChoiceReason, Engine};
 use crate::fleet::FleetDevice;
-use crate::frame::RangeRule;
+use crate::frame::{Lattice, RangeRule};
 use crate::sensor::SensorModel;
 use crate::timings::FrameTimings;
 
@@ -28,6 +28,12 @@ impl Session {
     /// Returns the noise and the number of neighbours that were last estimated for an unorganized cloud.
     pub fn cloud_estimate(&self) -> Option<CloudEstimate> {
         self.cloud_estimate
+    }
+
+    /// Returns width and height of the grid that the last cloud lost and was smoothed on; `None` for a cloud that stayed
+    /// unorganized, and for frames.
+    pub fn rebuilt_grid(&self) -> Option<(usize, usize)> {
+        self.lattice.as_ref().map(Lattice::shape)
     }
 
     /// Returns the devices that still work.

@@ -14,7 +14,7 @@ use crate::cpu::CloudEstimate;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
 use crate::fleet::FleetDevice;
-use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, RangeRule};
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, Lattice, PointsView, RangeRule};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{CloudParams, CloudRadius, EngineParams, FrameParams, Params, WindowSize};
 use crate::sensor::SensorModel;
@@ -61,11 +61,14 @@ pub struct Session {
     device: usize,
     /// The sensor that was estimated from the first frame.
     estimated: Option<SensorModel>,
-    /// The estimate for the last unorganized cloud, and its number of points.
+    /// The estimate for the last unorganized cloud, the grid that it lost, and its number of points.
     cloud_estimate: Option<CloudEstimate>,
-    estimated_points: usize,
-    /// Whether the next frame is the one before, whose estimate holds.
+    lattice: Option<Lattice>,
+    known_points: usize,
+    /// Whether the next frame is the one before, for which these hold.
     is_prepared: bool,
+    /// The result for a cloud that lost its grid, on that grid.
+    on_grid: Smoothed,
     is_live: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
     keeps_window: bool,
@@ -125,8 +128,10 @@ impl Session {
             device: 0,
             estimated: None,
             cloud_estimate: None,
-            estimated_points: 0,
+            lattice: None,
+            known_points: 0,
             is_prepared: false,
+            on_grid: Smoothed::default(),
             is_live: false,
             keeps_window: false,
             keeps_sensor: false,
@@ -175,9 +180,9 @@ impl Session {
         Self { keeps_sensor, ..self }
     }
 
-    /// Sets whether the number of neighbours is chosen anew for every unorganized cloud, by its noise and shape, where
-    /// settings leave it open: the default. Otherwise it is about 40, as in [`Settings::cloud_params`]: faster, and without
-    /// flicker in a video.
+    /// Sets whether every unorganized cloud is examined, where settings leave that open: the default. A frame that lost
+    /// its grid is smoothed on it, and the number of neighbours is chosen by noise and shape. Otherwise it is about 40, as
+    /// in [`Settings::cloud_params`]: faster, and without flicker in a video.
     pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
         Self { estimates_clouds, ..self }
     }
@@ -214,7 +219,7 @@ impl Session {
         }
         self.chosen = Chosen::Settings(Box::new(settings));
         (self.kept_window, self.estimated, self.instead_for_clouds) = (None, None, None);
-        (self.cloud_estimate, self.estimated_points) = (None, 0);
+        (self.cloud_estimate, self.lattice, self.known_points) = (None, None, 0);
         Ok(())
     }
 
@@ -243,7 +248,7 @@ impl Session {
     pub fn params_for<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(Params, Option<SensorModel>), Error> {
         let frame = frame.into_frame()?;
         let events = self.events.len();
-        let resolved = self.resolve(frame);
+        let resolved = self.on_its_grid(frame, Self::resolve);
         if frame.grid().is_none() {
             // Nothing is smoothed yet.
             self.events.truncate(events);
@@ -274,11 +279,11 @@ impl Session {
                 if !self.estimates_clouds {
                     return Ok((settings.cloud_params()?.into(), None));
                 }
-                if is_prepared && self.estimated_points == width * height {
+                if is_prepared && self.known_points == width * height {
                     return Ok((settings.cloud_params_by(self.cloud_estimate)?.into(), None));
                 }
                 let resolved = settings.resolve(frame)?;
-                (self.cloud_estimate, self.estimated_points) = (resolved.cloud_estimate, width * height);
+                (self.cloud_estimate, self.known_points) = (resolved.cloud_estimate, width * height);
                 let noise_m = resolved.cloud_estimate.map(|estimate| estimate.noise_m);
                 if let Params::Cloud(CloudParams { radius: CloudRadius::Neighbours { count }, .. }) = resolved.params {
                     self.events.push(SessionEvent::NeighboursChosen { neighbours: count, noise_m });
@@ -298,9 +303,13 @@ impl Session {
     /// If the frame is malformed, settings do not fit it, or the engine fails and nothing may take over.
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = frame.into_frame()?;
+        let (width, height) = frame.shape();
+        if let Some((lattice, points)) = self.take_lattice(frame) {
+            out.prepare(width, height, self.options.outputs);
+            return self.smooth_on_lattice(lattice, &points, out.as_mut());
+        }
         self.one_at_a_time(frame, |session, admitted| {
-            let (outputs, (width, height)) = (session.options.outputs, frame.shape());
-            out.prepare(width, height, outputs);
+            out.prepare(width, height, session.options.outputs);
             session.smoother()?.smooth_admitted(admitted, out.as_mut())
         })
     }
@@ -313,7 +322,56 @@ impl Session {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
         out.check(width * height, self.options.outputs)?;
+        if let Some((lattice, points)) = self.take_lattice(frame) {
+            return self.smooth_on_lattice(lattice, &points, out);
+        }
         self.one_at_a_time(frame, |session, admitted| session.smoother()?.smooth_admitted(admitted, out.reborrow()))
+    }
+
+    /// Smooths a cloud that lost its grid as the frame that it is.
+    fn smooth_on_lattice(
+        &mut self,
+        lattice: Lattice,
+        points: &PointsView<'_>,
+        mut out: SmoothedMut<'_>,
+    ) -> Result<(), Error> {
+        let (width, height) = lattice.shape();
+        let mut on_grid = std::mem::take(&mut self.on_grid);
+        let result = self.one_at_a_time(Frame::Points(lattice.view(points)), |session, admitted| {
+            on_grid.prepare(width, height, session.options.outputs);
+            session.smoother()?.smooth_admitted(admitted, on_grid.as_mut())
+        });
+        if result.is_ok() {
+            out.take_from(points.len(), &on_grid, |i| lattice.pixel(i));
+        }
+        (self.on_grid, self.lattice) = (on_grid, Some(lattice));
+        result
+    }
+
+    /// Takes the grid that an unorganized cloud lost, if it is one of a frame and settings do not leave it unorganized.
+    fn take_lattice<'a>(&mut self, frame: Frame<'a>) -> Option<(Lattice, PointsView<'a>)> {
+        let known = self.lattice.take();
+        let Frame::Points(points) = frame else { return None };
+        let Chosen::Settings(settings) = &self.chosen else { return None };
+        if points.grid().is_some() || !settings.rebuilds_grid() || !self.estimates_clouds {
+            return None;
+        }
+        if self.is_prepared && self.known_points == points.len() {
+            return known.filter(|lattice| lattice.is_of(&points)).map(|lattice| (lattice, points));
+        }
+        let lattice = Lattice::of(&points)?;
+        let (width, height) = lattice.shape();
+        self.events.push(SessionEvent::GridRebuilt { width, height });
+        self.known_points = points.len();
+        Some((lattice, points))
+    }
+
+    /// Calls `use_frame` with a frame, or with a cloud on the grid that it lost.
+    fn on_its_grid<T>(&mut self, frame: Frame<'_>, use_frame: impl FnOnce(&mut Self, Frame<'_>) -> T) -> T {
+        let Some((lattice, points)) = self.take_lattice(frame) else { return use_frame(self, frame) };
+        let result = use_frame(self, Frame::Points(lattice.view(&points)));
+        self.lattice = Some(lattice);
+        result
     }
 
     /// Smooths a frame, again where something takes over.
@@ -333,13 +391,13 @@ impl Session {
     }
 
     /// Opens the engine for frames like this one, if it is not open for them; the neighbours chosen for it serve the next
-    /// cloud of its size. [`smooth`](Self::smooth) does so itself.
+    /// cloud of its size, and a grid that was found serves the same cloud. [`smooth`](Self::smooth) does so itself.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth).
     pub fn prepare<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
-        self.open_for(frame, false)?;
+        self.on_its_grid(frame, |session, frame| session.open_for(frame, false).map(drop))?;
         self.is_prepared = true;
         Ok(())
     }

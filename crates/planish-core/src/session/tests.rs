@@ -28,7 +28,7 @@ fn same_bits(one: &Xyz, other: &Xyz) -> bool {
 
 #[test]
 fn shapes_and_kinds_may_change_from_frame_to_frame() {
-    let mut session = session("");
+    let mut session = session("grid=off");
     let mut smoothed = Smoothed::default();
     for width in [64, 48, 64] {
         let frame = frame(width);
@@ -126,7 +126,7 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
         (0..6000).map(|i| [0.01 * (i % 80) as f32, 0.01 * (i / 80) as f32, 1.0 + noise_m * normal()]).collect()
     };
     let (noisy, quiet) = (plane(0.02), plane(0.0));
-    let mut session = session("");
+    let mut session = session("grid=off");
     let mut smoothed = Smoothed::default();
     let mut chosen = |session: &mut Session, points: &[[f32; 3]]| {
         let view = PointsView::from_rows(points).unwrap();
@@ -144,10 +144,56 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     assert!(most > 600 && (0.018..0.022).contains(&noise_m), "{most} {noise_m}");
     let (least, noise_m) = chosen(&mut session, &quiet);
     assert!(least == 40 && noise_m < 1e-6, "{least} {noise_m}");
-    session.set_settings("preset=light engine=cpu".parse().unwrap()).unwrap();
+    session.set_settings("preset=light engine=cpu grid=off".parse().unwrap()).unwrap();
     assert_eq!(chosen(&mut session, &noisy).0, most.div_ceil(2));
     // Streams keep 40 neighbours.
     let mut fixed = self::session("").with_cloud_estimates(false);
     fixed.smooth(PointsView::from_rows(&noisy).unwrap(), &mut smoothed).unwrap();
     assert!(fixed.take_events().is_empty());
+}
+
+#[test]
+fn a_frame_without_its_grid_is_smoothed_on_it() {
+    let mut random = Random(5);
+    let mut raw: Vec<u16> = (0..64 * 48).map(|_| 1000 + (20.0 * random.next()) as u16).collect();
+    raw.iter_mut().filter(|_| random.next() < 0.1).for_each(|raw| *raw = 0);
+    let frame = DepthFrame::unchecked(camera(64), raw);
+    let on_grid = frame.deproject().unwrap();
+    let points: Vec<[f32; 3]> = on_grid.positions().iter().filter(|p| p[2].is_finite()).collect();
+    let view = PointsView::from_rows(&points).unwrap();
+    let (mut expected, mut found) = (Smoothed::default(), Smoothed::default());
+    let outputs = Outputs::ALL;
+    let mut session = session("");
+    session.set_outputs(outputs);
+    session.smooth(&on_grid, &mut expected).unwrap();
+    assert_eq!((session.rebuilt_grid(), session.take_events().len()), (None, 0));
+    session.prepare(view).unwrap();
+    session.smooth(view, &mut found).unwrap();
+    assert_eq!(session.rebuilt_grid(), Some((64, 48)));
+    assert!(matches!(session.take_events()[..], [SessionEvent::GridRebuilt { width: 64, height: 48 }]));
+    assert!(matches!(session.params_for(view).unwrap().0, Params::Frame(_)));
+    let of_pixels = |values: &dyn Fn(usize) -> [f32; 3]| -> Vec<[f32; 3]> {
+        (0..64 * 48).filter(|&i| on_grid.positions().is_finite(i)).map(values).collect()
+    };
+    let same = |a: Vec<[f32; 3]>, b: &crate::Xyz| {
+        a.iter().flatten().map(|x| x.to_bits()).eq(b.iter().flatten().map(f32::to_bits))
+    };
+    assert!(same(of_pixels(&|i| expected.points.get(i)), &found.points));
+    assert!(same(of_pixels(&|i| expected.normals.as_ref().unwrap().get(i)), found.normals.as_ref().unwrap()));
+    assert_eq!((found.width, found.height), (points.len(), 1));
+    // Into buffers of the caller's.
+    let mut into = vec![[0.0f32; 3]; points.len()];
+    session.smooth_into(view, SmoothedMut::new().with_points(&mut into)).unwrap();
+    assert!(same(into, &found.points));
+    // Another cloud of as many points is not taken for the prepared one.
+    let mut moved = points.clone();
+    moved[7][0] += 0.05;
+    session.prepare(view).unwrap();
+    session.smooth(PointsView::from_rows(&moved).unwrap(), &mut found).unwrap();
+    assert_eq!(session.rebuilt_grid(), None);
+    for settings in ["grid=off", "neighbours=20", "radius=0.03", "remove_isolated=true"] {
+        let mut session = self::session(settings);
+        session.smooth(view, &mut found).unwrap();
+        assert_eq!(session.rebuilt_grid(), None, "{settings}");
+    }
 }

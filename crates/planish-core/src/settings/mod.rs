@@ -66,6 +66,22 @@ pub enum RadiusChoice {
     Metres(f32),
 }
 
+/// Whether a frame that lost its grid is recognised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum GridChoice {
+    /// An unorganized cloud whose points lie on the pixels of a camera is smoothed as its frame.
+    #[default]
+    Auto,
+    /// Unorganized clouds stay unorganized.
+    Off,
+}
+
+impl GridChoice {
+    /// All choices by their names.
+    pub const NAMED: [(&'static str, Self); 2] = [("auto", Self::Auto), ("off", Self::Off)];
+}
+
 /// A user's choices. A field that is `None` takes the value of the preset.
 ///
 /// ```
@@ -103,8 +119,11 @@ pub struct Settings {
     pub average_blocks: Option<bool>,
     /// The radius of a neighbourhood.
     pub radius: Option<RadiusChoice>,
-    /// For unorganized clouds, instead of a radius: neighbours of a point, 6 to 1000 [default: 40].
+    /// For unorganized clouds, instead of a radius: neighbours of a point, 6 to 1000 [default: chosen by the cloud's
+    /// noise and shape].
     pub neighbours: Option<u32>,
+    /// For unorganized clouds: whether those that are frames without their grid are smoothed on it [default: auto].
+    pub grid: Option<GridChoice>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
     /// Bandwidth of the Gaussian weights in metres [default: the radius].
@@ -146,11 +165,11 @@ const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, sta
 /// Allowed values of the field `settings`.
 const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, \
                       average_blocks, \
-                      radius_m, neighbours, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, outputs";
+                      radius_m, neighbours, grid, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, outputs";
 
 impl Settings {
     /// The names of all fields, as [`set`](Self::set) and files take them.
-    pub const NAMES: [&'static str; 20] = [
+    pub const NAMES: [&'static str; 21] = [
         "preset",
         "strength",
         "sensor",
@@ -162,6 +181,7 @@ impl Settings {
         "average_blocks",
         "radius_m",
         "neighbours",
+        "grid",
         "degree",
         "bandwidth_m",
         "ridge",
@@ -192,6 +212,7 @@ impl Settings {
             "average_blocks" => self.average_blocks = value.truth("average_blocks")?,
             "radius_m" | "radius" => self.radius = radius_of(value)?,
             "neighbours" => self.neighbours = value.whole("neighbours", "6 to 1000")?,
+            "grid" => self.grid = value.named("grid", &GridChoice::NAMED, "auto or off")?,
             "degree" => self.degree = value.whole("degree", "1 to 3")?,
             "bandwidth_m" | "bandwidth" => {
                 self.bandwidth_m = value.number("bandwidth_m", "1e-6 to 1000 metres")?;
@@ -262,6 +283,12 @@ impl Settings {
     /// Returns whether the number of neighbours in an unorganized cloud is left to planish.
     pub fn chooses_neighbours(&self) -> bool {
         self.radius.is_none() && self.neighbours.is_none() && self.preset != Some(Preset::Paper)
+    }
+
+    /// Returns whether an unorganized cloud that is a frame without its grid is smoothed on that grid: not if settings ask
+    /// for something that only unorganized clouds have.
+    pub fn rebuilds_grid(&self) -> bool {
+        self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && self.remove_isolated != Some(true)
     }
 
     /// Returns whether a sensor is to be estimated from a frame.

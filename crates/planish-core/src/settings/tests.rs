@@ -109,7 +109,7 @@ fn json_keeps_every_field() {
     let settings = parsed(text);
     let json = serde_json::to_string(&settings).unwrap();
     assert_eq!(serde_json::from_str::<Settings>(&json).unwrap(), settings, "{json}");
-    for text in ["radius=sensor sensor=auto strength=0.25", "neighbours=20", "devices=cpu"] {
+    for text in ["radius=sensor sensor=auto strength=0.25", "neighbours=20 grid=off", "devices=cpu"] {
         let json = serde_json::to_string(&parsed(text)).unwrap();
         assert_eq!(serde_json::from_str::<Settings>(&json).unwrap(), parsed(text), "{json}");
     }

@@ -13,8 +13,8 @@ use std::path::Path;
 use crate::{AtomicFile, Encoding, Format, LasReader, PlyReader, RecordEncoder, RecordReader, Temporary, folder_of};
 use plan::{Tile, bytes_a_point};
 use planish_core::{
-    CloudParams, CloudRadius, Engine, EngineError, Error, FormatError, IntoFrame, IoError, Outputs, PointCloud,
-    PointsView, Progress, SensorPose, Smoothed, Smoother, SmootherOptions,
+    CloudEstimate, CloudParams, CloudRadius, Engine, EngineError, Error, FormatError, Frame, IntoFrame, IoError,
+    Outputs, Params, PointCloud, PointsView, Progress, SensorPose, Settings, Smoothed, Smoother, SmootherOptions,
     internal::{NeededHalo, halo},
 };
 use spill::{Spill, too_large};
@@ -30,8 +30,9 @@ const NARROWEST: f64 = 0.01;
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TileOptions {
-    /// The parameters, as for any unorganized cloud.
-    pub params: CloudParams,
+    /// The settings, as for any unorganized cloud. Where they do not give the number of neighbours, the tile with the
+    /// most points decides it.
+    pub settings: Settings,
     /// The engine and its options; with radii by density not the reference.
     pub smoother: SmootherOptions,
     /// Outputs to write in addition to the points.
@@ -45,9 +46,9 @@ pub struct TileOptions {
 }
 
 impl TileOptions {
-    /// Sets the parameters and the memory limit in bytes.
-    pub fn new(params: CloudParams, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
-        Self { params, smoother, fields: Outputs::POINTS, pose: None, encoding: None, max_memory_bytes }
+    /// Sets the smoothing and the memory limit in bytes.
+    pub fn new(settings: Settings, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
+        Self { settings, smoother, fields: Outputs::POINTS, pose: None, encoding: None, max_memory_bytes }
     }
 
     /// Sets the fields to write.
@@ -74,6 +75,10 @@ pub struct TilesReport {
     pub points: usize,
     /// In how many tiles.
     pub tiles: usize,
+    /// The parameters that were used.
+    pub params: CloudParams,
+    /// The estimate that decided the number of neighbours, if the settings did not.
+    pub cloud_estimate: Option<CloudEstimate>,
     /// The engine used; for an empty file, the requested one.
     pub engine: Engine,
     /// Points of each status, by its code.
@@ -117,10 +122,10 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
 /// Smooths a LAS, LAZ or PLY file into another of the same kind within the memory limit. In addition to the output, it
 /// needs disk space for three times the records.
 ///
-/// Results equal those of the whole cloud, relative to an origin in each tile.
+/// Results equal those of the whole cloud with the same number of neighbours, relative to an origin in each tile.
 ///
 /// # Errors
-/// If a file cannot be read or written, an engine fails, or the memory does not hold a tile.
+/// If settings contradict each other, a file cannot be read or written, an engine fails, or the memory does not hold a tile.
 pub fn smooth_tiles(
     input: &Path,
     output: &Path,
@@ -143,8 +148,9 @@ fn smooth_records<R: RecordReader>(
     options: &TileOptions,
     progress: &Progress,
 ) -> Result<TilesReport, Error> {
+    let params = options.settings.cloud_params()?;
     let engine = options.smoother.engine;
-    if engine == Engine::Reference && matches!(options.params.radius, CloudRadius::Neighbours { .. }) {
+    if engine == Engine::Reference && matches!(params.radius, CloudRadius::Neighbours { .. }) {
         // Radii by density must be reported, which this engine does not do.
         let reason = "radii by density in tiles need the CPU or GPU engine; or set a radius".to_owned();
         return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
@@ -159,13 +165,15 @@ fn smooth_records<R: RecordReader>(
         _ => IoError::at(input)(problem).into(),
     };
     let mut spill = Spill::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
-    let report = TilesReport { notes, ..TilesReport::default() };
-    let mut tiler = Tiler::<R> { options, smoother: None, halo_share: 1.0, report, encoder: None };
+    let at_files = |error| match error {
+        TileError::Files(problem) => at_either(problem),
+        TileError::Other(error) => error,
+    };
+    let report = TilesReport { notes, params, ..TilesReport::default() };
+    let mut tiler = Tiler::<R> { options, params, smoother: None, halo_share: 1.0, report, encoder: None };
+    tiler.choose_neighbours(&spill).map_err(at_files)?;
     for number in 0..spill.tiles.len() {
-        tiler.smooth(&mut spill, number, output).map_err(|error| match error {
-            TileError::Files(problem) => at_either(problem),
-            TileError::Other(error) => error,
-        })?;
+        tiler.smooth(&mut spill, number, output).map_err(at_files)?;
         progress.add(spill.tiles[number].tile.points as usize);
     }
     let Tiler { report, encoder, smoother, .. } = tiler;
@@ -219,6 +227,7 @@ impl From<Error> for TileError {
 /// State carried from tile to tile.
 struct Tiler<'a, R: RecordReader> {
     options: &'a TileOptions,
+    params: CloudParams,
     smoother: Option<Smoother>,
     /// How wide the last tile's halo was, in those by density.
     halo_share: f64,
@@ -228,16 +237,31 @@ struct Tiler<'a, R: RecordReader> {
 }
 
 impl<R: RecordReader> Tiler<'_, R> {
+    /// Estimates how many neighbours suit the tile with the most points, if the settings leave that open.
+    fn choose_neighbours(&mut self, spill: &Spill<R>) -> Result<(), TileError> {
+        let largest = (0..spill.tiles.len()).max_by_key(|&number| spill.tiles[number].tile.points);
+        let Some(number) = largest.filter(|_| self.options.settings.chooses_neighbours()) else { return Ok(()) };
+        let Some(raw) = spill.with_halo(number, 0.0)? else { return Ok(()) };
+        let cloud = R::cloud_of(&spill.header, &raw)?;
+        drop(raw);
+        let view = PointsView::from_cloud(&cloud).map_err(Error::from)?;
+        let resolved = self.options.settings.resolve(Frame::Points(view)).map_err(Error::from)?;
+        if let Params::Cloud(params) = resolved.params {
+            (self.params, self.report.params, self.report.cloud_estimate) = (params, params, resolved.cloud_estimate);
+        }
+        Ok(())
+    }
+
     /// Smooths a tile with its halo, wider until its points do not reach beyond it.
     fn smooth(&mut self, spill: &mut Spill<R>, number: usize, output: &Path) -> Result<(), TileError> {
         let tile = spill.tiles[number].tile;
         let own = tile.points as usize;
-        let by_density_m = halo::first_cloud_halo_m(&self.options.params, tile.points, spill.cells.area(&tile));
+        let by_density_m = halo::first_cloud_halo_m(&self.params, tile.points, spill.cells.area(&tile));
         let mut halo_m = self.halo_share * by_density_m;
         let mut may_widen = true;
         loop {
             let Some(raw) = spill.with_halo(number, halo_m)? else {
-                let may_be_narrower = matches!(self.options.params.radius, CloudRadius::Neighbours { .. });
+                let may_be_narrower = matches!(self.params.radius, CloudRadius::Neighbours { .. });
                 if may_be_narrower && halo_m > NARROWEST * by_density_m {
                     (halo_m, may_widen) = (0.7 * halo_m, false);
                     continue;
@@ -269,7 +293,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         let smoother = match &mut self.smoother {
             Some(smoother) => smoother,
             none => {
-                let smoother = none.insert(Smoother::open_clouds(self.options.params, &self.options.smoother)?);
+                let smoother = none.insert(Smoother::open_clouds(self.params, &self.options.smoother)?);
                 smoother.keep_radii();
                 smoother
             }
@@ -288,7 +312,7 @@ impl<R: RecordReader> Tiler<'_, R> {
     /// Returns the halo that the tile's points need.
     fn needed_halo(&self, spill: &Spill<R>, tile: &Tile, cloud: &PointCloud, halo_m: f64) -> NeededHalo {
         let [low, high] = spill.cells.bounds(tile);
-        let reach = halo::cloud_reach(&self.options.params);
+        let reach = halo::cloud_reach(&self.params);
         let needed_m = (0..tile.points as usize).filter_map(|i| {
             // A hole reaches nothing, and may belong to any tile. Without radii by density there are none.
             let radius_m = self.smoother.as_ref()?.own_radius_m(i)?;

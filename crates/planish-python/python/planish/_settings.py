@@ -49,7 +49,10 @@ class Settings(TypedDict, total=False):
     radius: float | Literal["sensor"] | None
     """Another name for radius_m."""
     neighbours: int | None
-    """For unorganized clouds: number of neighbours, 6 to 1000 [default: 40], instead of a radius."""
+    """For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius [default: chosen by the cloud's
+    noise and shape]."""
+    grid: Literal["auto", "off"] | None
+    """For unorganized clouds: whether those that are frames without their grid are smoothed on it [default: auto]."""
     edges: Literal["robust", "off"] | None
     """Edge handling [default: robust for frames, off for unorganized clouds]."""
     window: int | None

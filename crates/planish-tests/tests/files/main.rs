@@ -5,6 +5,7 @@ mod formats;
 mod fuzzed;
 mod hostile;
 mod las;
+mod lost_grid;
 mod ply;
 mod scanners;
 mod tiles;

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use planish::io::{self, Contents, Encoding};
 use planish::tiles::{TileOptions, TilesReport, bytes_in_memory, smooth_tiles};
 use planish::{
-    AttributeValues, CloudParams, Edges, Engine, IntoFrame, Outputs, PointCloud, Progress, SensorPose, Smoothed,
-    Smoother, SmootherOptions,
+    AttributeValues, Engine, IntoFrame, Outputs, PointCloud, Progress, SensorPose, Settings, Smoothed, Smoother,
+    SmootherOptions,
 };
 use planish_tests::data::folder;
 use planish_tests::engines::{TestEngine, test_adapter};
@@ -46,17 +46,23 @@ fn cpu() -> SmootherOptions {
     SmootherOptions::new(Engine::Cpu, Outputs::ALL)
 }
 
+const BY_DENSITY: &str = "neighbours=40";
+
+fn parsed(settings: &str) -> Settings {
+    settings.parse().unwrap()
+}
+
 fn fields() -> Outputs {
     Outputs::POINTS.with_normals(true).with_status(true)
 }
 
-fn whole(cloud: &PointCloud, params: CloudParams) -> PointCloud {
-    whole_by(&cpu(), cloud, params)
+fn whole(cloud: &PointCloud, settings: &str) -> PointCloud {
+    whole_by(&cpu(), cloud, settings)
 }
 
-fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, params: CloudParams) -> PointCloud {
+fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, settings: &str) -> PointCloud {
     let mut smoothed = Smoothed::default();
-    let mut smoother = Smoother::open_clouds(params, smoother).unwrap();
+    let mut smoother = Smoother::open_clouds(parsed(settings).cloud_params().unwrap(), smoother).unwrap();
     smoother.smooth(cloud.into_frame().unwrap(), &mut smoothed).unwrap();
     let mut result = cloud.clone();
     result.apply(&smoothed, fields()).unwrap();
@@ -64,13 +70,13 @@ fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, params: CloudParams)
 }
 
 /// Smooths a file in tiles into another, in a share of the memory that it takes whole.
-fn in_tiles(input: &Path, output: &Path, params: CloudParams, share: u64) -> TilesReport {
-    in_tiles_by(cpu(), input, output, params, share)
+fn in_tiles(input: &Path, output: &Path, settings: &str, share: u64) -> TilesReport {
+    in_tiles_by(cpu(), input, output, settings, share)
 }
 
-fn in_tiles_by(smoother: SmootherOptions, input: &Path, output: &Path, params: CloudParams, share: u64) -> TilesReport {
+fn in_tiles_by(smoother: SmootherOptions, input: &Path, output: &Path, settings: &str, share: u64) -> TilesReport {
     let bytes = bytes_in_memory(input).unwrap() / share;
-    let options = TileOptions::new(params, smoother, bytes).with_fields(fields());
+    let options = TileOptions::new(parsed(settings), smoother, bytes).with_fields(fields());
     let progress = Progress::default();
     let report = smooth_tiles(input, output, &options, &progress).unwrap();
     assert!(report.tiles as u64 >= share, "{report:?}");
@@ -118,22 +124,21 @@ fn tiles_give_what_the_whole_cloud_gives() {
     let cloud = field(60_000);
     io::write_cloud(&las, &cloud, Encoding::Binary).unwrap();
     io::write_cloud(&laz, &cloud, Encoding::Binary).unwrap();
-    let general = CloudParams::default();
-    for (params, input, share) in [
-        (general, &laz, 4),
-        (general.with_radius_m(0.6), &las, 4),
-        (general.with_remove_isolated(true).with_degree(1), &las, 3),
-        (general.with_radius_m(0.3).with_degree(3), &laz, 8),
-        (general.with_edges(Edges::Robust), &las, 2),
-        (general.with_edges(Edges::Robust).with_radius_m(0.4), &laz, 4),
+    for (settings, input, share) in [
+        (BY_DENSITY, &laz, 4),
+        ("radius=0.6", &las, 4),
+        ("neighbours=40 remove_isolated=true degree=1", &las, 3),
+        ("radius=0.3 degree=3", &laz, 8),
+        ("neighbours=40 edges=robust", &las, 2),
+        ("edges=robust radius=0.4", &laz, 4),
     ] {
-        let what = format!("{params:?}, {share}");
-        let report = in_tiles(input, &out, params, share);
+        let what = format!("{settings}, {share}");
+        let report = in_tiles(input, &out, settings, share);
         let expected = folder.path().join("expected.las");
-        io::write_cloud(&expected, &whole(&read(input), params), Encoding::Binary).unwrap();
+        io::write_cloud(&expected, &whole(&read(input), settings), Encoding::Binary).unwrap();
         let (found, expected) = (read(&out), read(&expected));
         assert_same(&found, &expected, 1e-5, &what);
-        assert_eq!(found.len() < cloud.len(), params.remove_isolated, "{what}");
+        assert_eq!(found.len() < cloud.len(), settings.contains("remove_isolated"), "{what}");
         assert_eq!((report.points, report.status_counts.iter().sum()), (cloud.len(), cloud.len()), "{what}");
         // The stray point, at most.
         assert!(report.reaching_beyond < 30, "{report:?}");
@@ -170,18 +175,17 @@ fn ply_in_tiles_is_the_same_with_its_holes_types_and_pose() {
     io::write_cloud(&file("near.ply"), &near, Encoding::Binary).unwrap();
     io::write_cloud(&file("text.ply"), &near, Encoding::Ascii).unwrap();
     fs::write(file("turned.ply"), big_endian(&fs::read(file("near.ply")).unwrap())).unwrap();
-    let by_density = CloudParams::default();
-    for (name, params) in [
-        ("far.ply", by_density),
-        ("near.ply", by_density.with_radius_m(0.8)),
-        ("near.ply", by_density.with_remove_isolated(true)),
-        ("text.ply", by_density),
-        ("turned.ply", by_density),
+    for (name, settings) in [
+        ("far.ply", BY_DENSITY),
+        ("near.ply", "radius=0.8"),
+        ("near.ply", "neighbours=40 remove_isolated=true"),
+        ("text.ply", BY_DENSITY),
+        ("turned.ply", BY_DENSITY),
     ] {
         let (input, out, expected) = (file(name), file("out.ply"), file("expected.ply"));
-        in_tiles(&input, &out, params, 3);
+        in_tiles(&input, &out, settings, 3);
         let cloud = read(&input);
-        io::write_cloud(&expected, &whole(&cloud, params), Encoding::Binary).unwrap();
+        io::write_cloud(&expected, &whole(&cloud, settings), Encoding::Binary).unwrap();
         let (found, expected) = (read(&out), read(&expected));
         assert_same(&found, &expected, 1e-5, name);
         assert_eq!((found.pose, found.position_columns), (expected.pose, expected.position_columns), "{name}");
@@ -207,9 +211,36 @@ fn ply_that_has_no_parts_is_left_to_be_read_whole() {
     assert!(with(&vertices.replace("float z", "int z")).is_none());
     assert!(with(&vertices.replace("float z", "float y")).is_none());
     let out = folder.path().join("out.las");
-    let options = TileOptions::new(CloudParams::default(), cpu(), 1 << 20);
+    let options = TileOptions::new(parsed(BY_DENSITY), cpu(), 1 << 20);
     let error = smooth_tiles(&file, &out, &options, &Progress::default()).unwrap_err().to_string();
     assert!(error.contains(".ply to .ply"), "{error}");
+}
+
+#[test]
+fn the_largest_tile_decides_the_number_of_neighbours() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (folder.path().join("a.las"), folder.path().join("out.las"));
+    // Noise of three times the spacing asks for many neighbours.
+    let spread = |i: usize, k: f64| ((i as f64 + 0.5) * k).fract();
+    let position = |i: usize| {
+        let noise = (0..4).map(|k| spread(i * 31 + k, 0.414_213_562) - 0.5).sum::<f64>();
+        [20.0 * spread(i, 0.754_877_666), 20.0 * spread(i, 0.569_840_291), 0.4 * noise].map(|value| value as f32)
+    };
+    io::write_cloud(&input, &PointCloud::new((0..30_000).map(position).collect()), Encoding::Binary).unwrap();
+    let report = in_tiles(&input, &out, "", 3);
+    let estimate = report.cloud_estimate.unwrap();
+    let count = estimate.neighbours;
+    assert!(
+        count > 100 && report.params == parsed(&format!("neighbours={count}")).cloud_params().unwrap(),
+        "{report:?}"
+    );
+    assert!((estimate.noise_m - 0.23).abs() < 0.03, "{report:?}");
+    let expected = folder.path().join("expected.las");
+    io::write_cloud(&expected, &whole(&read(&input), &format!("neighbours={count}")), Encoding::Binary).unwrap();
+    assert_same(&read(&out), &read(&expected), 1e-5, "chosen");
+    // Light has half as many.
+    let light = in_tiles(&input, &out, "preset=light", 3).params;
+    assert_eq!(light, parsed(&format!("neighbours={}", count.div_ceil(2))).cloud_params().unwrap());
 }
 
 #[test]
@@ -217,9 +248,9 @@ fn a_real_scan_in_tiles_is_the_same() {
     let Some(data) = folder("an aerial scan in tiles") else { return };
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (data.join("unorganized/autzen_trim.laz"), folder.path().join("out.laz"));
-    in_tiles(&input, &out, CloudParams::default(), 4);
+    in_tiles(&input, &out, BY_DENSITY, 4);
     let expected = folder.path().join("expected.laz");
-    io::write_cloud(&expected, &whole(&read(&input), CloudParams::default()), Encoding::Binary).unwrap();
+    io::write_cloud(&expected, &whole(&read(&input), BY_DENSITY), Encoding::Binary).unwrap();
     // Its coordinates are whole hundredths of a foot, and so is what differs.
     assert_same(&read(&out), &read(&expected), 0.01, "autzen");
 }
@@ -236,16 +267,15 @@ fn tiles_on_a_gpu_give_what_the_whole_cloud_gives_there() {
     let gpu = TestEngine::gpu(false).options(Outputs::ALL);
     // The smaller one cannot hold a whole tile.
     let in_parts = TestEngine { bounds_checks: false, ..TestEngine::in_parts(2500) }.options(Outputs::ALL);
-    let general = CloudParams::default();
-    for (params, smoother) in [(general, &gpu), (general.with_radius_m(0.6), &gpu), (general, &in_parts)] {
-        let report = in_tiles_by(smoother.clone(), &las, &out, params, 3);
+    for (settings, smoother) in [(BY_DENSITY, &gpu), ("radius=0.6", &gpu), (BY_DENSITY, &in_parts)] {
+        let report = in_tiles_by(smoother.clone(), &las, &out, settings, 3);
         assert_eq!((report.engine, report.points), (Engine::Gpu, cloud.len()));
         // Radii by density are known, including the stray point's.
-        let by_density = params == general;
+        let by_density = settings == BY_DENSITY;
         assert!(report.reaching_beyond < 30 && (report.reaching_beyond > 0) == by_density, "{report:?}");
         let expected = folder.path().join("expected.las");
-        io::write_cloud(&expected, &whole_by(&gpu, &read(&las), params), Encoding::Binary).unwrap();
-        assert_same(&read(&out), &read(&expected), 1e-5, &format!("{params:?}"));
+        io::write_cloud(&expected, &whole_by(&gpu, &read(&las), settings), Encoding::Binary).unwrap();
+        assert_same(&read(&out), &read(&expected), 1e-5, settings);
     }
 }
 
@@ -260,7 +290,7 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
         result.expect_err("an error").to_string()
     };
     let options =
-        |engine, bytes| TileOptions::new(CloudParams::default(), SmootherOptions::new(engine, Outputs::ALL), bytes);
+        |engine, bytes| TileOptions::new(parsed(BY_DENSITY), SmootherOptions::new(engine, Outputs::ALL), bytes);
     let found = smooth(&input, &options(Engine::Cpu, 10_000));
     let whole = format!("raise it (the whole file needs {} KiB)", needed.div_ceil(1 << 10));
     assert!(found.contains("a.las") && found.contains(&whole), "{found}");
@@ -293,7 +323,7 @@ fn normals_in_tiles_face_the_sensor_of_the_whole() {
     };
     let cloud = PointCloud::new((0..40_000).map(position).collect());
     io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
-    let report = in_tiles(&input, &out, CloudParams::default(), 6);
+    let report = in_tiles(&input, &out, BY_DENSITY, 6);
     assert!(report.tiles > 4 && report.assumed_sensor_m.is_none() && !report.has_pose, "{report:?}");
     let smoothed = read(&out);
     let AttributeValues::F32(normals) = &smoothed.attribute("normal_z").unwrap().values else { panic!("f32") };
@@ -310,7 +340,7 @@ fn what_a_file_in_tiles_says_is_kept_or_noted() {
     let face = "element face 1\nproperty list uchar int vertex_indices\nend_header";
     let text = text.replace("element vertex", "comment by hand\nelement vertex").replace("end_header", face);
     fs::write(&input, text + "3 0 1 2\n").unwrap();
-    let report = in_tiles(&input, &out, CloudParams::default(), 3);
+    let report = in_tiles(&input, &out, BY_DENSITY, 3);
     assert!(report.tiles > 1, "{report:?}");
     assert_eq!(report.notes, ["other elements than vertices are dropped: face (1)"]);
     // Above the field, on a map.
@@ -355,7 +385,7 @@ fn points_on_the_border_of_a_tile_and_far_away_ones_end_no_run() {
     let needed = bytes_in_memory(&input).unwrap();
     let mut smoothed = 0;
     for share in [2, 3, 4, 6, 9] {
-        let options = TileOptions::new(CloudParams::default(), cpu(), needed / share).with_fields(fields());
+        let options = TileOptions::new(parsed(BY_DENSITY), cpu(), needed / share).with_fields(fields());
         match smooth_tiles(&input, &out, &options, &Progress::default()) {
             Ok(report) => {
                 assert_eq!(read(&out).len(), cloud.len(), "{report:?}");
@@ -398,7 +428,7 @@ fn late_returns_of_old_files_and_impossible_scales_do_not_panic() {
         assert_eq!(returns(&read(&output)), expected);
     }
     let tiled = file("tiled.laz");
-    in_tiles(&input, &tiled, CloudParams::default().with_radius_m(1.5), 2);
+    in_tiles(&input, &tiled, "radius=1.5", 2);
     assert_eq!(returns(&read(&tiled)), expected);
 
     bytes[131..139].copy_from_slice(&1e300f64.to_le_bytes());

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use planish::tiles::{self, TileOptions};
-use planish::{CloudRadius, Progress};
+use planish::{CloudRadius, Progress, SessionEvent};
 use planish_bench::errln;
 
 use super::super::checks::report_notes;
@@ -30,13 +30,14 @@ impl Worker<'_> {
             ))
             .into());
         }
-        let params = self.general_params(input)?;
+        self.general_params(input)?;
+        self.report_unused_by_clouds(input);
         errln!("{}: larger than --max-memory; smoothed in tiles", input.display());
         let smoother = self.settings.options().with_outputs(self.outputs().with_status(true));
         if self.args.repeat > 1 {
             errln!("{}: --repeat has no effect on a file smoothed in tiles", input.display());
         }
-        let options = TileOptions::new(params, smoother, allowed)
+        let options = TileOptions::new(self.settings.clone(), smoother, allowed)
             .with_fields(self.outputs())
             .with_pose(self.pose)
             .with_encoding(self.args.encoding());
@@ -45,6 +46,10 @@ impl Worker<'_> {
         let report =
             with_progress(Some(Arc::clone(&progress)), || tiles::smooth_tiles(input, output, &options, &progress))?;
         report_notes(input, &report.notes);
+        if let (CloudRadius::Neighbours { count }, true) = (report.params.radius, self.settings.chooses_neighbours()) {
+            let noise_m = report.cloud_estimate.map(|estimate| estimate.noise_m);
+            self.report_neighbours(output, &SessionEvent::NeighboursChosen { neighbours: count, noise_m });
+        }
         if self.outputs().normals && self.pose.is_none() && !report.has_pose {
             report_assumed_sensor(input, report.assumed_sensor_m);
         }
@@ -58,7 +63,7 @@ impl Worker<'_> {
             );
         }
         let status = StatusCounts::of(report.status_counts);
-        let cause = match params.radius {
+        let cause = match report.params.radius {
             CloudRadius::Neighbours { .. } => "they are far from denser parts of the cloud, or are floating pixels",
             _ => "the radius is below the spacing of the points",
         };

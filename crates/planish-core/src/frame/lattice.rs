@@ -1,0 +1,283 @@
+//! The grid of pixels that a frame lost when it was saved as an unorganized cloud (docs/method.md, section 11).
+
+use glam::{DQuat, DVec3};
+
+use super::PointsView;
+use crate::pose::SensorPose;
+use crate::xyz::Xyz;
+
+/// Coordinates of a sample of so many points are looked at before those of all points.
+const SAMPLE: usize = 4096;
+/// Multiples of it spread evenly over the unit interval.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
+/// A lattice has at least this many columns and rows,
+const LEAST_LINES: usize = 16;
+/// and at most so many.
+const MOST_LINES: usize = 8192;
+/// The gaps between its lines are at least this many times as wide as those within a line.
+const LEAST_CONTRAST: f64 = 8.0;
+/// Points are this close to their line on average (RMS), in spacings of lines,
+const CLOSE: f64 = 0.05;
+/// and never farther away than this.
+const NEAR: f64 = 0.3;
+/// At least this share of the pixels has a point.
+const LEAST_FILLED: f64 = 0.05;
+
+/// A grid that was found again: the points of a cloud on its pixels.
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Lattice {
+    width: usize,
+    height: usize,
+    /// The pixel of each point; `None` for holes.
+    pixels: Vec<Option<u32>>,
+    /// The points, relative to the cloud's origin; NaN where a pixel has none.
+    positions: Xyz,
+    pose: SensorPose,
+}
+
+/// Evenly spaced lines: line k is at `first + k * spacing`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Lines {
+    first: f64,
+    spacing: f64,
+    count: usize,
+}
+
+impl Lattice {
+    /// Finds the lattice of rays that all points of an unorganized cloud lie on, one point each: those of a camera
+    /// without distortion that looks along z or, as OpenGL's, against it. `None` if they lie on none.
+    pub(crate) fn of(points: &PointsView<'_>) -> Option<Self> {
+        let transform = points.transform();
+        let seen = |i: usize| Some(transform.to_sensor(points.point(i))).filter(|p| p.is_finite());
+        // In steps that are no multiple of a row.
+        let sampled = |k: usize| ((k as f64 * GOLDEN).fract() * points.len() as f64) as usize;
+        let sample: Vec<DVec3> = (0..SAMPLE.min(points.len())).map(sampled).filter_map(seen).collect();
+        let is_in_front = sample.iter().all(|p| p.z > 0.0);
+        let is_behind = sample.iter().all(|p| p.z < 0.0) && points.pose().is_identity();
+        if sample.len() < LEAST_LINES * LEAST_LINES || !(is_in_front || is_behind) {
+            return None;
+        }
+        // Half a turn around x: y points down again, and z forward.
+        let turn = if is_behind { DVec3::new(1.0, -1.0, -1.0) } else { DVec3::ONE };
+        let slope = |p: DVec3, axis: usize| (turn * p)[axis] / (turn * p).z;
+        for axis in 0..2 {
+            Lines::of(sample.iter().map(|&p| slope(p, axis)).collect())?;
+        }
+        let all: Vec<DVec3> = (0..points.len()).filter_map(seen).collect();
+        if all.iter().any(|p| turn.z * p.z <= 0.0) {
+            return None;
+        }
+        let [columns, rows] = [0, 1].map(|axis| Lines::of(all.iter().map(|&p| slope(p, axis)).collect()));
+        let (columns, rows) = (columns?, rows?);
+        drop(all);
+        let (width, height) = (columns.count, rows.count);
+        let pixel = |p: DVec3| {
+            let (u, v) = (columns.nearest(slope(p, 0))?, rows.nearest(slope(p, 1))?);
+            Some((v * width + u) as u32)
+        };
+        let mut positions = Xyz::filled(width * height, f32::NAN);
+        let mut pixels = vec![None; points.len()];
+        let mut filled = 0;
+        for (i, place) in pixels.iter_mut().enumerate() {
+            let Some(p) = seen(i) else { continue };
+            let at = pixel(p)?;
+            // Two points of one ray are of no single frame.
+            if positions.is_finite(at as usize) {
+                return None;
+            }
+            positions.set(at as usize, points.point(i).to_array().map(|value| value as f32));
+            (*place, filled) = (Some(at), filled + 1);
+        }
+        if (filled as f64) < LEAST_FILLED * (width * height) as f64 {
+            return None;
+        }
+        let pose = if is_behind { half_turn() } else { points.pose() };
+        Some(Self { width, height, pixels, positions, pose })
+    }
+
+    /// Width and height of the grid.
+    pub(crate) fn shape(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Returns the pixel of a point; `None` for a hole.
+    pub(crate) fn pixel(&self, i: usize) -> Option<usize> {
+        self.pixels[i].map(|pixel| pixel as usize)
+    }
+
+    /// Returns true if these are the points that it was found for.
+    pub(crate) fn is_of(&self, points: &PointsView<'_>) -> bool {
+        let is_same = |i: usize| match self.pixel(i) {
+            Some(pixel) => self.positions.get(pixel) == points.point(i).to_array().map(|value| value as f32),
+            None => !points.point(i).is_finite(),
+        };
+        self.pixels.len() == points.len() && (0..points.len()).all(is_same)
+    }
+
+    /// Returns the points on their pixels.
+    pub(crate) fn view<'a>(&'a self, of: &PointsView<'_>) -> PointsView<'a> {
+        of.regridded(&self.positions, self.shape(), self.pose)
+    }
+}
+
+/// Returns the pose of a sensor that looks against z, with y up.
+fn half_turn() -> SensorPose {
+    let orientation = DQuat::from_rotation_x(std::f64::consts::PI);
+    SensorPose::from_viewpoint([0.0, 0.0, 0.0, orientation.w, orientation.x, orientation.y, orientation.z])
+}
+
+impl Lines {
+    /// Finds evenly spaced lines that all values lie on.
+    fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_unstable_by(f64::total_cmp);
+        let gaps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let widest = between_lines(gaps.clone())?;
+        // The mean of each line's values.
+        let mut lines = Vec::new();
+        let mut from = 0;
+        for to in (1..=values.len()).filter(|&to| to == values.len() || gaps[to - 1] > widest) {
+            lines.push(values[from..to].iter().sum::<f64>() / (to - from) as f64);
+            from = to;
+        }
+        let mut apart: Vec<f64> = lines.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let unit = spacing_of(&apart);
+        // Numbers of lines; where several in a row have no point, their numbers are left out.
+        let mut numbers = vec![0.0];
+        for apart in &mut apart {
+            let steps = (*apart / unit).round();
+            if steps < 1.0 || (*apart / unit - steps).abs() > NEAR {
+                return None;
+            }
+            numbers.push(numbers[numbers.len() - 1] + steps);
+        }
+        let lines = Self::through(&numbers, &lines)?;
+        let off = |value: &f64| (value - lines.first) / lines.spacing;
+        let from_line: Vec<f64> = values.iter().map(off).map(|at| at - at.round()).collect();
+        let square = from_line.iter().map(|off| off * off).sum::<f64>() / from_line.len() as f64;
+        (square.sqrt() <= CLOSE && from_line.iter().all(|off| off.abs() <= NEAR)).then_some(lines)
+    }
+
+    /// Fits lines of these numbers, the first of which is 0, by least squares.
+    fn through(numbers: &[f64], places: &[f64]) -> Option<Self> {
+        let last = *numbers.last()?;
+        let n = numbers.len() as f64;
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / n;
+        let (mean_number, mean_place) = (mean(numbers), mean(places));
+        let (mut product, mut square) = (0.0, 0.0);
+        for (number, place) in numbers.iter().zip(places) {
+            product += (number - mean_number) * (place - mean_place);
+            square += (number - mean_number).powi(2);
+        }
+        let spacing = product / square;
+        let count = last as usize + 1;
+        let is_even = spacing > 0.0 && (LEAST_LINES..=MOST_LINES).contains(&count);
+        is_even.then_some(Self { first: mean_place - mean_number * spacing, spacing, count })
+    }
+
+    /// Returns the number of the line at a value; `None` if it is outside.
+    fn nearest(&self, value: f64) -> Option<usize> {
+        let number = ((value - self.first) / self.spacing).round();
+        (number >= 0.0 && number < self.count as f64).then_some(number as usize)
+    }
+}
+
+/// Returns a gap that tells those between lines, which are wider, from those within them: where gaps, sorted, shrink
+/// suddenly for the first time.
+fn between_lines(mut gaps: Vec<f64>) -> Option<f64> {
+    gaps.sort_unstable_by(|a, b| f64::total_cmp(b, a));
+    let most = gaps.len().min(MOST_LINES);
+    let next = |k: usize| gaps.get(k).copied().unwrap_or(0.0);
+    let between = (LEAST_LINES - 1..=most).find(|&k| gaps[k - 1] > LEAST_CONTRAST * next(k))?;
+    Some(gaps[between - 1] / LEAST_CONTRAST.sqrt())
+}
+
+/// Returns the spacing of lines of which some are missing: the mean of the gaps that are about as wide as the narrow
+/// ones.
+fn spacing_of(apart: &[f64]) -> f64 {
+    let mut sorted = apart.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let narrow = sorted.get(sorted.len() / 10).copied().unwrap_or(f64::NAN);
+    let narrow: Vec<f64> = sorted.into_iter().filter(|apart| (0.5..1.5).contains(&(apart / narrow))).collect();
+    narrow.iter().sum::<f64>() / narrow.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::neighbours::tests::Random;
+
+    /// Points of a wavy surface seen through the pixels of a camera, some of which see nothing, in any order.
+    fn seen(width: usize, height: usize, holes: f32, digits: i32) -> Vec<[f32; 3]> {
+        let mut random = Random(7);
+        let mut points = Vec::new();
+        for v in 0..height {
+            for u in 0..width {
+                if random.next() < holes {
+                    continue;
+                }
+                let (a, b) = ((u as f64 - 47.3) / 60.0, (v as f64 - 20.9) / 61.0);
+                let z = 1.2 + 0.2 * (5.0 * a).sin() * (4.0 * b).cos() + 0.01 * f64::from(random.next());
+                let scale = 10f64.powi(digits);
+                points.push([a * z, b * z, z].map(|value| ((value * scale).round() / scale) as f32));
+            }
+        }
+        for i in (1..points.len()).rev() {
+            points.swap(i, (random.next() * i as f32) as usize);
+        }
+        points
+    }
+
+    #[test]
+    fn a_frame_without_its_holes_finds_its_pixels_again() {
+        for (holes, digits) in [(0.1, 9), (0.6, 9), (0.3, 5)] {
+            let points = seen(97, 41, holes, digits);
+            let view = PointsView::from_rows(&points).unwrap();
+            let lattice = Lattice::of(&view).unwrap();
+            assert_eq!(lattice.shape(), (97, 41), "{holes} {digits}");
+            for (i, &point) in points.iter().enumerate() {
+                let pixel = lattice.pixel(i).unwrap();
+                assert_eq!(lattice.positions.get(pixel), point);
+                let (u, v) =
+                    (f64::from(point[0] / point[2]) * 60.0 + 47.3, f64::from(point[1] / point[2]) * 61.0 + 20.9);
+                assert_eq!(((pixel % 97) as f64, (pixel / 97) as f64), (u.round(), v.round()));
+            }
+            let on_pixels = (0..97 * 41).filter(|&pixel| lattice.positions.is_finite(pixel)).count();
+            assert_eq!(on_pixels, points.len());
+        }
+    }
+
+    #[test]
+    fn a_camera_that_looks_against_z_is_turned_round() {
+        let points: Vec<_> = seen(64, 48, 0.2, 9).into_iter().map(|[x, y, z]| [x, -y, -z]).collect();
+        let view = PointsView::from_rows(&points).unwrap();
+        let lattice = Lattice::of(&view).unwrap();
+        assert_eq!(lattice.shape(), (64, 48));
+        let on_grid = lattice.view(&view);
+        let transform = on_grid.transform();
+        assert!((0..on_grid.len()).map(|i| transform.to_sensor(on_grid.point(i))).all(|p| p.z.is_nan() || p.z > 0.9));
+    }
+
+    #[test]
+    fn clouds_of_no_single_frame_have_no_grid() {
+        let frame = seen(64, 48, 0.1, 9);
+        let none = |points: &[[f32; 3]]| Lattice::of(&PointsView::from_rows(points).unwrap()).is_none();
+        assert!(!none(&frame));
+        // Two frames in one cloud, one point twice, one behind the camera, and points that have moved.
+        let nearer = frame.iter().map(|p| p.map(|value| 0.9 * value));
+        assert!(none(&frame.iter().copied().chain(nearer).collect::<Vec<_>>()));
+        assert!(none(&frame.iter().copied().chain([frame[5]]).collect::<Vec<_>>()));
+        assert!(none(&frame.iter().copied().chain([[0.0, 0.0, -1.0]]).collect::<Vec<_>>()));
+        let mut random = Random(3);
+        let mut moved = |by: f32| {
+            let mut shift = |value: f32| value + by * (random.next() - 0.5);
+            frame.iter().map(|p| p.map(&mut shift)).collect::<Vec<_>>()
+        };
+        let (little, far) = (moved(1e-4), moved(0.02));
+        assert!(!none(&little) && none(&far));
+        // Evenly spaced from above is not from a camera.
+        let field =
+            |i: usize| [(i % 80) as f32, (i / 80) as f32, 30.0 + (i as f32 * 0.37).sin()].map(|value| 0.1 * value);
+        assert!(none(&(0..6400).map(field).collect::<Vec<_>>()));
+        assert!(none(&[]) && none(&frame[..100]));
+    }
+}
