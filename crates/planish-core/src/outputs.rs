@@ -1,6 +1,7 @@
 //! Outputs of a smoother, and the caller's buffers for them.
 
 use crate::error::{FrameError, ParamError};
+use crate::frame::PointsView;
 use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::xyz::Xyz;
@@ -185,6 +186,14 @@ impl<'a> VectorsMut<'a> {
         }
     }
 
+    fn is_hole(&self, i: usize) -> bool {
+        match self {
+            Self::Planes([x, _, _]) => x[i].is_nan(),
+            Self::Rows(rows) => rows[i][0].is_nan(),
+            Self::Rows4(rows) => rows[i][0].is_nan(),
+        }
+    }
+
     fn check_len(&self, what: &str, expected: usize) -> Result<(), FrameError> {
         let lengths = match self {
             Self::Planes([x, y, z]) => [x.len(), y.len(), z.len()],
@@ -255,6 +264,22 @@ pub struct SmoothedMut<'a> {
 }
 
 impl<'a> SmoothedMut<'a> {
+    /// Leaves points with too few neighbours where they are, as isolated ones, instead of making them holes.
+    pub(crate) fn keep_isolated(&mut self, view: &PointsView<'_>) {
+        if let Some(points) = &mut self.points {
+            for i in (0..view.len()).filter(|&i| view.point(i).is_finite()) {
+                if points.is_hole(i) {
+                    points.set(i, view.get(i).map(|value| value as f32));
+                }
+            }
+        }
+        for status in self.status.iter_mut().flat_map(|status| status.iter_mut()) {
+            if *status == Status::TooFew {
+                *status = Status::Isolated;
+            }
+        }
+    }
+
     /// Fills the first entries of the buffers, entry `i` from entry `place(i)` of another result; `None` makes it a
     /// hole. Not depth, which unorganized clouds do not have.
     pub(crate) fn take_from(&mut self, len: usize, from: &Smoothed, place: impl Fn(usize) -> Option<usize>) {

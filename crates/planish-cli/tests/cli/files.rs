@@ -102,9 +102,15 @@ fn general_clouds_are_smoothed_with_radii_of_their_density() {
     let (input, output) = (folder.path().join("points.ply"), folder.path().join("smooth.ply"));
     let cloud = small_frame(1).deproject().unwrap().points;
     io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
-    let result = planish(&["smooth", str(&input), str(&output)]);
+    // Its points lie on the pixels of a camera.
+    let result = planish(&["smooth", str(&input), str(&output), "--window", "2"]);
+    let told = text(&result.stderr);
+    assert!(result.status.success() && told.contains("lost its grid, smoothed on 160x120 pixels"), "{told}");
+    assert!(!told.contains("no effect"), "{told}");
+    let result = planish(&["smooth", str(&input), str(&output), "--grid", "off", "--window", "2"]);
     let told = text(&result.stderr);
     assert!(result.status.success() && told.contains("neighbours per point, since its noise is about"), "{told}");
+    assert!(told.contains("--window has no effect on unorganized clouds"), "{told}");
     let read = || {
         let Contents::General(smoothed) = io::read(&output).unwrap().1 else { panic!("points") };
         smoothed
@@ -115,7 +121,8 @@ fn general_clouds_are_smoothed_with_radii_of_their_density() {
     assert!(moved.count() * 10 > 9 * cloud.valid_points());
     for options in [["--neighbours", "20"], ["--radius", "0.05"], ["--preset", "paper"]] {
         let result = planish(&[&["smooth", str(&input), str(&output)][..], &options].concat());
-        assert!(result.status.success() && !text(&result.stderr).contains("neighbours per point"), "{options:?}");
+        let told = text(&result.stderr);
+        assert!(result.status.success() && !told.contains("neighbours per point") && !told.contains("grid"), "{told}");
         assert!(read() != smoothed, "{options:?}");
     }
     assert!(refused(&["smooth", str(&input), str(&output), "--neighbours", "3"]).contains("6 to 1000"));
@@ -385,7 +392,7 @@ fn las_larger_than_memory_is_smoothed_in_tiles_and_described_in_parts() {
     assert!(tiled.status.success() && text(&tiled.stderr).contains("in tiles"), "{}", text(&tiled.stderr));
     let report = json_line(&text(&tiled.stdout));
     assert!(report["tiles"].as_u64().unwrap() > 1 && report["engine"] == "cpu", "{report}");
-    let expected = json_line(&ok(&["smooth", str(&input), str(&whole), "--json", "--engine", "cpu"]));
+    let expected = json_line(&ok(&["smooth", str(&input), str(&whole), "--json", "--engine", "cpu", "--grid", "off"]));
     assert!(expected.get("tiles").is_none() && report["status"] == expected["status"], "{report} {expected}");
     // Only tiles of the same kind of file.
     let refused = planish(&["smooth", str(&input), str(&file("out.ply")), "--max-memory", "1M"]);

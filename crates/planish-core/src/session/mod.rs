@@ -343,6 +343,7 @@ impl Session {
         });
         if result.is_ok() {
             out.take_from(points.len(), &on_grid, |i| lattice.pixel(i));
+            out.keep_isolated(points);
         }
         (self.on_grid, self.lattice) = (on_grid, Some(lattice));
         result

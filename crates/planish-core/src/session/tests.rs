@@ -4,6 +4,7 @@ use super::*;
 use crate::camera::Camera;
 use crate::frame::{DepthFrame, PointsView};
 use crate::neighbours::tests::Random;
+use crate::status::Status;
 use crate::testing::{DepthNoise, Scene, simulated};
 use crate::{Params, Smoother, Xyz};
 
@@ -119,6 +120,26 @@ fn one_call_smooths_one_frame() {
 }
 
 #[test]
+fn the_sides_of_a_thin_wall_stay_apart() {
+    let mut random = Random(11);
+    let mut side = |i: usize| if i.is_multiple_of(2) { 0.025 } else { -0.025 };
+    let points: Vec<[f32; 3]> = (0..10_000)
+        .map(|i| {
+            let noise = (0..12).map(|_| random.next()).sum::<f32>() - 6.0;
+            [1.4 * random.next(), 1.4 * random.next(), side(i) + 0.01 * noise]
+        })
+        .collect();
+    let mut rms_m = |settings: &str| {
+        let mut smoothed = Smoothed::default();
+        session(settings).smooth(PointsView::from_rows(&points).unwrap(), &mut smoothed).unwrap();
+        let square = smoothed.points.z().iter().enumerate().map(|(i, z)| (z - side(i)).powi(2)).sum::<f32>();
+        (square / points.len() as f32).sqrt()
+    };
+    let (chosen_m, forty_m) = (rms_m(""), rms_m("neighbours=40"));
+    assert!(chosen_m < 0.0097 && forty_m > 0.012, "{chosen_m} {forty_m}");
+}
+
+#[test]
 fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     let mut random = Random(3);
     let mut plane = |noise_m: f32| -> Vec<[f32; 3]> {
@@ -152,6 +173,17 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     assert!(fixed.take_events().is_empty());
 }
 
+/// Points without their grid; the first has no neighbours.
+fn frame_of_one_lonely_pixel() -> Vec<[f32; 3]> {
+    let mut raw = vec![1000u16; 64 * 48];
+    for v in 0..24 {
+        raw[64 * v..64 * v + 24].fill(0);
+    }
+    raw[0] = 1000;
+    let frame = DepthFrame::unchecked(camera(64), raw).deproject().unwrap();
+    frame.positions().iter().filter(|p| p[2].is_finite()).collect()
+}
+
 #[test]
 fn a_frame_without_its_grid_is_smoothed_on_it() {
     let mut random = Random(5);
@@ -181,6 +213,12 @@ fn a_frame_without_its_grid_is_smoothed_on_it() {
     assert!(same(of_pixels(&|i| expected.points.get(i)), &found.points));
     assert!(same(of_pixels(&|i| expected.normals.as_ref().unwrap().get(i)), found.normals.as_ref().unwrap()));
     assert_eq!((found.width, found.height), (points.len(), 1));
+    // A point alone stays where it is.
+    let alone = frame_of_one_lonely_pixel();
+    session.smooth(PointsView::from_rows(&alone).unwrap(), &mut found).unwrap();
+    assert_eq!(session.rebuilt_grid(), Some((64, 48)));
+    assert_eq!((found.points.get(0), found.status.as_ref().unwrap()[0]), (alone[0], Status::Isolated));
+    session.smooth(view, &mut found).unwrap();
     // Into buffers of the caller's.
     let mut into = vec![[0.0f32; 3]; points.len()];
     session.smooth_into(view, SmoothedMut::new().with_points(&mut into)).unwrap();

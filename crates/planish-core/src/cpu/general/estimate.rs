@@ -19,6 +19,12 @@ use crate::smoothed::Smoothed;
 
 /// The numbers of neighbours that are tried, each about the root of two times the one before.
 const TRIED: [u32; 10] = [40, 57, 80, 113, 160, 226, 320, 453, 640, 905];
+/// Fewer, for thin walls and fine shapes.
+const FEW: [u32; 2] = [20, 28];
+/// They are tried if with 40 neighbours the mean square of the motion is this many times that with 20,
+const GROWS: f64 = 2.0;
+/// and the motion at least this share of the radius: less is rounding.
+const LEAST_MOTION: f64 = 1e-4;
 /// About this many points are smoothed with each of them.
 const SAMPLE: usize = 2000;
 /// From this ratio of the radius to the motion on, a neighbourhood is wider than the noise,
@@ -37,7 +43,7 @@ const MEDIAN_SQUARE: f64 = 0.4549;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CloudEstimate {
-    /// The number of neighbours that suits the noise and the shape, 40 to 905.
+    /// The number of neighbours that suits the noise and the shape, 20 to 905.
     pub neighbours: u32,
     /// The standard deviation of the points across their surface, in metres.
     pub noise_m: f32,
@@ -73,21 +79,38 @@ impl CloudEstimate {
             least_ratio = least_ratio.min(wider.ratio);
             narrow = wider;
         }
-        let whole = 1.0 / (1.0 - COEFFICIENTS / f64::from(narrow.neighbours));
-        let variance = narrow.square * whole;
-        // From there on, wider ones leave less noise but move points off a surface that bends.
-        let error = |motion: &Motion| motion.square + LEFT * variance / f64::from(motion.neighbours);
+        if narrow.neighbours == TRIED[0]
+            && let Some(estimate) = sample.of_few(&narrow)
+        {
+            return Some(estimate);
+        }
         let mut best = narrow;
+        // From there on, wider ones leave less noise but move points off a surface that bends.
         for wider in tried.map_while(|neighbours| sample.motion(neighbours)) {
-            if error(&wider) < error(&best) {
+            if narrow.error_of(&wider) < narrow.error_of(&best) {
                 best = wider;
-            } else if error(&wider) > 2.0 * error(&best) {
+            } else if narrow.error_of(&wider) > 2.0 * narrow.error_of(&best) {
                 break;
             }
         }
-        // Strays and edges, which the mean is to avoid, are no noise.
-        let noise_m = (narrow.median / MEDIAN_SQUARE * whole).sqrt() as f32;
-        Some(Self { neighbours: best.neighbours, noise_m })
+        Some(Self { neighbours: best.neighbours, noise_m: narrow.noise_m() })
+    }
+}
+
+impl Motion {
+    /// Returns the ratio of the noise's variance to the part of it that the fit removes.
+    fn whole(&self) -> f64 {
+        1.0 / (1.0 - COEFFICIENTS / f64::from(self.neighbours))
+    }
+
+    /// Returns the mean square error after another smoothing, in m², if this one removed the noise and kept the shape.
+    fn error_of(&self, other: &Self) -> f64 {
+        other.square + LEFT * self.square * self.whole() / f64::from(other.neighbours)
+    }
+
+    /// Returns the noise, in metres. Strays and edges, which the mean is to avoid, are no noise.
+    fn noise_m(&self) -> f32 {
+        (self.median / MEDIAN_SQUARE * self.whole()).sqrt() as f32
     }
 }
 
@@ -99,6 +122,17 @@ struct Sample<'a> {
 }
 
 impl Sample<'_> {
+    /// Returns the estimate with fewer neighbours than are tried otherwise, if more would move points by their shape: onto
+    /// the other side of a thin wall, or off fine detail.
+    fn of_few(&self, narrow: &Motion) -> Option<CloudEstimate> {
+        let [least, more] = FEW.map(|neighbours| self.motion(neighbours));
+        let (least, more) = (least?, more?);
+        let grows = narrow.square > GROWS * least.square && narrow.ratio < 1.0 / LEAST_MOTION;
+        let best = [least, more, *narrow].into_iter().min_by(|a, b| least.error_of(a).total_cmp(&least.error_of(b)))?;
+        (grows && best.neighbours < narrow.neighbours)
+            .then(|| CloudEstimate { neighbours: best.neighbours, noise_m: least.noise_m() })
+    }
+
     /// Returns how far its points move; `None` if none has enough neighbours.
     fn motion(&self, neighbours: u32) -> Option<Motion> {
         let Self { index, level, .. } = *self;
