@@ -122,14 +122,14 @@ fn one_call_smooths_one_frame() {
 #[test]
 fn the_sides_of_a_thin_wall_stay_apart() {
     let mut random = Random(11);
-    let mut side = |i: usize| if i.is_multiple_of(2) { 0.025 } else { -0.025 };
+    let side = |i: usize| if i.is_multiple_of(2) { 0.025 } else { -0.025 };
     let points: Vec<[f32; 3]> = (0..10_000)
         .map(|i| {
             let noise = (0..12).map(|_| random.next()).sum::<f32>() - 6.0;
             [1.4 * random.next(), 1.4 * random.next(), side(i) + 0.01 * noise]
         })
         .collect();
-    let mut rms_m = |settings: &str| {
+    let rms_m = |settings: &str| {
         let mut smoothed = Smoothed::default();
         session(settings).smooth(PointsView::from_rows(&points).unwrap(), &mut smoothed).unwrap();
         let square = smoothed.points.z().iter().enumerate().map(|(i, z)| (z - side(i)).powi(2)).sum::<f32>();
