@@ -167,8 +167,8 @@ pub struct SmoothingArgs {
     pub remove_isolated: Option<bool>,
     /// For unorganized clouds: whether a frame that lost its grid is smoothed on it [default: auto]
     ///
-    /// Such a cloud has one point for each pixel of a camera without distortion, but no holes, as PCL and RealSense save
-    /// them. On its grid it is smoothed like any frame: faster, and with edges kept.
+    /// Such a cloud has one point for each pixel of a camera without distortion, but no holes, as PCL and RealSense
+    /// save them. On its grid it is smoothed like any frame: faster, and with edges kept.
     #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
     pub grid: Option<GridArg>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial

@@ -30,8 +30,8 @@ impl Session {
         self.cloud_estimate
     }
 
-    /// Returns width and height of the grid that the last cloud lost and was smoothed on; `None` for a cloud that stayed
-    /// unorganized, and for frames.
+    /// Returns width and height of the grid that the last cloud lost and was smoothed on; `None` for a cloud that
+    /// stayed unorganized, and for frames.
     pub fn rebuilt_grid(&self) -> Option<(usize, usize)> {
         self.lattice.as_ref().map(Lattice::shape)
     }

@@ -181,8 +181,8 @@ impl Session {
     }
 
     /// Sets whether every unorganized cloud is examined, where settings leave that open: the default. A frame that lost
-    /// its grid is smoothed on it, and the number of neighbours is chosen by noise and shape. Otherwise it is about 40, as
-    /// in [`Settings::cloud_params`]: faster, and without flicker in a video.
+    /// its grid is smoothed on it, and the number of neighbours is chosen by noise and shape. Otherwise it is about 40,
+    /// as in [`Settings::cloud_params`]: faster, and without flicker in a video.
     pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
         Self { estimates_clouds, ..self }
     }
@@ -391,8 +391,9 @@ impl Session {
         }
     }
 
-    /// Opens the engine for frames like this one, if it is not open for them; the neighbours chosen for it serve the next
-    /// cloud of its size, and a grid that was found serves the same cloud. [`smooth`](Self::smooth) does so itself.
+    /// Opens the engine for frames like this one, if it is not open for them; the neighbours chosen for it serve the
+    /// next cloud of its size, and a grid that was found serves the same cloud. [`smooth`](Self::smooth) does so
+    /// itself.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth).

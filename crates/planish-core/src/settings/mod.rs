@@ -285,8 +285,8 @@ impl Settings {
         self.radius.is_none() && self.neighbours.is_none() && self.preset != Some(Preset::Paper)
     }
 
-    /// Returns whether an unorganized cloud that is a frame without its grid is smoothed on that grid: not if settings ask
-    /// for something that only unorganized clouds have.
+    /// Returns whether an unorganized cloud that is a frame without its grid is smoothed on that grid: not if settings
+    /// ask for something that only unorganized clouds have.
     pub fn rebuilds_grid(&self) -> bool {
         self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && self.remove_isolated != Some(true)
     }

@@ -46,7 +46,8 @@ impl Settings {
         self.checked_frame_params(sensor)
     }
 
-    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor, where no cloud is at hand.
+    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor, where no cloud is at
+    /// hand.
     ///
     /// # Errors
     /// If settings contradict each other, or ask for something that clouds do not have.

@@ -125,7 +125,8 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
 /// Results equal those of the whole cloud with the same number of neighbours, relative to an origin in each tile.
 ///
 /// # Errors
-/// If settings contradict each other, a file cannot be read or written, an engine fails, or the memory does not hold a tile.
+/// If settings contradict each other, a file cannot be read or written, an engine fails, or the memory does not hold a
+/// tile.
 pub fn smooth_tiles(
     input: &Path,
     output: &Path,

@@ -1,5 +1,5 @@
-//! The number of neighbours that suits a cloud, and its noise, from how far a sample of its points moves (docs/method.md,
-//! section 8).
+//! The number of neighbours that suits a cloud, and its noise, from how far a sample of its points moves
+//! (docs/method.md, section 8).
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -122,8 +122,8 @@ struct Sample<'a> {
 }
 
 impl Sample<'_> {
-    /// Returns the estimate with fewer neighbours than are tried otherwise, if more would move points by their shape: onto
-    /// the other side of a thin wall, or off fine detail.
+    /// Returns the estimate with fewer neighbours than are tried otherwise, if more would move points by their shape:
+    /// onto the other side of a thin wall, or off fine detail.
     fn of_few(&self, narrow: &Motion) -> Option<CloudEstimate> {
         let [least, more] = FEW.map(|neighbours| self.motion(neighbours));
         let (least, more) = (least?, more?);
