@@ -280,8 +280,8 @@ impl<'a> SmoothedMut<'a> {
         }
     }
 
-    /// Fills the first entries of the buffers, entry `i` from entry `place(i)` of another result; `None` makes it a
-    /// hole. Not depth, which unorganized clouds do not have.
+    /// Fills the first `len` entries of each buffer: entry `i` from entry `place(i)` of another result, or with a hole
+    /// if that is `None`. Skips depth, which unorganized clouds do not have.
     pub(crate) fn take_from(&mut self, len: usize, from: &Smoothed, place: impl Fn(usize) -> Option<usize>) {
         for i in 0..len {
             let place = place(i);

@@ -213,7 +213,9 @@ impl PySmoother {
             let Some(&first) = frames.first() else { return Ok(()) };
             state.session.set_outputs(outputs);
             state.session.prepare(first).map_err(to_py)?;
-            if !state.session.engine().is_some_and(|engine| engine.capabilities().pipelined) {
+            let is_pipelined = state.session.engine().is_some_and(|engine| engine.capabilities().pipelined);
+            // Each unorganized cloud has a number of neighbours of its own.
+            if !is_pipelined || first.grid().is_none() {
                 for (frame, slices) in frames.iter().zip(&mut slices) {
                     py.check_signals()?;
                     state.smooth(py, *frame, outputs, slices)?;

@@ -389,6 +389,25 @@ def test_processes_that_are_forked_or_spawned_go_on(frame, method):
     assert np.array_equal(smoother.smooth(frame.depth).depth, expected)
 
 
+def _points_in_child(smoother, points, queue):
+    queue.put(smoother.smooth(points).points)
+
+
+def test_a_forked_process_chooses_neighbours_too():
+    points = np.random.default_rng(1).random((3000, 3)).astype(np.float32) * np.float32([1, 1, 0.01])
+    smoother = Smoother(engine="cpu", outputs=["points"], threads=2)
+    expected = smoother.smooth(points).points
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    child = context.Process(target=_points_in_child, args=(smoother, points, queue))
+    child.start()
+    try:
+        assert np.array_equal(queue.get(timeout=60), expected)
+    finally:
+        child.kill()
+        child.join()
+
+
 def test_ctrl_c_ends_one_long_cloud() -> None:
     rng = np.random.default_rng(1)
     # Seconds of work: thousands of neighbours a point.

@@ -157,7 +157,7 @@ pub struct SmoothingArgs {
     pub radius: Option<RadiusArg>,
     /// For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius
     ///
-    /// By default the noise and the shape of each cloud decide.
+    /// By default the noise and the shape of each cloud decide; in streams it is 40.
     #[arg(long, value_name = "K", conflicts_with = "radius", hide_short_help = true, help_heading = TUNING)]
     pub neighbours: Option<u32>,
     /// For unorganized clouds: turn isolated points into holes [default: false]
@@ -165,10 +165,11 @@ pub struct SmoothingArgs {
     /// Isolated points have fewer than 3 neighbours, or fewer than a quarter of --neighbours.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub remove_isolated: Option<bool>,
-    /// For unorganized clouds: whether a frame that lost its grid is smoothed on it [default: auto]
+    /// For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto]
     ///
-    /// Such a cloud has one point for each pixel of a camera without distortion, but no holes, as PCL and RealSense
-    /// save them. On its grid it is smoothed like any frame: faster, and with edges kept.
+    /// PCL and RealSense save frames as clouds without holes: at most one point per pixel of a camera without
+    /// distortion. On the rebuilt grid they are smoothed like any frame: faster, and with edges kept. Streams are not
+    /// examined.
     #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
     pub grid: Option<GridArg>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial

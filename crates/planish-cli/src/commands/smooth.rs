@@ -376,8 +376,10 @@ impl Worker<'_> {
         for (count, became) in [(lost, "became holes"), (isolated, "stay where they are")] {
             if count as f64 > LOST_SHARE_TOLD * valid as f64 {
                 let share = 100.0 * count as f64 / valid as f64;
-                let (params, _) = self.session.params_for(frame)?;
-                let cause = likely_cause(frame, &params);
+                let cause = match self.session.rebuilt_grid() {
+                    Some(_) => "They are probably isolated between holes; try --grid off".to_owned(),
+                    None => likely_cause(frame, &self.session.params_for(frame)?.0),
+                };
                 errln!(
                     "{}: {count} of {valid} valid points ({share:.1} %) {became}: they have too few neighbours. \
                      {cause}",

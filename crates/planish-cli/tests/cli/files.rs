@@ -387,12 +387,14 @@ fn las_larger_than_memory_is_smoothed_in_tiles_and_described_in_parts() {
     let file = |name: &str| folder.path().join(name);
     let (input, output, whole) = (file("a.las"), file("out.laz"), file("whole.laz"));
     write_cloud(&input, &cloud.points, Encoding::Binary).unwrap();
-    let memory = ["--max-memory", "3M", "--json"];
+    // Otherwise the largest tile decides it, or the whole cloud.
+    let memory = ["--neighbours", "40", "--max-memory", "3M", "--json"];
     let tiled = planish(&[&["smooth", str(&input), str(&output)], &memory[..]].concat());
     assert!(tiled.status.success() && text(&tiled.stderr).contains("in tiles"), "{}", text(&tiled.stderr));
     let report = json_line(&text(&tiled.stdout));
     assert!(report["tiles"].as_u64().unwrap() > 1 && report["engine"] == "cpu", "{report}");
-    let expected = json_line(&ok(&["smooth", str(&input), str(&whole), "--json", "--engine", "cpu", "--grid", "off"]));
+    let expected =
+        json_line(&ok(&["smooth", str(&input), str(&whole), "--neighbours", "40", "--json", "--engine", "cpu"]));
     assert!(expected.get("tiles").is_none() && report["status"] == expected["status"], "{report} {expected}");
     // Only tiles of the same kind of file.
     let refused = planish(&["smooth", str(&input), str(&file("out.ply")), "--max-memory", "1M"]);

@@ -1,9 +1,11 @@
 //! The grid of pixels that a frame lost when it was saved as an unorganized cloud (docs/method.md, section 11).
 
+use std::ops::Range;
+
 use glam::{DQuat, DVec3};
 
 use super::PointsView;
-use crate::pose::SensorPose;
+use crate::pose::{RigidTransform, SensorPose};
 use crate::xyz::Xyz;
 
 /// Coordinates of a sample of so many points are looked at before those of all points.
@@ -20,8 +22,16 @@ const LEAST_CONTRAST: f64 = 8.0;
 const CLOSE: f64 = 0.05;
 /// and never farther away than this.
 const NEAR: f64 = 0.3;
-/// At least this share of the pixels has a point.
-const LEAST_FILLED: f64 = 0.05;
+/// At least this share of the pixels has a point,
+const LEAST_FILLED: f64 = 0.1;
+/// and at least this share of those around a point, on average: otherwise windows have too few samples.
+const LEAST_FILLED_AROUND: f64 = 0.6;
+/// Pixels to either side of a point that are around it.
+const AROUND: usize = 2;
+/// Sensors of frames see surfaces at median ranges from here
+const NEAREST_M: f64 = 0.1;
+/// to there; other numbers are no metres.
+const FARTHEST_M: f64 = 20.0;
 
 /// A grid that was found again: the points of a cloud on its pixels.
 #[derive(Debug, Default, PartialEq)]
@@ -33,6 +43,10 @@ pub(crate) struct Lattice {
     /// The points, relative to the cloud's origin; NaN where a pixel has none.
     positions: Xyz,
     pose: SensorPose,
+    /// Of the camera, relative to the cloud's origin.
+    transform: RigidTransform,
+    /// Depth of a point in the middle of all.
+    middle_m: f64,
 }
 
 /// Evenly spaced lines: line k is at `first + k * spacing`.
@@ -44,8 +58,8 @@ struct Lines {
 }
 
 impl Lattice {
-    /// Finds the lattice of rays that all points of an unorganized cloud lie on, one point each: those of a camera
-    /// without distortion that looks along z or, as OpenGL's, against it. `None` if they lie on none.
+    /// Finds the pixel grid of an unorganized cloud: each point is on the ray of a pixel of its own. The camera has no
+    /// distortion and looks along z or, as in OpenGL, along -z. `None` if there is no such grid.
     pub(crate) fn of(points: &PointsView<'_>) -> Option<Self> {
         let transform = points.transform();
         let seen = |i: usize| Some(transform.to_sensor(points.point(i))).filter(|p| p.is_finite());
@@ -63,21 +77,26 @@ impl Lattice {
         for axis in 0..2 {
             Lines::of(sample.iter().map(|&p| slope(p, axis)).collect())?;
         }
+        let mut depths: Vec<f64> = sample.iter().map(|p| p.z.abs()).collect();
+        let middle = depths.len() / 2;
+        let (_, &mut middle_m, _) = depths.select_nth_unstable_by(middle, f64::total_cmp);
         let all: Vec<DVec3> = (0..points.len()).filter_map(seen).collect();
         if all.iter().any(|p| turn.z * p.z <= 0.0) {
             return None;
         }
         let [columns, rows] = [0, 1].map(|axis| Lines::of(all.iter().map(|&p| slope(p, axis)).collect()));
         let (columns, rows) = (columns?, rows?);
-        drop(all);
         let (width, height) = (columns.count, rows.count);
+        if (all.len() as f64) < LEAST_FILLED * (width * height) as f64 {
+            return None;
+        }
+        drop(all);
         let pixel = |p: DVec3| {
             let (u, v) = (columns.nearest(slope(p, 0))?, rows.nearest(slope(p, 1))?);
             Some((v * width + u) as u32)
         };
         let mut positions = Xyz::filled(width * height, f32::NAN);
         let mut pixels = vec![None; points.len()];
-        let mut filled = 0;
         for (i, place) in pixels.iter_mut().enumerate() {
             let Some(p) = seen(i) else { continue };
             let at = pixel(p)?;
@@ -86,13 +105,22 @@ impl Lattice {
                 return None;
             }
             positions.set(at as usize, points.point(i).to_array().map(|value| value as f32));
-            (*place, filled) = (Some(at), filled + 1);
+            *place = Some(at);
         }
-        if (filled as f64) < LEAST_FILLED * (width * height) as f64 {
+        let around = (0..SAMPLE.min(points.len())).map(sampled).filter_map(|i| pixels[i]);
+        let (mut filled, mut count) = (0, 0);
+        for pixel in around {
+            let (u, v) = (pixel as usize % width, pixel as usize / width);
+            let (us, vs) = (near(u, width), near(v, height));
+            count += us.len() * vs.len();
+            filled +=
+                vs.flat_map(|v| us.clone().map(move |u| v * width + u)).filter(|&at| positions.is_finite(at)).count();
+        }
+        if (filled as f64) < LEAST_FILLED_AROUND * count as f64 {
             return None;
         }
         let pose = if is_behind { half_turn() } else { points.pose() };
-        Some(Self { width, height, pixels, positions, pose })
+        Some(Self { width, height, pixels, positions, pose, transform, middle_m })
     }
 
     /// Width and height of the grid.
@@ -111,13 +139,24 @@ impl Lattice {
             Some(pixel) => self.positions.get(pixel) == points.point(i).to_array().map(|value| value as f32),
             None => !points.point(i).is_finite(),
         };
-        self.pixels.len() == points.len() && (0..points.len()).all(is_same)
+        let is_same_camera = self.transform == points.transform();
+        is_same_camera && self.pixels.len() == points.len() && (0..points.len()).all(is_same)
+    }
+
+    /// Returns true if coordinates have the size that metres have in frames.
+    pub(crate) fn may_be_in_metres(&self) -> bool {
+        (NEAREST_M..=FARTHEST_M).contains(&self.middle_m)
     }
 
     /// Returns the points on their pixels.
     pub(crate) fn view<'a>(&'a self, of: &PointsView<'_>) -> PointsView<'a> {
         of.regridded(&self.positions, self.shape(), self.pose)
     }
+}
+
+/// Returns the numbers of lines around one.
+fn near(line: usize, lines: usize) -> Range<usize> {
+    line.saturating_sub(AROUND)..(line + AROUND + 1).min(lines)
 }
 
 /// Returns the pose of a sensor that looks against z, with y up.
@@ -141,7 +180,7 @@ impl Lines {
         }
         let mut apart: Vec<f64> = lines.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let unit = spacing_of(&apart);
-        // Numbers of lines; where several in a row have no point, their numbers are left out.
+        // Lines without a point have numbers too.
         let mut numbers = vec![0.0];
         for apart in &mut apart {
             let steps = (*apart / unit).round();
@@ -159,7 +198,7 @@ impl Lines {
 
     /// Fits lines of these numbers, the first of which is 0, by least squares.
     fn through(numbers: &[f64], places: &[f64]) -> Option<Self> {
-        let last = *numbers.last()?;
+        let last = numbers.last().copied().filter(|&last| last < MOST_LINES as f64)?;
         let n = numbers.len() as f64;
         let mean = |values: &[f64]| values.iter().sum::<f64>() / n;
         let (mean_number, mean_place) = (mean(numbers), mean(places));
@@ -181,8 +220,8 @@ impl Lines {
     }
 }
 
-/// Returns a gap that tells those between lines, which are wider, from those within them: where gaps, sorted, shrink
-/// suddenly for the first time.
+/// Returns the threshold between the gaps from line to line and the narrower gaps within lines. It is at the first
+/// sudden drop of the gaps in decreasing order.
 fn between_lines(mut gaps: Vec<f64>) -> Option<f64> {
     gaps.sort_unstable_by(|a, b| f64::total_cmp(b, a));
     let most = gaps.len().min(MOST_LINES);
@@ -191,8 +230,8 @@ fn between_lines(mut gaps: Vec<f64>) -> Option<f64> {
     Some(gaps[between - 1] / LEAST_CONTRAST.sqrt())
 }
 
-/// Returns the spacing of lines of which some are missing: the mean of the gaps that are about as wide as the narrow
-/// ones.
+/// Returns the spacing of lines, some of which may be missing: the mean of the gaps that are 0.5 to 1.5 times as wide
+/// as the 10 % quantile.
 fn spacing_of(apart: &[f64]) -> f64 {
     let mut sorted = apart.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -229,7 +268,7 @@ mod tests {
 
     #[test]
     fn a_frame_without_its_holes_finds_its_pixels_again() {
-        for (holes, digits) in [(0.1, 9), (0.6, 9), (0.3, 5)] {
+        for (holes, digits) in [(0.1, 9), (0.25, 9), (0.2, 5)] {
             let points = seen(97, 41, holes, digits);
             let view = PointsView::from_rows(&points).unwrap();
             let lattice = Lattice::of(&view).unwrap();
@@ -279,5 +318,18 @@ mod tests {
             |i: usize| [(i % 80) as f32, (i / 80) as f32, 30.0 + (i as f32 * 0.37).sin()].map(|value| 0.1 * value);
         assert!(none(&(0..6400).map(field).collect::<Vec<_>>()));
         assert!(none(&[]) && none(&frame[..100]));
+        // A tenth of the pixels is too few for windows, and pixels of a large image may be in its corners.
+        assert!(none(&seen(64, 48, 0.9, 9)));
+        let mut corners = frame.clone();
+        corners.push([40.0, 40.0, 1.0]);
+        assert!(none(&corners));
+        let mut far = frame.clone();
+        far.push([0.4, 0.0, 1e-20]);
+        assert!(none(&far));
+        let lattice = |scale: f32| {
+            let points: Vec<_> = frame.iter().map(|p| p.map(|value| scale * value)).collect();
+            Lattice::of(&PointsView::from_rows(&points).unwrap()).unwrap()
+        };
+        assert!(lattice(1.0).may_be_in_metres() && !lattice(1000.0).may_be_in_metres());
     }
 }

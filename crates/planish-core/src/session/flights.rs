@@ -12,7 +12,8 @@ use crate::view::SmoothedView;
 
 impl Session {
     /// Submits a frame whose result [`receive`](Self::receive) returns, in order. If its device is lost, the frame is
-    /// smoothed again.
+    /// smoothed again. Unorganized clouds in flight have the parameters of
+    /// [`Settings::cloud_params`](crate::Settings::cloud_params).
     ///
     /// # Errors
     /// If as many are in flight as can be, the frame is malformed, or the engine fails and nothing may take over.
@@ -39,7 +40,7 @@ impl Session {
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         self.check_room()?;
-        let admitted = self.open_for(frame, false)?;
+        let admitted = self.open_in_flight(frame, false)?;
         self.smoother()?.submit_admitted(&admitted, None)?;
         self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none() });
         Ok(())
@@ -54,7 +55,7 @@ impl Session {
     }
 
     fn submit_now(&mut self, frame: &AnyFrame, buffer: Smoothed) -> Result<(), Error> {
-        let admitted = self.open_for(frame.frame()?, true)?;
+        let admitted = self.open_in_flight(frame.frame()?, true)?;
         match self.open.as_mut().filter(|open| open.is_fleet()) {
             Some(open) => open.submit_shared(frame, Some(buffer)),
             None => self.smoother()?.submit_admitted(&admitted, Some(buffer)),

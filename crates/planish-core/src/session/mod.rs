@@ -65,7 +65,7 @@ pub struct Session {
     cloud_estimate: Option<CloudEstimate>,
     lattice: Option<Lattice>,
     known_points: usize,
-    /// Whether the next frame is the one before, for which these hold.
+    /// Whether `prepare` set the three fields above for the next frame.
     is_prepared: bool,
     /// The result for a cloud that lost its grid, on that grid.
     on_grid: Smoothed,
@@ -180,9 +180,9 @@ impl Session {
         Self { keeps_sensor, ..self }
     }
 
-    /// Sets whether every unorganized cloud is examined, where settings leave that open: the default. A frame that lost
-    /// its grid is smoothed on it, and the number of neighbours is chosen by noise and shape. Otherwise it is about 40,
-    /// as in [`Settings::cloud_params`]: faster, and without flicker in a video.
+    /// Sets whether unorganized clouds are examined if the settings allow it [default: true]. If so, the grid of a
+    /// frame that lost it is rebuilt, and the number of neighbours is chosen by noise and shape. If not, parameters are
+    /// those of [`Settings::cloud_params`], which is faster and avoids flicker in a video.
     pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
         Self { estimates_clouds, ..self }
     }
@@ -247,12 +247,15 @@ impl Session {
     /// As [`Settings::resolve`](crate::Settings::resolve).
     pub fn params_for<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(Params, Option<SensorModel>), Error> {
         let frame = frame.into_frame()?;
-        let events = self.events.len();
+        let (events, is_prepared) = (self.events.len(), self.is_prepared);
         let resolved = self.on_its_grid(frame, Self::resolve);
-        if frame.grid().is_none() {
-            // Nothing is smoothed yet.
-            self.events.truncate(events);
-        }
+        // Nothing is smoothed yet.
+        let of_cloud = |event: &SessionEvent| {
+            matches!(event, SessionEvent::NeighboursChosen { .. } | SessionEvent::GridRebuilt { .. })
+        };
+        let later = self.events.split_off(events);
+        self.events.extend(later.into_iter().filter(|event| !of_cloud(event)));
+        self.is_prepared = is_prepared;
         resolved
     }
 
@@ -282,7 +285,7 @@ impl Session {
                 if is_prepared && self.known_points == width * height {
                     return Ok((settings.cloud_params_by(self.cloud_estimate)?.into(), None));
                 }
-                let resolved = settings.resolve(frame)?;
+                let resolved = settings.resolve_on(frame, self.options.threads)?;
                 (self.cloud_estimate, self.known_points) = (resolved.cloud_estimate, width * height);
                 let noise_m = resolved.cloud_estimate.map(|estimate| estimate.noise_m);
                 if let Params::Cloud(CloudParams { radius: CloudRadius::Neighbours { count }, .. }) = resolved.params {
@@ -349,7 +352,8 @@ impl Session {
         result
     }
 
-    /// Takes the grid that an unorganized cloud lost, if it is one of a frame and settings do not leave it unorganized.
+    /// Rebuilds the grid of an unorganized cloud if it is a frame that lost it and settings allow that. After
+    /// `prepare`, returns the stored grid if it belongs to this cloud.
     fn take_lattice<'a>(&mut self, frame: Frame<'a>) -> Option<(Lattice, PointsView<'a>)> {
         let known = self.lattice.take();
         let Frame::Points(points) = frame else { return None };
@@ -358,10 +362,17 @@ impl Session {
             return None;
         }
         if self.is_prepared && self.known_points == points.len() {
-            return known.filter(|lattice| lattice.is_of(&points)).map(|lattice| (lattice, points));
+            match known {
+                None => return None,
+                Some(lattice) if lattice.is_of(&points) => return Some((lattice, points)),
+                // Another cloud of as many points.
+                Some(_) => self.is_prepared = false,
+            }
         }
-        let lattice = Lattice::of(&points)?;
+        let has_sensor = settings.sensor.is_some();
+        let lattice = Lattice::of(&points).filter(|lattice| has_sensor || lattice.may_be_in_metres())?;
         let (width, height) = lattice.shape();
+        self.cloud_estimate = None;
         self.events.push(SessionEvent::GridRebuilt { width, height });
         self.known_points = points.len();
         Some((lattice, points))
@@ -391,8 +402,8 @@ impl Session {
         }
     }
 
-    /// Opens the engine for frames like this one, if it is not open for them; the neighbours chosen for it serve the
-    /// next cloud of its size, and a grid that was found serves the same cloud. [`smooth`](Self::smooth) does so
+    /// Opens the engine for frames like this one, unless it is already open. The next cloud of the same size reuses the
+    /// chosen number of neighbours; the same cloud reuses its rebuilt grid. [`smooth`](Self::smooth) opens the engine
     /// itself.
     ///
     /// # Errors
@@ -402,6 +413,16 @@ impl Session {
         self.on_its_grid(frame, |session, frame| session.open_for(frame, false).map(drop))?;
         self.is_prepared = true;
         Ok(())
+    }
+
+    /// Opens what smooths this frame among others in flight. Unorganized clouds are not examined: a new number of
+    /// neighbours opens the engine again, after all others are finished.
+    fn open_in_flight<'a>(&mut self, frame: Frame<'a>, uses_fleet: bool) -> Result<AdmittedFrame<'a>, Error> {
+        let estimates_clouds = std::mem::replace(&mut self.estimates_clouds, false);
+        self.lattice = None;
+        let admitted = self.open_for(frame, uses_fleet);
+        self.estimates_clouds = estimates_clouds;
+        admitted
     }
 
     /// Opens what smooths this frame, alone or among others in flight, and returns the frame with its geometry.
@@ -523,6 +544,8 @@ impl Session {
     pub fn close(&mut self) {
         self.forget_other_process();
         self.open = None;
+        self.lattice = None;
+        self.on_grid = Smoothed::default();
         self.pending.clear();
         self.ready.clear();
         self.watch.set(None);

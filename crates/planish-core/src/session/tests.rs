@@ -6,7 +6,7 @@ use crate::frame::{DepthFrame, PointsView};
 use crate::neighbours::tests::Random;
 use crate::status::Status;
 use crate::testing::{DepthNoise, Scene, simulated};
-use crate::{Params, Smoother, Xyz};
+use crate::{Params, SensorPose, Smoother, Xyz};
 
 fn camera(width: usize) -> Camera {
     let height = width * 3 / 4;
@@ -167,10 +167,26 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     assert!(least == 40 && noise_m < 1e-6, "{least} {noise_m}");
     session.set_settings("preset=light engine=cpu grid=off".parse().unwrap()).unwrap();
     assert_eq!(chosen(&mut session, &noisy).0, most.div_ceil(2));
-    // Streams keep 40 neighbours.
-    let mut fixed = self::session("").with_cloud_estimates(false);
-    fixed.smooth(PointsView::from_rows(&noisy).unwrap(), &mut smoothed).unwrap();
-    assert!(fixed.take_events().is_empty());
+    // Streams keep 40 neighbours, and so do clouds in flight.
+    let view = PointsView::from_rows(&noisy).unwrap();
+    let forty = |session: &mut Session| {
+        let mut forty = Smoothed::default();
+        self::session("neighbours=40").smooth(view, &mut forty).unwrap();
+        session.smooth(view, &mut smoothed).unwrap();
+        same_bits(&smoothed.points, &forty.points)
+    };
+    let mut fixed = self::session("grid=off").with_cloud_estimates(false);
+    assert!(forty(&mut fixed) && fixed.take_events().is_empty());
+    assert!(!forty(&mut self::session("grid=off")));
+    // Strays are not what the number is chosen for.
+    let mut strays = noisy.clone();
+    for i in (0..6000).step_by(100) {
+        strays[i][2] += 0.4 + 0.01 * random.next();
+    }
+    let chosen = |points: &[[f32; 3]]| CloudEstimate::of(&PointsView::from_rows(points).unwrap()).unwrap();
+    let (with, without) = (chosen(&strays), chosen(&noisy));
+    assert!((with.noise_m / without.noise_m - 1.0).abs() < 0.1, "{with:?} {without:?}");
+    assert!(with.neighbours * 2 > without.neighbours, "{with:?} {without:?}");
 }
 
 /// Points without their grid; the first has no neighbours.
@@ -226,9 +242,25 @@ fn a_frame_without_its_grid_is_smoothed_on_it() {
     // Another cloud of as many points is not taken for the prepared one.
     let mut moved = points.clone();
     moved[7][0] += 0.05;
+    session.take_events();
     session.prepare(view).unwrap();
     session.smooth(PointsView::from_rows(&moved).unwrap(), &mut found).unwrap();
     assert_eq!(session.rebuilt_grid(), None);
+    let events = session.take_events();
+    assert!(
+        matches!(events[..], [SessionEvent::GridRebuilt { .. }, SessionEvent::NeighboursChosen { .. }]),
+        "{events:?}"
+    );
+    let pose = SensorPose::from_viewpoint([0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+    session.prepare(view).unwrap();
+    session.smooth(view.with_pose(pose).unwrap(), &mut found).unwrap();
+    assert_eq!(session.rebuilt_grid(), None);
+    // An intact frame of as many points is found in place of the prepared one.
+    let nearer: Vec<_> = points.iter().map(|p| p.map(|value| 0.9 * value)).collect();
+    session.prepare(view).unwrap();
+    session.smooth(PointsView::from_rows(&nearer).unwrap(), &mut found).unwrap();
+    assert_eq!(session.rebuilt_grid(), Some((64, 48)));
+    assert!(found.points.z()[0] < 0.95);
     for settings in ["grid=off", "neighbours=20", "radius=0.03", "remove_isolated=true"] {
         let mut session = self::session(settings);
         session.smooth(view, &mut found).unwrap();

@@ -66,11 +66,11 @@ pub enum RadiusChoice {
     Metres(f32),
 }
 
-/// Whether a frame that lost its grid is recognised.
+/// Whether the grid of a frame that lost it is rebuilt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum GridChoice {
-    /// An unorganized cloud whose points lie on the pixels of a camera is smoothed as its frame.
+    /// An unorganized cloud whose points lie on the pixels of a camera is smoothed as a frame.
     #[default]
     Auto,
     /// Unorganized clouds stay unorganized.
@@ -122,7 +122,7 @@ pub struct Settings {
     /// For unorganized clouds, instead of a radius: neighbours of a point, 6 to 1000 [default: chosen by the cloud's
     /// noise and shape].
     pub neighbours: Option<u32>,
-    /// For unorganized clouds: whether those that are frames without their grid are smoothed on it [default: auto].
+    /// For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto].
     pub grid: Option<GridChoice>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
@@ -285,10 +285,11 @@ impl Settings {
         self.radius.is_none() && self.neighbours.is_none() && self.preset != Some(Preset::Paper)
     }
 
-    /// Returns whether an unorganized cloud that is a frame without its grid is smoothed on that grid: not if settings
-    /// ask for something that only unorganized clouds have.
+    /// Returns whether the grid of a frame that lost it is rebuilt: not with `grid=off`, a radius, a number of
+    /// neighbours or the paper preset, nor where points are to be removed.
     pub fn rebuilds_grid(&self) -> bool {
-        self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && self.remove_isolated != Some(true)
+        let removes_points = self.remove_isolated == Some(true) || self.remove_floating == Some(true);
+        self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && !removes_points
     }
 
     /// Returns whether a sensor is to be estimated from a frame.

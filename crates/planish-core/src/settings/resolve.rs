@@ -6,6 +6,7 @@ use crate::error::ParamError;
 use crate::frame::Frame;
 use crate::params::{CloudParams, CloudRadius, Fit, FrameParams, FrameRadius, Strength};
 use crate::sensor::SensorModel;
+use crate::threads::Threads;
 
 impl Settings {
     /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from
@@ -14,10 +15,22 @@ impl Settings {
     /// # Errors
     /// If settings contradict each other or the input, or the sensor cannot be estimated from this frame.
     pub fn resolve(&self, frame: Frame<'_>) -> Result<Resolved, ParamError> {
+        self.resolve_on(frame, self.threads)
+    }
+
+    /// As [`resolve`](Self::resolve), with as many threads for an estimate.
+    pub(crate) fn resolve_on(&self, frame: Frame<'_>, threads: Option<usize>) -> Result<Resolved, ParamError> {
         self.validate()?;
         if frame.grid().is_none() {
             let cloud_estimate = match frame {
-                Frame::Points(cloud) if self.chooses_neighbours() => CloudEstimate::of(&cloud),
+                Frame::Points(cloud) if self.chooses_neighbours() => {
+                    let refused = |_| {
+                        let value = threads.map_or(String::new(), |threads| threads.to_string());
+                        ParamError { field: "threads", value, allowed: "as many as the system can start" }
+                    };
+                    // Shared threads do not survive a fork.
+                    Threads::open(threads).map_err(refused)?.install(|| CloudEstimate::of(&cloud))
+                }
                 _ => None,
             };
             let params = self.cloud_params_by(cloud_estimate)?.into();

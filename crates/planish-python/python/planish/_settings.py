@@ -52,7 +52,7 @@ class Settings(TypedDict, total=False):
     """For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius [default: chosen by the cloud's
     noise and shape]."""
     grid: Literal["auto", "off"] | None
-    """For unorganized clouds: whether those that are frames without their grid are smoothed on it [default: auto]."""
+    """For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto]."""
     edges: Literal["robust", "off"] | None
     """Edge handling [default: robust for frames, off for unorganized clouds]."""
     window: int | None

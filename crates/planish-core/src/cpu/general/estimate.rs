@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::kernel::{Kernel, Radii};
 use super::radius::{self, Density, RadiusRows};
 use super::smooth_leaves;
+use crate::constants::MAX_RADIUS_RATIO;
 use crate::cpu::Fitting;
 use crate::cpu::output::OutputRows;
 use crate::cpu::sensor::Sensor;
@@ -19,21 +20,21 @@ use crate::smoothed::Smoothed;
 
 /// The numbers of neighbours that are tried, each about the root of two times the one before.
 const TRIED: [u32; 10] = [40, 57, 80, 113, 160, 226, 320, 453, 640, 905];
-/// Fewer, for thin walls and fine shapes.
+/// Smaller numbers, for thin walls and fine shapes.
 const FEW: [u32; 2] = [20, 28];
-/// They are tried if with 40 neighbours the mean square of the motion is this many times that with 20,
+/// They are considered if the mean square motion with 40 neighbours exceeds this multiple of that with 20,
 const GROWS: f64 = 2.0;
-/// and the motion at least this share of the radius: less is rounding.
+/// and the RMS motion with 40 exceeds this share of the mean radius (less is rounding).
 const LEAST_MOTION: f64 = 1e-4;
 /// About this many points are smoothed with each of them.
 const SAMPLE: usize = 2000;
-/// From this ratio of the radius to the motion on, a neighbourhood is wider than the noise,
+/// A neighbourhood is wider than the noise if its mean radius is at least this multiple of the RMS motion,
 const CLEAR_RATIO: f64 = 3.2;
-/// and so it is once that ratio has risen by this factor from its least.
+/// or if that ratio is at least this multiple of the smallest ratio so far.
 const CLEAR_RISE: f64 = 1.2;
-/// Coefficients of the polynomial over as many neighbours: by so many the fit follows the noise.
+/// Number of coefficients of the polynomial: with K neighbours, the fit follows 6/K of the noise's variance.
 const COEFFICIENTS: f64 = 6.0;
-/// The part of the noise's variance that a fit to one neighbour would leave.
+/// With K neighbours, smoothing leaves 12/K of the noise's variance.
 const LEFT: f64 = 12.0;
 
 /// The median square of a normal deviate.
@@ -57,13 +58,13 @@ struct Motion {
     square: f64,
     /// Median square in m².
     median: f64,
-    /// The mean radius over the root of that.
+    /// Ratio of the mean radius to the root mean square motion.
     ratio: f64,
 }
 
 impl CloudEstimate {
     /// Smooths about 2000 points of a cloud with several numbers of neighbours. `None` for a cloud of fewer than 160
-    /// distinct points, or if hardly any of them has enough neighbours.
+    /// distinct points, or if none of the sampled points has enough neighbours.
     pub fn of(cloud: &PointsView<'_>) -> Option<Self> {
         let mut index = PointIndex::default();
         index.fill(cloud);
@@ -108,7 +109,7 @@ impl Motion {
         other.square + LEFT * self.square * self.whole() / f64::from(other.neighbours)
     }
 
-    /// Returns the noise, in metres. Strays and edges, which the mean is to avoid, are no noise.
+    /// Returns the noise in metres. It uses the median, so outliers and edges do not count as noise.
     fn noise_m(&self) -> f32 {
         (self.median / MEDIAN_SQUARE * self.whole()).sqrt() as f32
     }
@@ -122,8 +123,8 @@ struct Sample<'a> {
 }
 
 impl Sample<'_> {
-    /// Returns the estimate with fewer neighbours than are tried otherwise, if more would move points by their shape:
-    /// onto the other side of a thin wall, or off fine detail.
+    /// Returns an estimate with fewer than 40 neighbours if 40 would distort the shape: move points to the other side
+    /// of a thin wall, or off fine detail.
     fn of_few(&self, narrow: &Motion) -> Option<CloudEstimate> {
         let [least, more] = FEW.map(|neighbours| self.motion(neighbours));
         let (least, more) = (least?, more?);
@@ -180,6 +181,12 @@ impl Sample<'_> {
             let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
             [square, f64::from(radii[LEAF * leaf + k])]
         };
-        (0..LEAF).filter(|&k| status[k].has_normal()).map(of_point).collect()
+        // Strays have wider neighbourhoods than others beside them, and reach surfaces that they are not on.
+        let mut sorted: Vec<f32> =
+            radii[LEAF * leaf..LEAF * (leaf + 1)].iter().copied().filter(|r| r.is_finite()).collect();
+        sorted.sort_by(f32::total_cmp);
+        let widest_m = sorted.get(sorted.len() / 2).map_or(f32::INFINITY, |middle| MAX_RADIUS_RATIO * middle);
+        let counts = |k: &usize| status[*k].has_normal() && radii[LEAF * leaf + k] <= widest_m;
+        (0..LEAF).filter(counts).map(of_point).collect()
     }
 }
