@@ -34,7 +34,7 @@ const NEAREST_M: f64 = 0.1;
 const FARTHEST_M: f64 = 20.0;
 
 /// A grid that was found again: the points of a cloud on its pixels.
-#[derive(Debug, Default, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub(crate) struct Lattice {
     width: usize,
     height: usize,

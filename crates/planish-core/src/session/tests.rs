@@ -169,11 +169,11 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     assert_eq!(chosen(&mut session, &noisy).0, most.div_ceil(2));
     // Streams keep 40 neighbours, and so do clouds in flight.
     let view = PointsView::from_rows(&noisy).unwrap();
-    let forty = |session: &mut Session| {
-        let mut forty = Smoothed::default();
-        self::session("neighbours=40").smooth(view, &mut forty).unwrap();
+    let mut forty = |session: &mut Session| {
+        let mut expected = Smoothed::default();
+        self::session("neighbours=40").smooth(view, &mut expected).unwrap();
         session.smooth(view, &mut smoothed).unwrap();
-        same_bits(&smoothed.points, &forty.points)
+        same_bits(&smoothed.points, &expected.points)
     };
     let mut fixed = self::session("grid=off").with_cloud_estimates(false);
     assert!(forty(&mut fixed) && fixed.take_events().is_empty());
@@ -251,7 +251,7 @@ fn a_frame_without_its_grid_is_smoothed_on_it() {
         matches!(events[..], [SessionEvent::GridRebuilt { .. }, SessionEvent::NeighboursChosen { .. }]),
         "{events:?}"
     );
-    let pose = SensorPose::from_viewpoint([0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+    let pose = SensorPose::from_viewpoint([2.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
     session.prepare(view).unwrap();
     session.smooth(view.with_pose(pose).unwrap(), &mut found).unwrap();
     assert_eq!(session.rebuilt_grid(), None);
