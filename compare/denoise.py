@@ -68,7 +68,7 @@ def by_planish(*options):
 
     def smooth(file, _radius, output):
         command = [planish, "smooth", str(file), str(output.with_suffix(".ply")), "--engine", "cpu", "--threads", "2", *options]
-        subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         return numpy.asarray(open3d.io.read_point_cloud(str(output.with_suffix(".ply"))).points)
 
     return smooth
