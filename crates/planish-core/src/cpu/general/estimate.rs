@@ -1,12 +1,12 @@
 //! The number of neighbours that suits a cloud, and its noise, from how far a sample of its points moves
 //! (docs/method.md, section 8).
 
-use fearless_simd::{Level, dispatch};
+use fearless_simd::Level;
 use rayon::prelude::*;
 
 use super::kernel::{Kernel, Radii};
 use super::radius::{self, Density, RadiusRows};
-use super::smooth_leaves;
+use super::smooth_rows;
 use crate::constants::MAX_RADIUS_RATIO;
 use crate::cpu::Fitting;
 use crate::cpu::output::OutputRows;
@@ -145,7 +145,7 @@ impl Sample<'_> {
         let mut radii = vec![f32::NAN; LEAF * leaves];
         radii.par_chunks_mut(LEAF).enumerate().filter(|(leaf, _)| is_sampled(*leaf)).for_each(|(first, radii)| {
             let mut rows = RadiusRows { first, radii };
-            dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
+            radius::solve(level, index, density, &mut rows);
         });
         let sampled: Vec<_> = (0..leaves).filter(|&leaf| is_sampled(leaf)).collect();
         // In the same order for any number of threads.
@@ -174,7 +174,7 @@ impl Sample<'_> {
         smoothed.prepare(LEAF, 1, Outputs::POINTS.with_status(true));
         let mut rows = OutputRows::of_grid((LEAF, 1), smoothed.as_mut());
         rows.first = leaf;
-        dispatch!(level, simd => smooth_leaves::<_, 2>(simd, &kernel, &mut rows));
+        smooth_rows::<2>(level, &kernel, &mut rows);
         let status = smoothed.status.as_deref().unwrap_or_default();
         let of_point = |k: usize| {
             let (from, to) = (index.point(LEAF * leaf + k), smoothed.points.get(k));

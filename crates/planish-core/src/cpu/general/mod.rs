@@ -93,7 +93,7 @@ impl GeneralCpu {
                     if progress.is_stopped() {
                         return;
                     }
-                    dispatch!(level, simd => radius::solve(simd, index, density, &mut rows));
+                    radius::solve(level, index, density, &mut rows);
                     progress.add(of_radius * rows.count());
                 };
                 halve(LEAVES_PER_TASK, RadiusRows { first: 0, radii }, &solve);
@@ -130,9 +130,9 @@ impl GeneralCpu {
                 return;
             }
             match params.degree {
-                1 => dispatch!(level, simd => smooth_leaves::<_, 1>(simd, &kernel, &mut rows)),
-                2 => dispatch!(level, simd => smooth_leaves::<_, 2>(simd, &kernel, &mut rows)),
-                _ => dispatch!(level, simd => smooth_leaves::<_, 3>(simd, &kernel, &mut rows)),
+                1 => smooth_rows::<1>(level, &kernel, &mut rows),
+                2 => smooth_rows::<2>(level, &kernel, &mut rows),
+                _ => smooth_rows::<3>(level, &kernel, &mut rows),
             }
             progress.add(of_fit * rows.count());
         };
@@ -165,6 +165,12 @@ impl ImmediateEngine for GeneralCpu {
     fn buffer_bytes(&self) -> u64 {
         (self.index.bytes() + 4 * self.radii.capacity() + self.first_planes.bytes() + self.sorted.bytes()) as u64
     }
+}
+
+/// One copy of the kernel, which is large, for the engine and the estimate.
+#[inline(never)]
+fn smooth_rows<const D: usize>(level: Level, kernel: &Kernel<'_>, rows: &mut OutputRows<'_>) {
+    dispatch!(level, simd => smooth_leaves::<_, D>(simd, kernel, rows));
 }
 
 #[inline(always)]

@@ -1,6 +1,6 @@
 //! Radii from the density of the points (docs/method.md, section 8).
 
-use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
 use super::super::row_tasks::SplitRows;
 use super::super::vector::{Mask, Vec3, splat};
@@ -43,8 +43,13 @@ pub(super) struct Density {
 }
 
 /// Finds the radius of every point of the leaves.
+#[inline(never)]
+pub(super) fn solve(level: Level, index: &PointIndex, density: Density, rows: &mut RadiusRows<'_>) {
+    dispatch!(level, simd => solve_rows(simd, index, density, rows));
+}
+
 #[inline(always)]
-pub(super) fn solve<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut RadiusRows<'_>) {
+fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut RadiusRows<'_>) {
     let mut gathered = Gathered::default();
     let mut squares = Vec::new();
     let mut last_m = None;
