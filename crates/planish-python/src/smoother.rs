@@ -214,7 +214,7 @@ impl PySmoother {
             state.session.set_outputs(outputs);
             state.session.prepare(first).map_err(to_py)?;
             let is_pipelined = state.session.engine().is_some_and(|engine| engine.capabilities().pipelined);
-            // Each unorganized cloud has a number of neighbours of its own.
+            // The number of neighbours differs between unorganized clouds.
             if !is_pipelined || first.grid().is_none() {
                 for (frame, slices) in frames.iter().zip(&mut slices) {
                     py.check_signals()?;

@@ -8,13 +8,13 @@ use super::PointsView;
 use crate::pose::{RigidTransform, SensorPose};
 use crate::xyz::Xyz;
 
-/// Coordinates of a sample of so many points are looked at before those of all points.
+/// Number of points in the sample that is tested before all points are.
 const SAMPLE: usize = 4096;
 /// Multiples of it spread evenly over the unit interval.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 /// A lattice has at least this many columns and rows,
 const LEAST_LINES: usize = 16;
-/// and at most so many.
+/// and at most this many.
 const MOST_LINES: usize = 8192;
 /// The gaps between its lines are at least this many times as wide as those within a line.
 const LEAST_CONTRAST: f64 = 8.0;
@@ -43,7 +43,7 @@ pub(crate) struct Lattice {
     /// The points, relative to the cloud's origin; NaN where a pixel has none.
     positions: Xyz,
     pose: SensorPose,
-    /// Of the camera, relative to the cloud's origin.
+    /// The camera's pose relative to the cloud's origin.
     transform: RigidTransform,
     /// Depth of a point in the middle of all.
     middle_m: f64,
@@ -58,7 +58,7 @@ struct Lines {
 }
 
 impl Lattice {
-    /// Finds the pixel grid of an unorganized cloud: each point is on the ray of a pixel of its own. The camera has no
+    /// Finds the pixel grid of an unorganized cloud: each point is on the ray of another pixel. The camera has no
     /// distortion and looks along z or, as in OpenGL, along -z. `None` if there is no such grid.
     pub(crate) fn of(points: &PointsView<'_>) -> Option<Self> {
         let transform = points.transform();

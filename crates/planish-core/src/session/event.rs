@@ -64,7 +64,7 @@ pub enum SessionEvent {
 }
 
 impl SessionEvent {
-    /// Returns true if something went wrong; the others report what was found or chosen.
+    /// Returns true if something went wrong. The other events report findings and choices.
     pub fn is_fault(&self) -> bool {
         !matches!(self, Self::SensorEstimated { .. } | Self::NeighboursChosen { .. } | Self::GridRebuilt { .. })
     }

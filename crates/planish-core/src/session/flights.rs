@@ -6,8 +6,9 @@ use super::Session;
 use super::pending::{AnyFrame, Pending};
 use crate::error::{EngineError, Error};
 use crate::fleet::SharedFrame;
-use crate::frame::IntoFrame;
+use crate::frame::{Frame, IntoFrame};
 use crate::smoothed::Smoothed;
+use crate::smoothing_engine::AdmittedFrame;
 use crate::view::SmoothedView;
 
 impl Session {
@@ -44,6 +45,16 @@ impl Session {
         self.smoother()?.submit_admitted(&admitted, None)?;
         self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none() });
         Ok(())
+    }
+
+    /// Opens what smooths this frame among others in flight. Unorganized clouds are not examined: a new number of
+    /// neighbours opens the engine again, after all others are finished.
+    fn open_in_flight<'a>(&mut self, frame: Frame<'a>, uses_fleet: bool) -> Result<AdmittedFrame<'a>, Error> {
+        let estimates_clouds = std::mem::replace(&mut self.estimates_clouds, false);
+        self.lattice = None;
+        let admitted = self.open_for(frame, uses_fleet);
+        self.estimates_clouds = estimates_clouds;
+        admitted
     }
 
     fn check_room(&self) -> Result<(), EngineError> {

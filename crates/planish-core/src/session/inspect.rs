@@ -6,8 +6,10 @@ use super::open::Open;
 use super::watch::ProgressWatch;
 use crate::cpu::CloudEstimate;
 use crate::engines::{ChoiceReason, Engine};
+use crate::error::Error;
 use crate::fleet::FleetDevice;
-use crate::frame::{Lattice, RangeRule};
+use crate::frame::{IntoFrame, Lattice, RangeRule};
+use crate::params::Params;
 use crate::sensor::SensorModel;
 use crate::timings::FrameTimings;
 
@@ -23,6 +25,24 @@ impl Session {
     /// Returns the sensor that was last estimated, if settings ask for that.
     pub fn estimated_sensor(&self) -> Option<SensorModel> {
         self.estimated
+    }
+
+    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first.
+    ///
+    /// # Errors
+    /// As [`Settings::resolve`](crate::Settings::resolve).
+    pub fn params_for<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(Params, Option<SensorModel>), Error> {
+        let frame = frame.into_frame()?;
+        let (events, is_prepared) = (self.events.len(), self.is_prepared);
+        let resolved = self.on_its_grid(frame, Self::resolve);
+        // Nothing is smoothed yet.
+        let of_cloud = |event: &SessionEvent| {
+            matches!(event, SessionEvent::NeighboursChosen { .. } | SessionEvent::GridRebuilt { .. })
+        };
+        let later = self.events.split_off(events);
+        self.events.extend(later.into_iter().filter(|event| !of_cloud(event)));
+        self.is_prepared = is_prepared;
+        resolved
     }
 
     /// Returns the noise and the number of neighbours that were last estimated for an unorganized cloud.

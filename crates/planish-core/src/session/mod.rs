@@ -3,6 +3,7 @@
 mod event;
 mod flights;
 mod inspect;
+mod lost_grid;
 mod open;
 mod pending;
 mod recovery;
@@ -14,7 +15,7 @@ use crate::cpu::CloudEstimate;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
 use crate::fleet::FleetDevice;
-use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, Lattice, PointsView, RangeRule};
+use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, Lattice, RangeRule};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{CloudParams, CloudRadius, EngineParams, FrameParams, Params, WindowSize};
 use crate::sensor::SensorModel;
@@ -241,24 +242,6 @@ impl Session {
         }
     }
 
-    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first.
-    ///
-    /// # Errors
-    /// As [`Settings::resolve`](crate::Settings::resolve).
-    pub fn params_for<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(Params, Option<SensorModel>), Error> {
-        let frame = frame.into_frame()?;
-        let (events, is_prepared) = (self.events.len(), self.is_prepared);
-        let resolved = self.on_its_grid(frame, Self::resolve);
-        // Nothing is smoothed yet.
-        let of_cloud = |event: &SessionEvent| {
-            matches!(event, SessionEvent::NeighboursChosen { .. } | SessionEvent::GridRebuilt { .. })
-        };
-        let later = self.events.split_off(events);
-        self.events.extend(later.into_iter().filter(|event| !of_cloud(event)));
-        self.is_prepared = is_prepared;
-        resolved
-    }
-
     fn resolve(&mut self, frame: Frame<'_>) -> Result<(Params, Option<SensorModel>), Error> {
         let is_prepared = std::mem::take(&mut self.is_prepared);
         let (width, height) = frame.shape();
@@ -331,61 +314,6 @@ impl Session {
         self.one_at_a_time(frame, |session, admitted| session.smoother()?.smooth_admitted(admitted, out.reborrow()))
     }
 
-    /// Smooths a cloud that lost its grid as the frame that it is.
-    fn smooth_on_lattice(
-        &mut self,
-        lattice: Lattice,
-        points: &PointsView<'_>,
-        mut out: SmoothedMut<'_>,
-    ) -> Result<(), Error> {
-        let (width, height) = lattice.shape();
-        let mut on_grid = std::mem::take(&mut self.on_grid);
-        let result = self.one_at_a_time(Frame::Points(lattice.view(points)), |session, admitted| {
-            on_grid.prepare(width, height, session.options.outputs);
-            session.smoother()?.smooth_admitted(admitted, on_grid.as_mut())
-        });
-        if result.is_ok() {
-            out.take_from(points.len(), &on_grid, |i| lattice.pixel(i));
-            out.keep_isolated(points);
-        }
-        (self.on_grid, self.lattice) = (on_grid, Some(lattice));
-        result
-    }
-
-    /// Rebuilds the grid of an unorganized cloud if it is a frame that lost it and settings allow that. After
-    /// `prepare`, returns the stored grid if it belongs to this cloud.
-    fn take_lattice<'a>(&mut self, frame: Frame<'a>) -> Option<(Lattice, PointsView<'a>)> {
-        let known = self.lattice.take();
-        let Frame::Points(points) = frame else { return None };
-        let Chosen::Settings(settings) = &self.chosen else { return None };
-        if points.grid().is_some() || !settings.rebuilds_grid() || !self.estimates_clouds {
-            return None;
-        }
-        if self.is_prepared && self.known_points == points.len() {
-            match known {
-                None => return None,
-                Some(lattice) if lattice.is_of(&points) => return Some((lattice, points)),
-                // Another cloud of as many points.
-                Some(_) => self.is_prepared = false,
-            }
-        }
-        let has_sensor = settings.sensor.is_some();
-        let lattice = Lattice::of(&points).filter(|lattice| has_sensor || lattice.may_be_in_metres())?;
-        let (width, height) = lattice.shape();
-        self.cloud_estimate = None;
-        self.events.push(SessionEvent::GridRebuilt { width, height });
-        self.known_points = points.len();
-        Some((lattice, points))
-    }
-
-    /// Calls `use_frame` with a frame, or with a cloud on the grid that it lost.
-    fn on_its_grid<T>(&mut self, frame: Frame<'_>, use_frame: impl FnOnce(&mut Self, Frame<'_>) -> T) -> T {
-        let Some((lattice, points)) = self.take_lattice(frame) else { return use_frame(self, frame) };
-        let result = use_frame(self, Frame::Points(lattice.view(&points)));
-        self.lattice = Some(lattice);
-        result
-    }
-
     /// Smooths a frame, again where something takes over.
     fn one_at_a_time(
         &mut self,
@@ -413,16 +341,6 @@ impl Session {
         self.on_its_grid(frame, |session, frame| session.open_for(frame, false).map(drop))?;
         self.is_prepared = true;
         Ok(())
-    }
-
-    /// Opens what smooths this frame among others in flight. Unorganized clouds are not examined: a new number of
-    /// neighbours opens the engine again, after all others are finished.
-    fn open_in_flight<'a>(&mut self, frame: Frame<'a>, uses_fleet: bool) -> Result<AdmittedFrame<'a>, Error> {
-        let estimates_clouds = std::mem::replace(&mut self.estimates_clouds, false);
-        self.lattice = None;
-        let admitted = self.open_for(frame, uses_fleet);
-        self.estimates_clouds = estimates_clouds;
-        admitted
     }
 
     /// Opens what smooths this frame, alone or among others in flight, and returns the frame with its geometry.

@@ -178,7 +178,7 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     let mut fixed = self::session("grid=off").with_cloud_estimates(false);
     assert!(forty(&mut fixed) && fixed.take_events().is_empty());
     assert!(!forty(&mut self::session("grid=off")));
-    // Strays are not what the number is chosen for.
+    // Strays do not change the choice.
     let mut strays = noisy.clone();
     for i in (0..6000).step_by(100) {
         strays[i][2] += 0.4 + 0.01 * random.next();
@@ -239,7 +239,7 @@ fn a_frame_without_its_grid_is_smoothed_on_it() {
     let mut into = vec![[0.0f32; 3]; points.len()];
     session.smooth_into(view, SmoothedMut::new().with_points(&mut into)).unwrap();
     assert!(same(into, &found.points));
-    // Another cloud of as many points is not taken for the prepared one.
+    // Another cloud of the same size does not get the prepared grid.
     let mut moved = points.clone();
     moved[7][0] += 0.05;
     session.take_events();

@@ -137,7 +137,7 @@ impl Settings {
         Ok(params)
     }
 
-    /// The strength that is given or that of the preset; `None` for the paper's.
+    /// The given strength, or the preset's; `None` for the paper's.
     fn any_strength(&self) -> Result<Option<Strength>, ParamError> {
         Ok(match (self.given_strength()?, self.preset) {
             (Some(strength), _) => Some(strength),

@@ -30,8 +30,8 @@ const NARROWEST: f64 = 0.01;
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TileOptions {
-    /// The settings, as for any unorganized cloud. Where they do not give the number of neighbours, the tile with the
-    /// most points decides it.
+    /// The settings, as for any unorganized cloud. If they leave the number of neighbours open, it is estimated from
+    /// the tile with the most points.
     pub settings: Settings,
     /// The engine and its options; with radii by density not the reference.
     pub smoother: SmootherOptions,
@@ -122,7 +122,7 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
 /// Smooths a LAS, LAZ or PLY file into another of the same kind within the memory limit. In addition to the output, it
 /// needs disk space for three times the records.
 ///
-/// Results equal those of the whole cloud with the same number of neighbours, relative to an origin in each tile.
+/// With the same number of neighbours, results equal the whole cloud's, relative to an origin in each tile.
 ///
 /// # Errors
 /// If settings contradict each other, a file cannot be read or written, an engine fails, or the memory does not hold a

@@ -141,7 +141,7 @@ impl Sample<'_> {
         let step = (LEAF * leaves).div_ceil(SAMPLE).max(1);
         let is_sampled = |leaf: usize| leaf % step == step / 2;
         let density = Density { half: neighbours as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
-        // Of the sampled points only; others are never read.
+        // Only the radii of sampled points are read.
         let mut radii = vec![f32::NAN; LEAF * leaves];
         radii.par_chunks_mut(LEAF).enumerate().filter(|(leaf, _)| is_sampled(*leaf)).for_each(|(first, radii)| {
             let mut rows = RadiusRows { first, radii };
@@ -181,7 +181,7 @@ impl Sample<'_> {
             let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
             [square, f64::from(radii[LEAF * leaf + k])]
         };
-        // Strays have wider neighbourhoods than others beside them, and reach surfaces that they are not on.
+        // Strays have wider neighbourhoods than the points beside them: their motion measures no noise.
         let mut sorted: Vec<f32> =
             radii[LEAF * leaf..LEAF * (leaf + 1)].iter().copied().filter(|r| r.is_finite()).collect();
         sorted.sort_by(f32::total_cmp);
