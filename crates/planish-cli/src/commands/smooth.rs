@@ -17,7 +17,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, ReadOptions};
 use planish::{
-    Camera, CloudParams, CloudRadius, DepthFrame, DepthImage, Edges, Error, Frame, IntoFrame, OrganizedCloud, Outputs,
+    Camera, CloudParams, CloudRadius, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs,
     PointCloud, PointsView, RangeRule, SensorPose, Session, SessionEvent, Settings, Smoothed,
 };
 use planish_bench::{errln, outln};
@@ -405,9 +405,7 @@ impl Worker<'_> {
     }
 
     fn report_neighbours(&self, output: &Path, chosen: &SessionEvent) {
-        let is_sharp = self.settings.edges == Some(Edges::Robust);
-        let sharp = if is_sharp { "" } else { "; keep edges sharp with --edges robust" };
-        errln!("{}: {chosen} (change with --strength, --neighbours or --radius{sharp})", output.display());
+        errln!("{}: {chosen} (change with --strength, --neighbours, --edges or --passes)", output.display());
     }
 
     /// Puts the result into the cloud.

@@ -47,6 +47,7 @@ use crate::threads::Threads;
 use crate::timings::{FrameTimings, Stopwatch};
 use edges::{FirstPlanes, FirstRows, SurfaceRows, Surfaces};
 pub use general::CloudEstimate;
+pub(crate) use general::Decided;
 pub(crate) use general::GeneralCpu;
 use output::OutputRows;
 use padded::{PaddedFrame, PaddedRows};

@@ -224,6 +224,15 @@ impl<'a> PointsView<'a> {
         PointsView { grid: Some(grid), pose, origin_m: self.origin_m, ..PointsView::of(planes, positions.len()) }
     }
 
+    /// Returns the points at other positions, relative to the same origin.
+    pub(crate) fn moved_to<'b>(&self, positions: &'b Xyz) -> PointsView<'b>
+    where
+        'a: 'b,
+    {
+        let planes = Positions::Planes([positions.x(), positions.y(), positions.z()]);
+        PointsView { positions: planes, subtracted_m: DVec3::ZERO, ..*self }
+    }
+
     /// Returns the number of points, including holes.
     pub fn len(&self) -> usize {
         self.len

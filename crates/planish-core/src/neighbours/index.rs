@@ -51,6 +51,11 @@ impl Bounds {
         Self { low: point, high: point }
     }
 
+    /// Returns the box that is larger by this on every side.
+    pub(crate) fn grown(self, by: f32) -> Self {
+        Self { low: self.low.map(|value| value - by), high: self.high.map(|value| value + by) }
+    }
+
     /// Returns true if they touch.
     #[inline(always)]
     pub(crate) fn overlaps(&self, other: &Self) -> bool {
@@ -163,6 +168,20 @@ impl PointIndex {
         );
     }
 
+    /// Puts points without weight behind the first `len` places, instead of those that are there.
+    pub(crate) fn append(&mut self, len: usize, points: &[[f32; 3]]) {
+        self.len = len + points.len();
+        let padded = self.len.next_multiple_of(LEAF);
+        for (axis, values) in self.positions.iter_mut().enumerate() {
+            values.truncate(len);
+            values.extend(points.iter().map(|point| point[axis]));
+            values.resize(padded, f32::NAN);
+        }
+        self.counts.truncate(len);
+        self.counts.resize(padded, 0.0);
+        self.build_boxes();
+    }
+
     /// Returns the diagonal of the box around all points but stray ones, in metres.
     pub(crate) fn extent_m(&self) -> f32 {
         self.extent_m as f32
@@ -258,7 +277,8 @@ impl LeafMoments {
         let at = |place: usize| DVec3::from_array(positions.each_ref().map(|values| f64::from(values[place])));
         let weighted = || places.clone().map(|place| (f64::from(counts[place]), at(place)));
         let count: f64 = weighted().map(|(count, _)| count).sum();
-        let mean = (weighted().map(|(count, p)| count * p).sum::<DVec3>() / count).as_vec3();
+        let sum = weighted().map(|(count, p)| count * p).sum::<DVec3>();
+        let mean = (sum / count.max(f64::MIN_POSITIVE)).as_vec3();
         let mut products = [0.0; 6];
         for (count, p) in weighted() {
             // Relative to the mean as rounded to f32.

@@ -2,8 +2,10 @@
 
 use std::fmt;
 
+use crate::cpu::CloudEstimate;
 use crate::error::EngineError;
 use crate::fleet::FleetDevice;
+use crate::params::{CloudParams, CloudRadius, Edges};
 use crate::sensor::SensorModel;
 
 /// A decision that a session made without being asked. [`Display`](fmt::Display) gives one line for a user.
@@ -15,10 +17,14 @@ pub enum SessionEvent {
         /// The model.
         sensor: SensorModel,
     },
-    /// The number of neighbours in an unorganized cloud was chosen by its noise and shape.
+    /// How an unorganized cloud is smoothed was chosen by its noise and shape.
     NeighboursChosen {
-        /// The approximate number per point.
+        /// The approximate number of neighbours per point.
         neighbours: u32,
+        /// Whether edges are kept.
+        edges: Edges,
+        /// 2 if there is a first pass with few neighbours, otherwise 1.
+        passes: u32,
         /// The standard deviation of the points across their surface in metres; `None` if the cloud is too small for an
         /// estimate.
         noise_m: Option<f32>,
@@ -64,6 +70,13 @@ pub enum SessionEvent {
 }
 
 impl SessionEvent {
+    /// Reports what was chosen for an unorganized cloud; `None` if it has a fixed radius.
+    pub fn of_cloud(params: &CloudParams, passes: u32, estimate: Option<CloudEstimate>) -> Option<Self> {
+        let CloudRadius::Neighbours { count } = params.radius else { return None };
+        let noise_m = estimate.map(|estimate| estimate.noise_m);
+        Some(Self::NeighboursChosen { neighbours: count, edges: params.fit.edges, passes, noise_m })
+    }
+
     /// Returns true if something went wrong. The other events report findings and choices.
     pub fn is_fault(&self) -> bool {
         !matches!(self, Self::SensorEstimated { .. } | Self::NeighboursChosen { .. } | Self::GridRebuilt { .. })
@@ -77,8 +90,14 @@ impl fmt::Display for SessionEvent {
                 let SensorModel { step, sigma } = sensor;
                 write!(f, "estimated the sensor from the first frame: step {step:?}, sigma {sigma:?}")
             }
-            Self::NeighboursChosen { neighbours, noise_m } => {
+            Self::NeighboursChosen { neighbours, edges, passes, noise_m } => {
                 write!(f, "an unorganized cloud, smoothed with about {neighbours} neighbours per point")?;
+                match (edges, passes) {
+                    (Edges::Robust, 2) => f.write_str(" and edges kept, in two passes")?,
+                    (Edges::Robust, _) => f.write_str(" and edges kept")?,
+                    (Edges::Off, 2) => f.write_str(" in two passes")?,
+                    (Edges::Off, _) => {}
+                }
                 noise_m.map_or(Ok(()), |noise_m| write!(f, ", since its noise is about {:.2} mm", 1e3 * noise_m))
             }
             Self::GridRebuilt { width, height } => {

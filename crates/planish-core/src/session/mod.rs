@@ -1,6 +1,7 @@
 //! Smooths frames of any shape: opens and reopens engines, and recovers when a GPU is lost or too small.
 
 mod event;
+mod first_pass;
 mod flights;
 mod inspect;
 mod lost_grid;
@@ -17,7 +18,7 @@ use crate::error::{EngineError, Error};
 use crate::fleet::FleetDevice;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, Lattice, RangeRule};
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{CloudParams, CloudRadius, EngineParams, FrameParams, Params, WindowSize};
+use crate::params::{CloudParams, EngineParams, FrameParams, Params, WindowSize};
 use crate::sensor::SensorModel;
 use crate::settings::{SensorChoice, Settings};
 use crate::smoothed::Smoothed;
@@ -70,6 +71,11 @@ pub struct Session {
     is_prepared: bool,
     /// The result for a cloud that lost its grid, on that grid.
     on_grid: Smoothed,
+    /// The points after a first pass, and the engine for it.
+    first_pass: Smoothed,
+    open_for_first: Option<Open>,
+    /// The parameters of the first pass during it.
+    is_first: Option<CloudParams>,
     is_live: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
     keeps_window: bool,
@@ -133,6 +139,9 @@ impl Session {
             known_points: 0,
             is_prepared: false,
             on_grid: Smoothed::default(),
+            first_pass: Smoothed::default(),
+            open_for_first: None,
+            is_first: None,
             is_live: false,
             keeps_window: false,
             keeps_sensor: false,
@@ -182,7 +191,7 @@ impl Session {
     }
 
     /// Sets whether unorganized clouds are examined if the settings allow it [default: true]. If so, the grid of a
-    /// frame that lost it is rebuilt, and the number of neighbours is chosen by noise and shape. If not, parameters are
+    /// frame that lost it is rebuilt, and the number of neighbours, edges and passes are chosen by noise and shape. If not, parameters are
     /// those of [`Settings::cloud_params`], which is faster and avoids flicker in a video.
     pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
         Self { estimates_clouds, ..self }
@@ -243,6 +252,9 @@ impl Session {
     }
 
     fn resolve(&mut self, frame: Frame<'_>) -> Result<(Params, Option<SensorModel>), Error> {
+        if let Some(params) = self.is_first {
+            return Ok((params.into(), None));
+        }
         let is_prepared = std::mem::take(&mut self.is_prepared);
         let (width, height) = frame.shape();
         match &self.chosen {
@@ -270,9 +282,9 @@ impl Session {
                 }
                 let resolved = settings.resolve_on(frame, self.options.threads)?;
                 (self.cloud_estimate, self.known_points) = (resolved.cloud_estimate, width * height);
-                let noise_m = resolved.cloud_estimate.map(|estimate| estimate.noise_m);
-                if let Params::Cloud(CloudParams { radius: CloudRadius::Neighbours { count }, .. }) = resolved.params {
-                    self.events.push(SessionEvent::NeighboursChosen { neighbours: count, noise_m });
+                if let Params::Cloud(params) = &resolved.params {
+                    let passes = if resolved.first_pass.is_some() { 2 } else { 1 };
+                    self.events.extend(SessionEvent::of_cloud(params, passes, resolved.cloud_estimate));
                 }
                 Ok((resolved.params, None))
             }
@@ -294,9 +306,11 @@ impl Session {
             out.prepare(width, height, self.options.outputs);
             return self.smooth_on_lattice(lattice, &points, out.as_mut());
         }
-        self.one_at_a_time(frame, |session, admitted| {
-            out.prepare(width, height, session.options.outputs);
-            session.smoother()?.smooth_admitted(admitted, out.as_mut())
+        self.after_first_pass(frame, |session, frame| {
+            session.one_at_a_time(frame, |session, admitted| {
+                out.prepare(width, height, session.options.outputs);
+                session.smoother()?.smooth_admitted(admitted, out.as_mut())
+            })
         })
     }
 
@@ -311,7 +325,10 @@ impl Session {
         if let Some((lattice, points)) = self.take_lattice(frame) {
             return self.smooth_on_lattice(lattice, &points, out);
         }
-        self.one_at_a_time(frame, |session, admitted| session.smoother()?.smooth_admitted(admitted, out.reborrow()))
+        self.after_first_pass(frame, |session, frame| {
+            session
+                .one_at_a_time(frame, |session, admitted| session.smoother()?.smooth_admitted(admitted, out.reborrow()))
+        })
     }
 
     /// Smooths a frame, again where something takes over.
@@ -366,9 +383,9 @@ impl Session {
             self.open = None;
             let devices: &[FleetDevice] = if uses_fleet { &self.devices } else { &[] };
             let open = Open::new(wanted, devices)?;
-            self.watch.set(open.progress());
             self.open = Some(open);
         }
+        self.watch.set(self.open.as_ref().and_then(Open::progress));
         Ok(AdmittedFrame { frame, geometry })
     }
 
@@ -409,7 +426,7 @@ impl Session {
         }
         let was_open = self.open.is_some();
         let was_gpu = self.open.as_ref().is_some_and(|open| open.engine() == Engine::Gpu);
-        self.open = None;
+        (self.open, self.open_for_first) = (None, None);
         if engine_error.is_too_large() && is_cloud && was_gpu && self.options.engine == Engine::Auto {
             self.instead_for_clouds = Some(Engine::Cpu);
             self.events.push(SessionEvent::TooLargeForGpu { error: engine_error.clone() });
@@ -438,7 +455,7 @@ impl Session {
     fn forget_other_process(&mut self) {
         let process = process_id();
         if self.process != process {
-            std::mem::forget(self.open.take());
+            std::mem::forget((self.open.take(), self.open_for_first.take()));
             self.pending.clear();
             self.ready.clear();
             self.process = process;
@@ -461,9 +478,9 @@ impl Session {
     /// Closes the engine and frees its memory; the next frame opens it again. Frames in flight are discarded.
     pub fn close(&mut self) {
         self.forget_other_process();
-        self.open = None;
+        (self.open, self.open_for_first) = (None, None);
         self.lattice = None;
-        self.on_grid = Smoothed::default();
+        (self.on_grid, self.first_pass) = (Smoothed::default(), Smoothed::default());
         self.pending.clear();
         self.ready.clear();
         self.watch.set(None);

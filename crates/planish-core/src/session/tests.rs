@@ -6,7 +6,7 @@ use crate::frame::{DepthFrame, PointsView};
 use crate::neighbours::tests::Random;
 use crate::status::Status;
 use crate::testing::{DepthNoise, Scene, simulated};
-use crate::{Params, SensorPose, Smoother, Xyz};
+use crate::{Edges, Params, PointCloud, SensorPose, Smoother, Xyz};
 
 fn camera(width: usize) -> Camera {
     let height = width * 3 / 4;
@@ -155,9 +155,12 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
         session.prepare(view).unwrap();
         session.smooth(view, &mut smoothed).unwrap();
         let events = session.take_events();
-        let [SessionEvent::NeighboursChosen { neighbours, noise_m: Some(noise_m) }] = events[..] else {
+        let [SessionEvent::NeighboursChosen { neighbours, edges: Edges::Off, passes, noise_m: Some(noise_m) }] =
+            events[..]
+        else {
             panic!("{events:?}")
         };
+        assert_eq!(passes, if noise_m > 0.01 { 2 } else { 1 });
         assert_eq!(session.cloud_estimate().unwrap().noise_m, noise_m);
         (neighbours, noise_m)
     };
@@ -187,6 +190,84 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     let (with, without) = (chosen(&strays), chosen(&noisy));
     assert!((with.noise_m / without.noise_m - 1.0).abs() < 0.1, "{with:?} {without:?}");
     assert!(with.neighbours * 2 > without.neighbours, "{with:?} {without:?}");
+}
+
+/// Points on a cube of 2 x 2 x 2 m or a sphere of 2 m in diameter, with noise.
+fn noisy_shape(is_cube: bool, count: usize, noise_m: f32) -> Vec<[f32; 3]> {
+    let mut random = Random(17);
+    let mut point = || {
+        let p = [(); 3].map(|()| 2.0 * random.next() - 1.0);
+        let normal = [(); 3].map(|()| (0..12).map(|_| random.next()).sum::<f32>() - 6.0);
+        // The noise's direction is that of a point on a sphere too.
+        let length = normal.map(|x| x * x).iter().sum::<f32>().sqrt();
+        let on_sphere = normal.map(|x| x / length);
+        let face = (3.0 * random.next()) as usize;
+        let on_cube = std::array::from_fn(|axis| if axis == face { 1.0f32.copysign(p[axis]) } else { p[axis] });
+        let noise = [(); 3].map(|()| noise_m * ((0..12).map(|_| random.next()).sum::<f32>() - 6.0));
+        let exact: [f32; 3] = if is_cube { on_cube } else { on_sphere };
+        [0, 1, 2].map(|axis| exact[axis] + noise[axis])
+    };
+    (0..count).map(|_| point()).collect()
+}
+
+/// The RMS distance from the cube's or the sphere's surface.
+fn rms_from_shape(points: &Xyz, is_cube: bool) -> f32 {
+    let distance = |p: [f32; 3]| {
+        if !is_cube {
+            return p.map(|x| x * x).iter().sum::<f32>().sqrt() - 1.0;
+        }
+        let outside = p.map(|x| x.abs() - 1.0);
+        let beyond = outside.map(|x| x.max(0.0).powi(2)).iter().sum::<f32>().sqrt();
+        beyond + outside.into_iter().fold(f32::NEG_INFINITY, f32::max).min(0.0)
+    };
+    (points.iter().map(|p| distance(p).powi(2)).sum::<f32>() / points.len() as f32).sqrt()
+}
+
+#[test]
+fn edges_and_passes_are_chosen_by_shape_and_noise() {
+    for (is_cube, noise_m, edges, passes, most) in [
+        (true, 0.02, Edges::Robust, 1, 0.7),
+        (true, 0.05, Edges::Robust, 2, 0.7),
+        (false, 0.01, Edges::Off, 1, 1.0),
+        (false, 0.05, Edges::Off, 2, 1.0),
+    ] {
+        let points = noisy_shape(is_cube, 8000, noise_m);
+        let view = PointsView::from_rows(&points).unwrap();
+        let mut smoothed = Smoothed::default();
+        let mut session = session("");
+        session.smooth(view, &mut smoothed).unwrap();
+        let events = session.take_events();
+        let [SessionEvent::NeighboursChosen { neighbours, edges: chosen, passes: chosen_passes, .. }] = events[..]
+        else {
+            panic!("{events:?}")
+        };
+        assert_eq!((chosen, chosen_passes), (edges, passes), "{is_cube} {noise_m}");
+        // As these settings do in one pass after another.
+        let name = if edges == Edges::Off { "off" } else { "robust" };
+        let mut again =
+            smooth(view, &format!("engine=cpu neighbours={neighbours} edges={name} passes={passes}").parse().unwrap());
+        assert!(same_bits(&again.as_ref().unwrap().points, &smoothed.points));
+        if passes == 2 {
+            let first = smooth(view, &"engine=cpu neighbours=20".parse().unwrap()).unwrap();
+            let second = format!("engine=cpu neighbours={neighbours} edges={name}").parse().unwrap();
+            let moved = PointCloud::new(first.points);
+            again = smooth(&moved, &second);
+            assert!(same_bits(&again.unwrap().points, &smoothed.points));
+        }
+        let mut into = vec![[0.0f32; 3]; points.len()];
+        session.smooth_into(view, SmoothedMut::new().with_points(&mut into)).unwrap();
+        assert!(into.iter().zip(smoothed.points.iter()).all(|(a, b)| *a == b));
+        let rounded = smooth(view, &"engine=cpu edges=off passes=1".parse().unwrap()).unwrap();
+        let (rms_m, rounded_m) = (rms_from_shape(&smoothed.points, is_cube), rms_from_shape(&rounded.points, is_cube));
+        assert!(rms_m <= most * rounded_m, "{is_cube} {noise_m}: {rms_m} {rounded_m}");
+    }
+    // Holes stay where they are, and a wrong number is refused.
+    let mut points = noisy_shape(false, 3000, 0.1);
+    points[7] = [f32::NAN; 3];
+    let view = PointsView::from_rows(&points).unwrap();
+    let smoothed = smooth(view, &"engine=cpu passes=2".parse().unwrap()).unwrap();
+    assert!(!smoothed.points.is_finite(7) && smoothed.points.is_finite(8));
+    assert!("passes=3".parse::<Settings>().unwrap_err().to_string().contains("1 or 2"));
 }
 
 /// Points without their grid; the first has no neighbours.

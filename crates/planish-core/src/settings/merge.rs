@@ -41,6 +41,7 @@ impl Settings {
             average_blocks,
             radius,
             neighbours,
+            passes,
             grid,
             degree,
             bandwidth_m,
@@ -63,6 +64,7 @@ impl Settings {
         self.average_blocks = average_blocks.or(self.average_blocks);
         self.radius = radius.or(self.radius);
         self.neighbours = neighbours.or(self.neighbours);
+        self.passes = passes.or(self.passes);
         self.grid = grid.or(self.grid);
         self.degree = degree.or(self.degree);
         self.bandwidth_m = bandwidth_m.or(self.bandwidth_m);

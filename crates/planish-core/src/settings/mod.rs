@@ -19,7 +19,7 @@ use crate::engines::{Engine, SmootherOptions};
 use crate::error::ParamError;
 use crate::fleet::FleetDevice;
 use crate::outputs::Outputs;
-use crate::params::{Edges, Params, Project, Strength};
+use crate::params::{CloudParams, Edges, Params, Project, Strength};
 use crate::sensor::SensorModel;
 
 pub use value::SettingValue;
@@ -105,7 +105,7 @@ pub struct Settings {
     pub strength: Option<f32>,
     /// The sensor that took the frames [default: Kinect v1].
     pub sensor: Option<SensorChoice>,
-    /// Edge handling [default: robust for frames, off for unorganized clouds].
+    /// Edge handling [default: robust for frames; chosen by the shape for unorganized clouds, off without an estimate].
     pub edges: Option<Edges>,
     /// Whether pixels that float between two surfaces become holes first [default: no].
     pub remove_floating: Option<bool>,
@@ -122,6 +122,9 @@ pub struct Settings {
     /// For unorganized clouds, instead of a radius: neighbours of a point, 6 to 1000 [default: chosen by the cloud's
     /// noise and shape].
     pub neighbours: Option<u32>,
+    /// For unorganized clouds: 2 to smooth with few neighbours first, which helps where the noise is as large as the
+    /// spacing of the points; 1 for no such pass [default: chosen by the cloud's noise].
+    pub passes: Option<u32>,
     /// For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto].
     pub grid: Option<GridChoice>,
     /// Degree of the surface, 1 to 3.
@@ -152,6 +155,8 @@ pub struct Resolved {
     pub params: Params,
     /// The sensor whose noise decides which pixels float, if those are to be removed before smoothing.
     pub floating_sensor: Option<SensorModel>,
+    /// The parameters of a first pass over an unorganized cloud, if there is one.
+    pub first_pass: Option<CloudParams>,
     /// The estimate for an unorganized cloud, if it decides the number of neighbours.
     pub cloud_estimate: Option<CloudEstimate>,
     /// Names of the given settings that have no effect on this kind of input.
@@ -162,14 +167,16 @@ pub struct Resolved {
 const SENSORS: &str =
     "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, auto or an object of step and sigma";
 const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours";
+const PASSES: &str = "1 or 2";
 /// Allowed values of the field `settings`.
 const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, \
                       average_blocks, \
-                      radius_m, neighbours, grid, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, outputs";
+                      radius_m, neighbours, passes, grid, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
+                      outputs";
 
 impl Settings {
     /// The names of all fields, as [`set`](Self::set) and files take them.
-    pub const NAMES: [&'static str; 21] = [
+    pub const NAMES: [&'static str; 22] = [
         "preset",
         "strength",
         "sensor",
@@ -181,6 +188,7 @@ impl Settings {
         "average_blocks",
         "radius_m",
         "neighbours",
+        "passes",
         "grid",
         "degree",
         "bandwidth_m",
@@ -212,6 +220,7 @@ impl Settings {
             "average_blocks" => self.average_blocks = value.truth("average_blocks")?,
             "radius_m" | "radius" => self.radius = radius_of(value)?,
             "neighbours" => self.neighbours = value.whole("neighbours", "6 to 1000")?,
+            "passes" => self.passes = value.whole("passes", PASSES)?,
             "grid" => self.grid = value.named("grid", &GridChoice::NAMED, "auto or off")?,
             "degree" => self.degree = value.whole("degree", "1 to 3")?,
             "bandwidth_m" | "bandwidth" => {
@@ -273,6 +282,9 @@ impl Settings {
         self.cloud_params_unchecked().validate()?;
         if self.threads == Some(0) {
             return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" });
+        }
+        if let Some(passes) = self.passes.filter(|passes| !(1..=2).contains(passes)) {
+            return Err(ParamError { field: "passes", value: passes.to_string(), allowed: PASSES });
         }
         match self.sensor {
             Some(SensorChoice::Known(sensor)) => sensor.validate(),
@@ -384,7 +396,8 @@ impl Settings {
 
     /// Returns the names of the given settings that have no effect on frames.
     pub fn unused_by_frames(&self) -> Vec<&'static str> {
-        self.remove_isolated.filter(|removes| *removes).map(|_| "remove_isolated").into_iter().collect()
+        let given = [("remove_isolated", self.remove_isolated == Some(true)), ("passes", self.passes.is_some())];
+        given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 
     fn given_strength(&self) -> Result<Option<Strength>, ParamError> {

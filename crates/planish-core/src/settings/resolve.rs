@@ -1,7 +1,7 @@
 //! Parameters of settings, for a frame, for a sensor, or for clouds.
 
 use super::{Preset, RadiusChoice, Resolved, Settings};
-use crate::cpu::CloudEstimate;
+use crate::cpu::{CloudEstimate, Decided};
 use crate::error::ParamError;
 use crate::frame::Frame;
 use crate::params::{CloudParams, CloudRadius, Fit, FrameParams, FrameRadius, Strength};
@@ -10,7 +10,8 @@ use crate::threads::Threads;
 
 impl Settings {
     /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from
-    /// the frame if the settings ask for it, and the number of neighbours from the cloud if they do not give it.
+    /// the frame if the settings ask for it. The number of neighbours is estimated from the cloud if they do not give
+    /// it, and with it whether edges are kept and whether there is a first pass.
     ///
     /// # Errors
     /// If settings contradict each other or the input, or the sensor cannot be estimated from this frame.
@@ -28,13 +29,15 @@ impl Settings {
                         let value = threads.map_or(String::new(), |threads| threads.to_string());
                         ParamError { field: "threads", value, allowed: "as many as the system can start" }
                     };
+                    let decided = Decided { edges: self.edges, passes: self.passes };
                     // Shared threads do not survive a fork.
-                    Threads::open(threads).map_err(refused)?.install(|| CloudEstimate::of(&cloud))
+                    Threads::open(threads).map_err(refused)?.install(|| CloudEstimate::with(&cloud, decided))
                 }
                 _ => None,
             };
             let params = self.cloud_params_by(cloud_estimate)?.into();
-            return Ok(Resolved { params, floating_sensor: None, cloud_estimate, unused: self.unused_by_clouds() });
+            let (first_pass, unused) = (self.first_pass(cloud_estimate), self.unused_by_clouds());
+            return Ok(Resolved { params, floating_sensor: None, first_pass, cloud_estimate, unused });
         }
         let sensor = self.known_sensor().or_else(|| SensorModel::estimate_from(frame)).ok_or_else(|| {
             let allowed = "a named sensor such as kinect1, since this frame has too few depths for an estimate";
@@ -42,7 +45,8 @@ impl Settings {
         })?;
         let params = self.checked_frame_params(sensor)?.into();
         let floating_sensor = Some(sensor).filter(|_| self.remove_floating == Some(true));
-        Ok(Resolved { params, floating_sensor, cloud_estimate: None, unused: self.unused_by_frames() })
+        let unused = self.unused_by_frames();
+        Ok(Resolved { params, floating_sensor, first_pass: None, cloud_estimate: None, unused })
     }
 
     /// Returns the parameters for frames of the sensor that is named, where no frame is at hand.
@@ -82,8 +86,20 @@ impl Settings {
             return Ok(params);
         }
         let strength = self.any_strength()?.unwrap_or(Strength::DEFAULT);
+        let edges = self.edges.or(estimate.map(|estimate| estimate.edges)).unwrap_or(params.fit.edges);
+        let params = params.with_edges(edges);
         let count = estimate.map_or(count, |estimate| estimate.neighbours) as f32 * (2.0 * strength.get() - 1.0).exp2();
         Ok(params.with_neighbours((count.round() as u32).clamp(6, 1000)))
+    }
+
+    /// Returns the parameters of a first pass over a cloud that was estimated to be like this; `None` if there is none.
+    pub fn first_pass(&self, estimate: Option<CloudEstimate>) -> Option<CloudParams> {
+        let estimated = estimate.and_then(|estimate| estimate.first_neighbours);
+        let neighbours = match self.passes {
+            None => estimated,
+            Some(passes) => Some(CloudEstimate::FIRST_NEIGHBOURS).filter(|_| passes > 1),
+        };
+        neighbours.map(|count| CloudParams::default().with_neighbours(count))
     }
 
     /// Returns the parameters of a cloud with these settings instead of its preset's.

@@ -55,6 +55,7 @@ impl Serialize for Settings {
             None => {}
         }
         entry!("neighbours", self.neighbours);
+        entry!("passes", self.passes);
         entry!("grid", self.grid.map(|grid| name_of(grid, &super::GridChoice::NAMED)));
         entry!("degree", self.degree);
         entry!("bandwidth_m", self.bandwidth_m);

@@ -14,7 +14,8 @@ use crate::{AtomicFile, Encoding, Format, LasReader, PlyReader, RecordEncoder, R
 use plan::{Tile, bytes_a_point};
 use planish_core::{
     CloudEstimate, CloudParams, CloudRadius, Engine, EngineError, Error, FormatError, Frame, IntoFrame, IoError,
-    Outputs, Params, PointCloud, PointsView, Progress, SensorPose, Settings, Smoothed, Smoother, SmootherOptions,
+    Outputs, ParamError, Params, PointCloud, PointsView, Progress, SensorPose, Settings, Smoothed, Smoother,
+    SmootherOptions,
     internal::{NeededHalo, halo},
 };
 use spill::{Spill, too_large};
@@ -30,8 +31,8 @@ const NARROWEST: f64 = 0.01;
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TileOptions {
-    /// The settings, as for any unorganized cloud. If they leave the number of neighbours open, it is estimated from
-    /// the tile with the most points.
+    /// The settings, as for any unorganized cloud, but with one pass. What they leave open is estimated from the tile
+    /// with the most points.
     pub settings: Settings,
     /// The engine and its options; with radii by density not the reference.
     pub smoother: SmootherOptions,
@@ -149,6 +150,10 @@ fn smooth_records<R: RecordReader>(
     options: &TileOptions,
     progress: &Progress,
 ) -> Result<TilesReport, Error> {
+    if let Some(passes) = options.settings.passes.filter(|passes| *passes > 1) {
+        let allowed = "1 for a file that is smoothed in tiles; two passes need memory for the whole cloud";
+        return Err(ParamError { field: "passes", value: passes.to_string(), allowed }.into());
+    }
     let params = options.settings.cloud_params()?;
     let engine = options.smoother.engine;
     if engine == Engine::Reference && matches!(params.radius, CloudRadius::Neighbours { .. }) {
@@ -246,7 +251,10 @@ impl<R: RecordReader> Tiler<'_, R> {
         let cloud = R::cloud_of(&spill.header, &raw)?;
         drop(raw);
         let view = PointsView::from_cloud(&cloud).map_err(Error::from)?;
-        let resolved = self.options.settings.resolve(Frame::Points(view)).map_err(Error::from)?;
+        // A tile's halo is that of one pass.
+        let mut settings = self.options.settings.clone();
+        settings.passes = Some(1);
+        let resolved = settings.resolve(Frame::Points(view)).map_err(Error::from)?;
         if let Params::Cloud(params) = resolved.params {
             (self.params, self.report.params, self.report.cloud_estimate) = (params, params, resolved.cloud_estimate);
         }

@@ -241,6 +241,10 @@ fn the_largest_tile_decides_the_number_of_neighbours() {
     let expected = folder.path().join("expected.las");
     io::write_cloud(&expected, &whole(&read(&input), &format!("neighbours={count}")), Encoding::Binary).unwrap();
     assert_same(&read(&out), &read(&expected), 1e-5, "chosen");
+    // One pass, whatever the noise.
+    let two = TileOptions::new(parsed("passes=2"), cpu(), 1 << 20);
+    let error = smooth_tiles(&input, &out, &two, &Progress::default()).unwrap_err().to_string();
+    assert!(error.contains("passes = 2 is not allowed: 1 for a file that is smoothed in tiles"), "{error}");
     // Light has half as many.
     let light = in_tiles(&input, &out, "preset=light", 3).params;
     assert_eq!(light, parsed(&format!("neighbours={}", count.div_ceil(2))).cloud_params().unwrap());

@@ -46,9 +46,9 @@ impl Worker<'_> {
         let report =
             with_progress(Some(Arc::clone(&progress)), || tiles::smooth_tiles(input, output, &options, &progress))?;
         report_notes(input, &report.notes);
-        if let (CloudRadius::Neighbours { count }, true) = (report.params.radius, self.settings.chooses_neighbours()) {
-            let noise_m = report.cloud_estimate.map(|estimate| estimate.noise_m);
-            self.report_neighbours(output, &SessionEvent::NeighboursChosen { neighbours: count, noise_m });
+        let chosen = SessionEvent::of_cloud(&report.params, 1, report.cloud_estimate);
+        if let Some(chosen) = chosen.filter(|_| self.settings.chooses_neighbours()) {
+            self.report_neighbours(output, &chosen);
         }
         if self.outputs().normals && self.pose.is_none() && !report.has_pose {
             report_assumed_sensor(input, report.assumed_sensor_m);

@@ -83,10 +83,12 @@ pub(super) fn find_surfaces<S: Simd>(
         p,
         #[inline(always)]
         |offset, place| {
-            let (_, nearness, _) = gate.apply(simd, offset);
-            total += nearness;
-            let residual = splat(simd, first_planes.planes[place].residual);
-            inverse = (nearness * radius_squared / residual) + inverse;
+            let first = &first_planes.planes[place];
+            if first.count != 0.0 {
+                let (_, nearness, _) = gate.apply(simd, offset);
+                total += nearness;
+                inverse = (nearness * radius_squared / splat(simd, first.residual)) + inverse;
+            }
             let (offset, nearness, _) = mean_gate.apply(simd, offset);
             near += nearness;
             mean = mean.add_scaled(nearness, offset);
@@ -106,7 +108,7 @@ pub(super) fn find_surfaces<S: Simd>(
         |offset, place| {
             let first = &first_planes.planes[place];
             // The normal of a collinear neighbourhood is undefined.
-            if first.residual == f32::INFINITY {
+            if first.residual == f32::INFINITY || first.count == 0.0 {
                 return;
             }
             let (offset, nearness, near) = gate.apply(simd, offset);

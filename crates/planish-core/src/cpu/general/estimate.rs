@@ -4,6 +4,7 @@
 use fearless_simd::Level;
 use rayon::prelude::*;
 
+use super::held_out::{FirstPass, HeldOut, Way};
 use super::kernel::{Kernel, Radii};
 use super::radius::{self, Density, RadiusRows};
 use super::smooth_rows;
@@ -14,7 +15,7 @@ use crate::cpu::sensor::Sensor;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, PointsView};
 use crate::neighbours::{LEAF, PointIndex};
 use crate::outputs::Outputs;
-use crate::params::CloudParams;
+use crate::params::{CloudParams, Edges};
 use crate::range::MAX_RANGE_M;
 use crate::smoothed::Smoothed;
 
@@ -37,6 +38,18 @@ const COEFFICIENTS: f64 = 6.0;
 /// With K neighbours, smoothing leaves 12/K of the noise's variance.
 const LEFT: f64 = 12.0;
 
+/// If 40 neighbours are not wider than the noise, it may be the distance between the sides of a thin wall. That is
+/// examined if the mean radius for 40 neighbours is at least this multiple of the noise,
+const THIN_RATIO: f64 = 2.0;
+/// and is so if the mean square error is less by this share with 20 neighbours.
+const MERGED: f64 = 0.6;
+/// Clouds whose mean radius for 40 neighbours is less than this multiple of the noise get a first pass.
+const NOISY: f64 = 8.0;
+/// Twice the radius for 905 neighbours, and more, as a multiple of that for 40.
+const REACH: f32 = 12.0;
+/// Edges are kept if that lessens the mean square error by more than this multiple of the doubt.
+const SURE: f64 = 1.0;
+
 /// The median square of a normal deviate.
 const MEDIAN_SQUARE: f64 = 0.4549;
 
@@ -46,8 +59,20 @@ const MEDIAN_SQUARE: f64 = 0.4549;
 pub struct CloudEstimate {
     /// The number of neighbours that suits the noise and the shape, 20 to 905.
     pub neighbours: u32,
+    /// Whether edges are kept: where that brings the surface nearer to points that it was not fitted to.
+    pub edges: Edges,
+    /// The number of neighbours of a first pass, which noisy clouds need: their points are too far from the surface to
+    /// find it with all its detail at once.
+    pub first_neighbours: Option<u32>,
     /// The standard deviation of the points across their surface, in metres.
     pub noise_m: f32,
+}
+
+/// What is already decided about a cloud.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Decided {
+    pub(crate) edges: Option<Edges>,
+    pub(crate) passes: Option<u32>,
 }
 
 /// How far points moved with some number of neighbours.
@@ -63,39 +88,133 @@ struct Motion {
 }
 
 impl CloudEstimate {
-    /// Smooths about 2000 points of a cloud with several numbers of neighbours. `None` for a cloud of fewer than 160
-    /// distinct points, or if none of the sampled points has enough neighbours.
+    /// The number of neighbours of a first pass.
+    pub const FIRST_NEIGHBOURS: u32 = 20;
+
+    /// Smooths about 2000 points of a cloud in several ways. `None` for a cloud of fewer than 160 distinct points, or
+    /// if none of the sampled points has enough neighbours.
     pub fn of(cloud: &PointsView<'_>) -> Option<Self> {
+        Self::with(cloud, Decided::default())
+    }
+
+    /// As [`of`](Self::of), where something is decided.
+    pub(crate) fn with(cloud: &PointsView<'_>, decided: Decided) -> Option<Self> {
         let mut index = PointIndex::default();
         index.fill(cloud);
         let most = u32::try_from(index.len() / 4).unwrap_or(u32::MAX);
         let geometry = FrameGeometry::of(Frame::Points(*cloud), false, &mut GeometryScratch::default());
-        let sample = Sample { index: &index, sensor: Sensor::new(&geometry), level: Level::new() };
+        let (sensor, level) = (Sensor::new(&geometry), Level::new());
+        let sample = Sample { index: &index, sensor, level };
         let mut tried = TRIED.into_iter().take_while(|&neighbours| neighbours <= most);
         // Widens until neighbourhoods are wider than the noise.
-        let mut narrow = sample.motion(tried.next()?)?;
-        let mut least_ratio = narrow.ratio;
+        let least = sample.motion(tried.next()?)?;
+        let (mut narrow, mut least_ratio) = (least, least.ratio);
         while narrow.ratio < CLEAR_RATIO && narrow.ratio < CLEAR_RISE * least_ratio {
             let Some(wider) = tried.next().and_then(|neighbours| sample.motion(neighbours)) else { break };
             least_ratio = least_ratio.min(wider.ratio);
             narrow = wider;
         }
-        if narrow.neighbours == TRIED[0]
-            && let Some(estimate) = sample.of_few(&narrow)
-        {
-            return Some(estimate);
-        }
-        let mut best = narrow;
+        let mut few = if narrow.neighbours == least.neighbours { sample.of_few(&narrow) } else { None };
+        let mut best = few.map_or(narrow, |[_, best]| best);
         // From there on, wider ones leave less noise but move points off a surface that bends.
-        for wider in tried.map_while(|neighbours| sample.motion(neighbours)) {
+        for wider in tried.take_while(|_| few.is_none()).map_while(|neighbours| sample.motion(neighbours)) {
             if narrow.error_of(&wider) < narrow.error_of(&best) {
                 best = wider;
             } else if narrow.error_of(&wider) > 2.0 * narrow.error_of(&best) {
                 break;
             }
         }
-        Some(Self { neighbours: best.neighbours, noise_m: narrow.noise_m() })
+        let radius_m = least.ratio * least.square.sqrt();
+        if narrow.neighbours > least.neighbours
+            && radius_m > THIN_RATIO * f64::from(narrow.noise_m())
+            && let Some(thin) = sample.of_thin(best.neighbours)
+        {
+            (few, best) = (Some([thin; 2]), thin);
+        }
+        let noise_m = few.map_or(narrow, |[least, _]| least).noise_m();
+        let is_noisy = few.is_none() && radius_m < NOISY * f64::from(noise_m);
+        let passes_twice = decided.passes.map_or(is_noisy, |passes| passes > 1);
+        let off = Way { edges: Edges::Off, neighbours: best.neighbours };
+        let first = FirstPass { neighbours: Self::FIRST_NEIGHBOURS, reach_m: REACH * radius_m as f32 };
+        let held_out = HeldOut::new(&index, sensor, level, off, passes_twice.then_some(first)).ok()?;
+        let chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, decided.edges);
+        let first_neighbours = passes_twice.then_some(Self::FIRST_NEIGHBOURS);
+        Some(Self { neighbours: chosen.neighbours, edges: chosen.edges, first_neighbours, noise_m })
     }
+}
+
+/// Ways to smooth, compared on points that are held out.
+struct Compared<'a> {
+    held_out: &'a HeldOut,
+    /// The largest number of neighbours.
+    most: u32,
+}
+
+/// A way, and its squared errors.
+type Tried = (Way, Vec<f64>);
+
+impl Compared<'_> {
+    /// Returns the best way. Edges are kept only if that is better beyond doubt, unless they are decided.
+    fn choose(&self, start: Way, finds_neighbours: bool, edges: Option<Edges>) -> Way {
+        let off = |neighbours| Way { edges: Edges::Off, neighbours };
+        let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
+        let try_way = |way: Way| (way, self.held_out.errors(way));
+        let mut smooth = try_way(start);
+        if edges != Some(Edges::Robust) && finds_neighbours {
+            smooth = self.climb(smooth, off, 1);
+        }
+        if edges == Some(Edges::Off) {
+            return smooth.0;
+        }
+        let neighbours = smooth.0.neighbours;
+        let kept = try_way(robust(self.step(neighbours, 2)));
+        if edges.is_none() && !is_better(&kept.1, &smooth.1) {
+            return smooth.0;
+        }
+        self.climb(kept, robust, 2).0
+    }
+
+    /// Tries more neighbours, by so many steps at a time, as long as errors decrease.
+    fn climb(&self, mut best: Tried, way: impl Fn(u32) -> Way, steps: usize) -> Tried {
+        let mut neighbours = best.0.neighbours;
+        let mut worse = 0;
+        while worse < 2 {
+            let more = self.step(neighbours, steps);
+            if more == neighbours {
+                break;
+            }
+            neighbours = more;
+            let errors = self.held_out.errors(way(more));
+            if gain(&errors, &best.1).0 > 0.0 {
+                (best, worse) = ((way(more), errors), 0);
+            } else {
+                worse += 1;
+            }
+        }
+        best
+    }
+
+    /// Returns the number of neighbours so many steps above this one, at most the largest.
+    fn step(&self, neighbours: u32, steps: usize) -> u32 {
+        let above = FEW.into_iter().chain(TRIED).filter(|&tried| tried > neighbours && tried <= self.most);
+        above.take(steps).last().unwrap_or(neighbours)
+    }
+}
+
+/// Returns true if errors are less beyond doubt.
+fn is_better(errors: &[f64], than: &[f64]) -> bool {
+    let (gain, doubt) = gain(errors, than);
+    gain > SURE * doubt
+}
+
+/// Returns by how much errors are less in the mean, and the standard error of that.
+fn gain(errors: &[f64], than: &[f64]) -> (f64, f64) {
+    let gains: Vec<f64> =
+        than.iter().zip(errors).map(|(than, error)| than - error).filter(|gain| gain.is_finite()).collect();
+    let count = gains.len().max(1) as f64;
+    let mean = gains.iter().sum::<f64>() / count;
+    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / count;
+    (mean, (variance / count).sqrt())
 }
 
 impl Motion {
@@ -123,15 +242,25 @@ struct Sample<'a> {
 }
 
 impl Sample<'_> {
-    /// Returns an estimate with fewer than 40 neighbours if 40 would distort the shape: move points to the other side
-    /// of a thin wall, or off fine detail.
-    fn of_few(&self, narrow: &Motion) -> Option<CloudEstimate> {
+    /// Returns the motions with the fewest neighbours and with the best number below 40, if 40 distort the shape: if
+    /// they move points to the other side of a thin wall, or off fine detail.
+    fn of_few(&self, narrow: &Motion) -> Option<[Motion; 2]> {
         let [least, more] = FEW.map(|neighbours| self.motion(neighbours));
         let (least, more) = (least?, more?);
         let grows = narrow.square > GROWS * least.square && narrow.ratio < 1.0 / LEAST_MOTION;
         let best = [least, more, *narrow].into_iter().min_by(|a, b| least.error_of(a).total_cmp(&least.error_of(b)))?;
-        (grows && best.neighbours < narrow.neighbours)
-            .then(|| CloudEstimate { neighbours: best.neighbours, noise_m: least.noise_m() })
+        (grows && best.neighbours < narrow.neighbours).then_some([least, best])
+    }
+
+    /// Returns the motion with the fewest neighbours, if as many as `wide` merge the sides of a thin wall: if these miss
+    /// held-out points by much more.
+    fn of_thin(&self, wide: u32) -> Option<Motion> {
+        let fewest = self.motion(FEW[0])?;
+        let off = |neighbours| Way { edges: Edges::Off, neighbours };
+        let held_out = HeldOut::new(self.index, self.sensor, self.level, off(FEW[0]), None).ok()?;
+        let [errors, wide] = [FEW[0], wide].map(|neighbours| held_out.errors(off(neighbours)));
+        let none = vec![0.0; wide.len()];
+        (gain(&errors, &wide).0 > MERGED * gain(&none, &wide).0).then_some(fewest)
     }
 
     /// Returns how far its points move; `None` if none has enough neighbours.

@@ -17,7 +17,7 @@ pub(super) struct FirstPlane {
     /// collinear points.
     pub(super) residual: f32,
     pub(super) curvature: f32,
-    /// The number of neighbours; negative if they are collinear.
+    /// The number of neighbours; negative if they are collinear, 0 if no plane was fitted.
     pub(super) count: f32,
     /// The square of the extent in m².
     pub(super) extent_squared: f32,

@@ -8,6 +8,7 @@ mod edges;
 mod estimate;
 mod first_planes;
 mod gather;
+mod held_out;
 mod kernel;
 mod radius;
 
@@ -35,6 +36,7 @@ use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
 use crate::threads::Threads;
 pub use estimate::CloudEstimate;
+pub(crate) use estimate::Decided;
 use first_planes::{FirstPlaneRows, FirstPlanes};
 use gather::{Gathered, load};
 use kernel::{Kernel, Radii};
@@ -118,7 +120,7 @@ impl GeneralCpu {
                 if progress.is_stopped() {
                     return;
                 }
-                dispatch!(level, simd => edges::fit_first_planes(simd, &kernel, &mut rows));
+                fit_first_planes(level, &kernel, &mut rows);
                 progress.add(of_first_plane * rows.count());
             };
             halve(LEAVES_PER_TASK, first_planes.rows(index.leaves()), &fit);
@@ -167,7 +169,12 @@ impl ImmediateEngine for GeneralCpu {
     }
 }
 
-/// One copy of the kernel, which is large, for the engine and the estimate.
+/// One copy of each kernel, which are large, for the engine and the estimate.
+#[inline(never)]
+fn fit_first_planes(level: Level, kernel: &Kernel<'_>, rows: &mut FirstPlaneRows<'_>) {
+    dispatch!(level, simd => edges::fit_first_planes(simd, kernel, rows));
+}
+
 #[inline(never)]
 fn smooth_rows<const D: usize>(level: Level, kernel: &Kernel<'_>, rows: &mut OutputRows<'_>) {
     dispatch!(level, simd => smooth_leaves::<_, D>(simd, kernel, rows));

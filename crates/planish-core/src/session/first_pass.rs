@@ -1,0 +1,57 @@
+//! A first pass over a noisy cloud (docs/method.md, section 8).
+
+use super::{Chosen, Session};
+use crate::error::Error;
+use crate::frame::Frame;
+use crate::outputs::Outputs;
+use crate::smoother::check_frame;
+
+impl Session {
+    /// Smooths a noisy cloud with few neighbours, and returns whether it did: `self.first_pass` then has the points.
+    pub(super) fn smooth_first(&mut self, frame: Frame<'_>) -> Result<bool, Error> {
+        if frame.grid().is_some() {
+            return Ok(false);
+        }
+        check_frame(frame, self.options.outputs, None)?;
+        let Chosen::Settings(settings) = &self.chosen else { return Ok(false) };
+        if settings.chooses_neighbours() && self.estimates_clouds {
+            self.resolve(frame)?;
+            self.is_prepared = true;
+        }
+        let Chosen::Settings(settings) = &self.chosen else { return Ok(false) };
+        let estimate = self.cloud_estimate.filter(|_| settings.chooses_neighbours() && self.estimates_clouds);
+        let Some(params) = settings.first_pass(estimate) else { return Ok(false) };
+        let is_prepared = std::mem::take(&mut self.is_prepared);
+        let mut smoothed = std::mem::take(&mut self.first_pass);
+        let outputs = std::mem::replace(&mut self.options.outputs, Outputs::POINTS);
+        std::mem::swap(&mut self.open, &mut self.open_for_first);
+        self.is_first = Some(params);
+        let (width, height) = frame.shape();
+        let result = self.one_at_a_time(frame, |session, admitted| {
+            smoothed.prepare(width, height, Outputs::POINTS);
+            session.smoother()?.smooth_admitted(admitted, smoothed.as_mut())
+        });
+        self.is_first = None;
+        std::mem::swap(&mut self.open, &mut self.open_for_first);
+        (self.options.outputs, self.first_pass) = (outputs, smoothed);
+        result?;
+        self.is_prepared = is_prepared;
+        Ok(true)
+    }
+
+    /// Calls `use_frame` with a frame, or with a noisy cloud after a first pass over it.
+    pub(super) fn after_first_pass<T>(
+        &mut self,
+        frame: Frame<'_>,
+        use_frame: impl FnOnce(&mut Self, Frame<'_>) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        let points = match frame {
+            Frame::Points(points) if self.smooth_first(frame)? => points,
+            _ => return use_frame(self, frame),
+        };
+        let smoothed = std::mem::take(&mut self.first_pass);
+        let result = use_frame(self, Frame::Points(points.moved_to(&smoothed.points)));
+        self.first_pass = smoothed;
+        result
+    }
+}
