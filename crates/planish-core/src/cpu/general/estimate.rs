@@ -167,7 +167,14 @@ impl Compared<'_> {
             return smooth.0;
         }
         let neighbours = smooth.0.neighbours;
-        let kept = try_way(robust(self.step(neighbours, 2)));
+        let mut kept = try_way(robust(self.step(neighbours, 2)));
+        if neighbours <= TRIED[0] {
+            // Where detail is fine, so are edges.
+            for neighbours in [neighbours, self.step(neighbours, 1)] {
+                let fewer = try_way(robust(neighbours));
+                kept = if gain(&fewer.1, &kept.1).0 > 0.0 { fewer } else { kept };
+            }
+        }
         if edges.is_none() && !is_better(&kept.1, &smooth.1) {
             return smooth.0;
         }
