@@ -122,8 +122,9 @@ pub struct SmoothingArgs {
     pub sensor: Option<SensorArg>,
     /// Creases and steps
     ///
-    /// By default robust for frames. For unorganized clouds the shape decides: robust if the surface is then nearer to
-    /// points that it was not fitted to. They take 1.5 to 3.6 times as long with robust edges.
+    /// By default robust for frames. For unorganized clouds the shape decides: robust if that reduces the
+    /// error at held-out points, off with a given radius or number of neighbours. They take 1.5 to 3.6 times as long with
+    /// robust edges.
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
     /// Engine
@@ -160,9 +161,10 @@ pub struct SmoothingArgs {
     /// By default the noise and the shape of each cloud decide; in streams it is 40.
     #[arg(long, value_name = "K", conflicts_with = "radius", hide_short_help = true, help_heading = TUNING)]
     pub neighbours: Option<u32>,
-    /// For unorganized clouds: 2 to smooth with 20 neighbours first, 1 not to [default: by the noise of the cloud]
+    /// For unorganized clouds: number of passes; 2 adds a first pass with 20 neighbours [default: by the noise]
     ///
-    /// The first pass helps where the noise is as large as the spacing of the points.
+    /// The first pass helps where the noise exceeds half the spacing of the points. With a given radius or number of
+    /// neighbours, and in tiles, there is none by default.
     #[arg(long, value_name = "1|2", hide_short_help = true, help_heading = TUNING)]
     pub passes: Option<u32>,
     /// For unorganized clouds: turn isolated points into holes [default: false]

@@ -405,7 +405,7 @@ impl Worker<'_> {
     }
 
     fn report_neighbours(&self, output: &Path, chosen: &SessionEvent) {
-        errln!("{}: {chosen} (change with --strength, --neighbours, --edges or --passes)", output.display());
+        errln!("{}: {chosen} (change with --strength, --neighbours or --edges)", output.display());
     }
 
     /// Puts the result into the cloud.

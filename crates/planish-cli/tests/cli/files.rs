@@ -109,7 +109,12 @@ fn general_clouds_are_smoothed_with_radii_of_their_density() {
     assert!(!told.contains("no effect"), "{told}");
     let result = planish(&["smooth", str(&input), str(&output), "--grid", "off", "--window", "2"]);
     let told = text(&result.stderr);
-    assert!(result.status.success() && told.contains("neighbours per point, since its noise is about"), "{told}");
+    assert!(
+        result.status.success()
+            && told.contains("mm of noise, smoothed with about")
+            && told.contains("neighbours per point"),
+        "{told}"
+    );
     assert!(told.contains("--window has no effect on unorganized clouds"), "{told}");
     let read = || {
         let Contents::General(smoothed) = io::read(&output).unwrap().1 else { panic!("points") };

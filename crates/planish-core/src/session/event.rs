@@ -91,14 +91,13 @@ impl fmt::Display for SessionEvent {
                 write!(f, "estimated the sensor from the first frame: step {step:?}, sigma {sigma:?}")
             }
             Self::NeighboursChosen { neighbours, edges, passes, noise_m } => {
-                write!(f, "an unorganized cloud, smoothed with about {neighbours} neighbours per point")?;
-                match (edges, passes) {
-                    (Edges::Robust, 2) => f.write_str(" and edges kept, in two passes")?,
-                    (Edges::Robust, _) => f.write_str(" and edges kept")?,
-                    (Edges::Off, 2) => f.write_str(" in two passes")?,
-                    (Edges::Off, _) => {}
+                f.write_str("an unorganized cloud")?;
+                if let Some(noise_m) = noise_m {
+                    write!(f, " with about {:.2} mm of noise", 1e3 * noise_m)?;
                 }
-                noise_m.map_or(Ok(()), |noise_m| write!(f, ", since its noise is about {:.2} mm", 1e3 * noise_m))
+                write!(f, ", smoothed with about {neighbours} neighbours per point")?;
+                f.write_str(if *edges == Edges::Robust { ", edges kept" } else { "" })?;
+                f.write_str(if *passes > 1 { ", in two passes" } else { "" })
             }
             Self::GridRebuilt { width, height } => {
                 write!(f, "a frame that lost its grid, smoothed on {width}x{height} pixels")

@@ -12,16 +12,15 @@ impl Session {
         if frame.grid().is_some() {
             return Ok(false);
         }
+        self.check_idle()?;
         check_frame(frame, self.options.outputs, None)?;
         let Chosen::Settings(settings) = &self.chosen else { return Ok(false) };
         if settings.chooses_neighbours() && self.estimates_clouds {
             self.resolve(frame)?;
-            self.is_prepared = true;
         }
         let Chosen::Settings(settings) = &self.chosen else { return Ok(false) };
         let estimate = self.cloud_estimate.filter(|_| settings.chooses_neighbours() && self.estimates_clouds);
         let Some(params) = settings.first_pass(estimate) else { return Ok(false) };
-        let is_prepared = std::mem::take(&mut self.is_prepared);
         let mut smoothed = std::mem::take(&mut self.first_pass);
         let outputs = std::mem::replace(&mut self.options.outputs, Outputs::POINTS);
         std::mem::swap(&mut self.open, &mut self.open_for_first);
@@ -34,9 +33,7 @@ impl Session {
         self.is_first = None;
         std::mem::swap(&mut self.open, &mut self.open_for_first);
         (self.options.outputs, self.first_pass) = (outputs, smoothed);
-        result?;
-        self.is_prepared = is_prepared;
-        Ok(true)
+        result.map(|()| true)
     }
 
     /// Calls `use_frame` with a frame, or with a noisy cloud after a first pass over it.

@@ -14,7 +14,7 @@ use crate::view::SmoothedView;
 impl Session {
     /// Submits a frame whose result [`receive`](Self::receive) returns, in order. If its device is lost, the frame is
     /// smoothed again. Unorganized clouds in flight have the parameters of
-    /// [`Settings::cloud_params`](crate::Settings::cloud_params).
+    /// [`Settings::cloud_params`](crate::Settings::cloud_params), and one pass.
     ///
     /// # Errors
     /// If as many are in flight as can be, the frame is malformed, or the engine fails and nothing may take over.
@@ -51,7 +51,7 @@ impl Session {
     /// neighbours opens the engine again, after all others are finished.
     fn open_in_flight<'a>(&mut self, frame: Frame<'a>, uses_fleet: bool) -> Result<AdmittedFrame<'a>, Error> {
         let estimates_clouds = std::mem::replace(&mut self.estimates_clouds, false);
-        self.lattice = None;
+        (self.lattice, self.is_prepared) = (None, false);
         let admitted = self.open_for(frame, uses_fleet);
         self.estimates_clouds = estimates_clouds;
         admitted

@@ -67,7 +67,7 @@ pub struct Session {
     cloud_estimate: Option<CloudEstimate>,
     lattice: Option<Lattice>,
     known_points: usize,
-    /// Whether `prepare` set the three fields above for the next frame.
+    /// Whether the three fields above are those of the frame that is being smoothed, or prepared.
     is_prepared: bool,
     /// The result for a cloud that lost its grid, on that grid.
     on_grid: Smoothed,
@@ -255,7 +255,6 @@ impl Session {
         if let Some(params) = self.is_first {
             return Ok((params.into(), None));
         }
-        let is_prepared = std::mem::take(&mut self.is_prepared);
         let (width, height) = frame.shape();
         match &self.chosen {
             Chosen::Params(params, _) if frame.grid().is_some() => Ok(((*params).into(), None)),
@@ -277,11 +276,13 @@ impl Session {
                 if !self.estimates_clouds {
                     return Ok((settings.cloud_params()?.into(), None));
                 }
-                if is_prepared && self.known_points == width * height {
+                if self.is_prepared && self.known_points == width * height {
                     return Ok((settings.cloud_params_by(self.cloud_estimate)?.into(), None));
                 }
                 let resolved = settings.resolve_on(frame, self.options.threads)?;
                 (self.cloud_estimate, self.known_points) = (resolved.cloud_estimate, width * height);
+                // Also if an engine fails and another takes over.
+                self.is_prepared = true;
                 if let Params::Cloud(params) = &resolved.params {
                     let passes = if resolved.first_pass.is_some() { 2 } else { 1 };
                     self.events.extend(SessionEvent::of_cloud(params, passes, resolved.cloud_estimate));
@@ -302,16 +303,20 @@ impl Session {
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
-        if let Some((lattice, points)) = self.take_lattice(frame) {
-            out.prepare(width, height, self.options.outputs);
-            return self.smooth_on_lattice(lattice, &points, out.as_mut());
-        }
-        self.after_first_pass(frame, |session, frame| {
-            session.one_at_a_time(frame, |session, admitted| {
-                out.prepare(width, height, session.options.outputs);
-                session.smoother()?.smooth_admitted(admitted, out.as_mut())
-            })
-        })
+        let result = match self.take_lattice(frame) {
+            Some((lattice, points)) => {
+                out.prepare(width, height, self.options.outputs);
+                self.smooth_on_lattice(lattice, &points, out.as_mut())
+            }
+            None => self.after_first_pass(frame, |session, frame| {
+                session.one_at_a_time(frame, |session, admitted| {
+                    out.prepare(width, height, session.options.outputs);
+                    session.smoother()?.smooth_admitted(admitted, out.as_mut())
+                })
+            }),
+        };
+        self.is_prepared = false;
+        result
     }
 
     /// Smooths one frame or cloud into buffers of the caller's.
@@ -322,13 +327,16 @@ impl Session {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
         out.check(width * height, self.options.outputs)?;
-        if let Some((lattice, points)) = self.take_lattice(frame) {
-            return self.smooth_on_lattice(lattice, &points, out);
-        }
-        self.after_first_pass(frame, |session, frame| {
-            session
-                .one_at_a_time(frame, |session, admitted| session.smoother()?.smooth_admitted(admitted, out.reborrow()))
-        })
+        let result = match self.take_lattice(frame) {
+            Some((lattice, points)) => self.smooth_on_lattice(lattice, &points, out),
+            None => self.after_first_pass(frame, |session, frame| {
+                session.one_at_a_time(frame, |session, admitted| {
+                    session.smoother()?.smooth_admitted(admitted, out.reborrow())
+                })
+            }),
+        };
+        self.is_prepared = false;
+        result
     }
 
     /// Smooths a frame, again where something takes over.
@@ -348,7 +356,7 @@ impl Session {
     }
 
     /// Opens the engine for frames like this one, unless it is already open. The next cloud of the same size reuses the
-    /// chosen number of neighbours; the same cloud reuses its rebuilt grid. [`smooth`](Self::smooth) opens the engine
+    /// chosen neighbours, edges and passes; the same cloud reuses its rebuilt grid. [`smooth`](Self::smooth) opens the engine
     /// itself.
     ///
     /// # Errors

@@ -105,7 +105,8 @@ pub struct Settings {
     pub strength: Option<f32>,
     /// The sensor that took the frames [default: Kinect v1].
     pub sensor: Option<SensorChoice>,
-    /// Edge handling [default: robust for frames; chosen by the shape for unorganized clouds, off without an estimate].
+    /// Edge handling [default: robust for frames; chosen by the shape of unorganized clouds, off with a given radius or
+    /// number of neighbours].
     pub edges: Option<Edges>,
     /// Whether pixels that float between two surfaces become holes first [default: no].
     pub remove_floating: Option<bool>,
@@ -122,8 +123,8 @@ pub struct Settings {
     /// For unorganized clouds, instead of a radius: neighbours of a point, 6 to 1000 [default: chosen by the cloud's
     /// noise and shape].
     pub neighbours: Option<u32>,
-    /// For unorganized clouds: 2 to smooth with few neighbours first, which helps where the noise is as large as the
-    /// spacing of the points; 1 for no such pass [default: chosen by the cloud's noise].
+    /// For unorganized clouds: 2 adds a first pass with 20 neighbours, which helps where the noise exceeds half the
+    /// spacing of the points [default: chosen from the noise; 1 with a given radius or number of neighbours].
     pub passes: Option<u32>,
     /// For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto].
     pub grid: Option<GridChoice>,
@@ -298,10 +299,11 @@ impl Settings {
     }
 
     /// Returns whether the grid of a frame that lost it is rebuilt: not with `grid=off`, a radius, a number of
-    /// neighbours or the paper preset, nor where points are to be removed.
+    /// neighbours or passes, or the paper preset, nor where points are to be removed.
     pub fn rebuilds_grid(&self) -> bool {
         let removes_points = self.remove_isolated == Some(true) || self.remove_floating == Some(true);
-        self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && !removes_points
+        let is_for_clouds = removes_points || self.passes.is_some();
+        self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && !is_for_clouds
     }
 
     /// Returns whether a sensor is to be estimated from a frame.

@@ -52,11 +52,13 @@ class Settings(TypedDict, total=False):
     """For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius [default: chosen by the cloud's
     noise and shape]."""
     passes: Literal[1, 2] | None
-    """For unorganized clouds: 2 to smooth with 20 neighbours first, 1 not to [default: chosen by the cloud's noise]."""
+    """For unorganized clouds: 2 adds a first pass with 20 neighbours [default: chosen from the noise; 1 with
+    a given radius or number of neighbours]."""
     grid: Literal["auto", "off"] | None
     """For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto]."""
     edges: Literal["robust", "off"] | None
-    """Edge handling [default: robust for frames, chosen by the shape of unorganized clouds]."""
+    """Edge handling [default: robust for frames; chosen by the shape of unorganized clouds, off with a given radius or number
+    of neighbours]."""
     window: int | None
     """Half-width of the window in samples, 1 to 7; without window and stride, both adapt to the frame's resolution."""
     stride: int | None

@@ -5,7 +5,7 @@ use anyhow::Result;
 use planish::Frame;
 
 /// Maximum memory per point of an engine and its results (default setting with all outputs: 130 to 150 bytes).
-const ENGINE_BYTES_A_POINT: u64 = 200;
+const ENGINE_BYTES_A_POINT: u64 = 240;
 
 /// A frame needs more memory than its worker has.
 #[derive(Debug)]

@@ -1,23 +1,14 @@
-//! The number of neighbours that suits a cloud, and its noise, from how far a sample of its points moves
-//! (docs/method.md, section 8).
+//! Estimates the noise of a cloud from how far a sample of its points moves, and chooses its neighbours, edge handling and
+//! passes (docs/method.md, section 8).
 
 use fearless_simd::Level;
-use rayon::prelude::*;
 
-use super::held_out::{FirstPass, HeldOut, Way};
-use super::kernel::{Kernel, Radii};
-use super::radius::{self, Density, RadiusRows};
-use super::smooth_rows;
-use crate::constants::MAX_RADIUS_RATIO;
-use crate::cpu::Fitting;
-use crate::cpu::output::OutputRows;
+use super::held_out::{FirstPass, HeldOut};
+use super::leaves::{Kernels, SmoothedLeaf, Way};
 use crate::cpu::sensor::Sensor;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, PointsView};
 use crate::neighbours::{LEAF, PointIndex};
-use crate::outputs::Outputs;
-use crate::params::{CloudParams, Edges};
-use crate::range::MAX_RANGE_M;
-use crate::smoothed::Smoothed;
+use crate::params::Edges;
 
 /// The numbers of neighbours that are tried, each about the root of two times the one before.
 const TRIED: [u32; 10] = [40, 57, 80, 113, 160, 226, 320, 453, 640, 905];
@@ -38,28 +29,25 @@ const COEFFICIENTS: f64 = 6.0;
 /// With K neighbours, smoothing leaves 12/K of the noise's variance.
 const LEFT: f64 = 12.0;
 
-/// If 40 neighbours are not wider than the noise, it may be the distance between the sides of a thin wall. That is
-/// examined if the mean radius for 40 neighbours is at least this multiple of the noise,
-const THIN_RATIO: f64 = 2.0;
-/// and is so if the mean square error is less by this share with 20 neighbours.
-const MERGED: f64 = 0.6;
 /// Clouds whose mean radius for 40 neighbours is less than this multiple of the noise get a first pass.
 const NOISY: f64 = 8.0;
-/// Twice the radius for 905 neighbours, and more, as a multiple of that for 40.
+/// Where it is less than this multiple, edges are not kept.
+const NOISIEST: f64 = 2.2;
+/// How far around held-out points a first pass goes, in radii for 40 neighbours: more than twice the radius for 905.
 const REACH: f32 = 12.0;
-/// Edges are kept if that lessens the mean square error by more than this multiple of the doubt.
+/// Edges are kept if they reduce the mean square error by more than this many standard errors.
 const SURE: f64 = 1.0;
 
 /// The median square of a normal deviate.
 const MEDIAN_SQUARE: f64 = 0.4549;
 
-/// The noise of an unorganized cloud, and the number of neighbours that suits it.
+/// The noise of an unorganized cloud, and the way to smooth it that suits its noise and shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CloudEstimate {
     /// The number of neighbours that suits the noise and the shape, 20 to 905.
     pub neighbours: u32,
-    /// Whether edges are kept: where that brings the surface nearer to points that it was not fitted to.
+    /// Whether edges are kept: where that reduces the error at held-out points.
     pub edges: Edges,
     /// The number of neighbours of a first pass, which noisy clouds need: their points are too far from the surface to
     /// find it with all its detail at once.
@@ -103,8 +91,8 @@ impl CloudEstimate {
         index.fill(cloud);
         let most = u32::try_from(index.len() / 4).unwrap_or(u32::MAX);
         let geometry = FrameGeometry::of(Frame::Points(*cloud), false, &mut GeometryScratch::default());
-        let (sensor, level) = (Sensor::new(&geometry), Level::new());
-        let sample = Sample { index: &index, sensor, level };
+        let kernels = Kernels { sensor: Sensor::new(&geometry), level: Level::new() };
+        let sample = Sample { index: &index, kernels };
         let mut tried = TRIED.into_iter().take_while(|&neighbours| neighbours <= most);
         // Widens until neighbourhoods are wider than the noise.
         let least = sample.motion(tried.next()?)?;
@@ -114,7 +102,7 @@ impl CloudEstimate {
             least_ratio = least_ratio.min(wider.ratio);
             narrow = wider;
         }
-        let mut few = if narrow.neighbours == least.neighbours { sample.of_few(&narrow) } else { None };
+        let few = if narrow.neighbours == least.neighbours { sample.of_few(&narrow) } else { None };
         let mut best = few.map_or(narrow, |[_, best]| best);
         // From there on, wider ones leave less noise but move points off a surface that bends.
         for wider in tried.take_while(|_| few.is_none()).map_while(|neighbours| sample.motion(neighbours)) {
@@ -125,19 +113,16 @@ impl CloudEstimate {
             }
         }
         let radius_m = least.ratio * least.square.sqrt();
-        if narrow.neighbours > least.neighbours
-            && radius_m > THIN_RATIO * f64::from(narrow.noise_m())
-            && let Some(thin) = sample.of_thin(best.neighbours)
-        {
-            (few, best) = (Some([thin; 2]), thin);
-        }
         let noise_m = few.map_or(narrow, |[least, _]| least).noise_m();
         let is_noisy = few.is_none() && radius_m < NOISY * f64::from(noise_m);
         let passes_twice = decided.passes.map_or(is_noisy, |passes| passes > 1);
         let off = Way { edges: Edges::Off, neighbours: best.neighbours };
         let first = FirstPass { neighbours: Self::FIRST_NEIGHBOURS, reach_m: REACH * radius_m as f32 };
-        let held_out = HeldOut::new(&index, sensor, level, off, passes_twice.then_some(first)).ok()?;
-        let chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, decided.edges);
+        let held_out = HeldOut::new(&index, kernels, off, passes_twice.then_some(first)).ok()?;
+        // Noise beyond the spacing shifts round surfaces outwards, as keeping edges does.
+        let may_have_edges = radius_m > NOISIEST * f64::from(noise_m);
+        let edges = decided.edges.or((!may_have_edges).then_some(Edges::Off));
+        let chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, edges);
         let first_neighbours = passes_twice.then_some(Self::FIRST_NEIGHBOURS);
         Some(Self { neighbours: chosen.neighbours, edges: chosen.edges, first_neighbours, noise_m })
     }
@@ -168,12 +153,11 @@ impl Compared<'_> {
         }
         let neighbours = smooth.0.neighbours;
         let mut kept = try_way(robust(self.step(neighbours, 2)));
-        if neighbours <= TRIED[0] {
-            // Where detail is fine, so are edges.
-            for neighbours in [neighbours, self.step(neighbours, 1)] {
-                let fewer = try_way(robust(neighbours));
-                kept = if gain(&fewer.1, &kept.1).0 > 0.0 { fewer } else { kept };
-            }
+        // Next to thin walls and fine detail, fewer neighbours keep edges better.
+        let fewer = [neighbours, self.step(neighbours, 1)];
+        for neighbours in fewer.into_iter().take(if neighbours <= TRIED[0] { 2 } else { 1 }) {
+            let fewer = try_way(robust(neighbours));
+            kept = if is_better(&fewer.1, &kept.1) { fewer } else { kept };
         }
         if edges.is_none() && !is_better(&kept.1, &smooth.1) {
             return smooth.0;
@@ -208,7 +192,7 @@ impl Compared<'_> {
     }
 }
 
-/// Returns true if errors are less beyond doubt.
+/// Returns true if errors are reduced by more than [`SURE`] standard errors.
 fn is_better(errors: &[f64], than: &[f64]) -> bool {
     let (gain, doubt) = gain(errors, than);
     gain > SURE * doubt
@@ -244,8 +228,7 @@ impl Motion {
 /// Some leaves of the points of a cloud.
 struct Sample<'a> {
     index: &'a PointIndex,
-    sensor: Sensor,
-    level: Level,
+    kernels: Kernels,
 }
 
 impl Sample<'_> {
@@ -259,70 +242,28 @@ impl Sample<'_> {
         (grows && best.neighbours < narrow.neighbours).then_some([least, best])
     }
 
-    /// Returns the motion with the fewest neighbours, if as many as `wide` merge the sides of a thin wall: if these miss
-    /// held-out points by much more.
-    fn of_thin(&self, wide: u32) -> Option<Motion> {
-        let fewest = self.motion(FEW[0])?;
-        let off = |neighbours| Way { edges: Edges::Off, neighbours };
-        let held_out = HeldOut::new(self.index, self.sensor, self.level, off(FEW[0]), None).ok()?;
-        let [errors, wide] = [FEW[0], wide].map(|neighbours| held_out.errors(off(neighbours)));
-        let none = vec![0.0; wide.len()];
-        (gain(&errors, &wide).0 > MERGED * gain(&none, &wide).0).then_some(fewest)
-    }
-
     /// Returns how far its points move; `None` if none has enough neighbours.
     fn motion(&self, neighbours: u32) -> Option<Motion> {
-        let Self { index, level, .. } = *self;
+        let Self { index, kernels } = *self;
         let leaves = index.leaves();
         let step = (LEAF * leaves).div_ceil(SAMPLE).max(1);
         let is_sampled = |leaf: usize| leaf % step == step / 2;
-        let density = Density { half: neighbours as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
-        // Only the radii of sampled points are read.
-        let mut radii = vec![f32::NAN; LEAF * leaves];
-        radii.par_chunks_mut(LEAF).enumerate().filter(|(leaf, _)| is_sampled(*leaf)).for_each(|(first, radii)| {
-            let mut rows = RadiusRows { first, radii };
-            radius::solve(level, index, density, &mut rows);
-        });
         let sampled: Vec<_> = (0..leaves).filter(|&leaf| is_sampled(leaf)).collect();
-        // In the same order for any number of threads.
-        let motions: Vec<Vec<[f64; 2]>> =
-            sampled.into_par_iter().map(|leaf| self.motions_of(leaf, neighbours, &radii)).collect();
-        let motions = motions.concat();
+        let smoothed = kernels.smooth(index, Way { edges: Edges::Off, neighbours }, &sampled);
+        let motion = |leaf: usize, smoothed: &SmoothedLeaf, k: usize| {
+            let (from, to) = (index.point(LEAF * leaf + k), smoothed.point(k)?);
+            let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
+            Some([square, f64::from(smoothed.radius_m(k))])
+        };
+        let motions: Vec<[f64; 2]> = sampled
+            .iter()
+            .zip(&smoothed)
+            .flat_map(|(&leaf, smoothed)| (0..LEAF).filter_map(move |k| motion(leaf, smoothed, k)))
+            .collect();
         let mean = |k: usize| motions.iter().map(|motion| motion[k]).sum::<f64>() / motions.len() as f64;
         let mut squares: Vec<f64> = motions.iter().map(|[square, _]| *square).collect();
         squares.sort_by(f64::total_cmp);
         let median = *squares.get(squares.len() / 2)?;
         Some(Motion { neighbours, square: mean(0), median, ratio: mean(1) / mean(0).sqrt() })
-    }
-
-    /// Returns the squared motions and the radii of those points of a leaf that are smoothed.
-    fn motions_of(&self, leaf: usize, neighbours: u32, radii: &[f32]) -> Vec<[f64; 2]> {
-        let Self { index, sensor, level } = *self;
-        let params = CloudParams::default();
-        let fitting = Fitting {
-            bandwidth_m: params.fit.bandwidth_m,
-            ridge: params.fit.ridge,
-            keeps_isolated: true,
-            least_neighbours: neighbours.div_ceil(4) as f32,
-        };
-        let kernel = Kernel { fitting, sensor, index, radii: Radii::Known(radii), first_planes: None };
-        let mut smoothed = Smoothed::default();
-        smoothed.prepare(LEAF, 1, Outputs::POINTS.with_status(true));
-        let mut rows = OutputRows::of_grid((LEAF, 1), smoothed.as_mut());
-        rows.first = leaf;
-        smooth_rows::<2>(level, &kernel, &mut rows);
-        let status = smoothed.status.as_deref().unwrap_or_default();
-        let of_point = |k: usize| {
-            let (from, to) = (index.point(LEAF * leaf + k), smoothed.points.get(k));
-            let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
-            [square, f64::from(radii[LEAF * leaf + k])]
-        };
-        // Strays have wider neighbourhoods than the points beside them: their motion measures no noise.
-        let mut sorted: Vec<f32> =
-            radii[LEAF * leaf..LEAF * (leaf + 1)].iter().copied().filter(|r| r.is_finite()).collect();
-        sorted.sort_by(f32::total_cmp);
-        let widest_m = sorted.get(sorted.len() / 2).map_or(f32::INFINITY, |middle| MAX_RADIUS_RATIO * middle);
-        let counts = |k: &usize| status[*k].has_normal() && radii[LEAF * leaf + k] <= widest_m;
-        (0..LEAF).filter(counts).map(of_point).collect()
     }
 }

@@ -10,6 +10,7 @@ mod first_planes;
 mod gather;
 mod held_out;
 mod kernel;
+mod leaves;
 mod radius;
 
 use std::sync::Arc;

@@ -1,0 +1,160 @@
+//! Smooths some leaves of a cloud, on all threads.
+
+use std::sync::{Mutex, PoisonError};
+
+use fearless_simd::Level;
+use rayon::prelude::*;
+
+use super::first_planes::{FirstPlane, FirstPlaneRows, FirstPlanes};
+use super::kernel::{Kernel, Radii};
+use super::radius::{self, Density, RadiusRows};
+use super::{fit_first_planes, smooth_rows};
+use crate::constants::MAX_RADIUS_RATIO;
+use crate::cpu::Fitting;
+use crate::cpu::output::OutputRows;
+use crate::cpu::sensor::Sensor;
+use crate::neighbours::{LEAF, PointIndex};
+use crate::outputs::Outputs;
+use crate::params::{CloudParams, Edges};
+use crate::range::MAX_RANGE_M;
+use crate::smoothed::Smoothed;
+use crate::xyz::Xyz;
+
+/// First planes are fitted in one leaf of this many around those that are smoothed: enough for a comparison.
+const ONE_LEAF_IN: usize = 4;
+/// Planes within twice the radius decide on a surface; this is a little more.
+const PLANES_REACH: f32 = 2.04;
+
+/// A way to smooth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Way {
+    pub(super) edges: Edges,
+    pub(super) neighbours: u32,
+}
+
+/// What the kernels need besides points.
+#[derive(Clone, Copy)]
+pub(super) struct Kernels {
+    pub(super) sensor: Sensor,
+    pub(super) level: Level,
+}
+
+impl Kernels {
+    /// Smooths the points of some leaves.
+    pub(super) fn smooth(self, index: &PointIndex, way: Way, leaves: &[usize]) -> Vec<SmoothedLeaf> {
+        let Self { sensor, level } = self;
+        let density =
+            Density { half: way.neighbours as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
+        let radii_of = |first: usize| {
+            let mut radii = [f32::NAN; LEAF];
+            radius::solve(level, index, density, &mut RadiusRows { first, radii: &mut radii });
+            radii
+        };
+        // Only the radii of these leaves are read.
+        let mut radii = vec![f32::NAN; LEAF * index.leaves()];
+        put(&mut radii, leaves, of_leaves(leaves, radii_of));
+        let params = CloudParams::default();
+        let fitting = Fitting {
+            bandwidth_m: params.fit.bandwidth_m,
+            ridge: params.fit.ridge,
+            keeps_isolated: true,
+            least_neighbours: way.neighbours.div_ceil(4) as f32,
+        };
+        let mut first_planes = None;
+        if way.edges == Edges::Robust {
+            let widest_m = |leaf: usize| radii[LEAF * leaf..LEAF * (leaf + 1)].iter().copied().fold(0.0, f32::max);
+            let mut fitted = leaves_around(index, leaves, |leaf| PLANES_REACH * widest_m(leaf));
+            fitted.retain(|leaf| leaf % ONE_LEAF_IN == 0 && leaves.binary_search(leaf).is_err());
+            put(&mut radii, &fitted, of_leaves(&fitted, radii_of));
+            fitted.extend(leaves);
+            let kernel = Kernel { fitting, sensor, index, radii: Radii::Known(&radii), first_planes: None };
+            let planes = of_leaves(&fitted, |first| {
+                let (mut planes, mut radii) = ([FirstPlane::default(); LEAF], [f32::NAN; LEAF]);
+                let mut rows = FirstPlaneRows { first, planes: &mut planes, radii: &mut radii };
+                fit_first_planes(level, &kernel, &mut rows);
+                planes
+            });
+            let rows = first_planes.insert(FirstPlanes::default()).rows(index.leaves());
+            put(rows.planes, &fitted, planes);
+            rows.radii.copy_from_slice(&radii);
+        }
+        let kernel =
+            Kernel { fitting, sensor, index, radii: Radii::Known(&radii), first_planes: first_planes.as_ref() };
+        of_leaves(leaves, |leaf| {
+            let mut smoothed = Smoothed::default();
+            smoothed.prepare(LEAF, 1, Outputs::POINTS.with_normals(true).with_status(true));
+            let mut rows = OutputRows::of_grid((LEAF, 1), smoothed.as_mut());
+            rows.first = leaf;
+            smooth_rows::<2>(level, &kernel, &mut rows);
+            SmoothedLeaf::new(smoothed, std::array::from_fn(|k| radii[LEAF * leaf + k]))
+        })
+    }
+}
+
+/// Returns the leaves within reach of some leaves, which differs from leaf to leaf.
+pub(super) fn leaves_around(index: &PointIndex, leaves: &[usize], reach_m: impl Fn(usize) -> f32) -> Vec<usize> {
+    let mut is_near = vec![false; index.leaves()];
+    for &leaf in leaves {
+        let around = index.leaf_bounds(leaf).grown(reach_m(leaf));
+        index.for_each_leaf(|bounds| bounds.overlaps(&around), |leaf, _| is_near[leaf] = true);
+    }
+    (0..index.leaves()).filter(|&leaf| is_near[leaf]).collect()
+}
+
+/// Puts the values of the points of some leaves in their places.
+fn put<T: Copy>(values: &mut [T], leaves: &[usize], of_leaves: Vec<[T; LEAF]>) {
+    for (&leaf, of_leaf) in leaves.iter().zip(of_leaves) {
+        values[LEAF * leaf..LEAF * (leaf + 1)].copy_from_slice(&of_leaf);
+    }
+}
+
+/// Returns the results for some leaves, in their order.
+fn of_leaves<T: Send>(leaves: &[usize], of: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    let results: Vec<Mutex<Option<T>>> = leaves.iter().map(|_| Mutex::new(None)).collect();
+    for_each(leaves.len(), &|i| {
+        *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(of(leaves[i]));
+    });
+    results.into_iter().filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
+}
+
+/// One copy of the task runner, which is large.
+fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
+    (0..count).into_par_iter().for_each(work);
+}
+
+/// The smoothed points of a leaf.
+pub(super) struct SmoothedLeaf {
+    points: Xyz,
+    normals: Xyz,
+    radii_m: [f32; LEAF],
+    /// Whether each point has a surface and is no stray, whose neighbourhood is much wider than its leaf's median.
+    counts: [bool; LEAF],
+}
+
+impl SmoothedLeaf {
+    fn new(smoothed: Smoothed, radii_m: [f32; LEAF]) -> Self {
+        let mut sorted: Vec<f32> = radii_m.iter().copied().filter(|radius| radius.is_finite()).collect();
+        sorted.sort_by(f32::total_cmp);
+        let widest_m = sorted.get(sorted.len() / 2).map_or(f32::INFINITY, |middle| MAX_RADIUS_RATIO * middle);
+        let status = smoothed.status.unwrap_or_default();
+        let counts = std::array::from_fn(|k| status[k].has_normal() && radii_m[k] <= widest_m);
+        Self { points: smoothed.points, normals: smoothed.normals.unwrap_or_default(), radii_m, counts }
+    }
+
+    /// Returns point `k` if it counts.
+    pub(super) fn point(&self, k: usize) -> Option<[f32; 3]> {
+        self.counts[k].then(|| self.points.get(k))
+    }
+
+    /// Returns the squared distance of a place from the surface at point `k`; NaN if that does not count.
+    pub(super) fn error(&self, k: usize, [x, y, z]: [f32; 3]) -> f64 {
+        let Some([a, b, c]) = self.point(k) else { return f64::NAN };
+        let [u, v, w] = self.normals.get(k);
+        f64::from((x - a) * u + (y - b) * v + (z - c) * w).powi(2)
+    }
+
+    /// Returns the radius of point `k`'s neighbourhood.
+    pub(super) fn radius_m(&self, k: usize) -> f32 {
+        self.radii_m[k]
+    }
+}
