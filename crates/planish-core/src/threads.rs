@@ -6,6 +6,9 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::EngineError;
 
+/// WebAssembly has the calling thread alone, and a page should not have to load what divides work among several.
+pub(crate) const ONE_THREAD: bool = cfg!(target_family = "wasm");
+
 /// More threads than any machine has cores take minutes to start.
 const MAX_THREADS: usize = 1024;
 
@@ -17,8 +20,8 @@ impl Threads {
     /// `None` is one thread for each core, shared by the whole process.
     pub fn open(threads: Option<usize>) -> Result<Self, EngineError> {
         let Some(threads) = threads else { return Ok(Self(None)) };
-        // WebAssembly has the calling thread alone, on which rayon's global pool then works.
-        if cfg!(target_family = "wasm") {
+        // On which rayon's global pool then works.
+        if ONE_THREAD {
             return Ok(Self(None));
         }
         if threads > MAX_THREADS {

@@ -122,9 +122,9 @@ pub struct SmoothingArgs {
     pub sensor: Option<SensorArg>,
     /// Creases and steps
     ///
-    /// By default robust for frames. For unorganized clouds the shape decides: robust if that reduces the
-    /// error at held-out points, off with a given radius or number of neighbours. They take 1.5 to 3.6 times as long with
-    /// robust edges.
+    /// By default robust for frames. For unorganized clouds the shape decides: robust if that reduces the error at
+    /// held-out points, off with a given radius or number of neighbours. They take 1.5 to 3.6 times as long with robust
+    /// edges.
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
     /// Engine

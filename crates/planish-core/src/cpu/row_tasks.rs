@@ -2,6 +2,8 @@
 
 use std::ops::RangeInclusive;
 
+use crate::threads::ONE_THREAD;
+
 /// Rows per task. Enough to make its overhead negligible and to find most candidates in the core's cache; few enough to
 /// keep many threads evenly busy.
 const ROWS_PER_TASK: RangeInclusive<usize> = 4..=8;
@@ -19,7 +21,7 @@ pub(super) trait SplitRows: Send + Sized {
 
 /// `work` on all rows; if `parallel`, a few at a time, on the threads of the pool that it is called in.
 pub(super) fn run_on_rows<R: SplitRows>(rows: R, parallel: bool, work: &(impl Fn(R) + Sync)) {
-    if !parallel {
+    if ONE_THREAD || !parallel {
         work(rows);
         return;
     }
@@ -29,7 +31,7 @@ pub(super) fn run_on_rows<R: SplitRows>(rows: R, parallel: bool, work: &(impl Fn
 
 /// Calls `work` on at most `most` rows at a time, in parallel.
 pub(super) fn halve<R: SplitRows>(most: usize, rows: R, work: &(impl Fn(R) + Sync)) {
-    if rows.count() <= most {
+    if ONE_THREAD || rows.count() <= most {
         work(rows);
         return;
     }

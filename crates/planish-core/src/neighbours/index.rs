@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use super::middle;
 use crate::frame::PointsView;
+use crate::threads::ONE_THREAD;
 
 /// Points in a leaf: the lanes of the widest vector.
 pub(crate) const LEAF: usize = 16;
@@ -115,8 +116,14 @@ impl PointIndex {
             let [x, y, z] = at(i);
             [(x + 0.0).to_bits(), (y + 0.0).to_bits(), (z + 0.0).to_bits()]
         };
-        self.keys.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| (bits(a.1), a.1).cmp(&(bits(b.1), b.1))));
-        self.keys.par_chunk_by_mut(|a, b| a.0 == b.0).for_each(|cell| refine(cell, &raw));
+        let order =
+            |a: &(u64, u32), b: &(u64, u32)| a.0.cmp(&b.0).then_with(|| (bits(a.1), a.1).cmp(&(bits(b.1), b.1)));
+        if ONE_THREAD {
+            self.keys.sort_unstable_by(order)
+        } else {
+            self.keys.par_sort_unstable_by(order)
+        }
+        refine_cells(&mut self.keys, &raw);
 
         self.places.clear();
         self.places.par_extend((0..view.len()).into_par_iter().map(|_| AtomicU32::new(HOLE)));
@@ -353,9 +360,22 @@ fn refine(cell: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
     let curve = Curve { low: bounds.low, cells_per_metre, extent_m: 0.0 };
     cell.iter_mut().for_each(|(key, i)| *key = curve.key(at(*i)));
     // Equal keys stay in the order of coordinates that they are in.
-    cell.par_sort_by_key(|&(key, _)| key);
+    if ONE_THREAD {
+        cell.sort_by_key(|&(key, _)| key)
+    } else {
+        cell.par_sort_by_key(|&(key, _)| key)
+    }
     if cell.first().map(|first| first.0) != cell.last().map(|last| last.0) {
-        cell.par_chunk_by_mut(|a, b| a.0 == b.0).for_each(|cell| refine(cell, raw));
+        refine_cells(cell, raw);
+    }
+}
+
+/// Sorts the points of each cell.
+fn refine_cells(keys: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
+    if ONE_THREAD {
+        keys.chunk_by_mut(|a, b| a.0 == b.0).for_each(|cell| refine(cell, raw));
+    } else {
+        keys.par_chunk_by_mut(|a, b| a.0 == b.0).for_each(|cell| refine(cell, raw));
     }
 }
 

@@ -191,8 +191,8 @@ impl Session {
     }
 
     /// Sets whether unorganized clouds are examined if the settings allow it [default: true]. If so, the grid of a
-    /// frame that lost it is rebuilt, and the number of neighbours, edges and passes are chosen by noise and shape. If not, parameters are
-    /// those of [`Settings::cloud_params`], which is faster and avoids flicker in a video.
+    /// frame that lost it is rebuilt, and the number of neighbours, edges and passes are chosen by noise and shape. If
+    /// not, parameters are those of [`Settings::cloud_params`], which is faster and avoids flicker in a video.
     pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
         Self { estimates_clouds, ..self }
     }
@@ -356,8 +356,8 @@ impl Session {
     }
 
     /// Opens the engine for frames like this one, unless it is already open. The next cloud of the same size reuses the
-    /// chosen neighbours, edges and passes; the same cloud reuses its rebuilt grid. [`smooth`](Self::smooth) opens the engine
-    /// itself.
+    /// chosen neighbours, edges and passes; the same cloud reuses its rebuilt grid. [`smooth`](Self::smooth) opens the
+    /// engine itself.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth).

@@ -1,5 +1,5 @@
-//! Estimates the noise of a cloud from how far a sample of its points moves, and chooses its neighbours, edge handling and
-//! passes (docs/method.md, section 8).
+//! Estimates the noise of a cloud from how far a sample of its points moves, and chooses its neighbours, edge handling
+//! and passes (docs/method.md, section 8).
 
 use fearless_simd::Level;
 

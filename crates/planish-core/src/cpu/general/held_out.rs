@@ -44,7 +44,8 @@ impl HeldOut {
         let is_held_out = |&place: &usize| is_sampled(place / LEAF) && place % ONE_IN == place / LEAF % ONE_IN;
         let (held_out, others): (Vec<usize>, Vec<usize>) = (0..cloud.len()).partition(is_held_out);
         let measured: Vec<_> = held_out.iter().map(|&place| cloud.point(place)).collect();
-        let index = index_of(others.iter().map(|&place| cloud.point(place)))?;
+        let others: Vec<_> = others.iter().map(|&place| cloud.point(place)).collect();
+        let index = index_of(&others)?;
         let mut apart = Self { others: index.len(), index, measured, kernels };
         apart.index.append(apart.others, &apart.measured);
         apart.move_held_out(way);
@@ -61,7 +62,7 @@ impl HeldOut {
     /// Returns the others after a first pass, as far as they matter.
     fn smooth_others(&self, FirstPass { neighbours, reach_m }: FirstPass) -> Result<PointIndex, FrameError> {
         let held_out: Vec<_> = (self.others / LEAF..self.index.leaves()).collect();
-        let near = leaves_around(&self.index, &held_out, |_| reach_m);
+        let near = leaves_around(&self.index, &held_out, &|_| reach_m);
         let smoothed = self.kernels.smooth(&self.index, Way { edges: Edges::Off, neighbours }, &near);
         let mut points: Vec<_> = (0..self.others).map(|place| self.index.point(place)).collect();
         for (leaf, smoothed) in near.iter().zip(&smoothed) {
@@ -69,7 +70,7 @@ impl HeldOut {
                 *point = smoothed.point(k).unwrap_or(*point);
             }
         }
-        index_of(points.into_iter())
+        index_of(&points)
     }
 
     /// Moves the held-out points onto the surface of the others.
@@ -95,9 +96,9 @@ impl HeldOut {
     }
 }
 
-fn index_of(points: impl Iterator<Item = [f32; 3]>) -> Result<PointIndex, FrameError> {
+fn index_of(points: &[[f32; 3]]) -> Result<PointIndex, FrameError> {
     let mut index = PointIndex::default();
-    index.fill(&PointsView::from_rows(&points.collect::<Vec<_>>())?);
+    index.fill(&PointsView::from_rows(points)?);
     Ok(index)
 }
 

@@ -18,6 +18,7 @@ use crate::outputs::Outputs;
 use crate::params::{CloudParams, Edges};
 use crate::range::MAX_RANGE_M;
 use crate::smoothed::Smoothed;
+use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
 /// First planes are fitted in one leaf of this many around those that are smoothed: enough for a comparison.
@@ -40,7 +41,8 @@ pub(super) struct Kernels {
 }
 
 impl Kernels {
-    /// Smooths the points of some leaves.
+    /// Smooths the points of some leaves. One copy, since the Web module counts every byte.
+    #[inline(never)]
     pub(super) fn smooth(self, index: &PointIndex, way: Way, leaves: &[usize]) -> Vec<SmoothedLeaf> {
         let Self { sensor, level } = self;
         let density =
@@ -63,7 +65,7 @@ impl Kernels {
         let mut first_planes = None;
         if way.edges == Edges::Robust {
             let widest_m = |leaf: usize| radii[LEAF * leaf..LEAF * (leaf + 1)].iter().copied().fold(0.0, f32::max);
-            let mut fitted = leaves_around(index, leaves, |leaf| PLANES_REACH * widest_m(leaf));
+            let mut fitted = leaves_around(index, leaves, &|leaf| PLANES_REACH * widest_m(leaf));
             fitted.retain(|leaf| leaf % ONE_LEAF_IN == 0 && leaves.binary_search(leaf).is_err());
             put(&mut radii, &fitted, of_leaves(&fitted, radii_of));
             fitted.extend(leaves);
@@ -92,7 +94,7 @@ impl Kernels {
 }
 
 /// Returns the leaves within reach of some leaves, which differs from leaf to leaf.
-pub(super) fn leaves_around(index: &PointIndex, leaves: &[usize], reach_m: impl Fn(usize) -> f32) -> Vec<usize> {
+pub(super) fn leaves_around(index: &PointIndex, leaves: &[usize], reach_m: &dyn Fn(usize) -> f32) -> Vec<usize> {
     let mut is_near = vec![false; index.leaves()];
     for &leaf in leaves {
         let around = index.leaf_bounds(leaf).grown(reach_m(leaf));
@@ -119,7 +121,7 @@ fn of_leaves<T: Send>(leaves: &[usize], of: impl Fn(usize) -> T + Sync) -> Vec<T
 
 /// One copy of the task runner, which is large.
 fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
-    (0..count).into_par_iter().for_each(work);
+    if ONE_THREAD { (0..count).for_each(work) } else { (0..count).into_par_iter().for_each(work) }
 }
 
 /// The smoothed points of a leaf.
@@ -133,9 +135,10 @@ pub(super) struct SmoothedLeaf {
 
 impl SmoothedLeaf {
     fn new(smoothed: Smoothed, radii_m: [f32; LEAF]) -> Self {
-        let mut sorted: Vec<f32> = radii_m.iter().copied().filter(|radius| radius.is_finite()).collect();
-        sorted.sort_by(f32::total_cmp);
-        let widest_m = sorted.get(sorted.len() / 2).map_or(f32::INFINITY, |middle| MAX_RADIUS_RATIO * middle);
+        let mut sorted: Vec<f64> =
+            radii_m.iter().filter(|radius| radius.is_finite()).map(|&radius| f64::from(radius)).collect();
+        sorted.sort_by(f64::total_cmp);
+        let widest_m = sorted.get(sorted.len() / 2).map_or(f32::INFINITY, |&middle| MAX_RADIUS_RATIO * middle as f32);
         let status = smoothed.status.unwrap_or_default();
         let counts = std::array::from_fn(|k| status[k].has_normal() && radii_m[k] <= widest_m);
         Self { points: smoothed.points, normals: smoothed.normals.unwrap_or_default(), radii_m, counts }
