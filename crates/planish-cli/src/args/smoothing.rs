@@ -164,7 +164,7 @@ pub struct SmoothingArgs {
     /// For unorganized clouds: number of passes; 2 adds a first pass with 20 neighbours [default: by the noise]
     ///
     /// The first pass helps where the noise exceeds half the spacing of the points. With a given radius or number of
-    /// neighbours, and in tiles, there is none by default.
+    /// neighbours, and in tiles, the default is 1.
     #[arg(long, value_name = "1|2", hide_short_help = true, help_heading = TUNING)]
     pub passes: Option<u32>,
     /// For unorganized clouds: turn isolated points into holes [default: false]

@@ -175,7 +175,7 @@ impl PointIndex {
         );
     }
 
-    /// Puts points without weight behind the first `len` places, instead of those that are there.
+    /// Keeps the first `len` places and appends points without weight.
     pub(crate) fn append(&mut self, len: usize, points: &[[f32; 3]]) {
         self.len = len + points.len();
         let padded = self.len.next_multiple_of(LEAF);

@@ -70,7 +70,7 @@ pub enum SessionEvent {
 }
 
 impl SessionEvent {
-    /// Reports what was chosen for an unorganized cloud; `None` if it has a fixed radius.
+    /// The choice for an unorganized cloud; `None` for a fixed radius.
     pub fn of_cloud(params: &CloudParams, passes: u32, estimate: Option<CloudEstimate>) -> Option<Self> {
         let CloudRadius::Neighbours { count } = params.radius else { return None };
         let noise_m = estimate.map(|estimate| estimate.noise_m);

@@ -67,7 +67,7 @@ pub struct Session {
     cloud_estimate: Option<CloudEstimate>,
     lattice: Option<Lattice>,
     known_points: usize,
-    /// Whether the three fields above are those of the frame that is being smoothed, or prepared.
+    /// Whether the three fields above belong to the current or prepared frame.
     is_prepared: bool,
     /// The result for a cloud that lost its grid, on that grid.
     on_grid: Smoothed,

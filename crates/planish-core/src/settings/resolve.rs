@@ -92,7 +92,7 @@ impl Settings {
         Ok(params.with_neighbours((count.round() as u32).clamp(6, 1000)))
     }
 
-    /// Returns the parameters of a first pass over a cloud that was estimated to be like this; `None` if there is none.
+    /// Returns the parameters of the first pass over a cloud with this estimate; `None` for a single pass.
     pub fn first_pass(&self, estimate: Option<CloudEstimate>) -> Option<CloudParams> {
         let estimated = estimate.and_then(|estimate| estimate.first_neighbours);
         let neighbours = match self.passes {

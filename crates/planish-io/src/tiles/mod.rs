@@ -31,8 +31,8 @@ const NARROWEST: f64 = 0.01;
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TileOptions {
-    /// The settings, as for any unorganized cloud, but with one pass. What they leave open is estimated from the tile
-    /// with the most points.
+    /// The settings, as for any unorganized cloud, but with one pass. The tile with the most points decides open
+    /// choices.
     pub settings: Settings,
     /// The engine and its options; with radii by density not the reference.
     pub smoother: SmootherOptions,
@@ -251,7 +251,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         let cloud = R::cloud_of(&spill.header, &raw)?;
         drop(raw);
         let view = PointsView::from_cloud(&cloud).map_err(Error::from)?;
-        // A tile's halo is that of one pass.
+        // A tile's halo is wide enough for one pass.
         let mut settings = self.options.settings.clone();
         settings.passes = Some(1);
         let resolved = settings.resolve(Frame::Points(view)).map_err(Error::from)?;

@@ -31,7 +31,7 @@ const LEFT: f64 = 12.0;
 
 /// Clouds whose mean radius for 40 neighbours is less than this multiple of the noise get a first pass.
 const NOISY: f64 = 8.0;
-/// Where it is less than this multiple, edges are not kept.
+/// If that radius is less than this multiple, edges are off.
 const NOISIEST: f64 = 2.2;
 /// How far around held-out points a first pass goes, in radii for 40 neighbours: more than twice the radius for 905.
 const REACH: f32 = 12.0;
@@ -56,7 +56,7 @@ pub struct CloudEstimate {
     pub noise_m: f32,
 }
 
-/// What is already decided about a cloud.
+/// Choices that the settings have made.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Decided {
     pub(crate) edges: Option<Edges>,
@@ -85,7 +85,7 @@ impl CloudEstimate {
         Self::with(cloud, Decided::default())
     }
 
-    /// As [`of`](Self::of), where something is decided.
+    /// As [`of`](Self::of), with the choices of the settings.
     pub(crate) fn with(cloud: &PointsView<'_>, decided: Decided) -> Option<Self> {
         let mut index = PointIndex::default();
         index.fill(cloud);
@@ -139,7 +139,7 @@ struct Compared<'a> {
 type Tried = (Way, Vec<f64>);
 
 impl Compared<'_> {
-    /// Returns the best way. Edges are kept only if that is better beyond doubt, unless they are decided.
+    /// Returns the best way. Unless the settings choose, edges are kept only if that is clearly better.
     fn choose(&self, start: Way, finds_neighbours: bool, edges: Option<Edges>) -> Way {
         let off = |neighbours| Way { edges: Edges::Off, neighbours };
         let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
@@ -165,7 +165,7 @@ impl Compared<'_> {
         self.climb(kept, robust, 2).0
     }
 
-    /// Tries more neighbours, by so many steps at a time, as long as errors decrease.
+    /// Raises the number of neighbours by `steps` at a time until two tries in a row do not reduce the errors.
     fn climb(&self, mut best: Tried, way: impl Fn(u32) -> Way, steps: usize) -> Tried {
         let mut neighbours = best.0.neighbours;
         let mut worse = 0;
@@ -185,7 +185,7 @@ impl Compared<'_> {
         best
     }
 
-    /// Returns the number of neighbours so many steps above this one, at most the largest.
+    /// Returns the number of neighbours `steps` above this one, at most the largest.
     fn step(&self, neighbours: u32, steps: usize) -> u32 {
         let above = FEW.into_iter().chain(TRIED).filter(|&tried| tried > neighbours && tried <= self.most);
         above.take(steps).last().unwrap_or(neighbours)

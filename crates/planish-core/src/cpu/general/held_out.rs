@@ -23,10 +23,10 @@ pub(super) struct FirstPass {
 
 /// A cloud with points held out.
 pub(super) struct HeldOut {
-    /// The others, and behind them those that are held out.
+    /// The other points, followed by the held-out ones.
     index: PointIndex,
     others: usize,
-    /// Where the held-out points were measured.
+    /// Measured positions of the held-out points.
     measured: Vec<[f32; 3]>,
     kernels: Kernels,
 }
@@ -59,7 +59,7 @@ impl HeldOut {
         Ok(apart)
     }
 
-    /// Returns the others after a first pass, as far as they matter.
+    /// Returns the other points after a first pass around the held-out ones.
     fn smooth_others(&self, FirstPass { neighbours, reach_m }: FirstPass) -> Result<PointIndex, FrameError> {
         let held_out: Vec<_> = (self.others / LEAF..self.index.leaves()).collect();
         let near = leaves_around(&self.index, &held_out, &|_| reach_m);

@@ -21,7 +21,7 @@ use crate::smoothed::Smoothed;
 use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
-/// First planes are fitted in one leaf of this many around those that are smoothed: enough for a comparison.
+/// Around the smoothed leaves, first planes are fitted in one leaf of this many: enough for a comparison.
 const ONE_LEAF_IN: usize = 4;
 /// Planes within twice the radius decide on a surface; this is a little more.
 const PLANES_REACH: f32 = 2.04;
@@ -33,7 +33,7 @@ pub(super) struct Way {
     pub(super) neighbours: u32,
 }
 
-/// What the kernels need besides points.
+/// Inputs of the kernels other than points.
 #[derive(Clone, Copy)]
 pub(super) struct Kernels {
     pub(super) sensor: Sensor,
@@ -129,7 +129,7 @@ pub(super) struct SmoothedLeaf {
     points: Xyz,
     normals: Xyz,
     radii_m: [f32; LEAF],
-    /// Whether each point has a surface and is no stray, whose neighbourhood is much wider than its leaf's median.
+    /// False for points without a surface, and for strays: their neighbourhoods are much wider than the median.
     counts: [bool; LEAF],
 }
 
