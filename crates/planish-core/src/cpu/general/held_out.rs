@@ -90,7 +90,7 @@ impl HeldOut {
         points.map(|(place, &measured)| of(&smoothed[place / LEAF - first], place % LEAF, measured)).collect()
     }
 
-    /// Returns the squared distances of the held-out points from the surface, NaN for those without one, in m².
+    /// Returns the squared distance of each held-out point from the surface in m²; NaN if there is no surface at it.
     pub(super) fn errors(&self, way: Way) -> Vec<f64> {
         self.of_held_out(way, SmoothedLeaf::error)
     }
