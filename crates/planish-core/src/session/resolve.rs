@@ -9,8 +9,8 @@ use crate::sensor::SensorModel;
 use crate::settings::{SensorChoice, Settings};
 
 impl Session {
-    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first. What settings leave open
-    /// is estimated, and reported as an event.
+    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first. Estimates what settings
+    /// leave open, and reports it as an event.
     pub(super) fn resolve(&mut self, frame: Frame<'_>) -> Result<(Params, Option<SensorModel>), Error> {
         if let Some(params) = self.is_first {
             return Ok((params.into(), None));
