@@ -4,7 +4,7 @@
 use fearless_simd::Level;
 
 use super::held_out::{FirstPass, HeldOut};
-use super::leaves::{Kernels, SmoothedLeaf, Way};
+use super::leaves::{Kernels, Miss, SmoothedLeaf, Way};
 use crate::cpu::sensor::Sensor;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, PointsView};
 use crate::neighbours::{LEAF, PointIndex};
@@ -124,7 +124,9 @@ impl CloudEstimate {
         let edges = decided.edges.or((!may_have_edges).then_some(Edges::Off));
         let chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, edges);
         let first_neighbours = passes_twice.then_some(Self::FIRST_NEIGHBOURS);
-        Some(Self { neighbours: chosen.neighbours, edges: chosen.edges, first_neighbours, noise_m })
+        let noise_m = chosen.noise_m().unwrap_or(noise_m);
+        let Way { edges, neighbours } = chosen.way;
+        Some(Self { neighbours, edges, first_neighbours, noise_m })
     }
 }
 
@@ -135,49 +137,62 @@ struct Compared<'a> {
     most: u32,
 }
 
-/// A way, and its squared errors.
-type Tried = (Way, Vec<f64>);
+/// A way, and its misses of the held-out points.
+struct Tried {
+    way: Way,
+    misses: Vec<Miss>,
+}
 
 impl Compared<'_> {
     /// Returns the best way. Unless the settings choose, edges are kept only if that is clearly better.
-    fn choose(&self, start: Way, finds_neighbours: bool, edges: Option<Edges>) -> Way {
+    fn choose(&self, start: Way, is_noisy: bool, edges: Option<Edges>) -> Tried {
         let off = |neighbours| Way { edges: Edges::Off, neighbours };
         let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
-        let try_way = |way: Way| (way, self.held_out.errors(way));
-        let mut smooth = try_way(start);
-        if edges != Some(Edges::Robust) && finds_neighbours {
-            smooth = self.climb(smooth, off, 1);
+        // With too few neighbours, normals follow the noise, which shortens distances along them.
+        let whole = |miss: &Miss| miss.whole;
+        let mut smooth = self.walk(self.try_way(start), off, |neighbours| self.below(neighbours), whole);
+        if smooth.way == start && is_noisy && edges != Some(Edges::Robust) {
+            smooth = self.walk(smooth, off, |neighbours| self.above(neighbours, 1), whole);
         }
         if edges == Some(Edges::Off) {
-            return smooth.0;
+            return smooth;
         }
-        let neighbours = smooth.0.neighbours;
-        let mut kept = try_way(robust(self.step(neighbours, 2)));
+        // Held-out points have been moved along the rounded normals beside an edge, so whole distances are to its
+        // disadvantage.
+        let along = |miss: &Miss| miss.along;
+        let neighbours = smooth.way.neighbours;
+        let mut kept = self.try_way(robust(self.above(neighbours, 2)));
         // Next to thin walls and fine detail, fewer neighbours keep edges better.
-        let fewer = [neighbours, self.step(neighbours, 1)];
+        let fewer = [neighbours, self.above(neighbours, 1)];
         for neighbours in fewer.into_iter().take(if neighbours <= TRIED[0] { 2 } else { 1 }) {
-            let fewer = try_way(robust(neighbours));
-            kept = if is_better(&fewer.1, &kept.1) { fewer } else { kept };
+            let fewer = self.try_way(robust(neighbours));
+            kept = if fewer.is_better(&kept, along) { fewer } else { kept };
         }
-        if edges.is_none() && !is_better(&kept.1, &smooth.1) {
-            return smooth.0;
+        if edges.is_none() && !kept.is_better(&smooth, along) {
+            return smooth;
         }
-        self.climb(kept, robust, 2).0
+        self.walk(kept, robust, |neighbours| self.above(neighbours, 2), along)
     }
 
-    /// Raises the number of neighbours by `steps` at a time until two tries in a row do not reduce the errors.
-    fn climb(&self, mut best: Tried, way: impl Fn(u32) -> Way, steps: usize) -> Tried {
-        let mut neighbours = best.0.neighbours;
+    fn try_way(&self, way: Way) -> Tried {
+        Tried { way, misses: self.held_out.misses(way) }
+    }
+
+    /// Changes the number of neighbours step by step until two tries in a row miss by more.
+    fn walk(
+        &self,
+        mut best: Tried,
+        way: impl Fn(u32) -> Way,
+        next: impl Fn(u32) -> u32,
+        distance: impl Fn(&Miss) -> f64,
+    ) -> Tried {
+        let mut neighbours = best.way.neighbours;
         let mut worse = 0;
-        while worse < 2 {
-            let more = self.step(neighbours, steps);
-            if more == neighbours {
-                break;
-            }
-            neighbours = more;
-            let errors = self.held_out.errors(way(more));
-            if gain(&errors, &best.1).0 > 0.0 {
-                (best, worse) = ((way(more), errors), 0);
+        while worse < 2 && next(neighbours) != neighbours {
+            neighbours = next(neighbours);
+            let tried = self.try_way(way(neighbours));
+            if tried.gain(&best, &distance).0 > 0.0 {
+                (best, worse) = (tried, 0);
             } else {
                 worse += 1;
             }
@@ -185,27 +200,43 @@ impl Compared<'_> {
         best
     }
 
+    /// Returns the next smaller number of neighbours, at least the smallest.
+    fn below(&self, neighbours: u32) -> u32 {
+        FEW.into_iter().chain(TRIED).take_while(|&tried| tried < neighbours).last().unwrap_or(neighbours)
+    }
+
     /// Returns the number of neighbours `steps` above this one, at most the largest.
-    fn step(&self, neighbours: u32, steps: usize) -> u32 {
+    fn above(&self, neighbours: u32, steps: usize) -> u32 {
         let above = FEW.into_iter().chain(TRIED).filter(|&tried| tried > neighbours && tried <= self.most);
         above.take(steps).last().unwrap_or(neighbours)
     }
 }
 
-/// Returns true if errors are reduced by more than [`SURE`] standard errors.
-fn is_better(errors: &[f64], than: &[f64]) -> bool {
-    let (gain, doubt) = gain(errors, than);
-    gain > SURE * doubt
-}
+impl Tried {
+    /// Returns true if it misses by less than another way, by more than [`SURE`] standard errors.
+    fn is_better(&self, than: &Self, distance: impl Fn(&Miss) -> f64) -> bool {
+        let (gain, doubt) = self.gain(than, distance);
+        gain > SURE * doubt
+    }
 
-/// Returns by how much errors are less in the mean, and the standard error of that.
-fn gain(errors: &[f64], than: &[f64]) -> (f64, f64) {
-    let gains: Vec<f64> =
-        than.iter().zip(errors).map(|(than, error)| than - error).filter(|gain| gain.is_finite()).collect();
-    let count = gains.len().max(1) as f64;
-    let mean = gains.iter().sum::<f64>() / count;
-    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / count;
-    (mean, (variance / count).sqrt())
+    /// Returns by how much it misses less than another way in the mean, and the standard error of that.
+    fn gain(&self, than: &Self, distance: impl Fn(&Miss) -> f64) -> (f64, f64) {
+        let pairs = than.misses.iter().zip(&self.misses);
+        let gains: Vec<f64> =
+            pairs.map(|(than, own)| distance(than) - distance(own)).filter(|gain| gain.is_finite()).collect();
+        let count = gains.len().max(1) as f64;
+        let mean = gains.iter().sum::<f64>() / count;
+        let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / count;
+        (mean, (variance / count).sqrt())
+    }
+
+    /// Returns the noise that explains the median miss; `None` if no point counts.
+    fn noise_m(&self) -> Option<f32> {
+        let mut squares: Vec<f64> =
+            self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite()).collect();
+        squares.sort_by(f64::total_cmp);
+        squares.get(squares.len() / 2).map(|median| (median / MEDIAN_SQUARE).sqrt() as f32)
+    }
 }
 
 impl Motion {

@@ -1,7 +1,7 @@
 //! Points of a cloud that are held out, to compare ways to smooth it (docs/method.md, section 8): the best surface is
 //! the one that is nearest to points that it was not fitted to.
 
-use super::leaves::{Kernels, SmoothedLeaf, Way, leaves_around};
+use super::leaves::{Kernels, Miss, SmoothedLeaf, Way, leaves_around};
 use crate::error::FrameError;
 use crate::frame::PointsView;
 use crate::neighbours::{LEAF, PointIndex};
@@ -90,9 +90,9 @@ impl HeldOut {
         points.map(|(place, &measured)| of(&smoothed[place / LEAF - first], place % LEAF, measured)).collect()
     }
 
-    /// Returns the squared distance of each held-out point from the surface in m²; NaN if there is no surface at it.
-    pub(super) fn errors(&self, way: Way) -> Vec<f64> {
-        self.of_held_out(way, SmoothedLeaf::error)
+    /// Returns how far each held-out point was measured from the surface.
+    pub(super) fn misses(&self, way: Way) -> Vec<Miss> {
+        self.of_held_out(way, SmoothedLeaf::miss)
     }
 }
 

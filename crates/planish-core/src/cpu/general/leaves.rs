@@ -124,6 +124,15 @@ fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
     if ONE_THREAD { (0..count).for_each(work) } else { (0..count).into_par_iter().for_each(work) }
 }
 
+/// Squared distance in m² between a place and a point of a surface.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Miss {
+    /// Along the surface's normal.
+    pub(super) along: f64,
+    /// In space.
+    pub(super) whole: f64,
+}
+
 /// The smoothed points of a leaf.
 pub(super) struct SmoothedLeaf {
     points: Xyz,
@@ -149,11 +158,11 @@ impl SmoothedLeaf {
         self.counts[k].then(|| self.points.get(k))
     }
 
-    /// Returns the squared distance of a place from the surface at point `k`; NaN if that does not count.
-    pub(super) fn error(&self, k: usize, [x, y, z]: [f32; 3]) -> f64 {
-        let Some([a, b, c]) = self.point(k) else { return f64::NAN };
-        let [u, v, w] = self.normals.get(k);
-        f64::from((x - a) * u + (y - b) * v + (z - c) * w).powi(2)
+    /// Returns how far a place is from the surface at point `k`; NaN if that does not count.
+    pub(super) fn miss(&self, k: usize, [x, y, z]: [f32; 3]) -> Miss {
+        let Some([a, b, c]) = self.point(k) else { return Miss { along: f64::NAN, whole: f64::NAN } };
+        let ([u, v, w], [x, y, z]) = (self.normals.get(k), [x - a, y - b, z - c]);
+        Miss { along: f64::from(x * u + y * v + z * w).powi(2), whole: f64::from(x * x + y * y + z * z) }
     }
 
     /// Returns the radius of point `k`'s neighbourhood.
