@@ -32,7 +32,7 @@ const LEFT: f64 = 12.0;
 /// Clouds whose mean radius for 40 neighbours is less than this multiple of the noise get a first pass.
 const NOISY: f64 = 8.0;
 /// If that radius is less than this multiple, edges are off.
-const NOISIEST: f64 = 2.2;
+const NOISIEST: f64 = 1.6;
 /// How far around held-out points a first pass goes, in radii for 40 neighbours: more than twice the radius for 905.
 const REACH: f32 = 12.0;
 /// Edges are kept if they reduce the mean square error by more than this many standard errors.
