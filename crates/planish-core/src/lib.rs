@@ -25,6 +25,7 @@ mod devices;
 mod eigen;
 mod engines;
 mod error;
+mod even;
 mod fleet;
 mod floating;
 mod frame;

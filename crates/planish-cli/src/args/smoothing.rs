@@ -179,6 +179,12 @@ pub struct SmoothingArgs {
     /// examined.
     #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
     pub grid: Option<GridArg>,
+    /// For unorganized clouds: space points evenly along the smoothed surface [default: false]
+    ///
+    /// Smoothing removes noise across the surface; noise along it leaves clumps and gaps. Points move by at most 1.5
+    /// standard deviations of the noise. Not for streams or files smoothed in tiles.
+    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
+    pub even: Option<bool>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
     #[arg(long, value_name = "D", hide_short_help = true, help_heading = TUNING)]
     pub degree: Option<u32>,
@@ -284,7 +290,7 @@ impl SmoothingArgs {
             RadiusArg::Sensor => SettingValue::from("sensor"),
             RadiusArg::Metres(radius_m) => radius_m.into(),
         });
-        let given: [(&str, SettingValue); 19] = [
+        let given: [(&str, SettingValue); 20] = [
             ("preset", named(self.preset.as_ref())),
             ("strength", self.strength.into()),
             ("sensor", named(self.sensor.as_ref())),
@@ -298,6 +304,7 @@ impl SmoothingArgs {
             ("neighbours", self.neighbours.into()),
             ("passes", self.passes.into()),
             ("grid", named(self.grid.as_ref())),
+            ("even", self.even.into()),
             ("degree", self.degree.into()),
             ("bandwidth_m", self.bandwidth.into()),
             ("ridge", self.ridge.into()),

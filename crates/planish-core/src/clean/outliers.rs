@@ -197,7 +197,7 @@ impl<'a> Search<'a> {
     /// Returns a distance slightly larger than from the first point of a leaf to its nearest `neighbours` points.
     fn first_reach_m(&self, leaf: usize, neighbours: usize) -> f32 {
         let nearest = self.index.nearest(self.index.point(LEAF * leaf)).take(neighbours + 1);
-        1.1 * nearest.last().unwrap_or(0.0).sqrt().max(f32::MIN_POSITIVE.sqrt())
+        1.1 * nearest.last().map_or(0.0, |(square, _)| square).sqrt().max(f32::MIN_POSITIVE.sqrt())
     }
 
     /// Returns the mean and the largest distance from a point to its nearest points; `None` if too few are within the

@@ -259,7 +259,7 @@ impl PointIndex {
         }
     }
 
-    /// Returns the squared distances from a point to the positions, ascending, computed on demand.
+    /// Returns the squared distances from a point to the positions, and their places, nearest first, computed on demand.
     pub(crate) fn nearest(&self, point: [f32; 3]) -> Nearest<'_> {
         let mut nearest = Nearest { index: self, point, queue: Default::default() };
         if let Some(top) = self.levels.len().checked_sub(1) {
@@ -315,14 +315,15 @@ impl Nearest<'_> {
 }
 
 impl Iterator for Nearest<'_> {
-    type Item = f32;
+    type Item = (f32, u32);
 
-    fn next(&mut self) -> Option<f32> {
+    fn next(&mut self) -> Option<(f32, u32)> {
         loop {
             let std::cmp::Reverse((bits, level, number)) = self.queue.pop()?;
+            let place = number;
             let number = number as usize;
             match level {
-                0 => return Some(f32::from_bits(bits)),
+                0 => return Some((f32::from_bits(bits), place)),
                 1 => {
                     for place in LEAF * number..(LEAF * (number + 1)).min(self.index.len) {
                         let square = Bounds::of_point(self.index.point(place)).distance_squared(self.point);

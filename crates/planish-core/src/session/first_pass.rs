@@ -3,7 +3,7 @@
 use super::{Chosen, Session};
 use crate::error::Error;
 use crate::frame::Frame;
-use crate::outputs::Outputs;
+use crate::outputs::{Outputs, SmoothedMut};
 use crate::smoother::check_frame;
 
 impl Session {
@@ -26,28 +26,22 @@ impl Session {
         std::mem::swap(&mut self.open, &mut self.open_for_first);
         self.is_first = Some(params);
         let (width, height) = frame.shape();
-        let result = self.one_at_a_time(frame, |session, admitted| {
-            smoothed.prepare(width, height, Outputs::POINTS);
-            session.smoother()?.smooth_admitted(admitted, smoothed.as_mut())
-        });
+        smoothed.prepare(width, height, Outputs::POINTS);
+        let result = self.one_at_a_time(frame, smoothed.as_mut());
         self.is_first = None;
         std::mem::swap(&mut self.open, &mut self.open_for_first);
         (self.options.outputs, self.first_pass) = (outputs, smoothed);
         result.map(|()| true)
     }
 
-    /// Calls `use_frame` with a frame, or with a noisy cloud after a first pass over it.
-    pub(super) fn after_first_pass<T>(
-        &mut self,
-        frame: Frame<'_>,
-        use_frame: impl FnOnce(&mut Self, Frame<'_>) -> Result<T, Error>,
-    ) -> Result<T, Error> {
+    /// Smooths a frame, or a noisy cloud after a first pass over it.
+    pub(super) fn smooth_in_passes(&mut self, frame: Frame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let points = match frame {
             Frame::Points(points) if self.smooth_first(frame)? => points,
-            _ => return use_frame(self, frame),
+            _ => return self.one_at_a_time(frame, out),
         };
         let smoothed = std::mem::take(&mut self.first_pass);
-        let result = use_frame(self, Frame::Points(points.moved_to(&smoothed.points)));
+        let result = self.one_at_a_time(Frame::Points(points.moved_to(&smoothed.points)), out);
         self.first_pass = smoothed;
         result
     }

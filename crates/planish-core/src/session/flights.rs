@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::Session;
 use super::pending::{AnyFrame, Pending};
-use crate::error::{EngineError, Error};
+use crate::error::{EngineError, Error, ParamError};
 use crate::fleet::SharedFrame;
 use crate::frame::{Frame, IntoFrame};
 use crate::smoothed::Smoothed;
@@ -50,6 +50,10 @@ impl Session {
     /// Opens what smooths this frame among others in flight. Unorganized clouds are not examined: a new number of
     /// neighbours opens the engine again, after all others are finished.
     fn open_in_flight<'a>(&mut self, frame: Frame<'a>, uses_fleet: bool) -> Result<AdmittedFrame<'a>, Error> {
+        if self.to_space_evenly(frame).is_some() {
+            let allowed = "only for clouds that are smoothed one by one, not for streams or rigs";
+            return Err(ParamError { field: "even", value: "true".into(), allowed }.into());
+        }
         let estimates_clouds = std::mem::replace(&mut self.estimates_clouds, false);
         (self.lattice, self.is_prepared) = (None, false);
         let admitted = self.open_for(frame, uses_fleet);

@@ -16,10 +16,8 @@ impl Session {
     ) -> Result<(), Error> {
         let (width, height) = lattice.shape();
         let mut on_grid = std::mem::take(&mut self.on_grid);
-        let result = self.one_at_a_time(Frame::Points(lattice.view(points)), |session, admitted| {
-            on_grid.prepare(width, height, session.options.outputs);
-            session.smoother()?.smooth_admitted(admitted, on_grid.as_mut())
-        });
+        on_grid.prepare(width, height, self.options.outputs);
+        let result = self.one_at_a_time(Frame::Points(lattice.view(points)), on_grid.as_mut());
         if result.is_ok() {
             out.take_from(points.len(), &on_grid, |i| lattice.pixel(i));
             out.keep_isolated(points);

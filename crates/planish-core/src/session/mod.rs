@@ -1,5 +1,6 @@
 //! Smooths frames of any shape: opens and reopens engines, and recovers when a GPU is lost or too small.
 
+mod evenly;
 mod event;
 mod first_pass;
 mod flights;
@@ -75,6 +76,8 @@ pub struct Session {
     /// The points after a first pass, and the engine for it.
     first_pass: Smoothed,
     open_for_first: Option<Open>,
+    /// The result before its points are spaced evenly.
+    before_even: Smoothed,
     /// The parameters of the first pass during it.
     is_first: Option<CloudParams>,
     is_live: bool,
@@ -142,6 +145,7 @@ impl Session {
             on_grid: Smoothed::default(),
             first_pass: Smoothed::default(),
             open_for_first: None,
+            before_even: Smoothed::default(),
             is_first: None,
             is_live: false,
             keeps_window: false,
@@ -259,51 +263,38 @@ impl Session {
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
-        let result = match self.take_lattice(frame) {
-            Some((lattice, points)) => {
-                out.prepare(width, height, self.options.outputs);
-                self.smooth_on_lattice(lattice, &points, out.as_mut())
-            }
-            None => self.after_first_pass(frame, |session, frame| {
-                session.one_at_a_time(frame, |session, admitted| {
-                    out.prepare(width, height, session.options.outputs);
-                    session.smoother()?.smooth_admitted(admitted, out.as_mut())
-                })
-            }),
-        };
-        self.is_prepared = false;
-        result
+        out.prepare(width, height, self.options.outputs);
+        self.smooth_frame(frame, out.as_mut())
     }
 
     /// Smooths one frame or cloud into buffers of the caller's.
     ///
     /// # Errors
     /// As [`smooth`](Self::smooth), and if a buffer has another length than the frame or is not among the outputs.
-    pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
+    pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
         out.check(width * height, self.options.outputs)?;
-        let result = match self.take_lattice(frame) {
-            Some((lattice, points)) => self.smooth_on_lattice(lattice, &points, out),
-            None => self.after_first_pass(frame, |session, frame| {
-                session.one_at_a_time(frame, |session, admitted| {
-                    session.smoother()?.smooth_admitted(admitted, out.reborrow())
-                })
-            }),
+        self.smooth_frame(frame, out)
+    }
+
+    fn smooth_frame(&mut self, frame: Frame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        let result = match (self.take_lattice(frame), self.to_space_evenly(frame)) {
+            (Some((lattice, points)), _) => self.smooth_on_lattice(lattice, &points, out),
+            (None, Some(points)) => self.smooth_evenly(&points, out),
+            (None, None) => self.smooth_in_passes(frame, out),
         };
         self.is_prepared = false;
         result
     }
 
     /// Smooths a frame, again where something takes over.
-    fn one_at_a_time(
-        &mut self,
-        frame: Frame<'_>,
-        mut smooth: impl FnMut(&mut Self, &AdmittedFrame<'_>) -> Result<(), Error>,
-    ) -> Result<(), Error> {
+    fn one_at_a_time(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
         self.check_idle()?;
         loop {
-            let result = self.open_for(frame, false).and_then(|admitted| smooth(self, &admitted));
+            let result = self
+                .open_for(frame, false)
+                .and_then(|admitted| self.smoother()?.smooth_admitted(&admitted, out.reborrow()));
             match result {
                 Err(error) => self.recover(error, frame.grid().is_none(), false)?,
                 Ok(()) => return Ok(()),
@@ -422,7 +413,7 @@ impl Session {
         self.forget_other_process();
         (self.open, self.open_for_first) = (None, None);
         self.lattice = None;
-        (self.on_grid, self.first_pass) = (Smoothed::default(), Smoothed::default());
+        (self.on_grid, self.first_pass, self.before_even) = Default::default();
         self.pending.clear();
         self.ready.clear();
         self.watch.set(None);

@@ -43,6 +43,7 @@ impl Settings {
             neighbours,
             passes,
             grid,
+            even,
             degree,
             bandwidth_m,
             ridge,
@@ -66,6 +67,7 @@ impl Settings {
         self.neighbours = neighbours.or(self.neighbours);
         self.passes = passes.or(self.passes);
         self.grid = grid.or(self.grid);
+        self.even = even.or(self.even);
         self.degree = degree.or(self.degree);
         self.bandwidth_m = bandwidth_m.or(self.bandwidth_m);
         self.ridge = ridge.or(self.ridge);

@@ -128,6 +128,9 @@ pub struct Settings {
     pub passes: Option<u32>,
     /// For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto].
     pub grid: Option<GridChoice>,
+    /// For unorganized clouds: whether points move along the smoothed surface until they are spaced evenly, up to 1.5
+    /// standard deviations of the noise [default: no]. Not for frames in flight or files smoothed in tiles.
+    pub even: Option<bool>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
     /// Bandwidth of the Gaussian weights in metres [default: the radius].
@@ -172,12 +175,12 @@ const PASSES: &str = "1 or 2";
 /// Allowed values of the field `settings`.
 const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, \
                       average_blocks, \
-                      radius_m, neighbours, passes, grid, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
+                      radius_m, neighbours, passes, grid, even, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
                       outputs";
 
 impl Settings {
     /// The names of all fields, as [`set`](Self::set) and files take them.
-    pub const NAMES: [&'static str; 22] = [
+    pub const NAMES: [&'static str; 23] = [
         "preset",
         "strength",
         "sensor",
@@ -191,6 +194,7 @@ impl Settings {
         "neighbours",
         "passes",
         "grid",
+        "even",
         "degree",
         "bandwidth_m",
         "ridge",
@@ -223,6 +227,7 @@ impl Settings {
             "neighbours" => self.neighbours = value.whole("neighbours", "6 to 1000")?,
             "passes" => self.passes = value.whole("passes", PASSES)?,
             "grid" => self.grid = value.named("grid", &GridChoice::NAMED, "auto or off")?,
+            "even" => self.even = value.truth("even")?,
             "degree" => self.degree = value.whole("degree", "1 to 3")?,
             "bandwidth_m" | "bandwidth" => {
                 self.bandwidth_m = value.number("bandwidth_m", "1e-6 to 1000 metres")?;
@@ -299,10 +304,10 @@ impl Settings {
     }
 
     /// Returns whether the grid of a frame that lost it is rebuilt: not with `grid=off`, a radius, a number of
-    /// neighbours or passes, or the paper preset, nor where points are to be removed.
+    /// neighbours or passes, or the paper preset, nor where points are to be removed or spaced evenly.
     pub fn rebuilds_grid(&self) -> bool {
         let removes_points = self.remove_isolated == Some(true) || self.remove_floating == Some(true);
-        let is_for_clouds = removes_points || self.passes.is_some();
+        let is_for_clouds = removes_points || self.passes.is_some() || self.even == Some(true);
         self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && !is_for_clouds
     }
 
@@ -398,7 +403,11 @@ impl Settings {
 
     /// Returns the names of the given settings that have no effect on frames.
     pub fn unused_by_frames(&self) -> Vec<&'static str> {
-        let given = [("remove_isolated", self.remove_isolated == Some(true)), ("passes", self.passes.is_some())];
+        let given = [
+            ("remove_isolated", self.remove_isolated == Some(true)),
+            ("passes", self.passes.is_some()),
+            ("even", self.even == Some(true)),
+        ];
         given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 

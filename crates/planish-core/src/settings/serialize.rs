@@ -57,6 +57,7 @@ impl Serialize for Settings {
         entry!("neighbours", self.neighbours);
         entry!("passes", self.passes);
         entry!("grid", self.grid.map(|grid| name_of(grid, &super::GridChoice::NAMED)));
+        entry!("even", self.even);
         entry!("degree", self.degree);
         entry!("bandwidth_m", self.bandwidth_m);
         entry!("ridge", self.ridge);

@@ -154,6 +154,10 @@ fn smooth_records<R: RecordReader>(
         let allowed = "1 for a file that is smoothed in tiles; two passes need memory for the whole cloud";
         return Err(ParamError { field: "passes", value: passes.to_string(), allowed }.into());
     }
+    if options.settings.even == Some(true) {
+        let allowed = "only for a file that fits into memory, not in tiles";
+        return Err(ParamError { field: "even", value: "true".into(), allowed }.into());
+    }
     let params = options.settings.cloud_params()?;
     let engine = options.smoother.engine;
     if engine == Engine::Reference && matches!(params.radius, CloudRadius::Neighbours { .. }) {

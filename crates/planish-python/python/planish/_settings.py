@@ -56,6 +56,9 @@ class Settings(TypedDict, total=False):
     a given radius or number of neighbours]."""
     grid: Literal["auto", "off"] | None
     """For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto]."""
+    even: bool | None
+    """For unorganized clouds: whether points move along the smoothed surface until they are spaced evenly, by at most
+    1.5 standard deviations of the noise [default: false]. Not for streams."""
     edges: Literal["robust", "off"] | None
     """Edge handling [default: robust for frames; chosen by the shape of unorganized clouds, off with a given radius or number
     of neighbours]."""

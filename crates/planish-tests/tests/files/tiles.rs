@@ -245,6 +245,9 @@ fn the_largest_tile_decides_the_number_of_neighbours() {
     let two = TileOptions::new(parsed("passes=2"), cpu(), 1 << 20);
     let error = smooth_tiles(&input, &out, &two, &Progress::default()).unwrap_err().to_string();
     assert!(error.contains("passes = 2 is not allowed: 1 for a file that is smoothed in tiles"), "{error}");
+    let even = TileOptions::new(parsed("even=true"), cpu(), 1 << 20);
+    let error = smooth_tiles(&input, &out, &even, &Progress::default()).unwrap_err().to_string();
+    assert!(error.contains("even = true is not allowed: only for a file that fits into memory"), "{error}");
     // Light has half as many.
     let light = in_tiles(&input, &out, "preset=light", 3).params;
     assert_eq!(light, parsed(&format!("neighbours={}", count.div_ceil(2))).cloud_params().unwrap());

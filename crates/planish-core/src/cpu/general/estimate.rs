@@ -137,6 +137,9 @@ struct Compared<'a> {
     most: u32,
 }
 
+/// Which distance of a miss counts.
+type Distance = fn(&Miss) -> f64;
+
 /// A way, and its misses of the held-out points.
 struct Tried {
     way: Way,
@@ -146,20 +149,19 @@ struct Tried {
 impl Compared<'_> {
     /// Returns the best way. Unless the settings choose, edges are kept only if that is clearly better.
     fn choose(&self, start: Way, is_noisy: bool, edges: Option<Edges>) -> Tried {
-        let off = |neighbours| Way { edges: Edges::Off, neighbours };
-        let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
         // With too few neighbours, normals follow the noise, which shortens distances along them.
-        let whole = |miss: &Miss| miss.whole;
-        let mut smooth = self.walk(self.try_way(start), off, |neighbours| self.below(neighbours), whole);
+        let whole: Distance = |miss| miss.whole;
+        let mut smooth = self.walk(self.try_way(start), &|neighbours| self.below(neighbours), whole);
         if smooth.way == start && is_noisy && edges != Some(Edges::Robust) {
-            smooth = self.walk(smooth, off, |neighbours| self.above(neighbours, 1), whole);
+            smooth = self.walk(smooth, &|neighbours| self.above(neighbours, 1), whole);
         }
         if edges == Some(Edges::Off) {
             return smooth;
         }
         // Held-out points have been moved along the rounded normals beside an edge, so whole distances are to its
         // disadvantage.
-        let along = |miss: &Miss| miss.along;
+        let along: Distance = |miss| miss.along;
+        let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
         let neighbours = smooth.way.neighbours;
         let mut kept = self.try_way(robust(self.above(neighbours, 2)));
         // Next to thin walls and fine detail, fewer neighbours keep edges better.
@@ -171,7 +173,7 @@ impl Compared<'_> {
         if edges.is_none() && !kept.is_better(&smooth, along) {
             return smooth;
         }
-        self.walk(kept, robust, |neighbours| self.above(neighbours, 2), along)
+        self.walk(kept, &|neighbours| self.above(neighbours, 2), along)
     }
 
     fn try_way(&self, way: Way) -> Tried {
@@ -179,19 +181,13 @@ impl Compared<'_> {
     }
 
     /// Changes the number of neighbours step by step until two tries in a row miss by more.
-    fn walk(
-        &self,
-        mut best: Tried,
-        way: impl Fn(u32) -> Way,
-        next: impl Fn(u32) -> u32,
-        distance: impl Fn(&Miss) -> f64,
-    ) -> Tried {
+    fn walk(&self, mut best: Tried, next: &dyn Fn(u32) -> u32, distance: Distance) -> Tried {
         let mut neighbours = best.way.neighbours;
         let mut worse = 0;
         while worse < 2 && next(neighbours) != neighbours {
             neighbours = next(neighbours);
-            let tried = self.try_way(way(neighbours));
-            if tried.gain(&best, &distance).0 > 0.0 {
+            let tried = self.try_way(Way { neighbours, ..best.way });
+            if tried.gain(&best, distance).0 > 0.0 {
                 (best, worse) = (tried, 0);
             } else {
                 worse += 1;
@@ -214,13 +210,13 @@ impl Compared<'_> {
 
 impl Tried {
     /// Returns true if it misses by less than another way, by more than [`SURE`] standard errors.
-    fn is_better(&self, than: &Self, distance: impl Fn(&Miss) -> f64) -> bool {
+    fn is_better(&self, than: &Self, distance: Distance) -> bool {
         let (gain, doubt) = self.gain(than, distance);
         gain > SURE * doubt
     }
 
     /// Returns by how much it misses less than another way in the mean, and the standard error of that.
-    fn gain(&self, than: &Self, distance: impl Fn(&Miss) -> f64) -> (f64, f64) {
+    fn gain(&self, than: &Self, distance: Distance) -> (f64, f64) {
         let pairs = than.misses.iter().zip(&self.misses);
         let gains: Vec<f64> =
             pairs.map(|(than, own)| distance(than) - distance(own)).filter(|gain| gain.is_finite()).collect();

@@ -107,7 +107,7 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
 /// enough.
 fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
     let (mut n, mut sum) = (0.0, 0.0);
-    for square in index.nearest(point) {
+    for (square, _) in index.nearest(point) {
         if square == f32::INFINITY {
             // Farther away than f32 can say.
             break;

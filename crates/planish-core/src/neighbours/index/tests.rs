@@ -66,7 +66,7 @@ fn the_nearest_come_first() {
     let points = scattered(500);
     let index = index_of(&points);
     let from = [0.5, 0.1, 0.2];
-    let found: Vec<f32> = index.nearest(from).collect();
+    let found: Vec<f32> = index.nearest(from).map(|(square, _)| square).collect();
     let mut expected: Vec<f32> =
         (0..index.len()).map(|place| Bounds::of_point(index.point(place)).distance_squared(from)).collect();
     expected.sort_by(f32::total_cmp);

@@ -1,0 +1,156 @@
+//! Even spacing of a smoothed cloud (docs/method.md, section 8).
+//!
+//! Smoothing removes the noise across the surface. The noise along it remains, and leaves clumps and gaps. Here each
+//! point repels its neighbours within its tangent plane; a spring, whose strength follows from the noise, ties it to
+//! where it was. Results depend on the nearest points only, in a fixed order, so the number of threads changes no bit.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::frame::PointsView;
+use crate::neighbours::PointIndex;
+use crate::smoothed::Smoothed;
+use crate::threads::ONE_THREAD;
+
+/// The nearest positions that a point may repel.
+const NEIGHBOURS: usize = 16;
+/// Spacing is measured by the distance of this one.
+const SPACING_BY: usize = 12;
+const STEPS: usize = 6;
+/// Share of the repulsion that each step follows.
+const STEP: f32 = 0.5;
+/// Points repel within this many spacings.
+const REACH: f32 = 1.6;
+/// Strength of the spring where the noise equals the spacing,
+const SPRING: f32 = 0.5;
+/// and the largest ratio of their squares.
+const STIFFEST: f32 = 100.0;
+/// How far points may move, in standard deviations of the noise.
+const FARTHEST: f32 = 1.5;
+/// Points whose normals differ by more than the angle of this cosine are on different surfaces.
+const ONE_SURFACE: f32 = 0.7;
+/// The weight of a neighbour's plane is what the cosine of the angle between normals exceeds this by.
+const ONE_PLANE: f32 = 0.5;
+
+/// Moves the points of a smoothed cloud along their surface so that they are spaced evenly. Points without a normal
+/// stay.
+pub(crate) fn space_evenly(measured: &PointsView<'_>, smoothed: &mut Smoothed) {
+    let Some(normals) = &smoothed.normals else { return };
+    let mut index = PointIndex::default();
+    index.fill(&measured.moved_to(&smoothed.points));
+    let mut raw = [(); 3].map(|()| vec![0.0; measured.len()]);
+    let [x, y, z] = &mut raw;
+    measured.copy_to(0..measured.len(), x, y, z);
+    let mut points: Vec<Point> = (0..index.len()).map(|place| Point::at(index.point(place))).collect();
+    for i in 0..measured.len() {
+        let Some(place) = index.place(i) else { continue };
+        let point = &mut points[place];
+        let normal = Vec3::from_array(normals.get(i));
+        point.normal = if normal.is_finite() { normal } else { Vec3::ZERO };
+        point.variance = point.at.distance_squared(Vec3::new(raw[0][i], raw[1][i], raw[2][i]));
+    }
+    let neighbours: Vec<Neighbours> = map(&points, |place, point| nearest_of(&index, place, point));
+    points = map(&points, |place, point| {
+        let farthest = points[neighbours[place][SPACING_BY - 1] as usize].at.distance(point.at);
+        // Of a hexagonal grid with as many points on the disk of this radius.
+        let spacing_m = farthest * (std::f32::consts::TAU / (SPACING_BY as f32 * 3f32.sqrt())).sqrt();
+        Point { spacing_m, ..*point }
+    });
+    points = map(&points, |place, point| point.averaged(&neighbours[place], &points));
+    for _ in 0..STEPS {
+        points = map(&points, |place, point| point.pushed(&neighbours[place], &points));
+    }
+    for i in 0..measured.len() {
+        if let Some(place) = index.place(i)
+            && points[place].normal != Vec3::ZERO
+        {
+            smoothed.points.set(i, points[place].on_surface(&neighbours[place], &points).to_array());
+        }
+    }
+}
+
+/// The places of the nearest other points, nearest first.
+type Neighbours = [u32; NEIGHBOURS];
+
+/// A smoothed point, at its place in the index.
+#[derive(Debug, Clone, Copy)]
+struct Point {
+    at: Vec3,
+    /// Zero if it has none.
+    normal: Vec3,
+    /// Variance of the noise in m².
+    variance: f32,
+    /// Distance between evenly spaced points of this density.
+    spacing_m: f32,
+    /// How far it has moved along its tangent plane.
+    offset: Vec3,
+}
+
+impl Point {
+    fn at(at: [f32; 3]) -> Self {
+        Self { at: Vec3::from_array(at), normal: Vec3::ZERO, variance: 0.0, spacing_m: 0.0, offset: Vec3::ZERO }
+    }
+
+    /// Returns the point with the means of noise and spacing around it.
+    #[inline(never)]
+    fn averaged(&self, neighbours: &[u32], points: &[Self]) -> Self {
+        let Self { mut variance, mut spacing_m, .. } = *self;
+        for &other in neighbours {
+            variance += points[other as usize].variance;
+            spacing_m += points[other as usize].spacing_m;
+        }
+        let count = (NEIGHBOURS + 1) as f32;
+        Self { variance: variance / count, spacing_m: spacing_m / count, ..*self }
+    }
+
+    /// Returns the point after a step along its tangent plane: away from its neighbours, and back to where it was.
+    #[inline(never)]
+    fn pushed(&self, neighbours: &[u32], points: &[Self]) -> Self {
+        let reach_m = REACH * self.spacing_m;
+        let mut push = Vec3::ZERO;
+        for neighbour in neighbours.iter().map(|&other| &points[other as usize]) {
+            let away = self.at + self.offset - neighbour.at - neighbour.offset;
+            if self.normal.dot(neighbour.normal).abs() > ONE_SURFACE {
+                push += (1.0 - away.length() / reach_m).max(0.0).powi(2) * away.normalize_or_zero();
+            }
+        }
+        let offset = self.offset + STEP * reach_m * (push - push.dot(self.normal) * self.normal);
+        let stiffness = SPRING * STEP * (self.spacing_m.powi(2) / self.variance).min(STIFFEST);
+        let offset = (offset / (1.0 + stiffness)).clamp_length_max(FARTHEST * self.variance.sqrt());
+        Self { offset, ..*self }
+    }
+
+    /// Returns the moved point on the surface. That passes between the tangent planes of two points each, as a surface
+    /// of constant curvature does.
+    #[inline(never)]
+    fn on_surface(&self, neighbours: &[u32], points: &[Self]) -> Vec3 {
+        let place = self.at + self.offset;
+        let (mut height, mut weights) = (0.0, 0.0);
+        for neighbour in neighbours.iter().map(|&other| &points[other as usize]).chain([self]) {
+            let cosine = self.normal.dot(neighbour.normal);
+            let away = place - neighbour.at;
+            let nearness = (1.0 - away.length_squared() / (REACH * self.spacing_m).powi(2)).max(0.0).powi(2);
+            let weight = nearness * (cosine.abs() - ONE_PLANE).max(0.0);
+            height += weight * 0.5 * (self.normal + cosine.signum() * neighbour.normal).dot(away);
+            weights += weight;
+        }
+        place - if weights > 0.0 { height / weights } else { 0.0 } * self.normal
+    }
+}
+
+/// Returns the places of the nearest other points; if there are fewer, the point itself fills up.
+fn nearest_of(index: &PointIndex, place: usize, point: &Point) -> Neighbours {
+    let mut nearest = index.nearest(point.at.to_array()).map(|(_, other)| other).filter(|&other| other != place as u32);
+    std::array::from_fn(|_| nearest.next().unwrap_or(place as u32))
+}
+
+/// Computes a value for each point, on all threads.
+fn map<T: Send>(points: &[Point], value: impl Fn(usize, &Point) -> T + Sync) -> Vec<T> {
+    if ONE_THREAD {
+        return points.iter().enumerate().map(|(place, point)| value(place, point)).collect();
+    }
+    points.par_iter().enumerate().map(|(place, point)| value(place, point)).collect()
+}
+
+#[cfg(test)]
+mod tests;
