@@ -114,7 +114,7 @@ methods = {
     "Open3D `smooth_mls`, best of 5 radii": (by_open3d, False),
     "planish, 40 neighbours": (by_planish("--neighbours", "40"), True),
     "planish": (by_planish(), True),
-    "planish `--edges robust`": (by_planish("--edges", "robust"), True),
+    "planish `--even`": (by_planish("--even"), True),
 }
 random = numpy.random.default_rng(1)
 meshes = shapes(sys.argv[5:])

@@ -10,7 +10,6 @@ use rayon::prelude::*;
 use crate::frame::PointsView;
 use crate::neighbours::PointIndex;
 use crate::smoothed::Smoothed;
-use crate::threads::ONE_THREAD;
 
 /// The nearest positions that a point may repel.
 const NEIGHBOURS: usize = 16;
@@ -92,7 +91,6 @@ impl Point {
     }
 
     /// Returns the point with the means of noise and spacing around it.
-    #[inline(never)]
     fn averaged(&self, neighbours: &[u32], points: &[Self]) -> Self {
         let Self { mut variance, mut spacing_m, .. } = *self;
         for &other in neighbours {
@@ -104,7 +102,6 @@ impl Point {
     }
 
     /// Returns the point after a step along its tangent plane: away from its neighbours, and back to where it was.
-    #[inline(never)]
     fn pushed(&self, neighbours: &[u32], points: &[Self]) -> Self {
         let reach_m = REACH * self.spacing_m;
         let mut push = Vec3::ZERO;
@@ -122,7 +119,6 @@ impl Point {
 
     /// Returns the moved point on the surface. That passes between the tangent planes of two points each, as a surface
     /// of constant curvature does.
-    #[inline(never)]
     fn on_surface(&self, neighbours: &[u32], points: &[Self]) -> Vec3 {
         let place = self.at + self.offset;
         let (mut height, mut weights) = (0.0, 0.0);
@@ -146,9 +142,6 @@ fn nearest_of(index: &PointIndex, place: usize, point: &Point) -> Neighbours {
 
 /// Computes a value for each point, on all threads.
 fn map<T: Send>(points: &[Point], value: impl Fn(usize, &Point) -> T + Sync) -> Vec<T> {
-    if ONE_THREAD {
-        return points.iter().enumerate().map(|(place, point)| value(place, point)).collect();
-    }
     points.par_iter().enumerate().map(|(place, point)| value(place, point)).collect()
 }
 

@@ -12,7 +12,7 @@ impl Session {
     pub(super) fn to_space_evenly<'a>(&self, frame: Frame<'a>) -> Option<PointsView<'a>> {
         let Chosen::Settings(settings) = &self.chosen else { return None };
         match frame {
-            Frame::Points(points) if points.grid().is_none() && settings.even == Some(true) => Some(points),
+            Frame::Points(points) if points.grid().is_none() && settings.spaces_evenly() => Some(points),
             _ => None,
         }
     }

@@ -21,6 +21,7 @@ use crate::fleet::FleetDevice;
 use crate::outputs::Outputs;
 use crate::params::{CloudParams, Edges, Params, Project, Strength};
 use crate::sensor::SensorModel;
+use crate::threads::ONE_THREAD;
 
 pub use value::SettingValue;
 use value::quoted;
@@ -129,7 +130,8 @@ pub struct Settings {
     /// For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto].
     pub grid: Option<GridChoice>,
     /// For unorganized clouds: whether points move along the smoothed surface until they are spaced evenly, up to 1.5
-    /// standard deviations of the noise [default: no]. Not for frames in flight or files smoothed in tiles.
+    /// standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
+    /// WebAssembly.
     pub even: Option<bool>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
@@ -266,6 +268,9 @@ impl Settings {
                 "only without radius_m; set one of the two",
             );
         }
+        if ONE_THREAD && self.even == Some(true) {
+            return contradiction("even", "true", "only outside a browser, whose module is kept small");
+        }
         if let Some(adapter) = &self.adapter {
             if self.engine() != Engine::Gpu {
                 return contradiction("adapter", adapter, "only with the engine gpu");
@@ -307,8 +312,14 @@ impl Settings {
     /// neighbours or passes, or the paper preset, nor where points are to be removed or spaced evenly.
     pub fn rebuilds_grid(&self) -> bool {
         let removes_points = self.remove_isolated == Some(true) || self.remove_floating == Some(true);
-        let is_for_clouds = removes_points || self.passes.is_some() || self.even == Some(true);
+        let is_for_clouds = removes_points || self.passes.is_some() || self.spaces_evenly();
         self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && !is_for_clouds
+    }
+
+    /// Returns whether the points of unorganized clouds are spaced evenly.
+    pub fn spaces_evenly(&self) -> bool {
+        // Left out of WebAssembly, where `validate` refuses it.
+        self.even == Some(true) && !ONE_THREAD
     }
 
     /// Returns whether a sensor is to be estimated from a frame.
@@ -406,7 +417,7 @@ impl Settings {
         let given = [
             ("remove_isolated", self.remove_isolated == Some(true)),
             ("passes", self.passes.is_some()),
-            ("even", self.even == Some(true)),
+            ("even", self.spaces_evenly()),
         ];
         given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }

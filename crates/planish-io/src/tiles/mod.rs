@@ -154,7 +154,7 @@ fn smooth_records<R: RecordReader>(
         let allowed = "1 for a file that is smoothed in tiles; two passes need memory for the whole cloud";
         return Err(ParamError { field: "passes", value: passes.to_string(), allowed }.into());
     }
-    if options.settings.even == Some(true) {
+    if options.settings.spaces_evenly() {
         let allowed = "only for a file that fits into memory, not in tiles";
         return Err(ParamError { field: "even", value: "true".into(), allowed }.into());
     }

@@ -3,8 +3,8 @@
 
 use fearless_simd::Level;
 
-use super::held_out::{FirstPass, HeldOut};
-use super::leaves::{Kernels, Miss, SmoothedLeaf, Way};
+use super::held_out::{FirstPass, HeldOut, Miss};
+use super::leaves::{Kernels, SmoothedLeaf, Way};
 use crate::cpu::sensor::Sensor;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, PointsView};
 use crate::neighbours::{LEAF, PointIndex};
@@ -278,7 +278,7 @@ impl Sample<'_> {
         let sampled: Vec<_> = (0..leaves).filter(|&leaf| is_sampled(leaf)).collect();
         let smoothed = kernels.smooth(index, Way { edges: Edges::Off, neighbours }, &sampled);
         let motion = |leaf: usize, smoothed: &SmoothedLeaf, k: usize| {
-            let (from, to) = (index.point(LEAF * leaf + k), smoothed.point(k)?);
+            let (from, to) = (index.point(LEAF * leaf + k), smoothed.on_surface(k)?.point);
             let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
             Some([square, f64::from(smoothed.radius_m(k))])
         };

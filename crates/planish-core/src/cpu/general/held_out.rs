@@ -1,7 +1,9 @@
 //! Points of a cloud that are held out, to compare ways to smooth it (docs/method.md, section 8): the best surface is
 //! the one that is nearest to points that it was not fitted to.
 
-use super::leaves::{Kernels, Miss, SmoothedLeaf, Way, leaves_around};
+use glam::Vec3;
+
+use super::leaves::{Kernels, OnSurface, Way, leaves_around};
 use crate::error::FrameError;
 use crate::frame::PointsView;
 use crate::neighbours::{LEAF, PointIndex};
@@ -12,6 +14,23 @@ const ONE_IN: usize = 8;
 /// The number of groups in a large cloud, and of leaves in each.
 const GROUPS: usize = 32;
 const GROUP_LEAVES: usize = 1024 / LEAF;
+
+/// Squared distance in m² between a measured point and the surface where it was moved to; NaN if that does not count.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Miss {
+    /// Along the surface's normal.
+    pub(super) along: f64,
+    /// In space.
+    pub(super) whole: f64,
+}
+
+impl Miss {
+    fn of(surface: &Option<OnSurface>, measured: [f32; 3]) -> Self {
+        let Some(OnSurface { point, normal }) = *surface else { return Self { along: f64::NAN, whole: f64::NAN } };
+        let off = Vec3::from_array(measured) - Vec3::from_array(point);
+        Self { along: off.dot(Vec3::from_array(normal)).powi(2).into(), whole: off.length_squared().into() }
+    }
+}
 
 /// A pass over all points before the surface is sought.
 #[derive(Debug, Clone, Copy)]
@@ -67,7 +86,7 @@ impl HeldOut {
         let mut points: Vec<_> = (0..self.others).map(|place| self.index.point(place)).collect();
         for (leaf, smoothed) in near.iter().zip(&smoothed) {
             for (k, point) in points.iter_mut().skip(LEAF * leaf).take(LEAF).enumerate() {
-                *point = smoothed.point(k).unwrap_or(*point);
+                *point = smoothed.on_surface(k).map_or(*point, |smoothed| smoothed.point);
             }
         }
         index_of(&points)
@@ -75,24 +94,25 @@ impl HeldOut {
 
     /// Moves the held-out points onto the surface of the others.
     fn move_held_out(&mut self, way: Way) {
-        let moved = self.of_held_out(way, |smoothed, k, _| smoothed.point(k));
-        let points = (self.others..self.index.len()).zip(moved);
-        let points: Vec<_> = points.map(|(place, moved)| moved.unwrap_or(self.index.point(place))).collect();
+        let onto = |(place, smoothed): (usize, Option<OnSurface>)| {
+            smoothed.map_or(self.index.point(place), |smoothed| smoothed.point)
+        };
+        let points: Vec<_> = (self.others..).zip(self.smoothed(way)).map(onto).collect();
         self.index.append(self.others, &points);
     }
 
-    /// Smooths the held-out points, each of which `of` gets: with its number in a leaf, and where it was measured.
-    fn of_held_out<T>(&self, way: Way, of: impl Fn(&SmoothedLeaf, usize, [f32; 3]) -> T) -> Vec<T> {
+    /// Smooths the held-out points.
+    fn smoothed(&self, way: Way) -> Vec<Option<OnSurface>> {
         let first = self.others / LEAF;
         let leaves: Vec<_> = (first..self.index.leaves()).collect();
         let smoothed = self.kernels.smooth(&self.index, way, &leaves);
-        let points = (self.others..self.index.len()).zip(&self.measured);
-        points.map(|(place, &measured)| of(&smoothed[place / LEAF - first], place % LEAF, measured)).collect()
+        let places = self.others..self.index.len();
+        places.map(|place| smoothed[place / LEAF - first].on_surface(place % LEAF)).collect()
     }
 
     /// Returns how far each held-out point was measured from the surface.
     pub(super) fn misses(&self, way: Way) -> Vec<Miss> {
-        self.of_held_out(way, SmoothedLeaf::miss)
+        self.smoothed(way).iter().zip(&self.measured).map(|(surface, measured)| Miss::of(surface, *measured)).collect()
     }
 }
 

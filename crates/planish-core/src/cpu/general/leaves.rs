@@ -124,13 +124,11 @@ fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
     if ONE_THREAD { (0..count).for_each(work) } else { (0..count).into_par_iter().for_each(work) }
 }
 
-/// Squared distance in m² between a place and a point of a surface.
+/// A smoothed point.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Miss {
-    /// Along the surface's normal.
-    pub(super) along: f64,
-    /// In space.
-    pub(super) whole: f64,
+pub(super) struct OnSurface {
+    pub(super) point: [f32; 3],
+    pub(super) normal: [f32; 3],
 }
 
 /// The smoothed points of a leaf.
@@ -154,15 +152,8 @@ impl SmoothedLeaf {
     }
 
     /// Returns point `k` if it counts.
-    pub(super) fn point(&self, k: usize) -> Option<[f32; 3]> {
-        self.counts[k].then(|| self.points.get(k))
-    }
-
-    /// Returns how far a place is from the surface at point `k`; NaN if that does not count.
-    pub(super) fn miss(&self, k: usize, [x, y, z]: [f32; 3]) -> Miss {
-        let Some([a, b, c]) = self.point(k) else { return Miss { along: f64::NAN, whole: f64::NAN } };
-        let ([u, v, w], [x, y, z]) = (self.normals.get(k), [x - a, y - b, z - c]);
-        Miss { along: f64::from(x * u + y * v + z * w).powi(2), whole: f64::from(x * x + y * y + z * z) }
+    pub(super) fn on_surface(&self, k: usize) -> Option<OnSurface> {
+        self.counts[k].then(|| OnSurface { point: self.points.get(k), normal: self.normals.get(k) })
     }
 
     /// Returns the radius of point `k`'s neighbourhood.
