@@ -82,7 +82,7 @@ pub use pose::SensorPose;
 pub use progress::Progress;
 pub use provenance::Provenance;
 pub use sensor::SensorModel;
-pub use session::{ProgressWatch, Session, SessionEvent, smooth};
+pub use session::{CloudChoice, ProgressWatch, Session, SessionEvent, smooth};
 pub use settings::{GridChoice, Preset, RadiusChoice, Resolved, SensorChoice, SettingValue, Settings};
 pub use simd_level::SimdLevel;
 pub use smoothed::Smoothed;

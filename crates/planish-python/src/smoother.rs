@@ -32,6 +32,9 @@ pub struct PySmoother(Mutex<State>);
 /// Camera, sensor pose and origin of a frame, if known.
 type Place<'py> = (Option<PyRef<'py, PyCamera>>, Option<[f64; 7]>, Option<[f64; 3]>);
 
+/// Neighbours, edges, passes and noise.
+type ChosenForCloud = (u32, &'static str, u32, Option<f32>);
+
 /// What makes a frame.
 struct Given<'py> {
     input: Input<'py>,
@@ -269,6 +272,15 @@ impl PySmoother {
         let session = &state.session;
         let because = session.chosen_because().map(ToString::to_string);
         Ok((session.engine().map(planish::Engine::name), session.gpu_name().map(str::to_owned), because))
+    }
+
+    /// How the last unorganized cloud was smoothed, if planish chose that: neighbours, edges, passes and noise. Then the
+    /// height and width of the grid that it lost, if any.
+    fn chosen_for_cloud(&self) -> PyResult<(Option<ChosenForCloud>, Option<(usize, usize)>)> {
+        let state = self.lock()?;
+        let choice = state.session.cloud_choice();
+        let choice = choice.map(|choice| (choice.neighbours, choice.edges.name(), choice.passes, choice.noise_m));
+        Ok((choice, state.session.rebuilt_grid().map(|(width, height)| (height, width))))
     }
 
     /// Closes the engine and gives its memory back.

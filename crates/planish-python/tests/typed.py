@@ -21,6 +21,7 @@ def smooth_all(frames: Iterable[NDArray[np.uint16]], camera: planish.Camera) -> 
             if result.depth is not None:
                 results.append(result.depth)
         assert_type(smoother.engine, str | None)
+        assert_type(smoother.cloud_choice, planish.CloudChoice | None)
     return results
 
 

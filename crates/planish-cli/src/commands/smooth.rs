@@ -17,8 +17,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, ReadOptions};
 use planish::{
-    Camera, CloudParams, CloudRadius, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs,
-    PointCloud, PointsView, RangeRule, SensorPose, Session, SessionEvent, Settings, Smoothed,
+    Camera, CloudChoice, CloudParams, CloudRadius, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud,
+    Outputs, PointCloud, PointsView, RangeRule, SensorPose, Session, SessionEvent, Settings, Smoothed,
 };
 use planish_bench::{errln, outln};
 
@@ -185,6 +185,8 @@ impl Worker<'_> {
             points_lost: points.lost,
             status: self.status_counts(),
             tiles: None,
+            cloud: self.session.cloud_choice(),
+            rebuilt_grid: self.session.rebuilt_grid().map(|(width, height)| [width, height]),
             read_ms,
             smooth_ms: times_ms,
             write_ms: ms_since(start),
@@ -395,7 +397,7 @@ impl Worker<'_> {
         for event in self.session.take_events() {
             match event {
                 SessionEvent::SensorEstimated { .. } => {}
-                SessionEvent::NeighboursChosen { .. } => self.report_neighbours(output, &event),
+                SessionEvent::NeighboursChosen(choice) => self.report_choice(output, &choice),
                 SessionEvent::GridRebuilt { .. } => {
                     errln!("{}: {event} (leave it unorganized with --grid off)", output.display());
                 }
@@ -404,8 +406,8 @@ impl Worker<'_> {
         }
     }
 
-    fn report_neighbours(&self, output: &Path, chosen: &SessionEvent) {
-        errln!("{}: {chosen} (change with --strength, --neighbours or --edges)", output.display());
+    fn report_choice(&self, output: &Path, choice: &CloudChoice) {
+        errln!("{}: {choice} (change with --strength, --neighbours or --edges)", output.display());
     }
 
     /// Puts the result into the cloud.

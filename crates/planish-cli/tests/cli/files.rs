@@ -130,6 +130,16 @@ fn general_clouds_are_smoothed_with_radii_of_their_density() {
         assert!(result.status.success() && !told.contains("neighbours per point") && !told.contains("grid"), "{told}");
         assert!(read() != smoothed, "{options:?}");
     }
+    let report =
+        |options: &[&str]| json_line(&ok(&[&["smooth", str(&input), str(&output), "--json"], options].concat()));
+    let (rebuilt, chosen) = (report(&[]), report(&["--grid", "off"]));
+    assert_eq!((&rebuilt["rebuilt_grid"], &rebuilt["cloud"]), (&serde_json::json!([160, 120]), &Value::Null));
+    let choice = &chosen["cloud"];
+    assert!(chosen["rebuilt_grid"].is_null() && choice["neighbours"].as_u64() > Some(10), "{chosen}");
+    assert!(choice["noise_m"].as_f64() > Some(1e-4) && ["off", "robust"].contains(&choice["edges"].as_str().unwrap()));
+    assert!(report(&["--neighbours", "20"])["cloud"].is_null());
+    ok(&["smooth", str(&input), str(&output), "--even"]);
+    assert!(read() != smoothed && read().valid_points() == cloud.valid_points());
     assert!(refused(&["smooth", str(&input), str(&output), "--neighbours", "3"]).contains("6 to 1000"));
     assert!(refused(&["smooth", str(&input), str(&output), "--radius", "sensor"]).contains("neighbours"));
     let (_folder, _, grid) = with_frame();

@@ -85,6 +85,14 @@ pub enum Edges {
 impl Edges {
     /// All choices by their names in settings.
     pub const NAMED: [(&'static str, Self); 2] = [("off", Self::Off), ("robust", Self::Robust)];
+
+    /// Returns the name in settings.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::Robust => "robust",
+        }
+    }
 }
 
 /// Along which line a point is moved onto the fitted surface (docs/method.md, section 7).

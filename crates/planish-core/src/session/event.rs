@@ -8,6 +8,50 @@ use crate::fleet::FleetDevice;
 use crate::params::{CloudParams, CloudRadius, Edges};
 use crate::sensor::SensorModel;
 
+/// How an unorganized cloud is smoothed where the settings leave that to planish. [`Display`](fmt::Display) gives one
+/// line for a user.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct CloudChoice {
+    /// The approximate number of neighbours per point.
+    pub neighbours: u32,
+    /// Whether edges are kept.
+    #[cfg_attr(feature = "serde", serde(serialize_with = "serialize_edges"))]
+    pub edges: Edges,
+    /// 2 if there is a first pass with few neighbours, otherwise 1.
+    pub passes: u32,
+    /// The standard deviation of the points across their surface in metres; `None` if the cloud is too small for an
+    /// estimate.
+    pub noise_m: Option<f32>,
+}
+
+impl CloudChoice {
+    /// Returns the choice that led to these parameters; `None` for a fixed radius.
+    pub fn of(params: &CloudParams, passes: u32, estimate: Option<CloudEstimate>) -> Option<Self> {
+        let CloudRadius::Neighbours { count } = params.radius else { return None };
+        let noise_m = estimate.map(|estimate| estimate.noise_m);
+        Some(Self { neighbours: count, edges: params.fit.edges, passes, noise_m })
+    }
+}
+
+impl fmt::Display for CloudChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an unorganized cloud")?;
+        if let Some(noise_m) = self.noise_m {
+            write!(f, " with about {:.2} mm of noise", 1e3 * noise_m)?;
+        }
+        write!(f, ", smoothed with about {} neighbours per point", self.neighbours)?;
+        f.write_str(if self.edges == Edges::Robust { ", edges kept" } else { "" })?;
+        f.write_str(if self.passes > 1 { ", in two passes" } else { "" })
+    }
+}
+
+#[cfg(feature = "serde")]
+fn serialize_edges<S: serde::Serializer>(edges: &Edges, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(edges.name())
+}
+
 /// A decision that a session made without being asked. [`Display`](fmt::Display) gives one line for a user.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -18,17 +62,7 @@ pub enum SessionEvent {
         sensor: SensorModel,
     },
     /// How an unorganized cloud is smoothed was chosen by its noise and shape.
-    NeighboursChosen {
-        /// The approximate number of neighbours per point.
-        neighbours: u32,
-        /// Whether edges are kept.
-        edges: Edges,
-        /// 2 if there is a first pass with few neighbours, otherwise 1.
-        passes: u32,
-        /// The standard deviation of the points across their surface in metres; `None` if the cloud is too small for an
-        /// estimate.
-        noise_m: Option<f32>,
-    },
+    NeighboursChosen(CloudChoice),
     /// An unorganized cloud is a frame that lost its grid, and was smoothed on that.
     GridRebuilt {
         /// Width in pixels.
@@ -70,16 +104,9 @@ pub enum SessionEvent {
 }
 
 impl SessionEvent {
-    /// The choice for an unorganized cloud; `None` for a fixed radius.
-    pub fn of_cloud(params: &CloudParams, passes: u32, estimate: Option<CloudEstimate>) -> Option<Self> {
-        let CloudRadius::Neighbours { count } = params.radius else { return None };
-        let noise_m = estimate.map(|estimate| estimate.noise_m);
-        Some(Self::NeighboursChosen { neighbours: count, edges: params.fit.edges, passes, noise_m })
-    }
-
     /// Returns true if something went wrong. The other events report findings and choices.
     pub fn is_fault(&self) -> bool {
-        !matches!(self, Self::SensorEstimated { .. } | Self::NeighboursChosen { .. } | Self::GridRebuilt { .. })
+        !matches!(self, Self::SensorEstimated { .. } | Self::NeighboursChosen(_) | Self::GridRebuilt { .. })
     }
 }
 
@@ -90,15 +117,7 @@ impl fmt::Display for SessionEvent {
                 let SensorModel { step, sigma } = sensor;
                 write!(f, "estimated the sensor from the first frame: step {step:?}, sigma {sigma:?}")
             }
-            Self::NeighboursChosen { neighbours, edges, passes, noise_m } => {
-                f.write_str("an unorganized cloud")?;
-                if let Some(noise_m) = noise_m {
-                    write!(f, " with about {:.2} mm of noise", 1e3 * noise_m)?;
-                }
-                write!(f, ", smoothed with about {neighbours} neighbours per point")?;
-                f.write_str(if *edges == Edges::Robust { ", edges kept" } else { "" })?;
-                f.write_str(if *passes > 1 { ", in two passes" } else { "" })
-            }
+            Self::NeighboursChosen(choice) => choice.fmt(f),
             Self::GridRebuilt { width, height } => {
                 write!(f, "a frame that lost its grid, smoothed on {width}x{height} pixels")
             }

@@ -1,7 +1,7 @@
 //! The state of a session, for callers.
 
 use super::Session;
-use super::event::SessionEvent;
+use super::event::{CloudChoice, SessionEvent};
 use super::open::Open;
 use super::watch::ProgressWatch;
 use crate::cpu::CloudEstimate;
@@ -37,7 +37,7 @@ impl Session {
         let resolved = self.on_its_grid(frame, Self::resolve);
         // Nothing is smoothed yet.
         let of_cloud = |event: &SessionEvent| {
-            matches!(event, SessionEvent::NeighboursChosen { .. } | SessionEvent::GridRebuilt { .. })
+            matches!(event, SessionEvent::NeighboursChosen(_) | SessionEvent::GridRebuilt { .. })
         };
         let later = self.events.split_off(events);
         self.events.extend(later.into_iter().filter(|event| !of_cloud(event)));
@@ -48,6 +48,12 @@ impl Session {
     /// Returns the noise and the number of neighbours that were last estimated for an unorganized cloud.
     pub fn cloud_estimate(&self) -> Option<CloudEstimate> {
         self.cloud_estimate
+    }
+
+    /// Returns how the last unorganized cloud was smoothed, where the settings left that to planish; `None` after other
+    /// frames.
+    pub fn cloud_choice(&self) -> Option<CloudChoice> {
+        self.cloud_choice
     }
 
     /// Returns width and height of the grid that the last cloud lost and was smoothed on; `None` for a cloud that

@@ -27,7 +27,7 @@ use crate::smoothed::Smoothed;
 use crate::smoother::{check_frame, check_options, for_engine, needs_range};
 use crate::smoothing_engine::AdmittedFrame;
 
-pub use event::SessionEvent;
+pub use event::{CloudChoice, SessionEvent};
 pub use open::LIVE_IN_FLIGHT;
 use open::{Open, OpenFor, process_id};
 use pending::Pending;
@@ -69,6 +69,7 @@ pub struct Session {
     cloud_estimate: Option<CloudEstimate>,
     lattice: Option<Lattice>,
     known_points: usize,
+    cloud_choice: Option<CloudChoice>,
     /// Whether the three fields above belong to the current or prepared frame.
     is_prepared: bool,
     /// The result for a cloud that lost its grid, on that grid.
@@ -141,6 +142,7 @@ impl Session {
             cloud_estimate: None,
             lattice: None,
             known_points: 0,
+            cloud_choice: None,
             is_prepared: false,
             on_grid: Smoothed::default(),
             first_pass: Smoothed::default(),

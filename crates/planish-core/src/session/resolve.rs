@@ -1,6 +1,6 @@
 //! The parameters for each frame: from settings, estimates, and what the session keeps.
 
-use super::event::SessionEvent;
+use super::event::{CloudChoice, SessionEvent};
 use super::{Chosen, Session};
 use crate::error::Error;
 use crate::frame::{Frame, FrameGeometry};
@@ -16,6 +16,7 @@ impl Session {
             return Ok((params.into(), None));
         }
         let (width, height) = frame.shape();
+        let known_choice = self.cloud_choice.take();
         match &self.chosen {
             Chosen::Params(params, _) if frame.grid().is_some() => Ok(((*params).into(), None)),
             Chosen::Params(_, params) => Ok(((*params).into(), None)),
@@ -37,6 +38,7 @@ impl Session {
                     return Ok((settings.cloud_params()?.into(), None));
                 }
                 if self.is_prepared && self.known_points == width * height {
+                    self.cloud_choice = known_choice;
                     return Ok((settings.cloud_params_by(self.cloud_estimate)?.into(), None));
                 }
                 let resolved = settings.resolve_on(frame, self.options.threads)?;
@@ -45,7 +47,8 @@ impl Session {
                 self.is_prepared = true;
                 if let Params::Cloud(params) = &resolved.params {
                     let passes = if resolved.first_pass.is_some() { 2 } else { 1 };
-                    self.events.extend(SessionEvent::of_cloud(params, passes, resolved.cloud_estimate));
+                    self.cloud_choice = CloudChoice::of(params, passes, resolved.cloud_estimate);
+                    self.events.extend(self.cloud_choice.map(SessionEvent::NeighboursChosen));
                 }
                 Ok((resolved.params, None))
             }

@@ -45,7 +45,7 @@ fn shapes_and_kinds_may_change_from_frame_to_frame() {
     session.smooth(&cloud, &mut smoothed).unwrap();
     assert_eq!((smoothed.width, smoothed.height), (cloud.len(), 1));
     assert_eq!(session.engine(), Some(Engine::Cpu));
-    assert!(matches!(session.take_events()[..], [SessionEvent::NeighboursChosen { .. }]));
+    assert!(matches!(session.take_events()[..], [SessionEvent::NeighboursChosen(_)]));
 }
 
 #[test]
@@ -155,8 +155,14 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
         session.prepare(view).unwrap();
         session.smooth(view, &mut smoothed).unwrap();
         let events = session.take_events();
-        let [SessionEvent::NeighboursChosen { neighbours, edges: Edges::Off, passes, noise_m: Some(noise_m) }] =
-            events[..]
+        let [
+            SessionEvent::NeighboursChosen(CloudChoice {
+                neighbours,
+                edges: Edges::Off,
+                passes,
+                noise_m: Some(noise_m),
+            }),
+        ] = events[..]
         else {
             panic!("{events:?}")
         };
@@ -237,7 +243,8 @@ fn edges_and_passes_are_chosen_by_shape_and_noise() {
         let mut session = session("");
         session.smooth(view, &mut smoothed).unwrap();
         let events = session.take_events();
-        let [SessionEvent::NeighboursChosen { neighbours, edges: chosen, passes: chosen_passes, .. }] = events[..]
+        let [SessionEvent::NeighboursChosen(CloudChoice { neighbours, edges: chosen, passes: chosen_passes, .. })] =
+            events[..]
         else {
             panic!("{events:?}")
         };
@@ -328,10 +335,7 @@ fn a_frame_without_its_grid_is_smoothed_on_it() {
     session.smooth(PointsView::from_rows(&moved).unwrap(), &mut found).unwrap();
     assert_eq!(session.rebuilt_grid(), None);
     let events = session.take_events();
-    assert!(
-        matches!(events[..], [SessionEvent::GridRebuilt { .. }, SessionEvent::NeighboursChosen { .. }]),
-        "{events:?}"
-    );
+    assert!(matches!(events[..], [SessionEvent::GridRebuilt { .. }, SessionEvent::NeighboursChosen(_)]), "{events:?}");
     let pose = SensorPose::from_viewpoint([2.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
     session.prepare(view).unwrap();
     session.smooth(view.with_pose(pose).unwrap(), &mut found).unwrap();

@@ -20,13 +20,14 @@ Many frames, with buffers that are kept:
 from ._files import Devices, Frame, Simulated, devices, evaluate, info, read, simulate, write
 from ._planish import VERSION as __version__
 from ._planish import Camera
-from ._result import Smoothed, Status
+from ._result import CloudChoice, Smoothed, Status
 from ._settings import Sensor, Settings, SettingsFile, read_settings, write_settings
 from ._smoothing import Smoother, smooth
 from ._stream import Stream, StreamFrame, stream
 
 __all__ = [
     "Camera",
+    "CloudChoice",
     "Devices",
     "Frame",
     "Sensor",

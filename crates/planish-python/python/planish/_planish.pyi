@@ -1,7 +1,7 @@
 """The extension module; the public API is `planish`."""
 
 from os import PathLike
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,9 @@ class Engine:
         self, array: NDArray[Any], is_depth: bool, place: _Place, outputs: dict[str, NDArray[Any]], runs: int
     ) -> list[float]: ...
     def opened(self) -> tuple[str | None, str | None, str | None]: ...
+    def chosen_for_cloud(
+        self,
+    ) -> tuple[tuple[int, Literal["robust", "off"], int, float | None] | None, tuple[int, int] | None]: ...
     def close(self) -> None: ...
 
 def read(path: str | PathLike[str]) -> dict[str, Any]: ...

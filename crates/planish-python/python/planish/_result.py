@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,19 @@ class Status(enum.IntEnum):
     POLYNOMIAL_3 = 5
     #: In an unorganized cloud, far from all others: the point is unchanged and has no normal.
     ISOLATED = 6
+
+
+class CloudChoice(NamedTuple):
+    """How planish smoothed an unorganized cloud, where the settings left that open."""
+
+    #: The approximate number of neighbours per point.
+    neighbours: int
+    #: Whether edges are kept: ``"robust"``, or ``"off"``.
+    edges: Literal["robust", "off"]
+    #: 2 if there was a first pass with few neighbours, otherwise 1.
+    passes: int
+    #: Standard deviation of the points across their surface in metres; ``None`` in a cloud too small for an estimate.
+    noise_m: float | None
 
 
 @dataclass(slots=True, eq=False)

@@ -16,7 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from ._arrays import as_array, as_frame, origin_of
 from ._planish import Camera, Engine
-from ._result import Smoothed
+from ._result import CloudChoice, Smoothed
 from ._settings import Output, Settings
 
 if TYPE_CHECKING:
@@ -110,6 +110,17 @@ class Smoother:
     def chosen_because(self) -> str | None:
         """The reason for the choice of ``engine="auto"``."""
         return self._engine.opened()[2]
+
+    @property
+    def cloud_choice(self) -> CloudChoice | None:
+        """How the last unorganized cloud was smoothed, and its noise; ``None`` where settings decided, and after other frames."""
+        choice, _ = self._engine.chosen_for_cloud()
+        return CloudChoice(*choice) if choice else None
+
+    @property
+    def rebuilt_grid(self) -> tuple[int, int] | None:
+        """Height and width of the grid that the last cloud had lost and was smoothed on."""
+        return self._engine.chosen_for_cloud()[1]
 
     def smooth(
         self,

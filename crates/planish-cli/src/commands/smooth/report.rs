@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use planish::{CloudRadius, Frame, FrameRadius, Params, RangeRule};
+use planish::{CloudChoice, CloudRadius, Frame, FrameRadius, Params, RangeRule};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
@@ -27,6 +27,12 @@ pub struct Report {
     /// Number of tiles of a file larger than memory; the smoothing time then includes reading and writing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<usize>,
+    /// How an unorganized cloud was smoothed, where the settings left that to planish.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cloud: Option<CloudChoice>,
+    /// Width and height of the grid that a frame had lost.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rebuilt_grid: Option<[usize; 2]>,
     pub read_ms: f64,
     pub smooth_ms: SmoothTimes,
     pub write_ms: f64,

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use planish::tiles::{self, TileOptions};
-use planish::{CloudRadius, Progress, SessionEvent};
+use planish::{CloudChoice, CloudRadius, Progress};
 use planish_bench::errln;
 
 use super::super::checks::report_notes;
@@ -46,9 +46,10 @@ impl Worker<'_> {
         let report =
             with_progress(Some(Arc::clone(&progress)), || tiles::smooth_tiles(input, output, &options, &progress))?;
         report_notes(input, &report.notes);
-        let chosen = SessionEvent::of_cloud(&report.params, 1, report.cloud_estimate);
-        if let Some(chosen) = chosen.filter(|_| self.settings.chooses_neighbours()) {
-            self.report_neighbours(output, &chosen);
+        let choice = CloudChoice::of(&report.params, 1, report.cloud_estimate);
+        let choice = choice.filter(|_| self.settings.chooses_neighbours());
+        if let Some(choice) = &choice {
+            self.report_choice(output, choice);
         }
         if self.outputs().normals && self.pose.is_none() && !report.has_pose {
             report_assumed_sensor(input, report.assumed_sensor_m);
@@ -88,6 +89,8 @@ impl Worker<'_> {
             points_lost: status.too_few,
             status,
             tiles: Some(report.tiles),
+            cloud: choice,
+            rebuilt_grid: None,
             read_ms: 0.0,
             smooth_ms: summarize(vec![ms_since(start)]),
             write_ms: 0.0,
