@@ -2,6 +2,7 @@
 //! and passes (docs/method.md, section 8).
 
 use fearless_simd::Level;
+use glam::Vec3;
 
 use super::held_out::{FirstPass, HeldOut, Miss};
 use super::leaves::{Kernels, SmoothedLeaf, Way};
@@ -13,9 +14,11 @@ use crate::params::Edges;
 /// The numbers of neighbours that are tried, each about the root of two times the one before.
 const TRIED: [u32; 10] = [40, 57, 80, 113, 160, 226, 320, 453, 640, 905];
 /// Smaller numbers, for thin walls and fine shapes.
-const FEW: [u32; 2] = [20, 28];
+const FEW: [u32; 4] = [10, 14, 20, 28];
 /// They are considered if the mean square motion with 40 neighbours exceeds this multiple of that with 20,
 const GROWS: f64 = 2.0;
+/// if the mean cosine of the angle between normals with 20 neighbours is at least this (less is noise),
+const COHERENT: f64 = 0.77;
 /// and the RMS motion with 40 exceeds this share of the mean radius (less is rounding).
 const LEAST_MOTION: f64 = 1e-4;
 /// About this many points are smoothed with each of them.
@@ -45,7 +48,7 @@ const MEDIAN_SQUARE: f64 = 0.4549;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CloudEstimate {
-    /// The number of neighbours that suits the noise and the shape, 20 to 905.
+    /// The number of neighbours that suits the noise and the shape, 10 to 905.
     pub neighbours: u32,
     /// Whether edges are kept: where that reduces the error at held-out points.
     pub edges: Edges,
@@ -73,6 +76,8 @@ struct Motion {
     median: f64,
     /// Ratio of the mean radius to the root mean square motion.
     ratio: f64,
+    /// Mean cosine of the angle between the normals of points that follow each other, whichever side they are on.
+    coherence: f64,
 }
 
 impl CloudEstimate {
@@ -165,12 +170,19 @@ impl Compared<'_> {
         let neighbours = smooth.way.neighbours;
         let mut kept = self.try_way(robust(self.above(neighbours, 2)));
         // Next to thin walls and fine detail, fewer neighbours keep edges better.
+        let is_few = neighbours <= TRIED[0];
         let fewer = [neighbours, self.above(neighbours, 1)];
-        for neighbours in fewer.into_iter().take(if neighbours <= TRIED[0] { 2 } else { 1 }) {
+        for neighbours in fewer.into_iter().take(if is_few { 2 } else { 1 }) {
             let fewer = self.try_way(robust(neighbours));
             kept = if fewer.is_better(&kept, along) { fewer } else { kept };
         }
-        if edges.is_none() && !kept.is_better(&smooth, along) {
+        if is_few && kept.way.neighbours == neighbours {
+            kept = self.walk(kept, &|neighbours| self.below(neighbours), whole);
+        }
+        // Where 40 neighbours distort the shape, rounding does more harm than in the mean of all clouds.
+        let is_fine = neighbours < TRIED[0] && !is_noisy;
+        let keeps = if is_fine { !smooth.is_better(&kept, along) } else { kept.is_better(&smooth, along) };
+        if edges.is_none() && !keeps {
             return smooth;
         }
         self.walk(kept, &|neighbours| self.above(neighbours, 2), along)
@@ -262,11 +274,15 @@ impl Sample<'_> {
     /// Returns the motions with the fewest neighbours and with the best number below 40, if 40 distort the shape: if
     /// they move points to the other side of a thin wall, or off fine detail.
     fn of_few(&self, narrow: &Motion) -> Option<[Motion; 2]> {
-        let [least, more] = FEW.map(|neighbours| self.motion(neighbours));
-        let (least, more) = (least?, more?);
-        let grows = narrow.square > GROWS * least.square && narrow.ratio < 1.0 / LEAST_MOTION;
-        let best = [least, more, *narrow].into_iter().min_by(|a, b| least.error_of(a).total_cmp(&least.error_of(b)))?;
-        (grows && best.neighbours < narrow.neighbours).then_some([least, best])
+        let few = self.motion(CloudEstimate::FIRST_NEIGHBOURS)?;
+        let grows = narrow.square > GROWS * few.square && narrow.ratio < 1.0 / LEAST_MOTION;
+        if !grows || few.coherence < COHERENT {
+            return None;
+        }
+        let least = self.motion(FEW[0])?;
+        let tried = FEW.into_iter().map_while(|neighbours| self.motion(neighbours)).chain([*narrow]);
+        let best = tried.min_by(|a, b| least.error_of(a).total_cmp(&least.error_of(b)))?;
+        (best.neighbours < narrow.neighbours).then_some([least, best])
     }
 
     /// Returns how far its points move; `None` if none has enough neighbours.
@@ -280,17 +296,20 @@ impl Sample<'_> {
         let motion = |leaf: usize, smoothed: &SmoothedLeaf, k: usize| {
             let (from, to) = (index.point(LEAF * leaf + k), smoothed.on_surface(k)?.point);
             let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
-            Some([square, f64::from(smoothed.radius_m(k))])
+            let normal_of = |k| smoothed.on_surface(k).map(|surface| Vec3::from_array(surface.normal));
+            let next = normal_of((k + 1) % LEAF).unwrap_or_default();
+            let cosine = normal_of(k)?.dot(next).abs();
+            Some([square, f64::from(smoothed.radius_m(k)), f64::from(cosine)])
         };
-        let motions: Vec<[f64; 2]> = sampled
+        let motions: Vec<[f64; 3]> = sampled
             .iter()
             .zip(&smoothed)
             .flat_map(|(&leaf, smoothed)| (0..LEAF).filter_map(move |k| motion(leaf, smoothed, k)))
             .collect();
         let mean = |k: usize| motions.iter().map(|motion| motion[k]).sum::<f64>() / motions.len() as f64;
-        let mut squares: Vec<f64> = motions.iter().map(|[square, _]| *square).collect();
+        let mut squares: Vec<f64> = motions.iter().map(|[square, ..]| *square).collect();
         squares.sort_by(f64::total_cmp);
         let median = *squares.get(squares.len() / 2)?;
-        Some(Motion { neighbours, square: mean(0), median, ratio: mean(1) / mean(0).sqrt() })
+        Some(Motion { neighbours, square: mean(0), median, ratio: mean(1) / mean(0).sqrt(), coherence: mean(2) })
     }
 }
