@@ -274,8 +274,8 @@ impl PySmoother {
         Ok((session.engine().map(planish::Engine::name), session.gpu_name().map(str::to_owned), because))
     }
 
-    /// How the last unorganized cloud was smoothed, if planish chose that: neighbours, edges, passes and noise. Then the
-    /// height and width of the grid that it lost, if any.
+    /// Returns how the last unorganized cloud was smoothed, if planish chose that, and the height and width of the grid
+    /// that it lost, if any.
     fn chosen_for_cloud(&self) -> PyResult<(Option<ChosenForCloud>, Option<(usize, usize)>)> {
         let state = self.lock()?;
         let choice = state.session.cloud_choice();

@@ -259,7 +259,8 @@ impl PointIndex {
         }
     }
 
-    /// Returns the squared distances from a point to the positions, and their places, nearest first, computed on demand.
+    /// Returns the squared distances from a point to the positions, and their places, nearest first: computed on
+    /// demand.
     pub(crate) fn nearest(&self, point: [f32; 3]) -> Nearest<'_> {
         let mut nearest = Nearest { index: self, point, queue: Default::default() };
         if let Some(top) = self.levels.len().checked_sub(1) {
