@@ -28,7 +28,7 @@ const STIFFEST: f32 = 100.0;
 const FARTHEST: f32 = 1.5;
 /// Points whose normals differ by more than the angle of this cosine are on different surfaces.
 const ONE_SURFACE: f32 = 0.7;
-/// The weight of a neighbour's plane is what the cosine of the angle between normals exceeds this by.
+/// Planes of neighbours have weights that grow from 0 at this cosine of the angle between normals.
 const ONE_PLANE: f32 = 0.5;
 
 /// Moves the points of a smoothed cloud along their surface so that they are spaced evenly. Points without a normal
@@ -51,7 +51,7 @@ pub(crate) fn space_evenly(measured: &PointsView<'_>, smoothed: &mut Smoothed) {
     let neighbours: Vec<Neighbours> = map(&points, |place, point| nearest_of(&index, place, point));
     points = map(&points, |place, point| {
         let farthest = points[neighbours[place][SPACING_BY - 1] as usize].at.distance(point.at);
-        // Of a hexagonal grid with as many points on the disk of this radius.
+        // A hexagonal grid of this spacing has as many points on a disk of this radius.
         let spacing_m = farthest * (std::f32::consts::TAU / (SPACING_BY as f32 * 3f32.sqrt())).sqrt();
         Point { spacing_m, ..*point }
     });
@@ -75,7 +75,7 @@ type Neighbours = [u32; NEIGHBOURS];
 #[derive(Debug, Clone, Copy)]
 struct Point {
     at: Vec3,
-    /// Zero if it has none.
+    /// Its unit normal, or zero.
     normal: Vec3,
     /// Variance of the noise in m².
     variance: f32,

@@ -318,7 +318,7 @@ impl Settings {
 
     /// Returns whether the points of unorganized clouds are spaced evenly.
     pub fn spaces_evenly(&self) -> bool {
-        // Left out of WebAssembly, where `validate` refuses it.
+        // WebAssembly leaves it out, and `validate` refuses it there.
         self.even == Some(true) && !ONE_THREAD
     }
 

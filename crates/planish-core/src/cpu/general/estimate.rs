@@ -163,8 +163,7 @@ impl Compared<'_> {
         if edges == Some(Edges::Off) {
             return smooth;
         }
-        // Held-out points have been moved along the rounded normals beside an edge, so whole distances are to its
-        // disadvantage.
+        // Beside an edge, held-out points were moved along rounded normals: whole distances would favour rounding.
         let along: Distance = |miss| miss.along;
         let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
         let neighbours = smooth.way.neighbours;
@@ -179,7 +178,7 @@ impl Compared<'_> {
         if is_few && kept.way.neighbours == neighbours {
             kept = self.walk(kept, &|neighbours| self.below(neighbours), whole);
         }
-        // Where 40 neighbours distort the shape, rounding does more harm than in the mean of all clouds.
+        // Shapes that 40 neighbours distort suffer most from rounding, so there edges need only be no worse.
         let is_fine = neighbours < TRIED[0] && !is_noisy;
         let keeps = if is_fine { !smooth.is_better(&kept, along) } else { kept.is_better(&smooth, along) };
         if edges.is_none() && !keeps {
