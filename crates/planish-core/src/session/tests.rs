@@ -230,6 +230,33 @@ fn rms_from_shape(points: &Xyz, is_cube: bool) -> f32 {
 }
 
 #[test]
+fn the_sides_of_a_thin_wall_are_not_merged() {
+    let mut random = Random(7);
+    // Nearly normal deviates.
+    let mut deviate = |sigma: f32| sigma * ((0..12).map(|_| random.next()).sum::<f32>() - 6.0);
+    let (half_m, noise_m) = (0.028, 0.02);
+    let points: Vec<[f32; 3]> = (0..10_000)
+        .map(|i| {
+            let (row, column) = (i / 2 / 70, i / 2 % 70);
+            let side = if i % 2 == 0 { half_m } else { -half_m };
+            [0.01 * column as f32 + deviate(noise_m), 0.01 * row as f32 + deviate(noise_m), side + deviate(noise_m)]
+        })
+        .collect();
+    let mut session = Session::new("engine=cpu".parse().unwrap()).unwrap();
+    let mut smoothed = Smoothed::default();
+    session.smooth(PointsView::from_rows(&points).unwrap(), &mut smoothed).unwrap();
+    let choice = session.cloud_choice().unwrap();
+    assert!(choice.neighbours <= 40 && choice.edges == Edges::Robust && choice.passes == 1, "{choice}");
+    let off = |z: f32| f64::from((z.abs() - half_m).powi(2));
+    let (raw, left) = points
+        .iter()
+        .zip(smoothed.points.z())
+        .fold((0.0, 0.0), |(raw, left), (point, z)| (raw + off(point[2]), left + off(*z)));
+    // With one surface in the middle of the wall it would be 2.4 times as much as the noise.
+    assert!(left < 0.8 * raw, "{}", left / raw);
+}
+
+#[test]
 fn edges_and_passes_are_chosen_by_shape_and_noise() {
     for (is_cube, noise_m, edges, passes, most) in [
         (true, 0.02, Edges::Robust, 1, 0.7),

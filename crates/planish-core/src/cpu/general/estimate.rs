@@ -41,6 +41,13 @@ const REACH: f32 = 12.0;
 /// Edges are kept if they reduce the mean square error by more than this many standard errors.
 const SURE: f64 = 1.0;
 
+/// Held-out points are on two sides of a merged wall if the kurtosis of their distances is below that of noise, 3, by
+/// this much and by this many standard errors.
+const FLAT: f64 = 0.35;
+const FLAT_ERRORS: f64 = 3.0;
+/// Fewer neighbours than 40 keep the sides of walls apart if they reduce the mean square distance to this share.
+const MUCH_LESS: f64 = 2.0 / 3.0;
+
 /// The median square of a normal deviate.
 const MEDIAN_SQUARE: f64 = 0.4549;
 
@@ -127,7 +134,14 @@ impl CloudEstimate {
         // Noise beyond the spacing shifts round surfaces outwards, as keeping edges does.
         let may_have_edges = radius_m > NOISIEST * f64::from(noise_m);
         let edges = decided.edges.or((!may_have_edges).then_some(Edges::Off));
-        let chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, edges);
+        let mut chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, edges);
+        let mut passes_twice = passes_twice;
+        if chosen.merges_walls() {
+            let narrow = Way { edges: Edges::Off, neighbours: Self::FIRST_NEIGHBOURS };
+            let held_out = HeldOut::new(&index, kernels, narrow, None).ok()?;
+            chosen = Compared { held_out: &held_out, most }.choose_apart(decided.edges.unwrap_or(Edges::Robust));
+            passes_twice = decided.passes.is_some_and(|passes| passes > 1);
+        }
         let first_neighbours = passes_twice.then_some(Self::FIRST_NEIGHBOURS);
         let noise_m = chosen.noise_m().unwrap_or(noise_m);
         let Way { edges, neighbours } = chosen.way;
@@ -187,6 +201,19 @@ impl Compared<'_> {
         self.walk(kept, &|neighbours| self.above(neighbours, 2), along)
     }
 
+    /// Returns a way that keeps the two sides of walls apart: with 40 neighbours, or with fewer if those miss by much
+    /// less. By a little less they always do, since they follow the noise.
+    fn choose_apart(&self, edges: Edges) -> Tried {
+        let mut best = self.try_way(Way { edges, neighbours: TRIED[0] });
+        for neighbours in FEW.into_iter().rev() {
+            let fewer = self.try_way(Way { edges, neighbours });
+            if fewer.mean_whole() < MUCH_LESS * best.mean_whole() {
+                best = fewer;
+            }
+        }
+        best
+    }
+
     fn try_way(&self, way: Way) -> Tried {
         Tried { way, misses: self.held_out.misses(way) }
     }
@@ -235,6 +262,27 @@ impl Tried {
         let mean = gains.iter().sum::<f64>() / count;
         let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / count;
         (mean, (variance / count).sqrt())
+    }
+
+    /// Returns the mean square distance in space of the points that count.
+    fn mean_whole(&self) -> f64 {
+        let squares = self.misses.iter().map(|miss| miss.whole).filter(|square| square.is_finite());
+        let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+        sum / count
+    }
+
+    /// Returns whether the two sides of walls are measured from one surface between them: then large and small misses
+    /// are rarer than those of noise.
+    fn merges_walls(&self) -> bool {
+        let squares = self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite());
+        let (mut count, mut sum, mut squared) = (0.0, 0.0, 0.0);
+        for square in squares {
+            count += 1.0;
+            sum += square;
+            squared += square * square;
+        }
+        // The standard error of the kurtosis of normal deviates is √(24/count).
+        3.0 - count * squared / (sum * sum) > f64::max(FLAT, FLAT_ERRORS * (24.0 / count).sqrt())
     }
 
     /// Returns the noise that explains the median miss; `None` if no point counts.
