@@ -37,16 +37,15 @@ pub(crate) fn space_evenly(measured: &PointsView<'_>, smoothed: &mut Smoothed) {
     let Some(normals) = &smoothed.normals else { return };
     let mut index = PointIndex::default();
     index.fill(&measured.moved_to(&smoothed.points));
-    let mut raw = [(); 3].map(|()| vec![0.0; measured.len()]);
-    let [x, y, z] = &mut raw;
-    measured.copy_to(0..measured.len(), x, y, z);
+    let [mut x, mut y, mut z] = [(); 3].map(|()| vec![0.0; measured.len()]);
+    measured.copy_to(0..measured.len(), &mut x, &mut y, &mut z);
     let mut points: Vec<Point> = (0..index.len()).map(|place| Point::at(index.point(place))).collect();
     for i in 0..measured.len() {
         let Some(place) = index.place(i) else { continue };
         let point = &mut points[place];
         let normal = Vec3::from_array(normals.get(i));
         point.normal = if normal.is_finite() { normal } else { Vec3::ZERO };
-        point.variance = point.at.distance_squared(Vec3::new(raw[0][i], raw[1][i], raw[2][i]));
+        point.variance = point.at.distance_squared(Vec3::new(x[i], y[i], z[i]));
     }
     let neighbours: Vec<Neighbours> = map(&points, |place, point| nearest_of(&index, place, point));
     points = map(&points, |place, point| {

@@ -32,8 +32,8 @@ pub struct PySmoother(Mutex<State>);
 /// Camera, sensor pose and origin of a frame, if known.
 type Place<'py> = (Option<PyRef<'py, PyCamera>>, Option<[f64; 7]>, Option<[f64; 3]>);
 
-/// Neighbours, edges, passes and noise.
-type ChosenForCloud = (u32, &'static str, u32, Option<f32>);
+/// Neighbours, edges, passes and noise; then height and width of a grid.
+type ChosenForCloud = (Option<(u32, &'static str, u32, Option<f32>)>, Option<(usize, usize)>);
 
 /// What makes a frame.
 struct Given<'py> {
@@ -276,7 +276,7 @@ impl PySmoother {
 
     /// Returns how the last unorganized cloud was smoothed, if planish chose that, and the height and width of the grid
     /// that it lost, if any.
-    fn chosen_for_cloud(&self) -> PyResult<(Option<ChosenForCloud>, Option<(usize, usize)>)> {
+    fn chosen_for_cloud(&self) -> PyResult<ChosenForCloud> {
         let state = self.lock()?;
         let choice = state.session.cloud_choice();
         let choice = choice.map(|choice| (choice.neighbours, choice.edges.name(), choice.passes, choice.noise_m));
