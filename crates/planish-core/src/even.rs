@@ -20,14 +20,20 @@ const STEPS: usize = 6;
 const STEP: f32 = 0.5;
 /// Points repel within this many spacings.
 const REACH: f32 = 1.6;
-/// Strength of the spring where the noise equals the spacing,
+/// Strength of the spring where the noise equals the spacing.
 const SPRING: f32 = 0.5;
-/// and the largest ratio of their squares.
+/// Largest ratio of the squares of spacing and noise.
 const STIFFEST: f32 = 100.0;
 /// How far points may move, in standard deviations of the noise.
 const FARTHEST: f32 = 1.5;
-/// Points whose normals differ by more than the angle of this cosine are on different surfaces.
+/// The median square of a normal deviate.
+const MEDIAN_SQUARE: f32 = 0.4549;
+/// Points whose normals differ by more than the angle of this cosine are on different surfaces,
 const ONE_SURFACE: f32 = 0.7;
+/// and so are points whose distance is steeper than this against the plane between their tangent planes.
+const STEEPEST: f32 = 0.5;
+/// How far a point moves back onto the surface, as a share of its offset: more is no curvature.
+const MOST_CURVED: f32 = 0.25;
 /// Planes of neighbours have weights that grow from 0 at this cosine of the angle between normals.
 const ONE_PLANE: f32 = 0.5;
 
@@ -54,7 +60,8 @@ pub(crate) fn space_evenly(measured: &PointsView<'_>, smoothed: &mut Smoothed) {
         let spacing_m = farthest * (std::f32::consts::TAU / (SPACING_BY as f32 * 3f32.sqrt())).sqrt();
         Point { spacing_m, ..*point }
     });
-    points = map(&points, |place, point| point.averaged(&neighbours[place], &points));
+    let most = noise_of(&points);
+    points = map(&points, |place, point| point.averaged(&neighbours[place], &points, most));
     for _ in 0..STEPS {
         points = map(&points, |place, point| point.pushed(&neighbours[place], &points));
     }
@@ -89,15 +96,26 @@ impl Point {
         Self { at: Vec3::from_array(at), normal: Vec3::ZERO, variance: 0.0, spacing_m: 0.0, offset: Vec3::ZERO }
     }
 
-    /// Returns the point with the means of noise and spacing around it.
-    fn averaged(&self, neighbours: &[u32], points: &[Self]) -> Self {
+    /// Returns the point with the means of noise and spacing around it, and at most so much noise: where a surface is
+    /// distorted, motions are no noise.
+    fn averaged(&self, neighbours: &[u32], points: &[Self], most: f32) -> Self {
         let Self { mut variance, mut spacing_m, .. } = *self;
         for &other in neighbours {
             variance += points[other as usize].variance;
             spacing_m += points[other as usize].spacing_m;
         }
         let count = (NEIGHBOURS + 1) as f32;
-        Self { variance: variance / count, spacing_m: spacing_m / count, ..*self }
+        Self { variance: (variance / count).min(most), spacing_m: spacing_m / count, ..*self }
+    }
+
+    /// Returns the normal between this point's and another's, and the cosine of the angle between these, if both are on
+    /// one surface. Points on the two sides of a thin wall are not.
+    fn between(&self, other: &Self) -> Option<(Vec3, f32)> {
+        let cosine = self.normal.dot(other.normal);
+        let between = 0.5 * (self.normal + cosine.signum() * other.normal);
+        let away = self.at - other.at;
+        let is_beside = cosine.abs() > ONE_SURFACE && between.dot(away).abs() <= STEEPEST * away.length();
+        is_beside.then_some((between, cosine.abs()))
     }
 
     /// Returns the point after a step along its tangent plane: away from its neighbours, and back to where it was.
@@ -106,7 +124,7 @@ impl Point {
         let mut push = Vec3::ZERO;
         for neighbour in neighbours.iter().map(|&other| &points[other as usize]) {
             let away = self.at + self.offset - neighbour.at - neighbour.offset;
-            if self.normal.dot(neighbour.normal).abs() > ONE_SURFACE {
+            if self.between(neighbour).is_some() {
                 push += (1.0 - away.length() / reach_m).max(0.0).powi(2) * away.normalize_or_zero();
             }
         }
@@ -116,21 +134,29 @@ impl Point {
         Self { offset, ..*self }
     }
 
-    /// Returns the moved point on the surface. That passes between the tangent planes of two points each, as a surface
-    /// of constant curvature does.
+    /// Returns the moved point on the surface: on planes that halve the angles between its tangent plane and those of
+    /// its neighbours, as a surface of constant curvature is.
     fn on_surface(&self, neighbours: &[u32], points: &[Self]) -> Vec3 {
         let place = self.at + self.offset;
         let (mut height, mut weights) = (0.0, 0.0);
         for neighbour in neighbours.iter().map(|&other| &points[other as usize]).chain([self]) {
-            let cosine = self.normal.dot(neighbour.normal);
+            let Some((between, cosine)) = self.between(neighbour) else { continue };
             let away = place - neighbour.at;
             let nearness = (1.0 - away.length_squared() / (REACH * self.spacing_m).powi(2)).max(0.0).powi(2);
-            let weight = nearness * (cosine.abs() - ONE_PLANE).max(0.0);
-            height += weight * 0.5 * (self.normal + cosine.signum() * neighbour.normal).dot(away);
+            let weight = nearness * (cosine - ONE_PLANE);
+            height += weight * between.dot(away);
             weights += weight;
         }
-        place - if weights > 0.0 { height / weights } else { 0.0 } * self.normal
+        let most_m = MOST_CURVED * self.offset.length();
+        place - if weights > 0.0 { (height / weights).clamp(-most_m, most_m) } else { 0.0 } * self.normal
     }
+}
+
+/// Returns the variance of the noise that explains the median motion.
+fn noise_of(points: &[Point]) -> f32 {
+    let mut squares: Vec<f32> = points.iter().filter(|p| p.normal != Vec3::ZERO).map(|point| point.variance).collect();
+    let middle = squares.len() / 2;
+    if squares.is_empty() { 0.0 } else { *squares.select_nth_unstable_by(middle, f32::total_cmp).1 / MEDIAN_SQUARE }
 }
 
 /// Returns the places of the nearest other points; if there are fewer, the point itself fills up.

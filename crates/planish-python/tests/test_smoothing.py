@@ -442,15 +442,15 @@ def test_settings_that_change_nothing_for_a_general_cloud_are_said_once() -> Non
 def test_the_choice_for_a_cloud_and_even_spacing() -> None:
     random = np.random.default_rng(1)
     directions = random.normal(size=(4000, 3))
-    sphere = directions / np.linalg.norm(directions, axis=1)[:, None] + random.normal(scale=0.01, size=(4000, 3))
+    sphere = directions / np.linalg.norm(directions, axis=1)[:, None] + random.normal(scale=0.03, size=(4000, 3))
     smoother = Smoother(engine="cpu", outputs=["points"])
     plain = smoother.smooth(sphere).points
     choice = smoother.cloud_choice
-    assert choice.edges == "off" and choice.neighbours >= 40 and choice.noise_m == pytest.approx(0.01, rel=0.15)
+    assert choice.edges == "off" and choice.neighbours >= 40 and choice.noise_m == pytest.approx(0.03, rel=0.15)
     even = planish.smooth(sphere, engine="cpu", outputs=["points"], even=True).points
     apart = [np.sort(np.linalg.norm(points[:, None] - points[None], axis=2), axis=1)[:, 1] for points in (plain, even)]
     # The nearest neighbours of evenly spaced points are about as far away everywhere.
-    assert apart[1].std() / apart[1].mean() < 0.7 * apart[0].std() / apart[0].mean()
+    assert apart[1].std() / apart[1].mean() < 0.85 * apart[0].std() / apart[0].mean()
     assert np.abs(np.linalg.norm(even, axis=1) - 1).mean() < 1.1 * np.abs(np.linalg.norm(plain, axis=1) - 1).mean()
     with Smoother(engine="cpu", neighbours=40) as given:
         given.smooth(sphere)

@@ -77,6 +77,32 @@ fn noiseless_points_hardly_move() {
 }
 
 #[test]
+fn the_sides_of_a_thin_plate_stay_where_they_are() {
+    // As far apart as the points of a side are from each other; these are clumped.
+    let mut random = Random(3);
+    let mut jitter = || 0.006 * (random.next() - 0.5);
+    let place = |i: usize| (0.01 * (i / 2 % 60) as f32, 0.01 * (i / 2 / 60) as f32, 0.01 * (i % 2) as f32);
+    let measured: Vec<[f32; 3]> = (0..7200)
+        .map(|i| {
+            let (x, y, z) = place(i);
+            [x + jitter(), y + jitter(), z + jitter()]
+        })
+        .collect();
+    // Smoothed perfectly.
+    let mut smoothed = Smoothed::default();
+    smoothed.prepare(7200, 1, Outputs::POINTS.with_normals(true));
+    for (i, [x, y, _]) in measured.iter().enumerate() {
+        smoothed.points.set(i, [*x, *y, place(i).2]);
+        smoothed.normals.as_mut().unwrap().set(i, [0.0, 0.0, 1.0]);
+    }
+    let before: Vec<_> = smoothed.points.iter().collect();
+    space_evenly(&PointsView::from_rows(&measured).unwrap(), &mut smoothed);
+    let moved = before.iter().zip(smoothed.points.iter()).map(|(from, to)| Vec3::from_array(*from).distance(to.into()));
+    assert!(moved.fold(0.0, f32::max) > 1e-3);
+    assert!((0..7200).all(|i| (smoothed.points.get(i)[2] - place(i).2).abs() < 2e-4));
+}
+
+#[test]
 fn few_and_equal_points_are_no_problem() {
     for count in [0, 1, 2, 5, 17] {
         let points: Vec<[f32; 3]> = (0..count).map(|i| [0.01 * (i / 2) as f32, 0.0, 1.0]).collect();

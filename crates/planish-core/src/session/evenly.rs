@@ -4,7 +4,7 @@ use super::{Chosen, Session};
 use crate::error::Error;
 use crate::even::space_evenly;
 use crate::frame::{Frame, PointsView};
-use crate::outputs::SmoothedMut;
+use crate::outputs::{Outputs, SmoothedMut};
 use crate::threads::Threads;
 
 impl Session {
@@ -17,11 +17,19 @@ impl Session {
         }
     }
 
+    /// Returns the results that the engine is to compute for a frame.
+    pub(super) fn outputs_of_engine(&self, frame: Frame<'_>) -> Outputs {
+        match self.to_space_evenly(frame) {
+            Some(_) => self.options.outputs.with_points(true).with_normals(true),
+            None => self.options.outputs,
+        }
+    }
+
     /// Smooths a cloud and spaces its points evenly.
     pub(super) fn smooth_evenly(&mut self, points: &PointsView<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
         let threads = Threads::open(self.options.threads)?;
         let outputs = self.options.outputs;
-        self.options.outputs = outputs.with_points(true).with_normals(true);
+        self.options.outputs = self.outputs_of_engine(Frame::Points(*points));
         let mut smoothed = std::mem::take(&mut self.before_even);
         smoothed.prepare(points.len(), 1, self.options.outputs);
         let result = self.smooth_in_passes(Frame::Points(*points), smoothed.as_mut());

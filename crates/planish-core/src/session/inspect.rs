@@ -33,7 +33,7 @@ impl Session {
     /// As [`Settings::resolve`](crate::Settings::resolve).
     pub fn params_for<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(Params, Option<SensorModel>), Error> {
         let frame = frame.into_frame()?;
-        let (events, is_prepared) = (self.events.len(), self.is_prepared);
+        let (events, is_prepared, choice) = (self.events.len(), self.is_prepared, self.cloud_choice);
         let resolved = self.on_its_grid(frame, Self::resolve);
         // Nothing is smoothed yet.
         let of_cloud = |event: &SessionEvent| {
@@ -41,7 +41,7 @@ impl Session {
         };
         let later = self.events.split_off(events);
         self.events.extend(later.into_iter().filter(|event| !of_cloud(event)));
-        self.is_prepared = is_prepared;
+        (self.is_prepared, self.cloud_choice) = (is_prepared, choice);
         resolved
     }
 

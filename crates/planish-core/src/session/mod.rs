@@ -70,7 +70,7 @@ pub struct Session {
     lattice: Option<Lattice>,
     known_points: usize,
     cloud_choice: Option<CloudChoice>,
-    /// Whether the three fields above belong to the current or prepared frame.
+    /// Whether the four fields above belong to the current or prepared frame.
     is_prepared: bool,
     /// The result for a cloud that lost its grid, on that grid.
     on_grid: Smoothed,
@@ -312,9 +312,12 @@ impl Session {
     /// As [`smooth`](Self::smooth).
     pub fn prepare<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
-        self.on_its_grid(frame, |session, frame| session.open_for(frame, false).map(drop))?;
-        self.is_prepared = true;
-        Ok(())
+        let outputs = self.options.outputs;
+        self.options.outputs = self.outputs_of_engine(frame);
+        let result = self.on_its_grid(frame, |session, frame| session.open_for(frame, false).map(drop));
+        self.options.outputs = outputs;
+        self.is_prepared |= result.is_ok();
+        result
     }
 
     /// Opens what smooths this frame, alone or among others in flight, and returns the frame with its geometry.

@@ -131,7 +131,7 @@ pub struct Settings {
     pub grid: Option<GridChoice>,
     /// For unorganized clouds: whether points move along the smoothed surface until they are spaced evenly, up to 1.5
     /// standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
-    /// WebAssembly.
+    /// WebAssembly. Normals and curvature stay those of the points before they move.
     pub even: Option<bool>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
@@ -392,6 +392,7 @@ impl Settings {
     pub fn unused_by_clouds_of_known_spacing(&self) -> Vec<&'static str> {
         let mut unused = self.unused_without_pixels();
         unused.extend(self.given_preset_or_strength());
+        unused.extend(Some("even").filter(|_| self.spaces_evenly()));
         unused
     }
 

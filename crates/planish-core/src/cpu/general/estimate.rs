@@ -36,6 +36,8 @@ const LEFT: f64 = 12.0;
 const NOISY: f64 = 8.0;
 /// If that radius is less than this multiple, edges are off.
 const NOISIEST: f64 = 1.6;
+/// If it is more than this multiple, there is nothing to smooth.
+const CLEAN: f64 = 1000.0;
 /// How far around held-out points a first pass goes, in radii for 40 neighbours: more than twice the radius for 905.
 const REACH: f32 = 12.0;
 /// Edges are kept if they reduce the mean square error by more than this many standard errors.
@@ -137,14 +139,17 @@ impl CloudEstimate {
         let mut chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, edges);
         let mut passes_twice = passes_twice;
         if chosen.merges_walls() {
-            let narrow = Way { edges: Edges::Off, neighbours: Self::FIRST_NEIGHBOURS };
+            let narrow = Way { edges: Edges::Robust, neighbours: Self::FIRST_NEIGHBOURS };
             let held_out = HeldOut::new(&index, kernels, narrow, None).ok()?;
             chosen = Compared { held_out: &held_out, most }.choose_apart(decided.edges.unwrap_or(Edges::Robust));
             passes_twice = decided.passes.is_some_and(|passes| passes > 1);
         }
         let first_neighbours = passes_twice.then_some(Self::FIRST_NEIGHBOURS);
         let noise_m = chosen.noise_m().unwrap_or(noise_m);
-        let Way { edges, neighbours } = chosen.way;
+        let Way { mut edges, mut neighbours } = chosen.way;
+        if CLEAN * f64::from(noise_m) < radius_m {
+            (edges, neighbours) = (decided.edges.unwrap_or(Edges::Robust), FEW[0]);
+        }
         Some(Self { neighbours, edges, first_neighbours, noise_m })
     }
 }
@@ -156,7 +161,7 @@ struct Compared<'a> {
     most: u32,
 }
 
-/// Which distance of a miss counts.
+/// Selects the distance to compare.
 type Distance = fn(&Miss) -> f64;
 
 /// A way, and its misses of the held-out points.
@@ -202,7 +207,7 @@ impl Compared<'_> {
     }
 
     /// Returns a way that keeps the two sides of walls apart: with 40 neighbours, or with fewer if those miss by much
-    /// less. By a little less they always do, since they follow the noise.
+    /// less. They always miss by a little less, since they follow the noise.
     fn choose_apart(&self, edges: Edges) -> Tried {
         let mut best = self.try_way(Way { edges, neighbours: TRIED[0] });
         for neighbours in FEW.into_iter().rev() {
@@ -266,13 +271,11 @@ impl Tried {
 
     /// Returns the mean square distance in space of the points that count.
     fn mean_whole(&self) -> f64 {
-        let squares = self.misses.iter().map(|miss| miss.whole).filter(|square| square.is_finite());
-        let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
-        sum / count
+        mean_of(self.misses.iter().map(|miss| miss.whole))
     }
 
-    /// Returns whether the two sides of walls are measured from one surface between them: then large and small misses
-    /// are rarer than those of noise.
+    /// Returns true if the misses vary less than those of noise: the two sides of walls are then measured from one
+    /// surface between them.
     fn merges_walls(&self) -> bool {
         let squares = self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite());
         let (mut count, mut sum, mut squared) = (0.0, 0.0, 0.0);
@@ -292,6 +295,13 @@ impl Tried {
         squares.sort_by(f64::total_cmp);
         squares.get(squares.len() / 2).map(|median| (median / MEDIAN_SQUARE).sqrt() as f32)
     }
+}
+
+/// Returns the mean of the finite ones of some values.
+fn mean_of(values: impl Iterator<Item = f64>) -> f64 {
+    let finite = values.filter(|value| value.is_finite());
+    let (sum, count) = finite.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
+    sum / count
 }
 
 impl Motion {
@@ -323,12 +333,15 @@ impl Sample<'_> {
     fn of_few(&self, narrow: &Motion) -> Option<[Motion; 2]> {
         let few = self.motion(CloudEstimate::FIRST_NEIGHBOURS)?;
         let grows = narrow.square > GROWS * few.square && narrow.ratio < 1.0 / LEAST_MOTION;
-        if !grows || few.coherence < COHERENT {
+        if !(grows && few.coherence >= COHERENT) {
             return None;
         }
-        let least = self.motion(FEW[0])?;
-        let tried = FEW.into_iter().map_while(|neighbours| self.motion(neighbours)).chain([*narrow]);
-        let best = tried.min_by(|a, b| least.error_of(a).total_cmp(&least.error_of(b)))?;
+        let [least, less, _, more] =
+            FEW.map(|neighbours| (neighbours != few.neighbours).then(|| self.motion(neighbours)));
+        let (least, less, more) = (least??, less??, more??);
+        let best = [least, less, few, more, *narrow]
+            .into_iter()
+            .min_by(|a, b| least.error_of(a).total_cmp(&least.error_of(b)))?;
         (best.neighbours < narrow.neighbours).then_some([least, best])
     }
 
@@ -344,16 +357,16 @@ impl Sample<'_> {
             let (from, to) = (index.point(LEAF * leaf + k), smoothed.on_surface(k)?.point);
             let square: f64 = (0..3).map(|axis| f64::from(to[axis] - from[axis]).powi(2)).sum();
             let normal_of = |k| smoothed.on_surface(k).map(|surface| Vec3::from_array(surface.normal));
-            let next = normal_of((k + 1) % LEAF).unwrap_or_default();
-            let cosine = normal_of(k)?.dot(next).abs();
-            Some([square, f64::from(smoothed.radius_m(k)), f64::from(cosine)])
+            let normal = normal_of(k)?;
+            let cosine = normal_of((k + 1) % LEAF).map_or(f64::NAN, |next| f64::from(normal.dot(next).abs()));
+            Some([square, f64::from(smoothed.radius_m(k)), cosine])
         };
         let motions: Vec<[f64; 3]> = sampled
             .iter()
             .zip(&smoothed)
             .flat_map(|(&leaf, smoothed)| (0..LEAF).filter_map(move |k| motion(leaf, smoothed, k)))
             .collect();
-        let mean = |k: usize| motions.iter().map(|motion| motion[k]).sum::<f64>() / motions.len() as f64;
+        let mean = |k: usize| mean_of(motions.iter().map(|motion| motion[k]));
         let mut squares: Vec<f64> = motions.iter().map(|[square, ..]| *square).collect();
         squares.sort_by(f64::total_cmp);
         let median = *squares.get(squares.len() / 2)?;
