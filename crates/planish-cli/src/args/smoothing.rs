@@ -182,8 +182,7 @@ pub struct SmoothingArgs {
     /// For unorganized clouds: space points evenly along the smoothed surface [default: false]
     ///
     /// Smoothing removes noise across the surface; noise along it leaves clumps and gaps. Points move by at most 1.5
-    /// standard deviations of the noise along the surface. A lost grid is not rebuilt. Not for streams or files smoothed
-    /// in tiles.
+    /// standard deviations of the noise along the surface. A lost grid is not rebuilt. Not for streams or tiles.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub even: Option<bool>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial

@@ -85,7 +85,7 @@ fn the_sides_of_a_thin_plate_stay_where_they_are() {
     let measured: Vec<[f32; 3]> = (0..7200)
         .map(|i| {
             let (x, y, z) = place(i);
-            [x + jitter(), y + jitter(), z + jitter()]
+            [x + jitter(), y + jitter(), z + 4.0 * jitter()]
         })
         .collect();
     // Smoothed perfectly.
