@@ -32,7 +32,7 @@ const MEDIAN_SQUARE: f32 = 0.4549;
 const ONE_SURFACE: f32 = 0.7;
 /// and so are points whose distance is steeper than this against the plane between their tangent planes.
 const STEEPEST: f32 = 0.5;
-/// How far a point moves back onto the surface, as a share of its offset: more is no curvature.
+/// The farthest that a point moves back onto the surface, as a share of its offset; curvature asks for less.
 const MOST_CURVED: f32 = 0.25;
 /// Planes of neighbours have weights that grow from 0 at this cosine of the angle between normals.
 const ONE_PLANE: f32 = 0.5;
@@ -96,8 +96,8 @@ impl Point {
         Self { at: Vec3::from_array(at), normal: Vec3::ZERO, variance: 0.0, spacing_m: 0.0, offset: Vec3::ZERO }
     }
 
-    /// Returns the point with the means of noise and spacing around it, and at most so much noise: where a surface is
-    /// distorted, motions are no noise.
+    /// Returns the point with the means of noise and spacing around it. `most` limits the noise: motions exceed it
+    /// where smoothing distorts a surface.
     fn averaged(&self, neighbours: &[u32], points: &[Self], most: f32) -> Self {
         let Self { mut variance, mut spacing_m, .. } = *self;
         for &other in neighbours {
@@ -134,8 +134,8 @@ impl Point {
         Self { offset, ..*self }
     }
 
-    /// Returns the moved point on the surface: on planes that halve the angles between its tangent plane and those of
-    /// its neighbours, as a surface of constant curvature is.
+    /// Returns the moved point, projected onto planes halfway between its tangent plane and each neighbour's: they cut
+    /// a surface of constant curvature.
     fn on_surface(&self, neighbours: &[u32], points: &[Self]) -> Vec3 {
         let place = self.at + self.offset;
         let (mut height, mut weights) = (0.0, 0.0);

@@ -131,7 +131,7 @@ pub struct Settings {
     pub grid: Option<GridChoice>,
     /// For unorganized clouds: whether points move along the smoothed surface until they are spaced evenly, up to 1.5
     /// standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
-    /// WebAssembly. Normals and curvature stay those of the points before they move.
+    /// WebAssembly. Normals and curvature are not computed again.
     pub even: Option<bool>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,

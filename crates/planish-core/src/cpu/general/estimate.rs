@@ -43,7 +43,7 @@ const REACH: f32 = 12.0;
 /// Edges are kept if they reduce the mean square error by more than this many standard errors.
 const SURE: f64 = 1.0;
 
-/// Held-out points are on two sides of a merged wall if the kurtosis of their distances is below that of noise, 3, by
+/// The sides of a wall were merged if the kurtosis of the distances of held-out points is less than 3, as of noise, by
 /// this much and by this many standard errors.
 const FLAT: f64 = 0.35;
 const FLAT_ERRORS: f64 = 3.0;
@@ -274,8 +274,7 @@ impl Tried {
         mean_of(self.misses.iter().map(|miss| miss.whole))
     }
 
-    /// Returns true if the misses vary less than those of noise: the two sides of walls are then measured from one
-    /// surface between them.
+    /// Returns true if the misses vary less than noise does: they are then from a surface between the sides of a wall.
     fn merges_walls(&self) -> bool {
         let squares = self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite());
         let (mut count, mut sum, mut squared) = (0.0, 0.0, 0.0);
