@@ -92,3 +92,6 @@ pub(crate) const RIDGE_WEIGHTS: [f32; 10] = [0.0, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 
 pub(crate) const fn coefficient_count(degree: usize) -> usize {
     (degree + 1) * (degree + 2) / 2
 }
+
+/// The median square of a normal deviate.
+pub(crate) const MEDIAN_SQUARE: f64 = 0.4549;

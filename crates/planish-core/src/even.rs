@@ -7,6 +7,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
+use crate::constants::MEDIAN_SQUARE;
 use crate::frame::PointsView;
 use crate::neighbours::PointIndex;
 use crate::smoothed::Smoothed;
@@ -26,8 +27,6 @@ const SPRING: f32 = 0.5;
 const STIFFEST: f32 = 100.0;
 /// How far points may move, in standard deviations of the noise.
 const FARTHEST: f32 = 1.5;
-/// The median square of a normal deviate.
-const MEDIAN_SQUARE: f32 = 0.4549;
 /// Points whose normals differ by more than the angle of this cosine are on different surfaces,
 const ONE_SURFACE: f32 = 0.7;
 /// and so are points whose distance is steeper than this against the plane between their tangent planes.
@@ -156,7 +155,11 @@ impl Point {
 fn noise_of(points: &[Point]) -> f32 {
     let mut squares: Vec<f32> = points.iter().filter(|p| p.normal != Vec3::ZERO).map(|point| point.variance).collect();
     let middle = squares.len() / 2;
-    if squares.is_empty() { 0.0 } else { *squares.select_nth_unstable_by(middle, f32::total_cmp).1 / MEDIAN_SQUARE }
+    if squares.is_empty() {
+        0.0
+    } else {
+        *squares.select_nth_unstable_by(middle, f32::total_cmp).1 / MEDIAN_SQUARE as f32
+    }
 }
 
 /// Returns the places of the nearest other points; if there are fewer, the point itself fills up.

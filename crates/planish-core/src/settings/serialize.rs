@@ -43,7 +43,7 @@ impl Serialize for Settings {
             },
             None => {}
         }
-        entry!("edges", self.edges.map(|edges| name_of(edges, &super::Edges::NAMED)));
+        entry!("edges", self.edges.map(super::Edges::name));
         entry!("remove_floating", self.remove_floating);
         entry!("remove_isolated", self.remove_isolated);
         entry!("window", self.window);

@@ -6,6 +6,7 @@ use glam::Vec3;
 
 use super::held_out::{FirstPass, HeldOut, Miss};
 use super::leaves::{Kernels, SmoothedLeaf, Way};
+use crate::constants::MEDIAN_SQUARE;
 use crate::cpu::sensor::Sensor;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, PointsView};
 use crate::neighbours::{LEAF, PointIndex};
@@ -49,9 +50,6 @@ const FLAT: f64 = 0.35;
 const FLAT_ERRORS: f64 = 3.0;
 /// Fewer neighbours than 40 keep the sides of walls apart if they reduce the mean square distance to this share.
 const MUCH_LESS: f64 = 2.0 / 3.0;
-
-/// The median square of a normal deviate.
-const MEDIAN_SQUARE: f64 = 0.4549;
 
 /// The noise of an unorganized cloud, and the way to smooth it that suits its noise and shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -129,7 +127,7 @@ impl CloudEstimate {
         let radius_m = least.ratio * least.square.sqrt();
         let noise_m = few.map_or(narrow, |[least, _]| least).noise_m();
         let is_noisy = few.is_none() && radius_m < NOISY * f64::from(noise_m);
-        let passes_twice = decided.passes.map_or(is_noisy, |passes| passes > 1);
+        let mut passes_twice = decided.passes.map_or(is_noisy, |passes| passes > 1);
         let off = Way { edges: Edges::Off, neighbours: best.neighbours };
         let first = FirstPass { neighbours: Self::FIRST_NEIGHBOURS, reach_m: REACH * radius_m as f32 };
         let held_out = HeldOut::new(&index, kernels, off, passes_twice.then_some(first)).ok()?;
@@ -137,7 +135,6 @@ impl CloudEstimate {
         let may_have_edges = radius_m > NOISIEST * f64::from(noise_m);
         let edges = decided.edges.or((!may_have_edges).then_some(Edges::Off));
         let mut chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, edges);
-        let mut passes_twice = passes_twice;
         if chosen.merges_walls() {
             let narrow = Way { edges: Edges::Robust, neighbours: Self::FIRST_NEIGHBOURS };
             let held_out = HeldOut::new(&index, kernels, narrow, None).ok()?;
@@ -182,7 +179,7 @@ impl Compared<'_> {
         if edges == Some(Edges::Off) {
             return smooth;
         }
-        // Beside an edge, held-out points were moved along rounded normals: whole distances would favour rounding.
+        // Beside an edge, held-out points have moved along rounded normals, so whole distances favour rounding.
         let along: Distance = |miss| miss.along;
         let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
         let neighbours = smooth.way.neighbours;
