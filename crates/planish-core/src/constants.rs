@@ -49,6 +49,14 @@ pub(crate) const COSINE_FADE: f32 = 0.01;
 pub(crate) const STAY_WEIGHT: f32 = 1e-3;
 /// Additional weight of the normal of the pixel's window.
 pub(crate) const OWN_NORMAL_WEIGHT: f32 = 1e-12;
+/// If the planes around a point together fit no better than the first value, no plane fits; from the second on, planes
+/// suffice. A plane without any residual fits by 1.
+pub(crate) const FITTING: [f32; 2] = [0.6, 1.6];
+/// Where no plane fits, the ridge is at most this.
+pub(crate) const LOW_RIDGE: f32 = 3e-4;
+/// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
+/// and not at all from the second on.
+pub(crate) const CLOSE: [f32; 2] = [0.3, 0.8];
 /// Upper bound of the exponent: a neighbour far from the surface keeps exp(-8) of its weight. Stored as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 

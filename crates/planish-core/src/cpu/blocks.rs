@@ -56,11 +56,11 @@ impl<'a, S: Simd> Block<'a, S> {
     }
 
     /// Returns the mean of the points that are on the surface of p: they count by how far they are from its plane, in
-    /// units of `width`.
+    /// widths, of which there are `per_width` in a metre.
     #[inline(always)]
-    pub(super) fn mean_on_surface(&self, simd: S, plane: &Plane<S>, width: S::f32s) -> Vec3<S> {
+    pub(super) fn mean_on_surface(&self, simd: S, plane: &Plane<S>, per_width: S::f32s) -> Vec3<S> {
         let one = splat(simd, 1.0);
-        let per_width = splat(simd, 1.0 / BLOCK_WIDTH) / width;
+        let per_width = splat(simd, 1.0 / BLOCK_WIDTH) * per_width;
         let normal = plane.normal.scale(per_width);
         let height = plane.height * per_width;
         self.mean(

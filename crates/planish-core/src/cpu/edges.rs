@@ -15,7 +15,7 @@ use super::vector::{Mask, Vec3, share, splat};
 use super::window::{Candidates, Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
 use crate::constants::{
-    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,
+    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, FITTING, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,
     OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
 };
 use crate::params::{EngineParams, edge_shift_px};
@@ -47,7 +47,9 @@ const FIRST_CHANNELS: usize = 13;
 const WIDTH: usize = 4;
 /// How it bends along the tangents of its normal: uu, uv, vv.
 const BEND: usize = 5;
-const SURFACE_CHANNELS: usize = 8;
+/// From 0, if planes around the point fit, to 1, if none does.
+const NO_PLANE_FITS: usize = 8;
+const SURFACE_CHANNELS: usize = 9;
 
 /// A plane for each pixel of a frame, as channels with the layout of the padded frame.
 struct Planes<const CHANNELS: usize> {
@@ -189,7 +191,15 @@ impl Surfaces {
         let bends: Mask<S> = bend.square().simd_gt(splat(simd, 0.0));
         let width = self.planes.load(simd, WIDTH, at);
         let n = first_planes.count(simd, at).abs();
-        Surface { plane, n, width: Some(width), bend: bends.any_true().then_some(bend) }
+        let no_plane_fits = self.planes.load(simd, NO_PLANE_FITS, at);
+        let exists: Mask<S> = no_plane_fits.simd_gt(splat(simd, 0.0));
+        Surface {
+            plane,
+            n,
+            width: Some(width),
+            bend: bends.any_true().then_some(bend),
+            no_plane_fits: exists.any_true().then_some(no_plane_fits),
+        }
     }
 }
 
@@ -199,6 +209,8 @@ struct Vote<S: Simd> {
     height: S::f32s,
     total: S::f32s,
     weights: [S::f32s; 9],
+    /// How well the planes fit their own points, wherever p is.
+    fitting: S::f32s,
 }
 
 /// The points whose surfaces are sought, and the quantities that weigh the planes around them.
@@ -261,7 +273,8 @@ impl FirstPlanes {
     #[inline(always)]
     fn vote<S: Simd>(&self, simd: S, voting: &Voting<'_, S>) -> Vote<S> {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-        let mut vote = Vote { normal: Vec3::splat(simd, 0.0), height: zero, total: zero, weights: [zero; 9] };
+        let normal = Vec3::splat(simd, 0.0);
+        let mut vote = Vote { normal, height: zero, total: zero, weights: [zero; 9], fitting: zero };
         for k in 0..9 {
             let at = self.nearby(voting.here, k);
             let offset = voting.measured.load(simd, at).sub(voting.p);
@@ -272,11 +285,15 @@ impl FirstPlanes {
             let from_mean = to_plane - voting.to_mean.dot(n);
             let variance = self.planes.load(simd, RESIDUAL, at);
             let residual = (from_mean * from_mean).mul_add(splat(simd, DISTANCE_WEIGHT), variance);
-            let badness = residual.mul_add(voting.per_variance, one);
-            let square = badness * badness;
-            // An unusable plane has an infinite residual, hence no weight. One that is not near may hold anything, and
-            // changes nothing.
-            let weight = near.select(nearness / (square * square), zero);
+            let weight = |variance: S::f32s| {
+                let badness = variance.mul_add(voting.per_variance, one);
+                let square = badness * badness;
+                // An unusable plane has an infinite residual, hence no weight. One that is not near may hold anything,
+                // and changes nothing.
+                near.select(nearness / (square * square), zero)
+            };
+            vote.fitting += weight(variance);
+            let weight = weight(residual);
             vote.normal = vote.normal.add_scaled(weight, n).or(near, vote.normal);
             vote.height = near.select(weight.mul_add(to_plane, vote.height), vote.height);
             vote.total += weight;
@@ -348,7 +365,10 @@ impl FirstPlanes {
             bend = measured.bend.turned(frame, tangents(simd, plane.normal)).scale(side).or_none(simd, bends);
         }
         let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY));
-        Surface { plane, n: count.abs(), width: Some(width), bend: Some(bend) }
+        let [least, enough] = FITTING;
+        let lacking = (splat(simd, enough) - vote.fitting) * splat(simd, 1.0 / (enough - least));
+        let no_plane_fits = has_plane.select(share(simd, lacking), zero);
+        Surface { plane, n: count.abs(), width: Some(width), bend: Some(bend), no_plane_fits: Some(no_plane_fits) }
     }
 }
 
@@ -444,16 +464,19 @@ pub(super) fn find_surfaces<S: Simd>(
             let noise = noise(simd, &kernel.rules, range, radius);
             let mean = rows.means.as_ref().map_or(p, |means| means.load(simd, at));
             let points = Points { p, ray, radius, valid };
-            let Surface { plane, width, bend, .. } =
+            let Surface { plane, width, bend, no_plane_fits, .. } =
                 first_planes.find_surface(simd, measured, here, points, mean, noise);
             let (width, bend) = (width.unwrap_or(noise), bend.unwrap_or(Bend::none(simd)));
+            let no_plane_fits = no_plane_fits.unwrap_or(splat(simd, 0.0));
             rows.store_vector(NORMAL, at, plane.normal);
             rows.store::<S>(HEIGHT, at, plane.height);
             rows.store::<S>(WIDTH, at, width);
             rows.store_vector(BEND, at, Vec3::<S>::new(bend.uu, bend.uv, bend.vv));
+            rows.store::<S>(NO_PLANE_FITS, at, no_plane_fits);
             if let Some(means) = &mut rows.means {
                 let block = Block::around(simd, measured, kernel, here, p, range);
-                let mean = block.mean_on_surface(simd, &plane, width);
+                let per_width = (splat(simd, 1.0) - no_plane_fits).sqrt() / width;
+                let mean = block.mean_on_surface(simd, &plane, per_width);
                 means.store(at, mean.or(valid, Vec3::splat(simd, f32::NAN)));
             }
         }

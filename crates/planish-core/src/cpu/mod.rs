@@ -292,7 +292,8 @@ fn smooth_vector<S: Simd, const D: usize>(
     let (surface, source) = match surfaces {
         None => {
             let (sums, source) = terms.keep(simd, window, p, radius);
-            (Surface { plane: plane::fit(simd, ray, &sums), n: sums.n, width: None, bend: None }, source)
+            let plane = plane::fit(simd, ray, &sums);
+            (Surface { plane, n: sums.n, width: None, bend: None, no_plane_fits: None }, source)
         }
         Some((first_planes, surfaces)) => {
             let surface = surfaces.surface(simd, first_planes, here);
@@ -320,7 +321,7 @@ impl Fitting {
         terms: &mut Terms<S>,
     ) -> Projected<S> {
         let Points { p, radius, .. } = points;
-        let Surface { plane, n, width, bend } = surface;
+        let Surface { plane, n, width, bend, no_plane_fits } = surface;
         let Self { keeps_isolated, least_neighbours, .. } = *self;
         let projection = Projection { keeps_isolated, least_neighbours, ..projection };
         if D == 1 {
@@ -331,9 +332,8 @@ impl Fitting {
             #[inline(always)]
             |bandwidth_m| splat(simd, bandwidth_m),
         );
-        let weighting = Weighting { radius, bandwidth, width: *width, bend: *bend };
-        let fit = polynomial::moments::<S, C, D>(simd, source, p, plane, &weighting, terms);
-        let c = solve::solve::<S, D>(simd, &fit.moments, fit.extent_squared, self.ridge, *n);
-        project::project::<S, D>(simd, points, surface, Some((&fit, c)), projection)
+        let weighting = Weighting { radius, bandwidth, width: *width, bend: *bend, no_plane_fits: *no_plane_fits };
+        let polynomial = polynomial::fit::<S, C, D>(simd, source, p, (plane, *n), &weighting, self.ridge, terms);
+        project::project::<S, D>(simd, points, surface, Some(&polynomial), projection)
     }
 }

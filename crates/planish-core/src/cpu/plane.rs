@@ -55,10 +55,14 @@ pub(super) struct Surface<S: Simd> {
     pub(super) width: Option<S::f32s>,
     /// How it bends along the tangents of the plane's normal; `None` for not at all.
     pub(super) bend: Option<Bend<S>>,
+    /// From 0, if planes around it fit, to 1, if none does; `None` if planes fit everywhere, or edges are not kept.
+    pub(super) no_plane_fits: Option<S::f32s>,
 }
 
 /// `ray` leads from the sensor to p.
-#[inline(always)]
+// A web page has one copy.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     let inverse_total = splat(simd, 1.0) / sums.total.max(splat(simd, f32::MIN_POSITIVE));
     let c = sums.e.scale(inverse_total);

@@ -8,16 +8,17 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Simd, SimdBase, SimdFloat};
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::bend::Bend;
 use super::eigen::tangents;
 use super::math::exp2;
 use super::plane::Plane;
+use super::solve::{Solution, solve};
 use super::unroll::unroll;
-use super::vector::{Vec3, splat};
+use super::vector::{Mask, Vec3, share, splat};
 use super::window::{Candidates, Sums};
-use crate::constants::{MAX_OFF_SURFACE, SQRT_LOG2_E};
+use crate::constants::{CLOSE, LOW_RIDGE, MAX_OFF_SURFACE, NARROW_WIDTH, SQRT_LOG2_E};
 
 /// Number of moments for degree 3, the most.
 const MAX_MOMENTS: usize = 28;
@@ -43,6 +44,8 @@ pub(super) struct Weighting<S: Simd> {
     pub(super) width: Option<S::f32s>,
     /// How the plane bends along its tangents; `None` for not at all.
     pub(super) bend: Option<Bend<S>>,
+    /// From 0, if planes around the points fit, to 1, if none does; `None` if planes fit everywhere.
+    pub(super) no_plane_fits: Option<S::f32s>,
 }
 
 /// Number of candidates whose terms are stored at once; their four values each fit the first-level cache.
@@ -102,16 +105,61 @@ impl<S: Simd> Moments<S> {
     }
 }
 
-/// The moments, and the units that turn coefficients back into metres.
-pub(super) struct Fit<S: Simd> {
-    pub(super) moments: Moments<S>,
-    /// In-plane axes, unit vectors in units of a metre.
+/// The polynomial over a plane.
+pub(super) struct Polynomial<S: Simd> {
+    /// Its height over the foot of p, in metres.
+    pub(super) height: S::f32s,
+    /// Its slopes there along the axes a and b.
+    pub(super) slopes: [S::f32s; 2],
+    /// In-plane unit vectors.
     pub(super) a_axis: Vec3<S>,
     pub(super) b_axis: Vec3<S>,
+}
+
+/// The moments, and the units that turn coefficients back into metres.
+struct Fit<S: Simd> {
+    moments: Moments<S>,
+    /// Of all neighbours, however far off the plane, and their sum w f²; where no plane fits.
+    all: Option<(Moments<S>, S::f32s)>,
+    /// In-plane unit vectors.
+    u: Vec3<S>,
+    v: Vec3<S>,
     /// Metres per unit of a, b and f.
-    pub(super) metres: S::f32s,
+    metres: S::f32s,
     /// (h/metres)²: the square of the extent in units of a and b.
-    pub(super) extent_squared: S::f32s,
+    extent_squared: S::f32s,
+}
+
+/// Fits the polynomial of degree D, or of the degree that n neighbours support, over their plane. Where no plane fits,
+/// the polynomial of all neighbours takes over, if it is close to them.
+#[inline(always)]
+pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
+    simd: S,
+    source: Source<C>,
+    p: Vec3<S>,
+    (plane, n): (&Plane<S>, S::f32s),
+    weighting: &Weighting<S>,
+    ridge: f32,
+    terms: &mut Terms<S>,
+) -> Polynomial<S> {
+    let Fit { moments, all, u, v, metres, extent_squared } =
+        moments::<S, C, D>(simd, source, p, plane, weighting, terms);
+    let Solution { mut c, .. } = solve::<S, D>(simd, &moments, extent_squared, ridge, n);
+    if let (Some((moments, squares)), Some(no_plane_fits), Some(width)) =
+        (&all, weighting.no_plane_fits, weighting.width)
+    {
+        let of_all = solve::<S, D>(simd, moments, extent_squared, ridge.min(LOW_RIDGE), n);
+        let total = moments.m::<D>(0, 0);
+        let per_noise = metres * splat(simd, NARROW_WIDTH) / width;
+        let variance = (*squares - of_all.explained) * (per_noise * per_noise) / total;
+        let [close, far] = CLOSE;
+        let close = share(simd, (splat(simd, far) - variance) * splat(simd, 1.0 / (far - close)));
+        let counts: Mask<S> = no_plane_fits.simd_gt(splat(simd, 0.0)) & total.simd_gt(splat(simd, 0.0));
+        for (c, of_all) in c.iter_mut().zip(of_all.c) {
+            *c = counts.select((no_plane_fits * close).mul_add(of_all - *c, *c), *c);
+        }
+    }
+    Polynomial { height: c[0] * metres, slopes: [c[1], c[2]], a_axis: u, b_axis: v }
 }
 
 /// Source of the second pass's candidates.
@@ -125,7 +173,7 @@ pub(super) enum Source<C> {
 
 /// Second pass over the candidates: accumulates the moments of degree D over the plane.
 #[inline(always)]
-pub(super) fn moments<S: Simd, C: Candidates<S>, const D: usize>(
+fn moments<S: Simd, C: Candidates<S>, const D: usize>(
     simd: S,
     source: Source<C>,
     p: Vec3<S>,
@@ -153,30 +201,39 @@ pub(super) fn moments<S: Simd, C: Candidates<S>, const D: usize>(
         ),
     };
     let mut moments = Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
+    let mut all = None;
     match source {
         Source::Kept(len) => {
             terms.turn(simd, len, &frame);
-            accumulate_all::<S, D>(&mut moments, terms, len);
+            accumulate_all::<S, D>(simd, &mut moments, terms, len);
         }
         Source::Of(candidates) => {
+            let wide = Frame { narrowing: zero, ..frame };
+            if weighting.no_plane_fits.is_some() {
+                all = Some((Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] }, zero));
+            }
             let rows_at_once = (CHUNK / candidates.row_len()).max(1);
             let mut rows = 0..rows_at_once.min(candidates.rows());
             while !rows.is_empty() {
                 let len = rows.len() * candidates.row_len();
-                if weighting.width.is_none() {
+                if let Some((all, squares)) = &mut all {
+                    terms.fill::<C, true, true>(simd, candidates, &p, weighting.radius, rows.clone(), &wide);
+                    accumulate_all::<S, D>(simd, all, terms, len);
+                    terms.narrow(simd, len, narrowing, squares);
+                } else if weighting.width.is_none() {
                     terms.fill::<C, false, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
                 } else if weighting.bend.is_none() {
                     terms.fill::<C, true, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
                 } else {
                     terms.fill::<C, true, true>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
                 }
-                accumulate_all::<S, D>(&mut moments, terms, len);
+                accumulate_all::<S, D>(simd, &mut moments, terms, len);
                 rows = rows.end..(rows.end + rows_at_once).min(candidates.rows());
             }
         }
     }
     let extent_squared = plane.extent_squared.min(weighting.radius * weighting.radius) * (per_metre * per_metre);
-    Fit { moments, a_axis: frame.a_axis, b_axis: frame.b_axis, metres: splat(simd, 1.0) / per_metre, extent_squared }
+    Fit { moments, all, u, v, metres: splat(simd, 1.0) / per_metre, extent_squared }
 }
 
 impl<S: Simd> Terms<S> {
@@ -256,6 +313,21 @@ impl<S: Simd> Terms<S> {
         (self.a[at], self.b[at], self.f[at]) = (a, b, f);
     }
 
+    /// Lowers the weights of the first `len` terms that are off the surface, and adds sum w f² with the weights before.
+    #[inline(never)]
+    fn narrow(&mut self, simd: S, len: usize, narrowing: S::f32s, squares: &mut S::f32s) {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                for at in 0..len.min(CHUNK) {
+                    let squared = self.f[at] * self.f[at];
+                    *squares = self.w[at].mul_add(squared, *squares);
+                    self.w[at] *= exp2(simd, -(squared * narrowing).min(splat(simd, MAX_OFF_SURFACE)));
+                }
+            },
+        );
+    }
+
     /// First pass: computes the sums over the candidates, and keeps the candidates for the second pass if they fit.
     #[inline(always)]
     pub(super) fn keep<C: Candidates<S>>(
@@ -287,15 +359,21 @@ impl<S: Simd> Terms<S> {
     }
 }
 
-/// Adds the first `len` terms to the moments, in groups of rows that fit the registers.
-#[inline(always)]
-fn accumulate_all<S: Simd, const D: usize>(moments: &mut Moments<S>, terms: &Terms<S>, len: usize) {
-    if D == 3 {
-        accumulate::<S, D, 0, 2, 0, 1>(moments, terms, len);
-        accumulate::<S, D, 2, 7, 1, 7>(moments, terms, len);
-    } else {
-        accumulate::<S, D, 0, 7, 0, 7>(moments, terms, len);
-    }
+/// Adds the first `len` terms to the moments, in groups of rows that fit the registers. Not inlined: several callers
+/// share it.
+#[inline(never)]
+fn accumulate_all<S: Simd, const D: usize>(simd: S, moments: &mut Moments<S>, terms: &Terms<S>, len: usize) {
+    simd.vectorize(
+        #[inline(always)]
+        || {
+            if D == 3 {
+                accumulate::<S, D, 0, 2, 0, 1>(moments, terms, len);
+                accumulate::<S, D, 2, 7, 1, 7>(moments, terms, len);
+            } else {
+                accumulate::<S, D, 0, 7, 0, 7>(moments, terms, len);
+            }
+        },
+    );
 }
 
 /// Adds the first `len` terms to the moments M_ij with M0 <= i < M1 and T_ij with T0 <= i < T1.

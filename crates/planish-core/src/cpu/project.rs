@@ -3,7 +3,7 @@
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::plane::{Points, Surface};
-use super::polynomial::Fit;
+use super::polynomial::Polynomial;
 use super::vector::{Mask, Vec3, splat};
 use crate::constants::{GRAZING_COSINE, MAX_ALONG, coefficient_count};
 
@@ -32,13 +32,13 @@ pub(super) struct Projection {
     pub(super) least_neighbours: f32,
 }
 
-/// Puts points on the plane (D = 1, or where `fit` does not apply) or on the polynomial with the coefficients c.
+/// Puts points on the plane (D = 1, or where `polynomial` does not apply) or on the polynomial.
 #[inline(always)]
 pub(super) fn project<S: Simd, const D: usize>(
     simd: S,
     points: Points<S>,
     surface: &Surface<S>,
-    fit: Option<(&Fit<S>, [S::f32s; 3])>,
+    polynomial: Option<&Polynomial<S>>,
     projection: Projection,
 ) -> Projected<S> {
     let Points { p, ray, radius, valid } = points;
@@ -48,17 +48,14 @@ pub(super) fn project<S: Simd, const D: usize>(
     let mut moved = plane.height;
     let mut normal = plane.normal;
     let mut status = splat(simd, 3.0);
-    if let Some((fit, [height, slope_a, slope_b])) = fit {
-        let surface = height.mul_add(fit.metres, plane.height);
+    if let Some(&Polynomial { height, slopes: [slope_a, slope_b], a_axis, b_axis, .. }) = polynomial {
+        let surface = plane.height + height;
         // A NaN is not within the radius.
         let within: Mask<S> = (surface * surface).simd_le(radius * radius);
         let on_surface = within & n.simd_ge(splat(simd, coefficient_count(2) as f32));
         moved = on_surface.select(surface, moved);
         if projection.needs_normal {
-            let tilted = plane
-                .normal
-                .add_scaled(-(slope_a * fit.metres), fit.a_axis)
-                .add_scaled(-(slope_b * fit.metres), fit.b_axis);
+            let tilted = plane.normal.add_scaled(-slope_a, a_axis).add_scaled(-slope_b, b_axis);
             let length = tilted.dot(tilted).sqrt();
             let away: Mask<S> = tilted.dot(ray).simd_gt(zero);
             let scale = away.select(-one, one) / length;

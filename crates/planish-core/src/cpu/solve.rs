@@ -10,17 +10,27 @@ use super::unroll::unroll;
 use super::vector::{Mask, splat};
 use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 
-/// Returns c_00, c_10 and c_01 in the units of the moments; so is the square of the neighbourhood's extent.
+/// The solution, in the units of the moments.
+pub(super) struct Solution<S: Simd> {
+    /// c_00, c_10 and c_01.
+    pub(super) c: [S::f32s; 3],
+    /// By how much the polynomial lowers (6.1), from sum(w f²) to its minimum.
+    pub(super) explained: S::f32s,
+}
+
+/// The square of the neighbourhood's extent is in the units of the moments.
 // In the copies of the loops whose conditions are false, values are set that nothing reads.
 #[allow(unused_assignments)]
-#[inline(always)]
+// A web page has one copy.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn solve<S: Simd, const D: usize>(
     simd: S,
     moments: &Moments<S>,
     extent_squared: S::f32s,
     ridge: f32,
     n: S::f32s,
-) -> [S::f32s; 3] {
+) -> Solution<S> {
     let zero = splat(simd, 0.0);
     // lambda sum(w) h^(2 (i + j)), by i + j.
     let linear = moments.m::<D>(0, 0) * splat(simd, ridge) * extent_squared;
@@ -79,7 +89,13 @@ pub(super) fn solve<S: Simd, const D: usize>(
             });
         }
     });
-    [c[0], c[1], c[2]]
+    let mut explained = zero;
+    unroll!(J in 10 {
+        if J < count {
+            explained = y[J].mul_add(y[J] * inverse[J], explained);
+        }
+    });
+    Solution { c: [c[0], c[1], c[2]], explained }
 }
 
 /// Entry (i, j) of the normal matrix.

@@ -251,7 +251,8 @@ fn moment_sums(degree: usize) -> String {
     text
 }
 
-/// `fn solve`: c_00, c_10 and c_01 by LDL^T of the normal equations with their ridge.
+/// `fn solve`: c_00, c_10 and c_01 by LDL^T of the normal equations with their ridge; and by how much the polynomial
+/// lowers (6.1), from sum(w f²) to its minimum.
 ///
 /// With too few neighbours for degree 3, the cubic unknowns are left out; since unknowns are ordered by degree, the
 /// solution of degree 2 remains.
@@ -259,7 +260,7 @@ pub(super) fn solve(degree: usize) -> String {
     let count = coefficient_count(degree);
     let entry =
         |i: usize, j: usize| format!("s.m{}{}", MONOMIALS[i].0 + MONOMIALS[j].0, MONOMIALS[i].1 + MONOMIALS[j].1);
-    let mut text = String::from("fn solve(s: Moments, ridge: f32, extent_squared: f32, n: f32) -> vec3<f32> {\n");
+    let mut text = String::from("fn solve(s: Moments, ridge: f32, extent_squared: f32, n: f32) -> vec4<f32> {\n");
     text += "let ridge0 = 0.0;\nlet ridge1 = s.m00 * ridge * extent_squared;\n";
     text += "let ridge2 = ridge1 * extent_squared;\nlet ridge3 = ridge2 * extent_squared;\n";
     for (j, (a, b)) in MONOMIALS.into_iter().enumerate().take(count) {
@@ -287,6 +288,7 @@ pub(super) fn solve(degree: usize) -> String {
             let _ = writeln!(text, "c{j} = fma(-l{i}_{j}, c{i}, c{j});");
         }
     }
-    text += "return vec3<f32>(c0, c1, c2);\n}\n";
+    let explained = (0..count).map(|j| format!("y{j} * (y{j} * inverse{j})")).collect::<Vec<_>>().join(" + ");
+    let _ = writeln!(text, "return vec4<f32>(c0, c1, c2, {explained});\n}}");
     text
 }

@@ -50,7 +50,7 @@ pub(super) const ON_RAY: u32 = 2;
 
 /// Channels of the points and the planes that passes leave for one another (kept.wgsl).
 const POINT_CHANNELS: usize = 6;
-const PLANE_CHANNELS: usize = 20;
+const PLANE_CHANNELS: usize = 21;
 
 pub(super) const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
 const _: () = assert!(size_of::<FrameHeader>() == 88);
@@ -298,6 +298,11 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("DISTANCE_WEIGHT", constants::DISTANCE_WEIGHT),
         ("NARROW_WIDTH", constants::NARROW_WIDTH),
         ("DOUBT_WEIGHT", constants::DOUBT_WEIGHT),
+        ("FITTING_LEAST", constants::FITTING[0]),
+        ("FITTING_ENOUGH", constants::FITTING[1]),
+        ("LOW_RIDGE", constants::LOW_RIDGE),
+        ("CLOSE_FROM", constants::CLOSE[0]),
+        ("CLOSE_TO", constants::CLOSE[1]),
         ("LEAST_SPREAD", constants::LEAST_SPREAD),
         ("MOST_WINDOW_BEND", constants::MOST_WINDOW_BEND),
         ("BEND_DAMPING", constants::BEND_DAMPING),

@@ -44,7 +44,7 @@ pub(super) fn mean_offset(
             let on_surface = |surface: &Surface| {
                 let f_m = surface.plane.map_or(0.0, |plane| (offset - plane.foot).dot(plane.normal));
                 let f = f_m / (SURFACE_WIDTH * surface.width_m);
-                (1.0 - f * f).max(MIN_WEIGHT)
+                (1.0 - (1.0 - surface.no_plane_fits) * f * f).max(MIN_WEIGHT)
             };
             let on_surface = surface.map_or(1.0, on_surface);
             let weight = fading_gate(offset, gate_m) * on_surface * on_surface;

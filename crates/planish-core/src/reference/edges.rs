@@ -18,6 +18,9 @@ pub(super) const MIN_NOISE: f64 = 0.01;
 const DISTANCE_WEIGHT: f64 = 0.3;
 /// Neighbours count up to this many standard deviations of the noise from the surface.
 pub(super) const WIDTH: f64 = 1.0;
+/// If the planes around a point together fit no better than the first value, no plane fits; from the second on, planes
+/// suffice. A plane without any residual fits by 1.
+const FITTING: [f64; 2] = [0.6, 1.6];
 
 /// Planes of points up to this many radii away are considered: on oblique surfaces a window reaches as far.
 pub(super) const PLANE_REACH: f64 = 2.0;
@@ -108,7 +111,9 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         let foot = height_m * normal;
         // Curvature and the extent that scales the fit come from the pixel's window.
         let plane = Plane { normal: side * normal, foot, ..own_plane };
-        Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, bend: side * tensor, ..own })
+        let [least, enough] = FITTING;
+        let no_plane_fits = ((enough - vote.fitting) / (enough - least)).clamp(0.0, 1.0);
+        Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, bend: side * tensor, no_plane_fits, ..own })
     }
 }
 
@@ -142,22 +147,26 @@ struct Vote {
     total: f64,
     /// Of the candidates around p.
     weights: Vec<f64>,
+    /// How well the candidates fit their own points, wherever p is.
+    fitting: f64,
 }
 
 impl Voters {
     fn vote(&self) -> Vote {
-        let (mut normal, mut total) = (OWN_NORMAL_WEIGHT * self.own_normal, STAY_WEIGHT);
+        let (mut normal, mut total, mut fitting) = (OWN_NORMAL_WEIGHT * self.own_normal, STAY_WEIGHT, 0.0);
         let mut weights = Vec::with_capacity(self.around.len());
         for candidate in &self.around {
             let n = candidate.plane.normal;
             let from_mean_m = (candidate.centroid - self.mean_offset).dot(n);
             let residual = candidate.variance + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
-            let weight = candidate.nearness * (1.0 + residual / (self.noise_m * self.noise_m)).powi(-4);
+            let fit = |variance: f64| candidate.nearness * (1.0 + variance / (self.noise_m * self.noise_m)).powi(-4);
+            let weight = fit(residual);
+            fitting += fit(candidate.variance);
             normal += weight * n;
             total += weight;
             weights.push(weight);
         }
-        Vote { normal, total, weights }
+        Vote { normal, total, weights, fitting }
     }
 
     /// Returns the weighted sum of the distances from p to the surface along the planes' normals, if it bends like

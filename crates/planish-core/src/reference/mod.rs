@@ -72,13 +72,17 @@ struct Surface {
     bend: DMat3,
     /// The sum of its window's principal curvatures, in 1/m (section 10).
     window_bend: f64,
+    /// From 0, if planes around it fit, to 1, if none does (section 10).
+    no_plane_fits: f64,
 }
 
 impl Surface {
     /// Returns the plane of a point's own neighbours (section 4), given as offsets from it.
     fn own(offsets: &[DVec3], radius_m: f64, ray: DVec3) -> Self {
         let plane = if offsets.len() < 3 { None } else { plane::fit(offsets, radius_m, ray) };
-        Self { neighbours: offsets.len() as u32, plane, width_m: f64::INFINITY, bend: DMat3::ZERO, window_bend: 0.0 }
+        let neighbours = offsets.len() as u32;
+        let (width_m, bend, window_bend, no_plane_fits) = (f64::INFINITY, DMat3::ZERO, 0.0, 0.0);
+        Self { neighbours, plane, width_m, bend, window_bend, no_plane_fits }
     }
 }
 
@@ -96,7 +100,7 @@ fn smooth_point(
     surface: &Surface,
     on_ray: bool,
 ) -> PointResult {
-    let &Surface { neighbours, ref plane, width_m, bend, .. } = surface;
+    let &Surface { neighbours, ref plane, .. } = surface;
     if neighbours < 3 {
         return PointResult { status: Status::TooFew, neighbours, ..PointResult::hole() };
     }
@@ -110,7 +114,7 @@ fn smooth_point(
         };
     };
     let bandwidth_m = params.bandwidth_m.map_or(radius_m, f64::from);
-    let polynomial = polynomial::fit(offsets, neighbours, plane, radius_m, bandwidth_m, (width_m, bend), params);
+    let polynomial = polynomial::over(surface, plane, offsets, radius_m, bandwidth_m, params);
     let Projected { displacement, normal, status, depth_scale } =
         project::project(p, sensor, plane, polynomial.as_ref(), radius_m, on_ray);
     PointResult { displacement, depth_scale, normal, curvature: plane.curvature, status, neighbours }

@@ -2,6 +2,8 @@
 
 use glam::{DMat3, DVec3};
 
+use super::Surface;
+use super::edges::WIDTH;
 use super::plane::Plane;
 use super::solve::solve;
 use super::window::fading_gate;
@@ -20,6 +22,11 @@ pub(super) struct Polynomial {
 
 /// A neighbour far from the surface keeps at least exp(-8) of its weight, which f32 still represents well.
 const MAX_OFF_SURFACE: f64 = 8.0;
+/// Where no plane fits, slopes and curvatures are damped by at most this.
+const LOW_RIDGE: f64 = 3e-4;
+/// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
+/// and not at all from the second on.
+const CLOSE: [f64; 2] = [0.3, 0.8];
 
 /// Number of coefficients of a polynomial of degree d in two variables: 3, 6, 10.
 fn coefficient_count(degree: u32) -> usize {
@@ -51,45 +58,90 @@ pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
 }
 
 /// Fits the polynomial of the highest degree, up to `degree`, that the neighbours support; `None` if that is 1, the
-/// plane itself. The surface is measured from the paraboloid that `bend` makes of the plane; the weight of neighbours
-/// further from it than `width_m` falls off.
-pub(super) fn fit(
-    offsets: &[DVec3],
-    neighbours: u32,
+/// plane itself. Where no plane fits, the polynomial of all neighbours takes over, if it is close to them.
+pub(super) fn over(
+    surface: &Surface,
     plane: &Plane,
+    offsets: &[DVec3],
     radius_m: f64,
     bandwidth_m: f64,
-    (width_m, bend): (f64, DMat3),
     params: &EngineParams,
 ) -> Option<Polynomial> {
-    let degree = (2..=params.degree).rev().find(|&d| coefficient_count(d) <= neighbours as usize)?;
-    let (u, v) = tangents(plane.normal);
-    let h = radius_m.min(2.0 * plane.largest_variance.sqrt());
+    let degree = (2..=params.degree).rev().find(|&d| coefficient_count(d) <= surface.neighbours as usize)?;
+    let ridge = f64::from(params.ridge);
+    let near_plane =
+        Fitting { plane, bend: surface.bend, width_m: surface.width_m, radius_m, bandwidth_m, ridge, degree };
+    let (kept, _) = near_plane.fit(offsets);
+    if surface.no_plane_fits == 0.0 {
+        return Some(kept);
+    }
+    let (of_all, variance) = Fitting { width_m: f64::INFINITY, ridge: ridge.min(LOW_RIDGE), ..near_plane }.fit(offsets);
+    let noise_variance = (surface.width_m / WIDTH).powi(2);
+    let [close, far] = CLOSE;
+    let close = ((far - variance / noise_variance) / (far - close)).clamp(0.0, 1.0);
+    Some(kept.mix(&of_all, surface.no_plane_fits * close))
+}
 
-    let m = coefficient_count(degree);
-    let mut normal_matrix = vec![vec![0.0; m]; m];
-    let mut right_side = vec![0.0; m];
-    for &offset in offsets {
-        let x = offset - plane.foot;
-        let (a, b) = (x.dot(u) / h, x.dot(v) / h);
-        let f_m = x.dot(plane.normal) - 0.5 * x.dot(bend * x);
-        let off_surface = ((f_m / width_m) * (f_m / width_m)).min(MAX_OFF_SURFACE);
-        let gaussian = (-x.length_squared() / (bandwidth_m * bandwidth_m) - off_surface).exp();
-        let w = fading_gate(offset, radius_m) * gaussian;
-        let powers: Vec<f64> = monomials(degree).map(|(i, j)| a.powi(i as i32) * b.powi(j as i32)).collect();
-        for (row, power) in powers.iter().enumerate() {
-            for (column, other) in powers.iter().enumerate() {
-                normal_matrix[row][column] += w * power * other;
+impl Polynomial {
+    /// Returns the polynomial between this one and another over the same plane, given the other's share.
+    fn mix(&self, other: &Self, share: f64) -> Self {
+        let height = (1.0 - share) * self.height + share * other.height;
+        Self { degree: self.degree, height, gradient: (1.0 - share) * self.gradient + share * other.gradient }
+    }
+}
+
+/// A fit to the neighbours of a point.
+#[derive(Clone, Copy)]
+struct Fitting<'a> {
+    plane: &'a Plane,
+    /// The surface is measured from the paraboloid that this makes of the plane.
+    bend: DMat3,
+    /// The weight of neighbours further from it falls off.
+    width_m: f64,
+    radius_m: f64,
+    bandwidth_m: f64,
+    ridge: f64,
+    degree: u32,
+}
+
+impl Fitting<'_> {
+    /// Returns the polynomial, and the minimum of (6.1) over the sum of the weights, in m²: about the variance of the
+    /// neighbours.
+    fn fit(&self, offsets: &[DVec3]) -> (Polynomial, f64) {
+        let &Self { plane, bend, width_m, radius_m, bandwidth_m, ridge, degree } = self;
+        let (u, v) = tangents(plane.normal);
+        let h = radius_m.min(2.0 * plane.largest_variance.sqrt());
+
+        let m = coefficient_count(degree);
+        let mut normal_matrix = vec![vec![0.0; m]; m];
+        let mut right_side = vec![0.0; m];
+        let mut squares = 0.0;
+        for &offset in offsets {
+            let x = offset - plane.foot;
+            let (a, b) = (x.dot(u) / h, x.dot(v) / h);
+            let f_m = x.dot(plane.normal) - 0.5 * x.dot(bend * x);
+            let off_surface = ((f_m / width_m) * (f_m / width_m)).min(MAX_OFF_SURFACE);
+            let gaussian = (-x.length_squared() / (bandwidth_m * bandwidth_m) - off_surface).exp();
+            let w = fading_gate(offset, radius_m) * gaussian;
+            let powers: Vec<f64> = monomials(degree).map(|(i, j)| a.powi(i as i32) * b.powi(j as i32)).collect();
+            for (row, power) in powers.iter().enumerate() {
+                for (column, other) in powers.iter().enumerate() {
+                    normal_matrix[row][column] += w * power * other;
+                }
+                right_side[row] += w * power * f_m;
             }
-            right_side[row] += w * power * f_m;
+            squares += w * f_m * f_m;
         }
+        let total = normal_matrix[0][0];
+        for (k, monomial) in monomials(degree).enumerate() {
+            normal_matrix[k][k] += ridge * total * ridge_weight(monomial);
+        }
+        let c = solve(&normal_matrix, &right_side);
+        let explained: f64 = c.iter().zip(&right_side).map(|(c, t)| c * t).sum();
+        let polynomial = Polynomial { degree, height: c[0], gradient: (c[1] * u + c[2] * v) / h };
+        // Without any weight nothing is known.
+        (polynomial, if total > 0.0 { (squares - explained) / total } else { f64::INFINITY })
     }
-    let total = normal_matrix[0][0];
-    for (k, monomial) in monomials(degree).enumerate() {
-        normal_matrix[k][k] += f64::from(params.ridge) * total * ridge_weight(monomial);
-    }
-    let c = solve(&normal_matrix, &right_side);
-    Some(Polynomial { degree, height: c[0], gradient: (c[1] * u + c[2] * v) / h })
 }
 
 #[cfg(test)]

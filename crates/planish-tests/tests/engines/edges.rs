@@ -135,10 +135,18 @@ fn the_default_setting_keeps_its_figures() {
     assert!(found.lost_share < 2.9e-3 && found.invented == 0, "{}", found.lost_share);
     let off = evaluate(FrameParams::default().with_edges(Edges::Off), &CASES);
     assert!(found.crease_deg < 0.5 * off.crease_deg);
-    // Measured: 6.7°, 0.66 and 0.38 mm, 6.5 and 2.2°. Planes alone, that do not bend, give 1.24 and 0.63 mm, 13.2 and
-    // 5.4°.
+    // Measured: 6.7°; 0.58 and 0.40 mm, 5.7 and 2.5°. Planes alone, that do not bend, give 1.24 and 0.63 mm, 13.2 and
+    // 5.4°. The last three are hardly wider than a window: 0.53, 0.78, 1.00 mm and 10.9, 8.9, 11.2°, and where planes
+    // are kept 1.15, 1.04, 1.99 mm and 24, 15, 23°.
     assert!(found.crease_normal_deg < 7.1, "{}", found.crease_normal_deg);
-    for (name, radius_m, most_mm, most_deg) in [("cylinder", 0.05, 0.7, 6.9), ("sphere", 0.1, 0.4, 2.4)] {
+    let most = [
+        ("cylinder", 0.05, 0.61, 6.0),
+        ("sphere", 0.1, 0.42, 2.65),
+        ("sphere", 0.03, 0.56, 11.5),
+        ("cylinder", 0.03, 0.83, 9.4),
+        ("cylinder", 0.015, 1.06, 11.8),
+    ];
+    for (name, radius_m, most_mm, most_deg) in most {
         let is_it = |c: &&CurveReport| c.name == name && c.radius_m == radius_m && c.range_m == 1.2;
         let curve = found.curves.iter().find(is_it).unwrap();
         assert!(curve.rmse_mm < most_mm && curve.facet_mean_deg < most_deg, "{curve:?}");

@@ -143,5 +143,5 @@ pub(super) fn find_surfaces<S: Simd>(
     plane.height = has_plane.select(sign * height, plane.height);
     let noise = (one / per_variance).sqrt();
     let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, infinity);
-    Surface { plane, n, width: Some(width), bend: None }
+    Surface { plane, n, width: Some(width), bend: None, no_plane_fits: None }
 }

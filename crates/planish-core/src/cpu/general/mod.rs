@@ -219,6 +219,7 @@ fn smooth_vector<S: Simd, const D: usize>(
                     n: sums.n,
                     width: None,
                     bend: None,
+                    no_plane_fits: None,
                 },
                 radius,
             )

@@ -45,6 +45,8 @@ struct Around {
     windows: f32,
     // Sum of the variances along the planes.
     spreads: f32,
+    // How well the planes fit their own points, wherever p is.
+    fitting: f32,
 }
 
 // A sum plus a factor times x y^T + y x^T.

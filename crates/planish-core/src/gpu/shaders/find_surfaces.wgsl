@@ -7,6 +7,14 @@ struct Surface {
     width: f32,
     // Along the tangents of the normal.
     bend: vec3<f32>,
+    // From 0, if planes around the point fit, to 1, if none does.
+    no_plane_fits: f32,
+}
+
+// The fourth power of 1/(1 + variance).
+fn fit_by(variance: f32) -> f32 {
+    let root = 1.0 / (1.0 + variance);
+    return (root * root) * (root * root);
 }
 
 // The nine planes, weighed by how well they fit a point.
@@ -37,8 +45,8 @@ fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: 
             let to_plane = dot(centroid, n);
             let from_mean = to_plane - dot(to_mean, n);
             let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
-            let root = 1.0 / fma(residual, per_variance, 1.0);
-            let weight = (root * root) * (root * root) * min(nearness, 1.0);
+            let weight = fit_by(residual * per_variance) * min(nearness, 1.0);
+            around.fitting = fma(fit_by(variance * per_variance), min(nearness, 1.0), around.fitting);
             let weighted = weight * n;
             around.total += weight;
             around.height = fma(weight, to_plane, around.height);
@@ -70,7 +78,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     // Without a plane every neighbour counts.
     if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
         let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
-        return Surface(own_normal, height, 1e18, vec3<f32>(0.0));
+        return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0);
     }
     let around = vote(frame, pixel, p, to_mean, radius, noise);
     let found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
@@ -83,7 +91,8 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     }
     // Planes that disagree may lie further away than a point may move.
     let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
-    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0));
+    let no_plane_fits = clamp((FITTING_ENOUGH - around.fitting) / (FITTING_ENOUGH - FITTING_LEAST), 0.0, 1.0);
+    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits);
     if bend_square(measured.bend) == 0.0 {
         return surface;
     }
@@ -92,7 +101,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
     // The other way round it is the same surface.
     let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
-    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend);
+    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
@@ -127,8 +136,9 @@ fn find_surfaces(
     keep_vector(frame, SURFACE_BEND, at, surface.bend);
     planes[plane_word(frame, SURFACE_HEIGHT, at)] = surface.height;
     planes[plane_word(frame, SURFACE_WIDTH, at)] = surface.width;
+    planes[plane_word(frame, SURFACE_NO_PLANE_FITS, at)] = surface.no_plane_fits;
     if WINDOW > 0u {
-        let per_width = 1.0 / (BLOCK_WIDTH * surface.width);
+        let per_width = sqrt(1.0 - surface.no_plane_fits) / (BLOCK_WIDTH * surface.width);
         let mean = block_mean(window, p, block_gate(frame, range), surface.normal * per_width, surface.height * per_width);
         keep_point(frame, KEPT_MEAN, at, mean);
     }

@@ -21,11 +21,12 @@ const FIRST_COUNT: u32 = 9u;
 const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
 // Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
-// count, and how it bends along the tangents of the normal.
+// count, how it bends along the tangents of the normal, and how far no plane fits.
 const SURFACE_NORMAL: u32 = 12u;
 const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
+const SURFACE_NO_PLANE_FITS: u32 = 20u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;

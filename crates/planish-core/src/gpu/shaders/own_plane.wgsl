@@ -8,5 +8,5 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>
     if n < 3u {
         return no_result(STATUS_TOO_FEW, n);
     }
-    return result_of(frame, window, p, radius, LocalSurface(plane_of(ray, sums), sums.n, 0.0, vec3<f32>(0.0)));
+    return result_of(frame, window, p, radius, LocalSurface(plane_of(ray, sums), sums.n, 0.0, vec3<f32>(0.0), 0.0));
 }

@@ -15,6 +15,8 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>
     plane.height = planes[plane_word(frame, SURFACE_HEIGHT, at)];
     let radius = radius_at(frame, range_of(frame, ray_to(frame, p)));
     let bend = plane_vector(frame, SURFACE_BEND, at);
-    let surface = LocalSurface(plane, abs(count), planes[plane_word(frame, SURFACE_WIDTH, at)], bend);
+    let width = planes[plane_word(frame, SURFACE_WIDTH, at)];
+    let no_plane_fits = planes[plane_word(frame, SURFACE_NO_PLANE_FITS, at)];
+    let surface = LocalSurface(plane, abs(count), width, bend, no_plane_fits);
     return result_of(frame, window, p, radius, surface);
 }

@@ -32,6 +32,8 @@ struct LocalSurface {
     width: f32,
     // How the plane bends along the tangents of its normal: uu, uv, vv; undefined if BENDS is false.
     bend: vec3<f32>,
+    // From 0, if planes around the point fit, to 1, if none does; undefined if BENDS is false.
+    no_plane_fits: f32,
 }
 
 // `ray` leads from the sensor to p.

@@ -9,6 +9,8 @@
 
 struct Fit {
     moments: Moments,
+    // sum w f²; 0 if BENDS is false.
+    squares: f32,
     // In-plane axes, of unit length.
     u: vec3<f32>,
     v: vec3<f32>,
@@ -18,8 +20,9 @@ struct Fit {
     extent_squared: f32,
 }
 
-// Second pass over the window. Uses the gate of the first pass, in these units.
-fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
+// Second pass over the window. Uses the gate of the first pass, in these units. Neighbours count within `width` of the
+// surface.
+fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, width: f32, bandwidth: f32) -> Fit {
     let plane = surface.plane;
     let tangents = tangents_of(plane.normal);
     let per_metre = SQRT_LOG2_E / bandwidth;
@@ -29,10 +32,11 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let f_offset = plane.height * per_metre;
     let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
     // Factor of f² in the weight of section 10.
-    let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
+    let narrowing = (bandwidth / width) * (bandwidth / width);
     // Half the bend in these units, subtracted from f.
     let half_bend = surface.bend * (0.5 / per_metre);
     var s: Moments;
+    var squares = 0.0;
     FOR_EACH_CANDIDATE
         let a = fma(e.x, a_axis.x, fma(e.y, a_axis.y, e.z * a_axis.z));
         let b = fma(e.x, b_axis.x, fma(e.y, b_axis.y, e.z * b_axis.z));
@@ -50,9 +54,12 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
                 exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
             }
             let w = count * (min(nearness, 1.0) * exp2(-exponent));
+            if BENDS {
+                squares = fma(w * f, f, squares);
+            }
             SUM_MOMENTS
         }
     END_OF_CANDIDATES
     let extent_squared = min(plane.extent_squared, radius_squared) * per_metre * per_metre;
-    return Fit(s, tangents.u, tangents.v, per_metre, extent_squared);
+    return Fit(s, squares, tangents.u, tangents.v, per_metre, extent_squared);
 }

@@ -22,6 +22,24 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     }
     let own_bandwidth = header(frame, BANDWIDTH);
     let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
-    let fit = fit_of(window, p, radius * radius, surface, bandwidth);
-    return project_on_polynomial(frame, p, surface.plane, fit, solve(fit.moments, header(frame, RIDGE), fit.extent_squared, surface.n), radius, surface.n);
+    let ridge = header(frame, RIDGE);
+    var fit: Fit;
+    var c = vec3<f32>(0.0);
+    // Where no plane fits, the polynomial of all neighbours takes over, if it is close to them. A loop, since the kernel
+    // would else exceed the instruction cache.
+    let rounds = select(1u, 2u, BENDS && surface.no_plane_fits > 0.0);
+    for (var round = 0u; round < rounds; round++) {
+        let of_all = BENDS && round == 1u;
+        fit = fit_of(window, p, radius * radius, surface, select(surface.width, 1e18, of_all), bandwidth);
+        let solution = solve(fit.moments, select(ridge, min(ridge, LOW_RIDGE), of_all), fit.extent_squared, surface.n);
+        var share = 1.0;
+        if of_all {
+            let per_noise = NARROW_WIDTH / (surface.width * fit.per_metre);
+            let variance = (fit.squares - solution.w) * per_noise * per_noise / fit.moments.m00;
+            let close = clamp((CLOSE_TO - variance) / (CLOSE_TO - CLOSE_FROM), 0.0, 1.0);
+            share = select(0.0, surface.no_plane_fits * close, fit.moments.m00 > 0.0);
+        }
+        c = mix(c, solution.xyz, share);
+    }
+    return project_on_polynomial(frame, p, surface.plane, fit, c, radius, surface.n);
 }

@@ -40,7 +40,7 @@ fn surroundings_of(p: vec3<f32>, radius: f32) -> Surroundings {
 
 fn found_surface(place: u32, p: vec3<f32>, radius: f32, own: Plane, n: f32) -> LocalSurface {
     // Without a plane every neighbour counts.
-    let unchanged = LocalSurface(own, n, 1e37, vec3<f32>(0.0));
+    let unchanged = LocalSurface(own, n, 1e37, vec3<f32>(0.0), 0.0);
     if n < 3.0 || own.is_degenerate {
         return unchanged;
     }
@@ -85,7 +85,7 @@ fn found_surface(place: u32, p: vec3<f32>, radius: f32, own: Plane, n: f32) -> L
     var found = own;
     found.normal = normal * (sign / sqrt(dot(normal, normal)));
     found.height = sign * clamp(height / total, -radius, radius);
-    return LocalSurface(found, n, NARROW_WIDTH * inverseSqrt(around.per_variance), vec3<f32>(0.0));
+    return LocalSurface(found, n, NARROW_WIDTH * inverseSqrt(around.per_variance), vec3<f32>(0.0), 0.0);
 }
 
 fn smooth_place(place: u32) -> PixelResult {

@@ -8,5 +8,5 @@ fn smooth_place(place: u32) -> PixelResult {
     if n < cloud.least_neighbours {
         return isolated(p, n);
     }
-    return result_of(0u, place, p, radius, LocalSurface(plane_of(ray_to(0u, p), sums), f32(n), 0.0, vec3<f32>(0.0)));
+    return result_of(0u, place, p, radius, LocalSurface(plane_of(ray_to(0u, p), sums), f32(n), 0.0, vec3<f32>(0.0), 0.0));
 }
