@@ -15,8 +15,8 @@ use super::vector::{Mask, Vec3, share, splat};
 use super::window::{Candidates, Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
 use crate::constants::{
-    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, FITTING, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH,
-    OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT,
+    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, FITTING, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, MISSING_PLANE,
+    NARROW_WIDTH, NEAR_ENOUGH, OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT, TURNING,
 };
 use crate::params::{EngineParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
@@ -209,6 +209,8 @@ struct Vote<S: Simd> {
     height: S::f32s,
     total: S::f32s,
     weights: [S::f32s; 9],
+    /// How near the planes are; those without a weight may be nowhere.
+    nearness: [S::f32s; 9],
     /// How well the planes fit their own points, wherever p is.
     fitting: S::f32s,
 }
@@ -274,7 +276,8 @@ impl FirstPlanes {
     fn vote<S: Simd>(&self, simd: S, voting: &Voting<'_, S>) -> Vote<S> {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
         let normal = Vec3::splat(simd, 0.0);
-        let mut vote = Vote { normal, height: zero, total: zero, weights: [zero; 9], fitting: zero };
+        let mut vote =
+            Vote { normal, height: zero, total: zero, weights: [zero; 9], nearness: [zero; 9], fitting: zero };
         for k in 0..9 {
             let at = self.nearby(voting.here, k);
             let offset = voting.measured.load(simd, at).sub(voting.p);
@@ -298,8 +301,43 @@ impl FirstPlanes {
             vote.height = near.select(weight.mul_add(to_plane, vote.height), vote.height);
             vote.total += weight;
             vote.weights[k] = weight;
+            vote.nearness[k] = nearness;
         }
         vote
+    }
+
+    /// Returns 0 where the planes fit, or hardly turn, to 1 where none does.
+    #[inline(always)]
+    fn no_plane_fits<S: Simd>(&self, simd: S, voting: &Voting<'_, S>, vote: &Vote<S>) -> S::f32s {
+        let zero = splat(simd, 0.0);
+        let [least, enough] = FITTING;
+        let lacking = share(simd, (splat(simd, enough) - vote.fitting) * splat(simd, 1.0 / (enough - least)));
+        let lacks: Mask<S> = lacking.simd_gt(zero);
+        // Most surfaces are flat.
+        if lacks.any_true() { lacking * self.turning(simd, voting.here, vote) } else { zero }
+    }
+
+    /// Returns 0 where the normals of the planes around points hardly turn, to 1 where they do, or planes are missing.
+    #[inline(never)]
+    fn turning<S: Simd>(&self, simd: S, here: usize, vote: &Vote<S>) -> S::f32s {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+                let (mut normals, mut count) = (Vec3::splat(simd, 0.0), zero);
+                for k in 0..9 {
+                    let counts: Mask<S> = vote.weights[k].simd_gt(zero);
+                    let near = counts.select((vote.nearness[k] * splat(simd, 1.0 / NEAR_ENOUGH)).min(one), zero);
+                    let n = self.planes.vector(simd, NORMAL, self.nearby(here, k));
+                    normals = normals.add_scaled(near, n).or(counts, normals);
+                    count += near;
+                }
+                let mean = normals.dot(normals).sqrt() / count.max(splat(simd, NEAR_ENOUGH));
+                let missing = (splat(simd, 9.0) - count) * splat(simd, MISSING_PLANE);
+                let [flat, round] = TURNING;
+                share(simd, (splat(simd, 1.0 - flat) - mean + missing) * splat(simd, 1.0 / (round - flat)))
+            },
+        )
     }
 
     /// Returns the sums for the bend between the planes that a vote has weighed.
@@ -365,9 +403,7 @@ impl FirstPlanes {
             bend = measured.bend.turned(frame, tangents(simd, plane.normal)).scale(side).or_none(simd, bends);
         }
         let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY));
-        let [least, enough] = FITTING;
-        let lacking = (splat(simd, enough) - vote.fitting) * splat(simd, 1.0 / (enough - least));
-        let no_plane_fits = has_plane.select(share(simd, lacking), zero);
+        let no_plane_fits = has_plane.select(self.no_plane_fits(simd, &voting, &vote), zero);
         Surface { plane, n: count.abs(), width: Some(width), bend: Some(bend), no_plane_fits: Some(no_plane_fits) }
     }
 }

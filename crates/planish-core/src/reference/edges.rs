@@ -21,6 +21,13 @@ pub(super) const WIDTH: f64 = 1.0;
 /// If the planes around a point together fit no better than the first value, no plane fits; from the second on, planes
 /// suffice. A plane without any residual fits by 1.
 const FITTING: [f64; 2] = [0.6, 1.6];
+/// Planes around a point count fully in how their normals turn from this nearness on.
+const NEAR_ENOUGH: f64 = 0.05;
+/// Every plane that is missing of the nine around a point counts like normals that turn by this much.
+const MISSING_PLANE: f64 = 0.02 / 9.0;
+/// If the normals of the planes around a point turn by less than the first value, planes suffice, however badly they
+/// fit. From the second value on, that decides. 1 - cos of an angle.
+const TURNING: [f64; 2] = [0.006, 0.012];
 
 /// Planes of points up to this many radii away are considered: on oblique surfaces a window reaches as far.
 pub(super) const PLANE_REACH: f64 = 2.0;
@@ -112,7 +119,10 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         // Curvature and the extent that scales the fit come from the pixel's window.
         let plane = Plane { normal: side * normal, foot, ..own_plane };
         let [least, enough] = FITTING;
-        let no_plane_fits = ((enough - vote.fitting) / (enough - least)).clamp(0.0, 1.0);
+        let [flat, round] = TURNING;
+        let lacking = ((enough - vote.fitting) / (enough - least)).clamp(0.0, 1.0);
+        let turning = ((vote.turning - flat) / (round - flat)).clamp(0.0, 1.0);
+        let no_plane_fits = lacking * turning;
         Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, bend: side * tensor, no_plane_fits, ..own })
     }
 }
@@ -149,12 +159,15 @@ struct Vote {
     weights: Vec<f64>,
     /// How well the candidates fit their own points, wherever p is.
     fitting: f64,
+    /// By how much their normals turn, and how many are missing.
+    turning: f64,
 }
 
 impl Voters {
     fn vote(&self) -> Vote {
         let (mut normal, mut total, mut fitting) = (OWN_NORMAL_WEIGHT * self.own_normal, STAY_WEIGHT, 0.0);
         let mut weights = Vec::with_capacity(self.around.len());
+        let (mut normals, mut count) = (DVec3::ZERO, 0.0);
         for candidate in &self.around {
             let n = candidate.plane.normal;
             let from_mean_m = (candidate.centroid - self.mean_offset).dot(n);
@@ -162,11 +175,15 @@ impl Voters {
             let fit = |variance: f64| candidate.nearness * (1.0 + variance / (self.noise_m * self.noise_m)).powi(-4);
             let weight = fit(residual);
             fitting += fit(candidate.variance);
+            let near = (candidate.nearness / NEAR_ENOUGH).min(1.0);
+            normals += near * n;
+            count += near;
             normal += weight * n;
             total += weight;
             weights.push(weight);
         }
-        Vote { normal, total, weights, fitting }
+        let turning = 1.0 - normals.length() / count.max(NEAR_ENOUGH) + MISSING_PLANE * (9.0 - count);
+        Vote { normal, total, weights, fitting, turning }
     }
 
     /// Returns the weighted sum of the distances from p to the surface along the planes' normals, if it bends like

@@ -47,6 +47,9 @@ struct Around {
     spreads: f32,
     // How well the planes fit their own points, wherever p is.
     fitting: f32,
+    // Sum of the normals of those that are near, and their number.
+    normals: vec3<f32>,
+    count: f32,
 }
 
 // A sum plus a factor times x y^T + y x^T.

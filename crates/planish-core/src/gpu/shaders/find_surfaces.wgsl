@@ -47,6 +47,9 @@ fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: 
             let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
             let weight = fit_by(residual * per_variance) * min(nearness, 1.0);
             around.fitting = fma(fit_by(variance * per_variance), min(nearness, 1.0), around.fitting);
+            let counts = min(nearness / NEAR_ENOUGH, 1.0);
+            around.normals = fma(vec3<f32>(counts), n, around.normals);
+            around.count += counts;
             let weighted = weight * n;
             around.total += weight;
             around.height = fma(weight, to_plane, around.height);
@@ -59,6 +62,14 @@ fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: 
         }
     }
     return around;
+}
+
+// 0 where the planes fit, or hardly turn, to 1 where none does.
+fn lack_of_planes(around: Around) -> f32 {
+    let lacking = clamp((FITTING_ENOUGH - around.fitting) / (FITTING_ENOUGH - FITTING_LEAST), 0.0, 1.0);
+    let mean = length(around.normals) / max(around.count, NEAR_ENOUGH);
+    let turning = 1.0 - mean + MISSING_PLANE * (9.0 - around.count);
+    return lacking * clamp((turning - TURNING_FLAT) / (TURNING_ROUND - TURNING_FLAT), 0.0, 1.0);
 }
 
 // A unit normal towards the sensor, and the sign by which it differs from a vote's.
@@ -91,7 +102,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     }
     // Planes that disagree may lie further away than a point may move.
     let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
-    let no_plane_fits = clamp((FITTING_ENOUGH - around.fitting) / (FITTING_ENOUGH - FITTING_LEAST), 0.0, 1.0);
+    let no_plane_fits = lack_of_planes(around);
     let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits);
     if bend_square(measured.bend) == 0.0 {
         return surface;
