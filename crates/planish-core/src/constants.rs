@@ -55,10 +55,10 @@ pub(crate) const FITTING: [f32; 2] = [0.6, 1.6];
 /// Planes around a point count fully in how their normals turn from this nearness on.
 pub(crate) const NEAR_ENOUGH: f32 = 0.05;
 /// Every plane that is missing of the nine around a point counts like normals that turn by this much.
-pub(crate) const MISSING_PLANE: f32 = 0.02 / 9.0;
+pub(crate) const MISSING_PLANE: f32 = 0.1 / 9.0;
 /// If the normals of the planes around a point turn by less than the first value, planes suffice, however badly they
 /// fit. From the second value on, that decides. 1 - cos of an angle.
-pub(crate) const TURNING: [f32; 2] = [0.006, 0.012];
+pub(crate) const TURNING: [f32; 2] = [0.02, 0.07];
 /// Where no plane fits, the ridge is at most this.
 pub(crate) const LOW_RIDGE: f32 = 3e-4;
 /// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,

@@ -24,10 +24,10 @@ const FITTING: [f64; 2] = [0.6, 1.6];
 /// Planes around a point count fully in how their normals turn from this nearness on.
 const NEAR_ENOUGH: f64 = 0.05;
 /// Every plane that is missing of the nine around a point counts like normals that turn by this much.
-const MISSING_PLANE: f64 = 0.02 / 9.0;
+const MISSING_PLANE: f64 = 0.1 / 9.0;
 /// If the normals of the planes around a point turn by less than the first value, planes suffice, however badly they
 /// fit. From the second value on, that decides. 1 - cos of an angle.
-const TURNING: [f64; 2] = [0.006, 0.012];
+const TURNING: [f64; 2] = [0.02, 0.07];
 
 /// Planes of points up to this many radii away are considered: on oblique surfaces a window reaches as far.
 pub(super) const PLANE_REACH: f64 = 2.0;

@@ -135,16 +135,16 @@ fn the_default_setting_keeps_its_figures() {
     assert!(found.lost_share < 2.9e-3 && found.invented == 0, "{}", found.lost_share);
     let off = evaluate(FrameParams::default().with_edges(Edges::Off), &CASES);
     assert!(found.crease_deg < 0.5 * off.crease_deg);
-    // Measured: 6.7°; 0.58 and 0.40 mm, 5.7 and 2.5°. Planes alone, that do not bend, give 1.24 and 0.63 mm, 13.2 and
-    // 5.4°. The last three are hardly wider than a window: 0.53, 0.78, 1.00 mm and 10.9, 8.9, 11.2°, and where planes
+    // Measured: 6.7°; 0.59 and 0.39 mm, 5.7 and 2.3°. Planes alone, that do not bend, give 1.24 and 0.63 mm, 13.2 and
+    // 5.4°. The last three are hardly wider than a window: 0.53, 0.78, 1.05 mm and 10.9, 8.9, 11.7°, and where planes
     // are kept 1.15, 1.04, 1.99 mm and 24, 15, 23°.
     assert!(found.crease_normal_deg < 7.1, "{}", found.crease_normal_deg);
     let most = [
         ("cylinder", 0.05, 0.61, 6.0),
-        ("sphere", 0.1, 0.42, 2.65),
+        ("sphere", 0.1, 0.41, 2.45),
         ("sphere", 0.03, 0.56, 11.5),
         ("cylinder", 0.03, 0.83, 9.4),
-        ("cylinder", 0.015, 1.06, 11.8),
+        ("cylinder", 0.015, 1.1, 12.3),
     ];
     for (name, radius_m, most_mm, most_deg) in most {
         let is_it = |c: &&CurveReport| c.name == name && c.radius_m == radius_m && c.range_m == 1.2;
@@ -154,6 +154,17 @@ fn the_default_setting_keeps_its_figures() {
 }
 
 /// Planes beside a crease turn like those on a cylinder, but the crease must not be rounded off.
+#[test]
+fn flat_surfaces_with_more_noise_than_the_model_stay_flat() {
+    let mut suite = Suite::default();
+    suite.noise.fixed_pattern_rms *= 2.0;
+    suite.noise.temporal_rms *= 2.0;
+    let found = evaluate(FrameParams::default(), &suite.cases(1).unwrap());
+    // Measured: 4.6 and 14.5°; 5.9 and 20.4° where planes that fit badly count as none, even if their normals agree.
+    let [near, middle] = [0, 1].map(|k| found.ranges[k].facet_mean_deg);
+    assert!(near < 4.9 && middle < 15.3, "{near}° {middle}°");
+}
+
 #[test]
 fn creases_of_any_angle_are_no_cylinders() {
     let camera = Camera::new((320, 240), [525.0; 2], [159.5, 119.5]);
