@@ -14,7 +14,7 @@ const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
 const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 20u;
+const PLANE_CHANNELS: u32 = 21u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -62,6 +62,15 @@ const MIN_BLOCK_WEIGHT: f32 = 0.02;
 const DISTANCE_WEIGHT: f32 = 0.3;
 const NARROW_WIDTH: f32 = 1.0;
 const DOUBT_WEIGHT: f32 = 0.01;
+const FITTING_LEAST: f32 = 0.6;
+const FITTING_ENOUGH: f32 = 1.6;
+const NEAR_ENOUGH: f32 = 0.05;
+const MISSING_PLANE: f32 = 0.011111111;
+const TURNING_FLAT: f32 = 0.02;
+const TURNING_ROUND: f32 = 0.07;
+const LOW_RIDGE: f32 = 0.0003;
+const CLOSE_FROM: f32 = 0.3;
+const CLOSE_TO: f32 = 0.8;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -138,11 +147,12 @@ const FIRST_COUNT: u32 = 9u;
 const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
 // Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
-// count, and how it bends along the tangents of the normal.
+// count, how it bends along the tangents of the normal, and how far no plane fits.
 const SURFACE_NORMAL: u32 = 12u;
 const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
+const SURFACE_NO_PLANE_FITS: u32 = 20u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -546,6 +556,8 @@ struct LocalSurface {
     width: f32,
     // How the plane bends along the tangents of its normal: uu, uv, vv; undefined if BENDS is false.
     bend: vec3<f32>,
+    // From 0, if planes around the point fit, to 1, if none does; undefined if BENDS is false.
+    no_plane_fits: f32,
 }
 
 // `ray` leads from the sensor to p.

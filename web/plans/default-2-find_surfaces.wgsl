@@ -14,7 +14,7 @@ const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
 const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 20u;
+const PLANE_CHANNELS: u32 = 21u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -62,6 +62,15 @@ const MIN_BLOCK_WEIGHT: f32 = 0.02;
 const DISTANCE_WEIGHT: f32 = 0.3;
 const NARROW_WIDTH: f32 = 1.0;
 const DOUBT_WEIGHT: f32 = 0.01;
+const FITTING_LEAST: f32 = 0.6;
+const FITTING_ENOUGH: f32 = 1.6;
+const NEAR_ENOUGH: f32 = 0.05;
+const MISSING_PLANE: f32 = 0.011111111;
+const TURNING_FLAT: f32 = 0.02;
+const TURNING_ROUND: f32 = 0.07;
+const LOW_RIDGE: f32 = 0.0003;
+const CLOSE_FROM: f32 = 0.3;
+const CLOSE_TO: f32 = 0.8;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -138,11 +147,12 @@ const FIRST_COUNT: u32 = 9u;
 const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
 // Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
-// count, and how it bends along the tangents of the normal.
+// count, how it bends along the tangents of the normal, and how far no plane fits.
 const SURFACE_NORMAL: u32 = 12u;
 const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
+const SURFACE_NO_PLANE_FITS: u32 = 20u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -581,6 +591,11 @@ struct Around {
     windows: f32,
     // Sum of the variances along the planes.
     spreads: f32,
+    // How well the planes fit their own points, wherever p is.
+    fitting: f32,
+    // Sum of the normals of those that are near, and their number.
+    normals: vec3<f32>,
+    count: f32,
 }
 
 // A sum plus a factor times x y^T + y x^T.
@@ -681,6 +696,14 @@ struct Surface {
     width: f32,
     // Along the tangents of the normal.
     bend: vec3<f32>,
+    // From 0, if planes around the point fit, to 1, if none does.
+    no_plane_fits: f32,
+}
+
+// The fourth power of 1/(1 + variance).
+fn fit_by(variance: f32) -> f32 {
+    let root = 1.0 / (1.0 + variance);
+    return (root * root) * (root * root);
 }
 
 // The nine planes, weighed by how well they fit a point.
@@ -711,8 +734,11 @@ fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: 
             let to_plane = dot(centroid, n);
             let from_mean = to_plane - dot(to_mean, n);
             let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
-            let root = 1.0 / fma(residual, per_variance, 1.0);
-            let weight = (root * root) * (root * root) * min(nearness, 1.0);
+            let weight = fit_by(residual * per_variance) * min(nearness, 1.0);
+            around.fitting = fma(fit_by(variance * per_variance), min(nearness, 1.0), around.fitting);
+            let counts = min(nearness / NEAR_ENOUGH, 1.0);
+            around.normals = fma(vec3<f32>(counts), n, around.normals);
+            around.count += counts;
             let weighted = weight * n;
             around.total += weight;
             around.height = fma(weight, to_plane, around.height);
@@ -725,6 +751,14 @@ fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: 
         }
     }
     return around;
+}
+
+// 0 where the planes fit, or hardly turn, to 1 where none does.
+fn lack_of_planes(around: Around) -> f32 {
+    let lacking = clamp((FITTING_ENOUGH - around.fitting) / (FITTING_ENOUGH - FITTING_LEAST), 0.0, 1.0);
+    let mean = length(around.normals) / max(around.count, NEAR_ENOUGH);
+    let turning = 1.0 - mean + MISSING_PLANE * (9.0 - around.count);
+    return lacking * clamp((turning - TURNING_FLAT) / (TURNING_ROUND - TURNING_FLAT), 0.0, 1.0);
 }
 
 // A unit normal towards the sensor, and the sign by which it differs from a vote's.
@@ -744,7 +778,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     // Without a plane every neighbour counts.
     if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
         let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
-        return Surface(own_normal, height, 1e18, vec3<f32>(0.0));
+        return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0);
     }
     let around = vote(frame, pixel, p, to_mean, radius, noise);
     let found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
@@ -757,7 +791,8 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     }
     // Planes that disagree may lie further away than a point may move.
     let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
-    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0));
+    let no_plane_fits = lack_of_planes(around);
+    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits);
     if bend_square(measured.bend) == 0.0 {
         return surface;
     }
@@ -766,7 +801,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
     // The other way round it is the same surface.
     let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
-    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend);
+    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
@@ -801,8 +836,9 @@ fn find_surfaces(
     keep_vector(frame, SURFACE_BEND, at, surface.bend);
     planes[plane_word(frame, SURFACE_HEIGHT, at)] = surface.height;
     planes[plane_word(frame, SURFACE_WIDTH, at)] = surface.width;
+    planes[plane_word(frame, SURFACE_NO_PLANE_FITS, at)] = surface.no_plane_fits;
     if WINDOW > 0u {
-        let per_width = 1.0 / (BLOCK_WIDTH * surface.width);
+        let per_width = sqrt(1.0 - surface.no_plane_fits) / (BLOCK_WIDTH * surface.width);
         let mean = block_mean(window, p, block_gate(frame, range), surface.normal * per_width, surface.height * per_width);
         keep_point(frame, KEPT_MEAN, at, mean);
     }

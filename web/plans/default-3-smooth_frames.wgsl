@@ -14,7 +14,7 @@ const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
 const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 20u;
+const PLANE_CHANNELS: u32 = 21u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -62,6 +62,15 @@ const MIN_BLOCK_WEIGHT: f32 = 0.02;
 const DISTANCE_WEIGHT: f32 = 0.3;
 const NARROW_WIDTH: f32 = 1.0;
 const DOUBT_WEIGHT: f32 = 0.01;
+const FITTING_LEAST: f32 = 0.6;
+const FITTING_ENOUGH: f32 = 1.6;
+const NEAR_ENOUGH: f32 = 0.05;
+const MISSING_PLANE: f32 = 0.011111111;
+const TURNING_FLAT: f32 = 0.02;
+const TURNING_ROUND: f32 = 0.07;
+const LOW_RIDGE: f32 = 0.0003;
+const CLOSE_FROM: f32 = 0.3;
+const CLOSE_TO: f32 = 0.8;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -138,11 +147,12 @@ const FIRST_COUNT: u32 = 9u;
 const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
 // Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
-// count, and how it bends along the tangents of the normal.
+// count, how it bends along the tangents of the normal, and how far no plane fits.
 const SURFACE_NORMAL: u32 = 12u;
 const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
+const SURFACE_NO_PLANE_FITS: u32 = 20u;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -546,6 +556,8 @@ struct LocalSurface {
     width: f32,
     // How the plane bends along the tangents of its normal: uu, uv, vv; undefined if BENDS is false.
     bend: vec3<f32>,
+    // From 0, if planes around the point fit, to 1, if none does; undefined if BENDS is false.
+    no_plane_fits: f32,
 }
 
 // `ray` leads from the sensor to p.
@@ -582,7 +594,9 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>
     plane.height = planes[plane_word(frame, SURFACE_HEIGHT, at)];
     let radius = radius_at(frame, range_of(frame, ray_to(frame, p)));
     let bend = plane_vector(frame, SURFACE_BEND, at);
-    let surface = LocalSurface(plane, abs(count), planes[plane_word(frame, SURFACE_WIDTH, at)], bend);
+    let width = planes[plane_word(frame, SURFACE_WIDTH, at)];
+    let no_plane_fits = planes[plane_word(frame, SURFACE_NO_PLANE_FITS, at)];
+    let surface = LocalSurface(plane, abs(count), width, bend, no_plane_fits);
     return result_of(frame, window, p, radius, surface);
 }
 // The point on the surface, its normal and its status (docs/method.md, section 7).
@@ -663,6 +677,8 @@ struct Moments {
 
 struct Fit {
     moments: Moments,
+    // sum w f²; 0 if BENDS is false.
+    squares: f32,
     // In-plane axes, of unit length.
     u: vec3<f32>,
     v: vec3<f32>,
@@ -672,8 +688,9 @@ struct Fit {
     extent_squared: f32,
 }
 
-// Second pass over the window. Uses the gate of the first pass, in these units.
-fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, bandwidth: f32) -> Fit {
+// Second pass over the window. Uses the gate of the first pass, in these units. Neighbours count within `width` of the
+// surface.
+fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, width: f32, bandwidth: f32) -> Fit {
     let plane = surface.plane;
     let tangents = tangents_of(plane.normal);
     let per_metre = SQRT_LOG2_E / bandwidth;
@@ -683,10 +700,11 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let f_offset = plane.height * per_metre;
     let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
     // Factor of f² in the weight of section 10.
-    let narrowing = (bandwidth / surface.width) * (bandwidth / surface.width);
+    let narrowing = (bandwidth / width) * (bandwidth / width);
     // Half the bend in these units, subtracted from f.
     let half_bend = surface.bend * (0.5 / per_metre);
     var s: Moments;
+    var squares = 0.0;
     for (var row = 0u; row < SIDE; row++) { for (var column = 0u; column < SIDE; column++) {
         let e = candidate(window, column, row) - p;
         let count = 1.0;
@@ -706,6 +724,9 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
                 exponent += min(f * f * narrowing, MAX_OFF_SURFACE);
             }
             let w = count * (min(nearness, 1.0) * exp2(-exponent));
+            if BENDS {
+                squares = fma(w * f, f, squares);
+            }
             let wa0 = w;
 let wa1 = w * a;
 let a2 = a * a;
@@ -742,9 +763,9 @@ s.t20 = fma(wa2, f, s.t20);
         }
     } }
     let extent_squared = min(plane.extent_squared, radius_squared) * per_metre * per_metre;
-    return Fit(s, tangents.u, tangents.v, per_metre, extent_squared);
+    return Fit(s, squares, tangents.u, tangents.v, per_metre, extent_squared);
 }
-fn solve(s: Moments, ridge: f32, extent_squared: f32, n: f32) -> vec3<f32> {
+fn solve(s: Moments, ridge: f32, extent_squared: f32, n: f32) -> vec4<f32> {
 let ridge0 = 0.0;
 let ridge1 = s.m00 * ridge * extent_squared;
 let ridge2 = ridge1 * extent_squared;
@@ -868,7 +889,7 @@ c0 = fma(-l4_0, c4, c0);
 c0 = fma(-l3_0, c3, c0);
 c0 = fma(-l2_0, c2, c0);
 c0 = fma(-l1_0, c1, c0);
-return vec3<f32>(c0, c1, c2);
+return vec4<f32>(c0, c1, c2, y0 * (y0 * inverse0) + y1 * (y1 * inverse1) + y2 * (y2 * inverse2) + y3 * (y3 * inverse3) + y4 * (y4 * inverse4) + y5 * (y5 * inverse5));
 }
 // The point on the polynomial over the plane (docs/method.md, section 7).
 
@@ -894,8 +915,26 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     }
     let own_bandwidth = header(frame, BANDWIDTH);
     let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
-    let fit = fit_of(window, p, radius * radius, surface, bandwidth);
-    return project_on_polynomial(frame, p, surface.plane, fit, solve(fit.moments, header(frame, RIDGE), fit.extent_squared, surface.n), radius, surface.n);
+    let ridge = header(frame, RIDGE);
+    var fit: Fit;
+    var c = vec3<f32>(0.0);
+    // Where no plane fits, the polynomial of all neighbours takes over, if it is close to them. A loop, since the kernel
+    // would else exceed the instruction cache.
+    let rounds = select(1u, 2u, BENDS && surface.no_plane_fits > 0.0);
+    for (var round = 0u; round < rounds; round++) {
+        let of_all = BENDS && round == 1u;
+        fit = fit_of(window, p, radius * radius, surface, select(surface.width, 1e18, of_all), bandwidth);
+        let solution = solve(fit.moments, select(ridge, min(ridge, LOW_RIDGE), of_all), fit.extent_squared, surface.n);
+        var share = 1.0;
+        if of_all {
+            let per_noise = NARROW_WIDTH / (surface.width * fit.per_metre);
+            let variance = (fit.squares - solution.w) * per_noise * per_noise / fit.moments.m00;
+            let close = clamp((CLOSE_TO - variance) / (CLOSE_TO - CLOSE_FROM), 0.0, 1.0);
+            share = select(0.0, surface.no_plane_fits * close, fit.moments.m00 > 0.0);
+        }
+        c = mix(c, solution.xyz, share);
+    }
+    return project_on_polynomial(frame, p, surface.plane, fit, c, radius, surface.n);
 }
 // A point's result before it is stored. NaN is written by its bits and never computed.
 
