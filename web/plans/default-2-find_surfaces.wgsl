@@ -593,7 +593,7 @@ struct Around {
     spreads: f32,
     // How well the planes fit their own points, wherever p is.
     fitting: f32,
-    // Sum of the normals of those that are near, and their number.
+    // Sum of the normals of the nearby planes, and their number.
     normals: vec3<f32>,
     count: f32,
 }

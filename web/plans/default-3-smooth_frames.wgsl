@@ -918,8 +918,8 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     let ridge = header(frame, RIDGE);
     var fit: Fit;
     var c = vec3<f32>(0.0);
-    // Where no plane fits, the polynomial of all neighbours takes over, if it is close to them. A loop, since the kernel
-    // would else exceed the instruction cache.
+    // If no plane fits, the polynomial of all neighbours replaces the first, provided that it is close to them. This is a
+    // loop because two copies of the fit would exceed the instruction cache.
     let rounds = select(1u, 2u, BENDS && surface.no_plane_fits > 0.0);
     for (var round = 0u; round < rounds; round++) {
         let of_all = BENDS && round == 1u;

@@ -59,7 +59,7 @@ pub(crate) const MISSING_PLANE: f32 = 0.1 / 9.0;
 /// If the normals of the planes around a point turn by less than the first value, planes suffice, however badly they
 /// fit. From the second value on, that decides. 1 - cos of an angle.
 pub(crate) const TURNING: [f32; 2] = [0.02, 0.07];
-/// Where no plane fits, the ridge is at most this.
+/// The ridge is at most this if no plane fits.
 pub(crate) const LOW_RIDGE: f32 = 3e-4;
 /// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
 /// and not at all from the second on.

@@ -188,7 +188,7 @@ fn times_are_told_when_asked_and_bytes_always() {
     // x, y and z, 160 columns being a multiple of 16, 3 pixels of border around them, 16 numbers at the end.
     let padded = (160 + 6) * (120 + 6) + 16;
     assert_eq!(smoother.buffer_bytes(), 4 * 3 * padded);
-    // First planes of 13 numbers and surfaces of 9 beside the two frames of 3.
+    // A first plane has 13 numbers and a surface 9; the two frames have 3 each.
     let off = open(FrameParams::default().with_edges(Edges::Off), false).buffer_bytes();
     let mut robust = open(FrameParams::default(), false);
     assert_eq!(robust.buffer_bytes(), off / 6 * 28);

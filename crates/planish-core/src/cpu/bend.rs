@@ -7,7 +7,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::eigen::Symmetric;
 use super::plane::Plane;
-use super::vector::{Mask, Vec3, share, splat};
+use super::vector::{Mask, Vec3, rises, share, splat};
 use super::window::{Candidates, Window};
 use crate::constants::{
     BEND_DAMPING, BEND_EXPLAINED, BEND_SHARED, LEAST_BEND_WEIGHT, LEAST_SPREAD, LEAST_TURN, MOST_BEND, MOST_WINDOW_BEND,
@@ -171,12 +171,6 @@ impl<S: Simd> Turn<S> {
         let turns = variance.sqrt() * radius / (noise * splat(simd, LEAST_TURN));
         Self { per_total, mean_normal, variance, certain: share(simd, turns - one) }
     }
-}
-
-/// Returns how far values are from the first of two limits to the second, from 0 to 1.
-#[inline(always)]
-fn rises<S: Simd>(simd: S, value: S::f32s, [from, to]: [f32; 2]) -> S::f32s {
-    share(simd, (value - splat(simd, from)) * splat(simd, 1.0 / (to - from)))
 }
 
 impl<S: Simd> Around<S> {

@@ -16,7 +16,7 @@ use super::math::exp2;
 use super::plane::Plane;
 use super::solve::{Solution, solve};
 use super::unroll::unroll;
-use super::vector::{Mask, Vec3, share, splat};
+use super::vector::{Mask, Vec3, rises, splat};
 use super::window::{Candidates, Sums};
 use crate::constants::{CLOSE, LOW_RIDGE, MAX_OFF_SURFACE, NARROW_WIDTH, SQRT_LOG2_E};
 
@@ -119,7 +119,7 @@ pub(super) struct Polynomial<S: Simd> {
 /// The moments, and the units that turn coefficients back into metres.
 struct Fit<S: Simd> {
     moments: Moments<S>,
-    /// Of all neighbours, however far off the plane, and their sum w f²; where no plane fits.
+    /// The moments of all neighbours, however far they are off the plane, and their sum of w f². `None` if planes fit.
     all: Option<(Moments<S>, S::f32s)>,
     /// In-plane unit vectors.
     u: Vec3<S>,
@@ -130,8 +130,8 @@ struct Fit<S: Simd> {
     extent_squared: S::f32s,
 }
 
-/// Fits the polynomial of degree D, or of the degree that n neighbours support, over their plane. Where no plane fits,
-/// the polynomial of all neighbours takes over, if it is close to them.
+/// Fits the polynomial of degree D, or of the degree that n neighbours support, over their plane. If no plane fits,
+/// the polynomial of all neighbours replaces it, provided that it is close to them.
 #[inline(always)]
 pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
     simd: S,
@@ -152,8 +152,7 @@ pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
         let total = moments.m::<D>(0, 0);
         let per_noise = metres * splat(simd, NARROW_WIDTH) / width;
         let variance = (*squares - of_all.explained) * (per_noise * per_noise) / total;
-        let [close, far] = CLOSE;
-        let close = share(simd, (splat(simd, far) - variance) * splat(simd, 1.0 / (far - close)));
+        let close = splat(simd, 1.0) - rises(simd, variance, CLOSE);
         let counts: Mask<S> = no_plane_fits.simd_gt(splat(simd, 0.0)) & total.simd_gt(splat(simd, 0.0));
         for (c, of_all) in c.iter_mut().zip(of_all.c) {
             *c = counts.select((no_plane_fits * close).mul_add(of_all - *c, *c), *c);

@@ -48,7 +48,7 @@ pub(super) fn project<S: Simd, const D: usize>(
     let mut moved = plane.height;
     let mut normal = plane.normal;
     let mut status = splat(simd, 3.0);
-    if let Some(&Polynomial { height, slopes: [slope_a, slope_b], a_axis, b_axis, .. }) = polynomial {
+    if let Some(&Polynomial { height, slopes: [slope_a, slope_b], a_axis, b_axis }) = polynomial {
         let surface = plane.height + height;
         // A NaN is not within the radius.
         let within: Mask<S> = (surface * surface).simd_le(radius * radius);

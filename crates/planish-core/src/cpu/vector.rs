@@ -21,6 +21,12 @@ pub(super) fn share<S: Simd>(simd: S, value: S::f32s) -> S::f32s {
     value.max(splat(simd, 0.0)).min(splat(simd, 1.0))
 }
 
+/// Returns how far values are from the first of two limits to the second, from 0 to 1.
+#[inline(always)]
+pub(super) fn rises<S: Simd>(simd: S, value: S::f32s, [from, to]: [f32; 2]) -> S::f32s {
+    share(simd, (value - splat(simd, from)) * splat(simd, 1.0 / (to - from)))
+}
+
 /// A vector in space for each lane.
 pub(super) struct Vec3<S: Simd> {
     pub(super) x: S::f32s,

@@ -26,6 +26,11 @@ const EXPLAINED: [f64; 2] = [0.65, 0.85];
 const SHARED: [f64; 2] = [0.2, 0.4];
 /// A surface bends by at most this much over the radius.
 const MOST_BEND: f64 = 1.2;
+/// Returns how far values are from the first of two limits to the second, from 0 to 1.
+pub(super) fn rises(value: f64, [from, to]: [f64; 2]) -> f64 {
+    ((value - from) / (to - from)).clamp(0.0, 1.0)
+}
+
 /// Returns x y^T.
 fn outer(x: DVec3, y: DVec3) -> DMat3 {
     DMat3::from_cols(x * y.x, x * y.y, x * y.z)
@@ -115,7 +120,6 @@ impl Bend {
         if !(size > 0.0 && turns > 0.0 && explained > 0.0) {
             return Self { centre, ..Self::NONE };
         }
-        let rises = |value: f64, [from, to]: [f64; 2]| ((value - from) / (to - from)).clamp(0.0, 1.0);
         let least_turn = LEAST_TURN * noise_m / radius_m;
         let turns_enough = rises(turns.sqrt(), [least_turn, 2.0 * least_turn]);
         let window_bend = mean(&|s| s.window_bend);

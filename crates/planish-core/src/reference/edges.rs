@@ -4,7 +4,7 @@
 use glam::{DMat3, DVec3};
 
 use super::Surface;
-use super::bend::{self, Bend, Slope};
+use super::bend::{self, Bend, Slope, rises};
 use super::plane::{DEGENERATE_RATIO, Plane};
 use super::window::{Grid, fading_gate};
 use crate::params::{EngineParams, edge_shift_px};
@@ -118,11 +118,7 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         let foot = height_m * normal;
         // Curvature and the extent that scales the fit come from the pixel's window.
         let plane = Plane { normal: side * normal, foot, ..own_plane };
-        let [least, enough] = FITTING;
-        let [flat, round] = TURNING;
-        let lacking = ((enough - vote.fitting) / (enough - least)).clamp(0.0, 1.0);
-        let turning = ((vote.turning - flat) / (round - flat)).clamp(0.0, 1.0);
-        let no_plane_fits = lacking * turning;
+        let no_plane_fits = (1.0 - rises(vote.fitting, FITTING)) * rises(vote.turning, TURNING);
         Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, bend: side * tensor, no_plane_fits, ..own })
     }
 }

@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::Surface;
+use super::bend::rises;
 use super::edges::WIDTH;
 use super::plane::Plane;
 use super::solve::solve;
@@ -22,7 +23,7 @@ pub(super) struct Polynomial {
 
 /// A neighbour far from the surface keeps at least exp(-8) of its weight, which f32 still represents well.
 const MAX_OFF_SURFACE: f64 = 8.0;
-/// Where no plane fits, slopes and curvatures are damped by at most this.
+/// The ridge is at most this if no plane fits.
 const LOW_RIDGE: f64 = 3e-4;
 /// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
 /// and not at all from the second on.
@@ -58,7 +59,8 @@ pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
 }
 
 /// Fits the polynomial of the highest degree, up to `degree`, that the neighbours support; `None` if that is 1, the
-/// plane itself. Where no plane fits, the polynomial of all neighbours takes over, if it is close to them.
+/// plane itself. If no plane fits, the polynomial of all neighbours
+/// replaces it, provided that it is close to them.
 pub(super) fn over(
     surface: &Surface,
     plane: &Plane,
@@ -77,8 +79,7 @@ pub(super) fn over(
     }
     let (of_all, variance) = Fitting { width_m: f64::INFINITY, ridge: ridge.min(LOW_RIDGE), ..near_plane }.fit(offsets);
     let noise_variance = (surface.width_m / WIDTH).powi(2);
-    let [close, far] = CLOSE;
-    let close = ((far - variance / noise_variance) / (far - close)).clamp(0.0, 1.0);
+    let close = 1.0 - rises(variance / noise_variance, CLOSE);
     Some(kept.mix(&of_all, surface.no_plane_fits * close))
 }
 

@@ -3,9 +3,11 @@
 //! One pass fits the first planes of all pixels. Another derives each pixel's surface from them, and the mean of its
 //! block's points on that surface. Each component of a plane is a channel with the layout of the padded frame.
 
+mod vote;
+
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
-use super::bend::{self, Around, Bend, Turn};
+use super::bend::{self, Bend, Turn};
 use super::blocks::Block;
 use super::eigen::tangents;
 use super::padded::{PaddedFrame, PaddedRows};
@@ -15,11 +17,12 @@ use super::vector::{Mask, Vec3, share, splat};
 use super::window::{Candidates, Gate, Window};
 use super::{Input, Kernel, polynomial_in_range, valid_points};
 use crate::constants::{
-    COSINE_FADE, DISTANCE_WEIGHT, DOUBT_WEIGHT, FITTING, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, MISSING_PLANE,
-    NARROW_WIDTH, NEAR_ENOUGH, OWN_NORMAL_WEIGHT, PLANE_REACH, STAY_WEIGHT, TURNING,
+    COSINE_FADE, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH, OWN_NORMAL_WEIGHT,
+    PLANE_REACH, STAY_WEIGHT,
 };
 use crate::params::{EngineParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
+use vote::Voting;
 
 // Channels of first planes and of surfaces: the normal, and the height over the point along it...
 const NORMAL: usize = 0;
@@ -203,30 +206,6 @@ impl Surfaces {
     }
 }
 
-/// The vote of the planes around a point: weighted sums, not yet divided by the total.
-struct Vote<S: Simd> {
-    normal: Vec3<S>,
-    height: S::f32s,
-    total: S::f32s,
-    weights: [S::f32s; 9],
-    /// How near the planes are; those without a weight may be nowhere.
-    nearness: [S::f32s; 9],
-    /// How well the planes fit their own points, wherever p is.
-    fitting: S::f32s,
-}
-
-/// The points whose surfaces are sought, and the quantities that weigh the planes around them.
-struct Voting<'a, S: Simd> {
-    measured: &'a PaddedFrame,
-    /// Index of the first point.
-    here: usize,
-    p: Vec3<S>,
-    /// From it to its block mean, whose distance from a plane determines how well it fits.
-    to_mean: Vec3<S>,
-    per_variance: S::f32s,
-    gate: Gate<S>,
-}
-
 impl FirstPlanes {
     /// Room for the planes of frames with this padding.
     pub(super) fn new(params: &EngineParams, padded: &PaddedFrame) -> Self {
@@ -263,99 +242,6 @@ impl FirstPlanes {
             off_line: splat(simd, 0.0),
             degenerate: self.count(simd, at).simd_lt(splat(simd, 0.0)),
         }
-    }
-
-    /// Returns the index of the k-th of the nine planes around a point.
-    fn nearby(&self, here: usize, k: usize) -> usize {
-        let row_len = self.planes.row_len;
-        here + self.shift * (k / 3 * row_len + k % 3) - self.shift * (row_len + 1)
-    }
-
-    /// Weighs the planes around points by how well they fit.
-    #[inline(always)]
-    fn vote<S: Simd>(&self, simd: S, voting: &Voting<'_, S>) -> Vote<S> {
-        let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-        let normal = Vec3::splat(simd, 0.0);
-        let mut vote =
-            Vote { normal, height: zero, total: zero, weights: [zero; 9], nearness: [zero; 9], fitting: zero };
-        for k in 0..9 {
-            let at = self.nearby(voting.here, k);
-            let offset = voting.measured.load(simd, at).sub(voting.p);
-            let (nearness, near) = voting.gate.weight(simd, offset);
-            let n = self.planes.vector(simd, NORMAL, at);
-            // Distance from p to the plane along the plane's normal.
-            let to_plane = offset.dot(n) + self.planes.load(simd, HEIGHT, at);
-            let from_mean = to_plane - voting.to_mean.dot(n);
-            let variance = self.planes.load(simd, RESIDUAL, at);
-            let residual = (from_mean * from_mean).mul_add(splat(simd, DISTANCE_WEIGHT), variance);
-            let weight = |variance: S::f32s| {
-                let badness = variance.mul_add(voting.per_variance, one);
-                let square = badness * badness;
-                // An unusable plane has an infinite residual, hence no weight. One that is not near may hold anything,
-                // and changes nothing.
-                near.select(nearness / (square * square), zero)
-            };
-            vote.fitting += weight(variance);
-            let weight = weight(residual);
-            vote.normal = vote.normal.add_scaled(weight, n).or(near, vote.normal);
-            vote.height = near.select(weight.mul_add(to_plane, vote.height), vote.height);
-            vote.total += weight;
-            vote.weights[k] = weight;
-            vote.nearness[k] = nearness;
-        }
-        vote
-    }
-
-    /// Returns 0 where the planes fit, or hardly turn, to 1 where none does.
-    #[inline(always)]
-    fn no_plane_fits<S: Simd>(&self, simd: S, voting: &Voting<'_, S>, vote: &Vote<S>) -> S::f32s {
-        let zero = splat(simd, 0.0);
-        let [least, enough] = FITTING;
-        let lacking = share(simd, (splat(simd, enough) - vote.fitting) * splat(simd, 1.0 / (enough - least)));
-        let lacks: Mask<S> = lacking.simd_gt(zero);
-        // Most surfaces are flat.
-        if lacks.any_true() { lacking * self.turning(simd, voting.here, vote) } else { zero }
-    }
-
-    /// Returns 0 where the normals of the planes around points hardly turn, to 1 where they do, or planes are missing.
-    #[inline(never)]
-    fn turning<S: Simd>(&self, simd: S, here: usize, vote: &Vote<S>) -> S::f32s {
-        simd.vectorize(
-            #[inline(always)]
-            || {
-                let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-                let (mut normals, mut count) = (Vec3::splat(simd, 0.0), zero);
-                for k in 0..9 {
-                    let counts: Mask<S> = vote.weights[k].simd_gt(zero);
-                    let near = counts.select((vote.nearness[k] * splat(simd, 1.0 / NEAR_ENOUGH)).min(one), zero);
-                    let n = self.planes.vector(simd, NORMAL, self.nearby(here, k));
-                    normals = normals.add_scaled(near, n).or(counts, normals);
-                    count += near;
-                }
-                let mean = normals.dot(normals).sqrt() / count.max(splat(simd, NEAR_ENOUGH));
-                let missing = (splat(simd, 9.0) - count) * splat(simd, MISSING_PLANE);
-                let [flat, round] = TURNING;
-                share(simd, (splat(simd, 1.0 - flat) - mean + missing) * splat(simd, 1.0 / (round - flat)))
-            },
-        )
-    }
-
-    /// Returns the sums for the bend between the planes that a vote has weighed.
-    #[inline(always)]
-    fn around<S: Simd>(&self, simd: S, voting: &Voting<'_, S>, vote: &Vote<S>) -> Around<S> {
-        let (zero, none) = (splat(simd, 0.0), Vec3::splat(simd, 0.0));
-        let mut around = Around::nothing(simd);
-        for (k, &weight) in vote.weights.iter().enumerate() {
-            let at = self.nearby(voting.here, k);
-            let counts: Mask<S> = weight.simd_gt(zero);
-            let offset = voting.measured.load(simd, at).sub(voting.p);
-            let x = offset.add(self.planes.vector(simd, CENTROID, at)).or(counts, none);
-            let n = self.planes.vector(simd, NORMAL, at).or(counts, none);
-            let spread = counts.select(self.planes.load(simd, SPREAD, at), zero);
-            let window_bend = counts.select(self.planes.load(simd, WINDOW_BEND, at), zero);
-            around.add(weight, x, n, (spread, window_bend));
-        }
-        around
     }
 
     /// Finds the surfaces of the points from an index on, from their first planes and the eight around them. The
