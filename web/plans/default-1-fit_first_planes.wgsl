@@ -71,6 +71,12 @@ const TURNING_ROUND: f32 = 0.07;
 const LOW_RIDGE: f32 = 0.0003;
 const CLOSE_FROM: f32 = 0.3;
 const CLOSE_TO: f32 = 0.8;
+const MEAN_WIDTH: f32 = 1.5;
+const ALIKE_FROM: f32 = 0.9;
+const ALIKE_TO: f32 = 0.95;
+const AROUND_FROM: f32 = 0.6;
+const AROUND_TO: f32 = 0.9;
+const MAX_COORDINATE_M: f32 = 1e18;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -153,6 +159,12 @@ const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
+
+// Results, in place of surfaces that are no longer needed: normal and point, 0 without a normal; depth in metres; status.
+const RESULT_NORMAL: u32 = SURFACE_NORMAL;
+const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
+const RESULT_POINT: u32 = SURFACE_BEND;
+const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;

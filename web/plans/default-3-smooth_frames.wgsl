@@ -20,7 +20,7 @@ const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
 const CURVATURE_CHANNEL: u32 = 6u;
 const DEPTH_M_CHANNEL: u32 = 6u;
-const CHANNELS: u32 = 6u;
+const CHANNELS: u32 = 7u;
 const STATUS_HOLE: u32 = 0u;
 const STATUS_TOO_FEW: u32 = 1u;
 const STATUS_DEGENERATE: u32 = 2u;
@@ -34,10 +34,10 @@ const IS_POINTS: bool = false;
 const WANTS_POINTS: bool = true;
 const WANTS_NORMALS: bool = true;
 const WANTS_CURVATURE: bool = false;
-const WANTS_STATUS: bool = true;
+const WANTS_STATUS: bool = false;
 const WANTS_NEIGHBOURS: bool = false;
-const WANTS_DEPTH: bool = true;
-const WANTS_DEPTH_M: bool = false;
+const WANTS_DEPTH: bool = false;
+const WANTS_DEPTH_M: bool = true;
 const MIN_POSITIVE: f32 = 1.1754944e-38;
 const GRAZING_COSINE: f32 = 0.2;
 const MAX_ALONG: f32 = 0.5;
@@ -71,6 +71,12 @@ const TURNING_ROUND: f32 = 0.07;
 const LOW_RIDGE: f32 = 0.0003;
 const CLOSE_FROM: f32 = 0.3;
 const CLOSE_TO: f32 = 0.8;
+const MEAN_WIDTH: f32 = 1.5;
+const ALIKE_FROM: f32 = 0.9;
+const ALIKE_TO: f32 = 0.95;
+const AROUND_FROM: f32 = 0.6;
+const AROUND_TO: f32 = 0.9;
+const MAX_COORDINATE_M: f32 = 1e18;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -153,6 +159,12 @@ const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
+
+// Results, in place of surfaces that are no longer needed: normal and point, 0 without a normal; depth in metres; status.
+const RESULT_NORMAL: u32 = SURFACE_NORMAL;
+const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
+const RESULT_POINT: u32 = SURFACE_BEND;
+const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -953,21 +965,36 @@ struct PixelResult {
 fn no_result(status: u32, n: u32) -> PixelResult {
     return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, NAN_BITS, status | (n << 8u));
 }
-// Computes the result of a point from its plane: sections 5 to 7 of docs/method.md.
+// A depth in metres, and in raw units.
 
-// The depth at which the ray of p meets the surface, in metres and in raw units.
-fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) -> PixelResult {
+// x y less the product as rounded to f32, from the upper and lower halves of both, whose products are exact. A driver
+// may compute fma() as a product and a sum, which would be 0 here.
+fn product_error(x: f32, y: f32, product: f32) -> f32 {
+    let upper = vec2<f32>(bitcast<f32>(bitcast<u32>(x) & 0xfffff000u), bitcast<f32>(bitcast<u32>(y) & 0xfffff000u));
+    let lower = vec2<f32>(x, y) - upper;
+    return ((upper.x * upper.y - product) + upper.x * lower.y + lower.x * upper.y) + lower.x * lower.y;
+}
+
+fn with_depth(frame: u32, depth: f32, without: PixelResult) -> PixelResult {
     var result = without;
     if WANTS_DEPTH || WANTS_DEPTH_M {
-        let depth = depth_of(frame, ray_to(frame, p)) * depth_scale;
         result.depth_m = bitcast<u32>(depth);
-        let raw = round(depth * header(frame, UNITS_PER_METRE));
+        let units = header(frame, UNITS_PER_METRE);
+        let product = depth * units;
+        // Halves are rounded up, as the host does; round() rounds to even, and so does the product to f32.
+        let rounded = round(product);
+        let over = product - rounded;
+        let error = product_error(depth, units, product);
+        let up = select(0.0, 1.0, over == 0.5 && error >= 0.0);
+        let down = select(0.0, 1.0, over == -0.5 && error < 0.0);
+        let raw = rounded + up - down;
         if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
             result.codes |= u32(raw) << 16u;
         }
     }
     return result;
 }
+// Computes the result of a point from its plane: sections 5 to 7 of docs/method.md.
 
 // Result of a point with at least 3 neighbours.
 fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
@@ -976,7 +1003,7 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
         var result = no_result(STATUS_DEGENERATE, n);
         result.point = bitcast<vec3<u32>>(p);
         // Without a normal the depth is the point's own.
-        return with_depth(frame, p, 1.0, result);
+        return with_depth(frame, depth_of(frame, ray_to(frame, p)), result);
     }
     let projected = surface_of(frame, window, p, radius, surface);
     let result = PixelResult(
@@ -986,73 +1013,27 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
         NAN_BITS,
         projected.status | (n << 8u),
     );
-    return with_depth(frame, p, projected.depth_scale, result);
+    return with_depth(frame, depth_of(frame, ray_to(frame, p)) * projected.depth_scale, result);
 }
-// The result in its readback layout: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
-//
-// Packed rows start at whole words, so a row of a tile is whole words too.
-
-var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
-
-fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
-    output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;
-}
-
-// Stores packed rows of `shift`ed fields of `bits` bits each, after the channels; one thread per word.
-fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
-    let in_word = 32u / bits;
-    let words_in_tile_row = TILE_WIDTH / in_word;
-    let row = thread / words_in_tile_row;
-    let word = thread % words_in_tile_row;
-    let row_words = (batch.width + in_word - 1u) / in_word;
-    let y = origin.y + row * STRIDE;
-    let at = origin.x / in_word + word;
-    if row >= TILE_HEIGHT || y >= batch.height || at >= row_words {
-        return;
-    }
-    var packed = 0u;
-    for (var i = 0u; i < in_word; i++) {
-        packed |= extractBits(codes[row * TILE_WIDTH + word * in_word + i], shift, bits) << (i * bits);
-    }
-    output[frame * batch.output_words + rows_at + y * row_words + at] = packed;
-}
+// The result in channels for the pass after this one.
 
 fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: PixelResult) {
-    if pixel.x < batch.width && pixel.y < batch.height {
-        let at = pixel.y * batch.width + pixel.x;
-        if WANTS_POINTS {
-            store_word(frame, POINTS_CHANNEL, at, result.point.x);
-            store_word(frame, POINTS_CHANNEL + 1u, at, result.point.y);
-            store_word(frame, POINTS_CHANNEL + 2u, at, result.point.z);
-        }
-        if WANTS_NORMALS {
-            store_word(frame, NORMALS_CHANNEL, at, result.normal.x);
-            store_word(frame, NORMALS_CHANNEL + 1u, at, result.normal.y);
-            store_word(frame, NORMALS_CHANNEL + 2u, at, result.normal.z);
-        }
-        if WANTS_CURVATURE {
-            store_word(frame, CURVATURE_CHANNEL, at, result.curvature);
-        }
-        if WANTS_DEPTH_M {
-            store_word(frame, DEPTH_M_CHANNEL, at, result.depth_m);
-        }
+    if pixel.x >= batch.width || pixel.y >= batch.height {
+        return;
     }
-    if WANTS_STATUS || WANTS_NEIGHBOURS || WANTS_DEPTH {
-        codes[thread] = result.codes;
-        workgroupBarrier();
-        var rows_at = CHANNELS * batch.width * batch.height;
-        if WANTS_STATUS {
-            store_packed(frame, rows_at, origin, thread, 0u, 8u);
-            rows_at += batch.height * ((batch.width + 3u) / 4u);
-        }
-        if WANTS_NEIGHBOURS {
-            store_packed(frame, rows_at, origin, thread, 8u, 8u);
-            rows_at += batch.height * ((batch.width + 3u) / 4u);
-        }
-        if WANTS_DEPTH {
-            store_packed(frame, rows_at, origin, thread, 16u, 16u);
-        }
+    let at = pixel.y * batch.width + pixel.x;
+    let status = result.codes & 0xffu;
+    var normal = vec3<f32>(0.0);
+    var point = vec3<f32>(0.0);
+    if status >= STATUS_PLANE {
+        normal = bitcast<vec3<f32>>(result.normal);
+        // Sums over points must stay finite.
+        point = clamp(bitcast<vec3<f32>>(result.point), vec3<f32>(-MAX_COORDINATE_M), vec3<f32>(MAX_COORDINATE_M));
+        planes[plane_word(frame, RESULT_DEPTH, at)] = bitcast<f32>(result.depth_m);
     }
+    keep_vector(frame, RESULT_NORMAL, at, normal);
+    keep_vector(frame, RESULT_POINT, at, point);
+    planes[plane_word(frame, RESULT_STATUS, at)] = f32(status);
 }
 // The results of a tile of pixels.
 

@@ -71,6 +71,12 @@ const TURNING_ROUND: f32 = 0.07;
 const LOW_RIDGE: f32 = 0.0003;
 const CLOSE_FROM: f32 = 0.3;
 const CLOSE_TO: f32 = 0.8;
+const MEAN_WIDTH: f32 = 1.5;
+const ALIKE_FROM: f32 = 0.9;
+const ALIKE_TO: f32 = 0.95;
+const AROUND_FROM: f32 = 0.6;
+const AROUND_TO: f32 = 0.9;
+const MAX_COORDINATE_M: f32 = 1e18;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -153,6 +159,12 @@ const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
+
+// Results, in place of surfaces that are no longer needed: normal and point, 0 without a normal; depth in metres; status.
+const RESULT_NORMAL: u32 = SURFACE_NORMAL;
+const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
+const RESULT_POINT: u32 = SURFACE_BEND;
+const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
@@ -1275,21 +1287,36 @@ struct PixelResult {
 fn no_result(status: u32, n: u32) -> PixelResult {
     return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, NAN_BITS, status | (n << 8u));
 }
-// Computes the result of a point from its plane: sections 5 to 7 of docs/method.md.
+// A depth in metres, and in raw units.
 
-// The depth at which the ray of p meets the surface, in metres and in raw units.
-fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) -> PixelResult {
+// x y less the product as rounded to f32, from the upper and lower halves of both, whose products are exact. A driver
+// may compute fma() as a product and a sum, which would be 0 here.
+fn product_error(x: f32, y: f32, product: f32) -> f32 {
+    let upper = vec2<f32>(bitcast<f32>(bitcast<u32>(x) & 0xfffff000u), bitcast<f32>(bitcast<u32>(y) & 0xfffff000u));
+    let lower = vec2<f32>(x, y) - upper;
+    return ((upper.x * upper.y - product) + upper.x * lower.y + lower.x * upper.y) + lower.x * lower.y;
+}
+
+fn with_depth(frame: u32, depth: f32, without: PixelResult) -> PixelResult {
     var result = without;
     if WANTS_DEPTH || WANTS_DEPTH_M {
-        let depth = depth_of(frame, ray_to(frame, p)) * depth_scale;
         result.depth_m = bitcast<u32>(depth);
-        let raw = round(depth * header(frame, UNITS_PER_METRE));
+        let units = header(frame, UNITS_PER_METRE);
+        let product = depth * units;
+        // Halves are rounded up, as the host does; round() rounds to even, and so does the product to f32.
+        let rounded = round(product);
+        let over = product - rounded;
+        let error = product_error(depth, units, product);
+        let up = select(0.0, 1.0, over == 0.5 && error >= 0.0);
+        let down = select(0.0, 1.0, over == -0.5 && error < 0.0);
+        let raw = rounded + up - down;
         if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
             result.codes |= u32(raw) << 16u;
         }
     }
     return result;
 }
+// Computes the result of a point from its plane: sections 5 to 7 of docs/method.md.
 
 // Result of a point with at least 3 neighbours.
 fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
@@ -1298,7 +1325,7 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
         var result = no_result(STATUS_DEGENERATE, n);
         result.point = bitcast<vec3<u32>>(p);
         // Without a normal the depth is the point's own.
-        return with_depth(frame, p, 1.0, result);
+        return with_depth(frame, depth_of(frame, ray_to(frame, p)), result);
     }
     let projected = surface_of(frame, window, p, radius, surface);
     let result = PixelResult(
@@ -1308,7 +1335,7 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
         NAN_BITS,
         projected.status | (n << 8u),
     );
-    return with_depth(frame, p, projected.depth_scale, result);
+    return with_depth(frame, depth_of(frame, ray_to(frame, p)) * projected.depth_scale, result);
 }
 // The result in its readback layout: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
 //

@@ -64,6 +64,15 @@ pub(crate) const LOW_RIDGE: f32 = 3e-4;
 /// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
 /// and not at all from the second on.
 pub(crate) const CLOSE: [f32; 2] = [0.3, 0.8];
+/// The surfaces of a block count up to this many times the width within which neighbours count...
+pub(crate) const MEAN_WIDTH: f32 = 1.5;
+/// ...and from the first cosine between their normals on, fully from the second on.
+pub(crate) const ALIKE: [f32; 2] = [0.9, 0.95];
+/// If less than the first share of a block's surfaces count, only their tangent planes matter. From the second share
+/// on, so does how they bend.
+pub(crate) const AROUND: [f32; 2] = [0.6, 0.9];
+/// Surfaces of points with larger coordinates, which no sensor measures, are not averaged: sums must stay finite.
+pub(crate) const MAX_COORDINATE_M: f32 = 1e18;
 /// Upper bound of the exponent: a neighbour far from the surface keeps exp(-8) of its weight. Stored as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 

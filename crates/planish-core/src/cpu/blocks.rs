@@ -40,10 +40,13 @@ impl<'a, S: Simd> Block<'a, S> {
         let row_len = self.measured.row_len;
         let first = self.here - self.half * (row_len + 1);
         let side = 2 * self.half + 1;
+        self.measured.assert_within(first, first + 2 * self.half * (row_len + 1));
         let (mut sum, mut total) = (Vec3::splat(simd, 0.0), splat(simd, 0.0));
         for row in 0..side {
             for column in 0..side {
-                let e = self.measured.load(simd, first + row * row_len + column).sub(self.p);
+                // SAFETY: checked above for the first and the last point.
+                let q = unsafe { self.measured.load_within(simd, first + row * row_len + column) };
+                let e = q.sub(self.p);
                 let (gate, near) = self.gate.weight(simd, e);
                 let weight = gate * weigh(e);
                 // A point beyond the gate may be NaN and must not change the sum.

@@ -12,6 +12,7 @@
 
 mod bend;
 mod blocks;
+mod channels;
 mod edges;
 mod eigen;
 mod general;
@@ -171,6 +172,7 @@ impl Cpu {
                 |mut rows: PaddedRows<'_>| dispatch!(level, simd => blocks::average(simd, measured, kernel, &mut rows));
             run_on_rows(means.rows(), parallel, &average);
         }
+        let out = OutputRows::all(frame, out);
         if let Some((first_planes, surfaces)) = &mut self.planes {
             let height = frame.frame.shape().1;
             let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
@@ -179,17 +181,47 @@ impl Cpu {
             let first_planes = &*first_planes;
             let find = |mut rows: SurfaceRows<'_>| dispatch!(level, simd => edges::find_surfaces(simd, measured, first_planes, kernel, &mut rows));
             run_on_rows(surfaces.rows(height, self.means.as_mut().map(PaddedFrame::rows)), parallel, &find);
+            let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
+            let rows = surfaces.rows(height, None);
+            if self.params.averages_surfaces() {
+                run_fit(
+                    level,
+                    kernel,
+                    input,
+                    Some(first_planes),
+                    FitRows { surfaces: Some(rows), out: None },
+                    parallel,
+                );
+                let surfaces = &*surfaces;
+                let average = |mut rows: OutputRows<'_>| dispatch!(level, simd => edges::average_surfaces(simd, measured, (first_planes, surfaces), kernel, &mut rows));
+                run_on_rows(out, parallel, &average);
+            } else {
+                let rows = FitRows { surfaces: Some(rows), out: Some(out) };
+                run_fit(level, kernel, input, Some(first_planes), rows, parallel);
+            }
+        } else {
+            let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
+            run_fit(level, kernel, input, None, FitRows { surfaces: None, out: Some(out) }, parallel);
         }
-        let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
-        let surfaces = self.planes.as_ref();
-        let smooth = |mut rows: OutputRows<'_>| match kernel.degree {
-            1 => dispatch!(level, simd => smooth_rows_simd::<_, 1>(simd, input, surfaces, kernel, &mut rows)),
-            2 => dispatch!(level, simd => smooth_rows_simd::<_, 2>(simd, input, surfaces, kernel, &mut rows)),
-            _ => dispatch!(level, simd => smooth_rows_simd::<_, 3>(simd, input, surfaces, kernel, &mut rows)),
-        };
-        run_on_rows(OutputRows::all(frame, out), parallel, &smooth);
         self.timings = FrameTimings { upload, kernel: start.elapsed() - upload, readback: Duration::ZERO };
     }
+}
+
+/// Fits the surfaces of all rows.
+fn run_fit(
+    level: Level,
+    kernel: &Kernel,
+    input: Input<'_>,
+    first_planes: Option<&FirstPlanes>,
+    rows: FitRows<'_>,
+    parallel: bool,
+) {
+    let fit = |mut rows: FitRows<'_>| match kernel.degree {
+        1 => dispatch!(level, simd => fit_rows::<_, 1>(simd, input, first_planes, kernel, &mut rows)),
+        2 => dispatch!(level, simd => fit_rows::<_, 2>(simd, input, first_planes, kernel, &mut rows)),
+        _ => dispatch!(level, simd => fit_rows::<_, 3>(simd, input, first_planes, kernel, &mut rows)),
+    };
+    run_on_rows(rows, parallel, &fit);
 }
 
 impl ImmediateEngine for Cpu {
@@ -243,18 +275,59 @@ struct Input<'a> {
     samples: &'a PaddedFrame,
 }
 
+/// A band of rows of the last fit.
+struct FitRows<'a> {
+    /// The surfaces over which it fits, if edges are kept.
+    surfaces: Option<SurfaceRows<'a>>,
+    /// Where results go; `None` keeps them in place of the surfaces.
+    out: Option<OutputRows<'a>>,
+}
+
+impl SplitRows for FitRows<'_> {
+    fn count(&self) -> usize {
+        let surfaces = self.surfaces.as_ref().map(SplitRows::count);
+        surfaces.or(self.out.as_ref().map(SplitRows::count)).unwrap_or(0)
+    }
+
+    fn split_at(self, rows: usize) -> (Self, Self) {
+        let (surfaces, surfaces_after) = self.surfaces.map(|surfaces| surfaces.split_at(rows)).unzip();
+        let (out, out_after) = self.out.map(|out| out.split_at(rows)).unzip();
+        (Self { surfaces, out }, Self { surfaces: surfaces_after, out: out_after })
+    }
+}
+
+impl FitRows<'_> {
+    /// The first row's number in the image.
+    fn first(&self) -> usize {
+        let surfaces = self.surfaces.as_ref().map(|surfaces| surfaces.first);
+        surfaces.or(self.out.as_ref().map(|out| out.first)).unwrap_or(0)
+    }
+
+    fn projection(&self, on_ray: bool) -> Projection {
+        // Means of surfaces take everything.
+        let all = Projection {
+            on_ray,
+            needs_normal: true,
+            needs_depth: true,
+            keeps_isolated: false,
+            least_neighbours: LEAST_NEIGHBOURS,
+        };
+        self.out.as_ref().map_or(all, |out| out.projection(on_ray))
+    }
+}
+
 #[inline(always)]
-fn smooth_rows_simd<S: Simd, const D: usize>(
+fn fit_rows<S: Simd, const D: usize>(
     simd: S,
     input: Input<'_>,
-    surfaces: Option<&(FirstPlanes, Surfaces)>,
+    first_planes: Option<&FirstPlanes>,
     kernel: &Kernel,
-    rows: &mut OutputRows<'_>,
+    rows: &mut FitRows<'_>,
 ) {
     let mut terms = Terms::new(simd);
     for row in 0..rows.count() {
-        for u in (0..rows.width).step_by(S::f32s::LEN) {
-            smooth_vector::<S, D>(simd, kernel, input, surfaces, &mut terms, rows, (u, row));
+        for u in (0..input.measured.width).step_by(S::f32s::LEN) {
+            fit_vector::<S, D>(simd, kernel, input, first_planes, &mut terms, rows, (u, row));
         }
     }
 }
@@ -269,43 +342,50 @@ fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
 /// Applies sections 2 to 7 and 10 to one vector of pixels. The terms are reused between vectors, to avoid clearing
 /// them.
 #[inline(always)]
-fn smooth_vector<S: Simd, const D: usize>(
+fn fit_vector<S: Simd, const D: usize>(
     simd: S,
     kernel: &Kernel,
     input: Input<'_>,
-    surfaces: Option<&(FirstPlanes, Surfaces)>,
+    first_planes: Option<&FirstPlanes>,
     terms: &mut Terms<S>,
-    rows: &mut OutputRows<'_>,
+    rows: &mut FitRows<'_>,
     (u, row): (usize, usize),
 ) {
-    let here = input.measured.index(u, rows.first + row);
+    let v = rows.first() + row;
+    let here = input.measured.index(u, v);
     let p = input.measured.load(simd, here);
     let valid = valid_points(simd, p);
     if !valid.any_true() {
-        rows.store_holes(row, u, S::f32s::LEN);
+        match rows {
+            FitRows { out: Some(out), .. } => out.store_holes(row, u, S::f32s::LEN),
+            FitRows { surfaces, .. } => surfaces.iter_mut().for_each(|surfaces| surfaces.keep_holes(simd, (u, row))),
+        }
         return;
     }
     let ray = kernel.sensor.ray(simd, p);
     let range = kernel.range(simd, ray);
     let radius = kernel.rules.radius(simd, range);
-    let window = Window::at(input.samples, kernel, u, rows.first + row);
-    let (surface, source) = match surfaces {
-        None => {
+    let window = Window::at(input.samples, kernel, u, v);
+    let (surface, source) = match (first_planes, &rows.surfaces) {
+        (Some(first_planes), Some(surfaces)) => {
+            let surface = surfaces.surface(simd, first_planes, (u, row), here);
+            let n = valid.select(surface.n, splat(simd, 0.0));
+            (Surface { n, ..surface }, Source::Of(window))
+        }
+        _ => {
             let (sums, source) = terms.keep(simd, window, p, radius);
             let plane = plane::fit(simd, ray, &sums);
             (Surface { plane, n: sums.n, width: None, bend: None, no_plane_fits: None }, source)
-        }
-        Some((first_planes, surfaces)) => {
-            let surface = surfaces.surface(simd, first_planes, here);
-            let n = valid.select(surface.n, splat(simd, 0.0));
-            (Surface { n, ..surface }, Source::Of(window))
         }
     };
     let projection = rows.projection(kernel.on_ray);
     let fitting = &kernel.fitting;
     let points = Points { p, ray, radius, valid };
     let projected = fitting.fit::<S, _, D>(simd, source, points, &surface, projection, terms);
-    rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &surface);
+    match rows {
+        FitRows { out: Some(out), .. } => out.store(row, u, kernel.sensor.depth(simd, ray), &projected, &surface),
+        FitRows { surfaces, .. } => surfaces.iter_mut().for_each(|surfaces| surfaces.keep(simd, (u, row), &projected)),
+    }
 }
 
 impl Fitting {

@@ -7,22 +7,18 @@
 
 use fearless_simd::{Simd, SimdBase};
 
+use super::channels::{Channels, MAX_LANES};
 use super::row_tasks::{SplitRows, halve};
 use super::vector::Vec3;
 use crate::camera::{Rays, RowRays, RowRaysY, depth_m};
 use crate::frame::{DepthSamples, Frame};
 use crate::smoothing_engine::AdmittedFrame;
 
-/// The widest vector of f32 that any SIMD level has.
-pub(super) const MAX_LANES: usize = 16;
-
 /// Rows that one task fills: enough to be worth a task.
 const ROWS_PER_TASK: usize = 32;
 
 pub(super) struct PaddedFrame {
-    pub(super) x: Vec<f32>,
-    pub(super) y: Vec<f32>,
-    pub(super) z: Vec<f32>,
+    xyz: Channels<3>,
     /// Values from one row to the next.
     pub(super) row_len: usize,
     pub(super) width: usize,
@@ -87,13 +83,17 @@ impl SplitRows for PaddedRows<'_> {
 impl PaddedFrame {
     pub(super) fn new(width: usize, height: usize, border: usize) -> Self {
         let row_len = border + width.next_multiple_of(MAX_LANES) + border;
-        let len = row_len * (height + 2 * border) + MAX_LANES;
-        let nan = || vec![f32::NAN; len];
-        Self { x: nan(), y: nan(), z: nan(), row_len, width, height, border }
+        let xyz = Channels::new(row_len * (height + 2 * border), f32::NAN);
+        Self { xyz, row_len, width, height, border }
+    }
+
+    /// Returns channels with the layout of this frame, filled with zeros.
+    pub(super) fn channels<const N: usize>(&self) -> Channels<N> {
+        Channels::new(self.row_len * (self.height + 2 * self.border), 0.0)
     }
 
     pub(super) fn bytes(&self) -> usize {
-        3 * size_of_val(&self.x[..])
+        self.xyz.bytes()
     }
 
     /// Returns the index of pixel (u, v) of the image.
@@ -105,20 +105,30 @@ impl PaddedFrame {
     /// Returns the points of the pixels from an index on.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
-        let lanes = at..at + S::f32s::LEN;
-        Vec3::new(
-            S::f32s::from_slice(simd, &self.x[lanes.clone()]),
-            S::f32s::from_slice(simd, &self.y[lanes.clone()]),
-            S::f32s::from_slice(simd, &self.z[lanes]),
-        )
+        self.xyz.vector(simd, 0, at)
+    }
+
+    /// Panics unless points can be loaded from all indices from `first` to `last`.
+    #[inline(always)]
+    pub(super) fn assert_within(&self, first: usize, last: usize) {
+        self.xyz.assert_within(first, last);
+    }
+
+    /// Returns the points of the pixels from an index on.
+    ///
+    /// # Safety
+    /// The index must be within limits for which [`assert_within`](Self::assert_within) holds.
+    #[inline(always)]
+    pub(super) unsafe fn load_within<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
+        // SAFETY: the same condition.
+        unsafe { self.xyz.vector_within(simd, 0, at) }
     }
 
     /// Returns the rows of the image.
     pub(super) fn rows(&mut self) -> PaddedRows<'_> {
         let (row_len, border) = (self.row_len, self.border);
         let image = border * row_len..(border + self.height) * row_len;
-        let xyz = [&mut self.x[image.clone()], &mut self.y[image.clone()], &mut self.z[image]];
-        PaddedRows { first: 0, row_len, border, xyz }
+        PaddedRows { first: 0, row_len, border, xyz: self.xyz.range_mut(image) }
     }
 
     /// Copies a frame of the shape that this was created for; `rays` belong to its camera.

@@ -86,7 +86,7 @@ pub(super) fn project<S: Simd, const D: usize>(
 /// Returns the distance along the ray, in ray lengths, to the tangent plane, which is `height` from the ray's end along
 /// its normal. At grazing incidence, 1/c is replaced by c/max(c², 0.2²), with c the cosine of the angle of incidence.
 #[inline(always)]
-fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray: Vec3<S>, radius: S::f32s) -> S::f32s {
+pub(super) fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray: Vec3<S>, radius: S::f32s) -> S::f32s {
     // A lower bound, since a point at the sensor has no ray.
     let least = splat(simd, f32::MIN_POSITIVE);
     let square = ray.dot(ray).max(least);

@@ -176,10 +176,15 @@ impl<S: Simd> Candidates<S> for Window<'_> {
     ) {
         let gate = Gate::new(simd, radius);
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
+        let row_step = self.stride * self.samples.row_len;
+        let last = self.first + rows.end.saturating_sub(1) * row_step + (self.side - 1) * self.stride;
+        self.samples.assert_within(self.first, last);
         for row in rows {
-            let start = self.first + row * self.stride * self.samples.row_len;
+            let start = self.first + row * row_step;
             for column in 0..self.side {
-                let (e, weight, near) = gate.apply(simd, self.samples.load(simd, start + column * self.stride).sub(p));
+                // SAFETY: checked above for the first and the last candidate.
+                let q = unsafe { self.samples.load_within(simd, start + column * self.stride) };
+                let (e, weight, near) = gate.apply(simd, q.sub(p));
                 visit(e, weight, near.select(one, zero));
             }
         }

@@ -20,18 +20,24 @@ pub(super) enum Pass {
     FirstPlanes,
     /// Finds the surfaces from them, and the means of the points on these surfaces.
     Surfaces,
-    /// The results.
+    /// The results, each on its own surface.
     Smooth,
+    /// The results on the means of the surfaces around them, if blocks are averaged and edges kept.
+    SurfaceMeans,
 }
 
 impl Pass {
     /// Returns the passes of a frame, in order.
     pub(super) fn of(params: &EngineParams) -> &'static [Self] {
-        match (params.edges, params.averages_blocks()) {
-            (Edges::Off, false) => &[Self::Smooth],
-            (Edges::Off, true) => &[Self::Blocks, Self::Smooth],
-            (Edges::Robust, false) => &[Self::FirstPlanes, Self::Surfaces, Self::Smooth],
-            (Edges::Robust, true) => &[Self::Blocks, Self::FirstPlanes, Self::Surfaces, Self::Smooth],
+        // With edges off, no surfaces are averaged.
+        match (params.edges, params.averages_blocks(), params.averages_surfaces()) {
+            (Edges::Off, false, _) => &[Self::Smooth],
+            (Edges::Off, true, _) => &[Self::Blocks, Self::Smooth],
+            (Edges::Robust, false, false) => &[Self::FirstPlanes, Self::Surfaces, Self::Smooth],
+            (Edges::Robust, false, true) => &[Self::FirstPlanes, Self::Surfaces, Self::Smooth, Self::SurfaceMeans],
+            (Edges::Robust, true, _) => {
+                &[Self::Blocks, Self::FirstPlanes, Self::Surfaces, Self::Smooth, Self::SurfaceMeans]
+            }
         }
     }
 
@@ -42,6 +48,7 @@ impl Pass {
             Self::FirstPlanes => "fit_first_planes",
             Self::Surfaces => "find_surfaces",
             Self::Smooth => "smooth_frames",
+            Self::SurfaceMeans => "average_surfaces",
         }
     }
 }
@@ -57,6 +64,8 @@ pub(super) struct KernelKey {
     pub(super) pass: Pass,
     /// Whether its points are on surfaces found by earlier passes.
     keeps_edges: bool,
+    /// Whether it keeps results for the pass of means.
+    keeps_results: bool,
     /// Whether the samples of its windows are block means.
     reads_means: bool,
     /// Whether it reads the input; other kernels read data kept by the first.
@@ -89,22 +98,31 @@ impl KernelKey {
         let EngineParams { degree, .. } = *params;
         let keeps_edges = pass == Pass::Smooth && params.edges != Edges::Off;
         // The windows of these passes are the blocks.
-        let of_blocks = matches!(pass, Pass::Blocks | Pass::Surfaces);
+        let of_blocks = matches!(pass, Pass::Blocks | Pass::Surfaces | Pass::SurfaceMeans);
         let (window, stride) =
             if of_blocks { (params.block_half_px() as u32, 1) } else { (params.window, params.stride) };
-        let window = if params.averages_blocks() || !of_blocks { window } else { 0 };
+        let reads_blocks = params.averages_blocks() || pass == Pass::SurfaceMeans;
+        let window = if reads_blocks || !of_blocks { window } else { 0 };
         let reads_means = params.averages_blocks() && !of_blocks;
+        let keeps_results = pass == Pass::Smooth && params.averages_surfaces();
         let reads_input = pass == Pass::of(params)[0];
         // Fields that the kernel does not depend on are normalized, so that settings share it.
         let kind = match kind {
             InputKind::DepthMetres if !reads_input => InputKind::Depth,
             kind => kind,
         };
-        let outputs = if pass == Pass::Smooth { outputs } else { Outputs::POINTS };
+        let outputs = match pass {
+            Pass::Smooth if keeps_results => Outputs { normals: true, depth_m: true, ..Outputs::POINTS },
+            Pass::Smooth | Pass::SurfaceMeans => outputs,
+            _ => Outputs::POINTS,
+        };
         let degree = if pass == Pass::Smooth { degree } else { 1 };
         let edge_shift = if pass == Pass::Surfaces { edge_shift_px(params.reach_px()) as u32 } else { 0 };
         let [tile_width, tile_height] = tile_of(degree);
-        let tile_bytes = 12 * (tile_width + 2 * (window * stride) as usize) * (tile_height + 2 * window as usize);
+        // Points, or the points and normals of results.
+        let sample_bytes = if pass == Pass::SurfaceMeans { 24 } else { 12 };
+        let tile_area = (tile_width + 2 * (window * stride) as usize) * (tile_height + 2 * window as usize);
+        let tile_bytes = sample_bytes * tile_area;
         let codes_bytes = 4 * tile_width * tile_height;
         let tiled = tile_bytes + codes_bytes <= workgroup_bytes;
         Self {
@@ -114,6 +132,7 @@ impl KernelKey {
             edge_shift,
             pass,
             keeps_edges,
+            keeps_results,
             reads_means,
             reads_input,
             kind,
@@ -153,7 +172,7 @@ impl KernelKey {
         } else {
             include_str!("shaders/samples_measured.wgsl")
         };
-        text += if self.tiled {
+        text += if self.tiled && self.pass != Pass::SurfaceMeans {
             include_str!("shaders/window_tiled.wgsl")
         } else {
             include_str!("shaders/window_untiled.wgsl")
@@ -176,6 +195,20 @@ impl KernelKey {
             text += include_str!("shaders/fit_first_planes.wgsl");
             return text;
         }
+        if self.pass == Pass::SurfaceMeans {
+            text += include_str!("shaders/project_plane.wgsl");
+            text += include_str!("shaders/pixel_result.wgsl");
+            text += include_str!("shaders/result_depth.wgsl");
+            text += include_str!("shaders/output.wgsl");
+            text += include_str!("shaders/kept_results.wgsl");
+            text += if self.tiled {
+                include_str!("shaders/results_tiled.wgsl")
+            } else {
+                include_str!("shaders/results_untiled.wgsl")
+            };
+            text += include_str!("shaders/average_surfaces.wgsl");
+            return text;
+        }
         text += if self.keeps_edges {
             include_str!("shaders/own_surface.wgsl")
         } else {
@@ -183,8 +216,13 @@ impl KernelKey {
         };
         text += &surface(self.degree as usize, WINDOW_LOOP);
         text += include_str!("shaders/pixel_result.wgsl");
+        text += include_str!("shaders/result_depth.wgsl");
         text += include_str!("shaders/result.wgsl");
-        text += include_str!("shaders/output.wgsl");
+        text += if self.keeps_results {
+            include_str!("shaders/keep_result.wgsl")
+        } else {
+            include_str!("shaders/output.wgsl")
+        };
         text += include_str!("shaders/smooth.wgsl");
         text
     }

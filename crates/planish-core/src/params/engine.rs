@@ -102,6 +102,11 @@ impl EngineParams {
         self.average_blocks && self.block_half_px() > 0
     }
 
+    /// Returns true if the results of a block's pixels are averaged: if edges are kept and windows skip pixels.
+    pub(crate) fn averages_surfaces(&self) -> bool {
+        self.edges == Edges::Robust && self.block_half_px() > 0
+    }
+
     /// Returns the number of samples of a window: (2k+1)².
     #[cfg(any(test, feature = "reference"))]
     pub(crate) fn candidates(&self) -> usize {

@@ -2,7 +2,7 @@
 //! engines, so it shares no code with them and is never optimised.
 //!
 //! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and
-//! [`solve`] (5, 6), [`project`] (7), [`edges`] and [`bend`] (10). Unorganized clouds differ in the neighbours only:
+//! [`solve`] (5, 6), [`project`] (7), [`edges`], [`bend`] and [`surface_mean`] (10). Unorganized clouds differ in the neighbours only:
 //! [`general`] (8). All compute in the sensor's frame (11); results are turned back at the end.
 
 mod bend;
@@ -15,6 +15,7 @@ mod polynomial;
 mod project;
 mod radius;
 mod solve;
+mod surface_mean;
 mod window;
 
 use std::sync::Arc;
@@ -217,7 +218,16 @@ impl Reference {
             self.progress.add(1);
             smooth_point(p, DVec3::ZERO, &offsets, self.radius_m(geometry, p), params, &surface, on_ray)
         };
-        self.for_each_pixel(grid, PointResult::hole(), smooth)
+        let results = self.for_each_pixel(grid, PointResult::hole(), smooth);
+        if !params.averages_surfaces() {
+            return results;
+        }
+        let results = surface_mean::Results { grid, results: &results, half: params.block_half_px(), on_ray };
+        let mean = |p, pixel| {
+            let Some(surface) = surface_of(pixel) else { return PointResult::hole() };
+            results.on_mean(pixel, p, &surface, self.radius_m(geometry, p))
+        };
+        self.for_each_pixel(grid, PointResult::hole(), mean)
     }
 
     fn radius_m(&self, geometry: &FrameGeometry, p: DVec3) -> f64 {

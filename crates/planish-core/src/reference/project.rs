@@ -10,7 +10,7 @@ use crate::status::Status;
 const GRAZING_COSINE: f64 = 0.2;
 
 /// No point moves along its ray by more than this share of its distance.
-const MAX_ALONG: f64 = 0.5;
+pub(super) const MAX_ALONG: f64 = 0.5;
 
 pub(super) struct Projected {
     /// Displacement from the measured point to its position on the surface.
@@ -54,7 +54,7 @@ pub(super) fn project(
 /// Returns the distance along the ray, in ray lengths, from its end (the origin here) to the tangent plane through
 /// `surface`. With c the cosine of the angle of incidence, 1/c is replaced by c/max(c², 0.2²), since a grazing ray
 /// determines little.
-fn along_ray(surface: DVec3, normal: DVec3, ray: DVec3, radius_m: f64) -> f64 {
+pub(super) fn along_ray(surface: DVec3, normal: DVec3, ray: DVec3, radius_m: f64) -> f64 {
     let length = ray.length();
     let cosine = ray.dot(normal) / length;
     let along_m = surface.dot(normal) * cosine / (cosine * cosine).max(GRAZING_COSINE * GRAZING_COSINE);

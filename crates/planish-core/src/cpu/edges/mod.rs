@@ -1,14 +1,17 @@
 //! Edge preservation: finds the surface of each point from the planes around it (docs/method.md, section 10).
 //!
 //! One pass fits the first planes of all pixels. Another derives each pixel's surface from them, and the mean of its
-//! block's points on that surface. Each component of a plane is a channel with the layout of the padded frame.
+//! block's points on that surface. Each component of a plane is a channel with the layout of the padded frame. If the
+//! results of blocks are averaged, they replace the surfaces ([`mean`]).
 
+mod mean;
 mod vote;
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::bend::{self, Bend, Turn};
 use super::blocks::Block;
+use super::channels::Channels;
 use super::eigen::tangents;
 use super::padded::{PaddedFrame, PaddedRows};
 use super::plane::{self, Plane, Points, Surface};
@@ -22,6 +25,7 @@ use crate::constants::{
 };
 use crate::params::{EngineParams, edge_shift_px};
 use crate::range::{MAX_RADIUS_M, RangeRules};
+pub(super) use mean::average_surfaces;
 use vote::Voting;
 
 // Channels of first planes and of surfaces: the normal, and the height over the point along it...
@@ -56,7 +60,7 @@ const SURFACE_CHANNELS: usize = 9;
 
 /// A plane for each pixel of a frame, as channels with the layout of the padded frame.
 struct Planes<const CHANNELS: usize> {
-    channels: [Vec<f32>; CHANNELS],
+    channels: Channels<CHANNELS>,
     row_len: usize,
     border: usize,
 }
@@ -64,7 +68,7 @@ struct Planes<const CHANNELS: usize> {
 /// A band of rows of them, and of the samples that change with them.
 pub(super) struct PlaneRows<'a, const CHANNELS: usize> {
     /// The first row's number in the image.
-    first: usize,
+    pub(super) first: usize,
     channels: [&'a mut [f32]; CHANNELS],
     row_len: usize,
     border: usize,
@@ -122,6 +126,16 @@ impl<const CHANNELS: usize> PlaneRows<'_, CHANNELS> {
     }
 
     #[inline(always)]
+    fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
+        S::f32s::from_slice(simd, &self.channels[channel][at..at + S::f32s::LEN])
+    }
+
+    #[inline(always)]
+    fn vector<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
+        Vec3::new(self.load(simd, channel, at), self.load(simd, channel + 1, at), self.load(simd, channel + 2, at))
+    }
+
+    #[inline(always)]
     fn store<S: Simd>(&mut self, channel: usize, at: usize, values: S::f32s) {
         values.store_slice(&mut self.channels[channel][at..at + S::f32s::LEN]);
     }
@@ -136,29 +150,27 @@ impl<const CHANNELS: usize> PlaneRows<'_, CHANNELS> {
 
 impl<const CHANNELS: usize> Planes<CHANNELS> {
     fn new(padded: &PaddedFrame) -> Self {
-        let channels = std::array::from_fn(|_| vec![0.0; padded.z.len()]);
-        Self { channels, row_len: padded.row_len, border: padded.border }
+        Self { channels: padded.channels(), row_len: padded.row_len, border: padded.border }
     }
 
     fn bytes(&self) -> usize {
-        self.channels.iter().map(|channel| size_of_val(&channel[..])).sum()
+        self.channels.bytes()
     }
 
     fn rows<'a>(&'a mut self, height: usize, means: Option<PaddedRows<'a>>) -> PlaneRows<'a, CHANNELS> {
         let (row_len, border) = (self.row_len, self.border);
         let image = border * row_len..(border + height) * row_len;
-        let channels = self.channels.each_mut().map(|channel| &mut channel[image.clone()]);
-        PlaneRows { first: 0, channels, row_len, border, means }
+        PlaneRows { first: 0, channels: self.channels.range_mut(image), row_len, border, means }
     }
 
     #[inline(always)]
     fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
-        S::f32s::from_slice(simd, &self.channels[channel][at..at + S::f32s::LEN])
+        self.channels.load(simd, channel, at)
     }
 
     #[inline(always)]
     fn vector<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
-        Vec3::new(self.load(simd, channel, at), self.load(simd, channel + 1, at), self.load(simd, channel + 2, at))
+        self.channels.vector(simd, channel, at)
     }
 }
 
@@ -177,24 +189,31 @@ impl Surfaces {
     pub(super) fn rows<'a>(&'a mut self, height: usize, means: Option<PaddedRows<'a>>) -> SurfaceRows<'a> {
         self.planes.rows(height, means)
     }
+}
 
-    /// Returns the surfaces from an index on, as their pass has found them.
+impl SurfaceRows<'_> {
+    /// Returns the surfaces from column u of the `row`-th of these rows on, as their pass has found them; `here` is the
+    /// index of the first pixel.
     #[inline(always)]
-    pub(super) fn surface<S: Simd>(&self, simd: S, first_planes: &FirstPlanes, at: usize) -> Surface<S> {
+    pub(super) fn surface<S: Simd>(
+        &self,
+        simd: S,
+        first_planes: &FirstPlanes,
+        (u, row): (usize, usize),
+        here: usize,
+    ) -> Surface<S> {
+        let at = self.index(row, u);
         let plane = Plane {
-            normal: self.planes.vector(simd, NORMAL, at),
-            height: self.planes.load(simd, HEIGHT, at),
-            ..first_planes.plane(simd, at)
+            normal: self.vector(simd, NORMAL, at),
+            height: self.load(simd, HEIGHT, at),
+            ..first_planes.plane(simd, here)
         };
-        let bend: Bend<S> = Bend {
-            uu: self.planes.load(simd, BEND, at),
-            uv: self.planes.load(simd, BEND + 1, at),
-            vv: self.planes.load(simd, BEND + 2, at),
-        };
+        let bend = self.vector(simd, BEND, at);
+        let bend: Bend<S> = Bend { uu: bend.x, uv: bend.y, vv: bend.z };
         let bends: Mask<S> = bend.square().simd_gt(splat(simd, 0.0));
-        let width = self.planes.load(simd, WIDTH, at);
-        let n = first_planes.count(simd, at).abs();
-        let no_plane_fits = self.planes.load(simd, NO_PLANE_FITS, at);
+        let width = self.load(simd, WIDTH, at);
+        let n = first_planes.count(simd, here).abs();
+        let no_plane_fits = self.load(simd, NO_PLANE_FITS, at);
         let exists: Mask<S> = no_plane_fits.simd_gt(splat(simd, 0.0));
         Surface {
             plane,

@@ -219,6 +219,7 @@ impl Pass {
                 text += include_str!("../shaders/general/neighbours.wgsl");
                 text += &kernel::surface(params.degree as usize, LEAVES_LOOP);
                 text += &store.concat();
+                text += include_str!("../shaders/result_depth.wgsl");
                 text += include_str!("../shaders/result.wgsl");
                 if keeps_edges {
                     text += include_str!("../shaders/general/first_planes.wgsl");

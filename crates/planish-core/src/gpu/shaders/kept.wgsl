@@ -28,6 +28,12 @@ const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
 
+// Results, in place of surfaces that are no longer needed: normal and point, 0 without a normal; depth in metres; status.
+const RESULT_NORMAL: u32 = SURFACE_NORMAL;
+const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
+const RESULT_POINT: u32 = SURFACE_BEND;
+const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
+
 // More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
 

@@ -1,19 +1,5 @@
 // Computes the result of a point from its plane: sections 5 to 7 of docs/method.md.
 
-// The depth at which the ray of p meets the surface, in metres and in raw units.
-fn with_depth(frame: u32, p: vec3<f32>, depth_scale: f32, without: PixelResult) -> PixelResult {
-    var result = without;
-    if WANTS_DEPTH || WANTS_DEPTH_M {
-        let depth = depth_of(frame, ray_to(frame, p)) * depth_scale;
-        result.depth_m = bitcast<u32>(depth);
-        let raw = round(depth * header(frame, UNITS_PER_METRE));
-        if raw >= 1.0 && raw < f32(SATURATED_DEPTH) {
-            result.codes |= u32(raw) << 16u;
-        }
-    }
-    return result;
-}
-
 // Result of a point with at least 3 neighbours.
 fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
     let n = u32(surface.n);
@@ -21,7 +7,7 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
         var result = no_result(STATUS_DEGENERATE, n);
         result.point = bitcast<vec3<u32>>(p);
         // Without a normal the depth is the point's own.
-        return with_depth(frame, p, 1.0, result);
+        return with_depth(frame, depth_of(frame, ray_to(frame, p)), result);
     }
     let projected = surface_of(frame, window, p, radius, surface);
     let result = PixelResult(
@@ -31,5 +17,5 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
         NAN_BITS,
         projected.status | (n << 8u),
     );
-    return with_depth(frame, p, projected.depth_scale, result);
+    return with_depth(frame, depth_of(frame, ray_to(frame, p)) * projected.depth_scale, result);
 }
